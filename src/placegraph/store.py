@@ -191,20 +191,20 @@ def read_map(path: Path_, kind: str, max_version: int, mapped: Collection[str] =
                 f"{max_version}; update placegraph, or build the map again with this one."
             )
         start, watch = file.tell(), files.Watch(file, path) if mapped else None
-        windows = [b for b in header.blocks if b.name in mapped and _lies_there(b, start)]
-        plain = sorted((b for b in header.blocks if b not in windows), key=lambda b: -b.length)
+        lying = [b for b in header.blocks if b.name in mapped and lies_there(b, start)]
+        plain = sorted((b for b in header.blocks if b not in lying), key=lambda b: -b.length)
         with ThreadPoolExecutor(2) as pool:
             hashed = pool.submit(_intact, file, header.file_size)
             # The blocks' own checksums come first: they name the damaged column.
-            decoded = pool.map(partial(_read, file, start, path), plain)
+            decoded = pool.map(partial(read_block, file, start, path), plain)
             found = dict(zip(plain, decoded, strict=True))
             intact = hashed.result()
-        found |= _windows(file, windows, start) if windows else {}
+        found |= windows(file, lying, start) if lying else {}
         if not intact:
-            for b in windows:
-                _read(file, start, path, b)
+            for b in lying:
+                read_block(file, start, path, b)
             raise damaged(path, "its checksum does not fit its contents")
-    return MapFile(header, {b.name: found[b] for b in header.blocks}, watch if windows else None)
+    return MapFile(header, {b.name: found[b] for b in header.blocks}, watch if lying else None)
 
 
 @contextmanager
@@ -276,20 +276,20 @@ def _bytes(file: BinaryIO, at: int, length: int) -> memoryview:
     return memoryview(found)
 
 
-def _lies_there(block: Block, start: int) -> bool:
+def lies_there(block: Block, start: int) -> bool:
     """Whether a block can be read where it lies: stored as it is, and not beginning within a word."""
     aligned = (start + block.offset) % np.dtype(block.dtype).itemsize == 0
     whole = block.length == block.nbytes > 0
     return block.codec == "raw" and block.filter == "none" and aligned and whole
 
 
-def _windows(file: BinaryIO, blocks: Iterable[Block], start: int) -> dict[Block, NDArray[Any]]:
+def windows(file: BinaryIO, blocks: Iterable[Block], start: int) -> dict[Block, NDArray[Any]]:
     """Arrays of blocks, as windows on one map of the file: each map holds a descriptor."""
     view = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
     return {b: np.ndarray(b.shape, np.dtype(b.dtype), view, start + b.offset) for b in blocks}
 
 
-def _read(file: BinaryIO, start: int, path: Path_, block: Block) -> NDArray[Any]:
+def read_block(file: BinaryIO, start: int, path: Path_, block: Block) -> NDArray[Any]:
     """Array of a block of a file whose blocks begin at `start`."""
     stored = _bytes(file, start + block.offset, block.length)
     if zlib.crc32(stored) != block.crc32:

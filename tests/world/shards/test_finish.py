@@ -15,24 +15,27 @@ def words_of(map_):
 
 
 def test_sums_are_those_of_the_whole(whole, sharded):
-    told, table = WorldFile.read(sharded), WordTable.read(sharded / "words.table")
+    told, table = WorldFile.read(sharded), WordTable.open(sharded / "words.table")
     assert is_world(sharded)
     assert len(told.shards) > 2
     assert sum(s.viewpoints for s in told.shards) == len(whole.views.positions)
     assert sum(s.objects for s in told.shards) == len(whole.objects)
     assert sum(s.cells for s in told.shards) == len(whole.cells)
     rows = {word: i for i, word in enumerate(words_of(whole.objects))}
-    here = [rows[word] for word in words_of(table)]
-    assert np.array_equal(table.counts, np.bincount(whole.tokens[1], minlength=len(rows))[here])
+    words = range(len(rows))
+    here = [rows[table.reads(word)] for word in words]
+    assert np.array_equal(
+        table.counts(words), np.bincount(whole.tokens[1], minlength=len(rows))[here]
+    )
     shares = [whole.frequency(np.array([t]), np.ones(1, np.float32)) for t in here]
-    assert np.allclose(table.shares, shares, rtol=1e-3)
+    assert np.allclose(table.shares(words), shares, rtol=1e-3)
 
 
 def test_the_table_says_where_a_name_is(sharded):
-    told, table = WorldFile.read(sharded), WordTable.read(sharded / "words.table")
-    word = len(table.labels) + table.names.index("Rex")
-    entries = table.row(word)
-    holders = [told.shards[i] for i in table.shards[entries][table.objects[entries] > 0]]
+    told, table = WorldFile.read(sharded), WordTable.open(sharded / "words.table")
+    (name,) = table.names.named("Rex")
+    held = table.of(len(table.labels) + name)
+    holders = [told.shards[i] for i in held.shards[held.objects > 0]]
     assert len(holders) == 1
     assert "Rex" in CityMap.open(told.path(holders[0])).objects.names
 
@@ -94,4 +97,4 @@ def test_a_damaged_table_is_refused(world):
     blob[len(blob) // 2] ^= 255
     path.write_bytes(blob)
     with pytest.raises(MapError, match=r"words\.table"):
-        WordTable.read(path)
+        WordTable.open(path)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import sys
 from bisect import bisect_left
-from collections import Counter
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import log
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Protocol
 from placegraph.outdoor.language.words import COMPASS, ROADS, SMALL, tokens
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 LONGEST = 8
 """Names are found in running text up to this many words."""
@@ -28,6 +28,8 @@ ALMOST = 0.9
 """A name that has less of the phrase than this share of the best is not meant."""
 MANY = 60
 """A part of more names than this means none of them."""
+CROWDED = 20_000
+"""Of names with a number no more than this are looked through for streets."""
 
 
 class Named(Protocol):
@@ -42,9 +44,9 @@ class Named(Protocol):
 class NameIndex:
     """Names by their words; a `language.NameFinder`."""
 
-    by_words: dict[str, list[int]]
+    by_words: Mapping[str, Sequence[int]]
     """Rows of `CityObjects.names` by the name's words, joined by a space."""
-    first: dict[str, int]
+    first: Mapping[str, int]
     """First word of a name to the number of words of the longest name that begins so."""
     close: dict[str, tuple[str, float] | None] = field(default_factory=dict)
     meant: dict[str, dict[int, float]] = field(default_factory=dict)
@@ -55,13 +57,9 @@ class NameIndex:
         by_words: dict[str, list[int]] = {}
         first: dict[str, int] = {}
         for row, name in enumerate(objects.names):
-            words = tokens(name)
-            # "The Rex Theatre" is also called "Rex Theatre"; but not every pub is "The Pub"
-            article = words[:1] == ["the"] and len(words) > 2
-            for said in (words, words[1:])[: 1 + article]:
-                if said:
-                    by_words.setdefault(" ".join(said), []).append(row)
-                    first[said[0]] = max(first.get(said[0], 0), min(len(said), LONGEST))
+            for said in spoken(name):
+                by_words.setdefault(" ".join(said), []).append(row)
+                first[said[0]] = max(first.get(said[0], 0), min(len(said), LONGEST))
         return cls(by_words, first)
 
     def longest_name(self, words: Sequence[str], start: int) -> int:
@@ -81,10 +79,15 @@ class NameIndex:
             return None
         if words not in self.close:
             found = process.extractOne(
-                words, self.by_words.keys(), scorer=fuzz.ratio, score_cutoff=100 * CLOSE
+                words, self._alike(words), scorer=fuzz.ratio, score_cutoff=100 * CLOSE
             )
             self.close[words] = None if found is None else (found[0], found[1] / 100)
         return self.close[words]
+
+    def _alike(self, words: str) -> Iterable[str]:
+        """Names that words may be a misspelling of."""
+        del words
+        return self.by_words.keys()
 
     def named(self, phrase: str) -> dict[int, float]:
         """Rows of `CityObjects.names` that a phrase means, and how surely.
@@ -117,16 +120,17 @@ class NameIndex:
         """Names that have so much in common with a phrase that it may mean them."""
         said = [self._written(word) for word in self._joined(words)]
         told = {word: self._tells(word) for word in said}
-        known = [word for word in told if word in self._postings and word not in SMALL]
+        known = [word for word in told if word in self._counts and word not in SMALL]
         if not known or sum(told.values()) <= 0.0:
             return
         rarest = max(known, key=lambda word: told[word])
-        names = self._postings[rarest]
-        if all(map(_tells_apart, said)):  # "W. 38th" is a street
-            names = [name for name in names if _is_counted(name.split())]
-        if not names:
+        street = all(map(_tells_apart, said))
+        if self._counts[rarest] > (CROWDED if street else MANY):
             return
-        if len(names) > MANY:
+        names = self._postings[rarest]
+        if street:  # "W. 38th" is one
+            names = [name for name in names if _is_counted(name.split())]
+        if not 0 < len(names) <= MANY:
             return
         shares = {name: self._shares(said, told, name, whole=whole) for name in names}
         most = ALMOST * max(share for share, _ in shares.values())
@@ -173,7 +177,7 @@ class NameIndex:
 
     def _written(self, word: str) -> str:
         """A word as names write it, where it is inflected or misspelt."""
-        if word in self._counts or len(word) < 5 or not word.isalpha():
+        if word in self._counts or not is_alphabetic(word):
             return word
         at = bisect_left(self._alphabetic, word)
         near = [w for w in self._alphabetic[max(0, at - 3) : at + 3] if _inflected(word, w)]
@@ -184,30 +188,52 @@ class NameIndex:
         from rapidfuzz import process
         from rapidfuzz.distance import OSA
 
+        begin = word[:2]
+        ends = (bisect_left(self._alphabetic, end) for end in (begin, begin + chr(sys.maxunicode)))
         found = process.extractOne(
-            word, self._alphabetic, scorer=OSA.distance, score_cutoff=1 + (len(word) >= 8)
-        )
-        return found[0] if found and found[0][:2] == word[:2] else word
+            word, self._alphabetic[slice(*ends)], scorer=OSA.distance,
+            score_cutoff=1 + (len(word) >= 8),
+        )  # fmt: skip
+        return found[0] if found else word
 
     @cached_property
-    def _counts(self) -> Counter[str]:
+    def _counts(self) -> Mapping[str, int]:
         """In how many names a word stands, by its stem."""
-        return Counter({word: len(names) for word, names in self._postings.items()})
+        return {word: len(names) for word, names in self._postings.items()}
 
     @cached_property
-    def _alphabetic(self) -> list[str]:
-        return sorted(word for word in self._postings if len(word) >= 5 and word.isalpha())
+    def _alphabetic(self) -> Sequence[str]:
+        return sorted(filter(is_alphabetic, self._postings))
 
     @cached_property
-    def _postings(self) -> dict[str, list[str]]:
+    def _postings(self) -> Mapping[str, Sequence[str]]:
         """Names by the stems of their words."""
         found: dict[str, list[str]] = {}
         for name in self.by_words:
-            if _is_address(name.split()):
-                continue  # of which a part means the street
-            for word in dict.fromkeys(map(_stem, name.split())):
+            for word in stems(name):
                 found.setdefault(word, []).append(name)
         return found
+
+
+def spoken(name: str) -> list[list[str]]:
+    """Words by which a name is called, one way or two.
+
+    "The Rex Theatre" is also called "Rex Theatre"; but not every pub is "The Pub".
+    """
+    words = tokens(name)
+    article = words[:1] == ["the"] and len(words) > 2
+    return [said for said in (words, words[1:])[: 1 + article] if said]
+
+
+def stems(name: str) -> list[str]:
+    """Stems of a name's words; none of an address, a part of which means the street."""
+    words = name.split()
+    return [] if _is_address(words) else list(dict.fromkeys(map(_stem, words)))
+
+
+def is_alphabetic(word: str) -> bool:
+    """Whether a word may be inflected or misspelt."""
+    return len(word) >= 5 and word.isalpha()
 
 
 def _stem(word: str) -> str:

@@ -51,8 +51,8 @@ def peaks_of(query: Query, table: WordTable) -> NDArray[np.float64]:
     peaks = np.zeros((len(table.viewpoints), len(mentions.starts) - 1))
     for m in range(peaks.shape[1]):
         for k in range(mentions.starts[m], mentions.starts[m + 1]):
-            entries = table.row(int(mentions.tokens[k]))
-            peaks[table.shards[entries], m] += mentions.weights[k] * table.peak[entries]
+            held = table.of(int(mentions.tokens[k]))
+            peaks[held.shards, m] += mentions.weights[k] * held.peak
     labelled = _labelled(query, table)
     return np.where(labelled, np.minimum(peaks, table.spread[:, None]), peaks)
 

@@ -10,7 +10,7 @@ import numpy as np
 from placegraph.errors import InputError, MapError, OptionError
 from placegraph.tiles import check_zoom, tile_of
 from placegraph.world.shards.folder import SHARDS, WORDS, ShardFile, WorldFile, digest_of
-from placegraph.world.shards.table import WordTable, counted
+from placegraph.world.shards.table import counted, write
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -60,8 +60,7 @@ def finish(
     for path in paths:
         _check_key(path, zoom)
     found = list((each or map)(count, paths))
-    table = WordTable.joined(found)
-    table.write(folder / WORDS)
+    write(folder / WORDS, found)
     shards = tuple(
         ShardFile(p.stem, f"{SHARDS}/{p.name}", digest_of(p), p.stat().st_size,
                   c.total, c.cells, c.viewpoints)

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.outdoor.map.blocks import Blocks
-from placegraph.outdoor.map.names import NameIndex
 from placegraph.outdoor.map.objects import columns_of
 from placegraph.tiles import bounds
 
@@ -20,6 +19,7 @@ if TYPE_CHECKING:
 
     from placegraph.outdoor.language.vocabulary import Vocabulary
     from placegraph.outdoor.map.city import City
+    from placegraph.outdoor.map.names import NameIndex
     from placegraph.outdoor.map.objects import CityObjects
     from placegraph.world.shards.table import WordTable
 
@@ -76,10 +76,10 @@ class Words:
 
         return Vocabulary.default().of_map(self.table.labels)
 
-    @cached_property
+    @property
     def name_index(self) -> NameIndex:
         """Proper names of the world."""
-        return NameIndex.build(self.table)
+        return self.table.names
 
     @cached_property
     def label_index(self) -> dict[str, list[int]]:
@@ -91,11 +91,6 @@ class Words:
     def block_length(self, bearing: float | None) -> float:
         """How long a block is [m]: as anywhere, since it differs from town to town."""
         return Blocks().length(bearing)
-
-    def reads(self, word: int) -> str:
-        """What a token reads: a label, or a name behind a tilde."""
-        n = len(self.table.labels)
-        return self.table.labels[word] if word < n else f"~{self.table.names[word - n]}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,16 +114,16 @@ class Gathering:
 
     def frequency(self, tokens: NDArray[np.int32], weights: NDArray[np.float32]) -> float:
         """Share of all things in sight, over all viewpoints of the world."""
-        return float(weights @ self.words.table.shares[tokens])
+        return float(weights @ self.words.table.shares(tokens.tolist()))
 
     def borne(self, tokens: NDArray[np.int32]) -> NDArray[np.int64]:
         """How many things (K,) bear each of these tokens."""
-        return np.asarray(self.words.table.counts[tokens])
+        return self.words.table.counts(tokens.tolist())
 
     def bearers(self, tokens: NDArray[np.int32]) -> list[NDArray[np.int64]]:
         """Rows of `objects`, which grows by those that were not asked for before."""
         known = {(t.osm_type, t.osm_id): i for i, t in enumerate(self.objects.rows)}
-        found: dict[str, set[int]] = {self.words.reads(int(token)): set() for token in tokens}
+        found: dict[str, set[int]] = {self.words.table.reads(int(token)): set() for token in tokens}
         for thing in self.gather(np.asarray(tokens, np.int64)):
             row = known.setdefault((thing.osm_type, thing.osm_id), len(known))
             if row == len(self.objects.rows):
@@ -136,7 +131,7 @@ class Gathering:
             for word in thing.words:
                 if word in found:
                     found[word].add(row)
-        return [np.array(sorted(found[self.words.reads(int(t))]), np.int64) for t in tokens]
+        return [np.array(sorted(found[self.words.table.reads(int(t))]), np.int64) for t in tokens]
 
 
 def rows_of(things: Sequence[Thing], objects: CityObjects) -> NDArray[np.int64]:

@@ -64,7 +64,7 @@ class Planet(World):
         self.file = file
         self.crew: Crew = crew or Alone()
         same(file.folder / WORDS, file.words)
-        self.words = Words(WordTable.read(file.folder / WORDS))
+        self.words = Words(WordTable.open(file.folder / WORDS))
         if len(self.words.table.viewpoints) != len(file.shards):
             raise MapError(
                 f"{file.folder / WORDS} is of {len(self.words.table.viewpoints)} shards, world.json of "
@@ -90,6 +90,7 @@ class Planet(World):
                 "text: a world in shards is asked by what is said of a place; give a text, and no "
                 "capture. Frames are localized in a scene map, or in a folder of maps."
             )
+        self.words.table.watch.check()
         deadline = None if known.budget is None else monotonic() + known.budget
         search = Search(self.sources, self.words.table, self.crew, deadline)
         return self._located(known, known.text, search)
@@ -114,7 +115,7 @@ class Planet(World):
         log_mass, fixed = search.masses(fix, self.cores)
         if fix is not None and fixed is None:
             return self._nothing(self._off(fix), description, search)
-        words = tuple(self.words.reads(int(token)) for token in query.mentions.tokens)
+        words = tuple(self.words.table.reads(int(token)) for token in query.mentions.tokens)
         size = int(self.words.table.viewpoints.sum())
         asked = Asked(query, words, tuple(things.rows), size, fixed)
         found = search.run(asked, log_mass, self.cores)
@@ -142,9 +143,9 @@ class Planet(World):
         table = self.words.table
         wanted: dict[int, list[str]] = {}
         for token in tokens.tolist():
-            entries = table.row(token)
-            for row in table.shards[entries][table.objects[entries] > 0].tolist():
-                wanted.setdefault(row, []).append(self.words.reads(token))
+            held = table.of(token)
+            for row in held.shards[held.objects > 0].tolist():
+                wanted.setdefault(row, []).append(table.reads(token))
         told = [(row, (tuple(words),)) for row, words in sorted(wanted.items())]
         return [thing for _, found in search.each("gather", told) for thing in found]
 

@@ -47,7 +47,7 @@ class Asked:
     query: Query
     """Its tokens are those of the world, its rare objects rows of `things`."""
     words: tuple[str, ...]
-    """What each of its tokens reads (`Words.reads`)."""
+    """What each of its tokens reads (`WordTable.reads`)."""
     things: tuple[Thing, ...]
     viewpoints: int
     """Of the world."""
@@ -110,7 +110,7 @@ class Shard:
 
     @cached_property
     def tokens(self) -> dict[str, int]:
-        """Tokens by what they read, as of `Words.reads`."""
+        """Tokens by what they read, as of `WordTable.reads`."""
         o = self.city.objects
         return {word: i for i, word in enumerate([*o.labels, *(f"~{name}" for name in o.names)])}
 

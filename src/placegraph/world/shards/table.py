@@ -3,30 +3,35 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from sys import intern
-from typing import TYPE_CHECKING, Any, NamedTuple, Self, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 
 from placegraph.columns import spans
 from placegraph.errors import PlacegraphError
+from placegraph.header import damaged
 from placegraph.outdoor.map.index_build import STRIDE, fade, grid_of, seen_from
 from placegraph.outdoor.map.objects import AREA
+from placegraph.pages import STARTS, SUMS, open_pages, starts_of, stretches, with_sums
 from placegraph.store import pack_strings, read_map, sound, write_map
+from placegraph.world.shards import names
+from placegraph.world.shards.names import WorldNames
 from placegraph.world.shards.table_kernels import words_in_sight
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
 
+    from placegraph.files import Watch
     from placegraph.outdoor.map.city import City
     from placegraph.outdoor.map.raster import Sightings
+    from placegraph.pages import Column
 
-KIND, VERSION = "words", 1
-Number = TypeVar("Number", np.int64, np.float64)
+KIND, VERSION = "words", 2
+MEND = "Finish the world again: `placegraph.world.shards.finish`."
 CROWD = 30.0
 """As of `Statements.crowd`: pairs in sight are counted with so many more."""
 
@@ -118,122 +123,123 @@ def _in_sight(
     return bounds, seen.objects[entries], seen.offsets[entries]
 
 
-@dataclass(frozen=True, eq=False)
-class WordTable:
-    """Words of all shards, with the shards (CSR) that hold each.
+class Entries(NamedTuple):
+    """What shards hold of a word."""
 
-    Words are labels, then names, as the tokens of a city; rows of shards are in order of their keys.
-    """
-
-    labels: tuple[str, ...]
-    """Sorted."""
-    names: tuple[str, ...]
-    """Sorted."""
-    starts: NDArray[np.int64]
-    """(T + 1,)"""
     shards: NDArray[np.int32]
-    """(E,) row of a shard, ascending within a word."""
+    """(E,) row of each, ascending."""
     objects: NDArray[np.int32]
     """(E,) as `Counted.objects` ..."""
     mass: NDArray[np.float32]
     """... `mass` ..."""
     peak: NDArray[np.float32]
     """... and `peak`."""
+
+
+@dataclass(frozen=True, eq=False)
+class WordTable:
+    """Words of all shards, and the shards that hold each; made by `write`, opened by `open`.
+
+    Words are labels, then names, as the tokens of a city; rows of shards are in order of their keys.
+    Labels and what is known of shards are in memory. All else is read when it is asked for, and
+    checked then: `MapError` where it is damaged.
+    """
+
+    labels: tuple[str, ...]
+    """Sorted."""
+    names: WorldNames
+    """Sorted."""
+    columns: Mapping[str, Column]
     viewpoints: NDArray[np.int64]
     """(N,) of each shard, and so are ..."""
     sight: NDArray[np.float64]
     spread: NDArray[np.float64]
     pull: NDArray[np.float64]
+    watch: Watch
 
     @classmethod
-    def joined(cls, found: Sequence[Counted]) -> Self:
-        """Table of shards in this order."""
-        labels = tuple(sorted({label for c in found for label in c.labels}))
-        names = tuple(sorted({name for c in found for name in c.names}))
-        label_rows = {label: row for row, label in enumerate(labels)}
-        name_rows = {name: row + len(labels) for row, name in enumerate(names)}
-        words, shards, columns = [], [], []
-        for i, c in enumerate(found):
-            rows = [*map(label_rows.__getitem__, c.labels), *map(name_rows.__getitem__, c.names)]
-            here = np.flatnonzero((c.objects > 0) | (c.mass > 0.0))
-            words.append(np.array(rows, np.int64)[here])
-            shards.append(np.full(len(here), i, np.int32))
-            columns.append((c.objects[here], c.mass[here], c.peak[here]))
-        word = np.concatenate(words)
-        order = np.argsort(word, kind="stable")
-        size = np.bincount(word, minlength=len(labels) + len(names))
-        objects, mass, peak = (np.concatenate(part)[order] for part in zip(*columns, strict=True))
-        return cls(
-            labels, names, np.concatenate(([0], np.cumsum(size))).astype(np.int64),
-            np.concatenate(shards)[order], objects, mass, peak,
-            np.array([c.viewpoints for c in found], np.int64),
-            *(np.array(part, np.float64)
-              for part in zip(*((c.sight, c.spread, c.pull) for c in found), strict=True)),
-        )  # fmt: skip
-
-    def write(self, path: Path) -> None:
-        """Write the table in one step; `MapError` where that fails."""
-        arrays = {
-            "labels": pack_strings(self.labels), "names": pack_strings(self.names),
-            "word_counts": np.diff(self.starts).astype(np.uint32),
-            **{name: getattr(self, name) for name in _COLUMNS},
-        }  # fmt: skip
-        write_map(path, KIND, VERSION, {}, arrays)
-
-    @classmethod
-    def read(cls, path: Path) -> Self:
-        """Read a table; `InputError` or `MapError` where it is missing, damaged or newer."""
-        file = read_map(path, KIND, VERSION)
-        with sound(path, "Finish the world again with `placegraph world build`."):
-            counts = file.array("word_counts", "<u4").astype(np.int64)
-            starts = np.concatenate(([0], np.cumsum(counts)))
-            columns = {name: file.array(name, dtype) for name, dtype in _COLUMNS.items()}
-            labels = file.strings("labels", most=len(counts))
-            names = file.strings("names", most=len(counts))
-            made = cls(labels, names, starts, **columns)
+    def open(cls, path: Path) -> Self:
+        """Open a table; `InputError` or `MapError` where it is missing, damaged or of another version."""
+        file, columns = open_pages(path, KIND, VERSION, _ENTRIES | names.COLUMNS, MEND)
+        with sound(path, MEND):
+            told = {name: file.array(name, dtype) for name, dtype in _OF_SHARDS.items()}
+            known = WorldNames.of(file, columns)
+            labels = file.strings("labels", most=len(columns["starts"]))
+            assert file.watch is not None  # noqa: S101  # `open_pages` gives one
+            made = cls(labels, known, columns, **told, watch=file.watch)
             made.check()
         return made
 
     def check(self) -> None:
         """Raise `ValueError` where columns contradict each other."""
-        n = len(self.viewpoints)
-        if len(self.starts) != len(self.labels) + len(self.names) + 1:
+        size = {name: len(column) for name, column in self.columns.items()}
+        if size["starts"] != len(self.labels) + len(self.names.names) + 1:
             raise ValueError("words and their counts are of different lengths")
-        if any(len(getattr(self, k)) != self.starts[-1] for k in list(_COLUMNS)[:4]):
+        if len({size[name] for name in Entries._fields}) > 1:
             raise ValueError("entries of words are of different lengths")
-        if any(len(getattr(self, k)) != n for k in list(_COLUMNS)[4:]):
+        of_shards = [getattr(self, name) for name in _OF_SHARDS]
+        if len({len(column) for column in of_shards}) > 1:
             raise ValueError("columns of shards are of different lengths")
-        if len(self.shards) and not 0 <= self.shards.min() <= self.shards.max() < n:
-            raise ValueError("a word is of no shard")
-        for k in list(_COLUMNS)[2:]:
-            if not (np.isfinite(getattr(self, k)).all() and (getattr(self, k) >= 0).all()):
-                raise ValueError(f"{k} holds what is no amount")
+        if not all((np.isfinite(column) & (column >= 0)).all() for column in of_shards):
+            raise ValueError("what is known of shards holds what is no amount")
 
-    def row(self, word: int) -> slice:
-        """Entries of a word."""
-        return slice(int(self.starts[word]), int(self.starts[word + 1]))
+    def reads(self, word: int) -> str:
+        """What a word reads: a label, or a name behind a tilde."""
+        n = len(self.labels)
+        return self.labels[word] if word < n else f"~{self.names.names[word - n]}"
 
-    @cached_property
-    def counts(self) -> NDArray[np.int64]:
-        """Objects (T,) that bear each word."""
-        return _sums(self.objects.astype(np.int64), self.starts)
+    def of(self, word: int) -> Entries:
+        """Shards that hold a word."""
+        starts = self.columns["starts"]
+        part = slice(*stretches(starts, word, word + 1, len(self.columns["shards"])))
+        found = Entries(*(self.columns[name][part] for name in Entries._fields))
+        wrong = len(found.shards) and not 0 <= found.shards.min() <= found.shards.max() < len(self)
+        if wrong or not all((np.isfinite(x) & (x >= 0)).all() for x in found[1:]):
+            raise damaged(starts.path, f"entries of {self.reads(word)!r} are none of its shards")
+        return found
 
-    @cached_property
-    def shares(self) -> NDArray[np.float64]:
-        """Share (T,) of each word of all things in sight, over all viewpoints of the world."""
-        return _sums(self.mass.astype(np.float64), self.starts) / max(
-            float(self.sight.sum()), 1e-30
-        )
+    def __len__(self) -> int:
+        return len(self.viewpoints)
+
+    def counts(self, words: Sequence[int]) -> NDArray[np.int64]:
+        """Objects (K,) that bear each of these words."""
+        return np.array([self.of(word).objects.sum(dtype=np.int64) for word in words], np.int64)
+
+    def shares(self, words: Sequence[int]) -> NDArray[np.float64]:
+        """Share (K,) of each of these words of all things in sight, over all viewpoints of the world."""
+        mass = np.array([self.of(word).mass.sum(dtype=np.float64) for word in words], np.float64)
+        return mass / max(float(self.sight.sum()), 1e-30)
 
 
 _OF_A_SHARD = ("objects", "mass", "peak")
-_COLUMNS = {
-    "shards": "<i4", "objects": "<i4", "mass": "<f4", "peak": "<f4",
-    "viewpoints": "<i8", "sight": "<f8", "spread": "<f8", "pull": "<f8",
-}  # fmt: skip
 
 
-def _sums(values: NDArray[Number], starts: NDArray[np.int64]) -> NDArray[Number]:
-    """Sum of each stretch of values."""
-    found: NDArray[Number] = np.diff(np.concatenate(([0], np.cumsum(values)))[starts])
-    return found
+def write(path: Path, found: Sequence[Counted]) -> None:
+    """Write the table of shards in this order, in one step; `MapError` where that fails."""
+    labels = tuple(sorted({label for c in found for label in c.labels}))
+    every = tuple(sorted({name for c in found for name in c.names}))
+    label_rows = {label: row for row, label in enumerate(labels)}
+    name_rows = {name: row + len(labels) for row, name in enumerate(every)}
+    words, shards, columns = [], [], []
+    for i, c in enumerate(found):
+        rows = [*map(label_rows.__getitem__, c.labels), *map(name_rows.__getitem__, c.names)]
+        here = np.flatnonzero((c.objects > 0) | (c.mass > 0.0))
+        words.append(np.array(rows, np.int64)[here])
+        shards.append(np.full(len(here), i, np.int32))
+        columns.append((c.objects[here], c.mass[here], c.peak[here]))
+    word = np.concatenate(words)
+    order = np.argsort(word, kind="stable")
+    entries = (np.concatenate(part)[order] for part in (shards, *zip(*columns, strict=True)))
+    counts, of_names = names.columns_of(every)
+    paged = dict(zip(Entries._fields, entries, strict=True)) | of_names
+    paged["starts"] = starts_of(np.bincount(word, minlength=len(labels) + len(every)))
+    of_shards = {
+        name: np.array([getattr(c, name) for c in found], dtype)
+        for name, dtype in _OF_SHARDS.items()
+    }
+    arrays = with_sums({"labels": pack_strings(labels), **of_shards, **paged}, paged)
+    write_map(path, KIND, VERSION, counts, arrays, mapped=(*paged, SUMS))
+
+
+_ENTRIES = {"starts": STARTS, "shards": "<i4", "objects": "<i4", "mass": "<f4", "peak": "<f4"}
+_OF_SHARDS = {"viewpoints": "<i8", "sight": "<f8", "spread": "<f8", "pull": "<f8"}
