@@ -32,6 +32,20 @@ def test_workers_answer_as_one_process(scheduler, sharded):
     together.close()
 
 
+def test_a_step_is_sent_once_to_each_worker(scheduler, sharded, monkeypatch):
+    planet, sent = pg.open_world(sharded, scheduler=scheduler), []
+    real = planet.crew.client.submit
+    monkeypatch.setattr(
+        planet.crew.client,
+        "submit",
+        lambda do, batch, **how: sent.append(batch) or real(do, batch, **how),
+    )
+    tasks = [workers.Task(source, ([],)) for source in planet.sources]
+    assert sorted(planet.crew.each("name", tasks)) == [(row, []) for row in range(len(tasks))]
+    assert len(sent) <= 2 < len(tasks) == sum(len(batch.tasks) for batch in sent)
+    planet.close()
+
+
 def test_a_lost_shard_is_named_by_workers_too(scheduler, world):
     next((world / "shards").iterdir()).unlink()
     planet = pg.open_world(world, scheduler=scheduler)
@@ -109,8 +123,10 @@ def test_where_every_worker_ended_the_shard_is_lost(ended):
         def exception(self):
             return ended
 
-    told = cluster._result(Future(), workers.Task(workers.Source("0", "0.city", ""), ()), "x")
+    task = workers.Task(workers.Source("0", "0.city", ""), ())
+    (told,) = cluster._result(Future(), [task], "x")
     assert told.reason.startswith("0.city: every worker")
+    assert cluster._result(Future(), [task, task], "x") is None  # each is tried alone
 
 
 @pytest.mark.all

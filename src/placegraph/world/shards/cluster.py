@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.metadata import version
 from time import monotonic
 from typing import TYPE_CHECKING, Any, Self
 from zlib import crc32
 
 from placegraph.errors import MissingExtraError, ServiceError
-from placegraph.world.shards.workers import Holder, Lost
+from placegraph.world.shards.workers import Alone, Holder, Lost
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from distributed import Client, Future
 
@@ -82,6 +82,10 @@ class Cluster:
 
     client: Client
     address: str
+    _there: list[str] = field(default_factory=list)
+    """Workers when they were last asked for ..."""
+    _seen: float = 0.0
+    """... and when that was [s]."""
 
     @classmethod
     def at(cls, address: str) -> Self:
@@ -96,51 +100,88 @@ class Cluster:
 
         if self.client.status == "closed":  # the scheduler went away, and may have come again
             self.client = connected(self.address, PATIENCE)
+            self._seen = 0.0
         there = self._workers()
-        asked = {self._sent(step, task, there): row for row, task in enumerate(tasks)}
+        asked = self._sent(step, tasks, range(len(tasks)), there, deadline)
         try:
             while asked:
                 left = LOOK if deadline is None else min(LOOK, deadline - monotonic())
+                alone: list[int] = []
                 with suppress(TimeoutError):
                     for future in as_completed(
                         [*asked], loop=self.client.loop, timeout=max(left, 0.0)
                     ):
-                        result = _result(future, tasks[asked[future]], self.address)
-                        yield asked.pop(future), result
+                        rows = asked.pop(future)
+                        results = _result(future, [tasks[row] for row in rows], self.address)
+                        if results is None:
+                            alone += rows
+                        else:
+                            yield from zip(rows, results, strict=False)  # fewer where it was late
                 if deadline is not None and monotonic() > deadline:
                     return
-                if asked and there != (there := self._workers()):  # what waits for one that is gone
+                for row in alone:  # one of them ends workers
+                    asked |= self._sent(step, tasks, [row], there, deadline)
+                if asked and there != (
+                    there := self._workers(0.0)
+                ):  # some wait for one that is gone
                     self.client.cancel([*asked])
-                    asked = {self._sent(step, tasks[row], there): row for row in asked.values()}
+                    left_over = [row for rows in asked.values() for row in rows]
+                    asked = self._sent(step, tasks, left_over, there, deadline)
         finally:
-            if self.client.status == "running":
+            if self.client.status == "running" and asked:
                 self.client.cancel([*asked])
 
-    def _workers(self) -> list[str]:
-        """Addresses of all workers that are there now."""
-        with _answering(self.address):
-            return sorted(self.client.scheduler_info(n_workers=-1)["workers"])
+    def _workers(self, age: float = LOOK) -> list[str]:
+        """Addresses of all workers that are there now, or were no longer ago [s]."""
+        if monotonic() - self._seen >= age:
+            with _answering(self.address):
+                self._there = sorted(self.client.scheduler_info(n_workers=-1)["workers"])
+            self._seen = monotonic()
+        return self._there
 
-    def _sent(self, step: str, task: Task, workers: Sequence[str]) -> Future[Any]:
-        favourite = _favourite(task.source.key, workers)
+    def _sent(
+        self, step: str, tasks: Sequence[Task], rows: Iterable[int], workers: Sequence[str],
+        deadline: float | None,
+    ) -> dict[Future[Any], list[int]]:  # fmt: skip
+        """Rows of tasks by what each worker was sent: all of its tasks at once."""
+        of: dict[str, list[int]] = {}
+        for row in rows:
+            of.setdefault(_favourite(tasks[row].source.key, workers), []).append(row)
+        seconds = None if deadline is None else max(0.0, deadline - monotonic())
         with _answering(self.address):
-            return self.client.submit(_done, step, task, pure=False, retries=1, **favourite)
+            return {
+                self.client.submit(
+                    _done, _Batch(step, [tasks[row] for row in mine], seconds), pure=False, retries=1,
+                    **({"workers": [worker], "allow_other_workers": True} if worker else {}),
+                ): mine
+                for worker, mine in of.items()
+            }  # fmt: skip
 
     def close(self) -> None:
         """Leave the cluster; its workers stay."""
         self.client.close()
 
 
-def _favourite(key: str, workers: Sequence[str]) -> dict[str, Any]:
-    """The worker that holds a shard open if any does: the same one as long as it is there."""
-    if not workers:  # none is known for a moment, as where all are being replaced
-        return {}
-    best = max(workers, key=lambda worker: crc32(f"{key} {worker}".encode()))
-    return {"workers": [best], "allow_other_workers": True}
+@dataclass(frozen=True, slots=True)
+class _Batch:
+    """A step in all shards of a worker; what they are told alike travels once."""
+
+    step: str
+    tasks: list[Task]
+    seconds: float | None
+    """After which no more is begun."""
 
 
-def _done(step: str, task: Task) -> Any:  # noqa: ANN401
-    """Do a step in the worker, with the shards that it holds."""
+def _favourite(key: str, workers: Sequence[str]) -> str:
+    """The worker that holds a shard open if any does: the same one as long as it is there.
+
+    Empty where none is known for a moment, as where all are being replaced.
+    """
+    return max(workers, key=lambda worker: crc32(f"{key} {worker}".encode()), default="")
+
+
+def _done(batch: _Batch) -> list[Any]:
+    """Do a step in the worker, with the shards that it holds; fewer where the time is over."""
     from distributed import get_worker
 
     worker = get_worker()
@@ -148,7 +189,8 @@ def _done(step: str, task: Task) -> Any:  # noqa: ANN401
     if holder is None:
         holder = Holder()
         setattr(worker, _HOLDER, holder)
-    return holder.do(step, task)
+    deadline = None if batch.seconds is None else monotonic() + batch.seconds
+    return [result for _, result in Alone(holder).each(batch.step, batch.tasks, deadline)]
 
 
 @contextmanager
@@ -165,19 +207,28 @@ def _answering(address: str) -> Iterator[None]:
         ) from error
 
 
-def _result(future: Future[Any], task: Task, address: str) -> Any:  # noqa: ANN401
-    """What came of a task; `Lost` where all its workers ended, as one does that is out of memory."""
+def _result(future: Future[Any], tasks: Sequence[Task], address: str) -> list[Any] | None:
+    """What came of tasks; `Lost` where all workers ended, as one does that is out of memory.
+
+    None where these were several: each is to be tried alone.
+    """
     from distributed import CancelledError, KilledWorker
 
     with _answering(address):
         error = future.exception()
         if error is None:
-            return future.result()
+            found: list[Any] = future.result()
+            return found
         if isinstance(error, CancelledError):
             raise error
-    if isinstance(error, KilledWorker | MemoryError):
-        return Lost(
+    if not isinstance(error, KilledWorker | MemoryError):
+        raise error
+    if len(tasks) > 1:
+        return None
+    return [
+        Lost(
             f"{task.source.path}: every worker that opened it ended ({type(error).__name__}); give workers "
             "more memory."
         )
-    raise error
+        for task in tasks
+    ]

@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 
 NEGLIGIBLE = 0.002
 """Shards that together hold no more than this share of the posterior are not looked into."""
-FIRST = 2
-"""Shards of the first round; every other round is twice as large."""
+FIRST, GROWTH = 4, 4
+"""Shards of the first round, and how many times as large every other one is."""
 FAR_OFF = 6.0
 """A fix says nothing of shards that lie so many standard deviations away."""
 
@@ -92,7 +92,7 @@ class Search:
             for row, compared in self.each("compare", told):
                 found.scored(row, scoring[row], compared)
             found.dropped(self.lost.keys() & scoring)
-            first, size = first + size, 2 * size
+            first, size = first + size, GROWTH * size
         return found
 
     def settled(self, found: Merged) -> bool:
