@@ -19,24 +19,41 @@ def query(request, monaco):
     return compile_query(read(monaco, request.param), monaco)
 
 
-def promising(query, city, weights, most):
-    return promising_views(query.statements, query.mentions, city.views.columns, weights, most)
+def promising(query, city, weights, most, drawn=0):
+    return promising_views(
+        query.statements, query.mentions, city.views.columns, weights, most, drawn
+    )
 
 
 @pytest.mark.parametrize("most", [5, 60, 400])
 @pytest.mark.parametrize("weighed", [False, True])
 def test_the_heaviest_are_found(query, monaco, rng, most, weighed):
     weights = rng.random(len(monaco.views)) ** 4 if weighed else np.zeros(0)
-    rows, bounds, left = promising(query, monaco, weights, most)
-    every, of_every, nothing = promising(query, monaco, weights, len(monaco.views))
-    assert nothing == pytest.approx(0.0, abs=1e-9 * of_every.sum())
+    rows, bounds, stands = promising(query, monaco, weights, most)
+    every, of_every, _ = promising(query, monaco, weights, len(monaco.views))
+    assert not stands.any()
     most = min(most, len(every))
     assert len(np.unique(every)) == len(every)
     assert len(np.unique(rows)) == len(rows) == most
     np.testing.assert_allclose(bounds, of_every[:most], rtol=1e-6)
     # of equal bounds any may be among them
     assert set(every[of_every > bounds[-1] * 1.000001]) <= set(rows)
-    assert left == pytest.approx(of_every[most:].sum(), rel=1e-3)
+
+
+@pytest.mark.parametrize("weighed", [False, True])
+def test_some_stand_for_all_others(query, monaco, rng, weighed):
+    weights = rng.random(len(monaco.views)) ** 4 if weighed else np.zeros(0)
+    every, of_every, _ = promising(query, monaco, weights, len(monaco.views))
+    rows, bounds, stands = promising(query, monaco, weights, 60, 64)
+    others = of_every[60:] ** 0.75
+    told = stands[60:] * bounds[60:] ** 0.75
+    assert not stands[:60].any()
+    assert len(told) == 64 * bool(others.sum())
+    assert set(rows) <= set(every)
+    for n in (64, 32, 16):  # those drawn first do as well as all
+        assert told[:n].sum() * 64 / n == pytest.approx(others.sum(), rel=1e-6)
+    # what they say of something else is about right
+    assert stands[60:] @ bounds[60:] == pytest.approx(of_every[60:].sum(), rel=0.1)
 
 
 def test_bounds_are_bounds(query, monaco):

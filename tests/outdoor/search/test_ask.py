@@ -165,7 +165,7 @@ def test_nothing_to_ask(harbour):
         assert estimate.status == Status.LOST
         assert estimate.next_question(harbour) is None
     clear = harbour.locate("I am on Speicherweg. The bank is north of me, the hairdresser west.")
-    assert clear.best.probability > 0.85
+    assert clear.best.probability > 0.8
     assert clear.next_question(harbour) is None
     assert CityEstimate(Status.LOST, (), "Nothing.").next_question(harbour) is None
 

@@ -30,14 +30,14 @@ STRIP = 1024
 
 
 @kernel(fastmath=True)
-def promising_views(statements, mentions, views, weights, most):
-    """Viewpoints (K,) worth scoring, the most promising first, their bounds, and what is left out.
+def promising_views(statements, mentions, views, weights, most, drawn):
+    """Viewpoints (K,) worth scoring, their bounds, and how many others each stands for.
 
     Only viewpoints that have all things of at least one statement in sight are worth it. The bound
     (`bounds_of`) is of the likelihood ratio, times the prior `weights` (W,), all equal where empty.
-    Those of largest bound are found among all of the map: a tile is passed over only where the bound
-    of the whole tile is below that of `most` viewpoints. Left out is the sum of the bounds of the
-    viewpoints that are worth it and were not returned; tiles that were passed over are estimated by
+    First come the `most` of largest bound of all the map, the most promising first, which stand for
+    none: a tile is passed over only where the bound of the whole tile is below theirs. Then `drawn`
+    others that stand for all others (`draw`); tiles that were passed over are represented by
     `DRAWN` of them, each drawn as surely as it may weigh.
     """
     promise = _of_tiles(statements, mentions, views)
@@ -47,32 +47,81 @@ def promising_views(statements, mentions, views, weights, most):
             for v in range(views.first[t], views.first[t + 1]):
                 heaviest = max(heaviest, weights[v])
             promise[t] *= heaviest
-    chosen = np.empty(2 * most + TILES * SLOTS, np.int32)
-    bounds = np.empty(len(chosen))
-    n, least, total = 0, 0.0, 0.0
+    highest, n, least = np.empty(2 * most + TILES * SLOTS), 0, 0.0
+    seen = (np.empty(4096, np.int32), np.empty(4096), np.empty(4096))
+    many = 0
     share = np.ones(len(promise))
     every, size = np.flatnonzero(promise > 0.0), FIRST
-    while len(every) > size:
-        bar = np.partition(promise[every], len(every) - size)[len(every) - size]
-        first = every[promise[every] > bar]
-        n, least, total = _visit(
+    while len(every) > 0:
+        first = every
+        if len(every) > size:
+            bar = np.partition(promise[every], len(every) - size)[len(every) - size]
+            first = every[promise[every] > bar]
+        seen, many, n, least = _visit(
             statements, mentions, views, weights, first, promise, share, most,
-            chosen, bounds, n, least, total,
+            highest, n, least, seen, many,
         )  # fmt: skip
+        if len(every) <= size:
+            break
         every = every[(promise[every] > least) & (promise[every] > 0.0)]
         size *= 4
-    n, least, total = _visit(
-        statements, mentions, views, weights, every, promise, share, most,
-        chosen, bounds, n, least, total,
-    )  # fmt: skip
-    rest = _drawn(views, np.flatnonzero(promise > 0.0), promise, share, total)
-    if len(rest):
-        _, _, total = _visit(
+    if drawn:
+        rest = _drawn(views, np.flatnonzero(promise > 0.0), promise, share, seen[1][:many].sum())
+        seen, many, n, least = _visit(
             statements, mentions, views, weights, rest, promise, share, most,
-            chosen[n:], bounds[n:], 0, EVERY, total,
+            highest, n, EVERY, seen, many,
         )  # fmt: skip
-    order = np.argsort(-bounds[:n])
-    return chosen[order], bounds[order], max(0.0, total - bounds[:n].sum())
+    rows, bounds, stands = seen[0][:many], seen[1][:many], seen[2][:many]
+    return _chosen(rows, bounds, stands, highest[:n], most, drawn)
+
+
+@kernel(fastmath=True)
+def _chosen(rows, bounds, stands, highest, most, drawn):
+    """As `promising_views`, of all viewpoints looked at."""
+    least = 0.0
+    if len(highest) >= most:
+        least = np.partition(highest, len(highest) - most)[len(highest) - most]
+    ties = most
+    for i in range(len(highest)):
+        ties -= highest[i] > least
+    best, n = np.empty(most, np.int64), 0
+    for i in range(len(rows)):
+        if bounds[i] >= least and stands[i] == 1.0 and (bounds[i] > least or ties > 0):
+            ties -= bounds[i] == least
+            best[n], stands[i] = i, 0.0
+            n += 1
+    best = best[:n]
+    best = best[np.argsort(-bounds[best])]
+    some, stand = draw(bounds, stands, drawn)
+    every = np.concatenate((best, some))
+    return rows[every], bounds[every], np.concatenate((np.zeros(n), stand))
+
+
+@kernel(fastmath=True)
+def draw(bounds, stands, drawn):
+    """Rows (`drawn`,) of some that stand for all (N,) that stand for any, and how many each stands for.
+
+    Those of larger bound are drawn more often. The first half, quarter and so on are drawn as evenly as
+    all of them: they do as well, each standing for twice, or four times, as many.
+    """
+    weights, step = np.empty(len(bounds) if drawn else 0), 0.0
+    for i in range(len(weights)):
+        weights[i] = stands[i] * np.sqrt(bounds[i] * np.sqrt(bounds[i]))
+        step += weights[i] / drawn
+    if step <= 0.0:
+        return np.zeros(0, np.int64), np.zeros(0)
+    rows, upto, i = np.empty(drawn, np.int64), weights[0], 0
+    for j in range(drawn):
+        while upto < (j + 0.5) * step and i + 1 < len(weights):
+            i += 1
+            upto += weights[i]
+        at, left, half = 0, j, drawn // 2  # `j` with its bits reversed
+        while half:
+            at += half * (left & 1)
+            left >>= 1
+            half //= 2
+        rows[at] = i
+    return rows, stands[rows] * step / np.maximum(weights[rows], 1e-300)
 
 
 @kernel(fastmath=True)
@@ -133,16 +182,16 @@ def _fill_tiles(of_pairs, of_total, mentions, views, at, m, first, last):
 
 @kernel(fastmath=True)
 def _visit(
-    statements, mentions, views, weights, tiles, promise, share, most, chosen, bounds, n, least, total
+    statements, mentions, views, weights, tiles, promise, share, most, highest, n, least, seen, many
 ):  # fmt: skip
-    """Look at the viewpoints of tiles that promise more than `least`.
+    """Look at the viewpoints of tiles that promise more than `least`, and add them to those `seen`.
 
-    Adds those worth it to `chosen` and `bounds`, and all of them to the `total`, by the `share` of
-    their tile. The promise of tiles looked at becomes 0. Returns how many were chosen, the least
-    bound that still counts, and the total.
+    Of these there are `many`: their rows, bounds, and the `share` of their tile. Of tiles that were
+    drawn (`least` is then `EVERY`) all are added, and else the `n` `highest` bounds are kept. The
+    promise of tiles looked at becomes 0.
     """
     at = views.token_starts[mentions.tokens]
-    seen, there = blank(len(mentions.starts) - 1)
+    sight, there = blank(len(mentions.starts) - 1)
     bound = np.empty(TILES * SLOTS)
     strip = np.empty(TILES, np.int64)
     drawn = least >= EVERY
@@ -155,29 +204,34 @@ def _visit(
             k += 1
             if size < TILES and k < len(tiles):
                 continue
-        if size and bounds_of(statements, mentions, views, strip[:size], at, seen, there, bound):
+        if many + TILES * SLOTS > len(seen[0]):
+            seen = (
+                np.concatenate((seen[0], np.empty_like(seen[0]))),
+                np.concatenate((seen[1], np.empty_like(seen[1]))),
+                np.concatenate((seen[2], np.empty_like(seen[2]))),
+            )
+        if size and bounds_of(statements, mentions, views, strip[:size], at, sight, there, bound):
+            rows, bounds, stands = seen
             for i in range(size):
                 of_tile = bound[i * SLOTS : (i + 1) * SLOTS]
                 bits, row = views.present[strip[i]], views.first[strip[i]]
                 if len(weights):
                     _weigh(of_tile, bits, row, weights)
-                sum_ = best = 0.0
                 for slot in range(SLOTS):
-                    sum_ += of_tile[slot]
-                    best = max(best, of_tile[slot])
-                total += sum_ * share[strip[i]]
-                for slot in range(SLOTS if best > least else 0):
-                    if of_tile[slot] > least:
-                        chosen[n], bounds[n] = row + below(bits, slot), of_tile[slot]
-                        n += 1
+                    if of_tile[slot] > 0.0:
+                        rows[many] = row + below(bits, slot)
+                        bounds[many], stands[many] = of_tile[slot], share[strip[i]]
+                        many += 1
+                        if of_tile[slot] > least:
+                            highest[n] = of_tile[slot]
+                            n += 1
             if n > 2 * most:
-                n, least = _heaviest(chosen, bounds, n, most)
+                highest[:most] = np.partition(highest[:n], n - most)[n - most : n]
+                n, least = most, highest[:most].min()
         for i in range(size):
             promise[strip[i]] = 0.0
         size = 0
-    if n > most:
-        n, least = _heaviest(chosen, bounds, n, most)
-    return n, least, total
+    return seen, many, n, least
 
 
 @kernel(fastmath=True, _nrt=False)
@@ -215,22 +269,3 @@ def _drawn(views, tiles, promise, share, known):
             taken[n] = tiles[i]
             n += 1
     return taken[:n]
-
-
-@kernel
-def _heaviest(chosen, bounds, n, most):
-    """Move the `most` viewpoints of largest bound to the front; how many, and the least bound."""
-    if n <= most:
-        return n, 0.0
-    least = np.partition(bounds[:n], n - most)[n - most]
-    ties = most
-    for i in range(n):
-        ties -= bounds[i] > least
-    kept = 0
-    for i in range(n):
-        if bounds[i] == least:
-            ties -= 1
-        if bounds[i] > least or (bounds[i] == least and ties >= 0):
-            chosen[kept], bounds[kept] = chosen[i], bounds[i]
-            kept += 1
-    return kept, least

@@ -27,7 +27,7 @@ SHARP = 2.0
 
 @kernel(fastmath=True)
 def score_views(statements, scene, views, words, chosen, bounds, relative, far, together, margin):
-    """Log-likelihood ratios (K,) of candidates, best bounds first, and the hope (K,) of each.
+    """Log-likelihood ratios (K,) of candidates, and the hope (K,) of each; quickest best bounds first.
 
     `relative` (K,) is their log prior, against the largest. The hope is what statements say one by
     one, without their coherence, times the prior. Those are `HOPELESS` whose hope lies more than
@@ -48,7 +48,7 @@ def score_views(statements, scene, views, words, chosen, bounds, relative, far, 
     offsets, place = np.empty((most, 2), np.float32), np.empty(2, np.float32)
     for k in range(len(chosen)):
         if np.log(bounds[k]) + noise + SLACK < best - margin:
-            break
+            continue
         tile, slot = tile_of(views, chosen[k])
         place[0], place[1] = place_of(views, tile, slot)
         n, total, pairs = look(scene, views, tile, slot, objects, offsets, sight)

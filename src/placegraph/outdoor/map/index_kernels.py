@@ -78,7 +78,7 @@ def unpack(posting):
     )
 
 
-@kernel
+@kernel(_nrt=False)
 def nearest_in_reach(scene, row, east, north):
     """As the entries of `sightings`: vector to the nearest point of an object, and its square [m^2].
 
@@ -116,7 +116,7 @@ def nearest_in_reach(scene, row, east, north):
     return best_e, best_n, best
 
 
-@kernel
+@kernel(_nrt=False)
 def look(scene, views, tile, slot, objects, offsets, sight):
     """What is in sight of a viewpoint, into the first entries of `objects`, `offsets` and `sight`.
 
@@ -175,7 +175,7 @@ def tile_of(views, view):
     return low, slot_of(bits)
 
 
-@kernel
+@kernel(_nrt=False)
 def most_things(views):
     """How many things are in sight of a tile, at most."""
     most = 0

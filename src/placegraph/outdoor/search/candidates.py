@@ -8,7 +8,7 @@ import numpy as np
 
 from placegraph.errors import StoreError
 from placegraph.outdoor.likelihood.bound_kernels import HIGHEST
-from placegraph.outdoor.likelihood.promise_kernels import promising_views
+from placegraph.outdoor.likelihood.promise_kernels import draw, promising_views
 from placegraph.outdoor.likelihood.score_kernels import distant
 
 if TYPE_CHECKING:
@@ -19,7 +19,9 @@ if TYPE_CHECKING:
     from placegraph.outdoor.search.request import Request
 
 MOST_CANDIDATES = 400
-"""At most this many viewpoints are scored ..."""
+"""At most this many viewpoints are scored for themselves ..."""
+DRAWN = 2048
+"""... at most so many, a power of two, for all others ..."""
 FAR_CANDIDATES = 3000
 """... and this many are looked at where things out of sight are spoken of."""
 FAR_REACH = 400.0
@@ -31,7 +33,7 @@ SPARSE = 8
 
 
 class Candidates(NamedTuple):
-    """Viewpoints to be scored, the most promising first."""
+    """Viewpoints to be scored: the most promising first, then those that stand for all others."""
 
     rows: NDArray[np.int32]
     """(K,) rows of `city.views`."""
@@ -39,8 +41,8 @@ class Candidates(NamedTuple):
     """(K,) bounds on the likelihood ratio, times the prior against the largest."""
     far: NDArray[np.float32]
     """(K, S) what things out of sight add."""
-    left_out: float
-    """Sum of the bounds of what is not scored: an estimate, no bound, where tiles were passed over."""
+    stands: NDArray[np.float64]
+    """(K,) 0, or how many viewpoints that are not listed it stands for, which it may be one of."""
 
     @classmethod
     def given(cls, asked: Request, rows: NDArray[np.int64]) -> Candidates:
@@ -51,47 +53,64 @@ class Candidates(NamedTuple):
             far = distant(
                 statements, city.columns, asked.query.far, city.views.positions_of(chosen)
             )
-        return cls(chosen, np.full(len(chosen), HIGHEST), far, 0.0)
+        return cls(chosen, np.full(len(chosen), HIGHEST), far, np.zeros(len(chosen)))
+
+    def part(self, kept: NDArray[np.bool_] | slice) -> Candidates:
+        """Some of them."""
+        return Candidates(self.rows[kept], self.bounds[kept], self.far[kept], self.stands[kept])
 
 
-def candidates(asked: Request) -> Candidates:
+def ranks(
+    bounds: NDArray[np.float64], stands: NDArray[np.float64], most: int
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Rows of the `most` of largest bound, and of `DRAWN` that stand for all others, as these do.
+
+    Columns (K,) are those of `Candidates`; the second is what each row stands for then.
+    """
+    own = np.flatnonzero(stands == 0.0)
+    order = own[np.argsort(-bounds[own], kind="stable")]
+    others = np.concatenate([order[most:], np.flatnonzero(stands)])
+    some, stand = draw(bounds[others], np.where(stands[others] == 0.0, 1.0, stands[others]), DRAWN)
+    return (
+        np.concatenate([order[:most], others[some]]),
+        np.concatenate([np.zeros(min(most, len(own))), stand]),
+    )
+
+
+def candidates(asked: Request, drawn: int = DRAWN) -> Candidates:
     """Viewpoints that the statements may have been made at, by the way that was asked for."""
     query, views, way = asked.query, asked.city.views, asked.matching.way
-    weights = np.exp(asked.log_prior - asked.log_prior.max(initial=-np.inf))
+    weights = np.exp(asked.log_prior - asked.highest)
     if way == "sparse":
         most = FAR_CANDIDATES if query.far else MOST_CANDIDATES
-        chosen, bounds, left_out = promising_views(
-            query.statements, query.mentions, views.columns, weights, most
+        chosen, bounds, stands = promising_views(
+            query.statements, query.mentions, views.columns, weights, most, drawn
         )
     else:
-        chosen, left_out = views_by(asked).astype(np.int32), 0.0
-        bounds = np.full(len(chosen), HIGHEST)
+        chosen = views_by(asked).astype(np.int32)
+        bounds, stands = np.full(len(chosen), HIGHEST), np.zeros(len(chosen))
     far = np.zeros((len(chosen), len(query.statements.op)), np.float32)
+    found = Candidates(chosen, bounds, far, stands)
     if query.far:
-        chosen, bounds, far = _with_far(asked, query.far, weights, chosen, bounds)
-    if asked.known.inside is not None:
-        allowed = weights[chosen] > 0.0
-        chosen, bounds, far = chosen[allowed], bounds[allowed], far[allowed]
-    return Candidates(chosen, bounds, far, left_out)
+        found = _with_far(asked, query.far, weights, found)
+    return found if asked.known.inside is None else found.part(weights[found.rows] > 0.0)
 
 
 def _with_far(
-    asked: Request,
-    far: Far,
-    weights: NDArray[np.float64],
-    chosen: NDArray[np.int32],
-    bounds: NDArray[np.float64],
-) -> tuple[NDArray[np.int32], NDArray[np.float64], NDArray[np.float32]]:
+    asked: Request, far: Far, weights: NDArray[np.float64], found: Candidates
+) -> Candidates:
     """Add viewpoints around rare things out of sight, and what those add to each statement."""
     statements, city = asked.query.statements, asked.city
-    extra = around_far(city, far, chosen)
+    extra = around_far(city, far, found.rows)
     extra = extra[:: 1 + len(extra) // FAR_CANDIDATES]
-    chosen = np.concatenate([chosen, extra])
-    bounds = np.concatenate([bounds, weights[extra] if len(weights) else np.ones(len(extra))])
+    chosen = np.concatenate([found.rows, extra])
+    bounds = np.concatenate([found.bounds, weights[extra] if len(weights) else np.ones(len(extra))])
+    stands = np.concatenate([found.stands, np.zeros(len(extra))])
     added = distant(statements, city.columns, far, city.views.positions_of(chosen))
     total = np.log(np.maximum(bounds, 1e-300)) + np.log1p(statements.gain * added).sum(axis=1)
-    order = np.argsort(-total, kind="stable")[:MOST_CANDIDATES]
-    return chosen[order], np.exp(np.minimum(total[order], 690.0)), added[order]
+    rows, stands = ranks(np.exp(total - total.max(initial=-np.inf)), stands, MOST_CANDIDATES)
+    bounds = np.exp(np.minimum(total[rows], 690.0))
+    return Candidates(chosen[rows], bounds, added[rows], stands)
 
 
 def around_far(city: City, far: Far, chosen: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -106,7 +125,7 @@ def _touched(asked: Request, most: int) -> NDArray[np.int32]:
     views, inside = asked.city.views, _inside(asked)
     weights = np.zeros(0) if inside is None else inside.astype(np.float64)
     chosen, _, _ = promising_views(
-        asked.query.statements, asked.query.mentions, views.columns, weights, most
+        asked.query.statements, asked.query.mentions, views.columns, weights, most, 0
     )
     return chosen if inside is None else chosen[inside[chosen]]
 

@@ -230,6 +230,17 @@ class Request:
         """Log prior (W,) of all viewpoints, or nothing where nothing is known."""
         return self.known.log_of_views(self.city.views)
 
+    @cached_property
+    def highest(self) -> float:
+        """Largest log prior of a viewpoint."""
+        views = len(self.city.views)
+        return float(self.log_prior.max()) if len(self.log_prior) else -float(np.log(views))
+
+    def relative(self, rows: NDArray[np.int32]) -> NDArray[np.float64]:
+        """Log prior (K,) of viewpoints, against the largest."""
+        known = len(self.log_prior) > 0
+        return self.log_prior[rows] - self.highest if known else np.zeros(len(rows))
+
     @property
     def encoded(self) -> EncodedCity:
         """The city as the network reads it."""

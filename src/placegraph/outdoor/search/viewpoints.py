@@ -9,7 +9,7 @@ import numpy as np
 from placegraph.outdoor.likelihood.match_kernels import HOPELESS
 from placegraph.outdoor.likelihood.score_kernels import look_again, score_views
 from placegraph.outdoor.search.candidates import FAR_CANDIDATES, candidates
-from placegraph.outdoor.search.posterior import Posterior, posterior
+from placegraph.outdoor.search.posterior import WITHIN, Posterior, posterior
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -19,8 +19,12 @@ if TYPE_CHECKING:
 
 TOGETHER = 0.3
 """Prior probability that a mention means one and the same thing in all statements."""
-MARGIN = 5.5
-"""Viewpoints whose hope (`score_views`) lies so far below the best one are given up [nat]."""
+MARGIN, ALL = 12.0, 1e3
+"""Viewpoints that lie so far below the best one are left out [nat]; and none."""
+FEWEST = 64
+"""So many of the viewpoints that stand for others are scored at first, and then twice as many ..."""
+SURE = 0.003
+"""... until their chance alters the probability of the best place by no more than this."""
 CLOSER = 8
 """This many of the best viewpoints are looked at more closely ..."""
 SPACING = 6.67
@@ -38,16 +42,18 @@ class Scored(NamedTuple):
     rows: NDArray[np.int32]
     """(K,) rows of `city.views`."""
     scores: NDArray[np.float32]
-    """(K,) log-likelihood ratios ..."""
-    hopes: NDArray[np.float64]
-    """(K,) ... and what they are without coherence, by which some are given up."""
+    """(K,) log-likelihood ratios."""
     log_prior: NDArray[np.float64]
     """(K,)"""
     far: NDArray[np.float32]
     """(K, S) what things out of sight add."""
-    rest: float
-    """Log of what all other viewpoints weigh together, as estimated: bounds of some of them, lowered as
-    those of the scored were."""
+    rest: float = -np.inf
+    """Log of what all other viewpoints weigh together, as estimated by some that stand for them."""
+
+    def part(self, kept: NDArray[np.bool_]) -> Scored:
+        """Some of them."""
+        rows, scores, log_prior, far, rest = self
+        return Scored(rows[kept], scores[kept], log_prior[kept], far[kept], rest)
 
 
 def search(asked: Request) -> Posterior:
@@ -63,34 +69,58 @@ def search(asked: Request) -> Posterior:
 
 
 def score(asked: Request, chosen: Candidates, margin: float = MARGIN) -> Scored:
-    """Score candidates; what must lie `margin` [nat] behind the best is left out."""
-    statements, views = asked.query.statements, asked.city.views
-    rows, bounds, far, left_out = chosen
-    highest = -float(np.log(len(views)))
-    relative, share = np.zeros(len(rows)), len(rows) / len(views)
-    if asked.known.informative:
-        highest = float(asked.log_prior.max())
-        relative = asked.log_prior[rows] - highest
-        share = np.exp(relative + highest).sum()
-    scores, hopes = score_views(
-        statements, asked.city.columns, views.columns, asked.words, rows, bounds, relative, far,
-        TOGETHER, margin,
-    )  # fmt: skip
-    unscored = -np.inf
-    if left_out > 0.0 and not asked.query.far:
-        unscored = highest + kept(scores + relative, bounds) + np.log(left_out)
-    unseen = statements.floor + np.log(max(1e-12, 1.0 - share))
-    reached = scores > 0.5 * HOPELESS
-    return Scored(
-        rows[reached], scores[reached], (hopes - relative)[reached], relative[reached] + highest,
-        far[reached], float(np.logaddexp(unscored, unseen)),
-    )  # fmt: skip
+    """Score candidates, and of those that stand for others as many as it takes to be sure.
+
+    Left out is whose hope (`score_views`) lies `margin` [nat] below the best.
+    """
+    own, others = chosen.part(chosen.stands == 0.0), chosen.part(chosen.stands > 0.0)
+    found = _scored(asked, own, margin)
+    mass = (
+        np.exp(found.log_prior).sum()
+        + np.exp(asked.relative(others.rows) + asked.highest) @ others.stands
+    )
+    rest = asked.query.statements.floor + float(np.log(max(1e-12, 1.0 - mass)))
+    found = found.part(found.scores > 0.5 * HOPELESS)
+    if len(found.rows):
+        rest = float(np.logaddexp(rest, _of_others(asked, others, found)))
+    return found._replace(rest=rest)
 
 
-def kept(weights: NDArray[np.float64], bounds: NDArray[np.float64]) -> float:
-    """Log of what the lightest third of the scored keep of their bounds; what is not scored does too."""
-    tail = slice(2 * len(weights) // 3, None)
-    return float(np.logaddexp.reduce(weights[tail]) - np.log(bounds[tail].sum()))
+def _scored(asked: Request, some: Candidates, margin: float) -> Scored:
+    relative = asked.relative(some.rows)
+    scores, _ = score_views(
+        asked.query.statements, asked.city.columns, asked.city.views.columns, asked.words,
+        some.rows, some.bounds, relative, some.far, TOGETHER, margin,
+    )  # fmt: skip
+    return Scored(some.rows, scores, relative + asked.highest, some.far)
+
+
+def _of_others(asked: Request, others: Candidates, found: Scored) -> float:
+    """Log of what all viewpoints weigh that are not among the found, as told by some of the `others`."""
+    here = found.scores + found.log_prior
+    total, best = float(np.logaddexp.reduce(here)), int(np.argmax(here))
+    positions = asked.city.views.positions_of(found.rows)
+    near = float(np.exp(here - total) @ (np.hypot(*(positions - positions[best]).T) <= WITHIN))
+    weights, rest = np.zeros(0), 0.0
+    while not sure(weights, len(others.rows), near):
+        some = others.part(slice(len(weights), max(FEWEST, 2 * len(weights))))
+        more = _scored(asked, some, ALL)
+        shares = np.exp(more.scores + more.log_prior - total) * some.stands
+        weights = np.concatenate([weights, shares])
+        rest = weights.mean() * len(others.rows)
+    return total + float(np.log(max(1e-300, rest)))
+
+
+def sure(weights: NDArray[np.float64], drawn: int, near: float) -> bool:
+    """Whether chance alters the probability of the best place by no more than `SURE`.
+
+    `weights` (K,) are those of the first of so many drawn that stand for all others, as shares of
+    what was scored for itself; of that the best place has the share `near`.
+    """
+    if not 0 < len(weights) < drawn:
+        return len(weights) == drawn
+    off, rest = weights.std() / np.sqrt(len(weights)) * drawn, weights.mean() * drawn
+    return bool(near * off <= SURE * (1.0 + rest) ** 2)
 
 
 def closer(asked: Request, found: Scored, reach: float = 1.0) -> Posterior:

@@ -24,7 +24,7 @@ from placegraph.outdoor.search.candidates import FAR_CANDIDATES, around_far
 from placegraph.outdoor.search.evidence import evidence_at
 from placegraph.outdoor.search.posterior import Posterior
 from placegraph.outdoor.search.request import Request
-from placegraph.outdoor.search.viewpoints import CLOSER, SPACING, TOGETHER, kept, look_around
+from placegraph.outdoor.search.viewpoints import CLOSER, SPACING, TOGETHER, look_around
 from placegraph.outdoor.track.grid import Belief, TrackGrid, laid, mixed
 
 if TYPE_CHECKING:
@@ -231,7 +231,7 @@ def score(query: Query, city: City, weights: Floats) -> Scores:
     found = found.astype(np.float64)
     reached = np.flatnonzero(found > 0.5 * HOPELESS)
     last = int(reached[-1]) + 1 if len(reached) else 0
-    left = kept((found + prior[first])[:last], bounds[:last]) if last else nothing
+    left = _kept((found + prior[first])[:last], bounds[:last]) if last else nothing
     least = float(np.log(statements.noise).sum())
     ratios[chosen] = np.maximum(np.log(bounds) - prior + left, least)
     ratios[chosen[reached]] = found[reached]
@@ -239,6 +239,12 @@ def score(query: Query, city: City, weights: Floats) -> Scores:
     positions, close = look_around(asked, chosen[best], far[best])
     ratios[chosen[best]] = np.logaddexp.reduce(close, axis=1) - np.log(close.shape[1])
     return Scores(ratios, nothing, chosen[best].astype(np.int64), positions, close)
+
+
+def _kept(weights: Floats, bounds: Floats) -> float:
+    """Log of what the lightest third of the scored keep of their bounds; what is not scored does too."""
+    tail = slice(2 * len(weights) // 3, None)
+    return float(np.logaddexp.reduce(weights[tail]) - np.log(bounds[tail].sum()))
 
 
 def _candidates(
@@ -251,7 +257,7 @@ def _candidates(
         bounds = relative[chosen]
     else:
         chosen, bounds, _ = promising_views(
-            statements, query.mentions, views.columns, relative, len(relative)
+            statements, query.mentions, views.columns, relative, len(relative), 0
         )
     chosen, bounds = chosen[bounds > 0.0], bounds[bounds > 0.0]
     far = np.zeros((min(len(chosen), MOST_SCORED), len(statements.op)), np.float32)

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from placegraph.outdoor.likelihood.match_kernels import SLACK
-from placegraph.outdoor.search.candidates import MOST_CANDIDATES
-from placegraph.outdoor.search.viewpoints import MARGIN, kept
+from placegraph.outdoor.search.candidates import MOST_CANDIDATES, ranks
+from placegraph.outdoor.search.posterior import WITHIN
+from placegraph.outdoor.search.viewpoints import FEWEST, sure
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class Ranked(NamedTuple):
-    """Candidates that count, the most promising first."""
+    """Candidates that count: the most promising first, then those that stand for all others."""
 
     shard: NDArray[np.int64]
     """(K,)"""
@@ -29,12 +29,10 @@ class Ranked(NamedTuple):
     """(K,) row among the candidates of that shard ..."""
     of_all: NDArray[np.int64]
     """(K,) ... and among those of all shards, in order of the shards."""
-    bounds: NDArray[np.float64]
-    """(K,) on the likelihood ratio, times the prior against the world's largest."""
     log_prior: NDArray[np.float64]
     """(K,)"""
-    left_out: float
-    """Sum of the bounds of all others."""
+    stands: NDArray[np.float64]
+    """(K,) as of `Candidates`."""
 
 
 @dataclass(eq=False)
@@ -44,40 +42,37 @@ class Merged:
     asked: Asked
     proposals: dict[int, Proposed] = field(default_factory=dict)
     scores: dict[int, NDArray[np.float64]] = field(default_factory=dict)
-    """Of each candidate of a shard; -inf where it was not compared, or cannot matter in its shard ..."""
-    hopes: dict[int, NDArray[np.float64]] = field(default_factory=dict)
-    """... and its hope."""
+    """Of each candidate of a shard; -inf where it was not compared."""
     positions: dict[int, NDArray[np.float64]] = field(default_factory=dict)
     """(K, 2) of each candidate of a shard in its plane [m]; NaN where it was not compared."""
+    told: int = FEWEST
+    """So many of those that stand for others are compared."""
 
     def add(self, row: int, proposed: Proposed) -> None:
         """What a shard proposes."""
         self.proposals[row] = proposed
-        self.scores[row], self.hopes[row] = np.full((2, len(proposed.rows)), -np.inf)
+        self.scores[row] = np.full(len(proposed.rows), -np.inf)
         self.positions[row] = np.full((len(proposed.rows), 2), np.nan)
         self.__dict__.pop("ranked", None)
 
     def dropped(self, rows: Iterable[int]) -> None:
         """Shards that are lost after all."""
         for row in rows:
-            for of in (self.proposals, self.scores, self.hopes, self.positions):
+            for of in (self.proposals, self.scores, self.positions):
                 of.pop(row, None)
         self.__dict__.pop("ranked", None)
 
     @cached_property
     def ranked(self) -> Ranked:
-        """Candidates of largest bound among those of all shards."""
+        """Candidates of largest bound among those of all shards, and some that stand for all others."""
         given, highest = sorted(self.proposals.items()), self.highest
         scale = [np.exp(p.highest - highest) for _, p in given]
-        shard = _joined([np.full(len(p.rows), r) for r, p in given], np.int64)
-        at = _joined([np.arange(len(p.rows)) for _, p in given], np.int64)
         bounds = _joined([p.bounds * s for (_, p), s in zip(given, scale, strict=True)])
-        order = np.argsort(-bounds, kind="stable")
-        best, others = order[:MOST_CANDIDATES], order[MOST_CANDIDATES:]
-        left_out = sum(p.left_out * s for (_, p), s in zip(given, scale, strict=True))
+        rows, stands = ranks(bounds, _joined([p.stands for _, p in given]), MOST_CANDIDATES)
         return Ranked(
-            shard[best], at[best], best, bounds[best], _joined([p.log_prior for _, p in given])[best],
-            float(left_out + bounds[others].sum()),
+            _joined([np.full(len(p.rows), r) for r, p in given], np.int64)[rows],
+            _joined([np.arange(len(p.rows)) for _, p in given], np.int64)[rows],
+            rows, _joined([p.log_prior for _, p in given])[rows], stands,
         )  # fmt: skip
 
     @property
@@ -86,29 +81,49 @@ class Merged:
         return max((p.highest for p in self.proposals.values()), default=-np.inf)
 
     def unscored(self) -> Iterator[tuple[int, NDArray[np.int64]]]:
-        """Shards, and rows among their candidates, that may count and were not compared."""
-        ranked = self.ranked
-        with np.errstate(divide="ignore"):
-            bounds = np.log(ranked.bounds) + self.asked.query.statements.floor + SLACK
-        counts = bounds >= self._hopes().max(initial=-np.inf) - MARGIN
-        for row in np.unique(ranked.shard[counts]).tolist():
-            at = np.sort(ranked.at[counts & (ranked.shard == row)])
+        """Shards, and rows among their candidates, that count and were not compared."""
+        count = np.count_nonzero(self.ranked.stands == 0.0) + self.told
+        shard, rows = self.ranked.shard[:count], self.ranked.at[:count]
+        for row in np.unique(shard).tolist():
+            at = np.unique(rows[shard == row])
             at = at[np.isnan(self.positions[row][at, 0])]
             if len(at):
                 yield row, at
 
+    def more(self) -> bool:
+        """Whether chance has its say as yet: twice as many that stand for others are to be `told` then."""
+        here = self.values() + self.ranked.log_prior
+        if self.weight == -np.inf:
+            return False
+        best = int(np.argmax(here))
+        row = int(self.ranked.shard[best])
+        mine = (self.ranked.shard == row) & (here > -np.inf)
+        positions = self.positions[row][self.ranked.at[mine]]
+        delta = positions - self.positions[row][self.ranked.at[best]]
+        near = np.exp(here[mine] - self.weight) @ (np.hypot(*delta.T) <= WITHIN)
+        weights, drawn = self._others()
+        if sure(np.exp(weights - self.weight), drawn, float(near)):
+            return False
+        self.told *= 2
+        return True
+
+    def _others(self) -> tuple[NDArray[np.float64], int]:
+        """What those that stand for others weigh, as far as they are told (log), and how many there are."""
+        ranked, others = self.ranked, self.ranked.stands > 0.0
+        scores = self._of(self.scores)[others][: self.told]
+        weights = (
+            scores
+            + (ranked.log_prior + np.log(np.maximum(ranked.stands, 1e-300)))[others][: self.told]
+        )
+        return weights[scores > -np.inf], int(np.count_nonzero(others))
+
     def scored(self, row: int, at: NDArray[np.int64], compared: Compared) -> None:
         """What comparing candidates of a shard came to."""
-        self.scores[row][at], self.hopes[row][at], self.positions[row][at] = compared
+        self.scores[row][at], self.positions[row][at] = compared
 
     def values(self) -> NDArray[np.float64]:
-        """Scores (K,) of the ranked; -inf where the hope lies `MARGIN` below the best, as in one city."""
-        hopes = self._hopes()
-        return np.where(hopes < hopes.max(initial=-np.inf) - MARGIN, -np.inf, self._of(self.scores))
-
-    def _hopes(self) -> NDArray[np.float64]:
-        """Hopes (K,) of the ranked, times the prior against the largest."""
-        return self._of(self.hopes) + self.ranked.log_prior - self.highest
+        """Scores (K,) of the ranked; -inf of those that stand for others."""
+        return np.where(self.ranked.stands > 0.0, -np.inf, self._of(self.scores))
 
     def _of(self, columns: dict[int, NDArray[np.float64]]) -> NDArray[np.float64]:
         """A column (K,) of the ranked."""
@@ -123,14 +138,12 @@ class Merged:
 
     def rest(self) -> float:
         """Log of what all other viewpoints of these shards weigh; as `viewpoints.score` has it."""
-        ranked, query = self.ranked, self.asked.query
-        unscored = -np.inf
-        if ranked.left_out > 0.0 and query.far is None:
-            weights = self.values() + ranked.log_prior - self.highest
-            unscored = self.highest + kept(weights, ranked.bounds) + np.log(ranked.left_out)
-        share = float(np.exp(ranked.log_prior).sum())
-        unseen = query.statements.floor + np.log(max(1e-12, 1.0 - share))
-        return float(np.logaddexp(unscored, unseen))
+        weights, drawn = self._others()
+        scale = np.log(drawn / max(1, len(weights))) if drawn else 0.0
+        ranked = self.ranked
+        share = float(np.exp(ranked.log_prior) @ np.where(ranked.stands > 0.0, ranked.stands, 1.0))
+        unseen = self.asked.query.statements.floor + np.log(max(1e-12, 1.0 - share))
+        return float(np.logaddexp.reduce(weights + scale, initial=unseen))
 
 
 def _joined(parts: list[NDArray[Any]], kind: type = np.float64) -> NDArray[Any]:

@@ -87,13 +87,19 @@ class Search:
             for row, proposed in self.each("propose", ((r, (asked,)) for r in rows)):
                 found.add(row, proposed)
                 self.searched.add(row)
-            scoring = dict(found.unscored())
-            told = ((r, (asked, found.proposals[r].part(at))) for r, at in scoring.items())
-            for row, compared in self.each("compare", told):
-                found.scored(row, scoring[row], compared)
-            found.dropped(self.lost.keys() & scoring)
+            self._compare(found)
             first, size = first + size, GROWTH * size
+        while not self.late and found.more():
+            self._compare(found)
         return found
+
+    def _compare(self, found: Merged) -> None:
+        """Score what counts and was not scored."""
+        scoring = dict(found.unscored())
+        told = ((r, (found.asked, found.proposals[r].part(at))) for r, at in scoring.items())
+        for row, compared in self.each("compare", told):
+            found.scored(row, scoring[row], compared)
+        found.dropped(self.lost.keys() & scoring)
 
     def settled(self, found: Merged) -> bool:
         """Whether what was not looked into is `NEGLIGIBLE`."""

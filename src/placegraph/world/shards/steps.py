@@ -10,10 +10,10 @@ import numpy as np
 
 from placegraph.outdoor.likelihood.statements import Far, MentionTokens
 from placegraph.outdoor.map.index import REACH, STRIDE
-from placegraph.outdoor.search.candidates import MOST_CANDIDATES, Candidates, candidates
+from placegraph.outdoor.search.candidates import Candidates, candidates
 from placegraph.outdoor.search.evidence import evidence_at
 from placegraph.outdoor.search.request import Request
-from placegraph.outdoor.search.viewpoints import look_around
+from placegraph.outdoor.search.viewpoints import ALL, look_around
 from placegraph.outdoor.search.viewpoints import score as score_of
 from placegraph.outdoor.search.whereabouts import Whereabouts
 from placegraph.tiles import held
@@ -38,6 +38,10 @@ class Fix(NamedTuple):
     """[m]"""
     norm: float = 0.0
     """Log of what all viewpoints of the world weigh together, before it is known how far off it is."""
+
+
+DRAWN = 512
+"""So many viewpoints of a shard stand for all that it does not list."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,8 +69,8 @@ class Proposed(NamedTuple):
     """(K, S) what things out of sight add."""
     log_prior: NDArray[np.float64]
     """(K,)"""
-    left_out: float
-    """Sum of the bounds of what is not listed."""
+    stands: NDArray[np.float64]
+    """(K,) as of `Candidates`."""
     highest: float
     """Largest log prior of the shard."""
     origin: tuple[float, float]
@@ -76,7 +80,7 @@ class Proposed(NamedTuple):
         """Some of the candidates."""
         return self._replace(
             rows=self.rows[kept], bounds=self.bounds[kept], far=self.far[kept],
-            log_prior=self.log_prior[kept],
+            log_prior=self.log_prior[kept], stands=self.stands[kept],
         )  # fmt: skip
 
 
@@ -84,9 +88,7 @@ class Compared(NamedTuple):
     """Scores of candidates."""
 
     scores: NDArray[np.float64]
-    """(K,) log-likelihood ratios; -inf where one cannot matter in its shard."""
-    hopes: NDArray[np.float64]
-    """(K,) as of `Scored`."""
+    """(K,) log-likelihood ratios."""
     positions: NDArray[np.float64]
     """(K, 2) east, north in the shard's plane [m]."""
 
@@ -225,25 +227,20 @@ def proposed(shard: Shard, asked: Asked) -> Proposed:
     highest, n = float(prior.max(initial=-np.inf)), len(asked.query.used)
     if highest == -np.inf:
         none = np.zeros(0)
-        return Proposed(none.astype(np.int32), none, np.zeros((0, n), np.float32), none, 0.0,
+        return Proposed(none.astype(np.int32), none, np.zeros((0, n), np.float32), none, none,
                         highest, shard.origin)  # fmt: skip
-    found = candidates(request)
-    best = slice(MOST_CANDIDATES)
+    found = candidates(request, DRAWN)
     return Proposed(
-        found.rows[best], found.bounds[best], found.far[best], prior[found.rows[best]],
-        found.left_out, highest, shard.origin,
-    )  # fmt: skip
+        found.rows, found.bounds, found.far, prior[found.rows], found.stands, highest, shard.origin
+    )
 
 
 def compared(shard: Shard, asked: Asked, chosen: Proposed) -> Compared:
     """Scores of candidates."""
     request = requested(shard, asked)
-    found = score_of(request, Candidates(chosen.rows, chosen.bounds, chosen.far, 0.0))
-    scores, hopes = np.full((2, len(chosen.rows)), -np.inf)
-    where = {row: k for k, row in enumerate(chosen.rows.tolist())}
-    at = [where[row] for row in found.rows.tolist()]
-    scores[at], hopes[at] = found.scores, found.hopes
-    return Compared(scores, hopes, shard.city.views.positions[chosen.rows].astype(np.float64))
+    some = Candidates(chosen.rows, chosen.bounds, chosen.far, np.zeros(len(chosen.rows)))
+    scores = score_of(request, some, ALL).scores.astype(np.float64)
+    return Compared(scores, shard.city.views.positions[chosen.rows].astype(np.float64))
 
 
 def looked(

@@ -121,10 +121,10 @@ def _compared(city: CityMap, texts: Sequence[str]) -> dict[str, float]:
 def exhaustive(asked: Request) -> Posterior:
     """What a search finds that scores all viewpoints, and drops nothing that can matter."""
     from placegraph.outdoor.search.candidates import Candidates
-    from placegraph.outdoor.search.viewpoints import closer, score
+    from placegraph.outdoor.search.viewpoints import ALL, closer, score
 
     every = Candidates.given(asked, np.arange(len(asked.city.views)))
-    return closer(asked, score(asked, every, margin=30.0))
+    return closer(asked, score(asked, every, ALL))
 
 
 def texts_of(osm: Path, n: int, seed: int) -> dict[str, list[str]]:
