@@ -220,3 +220,63 @@ def test_a_blob_that_grows_beyond_what_it_says_is_refused(tmp_path):
     path.write_bytes(struct.pack(">I", len(head)) + head + blob)
     with pytest.raises(InputError, match="does not hold what it says"):
         list(read_osm(path, KEYS))
+
+
+def wood(*, ids, way_at=(1, 2, 3, 1), position=None):
+    """Blocks of three nodes, a way around them, and relations that are woods with it."""
+    lat, lon = position or ([0, 10, 0], [0, 0, 10])
+    columns = [pbf.differences(np.array(c, np.int64)) for c in ([1, 2, 3], lat, lon)]
+    dense = b"".join(pbf.text(n, c) for n, c in zip((1, 8, 9), columns, strict=True))
+    strings = b"".join(pbf.text(1, s) for s in (b"", b"type", b"multipolygon", b"natural", b"wood"))
+    way = b"\x08\x01" + pbf.text(8, pbf.differences(np.array(way_at)))
+    tags, member = pbf.text(2, b"\1\3") + pbf.text(3, b"\2\4"), b"\x42\1\0\x4a\1\2\x52\1\1"
+    woods = [pbf.text(4, b"\x08" + pbf.number(i) + tags + member) for i in ids]
+    groups = (pbf.text(2, dense), pbf.text(3, way), b"".join(woods))
+    return [pbf.text(1, strings) + pbf.text(2, group) for group in groups]
+
+
+@pytest.mark.parametrize("number", [1, 2**62 + 5])
+def test_a_relation_whose_id_osmium_cannot_have_is_left_out(number, tmp_path):
+    found, left = by_us(written(tmp_path / "a.osm.pbf", wood(ids=[number])))
+    kept = {(2, number)} if number == 1 else set()
+    assert found.keys() == kept
+    assert sum(left.values()) == 1 - len(kept)
+
+
+def test_an_empty_block_behind_the_relations_of_a_file_in_order_hides_none(tmp_path):
+    path, blobs = tmp_path / "a.osm.pbf", [*wood(ids=[1]), pbf.text(1, b"")]
+    heads = pbf.text(4, b"OsmSchema-V0.6") + pbf.text(5, b"Sort.Type_then_ID")
+    written = [pbf.blob_of(b"OSMHeader", heads), *(pbf.blob_of(b"OSMData", b) for b in blobs)]
+    path.write_bytes(b"".join(written))
+    assert by_us(path)[0].keys() == {(2, 1)}
+
+
+def test_a_position_as_far_off_as_numbers_go_is_none(tmp_path):
+    far = [-(2**63), 10, 0]
+    blobs = wood(ids=[1], position=(far, [0, 0, 10]))
+    assert by_us(written(tmp_path / "a.osm.pbf", blobs))[0] == {}
+
+
+def test_a_message_of_countless_fields_is_refused(monkeypatch, tmp_path):
+    monkeypatch.setattr(pbf, "MOST_FIELDS", 9)
+    way = pbf.text(2, pbf.text(3, b"\x08\x01"))
+    with pytest.raises(InputError, match="more than 9 fields"):
+        by_us(written(tmp_path / "a.osm.pbf", [pbf.text(1, pbf.text(1, b"") * 10) + way]))
+
+
+def test_ways_of_a_small_file_are_shared_out_over_its_blobs(monkeypatch, tmp_path):
+    monkeypatch.setattr(pbf, "AT_ONCE", 8)
+    n = 12
+    block = pbf.Block(np.frombuffer(pbf.text(1, b""), np.uint8))
+    made = pbf.written(
+        np.arange(n), 4 * np.arange(n + 1), np.zeros((4 * n, 2), np.int32),
+        np.ones(4 * n, np.bool_), block, np.zeros((0, 2), np.int64),
+    )  # fmt: skip
+    path = tmp_path / "a.osm.pbf"
+    path.write_bytes(made)
+    with path.open("rb") as file:
+        _, *blobs = pbf.blobs(file)
+        ways = [pbf.Block(pbf.inflated(file, blob)) for blob in blobs]
+        counts = [len(block.ways().ids) for block in ways if pbf.WAYS in block.holds]
+    assert sum(counts) == n
+    assert max(counts) <= 3

@@ -141,3 +141,18 @@ def test_a_worker_killed_in_between_loses_nothing(sharded, workers):
         for text in TEXTS[:4]:
             assert planet.locate(text).to_dict() == alone.locate(text).to_dict()
         planet.close()
+
+
+def test_a_worker_stops_while_its_answer_is_still_in_time():
+    sent = []
+
+    class Client:
+        def submit(self, _do, batch, **_how):
+            sent.append(batch)
+
+    tasks = [workers.Task(workers.Source("0", "0.city", ""), ())]
+    crew, deadline = cluster.Cluster(Client(), "x"), cluster.monotonic() + 100.0
+    for until in (deadline, None):
+        crew._sent("name", tasks, [0], ["worker"], until)
+    assert 0.0 < sent[0].seconds < 90.0
+    assert sent[1].seconds is None

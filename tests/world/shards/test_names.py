@@ -57,10 +57,11 @@ def test_a_damaged_table_is_named_or_says_what_it_said(tmp_path_factory, data):
         assert WordTable.open(path).names.named("Rex Theatre") == whole
 
 
-def test_a_forged_posting_is_told(tmp_path, monkeypatch):
+@pytest.mark.parametrize("off", [99, 1])  # a name that is not there; a way in which none is called
+def test_a_forged_posting_is_told(off, tmp_path, monkeypatch):
     def forged(names, real=table.names.columns_of):
         counts, columns = real(names)
-        return counts, columns | {"postings": columns["postings"] + 99}
+        return counts, columns | {"postings": columns["postings"] + off}
 
     monkeypatch.setattr(table.names, "columns_of", forged)
     names = written(tmp_path / "words.table", ("Museum of Salt", "Rex Theatre"))

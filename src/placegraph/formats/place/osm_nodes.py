@@ -54,7 +54,7 @@ class Nodes:
         while len(ids):
             n = (
                 int(np.searchsorted(ids, int(ids[0]) + WIDE))
-                if ids[-1] - ids[0] >= WIDE
+                if int(ids[-1]) - int(ids[0]) >= WIDE
                 else len(ids)
             )
             offsets = (ids[:n] - ids[0]).astype(np.uint32).view(np.int32)

@@ -31,7 +31,9 @@ KNOWN = {b"OsmSchema-V0.6", b"DenseNodes", b"HistoricalInformation"}
 FARTHEST = np.array([1_800_000_000, 900_000_000])
 """Longitudes and latitudes reach so far, in steps of 1e-7 degrees."""
 AT_ONCE = 1 << 18
-"""Nodes of a block that is written."""
+"""Nodes of a block that is written, or of its ways, about."""
+MOST_FIELDS = 1 << 21
+"""Fields of one message: a block has thousands of strings, and 32 MiB room for 16 million."""
 NODES, DENSE, WAYS, RELATIONS = 1, 2, 3, 4
 """Fields of a group."""
 
@@ -131,8 +133,8 @@ def inflated(file: BinaryIO, blob: Blob) -> NDArray[np.uint8]:
 
 def _fields(data: NDArray[np.uint8], at: int = 0, end: int | None = None) -> list[list[int]]:
     found, good = kernels.fields(data, at, len(data) if end is None else end)
-    if not good:
-        raise DamagedError("a message is cut off")
+    if not good or len(found) > MOST_FIELDS:
+        raise DamagedError(f"a message is cut off, or of more than {MOST_FIELDS} fields")
     rows: list[list[int]] = found.tolist()
     return rows
 
@@ -254,12 +256,13 @@ def written(
         dense = text(1, differences(numbers[rows])) + text(8, lat) + text(9, lon)
         blobs.append(text(1, text(1, b"")) + text(2, text(2, dense)))
     ways: list[bytes] = []
+    first = 0
     for identity, a, b in zip(ids.tolist(), starts[:-1].tolist(), starts[1:].tolist(), strict=True):
         refs = differences(numbers[a : min(a + 1, b)]) + b"\2" * (b - a - 1)
         ways.append(text(3, b"\x08" + number(identity % 2**64) + text(8, refs)))
-        if b - starts[0] > AT_ONCE * len(blobs):
+        if b - first + len(ways) >= AT_ONCE:
             blobs.append(text(1, text(1, b"")) + text(2, b"".join(ways)))
-            ways = []
+            ways, first = [], b
     blobs.append(text(1, text(1, b"")) + text(2, b"".join(ways)))
     data = block.data.tobytes()
     relations = b"".join(text(4, data[at : at + n]) for at, n in messages.tolist())

@@ -98,7 +98,7 @@ class Reader:
                 found.append(blob)
                 rows = block.relations()
                 members += [_members(rows, row) for row in self._areas_among(block, rows)]
-            elif ordered:
+            elif ordered and block.holds:
                 break
         self.members = np.unique(np.concatenate(members))
         return found[::-1]
@@ -116,7 +116,8 @@ class Reader:
         rows = block.nodes()
         self._one_time(pbf.NODES, rows)
         self.late |= pbf.WAYS in self.last
-        there: NDArray[np.bool_] = np.all(np.abs(rows.steps) <= pbf.FARTHEST, axis=1)
+        near = (rows.steps >= -pbf.FARTHEST) & (rows.steps <= pbf.FARTHEST)
+        there: NDArray[np.bool_] = np.all(near, axis=1)
         nodes.add(rows.ids[there], rows.steps[there].astype(np.int32))
         hits = self._wanted(block, rows)
         self._count("nodes without a position", int((~there[hits]).sum()))
@@ -159,6 +160,8 @@ class Reader:
         ids, parts, said = [], [], []
         if any(_among(_members(rows, row), self.outlines[0]).any() for row in hits):
             for identity, wkb in self.assembler.areas(self._small(block, rows, hits)):
+                if identity not in tags:  # osmium doubles it, and halves what is left of 64 bits
+                    continue
                 ids.append(identity)
                 parts.append(_rings(wkb))
                 said.append({key: value for key, value in tags[identity].items() if key != "type"})

@@ -23,6 +23,8 @@ PATIENCE = 10.0
 """A scheduler that does not answer for so long is not there [s]."""
 LOOK = 2.0
 """Where no task was done for so long, it is looked whether all workers are there [s]."""
+BEGIN = 0.8
+"""In this share of the time that is left a worker begins with shards: what it tells is to be in time."""
 _HOLDER = "_placegraph_shards"
 
 
@@ -147,7 +149,7 @@ class Cluster:
         of: dict[str, list[int]] = {}
         for row in rows:
             of.setdefault(_favourite(tasks[row].source.key, workers), []).append(row)
-        seconds = None if deadline is None else max(0.0, deadline - monotonic())
+        seconds = None if deadline is None else BEGIN * max(0.0, deadline - monotonic())
         with _answering(self.address):
             return {
                 self.client.submit(

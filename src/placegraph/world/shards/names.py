@@ -159,11 +159,8 @@ class WorldNames(NameIndex):
         found = self._of(word)
         if found is None:
             return None
-        entries = self.columns["postings"][slice(*found)].tolist()
-        return [
-            " ".join(spoken(_name(self.names, self.columns["postings"], entry // 2))[entry % 2])
-            for entry in entries
-        ]
+        by = self.columns["postings"]
+        return [_said(self.names, by, entry) for entry in by[slice(*found)].tolist()]
 
     @cached_property
     def _of(self) -> Callable[[str], list[int] | None]:
@@ -196,6 +193,14 @@ def _name(names: Texts, by: Column, row: int) -> str:
     if row >= len(names):
         raise damaged(by.path, f"column {by.name!r} points to a name that is not there")
     return names[row]
+
+
+def _said(names: Texts, by: Column, entry: int) -> str:
+    """What a name is called; `MapError` where it is not called in the way that a column has."""
+    ways = spoken(_name(names, by, entry // 2))
+    if entry % 2 >= len(ways):
+        raise damaged(by.path, f"column {by.name!r} points to a way in which no name is called")
+    return " ".join(ways[entry % 2])
 
 
 def _longest(columns: Mapping[str, Column], word: str) -> int | None:
