@@ -1,5 +1,6 @@
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -7,6 +8,7 @@ import pytest
 import placegraph as pg
 from placegraph.errors import DescriptionError, InputError, MapError, OptionError
 from placegraph.estimate import Status
+from placegraph.world.shards import steps, workers
 
 THREE = "The bakery is on the north of the cafe. The cafe is on the east of the bench. "
 TEXTS = (
@@ -186,3 +188,22 @@ def test_shards_are_closed_again(sharded):
     assert len(planet.crew.holder._open) <= 2
     planet.close()
     assert not planet.crew.holder._open
+
+
+def test_candidates_far_from_a_fix_are_compared_as_well(planet, monkeypatch):
+    said = []
+
+    def compare(*told, known=workers.STEPS["compare"]):
+        said.append(told)
+        return known(*told)
+
+    monkeypatch.setitem(workers.STEPS, "compare", compare)
+    at = planet.locate(TEXTS[0]).best
+    planet.locate(TEXTS[0], near=(at.longitude, at.latitude), radius=1.0)
+    shard, asked, chosen = said[-1]
+    asked = replace(asked, fix=asked.fix._replace(longitude=at.longitude + 0.05))
+    n = len(rows := np.flatnonzero(shard.inside).astype(np.int32))
+    every = chosen._replace(
+        rows=rows, bounds=np.ones(n), far=np.zeros((n, chosen.far.shape[1]), np.float32)
+    )
+    assert len(steps.compared(shard, asked, every).scores) == n

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 TOGETHER = 0.3
 """Prior probability that a mention means one and the same thing in all statements."""
-MARGIN, ALL = 12.0, 1e3
+MARGIN, ALL = 12.0, 1e8
 """Viewpoints that lie so far below the best one are left out [nat]; and none."""
 FEWEST = 64
 """So many of the viewpoints that stand for others are scored at first, and then twice as many ..."""
