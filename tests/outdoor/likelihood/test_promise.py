@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from placegraph.outdoor.likelihood import promise_kernels
 from placegraph.outdoor.likelihood.promise_kernels import promising_views
 from placegraph.outdoor.likelihood.query import compile_query, read
 
@@ -89,3 +90,12 @@ def test_what_is_given_up_does_not_depend_on_the_order(query, monaco, rng):
     ordered, order = scores(np.arange(len(rows))), rng.permutation(len(rows))
     np.testing.assert_array_equal(scores(order), ordered[order])
     assert 0 < (ordered > HOPELESS).sum() < len(rows)
+
+
+def test_no_more_are_chosen_than_there_is_room_for():
+    """A tile that was passed over holds a viewpoint that is, by rounding, as good as those chosen."""
+    bounds, highest = np.array([3.0, 2.0, np.nextafter(2.0, 3.0)]), np.array([3.0, 2.0])
+    rows = np.arange(3, dtype=np.int32)
+    chosen, _, stands = promise_kernels._chosen.py_func(rows, bounds, np.ones(3), highest, 2, 1)
+    assert len(chosen) == 3
+    assert (stands == 0.0).sum() == 2

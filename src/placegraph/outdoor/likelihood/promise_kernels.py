@@ -86,7 +86,8 @@ def _chosen(rows, bounds, stands, highest, most, drawn):
         ties -= highest[i] > least
     best, n = np.empty(most, np.int64), 0
     for i in range(len(rows)):
-        if bounds[i] >= least and stands[i] == 1.0 and (bounds[i] > least or ties > 0):
+        good = n < most and bounds[i] >= least and stands[i] == 1.0
+        if good and (bounds[i] > least or ties > 0):
             ties -= bounds[i] == least
             best[n], stands[i] = i, 0.0
             n += 1
