@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.errors import InputError
-from placegraph.formats.place import osm_areas
+from placegraph.formats.place import osm_areas, osm_convert
 from placegraph.formats.place.osm import (
     AREA,
     LINE,
@@ -123,6 +123,25 @@ def test_every_ending_gives_the_same_elements(world):
     np.testing.assert_allclose(
         found[WAY, 11].parts[0], [[10.0, 50.0], [10.001, 50.0], [10.001, 50.001]], atol=1e-9
     )
+
+
+def test_xml_that_ends_osmium_ends_a_process_of_its_own(tmp_path, monkeypatch):
+    dies = tmp_path / "dies.py"
+    dies.write_text("import os, signal\nos.kill(os.getpid(), signal.SIGSEGV)\n")
+    monkeypatch.setattr(osm_convert, "__file__", str(dies))
+    path = tmp_path / "some.osm"
+    path.write_text('<osm version="0.6"/>')
+    with pytest.raises(InputError, match=r"some\.osm is damaged: .* by Segmentation fault"):
+        list(read_osm(path, ["shop"]))
+
+
+def test_where_no_process_can_be_had_xml_is_read_all_the_same(world, monkeypatch):
+    def none(*_args, **_options):
+        raise PermissionError("no process")
+
+    monkeypatch.setattr("subprocess.run", none)
+    monkeypatch.setattr("subprocess.Popen", none)
+    assert list(read_osm(world, ["shop", "building", "highway"]))
 
 
 def test_closed_ways_are_areas_or_loops_by_their_tags(world):
