@@ -77,7 +77,6 @@ def test_a_worker_that_dies_is_counted_and_replaced(effort, monkeypatch):
     )
     monkeypatch.setattr(program, "PROGRAM", ("-c", code))
     effort_ = effort(60.0)
-    (effort_.folder / "died.log").touch()
     ((_, tally),) = tallies(effort_, ["GLB"], most=8)
     assert tally.counts == {"typed": 6, "crash": 2}
     (what,) = tally.found

@@ -151,8 +151,11 @@ class Keeper:
         except subprocess.TimeoutExpired:
             code = -signal.SIGPROF
         self.end()
-        log = (self.folder / "died.log").read_text("utf-8", "replace")
-        at = re.findall(r'src/placegraph/(\S+)", line (\d+)', log)
+        log = self.folder / "died.log"
+        told = (
+            log.read_text("utf-8", "replace") if log.exists() else ""
+        )  # it died before it wrote one
+        at = re.findall(r'src/placegraph/(\S+)", line (\d+)', told)
         where = f"{at[0][0]}:{at[0][1]}" if at else "outside of placegraph"
         if code == -signal.SIGPROF:
             return "hang", where
