@@ -24,9 +24,11 @@ import pickle
 import signal
 import sys
 import threading
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import llvmlite
 import numba
@@ -41,10 +43,6 @@ from numba.core.types import unliteral
 from placegraph import kept
 from placegraph.fingerprint import fingerprint
 from placegraph.kept import folders, tell
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
 
 _HELD = ("SIGINT", "SIGALRM", "SIGTERM", "SIGHUP", "SIGUSR1", "SIGUSR2")
 """Signals whose handlers in Python may raise."""

@@ -6,24 +6,18 @@ are radians clockwise from north. Conventions: `docs/conventions.md`.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any, Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from placegraph.errors import GeoPoseError, OptionError
-from placegraph.geometry import quaternion_from_rotation, rotation_z
+from placegraph.geometry import Floats, quaternion_from_rotation, rotation_z
 from placegraph.geopose import CAMERA_FROM_BODY
 from placegraph.geopose import EarthPose as EarthPose  # noqa: PLC0414 - found here too
 from placegraph.wgs84 import ecef_from_enu, ecef_from_geodetic, geodetic_from_ecef
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-    from typing import Self
-
-    from numpy.typing import ArrayLike
-
-    from placegraph.geometry import Floats
 
 HIGHEST = 1e5
 """Of a map above or below the ellipsoid [m]."""

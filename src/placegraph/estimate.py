@@ -7,6 +7,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.evidence import Evidence as Evidence  # noqa: PLC0414 - found here too
 from placegraph.evidence import Explained
@@ -15,8 +16,6 @@ from placegraph.geojson import OnEarth
 from placegraph.notebook import Shown
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from placegraph.earth import EarthPose
     from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.language.description import Description

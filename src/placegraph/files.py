@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import os
 import stat
+from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, BinaryIO
 from weakref import finalize
 
 from placegraph import locks
 from placegraph.errors import InputError, MapError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from typing import BinaryIO
-
     Chunks = Iterable[bytes | memoryview]
 
 _STREAMS = ("/dev/std", "/dev/fd/", "/proc/")

@@ -8,19 +8,17 @@ constant, function and kernel that it names, however deep. Comments, docstrings 
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterable, Iterator
 from enum import Enum
 from functools import singledispatch
 from itertools import chain
 from types import BuiltinFunctionType, CodeType, EllipsisType, FunctionType, ModuleType, NoneType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numba.core.extending import _Intrinsic
 from numba.core.registry import CPUDispatcher
 from numba.core.types import BaseNamedTuple, Type
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
 
 _PLAIN = (bool, int, float, complex, str, bytes, NoneType, EllipsisType, np.generic, Enum, Type)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from math import degrees, isfinite
 from typing import TYPE_CHECKING, Any
 
@@ -13,8 +14,6 @@ from placegraph.features import collection, feature
 from placegraph.geometry import LocalPlane
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from placegraph.evidence import Evidence
 
 DIGITS = 7

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import sqrt
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from placegraph.geometry import rotation_from_quaternion, split_pose
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from numpy.typing import ArrayLike
-
-    from placegraph.geometry import Floats
+from placegraph.geometry import Floats, rotation_from_quaternion, split_pose
 
 CAMERA_FROM_BODY = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """Axes of a GeoPose's body (x right, y forward, z up) in a camera's (x right, y down, z forward)."""

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Hashable, Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from placegraph.errors import MissingExtraError, OptionError
 from placegraph.portable import Portable
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable, Iterable
-
     import networkx as nx
-    from numpy.typing import ArrayLike
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]

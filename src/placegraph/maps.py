@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from os.path import realpath
 from pathlib import Path
@@ -12,9 +14,6 @@ from placegraph import store
 from placegraph.errors import InputError, MapError, PlacegraphError
 
 if TYPE_CHECKING:
-    import os
-    from collections.abc import Sequence
-
     from placegraph.indoor.library import SceneLibrary
     from placegraph.indoor.library.shards import SceneShards
     from placegraph.indoor.scene_map import SceneMap

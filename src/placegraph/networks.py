@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from placegraph.errors import InputError, MissingExtraError, OptionError
 from placegraph.files import regular
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
 
 
 def torch_for(name: str, extra: str) -> Any:  # noqa: ANN401  # the module

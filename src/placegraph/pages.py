@@ -7,23 +7,19 @@ when it is first read; so what is damaged is found by who needs it, and by nobod
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, overload
+from pathlib import Path
+from typing import Any, overload
 from zlib import crc32
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph import columns, files
 from placegraph.errors import MapError
 from placegraph.header import damaged, opened, read_head
 from placegraph.store import MapFile, lies_there, read_block, windows
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
-    from pathlib import Path
-
-    from numpy.typing import NDArray
 
 PAGE = 4096
 """Bytes that have a checksum of their own."""

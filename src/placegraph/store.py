@@ -10,15 +10,16 @@ import json
 import mmap
 import os
 import zlib
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph import columns, files, locks
 from placegraph.columns import pack_strings, unpack_strings
@@ -38,12 +39,6 @@ from placegraph.header import (
     read_head,
     read_header,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-    from typing import BinaryIO
-
-    from numpy.typing import NDArray
 
 __all__ = [
     "Block",

@@ -9,6 +9,7 @@ the process on some machines, and so does one after a fork.
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -19,14 +20,13 @@ from threading import Thread
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
     from multiprocessing.process import BaseProcess
 
-    from numpy.typing import NDArray
 
 ALONE = 1 << 18
 """Terms of a matrix product that OpenBLAS reckons on one thread."""

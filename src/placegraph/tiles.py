@@ -12,15 +12,13 @@ better, equal areas, is of no use here: what a tile costs depends on what stands
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
 from placegraph.geometry import LocalPlane
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 DEEPEST = 16
 """Levels at most: tiles of 600 m at the equator."""

@@ -10,12 +10,14 @@ from __future__ import annotations
 
 import signal
 import warnings
+from collections.abc import Callable, Collection, Iterable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import suppress
 from functools import cache
 from importlib import import_module
 from importlib.resources import files
 from multiprocessing import get_context
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from numba.core import types
@@ -24,9 +26,6 @@ from placegraph import kept
 from placegraph.threads import end_with_parent, processors
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable
-    from pathlib import Path
-
     from placegraph.compiled import Kernel
 
 _ROOT = "placegraph."

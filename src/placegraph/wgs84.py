@@ -7,16 +7,11 @@ date line need no care.
 from __future__ import annotations
 
 from math import sqrt
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from placegraph.geometry import WGS84_A, WGS84_E2
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-    from placegraph.geometry import Floats
+from placegraph.geometry import WGS84_A, WGS84_E2, Floats
 
 _AXIS = WGS84_A * sqrt(1.0 - WGS84_E2)  # semi-minor axis [m]
 

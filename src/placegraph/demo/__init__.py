@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from pathlib import Path
 
 from placegraph.demo.flat import lost_in_a_flat
 from placegraph.demo.homes import lost_in_the_world
 from placegraph.demo.town import lost_in_a_town
 from placegraph.demo.world import unpack
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
 
 PAGES = ("clear.html", "ambiguous.html", "walk.png", "walk.gif", "overlay.png", "changes.png")
 

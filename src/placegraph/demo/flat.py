@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.demo.town import say_evidence
 from placegraph.demo.world import FLAT
 from placegraph.geometry import vector_from_rotation
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
     from placegraph.estimate import PoseEstimate
     from placegraph.formats.capture.capture import Capture
     from placegraph.indoor.scene_map import SceneMap

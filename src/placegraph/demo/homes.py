@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,9 +12,6 @@ from placegraph.demo.world import FLAT, TOWN, TOWNS
 from placegraph.earth import Anchor
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
     from placegraph.formats.capture.capture import Capture
     from placegraph.indoor.scene_map import SceneMap
     from placegraph.world import World

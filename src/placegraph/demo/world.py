@@ -6,10 +6,7 @@ import io
 import lzma
 import zipfile
 from importlib.resources import as_file, files
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from pathlib import Path
+from pathlib import Path
 
 DATA = files("placegraph.demo") / "data"
 TOWN = "hafenstadt"

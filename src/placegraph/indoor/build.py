@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import os
 from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from os import PathLike
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError, OptionError
 from placegraph.files import real_path
@@ -23,11 +26,6 @@ from placegraph.indoor.mapping.sources import Reading, Up, read_source
 from placegraph.indoor.scene_map import SceneMap
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from os import PathLike
-
-    from numpy.typing import NDArray
-
     from placegraph.formats.mesh.model import Model, Thing
     from placegraph.indoor.map.mesh import Mesh
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -28,8 +29,6 @@ from placegraph.indoor.track.tracker import Tracker
 from placegraph.indoor.track.whole import follow
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from placegraph.formats.capture.capture import Capture
     from placegraph.formats.capture.frame import Frame
     from placegraph.indoor.map.scene import Scene

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
 from placegraph.errors import OptionError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 
 def check_numbers(owner: object) -> None:

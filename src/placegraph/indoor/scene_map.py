@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from numpy.typing import ArrayLike
 
 from placegraph.errors import OptionError
 from placegraph.indoor.map.scene import Scene
@@ -11,12 +16,7 @@ from placegraph.indoor.map.scene_file import open_scene, save_scene
 from placegraph.notebook import Shown
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from os import PathLike
-    from pathlib import Path
-
     import geopandas as gpd
-    from numpy.typing import ArrayLike
 
     from placegraph.estimate import PoseEstimate
     from placegraph.formats.capture.capture import Capture

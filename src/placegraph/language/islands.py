@@ -6,14 +6,12 @@ The grammar is a table of states (LALR), made by lark once and kept.
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from hashlib import sha256
-from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 from placegraph.kept import kept
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator
 
 _BACK = 4
 """How many chunks are given up at most to make sense of those before them."""

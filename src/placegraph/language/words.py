@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Collection, Iterable
+from typing import NamedTuple
 
 from placegraph.language.measures import MEASURE, may_measure, metres
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable
 
 
 class Word(NamedTuple):

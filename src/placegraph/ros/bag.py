@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal, Self
 
 from placegraph.errors import OptionError
 from placegraph.ros.encode import encoded, known, known_type
-from placegraph.ros.message import nanoseconds
+from placegraph.ros.message import Message, nanoseconds
 from placegraph.ros.unfinished import Unfinished, check_free, writing
-
-if TYPE_CHECKING:
-    from os import PathLike
-    from typing import Self
-
-    from placegraph.ros.message import Message
 
 Container = Literal["mcap", "sqlite3", "rosbag1"]
 _ENDINGS: dict[str, Container] = {".mcap": "mcap", ".db3": "sqlite3", ".bag": "rosbag1"}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -11,8 +12,6 @@ from placegraph.errors import MissingExtraError, OptionError
 from placegraph.formats.ros.types import typestore
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
     from rosbags.typesys.store import Typestore
 
     from placegraph.ros.message import Message

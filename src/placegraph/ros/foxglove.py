@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 from placegraph.errors import MissingExtraError, OptionError, ServiceError
 from placegraph.ros.encode import cdr, definition
-from placegraph.ros.message import nanoseconds
+from placegraph.ros.message import Message, nanoseconds
 
 if TYPE_CHECKING:
-    from typing import Self
-
-    from placegraph.ros.message import Message
     from placegraph.ros.pace import Pace
 
 DEFAULT = "ws://127.0.0.1:8765"

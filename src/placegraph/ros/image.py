@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.ros.message import FrameIds, Message, header
+from placegraph.ros.message import Fields, FrameIds, Message, header
 
 if TYPE_CHECKING:
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Camera
-    from placegraph.ros.message import Fields
 
 QUALITY = 80
 """Of JPEG."""

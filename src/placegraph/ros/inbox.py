@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
+from collections.abc import Callable, Iterator
 from threading import Condition
 from typing import TYPE_CHECKING
 
@@ -10,8 +11,6 @@ from placegraph.formats.ros.packets import Packet
 from placegraph.formats.ros.views import IMAGES
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
     from placegraph.ros.localizer import Localizer
     from placegraph.ros.message import Message
 

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import json
 from importlib.resources import files
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from placegraph.files import write_file
 from placegraph.formats.ros.files.bag import open_bag
 from placegraph.formats.ros.views import chosen_views, info_names, views_of
-
-if TYPE_CHECKING:
-    from os import PathLike
 
 _IMAGE = "/localization/image"
 

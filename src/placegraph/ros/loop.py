@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
-
     from placegraph.formats.capture.frame import Frame
     from placegraph.formats.ros.packets import Fault, Packet
     from placegraph.ros.localizer import Localizer

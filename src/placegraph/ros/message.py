@@ -6,15 +6,12 @@ Fields are nested as the definition of the type names them. What is left out is 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from placegraph.errors import OptionError
-from placegraph.geometry import quaternion_from_rotation
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
+from placegraph.geometry import Floats, quaternion_from_rotation
 
 Fields = dict[str, Any]
 _SECONDS = float(1 << 31)

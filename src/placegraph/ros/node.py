@@ -7,6 +7,7 @@ decoded nor made by rclpy: what comes is decoded where it is used, what goes are
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -16,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from placegraph.errors import MissingExtraError, OptionError, PlacegraphError
 from placegraph.formats.ros.discovery import WANTED
 from placegraph.formats.ros.packets import Packet, is_static
-from placegraph.formats.ros.wishes import wishes_of
+from placegraph.formats.ros.wishes import Wishes, wishes_of
 from placegraph.maps import open_rooms
 from placegraph.ros.encode import cdr
 from placegraph.ros.inbox import Inbox
@@ -27,9 +28,6 @@ from placegraph.ros.options import LiveOptions, mode_of
 from placegraph.ros.telling import STATUS
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from placegraph.formats.ros.wishes import Wishes
     from placegraph.ros.message import Message
 
 NAME = "placegraph_localizer"

@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
 
-from placegraph.geometry import cross_matrix
-from placegraph.ros.message import FrameIds, Message, header, pose, transform, xyz
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from placegraph.geometry import Floats
-    from placegraph.ros.message import Fields
+from placegraph.geometry import Floats, cross_matrix
+from placegraph.ros.message import Fields, FrameIds, Message, header, pose, transform, xyz
 
 UPRIGHT_BASE = np.array(
     [[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from itertools import groupby
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -13,10 +15,6 @@ from placegraph.ros.objects import CLEAR, CUBE, LINES, TEXT, TRIANGLES
 from placegraph.ros.unfinished import Unfinished, check_free, writing
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from os import PathLike
-    from typing import Self
-
     from placegraph.geometry import Floats
     from placegraph.ros.message import Fields, Message
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
 from time import monotonic
-from typing import TYPE_CHECKING
+from typing import BinaryIO
 
 from placegraph.errors import InputError, OptionError
 from placegraph.formats.capture.capture import open_capture
@@ -16,19 +17,12 @@ from placegraph.formats.ros.capture import is_bag
 from placegraph.formats.ros.files.bag import open_bag
 from placegraph.formats.ros.files.mcap import is_whole
 from placegraph.formats.ros.files.mcap_stream import mcap_packets
-from placegraph.formats.ros.packets import Packet, packets_of
-from placegraph.formats.ros.plan import plan_of
-from placegraph.formats.ros.wishes import wishes_of
+from placegraph.formats.ros.packets import Fault, Packet, packets_of
+from placegraph.formats.ros.plan import Plan, plan_of
+from placegraph.formats.ros.wishes import Wishes, wishes_of
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from typing import BinaryIO
+Happening = Packet | Fault | Frame | None
 
-    from placegraph.formats.ros.packets import Fault
-    from placegraph.formats.ros.plan import Plan
-    from placegraph.formats.ros.wishes import Wishes
-
-    Happening = Packet | Fault | Frame | None
 
 STDIN = Path("stdin")
 """What standard input is called in messages; `stdin.json` says what it does not."""

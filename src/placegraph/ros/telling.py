@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.estimate import Status
-from placegraph.geometry import pose_matrix, rotation_from_vector, split_pose
+from placegraph.estimate import PoseEstimate, PoseMode, Status
+from placegraph.geometry import Floats, pose_matrix, rotation_from_vector, split_pose
 from placegraph.indoor.map.scene import Scene
 from placegraph.ros.map import map_messages
 from placegraph.ros.message import FrameIds, Message, header, poses, sayable, transform
@@ -16,12 +17,8 @@ from placegraph.ros.objects import objects_message
 from placegraph.ros.pose import UPRIGHT_BASE, based, pose_messages, rig_message, transforms_message
 
 if TYPE_CHECKING:
-    from collections import Counter
-
-    from placegraph.estimate import PoseEstimate, PoseMode
     from placegraph.evidence import Evidence
     from placegraph.formats.ros.assembly import Assembly
-    from placegraph.geometry import Floats
     from placegraph.indoor.library.library import SceneLibrary
     from placegraph.indoor.scene_map import SceneMap
     from placegraph.indoor.track.live_pose import LivePose

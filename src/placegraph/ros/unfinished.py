@@ -5,16 +5,13 @@ from __future__ import annotations
 import shutil
 import sqlite3
 import tempfile
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from placegraph.errors import OptionError
 from placegraph.files import cannot_write
 from placegraph.locks import exclusive
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
 
 
 def check_free(path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING
 
@@ -20,8 +21,6 @@ from placegraph.serve.routes import add_routes
 from placegraph.serve.server import Server, response_of
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator
-
     from placegraph.serve.places import Places
 
 

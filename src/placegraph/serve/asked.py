@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import cos, hypot, log, sin, sqrt
 from typing import TYPE_CHECKING, Any
@@ -14,8 +15,6 @@ from placegraph.geometry import Camera
 from placegraph.indoor.pose.prior import Prior
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from placegraph.earth import Anchor
     from placegraph.serve.photo import Photo
 

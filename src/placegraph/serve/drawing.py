@@ -7,6 +7,7 @@ import itertools
 import json
 import threading
 from collections import OrderedDict
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
@@ -16,16 +17,13 @@ from fastapi.staticfiles import StaticFiles
 
 from placegraph import view
 from placegraph.errors import RequestError
-from placegraph.serve.places import state_of
+from placegraph.serve.places import Places, state_of
 from placegraph.view.city.tiles import TOP_LEVEL, CityTiles
 from placegraph.view.draw.style import style_sheet
 from placegraph.view.scene.page import picture, plan_of, told
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from placegraph.outdoor.city import CityMap
-    from placegraph.serve.places import Places
 
 PAGE = Path(__file__).parent / "page"
 PARTS = Path(view.__file__).parent / "page"

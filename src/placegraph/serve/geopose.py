@@ -6,6 +6,7 @@ from math import cos, hypot, radians, sin
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError, RequestError
 from placegraph.estimate import Status
@@ -19,8 +20,6 @@ from placegraph.serve.oscp import Asked, number, read_request
 from placegraph.serve.photo import SMALLEST, Photo, check_size, read_photo
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from placegraph.geometry import Camera
     from placegraph.serve.options import ServeOptions
     from placegraph.serve.places import Desk

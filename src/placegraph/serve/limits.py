@@ -7,6 +7,7 @@ import hmac
 import re
 from dataclasses import dataclass
 from ipaddress import ip_address
+from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING
 from urllib.parse import parse_qs, urlsplit
@@ -16,8 +17,6 @@ from placegraph.serve.problem import MEDIA_TYPE, problem
 from placegraph.serve.worker import dumped
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
     from placegraph.serve.metrics import Metrics

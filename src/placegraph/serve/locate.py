@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
 from math import radians
 from typing import TYPE_CHECKING, Any
@@ -9,8 +10,6 @@ from typing import TYPE_CHECKING, Any
 from placegraph.errors import DescriptionError, GeoPoseError, OptionError, PlacegraphError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from placegraph.estimate import CityEstimate
     from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.search.ask import Answer, Question

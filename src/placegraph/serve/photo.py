@@ -9,6 +9,7 @@ from math import hypot
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError, RequestError
 from placegraph.formats.capture.fixes import Fix, exif_fix
@@ -16,7 +17,6 @@ from placegraph.formats.capture.images import opened
 from placegraph.geometry import Camera
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
     from PIL.Image import Image
 
     from placegraph.serve.options import ServeOptions

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,8 +11,6 @@ from placegraph.errors import PlacegraphError, RequestError
 from placegraph.outdoor.language.words import tokens
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from placegraph.outdoor.city import CityMap
     from placegraph.serve.places import Desk
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,18 +14,14 @@ from placegraph import store
 from placegraph.errors import PlacegraphError, RequestError
 from placegraph.geometry import LocalPlane
 from placegraph.maps import SHARDS, checked, find, open_map
-from placegraph.world import open_world
+from placegraph.world import World, open_world
 from placegraph.world.shards.folder import NAME, WorldFile, is_world
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from os import PathLike
-
     from placegraph.indoor.library import SceneLibrary
     from placegraph.indoor.scene_map import SceneMap
     from placegraph.outdoor.city import CityMap
     from placegraph.serve.options import ServeOptions
-    from placegraph.world import World
 
 ANCHOR = ("longitude", "latitude", "building", "osm", "level", "scene", "probability")
 """What is listed of where a scene stands."""

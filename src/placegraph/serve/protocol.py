@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from h11 import Data, EndOfMessage, Response
+from h11 import Data, EndOfMessage, Request, Response
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from placegraph.errors import RequestError
@@ -13,8 +13,6 @@ from placegraph.serve.worker import dumped
 
 if TYPE_CHECKING:
     import asyncio
-
-    from h11 import Request
 
 
 class Patient(H11Protocol):

@@ -17,15 +17,12 @@ from placegraph.serve import metrics
 from placegraph.serve.oscp import version_of
 from placegraph.serve.problem import problem
 from placegraph.serve.schema import Begin, Live, Localize, Locate, Step
-from placegraph.serve.server import response_of
+from placegraph.serve.server import Server, response_of
 from placegraph.serve.uploads import uploaded
 from placegraph.serve.worker import dumped
 
 if TYPE_CHECKING:
-    from fastapi import FastAPI
-
     from placegraph.serve.lanes import Lane
-    from placegraph.serve.server import Server
 
 _FORM = {
     "requestBody": {

@@ -16,14 +16,12 @@ from placegraph.serve.lanes import Lane
 from placegraph.serve.limits import check_depth
 from placegraph.serve.metrics import Metrics
 from placegraph.serve.problem import MEDIA_TYPE, problem
-from placegraph.serve.schema import Step
-from placegraph.serve.worker import Setting, dumped
+from placegraph.serve.schema import Begin, Step
+from placegraph.serve.worker import Answer, Setting, dumped
 
 if TYPE_CHECKING:
     from placegraph.serve.options import ServeOptions
     from placegraph.serve.places import Places
-    from placegraph.serve.schema import Begin
-    from placegraph.serve.worker import Answer
 
 
 class Server:

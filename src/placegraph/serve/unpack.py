@@ -10,11 +10,10 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
 from placegraph.errors import InputError, RequestError
-from placegraph.formats.capture.capture import is_capture, open_capture
+from placegraph.formats.capture.capture import Capture, is_capture, open_capture
 from placegraph.serve.photo import check_size
 
 if TYPE_CHECKING:
-    from placegraph.formats.capture.capture import Capture
     from placegraph.serve.options import ServeOptions
 
 _BROKEN = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, OSError, ValueError, RuntimeError,

@@ -9,6 +9,7 @@ import sys
 import traceback
 import warnings
 from importlib import import_module
+from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -20,7 +21,6 @@ from placegraph.serve.problem import problem
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
-    from pathlib import Path
 
     from placegraph.serve.options import ServeOptions
 

@@ -6,12 +6,14 @@ Figures and the choice: `docs/benchmarks/vector-stores.md`; the file: `docs/form
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Self
+from os import PathLike
+from typing import Any, Self
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from placegraph.errors import OptionError, StoreError
-from placegraph.store import read_map, sound, write_map
+from placegraph.store import MapFile, read_map, sound, write_map
 from placegraph.vectors.content import (
     GRAIN,
     Neighbours,
@@ -22,13 +24,6 @@ from placegraph.vectors.content import (
 )
 from placegraph.vectors.lists import BLOCK, Lists, make_lists
 from placegraph.vectors.scan_kernels import search_all, search_lists
-
-if TYPE_CHECKING:
-    from os import PathLike
-
-    from numpy.typing import ArrayLike, NDArray
-
-    from placegraph.store import MapFile
 
 KIND = "vectors"
 VERSION = 1

@@ -6,12 +6,10 @@ this and no graph of neighbours (HNSW): `docs/benchmarks/vector-stores.md`, the 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+from numpy.typing import NDArray
 
 ROUNDS = 6
 """Rounds of k-means; more change the recall by less than 0.002."""

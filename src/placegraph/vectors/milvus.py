@@ -11,9 +11,10 @@ import json
 import re
 import unicodedata
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import IncompleteStoreError, OptionError, StoreError
 from placegraph.vectors.content import (
@@ -24,9 +25,6 @@ from placegraph.vectors.content import (
     checked_queries,
 )
 from placegraph.vectors.server import Server
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 PREFIX = "placegraph_"
 LOADING = "_loading"

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from placegraph.errors import IncompleteStoreError, StoreError
-from placegraph.vectors.content import GRAIN
+from placegraph.vectors.content import GRAIN, Origin, Vectors
 from placegraph.vectors.milvus import (
     LARGE,
     LOADING,
@@ -16,9 +17,6 @@ from placegraph.vectors.milvus import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from placegraph.vectors.content import Origin, Vectors
     from placegraph.vectors.server import Server
 
 BATCH = 10_000

@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from time import monotonic, sleep
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
+import numpy as np
+from numpy.typing import NDArray
+
 from placegraph.errors import MissingExtraError, OptionError, ServiceError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    import numpy as np
-    from numpy.typing import NDArray
     from pymilvus import MilvusClient
 
-    Floats = NDArray[np.float32]
+
+Floats = NDArray[np.float32]
+
 
 SCHEMES = ("http", "https", "tcp")
 PATIENCE = 600.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from placegraph.vectors import milvus
@@ -11,8 +12,6 @@ from placegraph.vectors.milvus_load import load_milvus
 from placegraph.vectors.server import SCHEMES, Server
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from placegraph.vectors.content import Origin, Vectors, VectorStore
 
 Address = str | os.PathLike[str]

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from base64 import b64encode
+from collections.abc import Callable, Iterable, Sequence
 from html import escape
 from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from PIL import Image
 
@@ -17,9 +18,6 @@ from placegraph.indoor.map.scene import Scene
 from placegraph.outdoor.map.city import City
 from placegraph.view.city.picture import draw_city, write_picture
 from placegraph.view.scene.scene_plan import draw_scene, write_plan
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
 
 WIDTH = 640
 """Of a picture [px]."""

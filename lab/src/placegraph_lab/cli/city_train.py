@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,8 +15,6 @@ from placegraph.errors import OptionError
 from placegraph_lab.cli.training_shown import TrainingDevice, WorkFolder, training
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from placegraph.outdoor.network.weights import Weights
 
 NETWORK = "The network and its losses"

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from placegraph_lab.cli.training_shown import say_epoch
 from placegraph_lab.train.city.options import Progress as Told
+from placegraph_lab.train.city.options import TrainOptions
 from placegraph_lab.train.curves import draw_curves
 from placegraph_lab.train.training import rows_of
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
-
     from rich.progress import Progress
-
-    from placegraph_lab.train.city.options import TrainOptions
 
 
 class Shown(Told):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from placegraph_lab.cli.training_shown import say_epoch
@@ -10,8 +11,6 @@ from placegraph_lab.train.scenegraphloc.options import Progress as Told
 from placegraph_lab.train.training import rows_of
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from rich.progress import Progress
 
 

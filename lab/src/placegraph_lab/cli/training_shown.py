@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import shlex
 import sys
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import click
 from rich.console import Console
@@ -15,9 +16,6 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from placegraph.cli.command import Option
 from placegraph.cli.terminal import bare
 from placegraph_lab.train.training import rows_of
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
 
 INTERRUPTED = 130
 """Exit code of shells for what Ctrl-C ended."""

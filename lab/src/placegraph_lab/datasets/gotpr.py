@@ -11,19 +11,16 @@ Nodes and relations come with their word vectors, so that no word file is needed
 from __future__ import annotations
 
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError
 from placegraph_lab.datasets.pickle_names import Record, Release
 from placegraph_lab.datasets.pickles import finished, read_pickle
-
-if TYPE_CHECKING:
-    from os import PathLike
-
-    from numpy.typing import NDArray
 
 RELEASE = Release("GOTPR", "scene_graph", ("SceneGraph", "Node"))
 """The published classes."""

@@ -12,10 +12,9 @@ from math import asinh, cos, radians, tan
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
     from placegraph.geometry import Floats
 
 RADIUS = 6_378_137.0

@@ -8,21 +8,18 @@ the data's world frame, x east, y north, z up [m].
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
+from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.columns import pack
 from placegraph.errors import MapError, OptionError
-from placegraph.store import pack_strings, read_map
+from placegraph.store import MapFile, Write, pack_strings, read_map
 
 if TYPE_CHECKING:
-    from os import PathLike
-
-    from numpy.typing import NDArray
-
     from placegraph.geometry import Floats
-    from placegraph.store import MapFile, Write
 
 KIND = "kitti360pose"
 VERSION = 1

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
+from collections.abc import Callable
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError
 from placegraph.store import writing
@@ -24,11 +27,6 @@ from placegraph_lab.datasets.pickle_names import Record, Release
 from placegraph_lab.datasets.pickles import finished, read_pickle
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-    from os import PathLike
-
-    from numpy.typing import NDArray
-
     from placegraph.geometry import Floats
 
 RELEASE = Release(

@@ -6,16 +6,13 @@ out to be called.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    from numpy.typing import NDArray
+from numpy.typing import NDArray
 
 _ARRAYS = [f"numpy.{core}" for core in ("core", "_core")]  # numpy 1, numpy 2
 _NUMPY: Mapping[tuple[str, str], str] = {

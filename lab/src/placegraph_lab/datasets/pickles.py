@@ -12,8 +12,9 @@ import mmap
 import os
 import stat
 import struct
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from placegraph.errors import InputError
 from placegraph_lab.datasets.pickle_names import (
@@ -23,14 +24,10 @@ from placegraph_lab.datasets.pickle_names import (
     Name,
     Record,
     RefusedError,
+    Release,
     array_of,
     order_of,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    from placegraph_lab.datasets.pickle_names import Release
 
 _MOST_STEPS = 1 << 25
 """Opcodes of the largest scene, several times over: every one may cost a hundred bytes."""

@@ -8,19 +8,16 @@ not). Layout as `word2vec.c` writes it and gensim's `save_word2vec_format`.
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterator
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
+from typing import BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError
 from placegraph.outdoor.network.labels import WordVectors
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator
-    from os import PathLike
-
-    from numpy.typing import NDArray
 
 LONGEST = 4096
 """Numbers of a vector at most."""

@@ -6,16 +6,13 @@ They are drawn from seeds that no table and no training uses.
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from placegraph.indoor.library import SceneLibrary
 from placegraph_lab.worlds.home.home import home, scene_of
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 COUNT = 32
 FIRST_SEED = 700_000

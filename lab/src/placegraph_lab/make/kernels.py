@@ -8,16 +8,14 @@ import shlex
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from types import FunctionType
+from typing import cast
 
 from placegraph.compiled import Kernel
 from placegraph.errors import InputError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from types import FunctionType
 
 HEAD = """\
 # What each command compiles: the kernels that Python calls, and the types of their arguments; those

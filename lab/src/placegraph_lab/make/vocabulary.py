@@ -10,16 +10,14 @@ import json
 import lzma
 import re
 from collections import defaultdict
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
 
 from placegraph.errors import InputError
 from placegraph.outdoor.language.vocabulary.lexicon import LETTERS
 from placegraph.outdoor.language.vocabulary.objects import DETAIL, ObjectTable, read_objects
 from placegraph.outdoor.language.vocabulary.text import folded, normal, singular
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
-    from pathlib import Path
 
 ENGLISH = ("en", "en-GB", "en-AU", "en-CA", "en-IN", "en-NZ", "en-US")
 # fmt: off

@@ -5,13 +5,11 @@ from __future__ import annotations
 import os
 import resource
 import sys
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
+from typing import Any
 
 
 def apart(work: Callable[..., Any], *given: object, cores: int = 0) -> Any:  # noqa: ANN401

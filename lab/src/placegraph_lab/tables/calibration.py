@@ -6,12 +6,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from placegraph.errors import OptionError
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
     from placegraph.geometry import Floats
 
 

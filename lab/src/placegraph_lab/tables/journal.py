@@ -8,14 +8,12 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import placegraph
 import placegraph_lab
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
 
 PACKAGES = tuple(Path(str(p.__file__)).parent for p in (placegraph, placegraph_lab))
 INDOOR = (

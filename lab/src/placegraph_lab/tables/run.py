@@ -12,11 +12,12 @@ import os
 import pkgutil
 import subprocess
 import sys
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import typer
 from rich.console import Console
@@ -28,11 +29,8 @@ from placegraph_lab.tables import named
 from placegraph_lab.tables.journal import Journal
 from placegraph_lab.tables.machine import machine
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
-    from typing import TypeVar
+Item = TypeVar("Item")
 
-    Item = TypeVar("Item")
 
 LAB = Path(__file__).parents[3]
 """Folder of the lab in the repository."""

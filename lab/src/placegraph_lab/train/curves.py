@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,10 +17,6 @@ from placegraph.view.draw.style import PALETTE
 from placegraph_lab.train.city.options import LOSSES, PRINTED
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from os import PathLike
-    from pathlib import Path
-
     from placegraph.geometry import Floats
 
 WIDTH, HEIGHT = 1180, 460

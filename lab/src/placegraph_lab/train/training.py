@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from placegraph.errors import InputError, MissingExtraError, OptionError
 from placegraph.files import put
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from os import PathLike
 
 CURVES = "curves.jsonl"
 PLAN = "plan.json"

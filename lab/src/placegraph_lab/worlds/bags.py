@@ -7,14 +7,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.ros import bag
 from placegraph.ros.image import info_fields
 from placegraph.ros.message import Message, header, pose, transform, xyz
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from placegraph.formats.capture.frames import Capture
     from placegraph.geometry import Camera
 

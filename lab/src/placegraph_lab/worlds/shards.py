@@ -2,26 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
 
 from placegraph.geometry import LocalPlane
 from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.map.index import REACH, STRIDE
-from placegraph.outdoor.map.objects import POINT
+from placegraph.outdoor.map.objects import POINT, CityObjects
 from placegraph.tiles import bounds, held, key_of, tile_of, tiles
 from placegraph.world.shards import WorldFile, finish
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.random import Generator
-    from numpy.typing import NDArray
-
-    from placegraph.outdoor.map.objects import CityObjects
 
 SIDE = 8
 """Viewpoints are kept in squares of so many."""

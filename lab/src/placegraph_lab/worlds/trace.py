@@ -7,10 +7,7 @@ A cell is (row, column), row 0 on top. Corners share the lattice: cell (r, c) ha
 from __future__ import annotations
 
 from collections import defaultdict
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping
 
 Cell = tuple[int, int]
 

@@ -6,14 +6,10 @@ import io
 import struct
 import zipfile
 import zlib
-from pathlib import PurePosixPath
-from typing import TYPE_CHECKING
+from pathlib import Path, PurePosixPath
 
 from placegraph.errors import InputError
 from placegraph.files import regular
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 _MOST = 1 << 28  # bytes of one file; images have some millions
 

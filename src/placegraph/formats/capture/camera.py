@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from placegraph.errors import InputError, OptionError
 from placegraph.files import regular
 from placegraph.geometry import Camera
 from placegraph.lens import MODELS
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 _INTRINSICS = ("fx", "fy", "cx", "cy")
 _MAX_SIDE = 1 << 16

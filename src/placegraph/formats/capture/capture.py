@@ -8,12 +8,15 @@ read looks like `docs/formats.md` says.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import replace
 from importlib import import_module
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from placegraph.errors import InputError, OptionError
 from placegraph.formats.capture.frame import ArrayImages, Frame, LabelKind
@@ -21,12 +24,6 @@ from placegraph.formats.capture.frame_files import LazyImages, quarter_turn
 from placegraph.formats.capture.frames import Capture
 from placegraph.formats.capture.posed import SAME_MOMENT, nearest_stamps
 from placegraph.formats.capture.tum import read_tum
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from os import PathLike
-
-    from numpy.typing import ArrayLike
 
 __all__ = ["ArrayImages", "Capture", "Frame", "LabelKind", "open_capture"]
 

@@ -5,9 +5,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError
 from placegraph.formats.capture.camera import CameraFile, read_camera, read_json
@@ -25,10 +27,6 @@ from placegraph.formats.capture.images import image_size, images_of
 from placegraph.formats.capture.tum import read_table, read_tum
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
     from placegraph.geometry import Camera
 
 _GRAVITY_COLUMNS = ("stamp", "gx", "gy", "gz")

@@ -5,14 +5,12 @@ from __future__ import annotations
 import sqlite3
 import weakref
 from functools import partial
+from pathlib import Path
 from threading import Lock
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from placegraph.errors import InputError
 from placegraph.files import regular
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 MOST = 1 << 28
 """Bytes of one value; images have some millions."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from math import isfinite, nan
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from placegraph.formats.capture.frame_files import ColourFile, LazyImages
@@ -12,8 +13,6 @@ from placegraph.formats.capture.posed import nearest_stamps
 from placegraph.formats.capture.tum import read_table
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from placegraph.formats.capture.frames import Capture
 
 FILE = "fixes.txt"

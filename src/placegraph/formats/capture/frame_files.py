@@ -16,24 +16,19 @@ images are files, its own where they come out of a video or a container, and giv
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from placegraph.errors import InputError
-from placegraph.formats.capture.frame import Frame
+from placegraph.formats.capture.frame import Frame, LabelKind
 from placegraph.formats.capture.images import WHOLE_MODES, read_rgb, read_whole
 from placegraph.geometry import Camera
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-    from pathlib import Path
-
-    from numpy.typing import ArrayLike, NDArray
-
-    from placegraph.formats.capture.frame import LabelKind
 
 DEPTH_MODES = ("I;16", "I;16B", "I;16L", "I")
 """Pillow's modes of a depth image."""

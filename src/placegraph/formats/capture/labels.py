@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from placegraph.errors import InputError
 from placegraph.formats.capture.camera import read_json
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from os import PathLike
 
 _IDS = ("id", "objectId", "object_id", "instance_id")
 _LABELS = ("label", "class", "category", "class_name")

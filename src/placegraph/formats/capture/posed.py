@@ -9,24 +9,19 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from placegraph.errors import InputError, OptionError
 from placegraph.files import regular
-from placegraph.formats.capture.frame_files import posed_frame, upright_turns
+from placegraph.formats.capture.frame_files import LazyImages, posed_frame, upright_turns
 from placegraph.formats.capture.frames import Capture
 from placegraph.geometry import Camera, rotation_from_quaternion
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-    from pathlib import Path
-
-    from numpy.typing import ArrayLike, NDArray
-
-    from placegraph.formats.capture.frame_files import LazyImages
 
 MAP_FROM_Y_UP = np.array(
     [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]

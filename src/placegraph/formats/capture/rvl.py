@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from struct import unpack
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 _MOST = 1 << 24  # pixels; no sensor of depth has as many, and a few bytes could claim any number
 _LONGEST = 10  # nibbles of three bits that a number of 30 bits has

@@ -7,20 +7,16 @@ the pose leads from and to (`odometry_from_camera`, `map_from_camera`) is for th
 from __future__ import annotations
 
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from placegraph.errors import InputError, OptionError
 from placegraph.files import put, regular
 from placegraph.formats.capture.camera import read_json
 from placegraph.geometry import quaternion_from_rotation, rotation_from_quaternion
-
-if TYPE_CHECKING:
-    from os import PathLike
-
-    from numpy.typing import ArrayLike, NDArray
 
 POSE_COLUMNS = ("stamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
 UNIT_TOLERANCE = 1e-3

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from threading import Lock
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError, MissingExtraError
 from placegraph.formats.capture.frame_files import check_shape
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
     from placegraph.geometry import Camera
 
 ENDINGS = (".mp4", ".mov", ".m4v", ".mkv", ".avi")

@@ -11,9 +11,11 @@ from __future__ import annotations
 
 from collections import Counter
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError
 from placegraph.formats.capture.camera import read_camera, read_json
@@ -32,13 +34,11 @@ from placegraph.formats.capture.tum import read_tum
 from placegraph.formats.capture.video import ENDINGS, Video
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
     from placegraph.formats.capture.frames import Capture
 
-    Poses = tuple[NDArray[np.float64], NDArray[np.float64]]
+
+Poses = tuple[NDArray[np.float64], NDArray[np.float64]]
+
 
 _EUROC = "timestamp [ns], x, y, z, qw, qx, qy, qz"
 _WIDTHS = (8, 17)  # EuRoC's truth goes on with velocities and biases

@@ -14,6 +14,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from placegraph.errors import InputError, OptionError
 from placegraph.formats.capture.frame_files import (
@@ -35,8 +36,6 @@ from placegraph.formats.dataset.colmap_files import (
 from placegraph.formats.dataset.colmap_files import read_model as read_colmap_model
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
     from placegraph.formats.capture.frames import Capture
     from placegraph.geometry import Camera
 

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError
 from placegraph.formats.capture.database import Database
@@ -26,8 +27,6 @@ from placegraph.formats.capture.posed import Shot, capture_of, smaller_view
 from placegraph.formats.dataset.rtabmap_file import calibration, depth_image, matrix
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from placegraph.formats.capture.frames import Capture
     from placegraph.geometry import Camera
 

@@ -15,6 +15,7 @@ import zlib
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError
 from placegraph.formats.capture.images import opened
@@ -22,8 +23,6 @@ from placegraph.formats.capture.posed import camera_of, exact_pose
 from placegraph.formats.capture.rvl import rvl_image
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from placegraph.geometry import Camera
 
 _TYPES = {0: "u1", 4: "<i4", 5: "<f4"}

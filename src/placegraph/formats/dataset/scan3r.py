@@ -10,10 +10,12 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError, OptionError
 from placegraph.formats.dataset.scan3r_files import (
@@ -21,6 +23,7 @@ from placegraph.formats.dataset.scan3r_files import (
     LABELLED,
     MESHES,
     SEGMENTS,
+    Annotation,
     around,
     first_of,
     read_annotation,
@@ -33,11 +36,6 @@ from placegraph.formats.mesh.ply import majority, read_ply, things_of_ids, whole
 from placegraph.formats.mesh.ply_file import read_columns
 
 if TYPE_CHECKING:
-    from os import PathLike
-
-    from numpy.typing import NDArray
-
-    from placegraph.formats.dataset.scan3r_files import Annotation
     from placegraph.formats.mesh.model import Model
 
 REACH = 0.05

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from placegraph.errors import InputError
 from placegraph.files import regular
 from placegraph.formats.capture.camera import read_json
 from placegraph.formats.capture.labels import Entry, label_table
-
-if TYPE_CHECKING:
-    from collections import Counter
-    from collections.abc import Iterator
-    from pathlib import Path
 
 MESHES = ("mesh.refined.v2.obj", "mesh.refined.obj")
 LABELLED = ("labels.instances.annotated.v2.ply", "labels.instances.annotated.ply")

@@ -13,10 +13,12 @@ import zipfile
 from collections import Counter
 from dataclasses import dataclass
 from functools import partial
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError
 from placegraph.files import regular
@@ -33,10 +35,6 @@ from placegraph.formats.capture.images import opened
 from placegraph.formats.dataset.scannet_files import camera_of_matrix, is_rigid
 
 if TYPE_CHECKING:
-    from os import PathLike
-
-    from numpy.typing import NDArray
-
     from placegraph.geometry import Camera
 
 INFO = "_info.txt"

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, replace
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError
 from placegraph.formats.capture.camera import read_json
@@ -30,11 +31,6 @@ from placegraph.formats.dataset.scannet_files import (
 from placegraph.formats.mesh.model import Model, Thing
 from placegraph.formats.mesh.ply import UNKNOWN, majority, read_ply
 from placegraph.formats.mesh.ply_file import read_columns
-
-if TYPE_CHECKING:
-    from os import PathLike
-
-    from numpy.typing import NDArray
 
 ANNOTATED = (
     ("_vh_clean_2.ply", ".aggregation.json", "_vh_clean_2.0.010000.segs.json"),

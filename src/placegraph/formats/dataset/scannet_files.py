@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Mapping
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError, OptionError
 from placegraph.files import regular
 from placegraph.formats.capture.camera import read_json
 from placegraph.geometry import Camera
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from os import PathLike
-
-    from numpy.typing import NDArray
 
 FILES = (
     "_vh_clean_2.0.010000.segs.json", "_vh_clean_2.labels.ply", "_vh_clean.aggregation.json",

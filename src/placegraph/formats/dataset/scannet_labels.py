@@ -6,8 +6,13 @@ Pixels of `instance-filt/7.png` are 1 + objectId of the scan's aggregation; thos
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError, OptionError
 from placegraph.formats.capture.frame_files import Meanings, label_file
@@ -21,12 +26,6 @@ from placegraph.formats.dataset.scannet_files import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    import numpy as np
-    from numpy.typing import NDArray
-
     from placegraph.formats.capture.frame import LabelKind
     from placegraph.geometry import Camera
 

@@ -11,10 +11,12 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import dataclass, replace
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError
 from placegraph.formats.capture.camera import read_json
@@ -28,14 +30,12 @@ from placegraph.formats.dataset.scenegraphfusion_surfels import (
 from placegraph.formats.mesh.ply import things_of_ids
 
 if TYPE_CHECKING:
-    from os import PathLike
-
-    from numpy.typing import NDArray
-
     from placegraph.formats.mesh.model import Model
 
-    Rows = NDArray[np.int64]
-    Floats = NDArray[np.float64]
+
+Rows = NDArray[np.int64]
+Floats = NDArray[np.float64]
+
 
 PREDICTIONS = ("predictions.json", "prediction.json")
 _SAME, _NONE = "same part", "none"

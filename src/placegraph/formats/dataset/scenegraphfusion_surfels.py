@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError
 from placegraph.formats.mesh.model import Model, Picture
@@ -13,14 +16,9 @@ from placegraph.formats.mesh.nearest import nearest
 from placegraph.formats.mesh.ply import majority, read_ply, whole
 from placegraph.formats.mesh.ply_file import read_columns
 
-if TYPE_CHECKING:
-    from collections import Counter
-    from pathlib import Path
+Rows = NDArray[np.int64]
+Floats = NDArray[np.float64]
 
-    from numpy.typing import NDArray
-
-    Rows = NDArray[np.int64]
-    Floats = NDArray[np.float64]
 
 SURFELS = ("inseg.ply", "node_semantic.ply")
 """The first has the colours of the place, the second those of labels."""

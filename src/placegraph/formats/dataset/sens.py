@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from functools import partial as bound
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError
 from placegraph.formats.capture.frame_files import (
@@ -36,11 +39,6 @@ from placegraph.formats.dataset.sens_file import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from os import PathLike
-
-    from numpy.typing import NDArray
-
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Camera
 

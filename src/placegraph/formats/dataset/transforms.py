@@ -12,9 +12,11 @@ SpectacularAI/sdk-examples, polycam_utils.py and record3d_utils.py of nerfstudio
 from __future__ import annotations
 
 from collections import Counter
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from placegraph.errors import InputError, OptionError
 from placegraph.formats.capture.camera import read_json
@@ -32,10 +34,6 @@ from placegraph.formats.capture.posed import (
 )
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import ArrayLike, NDArray
-
     from placegraph.formats.capture.frames import Capture
     from placegraph.geometry import Camera
 

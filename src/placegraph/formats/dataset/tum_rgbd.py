@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,8 +28,6 @@ from placegraph.formats.capture.tum import read_tum
 from placegraph.geometry import Camera
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from placegraph.formats.capture.frames import Capture
 
 PER_METRE = 5000.0

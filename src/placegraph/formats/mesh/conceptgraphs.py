@@ -13,10 +13,12 @@ from __future__ import annotations
 import itertools
 from collections import Counter
 from dataclasses import replace
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError
 from placegraph.formats.capture.camera import read_json
@@ -25,13 +27,9 @@ from placegraph.formats.mesh.model import Model, Picture, Thing
 from placegraph.formats.mesh.spark_dsg_mesh import MARGIN, box_corners, box_piece, joined
 from placegraph.geometry import rotation_z
 
-if TYPE_CHECKING:
-    from os import PathLike
+Floats = NDArray[np.float64]
+Up = Literal["y", "z"]
 
-    from numpy.typing import NDArray
-
-    Floats = NDArray[np.float64]
-    Up = Literal["y", "z"]
 
 UNKNOWN = "unknown"
 _OBJECTS, _EDGES, _PICKLES = "obj_json_*.json", "edge_json_*.json", "pcd_*.pkl.gz"

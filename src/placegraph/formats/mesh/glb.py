@@ -9,20 +9,18 @@ from __future__ import annotations
 import json
 import re
 from collections import Counter
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.formats.mesh.gltf import MENDS, Gltf
 from placegraph.formats.mesh.materials import Materials, vertex_colours
 from placegraph.formats.mesh.model import Model, Thing
 
 if TYPE_CHECKING:
-    from os import PathLike
-
-    from numpy.typing import NDArray
-
     from placegraph.formats.mesh.gltf_file import Json
 
 OWN = "placegraph"

@@ -7,12 +7,11 @@ from math import cos, sin
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.formats.mesh.model import Picture
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from placegraph.formats.mesh.gltf import Gltf
     from placegraph.formats.mesh.gltf_file import Json
 

@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.formats.mesh.nearest_kernels import _key, _search
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
 
 _FARTHEST = 1e9
 """Coordinates beyond this many reaches are damage, and near to nothing."""

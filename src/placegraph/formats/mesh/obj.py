@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
+from collections.abc import Mapping
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
 from placegraph.formats.mesh.glb import Z_UP
@@ -16,15 +20,11 @@ from placegraph.formats.mesh.obj_text import NAMED, ObjText, read_obj_text
 from placegraph.formats.mesh.ply import UNKNOWN
 
 if TYPE_CHECKING:
-    from collections import Counter
-    from collections.abc import Mapping
-    from os import PathLike
-
-    from numpy.typing import NDArray
-
     from placegraph.formats.capture.labels import Entry
 
-    Rows = NDArray[np.int64]
+
+Rows = NDArray[np.int64]
+
 
 Groups = Literal["auto", "o", "g", "usemtl"]
 

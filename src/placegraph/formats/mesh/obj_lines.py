@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError
 from placegraph.files import regular
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
+Bytes = NDArray[np.uint8]
+Rows = NDArray[np.int64]
 
-    from numpy.typing import NDArray
-
-    Bytes = NDArray[np.uint8]
-    Rows = NDArray[np.int64]
 
 BLOCK = 1 << 24
 _LONGEST_LINE = 1 << 22

@@ -9,9 +9,11 @@ from __future__ import annotations
 import warnings
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError
 from placegraph.formats.mesh.obj_lines import (
@@ -25,13 +27,9 @@ from placegraph.formats.mesh.obj_lines import (
     resolved,
 )
 
-if TYPE_CHECKING:
-    from pathlib import Path
+Bytes = NDArray[np.uint8]
+Rows = NDArray[np.int64]
 
-    from numpy.typing import NDArray
-
-    Bytes = NDArray[np.uint8]
-    Rows = NDArray[np.int64]
 
 _SPACES = bytes.maketrans(b"\t\r\v\f\0", b"     ")
 NAMED = ("o", "g", "usemtl")

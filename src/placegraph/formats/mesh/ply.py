@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError
 from placegraph.formats.mesh.glb import Z_UP
@@ -14,11 +17,6 @@ from placegraph.formats.mesh.model import Model, Picture, Thing
 from placegraph.formats.mesh.ply_file import Columns, read_columns
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from os import PathLike
-
-    from numpy.typing import NDArray
-
     from placegraph.formats.capture.labels import Entry
 
 OBJECT_PROPERTIES = (

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from os import PathLike
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
 from placegraph.files import write_file
-
-if TYPE_CHECKING:
-    from os import PathLike
-    from pathlib import Path
-
-    from numpy.typing import NDArray
 
 OBJECT_ID = "objectId"
 """Property of a face that holds its object's id, as 3RScan calls it."""

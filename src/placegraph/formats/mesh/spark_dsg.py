@@ -9,10 +9,11 @@ from __future__ import annotations
 import re
 from collections import Counter
 from dataclasses import dataclass, field
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError
 from placegraph.files import regular
@@ -29,11 +30,6 @@ from placegraph.formats.mesh.spark_dsg_mesh import (
     read_mesh,
 )
 from placegraph.formats.mesh.spark_dsg_nodes import Json, logged, object_of, plain, rooms_of, symbol
-
-if TYPE_CHECKING:
-    from os import PathLike
-
-    from numpy.typing import NDArray
 
 HEADER = "SPARK_DSG_header"
 OWN = "placegraph"

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.geometry import rotation_from_quaternion
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable
+Floats = NDArray[np.float64]
+Box = tuple[Floats, Floats, Floats]
 
-    from numpy.typing import NDArray
-
-    Floats = NDArray[np.float64]
-    Box = tuple[Floats, Floats, Floats]
 
 MARGIN = 0.05
 """How far beyond its box an object's triangles may reach [m]: about a voxel of Hydra's mesh."""

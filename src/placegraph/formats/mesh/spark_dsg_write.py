@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.formats.mesh.spark_dsg import (
     BUILDINGS,
@@ -20,13 +22,11 @@ from placegraph.formats.mesh.spark_dsg import (
 from placegraph.geometry import quaternion_from_rotation
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from numpy.typing import NDArray
-
     from placegraph.formats.mesh.model import Model
 
-    Json = dict[str, Any]
+
+Json = dict[str, Any]
+
 
 VERSION = (1, 1, 3)
 """Of the layout that is written; Spark-DSG 1.1.1, 1.1.2 and 1.1.3 load it."""

@@ -8,6 +8,7 @@ ARKit's axes, of the image as it is stored), `intrinsics` (9 by rows [px of the 
 from __future__ import annotations
 
 from collections import Counter
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from placegraph.errors import InputError
@@ -27,8 +28,6 @@ from placegraph.formats.capture.posed import (
 )
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from placegraph.formats.capture.frames import Capture
 
 _UNIT = 1000.0

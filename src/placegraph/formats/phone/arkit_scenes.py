@@ -9,9 +9,11 @@ cameras have OpenCV's axes. (DATA.md and tenFpsDataLoader.py of apple/ARKitScene
 from __future__ import annotations
 
 from collections import Counter
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError
 from placegraph.formats.capture.frame_files import DepthUnit, LazyImages, colour_file, depth_file
@@ -25,15 +27,10 @@ from placegraph.formats.capture.posed import (
     smaller_view,
 )
 from placegraph.formats.capture.tum import read_table
-from placegraph.geometry import rotation_from_vector
+from placegraph.geometry import Camera, rotation_from_vector
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
     from placegraph.formats.capture.frames import Capture
-    from placegraph.geometry import Camera
 
 _TOLERANCE = 0.005  # of Apple's own loader [s]; images come every 17 ms or more
 _UNIT = 1000.0

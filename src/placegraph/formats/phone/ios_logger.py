@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from placegraph.errors import InputError
@@ -26,8 +27,6 @@ from placegraph.formats.capture.posed import (
 from placegraph.formats.capture.video import Video
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from placegraph.formats.capture.frames import Capture
 
 _SAME = 0.002  # seconds: both files have the frame's own stamp, rounded to a microsecond

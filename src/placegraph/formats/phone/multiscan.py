@@ -13,10 +13,12 @@ import json
 import zlib
 from collections import Counter
 from functools import partial
+from pathlib import Path
 from threading import Lock
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError
 from placegraph.files import regular
@@ -37,10 +39,6 @@ from placegraph.formats.capture.posed import (
 from placegraph.formats.capture.video import Video
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
     from placegraph.formats.capture.frames import Capture
     from placegraph.geometry import Camera
 

@@ -10,7 +10,11 @@ stored. (README of PolyCam/polyform.)
 from __future__ import annotations
 
 from collections import Counter
+from pathlib import Path
 from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError
 from placegraph.formats.capture.camera import read_json
@@ -28,11 +32,6 @@ from placegraph.formats.capture.posed import (
 )
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
-    import numpy as np
-    from numpy.typing import NDArray
-
     from placegraph.formats.capture.frames import Capture
     from placegraph.geometry import Camera
 

@@ -11,9 +11,11 @@ from __future__ import annotations
 
 from collections import Counter
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError
 from placegraph.formats.capture.frame_files import DepthUnit, LazyImages
@@ -36,10 +38,6 @@ from placegraph.formats.phone.record3d_files import (
 )
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
     from placegraph.formats.capture.frames import Capture
     from placegraph.geometry import Camera
 

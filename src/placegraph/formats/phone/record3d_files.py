@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import io
 import json
+from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError, MissingExtraError
 from placegraph.files import regular
@@ -15,10 +17,6 @@ from placegraph.formats.capture.camera import read_json
 from placegraph.formats.capture.frame_files import check_shape
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
     from placegraph.geometry import Camera
 
 _END = b"bvx$"  # of an LZFSE stream

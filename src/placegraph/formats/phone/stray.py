@@ -13,6 +13,7 @@ import csv
 import io
 from collections import Counter
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -32,8 +33,6 @@ from placegraph.formats.capture.posed import (
 from placegraph.formats.capture.video import Video
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from placegraph.formats.capture.frames import Capture
 
 _POSE = ("timestamp", "frame", "x", "y", "z", "qx", "qy", "qz", "qw")

@@ -7,10 +7,12 @@ out, and counted, where they do not come.
 from __future__ import annotations
 
 from collections import Counter, deque
+from collections.abc import Iterator
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.formats.capture.frame_files import (
     LazyImages,
@@ -22,17 +24,12 @@ from placegraph.formats.capture.posed import SAME_MOMENT
 from placegraph.formats.ros.capture import Source, metres_of, picture, unit_of
 from placegraph.formats.ros.decode import decode, frame_of, stamp_of
 from placegraph.formats.ros.moves import Spread, numbers_of
-from placegraph.formats.ros.packets import is_static
+from placegraph.formats.ros.packets import Packet, is_static
 from placegraph.formats.ros.poses import BACK
 from placegraph.formats.ros.transforms import Edge, Tree
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
-
     from placegraph.formats.capture.frame import Frame
-    from placegraph.formats.ros.packets import Packet
     from placegraph.formats.ros.plan import Plan
 
 PATIENCE = 0.5

@@ -7,10 +7,13 @@ the bag does not (`wishes`). Poses are those of the camera's optical frame, whos
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError
 from placegraph.formats.capture.frame_files import DepthUnit, LazyImages, check_shape
@@ -23,11 +26,6 @@ from placegraph.formats.ros.plan import Plan, plan_of
 from placegraph.formats.ros.wishes import wishes_of
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
     from placegraph.formats.capture.frames import Capture
     from placegraph.formats.ros.files.storage import Message, Topic
     from placegraph.formats.ros.poses import Placing

@@ -7,19 +7,17 @@ definitions, as sqlite has them, is read like one with them.
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterable
 from struct import unpack_from
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError
 from placegraph.formats.ros.types import TRANSFORMS, typestore
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from numpy.typing import NDArray
-
     from placegraph.formats.ros.files.storage import Message, Topic
 
 HEAD = 24

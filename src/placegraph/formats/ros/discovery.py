@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,16 +11,12 @@ import numpy as np
 from placegraph.errors import PlacegraphError
 from placegraph.formats.ros.files.bag import Bag
 from placegraph.formats.ros.files.storage import Topic
-from placegraph.formats.ros.packets import Held, is_static
-from placegraph.formats.ros.plan import plan_of
+from placegraph.formats.ros.packets import Held, Packet, is_static
+from placegraph.formats.ros.plan import Plan, plan_of
 from placegraph.formats.ros.poses import TRANSFORM_TYPES
 from placegraph.formats.ros.views import IMAGES
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
-    from placegraph.formats.ros.packets import Packet
-    from placegraph.formats.ros.plan import Plan
     from placegraph.formats.ros.wishes import Wishes
 
 LISTEN = 1.0

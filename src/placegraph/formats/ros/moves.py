@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Iterable
+from pathlib import Path
 from struct import unpack_from
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
@@ -13,9 +15,6 @@ from placegraph.formats.ros.decode import decode, frame_of, stamp_of
 from placegraph.geometry import cross_matrix
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from pathlib import Path
-
     from placegraph.formats.ros.files.storage import Topic
     from placegraph.formats.ros.transforms import Samples
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from struct import error as struct_error
 from struct import unpack_from
 from typing import TYPE_CHECKING, NamedTuple
@@ -13,9 +15,6 @@ from placegraph.errors import InputError
 from placegraph.formats.ros.files.storage import Message
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Sequence
-    from pathlib import Path
-
     from placegraph.formats.ros.files.bag import Bag
 
 

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import io
 from struct import unpack_from
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError
 from placegraph.formats.capture.images import opened
 from placegraph.formats.capture.rvl import rvl_image, rvl_size
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 _PLAIN: dict[str, tuple[str, int, tuple[int, ...]]] = {
     "rgb8": ("u1", 3, (0, 1, 2)), "bgr8": ("u1", 3, (2, 1, 0)), "8UC3": ("u1", 3, (2, 1, 0)),

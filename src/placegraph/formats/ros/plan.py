@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -11,8 +12,6 @@ from placegraph.formats.ros.register import Registration
 from placegraph.formats.ros.views import View, camera_for, chosen_views, views_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from placegraph.formats.ros.files.bag import Bag
     from placegraph.formats.ros.files.storage import Topic
     from placegraph.formats.ros.wishes import Wishes

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError
 from placegraph.formats.capture.level import upright
@@ -17,8 +18,6 @@ from placegraph.formats.ros.packets import is_static
 from placegraph.formats.ros.transforms import Tree
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from placegraph.formats.ros.files.bag import Bag
     from placegraph.formats.ros.views import View
     from placegraph.formats.ros.wishes import Wishes

@@ -6,10 +6,9 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from placegraph.geometry import Camera
 
 _WIDER = 1.1  # of the image's farthest corner: beyond it a lens model says nothing true

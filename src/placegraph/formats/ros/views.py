@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -13,9 +14,6 @@ from placegraph.formats.ros.decode import decoded, frame_of
 from placegraph.formats.ros.pixels import DEPTHS, GREYS, is_colour, size_of
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from typing import Any
-
     from placegraph.formats.ros.files.bag import Bag
     from placegraph.formats.ros.files.storage import Topic
     from placegraph.geometry import Camera

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,8 +13,6 @@ from placegraph.errors import InputError, OptionError
 from placegraph.formats.capture.camera import read_json
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from placegraph.formats.ros.transforms import Samples
 
 _NAMES = ("colour", "depth", "odometry", "imu", "frame")

@@ -5,15 +5,13 @@ from __future__ import annotations
 import hashlib
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError, MissingExtraError, OptionError, ServiceError
 from placegraph.networks import device_for, read_state
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 _HEADS = ("head", "fc", "classifier", "fc_norm", "attn_pool")
 """Parts of a checkpoint that a backbone has no use for."""

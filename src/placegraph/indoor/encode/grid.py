@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 GRID = (9, 16)
 """144 patches, as in the paper's Sec. 3.3."""

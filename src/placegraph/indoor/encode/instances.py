@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,8 +11,6 @@ from placegraph.indoor.encode import Patches
 from placegraph.indoor.encode.grid import GRID, checked, looked_up, majority
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from placegraph.formats.capture.frame import Frame
     from placegraph.indoor.map.scene import Scene
 

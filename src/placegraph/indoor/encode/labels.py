@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from placegraph.errors import OptionError
 from placegraph.indoor.encode.grid import GRID, cells, checked, looked_up, majority
@@ -12,10 +14,6 @@ from placegraph.indoor.encode.segmenter import Segmenter
 from placegraph.indoor.encode.words import DIMENSION, digest, vector
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import ArrayLike, NDArray
-
     from placegraph.formats.capture.capture import Capture
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Camera

@@ -6,18 +6,16 @@ import os
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError, MissingExtraError
 from placegraph.files import regular
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
     from placegraph.formats.capture.capture import Capture
     from placegraph.formats.capture.frame import Images
 

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError, OptionError
 from placegraph.formats.capture.camera import read_json
 from placegraph.indoor.encode.network import ImageNetwork, answered
 
 if TYPE_CHECKING:
-    from os import PathLike
-
-    from numpy.typing import NDArray
-
     from placegraph.formats.capture.capture import Capture
 
 PASCAL = (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cache
 from importlib.resources import files
@@ -15,8 +16,6 @@ from placegraph.language.measures import COUNTS, whole
 from placegraph.language.phrases import Phrases, Terminal
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from placegraph.language.words import Word
 
 VERBS = frozenset(("BE", "EXISTS", "SEE", "HAVE"))

@@ -7,22 +7,22 @@ tenths, so that libraries know them without a mesh.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.indoor.language.looks import COLOURS, looks
 from placegraph.indoor.map.textures import linear_from_srgb
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from numpy.typing import NDArray
-
     from placegraph.indoor.map.scene import Scene
 
-    Floats = NDArray[np.float64]
+
+Floats = NDArray[np.float64]
+
 
 KEY = "colours"
 """The attribute."""

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
 from placegraph.indoor.language.seen import COLUMNS, room_seen, seen
@@ -15,13 +17,11 @@ from placegraph.indoor.map.relations import NEXT_TO, SAME_ROOM
 from placegraph.indoor.map.relations.words import canonical
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
     from placegraph.graph import SceneGraph
 
-    Floats = NDArray[np.float64]
+
+Floats = NDArray[np.float64]
+
 
 Triple = tuple[str, str, str]
 """Label, relation by its canonical name and never turned, label."""

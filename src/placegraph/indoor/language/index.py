@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 from math import log
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.indoor.language.likeness import EXACT, fits, kind_by_name, kinds_of, likenesses
 from placegraph.indoor.language.seen import COLUMNS
@@ -14,13 +16,11 @@ from placegraph.indoor.map.floor import label_words
 from placegraph.indoor.map.structure import WORDS, nameless
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
     from placegraph.indoor.language.described import Described, Triple
 
-    Floats = NDArray[np.float64]
+
+Floats = NDArray[np.float64]
+
 
 _PLAIN = 0.25
 """How much a wall is spoken of, against a chair."""

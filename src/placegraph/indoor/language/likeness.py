@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from importlib.resources import files
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.indoor.encode.words import vector
 from placegraph.indoor.map.floor import label_words
 from placegraph.indoor.map.relations.words import forms, same_thing
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from numpy.typing import NDArray
 
 LEAST = 0.5
 """Cosine of words that are no kin any more (`encode.words`: 0.64 of two kinds of a thing)."""

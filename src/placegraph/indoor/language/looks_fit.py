@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.indoor.language.looks import COLOURS, looks
 from placegraph.indoor.language.seen import AT, MATERIALS, PLACES, SHAPES
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable
+Floats = NDArray[np.float64]
+Looks = NDArray[np.floating]
 
-    from numpy.typing import NDArray
-
-    Floats = NDArray[np.float64]
-    Looks = NDArray[np.floating]
 
 MISNAMED = {"colours": 0.25, "places": 0.4}
 """Share of words of a class that are wrong, or a matter of taste;"""

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cache, partialmethod
 from importlib.resources import files
 from math import pi
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from placegraph.language.islands import Chunk, Islands
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 _SKIPPED = ("WORD", "AND", "OF", "FROM", "NOT", "DET", "A", "NO", "NUM", "SOME", "PART", "SIGHT")
 """Chunks that may be left out where the grammar expects something else."""

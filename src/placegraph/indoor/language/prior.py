@@ -15,8 +15,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from placegraph.estimate import Evidence
+from placegraph.estimate import Evidence, ObjectRef
 from placegraph.indoor.language.referents import Referents
 from placegraph.indoor.language.sight import Sight
 from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, STEP
@@ -24,9 +25,6 @@ from placegraph.indoor.map.refs import ref
 from placegraph.language.check import Ignored
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
-    from placegraph.estimate import ObjectRef
     from placegraph.indoor.language.sentence import Sentence, Statement
     from placegraph.indoor.likelihood.visibility import VisibilityTable
     from placegraph.indoor.map.scene import Scene

@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from placegraph.indoor.language.chunk import chunks, clauses
-from placegraph.indoor.language.parse import Noun, Where, parse
+from placegraph.indoor.language.parse import Clause, Item, Noun, Where, parse
 from placegraph.indoor.language.places import Places
 from placegraph.indoor.language.sentence import ME, Kind, Sentence
 from placegraph.indoor.language.statements import SCENE, is_room, looks_of
 from placegraph.language.check import Ignored, check
 from placegraph.language.words import scan
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from placegraph.indoor.language.parse import Clause, Item
 
 _EXAMPLE = "I am next to the sofa, facing the window."
 

@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.indoor.language.colours import with_colours
 from placegraph.indoor.language.described import triples
@@ -21,15 +22,14 @@ from placegraph.indoor.language.likeness import (
 from placegraph.indoor.language.looks_fit import ratios
 from placegraph.indoor.language.score import sayings
 from placegraph.indoor.language.seen import COLUMNS, seen
-from placegraph.indoor.language.sentence import Kind
+from placegraph.indoor.language.sentence import Kind, Sentence, Statement
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from placegraph.indoor.language.sentence import Sentence, Statement
     from placegraph.indoor.map.scene import Scene
 
-    Floats = NDArray[np.float32]
+
+Floats = NDArray[np.float32]
+
 
 _KIN_TOO = 0.3
 """How well kin fits where the thing itself is there."""

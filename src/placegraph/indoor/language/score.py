@@ -7,27 +7,26 @@ Somebody describes a room, or a scene of several rooms as a whole; where a text 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.indoor.language.likeness import EXACT, fits, table, usual
 from placegraph.indoor.language.looks_fit import ratios, room_ratios
-from placegraph.indoor.language.sentence import Kind
+from placegraph.indoor.language.sentence import Kind, Mention, Sentence, Statement
 from placegraph.indoor.map.relations import NEXT_TO
 from placegraph.indoor.map.relations.words import readings
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
-
     from placegraph.indoor.language.index import Columns
-    from placegraph.indoor.language.sentence import Mention, Sentence, Statement
 
-    Floats = NDArray[np.float64]
-    Floats32 = NDArray[np.float32]
+
+Floats = NDArray[np.float64]
+Floats32 = NDArray[np.float32]
+
 
 WRONG = 0.3
 """Share of statements that are wrong, or about what a map does not have."""

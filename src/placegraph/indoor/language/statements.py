@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from placegraph.indoor.language.likeness import room_kind
 from placegraph.indoor.language.looks import is_look, leading, looks, trailing
-from placegraph.indoor.language.parse import Noun, Where
+from placegraph.indoor.language.parse import Item, Noun, Where
 from placegraph.indoor.language.sentence import ME, Kind, Mention, Statement
 from placegraph.indoor.map.relations.words import same_thing
 from placegraph.language.check import Ignored
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from placegraph.indoor.language.parse import Item
     from placegraph.language.islands import Chunk
 
 SCENE = -2

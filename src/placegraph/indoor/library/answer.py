@@ -2,34 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
 from placegraph.estimate import Evidence, ObjectRef, SceneEstimate, SceneMode, Status
-from placegraph.indoor.language import read, score
+from placegraph.indoor.language import Sentence, read, score
 from placegraph.indoor.library.options import SearchOptions
 from placegraph.indoor.library.query import Query, encode
-from placegraph.indoor.library.search import patch_weights, ratio
+from placegraph.indoor.library.search import Scores, patch_weights, ratio
 from placegraph.indoor.likelihood.observe import spread
 from placegraph.indoor.pose.query import chosen_frames
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from numpy.typing import NDArray
-
     from placegraph.earth import EarthPose
     from placegraph.formats.capture.capture import Capture
     from placegraph.formats.capture.frame import Frame
     from placegraph.indoor.encode import Encoder
-    from placegraph.indoor.language import Sentence
     from placegraph.indoor.library.scenes import Scenes
-    from placegraph.indoor.library.search import Scores
 
 SURE = 0.9
 """Probability of the best scene from which on the answer is `OK`."""

@@ -7,6 +7,7 @@ its neighbours in a map of several.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
@@ -14,12 +15,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from placegraph.errors import OptionError
-from placegraph.estimate import Status
+from placegraph.estimate import PoseEstimate, PoseMode, SceneEstimate, Status
 from placegraph.geometry import split_pose
+from placegraph.indoor.encode import Encoder
 from placegraph.indoor.encode import encoder as encoder_named
-from placegraph.indoor.language import read
+from placegraph.indoor.language import Sentence, read
 from placegraph.indoor.language.prior import unused
-from placegraph.indoor.library.answer import SURE
+from placegraph.indoor.library.answer import SURE, Many
 from placegraph.indoor.library.answer import search as search_in
 from placegraph.indoor.localize import localized
 from placegraph.indoor.mapping.merge import merge_scenes
@@ -28,14 +30,8 @@ from placegraph.indoor.pose.trust import SURE as RIGHT
 from placegraph.indoor.pose.trust import TRUST, log_odds
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from placegraph.estimate import PoseEstimate, PoseMode, SceneEstimate
     from placegraph.formats.capture.capture import Capture
     from placegraph.formats.capture.frame import Frame
-    from placegraph.indoor.encode import Encoder
-    from placegraph.indoor.language import Sentence
-    from placegraph.indoor.library.answer import Many
     from placegraph.indoor.library.options import SearchOptions
     from placegraph.indoor.library.scenes import Scenes
     from placegraph.indoor.map.scene import Scene

@@ -14,6 +14,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.indoor.library.search_kernels import (
     add_told,
@@ -26,8 +27,6 @@ from placegraph.indoor.library.signature import BANDS, TURNS
 from placegraph.threads import product
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from placegraph.indoor.library.index import Index, Vocabulary
     from placegraph.indoor.library.options import SearchOptions
     from placegraph.indoor.library.query import Query, Said

@@ -6,12 +6,14 @@ It is mapped from a file (`shard_write`), or made in memory of scenes that are r
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import MapError
 from placegraph.indoor.language.colours import with_colours
@@ -25,10 +27,6 @@ from placegraph.indoor.map.eight_bits import from_8_bits
 from placegraph.store import read_header, read_map, sound
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from numpy.typing import NDArray
-
     from placegraph.files import Watch
     from placegraph.indoor.library.options import SearchOptions
     from placegraph.indoor.library.query import Query

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import itertools
 import json
+import os
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import MapError, OptionError
-from placegraph.indoor.encode import encoder
-from placegraph.indoor.language.described import units
+from placegraph.indoor.encode import Encoder, encoder
+from placegraph.indoor.language.described import Described, units
 from placegraph.indoor.language.index import columns_of
 from placegraph.indoor.library.index import Index
 from placegraph.indoor.library.index import units as units_of
@@ -21,18 +24,13 @@ from placegraph.indoor.map.eight_bits import in_8_bits
 from placegraph.store import write_map
 
 if TYPE_CHECKING:
-    import os
-    from collections.abc import Iterable, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
     from placegraph.earth import EarthPose
-    from placegraph.indoor.encode import Encoder
-    from placegraph.indoor.language.described import Described
     from placegraph.indoor.library.scenes import Entry
     from placegraph.indoor.library.shards import SceneShards
 
-    Arrays = dict[str, NDArray[Any]]
+
+Arrays = dict[str, NDArray[Any]]
+
 
 SIZE = 10_000
 """Scenes of a shard."""

@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import itertools
 import json
+import os
 from collections import OrderedDict
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -18,11 +20,12 @@ from time import perf_counter
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.earth import EarthPose
 from placegraph.errors import InputError, MapError, OptionError, PlacegraphError
 from placegraph.files import real_path
-from placegraph.indoor.language import score
+from placegraph.indoor.language import Sentence, score
 from placegraph.indoor.language.score import compared, of_scenes
 from placegraph.indoor.library.answer import evidence
 from placegraph.indoor.library.library import Asked, SceneLibrary, encoders_of
@@ -44,14 +47,8 @@ from placegraph.indoor.scene_map import SceneMap
 from placegraph.store import read_map, sound
 
 if TYPE_CHECKING:
-    import os
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
     from placegraph.estimate import Evidence
     from placegraph.indoor.encode import Encoder
-    from placegraph.indoor.language import Sentence
     from placegraph.indoor.library.options import SearchOptions
 
 _OPEN = 64

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.indoor.likelihood.score_kernels import COLOUR, DEPTH
-from placegraph.indoor.likelihood.view import Noise
+from placegraph.indoor.likelihood.view import Background, Noise, View
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
     from placegraph.geometry import Floats
-    from placegraph.indoor.likelihood.view import Background, View
     from placegraph.indoor.options import Likelihood
 
 TEMPERATURE = 2.7

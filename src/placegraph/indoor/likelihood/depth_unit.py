@@ -7,18 +7,16 @@ logarithmic scale of the visibility table a factor is a shift.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError, OptionError
 from placegraph.formats.capture.frame_files import LazyImages
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Floats
     from placegraph.indoor.likelihood.observe import Sighting

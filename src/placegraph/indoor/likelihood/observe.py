@@ -6,25 +6,21 @@ image, and depth, patches and rays are taken in exactly that direction.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from placegraph.geometry import level_from_camera
-from placegraph.indoor.likelihood.view import View
+from placegraph.geometry import Camera, Floats, level_from_camera
+from placegraph.indoor.likelihood.view import Background, View
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
     from placegraph.formats.capture.frame import Frame
-    from placegraph.geometry import Camera, Floats
     from placegraph.indoor.encode import MapEncoder, Patches
     from placegraph.indoor.likelihood.model import Model
-    from placegraph.indoor.likelihood.view import Background
     from placegraph.indoor.options import FilterOptions
 
 COARSE = 40.0

@@ -9,15 +9,17 @@ table is derived from the mesh in about a second, so it is not stored in the map
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
 from placegraph.indoor.likelihood.calibrated import TEMPERATURE, reading_ratio
 from placegraph.indoor.likelihood.score_kernels import COLOUR, DEPTH, SEMANTIC
-from placegraph.indoor.likelihood.view import Background
+from placegraph.indoor.likelihood.view import Background, Noise, View
 from placegraph.indoor.map.free import free, grid_of, likely, nearest_scene
 from placegraph.indoor.map.panoramas import DIRECTIONS, HIGHEST, as_bytes, range_of
 from placegraph.indoor.map.panoramas_kernels import (
@@ -36,12 +38,7 @@ from placegraph.indoor.map.panoramas_kernels import (
 from placegraph.indoor.rays.layout import LANES
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
     from placegraph.geometry import Floats
-    from placegraph.indoor.likelihood.view import Noise, View
     from placegraph.indoor.map.scene import Scene
     from placegraph.indoor.options import FilterOptions
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,8 +11,6 @@ from placegraph.earth import unplaced
 from placegraph.features import areas, collection, feature
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from placegraph.indoor.map.scene import Scene
 
 _RING = np.array([(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)])

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.indoor.map.floor import storeys
 from placegraph.indoor.map.panoramas import DIRECTIONS, range_of
-from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, ELEVATIONS, NOTHING
+from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, ELEVATIONS, NOTHING, Panoramas
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
     from placegraph.geometry import Floats
-    from placegraph.indoor.map.panoramas_kernels import Panoramas
     from placegraph.indoor.map.scene import Scene
 
 MOST = 18_000

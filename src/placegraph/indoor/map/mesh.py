@@ -7,17 +7,14 @@ texel, a mesh without textures has one white one. All colours are sRGB.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from placegraph.errors import OptionError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import ArrayLike, NDArray
 
 GRAIN = 2.0**-13
 """Step of vertices [m], 0.12 mm; a power of two, so that float32 holds multiples exactly."""

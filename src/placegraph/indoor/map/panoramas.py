@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.indoor.map.panoramas_kernels import (
     _SCALE,
@@ -16,10 +15,6 @@ from placegraph.indoor.map.panoramas_kernels import (
     NOTHING,
     STEP,
 )
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
 
 HIGHEST = np.deg2rad(50.0)
 """Elevations of the table end here, above and below the horizon."""

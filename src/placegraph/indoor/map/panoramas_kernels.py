@@ -3,19 +3,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.compiled import kernel
 from placegraph.indoor.map.surface_kernels import colour_at, opponent
 from placegraph.indoor.rays.layout import DIRECTION, FAR, LANES, ORIGIN, TRIANGLE, U, V
 from placegraph.indoor.rays.packets_kernels import new_packet, trace16
 from placegraph.threads import share
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
 
 AZIMUTHS = 72
 

@@ -2,30 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from placegraph.earth import ranked
+from placegraph.earth import Anchor, ranked
 from placegraph.errors import OptionError
 from placegraph.graph import SceneGraph
 from placegraph.indoor.map import textures
 from placegraph.indoor.map.eight_bits import from_8_bits, in_8_bits
-from placegraph.indoor.map.mesh import WHITE
+from placegraph.indoor.map.mesh import WHITE, Mesh
 from placegraph.indoor.map.mesh_order import ordered
 from placegraph.portable import Portable, made_again
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable, Mapping, Sequence
-    from typing import Self
-
-    from numpy.typing import ArrayLike, NDArray
-
-    from placegraph.earth import Anchor
     from placegraph.indoor.map.landmarks import Landmarks
-    from placegraph.indoor.map.mesh import Mesh
     from placegraph.indoor.map.surface import Surface
     from placegraph.indoor.rays import RayCaster
 

@@ -5,16 +5,12 @@ By what is built in two maps of a place are aligned, and it stays.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.indoor.map.floor import label_words
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
 
 WORDS = frozenset({
     "wall", "walls", "floor", "floors", "ground", "ceiling", "roof", "pillar", "column", "beam",

@@ -6,18 +6,13 @@ sees the colour of a whole patch of the wall.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from placegraph.indoor.map.mesh import portions
+from placegraph.indoor.map.mesh import Mesh, portions
 from placegraph.indoor.map.surface_kernels import chart_of
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from placegraph.indoor.map.mesh import Mesh
-
 
 MANY = 100
 """A texture of more charts than this is an atlas; in one of fewer, neighbours look alike."""

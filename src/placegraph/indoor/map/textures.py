@@ -7,19 +7,18 @@ from them, so that a map just built and the same map opened give the same colour
 from __future__ import annotations
 
 import io
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError, MapError
 from placegraph.formats.capture.images import FREE_PIXELS, PIXELS_A_BYTE, opened
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from numpy.typing import NDArray
     from PIL.Image import Image
 
     from placegraph.formats.mesh.model import Picture

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from placegraph.errors import OptionError
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping
+Paths = Mapping[str, ArrayLike]
 
-    from numpy.typing import ArrayLike, NDArray
-
-    Paths = Mapping[str, ArrayLike]
 
 EYE = 0.12
 """Length of the pyramid that shows a camera in a .glb [m]."""

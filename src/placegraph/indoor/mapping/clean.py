@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError
 from placegraph.formats.mesh.glb import Z_UP
@@ -13,10 +15,6 @@ from placegraph.indoor.map.floor import is_floor
 from placegraph.indoor.map.mesh import GRAIN, Mesh, portions
 
 if TYPE_CHECKING:
-    from collections import Counter
-
-    from numpy.typing import NDArray
-
     from placegraph.formats.mesh.model import Model, Picture, Thing
 
 TALLEST = 60.0

@@ -2,29 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from os import PathLike
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError, OptionError
-from placegraph.formats.capture.capture import format_of
+from placegraph.formats.capture.capture import Capture, format_of
 from placegraph.formats.mesh.model import Model, Picture, Thing
 from placegraph.indoor.map.floor import floor_height
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.scene_file import VIEWPOINTS
 
 if TYPE_CHECKING:
-    from collections import Counter
-    from collections.abc import Mapping
-    from os import PathLike
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
     from placegraph.earth import Anchor
-    from placegraph.formats.capture.capture import Capture
     from placegraph.indoor.encode.segmenter import Segmenter
     from placegraph.indoor.map.landmarks import Landmarks
     from placegraph.indoor.mapping.atlas import ColourOf

@@ -7,11 +7,13 @@ surface of a voxel is known to centimetres.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.indoor.likelihood.observe import spread
 from placegraph.indoor.map.landmarks import MOST, WIDTH, Landmarks
@@ -19,10 +21,6 @@ from placegraph.indoor.refine.landmarks import LARGEST, features_of, finder
 from placegraph.threads import processors
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
-
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Floats
 

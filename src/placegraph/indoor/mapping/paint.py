@@ -7,12 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.formats.mesh.model import Model, Picture, Thing
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from placegraph.indoor.map.mesh import Mesh
     from placegraph.indoor.map.scene import Scene
 

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from importlib import import_module
 from itertools import islice
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from placegraph.errors import InputError, OptionError
 from placegraph.formats.capture.capture import FORMATS, is_capture
-from placegraph.formats.capture.labels import label_table
+from placegraph.formats.capture.labels import Entry, label_table
 from placegraph.formats.mesh.model import Model, Thing
 from placegraph.formats.place.indoor_osm import is_indoor_osm
 from placegraph.indoor.mapping.from_capture import (
@@ -24,13 +27,6 @@ from placegraph.indoor.mapping.from_capture import (
     things_of,
 )
 from placegraph.indoor.mapping.osm import rooms_source
-
-if TYPE_CHECKING:
-    from collections import Counter
-    from collections.abc import Iterable, Mapping
-    from os import PathLike
-
-    from placegraph.formats.capture.labels import Entry
 
 Up = Literal["auto", "y", "z"]
 

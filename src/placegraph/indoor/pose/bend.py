@@ -9,12 +9,14 @@ good nothing changes, and places that look alike stay alike.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.random import Generator
 
-from placegraph.geometry import between
+from placegraph.geometry import Floats, between
 from placegraph.indoor.likelihood.observe import FINE
 from placegraph.indoor.pose.chain import Course, Told, bent
 from placegraph.indoor.pose.polish import (
@@ -24,20 +26,15 @@ from placegraph.indoor.pose.polish import (
     SOFT,
     SPREAD,
     WIDENED,
+    Fit,
+    Round,
     round_of,
 )
-from placegraph.indoor.pose.window import timed
+from placegraph.indoor.pose.window import Window, timed
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.random import Generator
-
-    from placegraph.geometry import Floats
     from placegraph.indoor.likelihood.score import Scorer
     from placegraph.indoor.likelihood.view import View
-    from placegraph.indoor.pose.polish import Fit, Round
-    from placegraph.indoor.pose.window import Window
 
 GAIN = 10.0
 """Log-likelihood that bending must gain for each frame looked at [nat]."""

@@ -13,14 +13,12 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from placegraph.geometry import between, compose, wrap
+from placegraph.geometry import Floats, between, compose, wrap
 from placegraph.indoor.pose.motion import deviations
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from placegraph.geometry import Floats
     from placegraph.indoor.options import MotionNoise
 
 USUAL = 0.25

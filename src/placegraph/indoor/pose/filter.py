@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
 
 from placegraph.geometry import compose
 from placegraph.indoor.pose.motion import propagate
@@ -19,11 +22,6 @@ from placegraph.indoor.pose.particles import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.random import Generator
-    from numpy.typing import NDArray
-
     from placegraph.indoor.likelihood.score import Scorer
     from placegraph.indoor.likelihood.view import View
     from placegraph.indoor.options import FilterOptions

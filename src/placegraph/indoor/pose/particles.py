@@ -6,13 +6,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
 
 from placegraph.geometry import wrap
 
 if TYPE_CHECKING:
-    from numpy.random import Generator
-    from numpy.typing import NDArray
-
     from placegraph.indoor.options import FilterOptions
 
 BIN = np.array([0.2, 0.2, 0.2, np.deg2rad(10.0)])

@@ -3,25 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.random import Generator
 
 from placegraph.estimate import PassRecord
-from placegraph.geometry import between, compose
+from placegraph.geometry import Floats, between, compose
 from placegraph.indoor.likelihood.observe import COARSE
-from placegraph.indoor.options import STANDING
+from placegraph.indoor.options import STANDING, Pass
 from placegraph.indoor.pose.filter import ParticleFilter, run_pass
 from placegraph.indoor.pose.particles import Particles
 from placegraph.indoor.pose.search import around, near_prior, table_seeds
-from placegraph.indoor.pose.window import timed
-
-if TYPE_CHECKING:
-    from numpy.random import Generator
-
-    from placegraph.geometry import Floats
-    from placegraph.indoor.options import Pass
-    from placegraph.indoor.pose.window import Window
+from placegraph.indoor.pose.window import Window, timed
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,17 +9,21 @@ from.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
 
-from placegraph.geometry import between, compose, wrap
+from placegraph.geometry import Floats, between, compose, wrap
 from placegraph.indoor.likelihood.observe import COARSE, FINE, recent
 from placegraph.indoor.likelihood.score_kernels import DEPTH
 from placegraph.indoor.pose.particles import (
     APART,
     TURNED,
+    Particles,
     distinct,
     log_sum,
     masses,
@@ -27,21 +31,13 @@ from placegraph.indoor.pose.particles import (
     near,
 )
 from placegraph.indoor.pose.search import SCREENED, thinned
-from placegraph.indoor.pose.window import timed
+from placegraph.indoor.pose.window import Window, timed
 from placegraph.indoor.rays.layout import LANES
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from numpy.random import Generator
-    from numpy.typing import NDArray
-
-    from placegraph.geometry import Floats
     from placegraph.indoor.likelihood.score import Scorer
     from placegraph.indoor.likelihood.view import View
     from placegraph.indoor.pose.chain import Chain
-    from placegraph.indoor.pose.particles import Particles
-    from placegraph.indoor.pose.window import Window
 
 SPREAD = np.array([0.12, 0.12, 0.08, 0.05])
 """First standard deviations: x, y, z [m], yaw [rad]; about a cell of the table."""

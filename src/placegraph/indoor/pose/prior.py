@@ -6,13 +6,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from placegraph.errors import OptionError
 from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, STEP
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
     from placegraph.estimate import Evidence
     from placegraph.geometry import Floats
     from placegraph.indoor.language import Sentence

@@ -3,30 +3,28 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from placegraph.errors import OptionError
-from placegraph.indoor.encode import for_map
+from placegraph.indoor.encode import Encoder, MapEncoder, for_map
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.pose.motion import keyframes, level_poses
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import ArrayLike
-
     from placegraph.formats.capture.capture import Capture
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Floats
-    from placegraph.indoor.encode import Encoder, MapEncoder
     from placegraph.indoor.language import Sentence
     from placegraph.indoor.map.scene import Scene
     from placegraph.indoor.pose.prior import Prior
 
-    Progress = Callable[[str, int, int], None]
+
+Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

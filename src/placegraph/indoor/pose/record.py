@@ -5,20 +5,17 @@ The layout is that of map files (`placegraph.store`), of kind ``run``: `docs/for
 
 from __future__ import annotations
 
+from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.estimate import PassRecord, PoseEstimate, PoseMode, Status
-from placegraph.store import read_map, sound, write_map
+from placegraph.store import MapFile, read_map, sound, write_map
 
 if TYPE_CHECKING:
-    from os import PathLike
-
-    from numpy.typing import NDArray
-
     from placegraph.geometry import Floats
-    from placegraph.store import MapFile
 
 KIND = "run"
 VERSION = 1

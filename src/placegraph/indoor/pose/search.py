@@ -2,30 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
-from placegraph.geometry import between, compose
+from placegraph.geometry import Floats, between, compose
 from placegraph.indoor.likelihood.observe import COARSE, spread
-from placegraph.indoor.likelihood.visibility import floor_under
+from placegraph.indoor.likelihood.visibility import VisibilityTable, floor_under
 from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, HEADINGS
 from placegraph.indoor.pose.particles import distinct
-from placegraph.indoor.pose.window import timed
+from placegraph.indoor.pose.window import Window, timed
 from placegraph.indoor.rays.layout import LANES
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.random import Generator
-    from numpy.typing import NDArray
-
-    from placegraph.geometry import Floats
     from placegraph.indoor.likelihood.view import Noise, View
-    from placegraph.indoor.likelihood.visibility import VisibilityTable
     from placegraph.indoor.pose.prior import Leaning, Prior
-    from placegraph.indoor.pose.window import Window
 
 LOOKS = 5
 """Frames of a window that are looked up in the table."""

@@ -7,29 +7,23 @@ wall, what fits as well a metre further on would be missed, and a narrow covaria
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.random import Generator
 
-from placegraph.geometry import between
+from placegraph.geometry import Floats, between
 from placegraph.indoor.likelihood.observe import COARSE, FINE
 from placegraph.indoor.pose.chain import Chain
 from placegraph.indoor.pose.polish import (
     MERGED,
     SPREAD,
+    Fit,
     probabilities,
     refine,
     round_of,
     told_apart,
 )
-from placegraph.indoor.pose.window import timed
-
-if TYPE_CHECKING:
-    from numpy.random import Generator
-
-    from placegraph.geometry import Floats
-    from placegraph.indoor.pose.polish import Fit
-    from placegraph.indoor.pose.window import Window
+from placegraph.indoor.pose.window import Window, timed
 
 FIRM = 0.03
 """A pose known to this [m] in all directions is not slid."""

@@ -6,14 +6,17 @@ supposes one fault after the other, takes it back, and sees whether the frames t
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
 
-from placegraph.geometry import between, level_from_camera, split_pose, wrap
+from placegraph.geometry import Floats, between, level_from_camera, split_pose, wrap
 from placegraph.indoor.likelihood.depth_unit import mended, suspected_factor
-from placegraph.indoor.likelihood.observe import FINE, sight, spread
+from placegraph.indoor.likelihood.observe import FINE, Sighting, sight, spread
 from placegraph.indoor.pose.evidence import agreement
 from placegraph.indoor.pose.polish import polished
 from placegraph.indoor.pose.search import search
@@ -21,13 +24,6 @@ from placegraph.indoor.pose.trust import SPEAK
 from placegraph.indoor.pose.window import Window
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from numpy.random import Generator
-    from numpy.typing import NDArray
-
-    from placegraph.geometry import Floats
-    from placegraph.indoor.likelihood.observe import Sighting
     from placegraph.indoor.likelihood.score import Scorer
     from placegraph.indoor.pose.query import PoseQuery
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -9,33 +10,26 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
-from placegraph.indoor.encode import bound
+from placegraph.indoor.encode import MapEncoder, bound
 from placegraph.indoor.encode.instances import InstancesEncoder
 from placegraph.indoor.encode.labels import LabelsEncoder
 from placegraph.indoor.likelihood.depth_unit import check_unit
-from placegraph.indoor.likelihood.observe import sight, views
+from placegraph.indoor.likelihood.observe import Cut, Sighting, sight, views
 from placegraph.indoor.likelihood.score import Scorer
-from placegraph.indoor.likelihood.visibility import visibility
+from placegraph.indoor.likelihood.visibility import VisibilityTable, visibility
 from placegraph.indoor.pose.chain import Chain
 from placegraph.indoor.pose.prior import Leaning
-from placegraph.indoor.pose.query import leveled
+from placegraph.indoor.pose.query import PoseQuery, leveled
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable, Iterator
-
-    from numpy.typing import NDArray
-
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Floats
-    from placegraph.indoor.encode import MapEncoder
-    from placegraph.indoor.likelihood.observe import Cut, Sighting
     from placegraph.indoor.likelihood.view import View
-    from placegraph.indoor.likelihood.visibility import VisibilityTable
     from placegraph.indoor.map.scene import Scene
     from placegraph.indoor.options import FilterOptions
-    from placegraph.indoor.pose.query import PoseQuery
 
 T = TypeVar("T")
 

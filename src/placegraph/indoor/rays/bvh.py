@@ -8,14 +8,12 @@ which two triangles that share an edge compute alike, so that no ray slips betwe
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.indoor.rays.bvh_kernels import _boxes, _fill, _split_all
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 
 class Bvh(NamedTuple):

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from placegraph.errors import OptionError
 from placegraph.indoor.rays import bvh, embree
 from placegraph.indoor.rays.layout import LANES, NONE
 from placegraph.indoor.rays.packets_kernels import Tracer, cast_rays
 from placegraph.threads import processors
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
 
 Backend = Literal["auto", "embree", "bvh"]
 

@@ -12,9 +12,11 @@ import re
 import weakref
 from functools import cache
 from importlib.metadata import PackageNotFoundError, distribution
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import MissingExtraError, PlacegraphError
 from placegraph.indoor.rays.layout import (
@@ -32,11 +34,6 @@ from placegraph.indoor.rays.layout import (
 )
 from placegraph.indoor.rays.packets_kernels import Tracer
 from placegraph.threads import processors
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
 
 WHEEL = "4.4."
 """Versions of ``embreex`` that start so are known."""

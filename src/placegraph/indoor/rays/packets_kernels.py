@@ -3,9 +3,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.compiled import kernel
 from placegraph.indoor.rays.layout import (
@@ -26,9 +27,6 @@ from placegraph.indoor.rays.layout import (
 )
 from placegraph.indoor.rays.native_kernels import call
 from placegraph.indoor.rays.walk_kernels import walk16
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 
 class Tracer(NamedTuple):

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import ctypes
 import sys
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, TypeAlias
+from types import ModuleType
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from placegraph.errors import MissingExtraError, OptionError
 from placegraph.indoor.rays.caster import Hits, checked_mesh, checked_rays
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from types import ModuleType
-
-    from numpy.typing import ArrayLike, NDArray
 
 WarpArray: TypeAlias = Any
 """An array on a device of Warp, which is imported only where it is used."""

@@ -7,25 +7,22 @@ matches of images tell theirs; and both together tell where, and when, depth was
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from placegraph.geometry import cross_matrix, rotation_from_vector
+from placegraph.geometry import Floats, cross_matrix, rotation_from_vector
 from placegraph.indoor.refine.equations import POINTS, READINGS
 from placegraph.indoor.refine.lag import twists, usual_lag
-from placegraph.indoor.refine.solve import add_beliefs, leaning
+from placegraph.indoor.refine.solve import Problem, add_beliefs, leaning
 from placegraph.threads import product
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from placegraph.geometry import Floats
     from placegraph.indoor.map.scene import Scene
     from placegraph.indoor.refine.depth import Readings
     from placegraph.indoor.refine.match import Sights
-    from placegraph.indoor.refine.solve import Problem
 
 SCALE, FOCAL, IMAGE, TIME = range(4)
 """Unknowns: logarithms of the factors on depth readings, on the depth camera's focal length and on

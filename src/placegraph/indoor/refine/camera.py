@@ -12,9 +12,10 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from placegraph.estimate import Status
-from placegraph.geometry import between, compose, pose_matrix
+from placegraph.estimate import PoseEstimate, Status
+from placegraph.geometry import Floats, between, compose, pose_matrix
 from placegraph.indoor.likelihood.observe import spread
 from placegraph.indoor.pose.window import Window
 from placegraph.indoor.refine.calibrate import (
@@ -25,21 +26,16 @@ from placegraph.indoor.refine.calibrate import (
     SCALE,
     TILT,
     WIDTHS,
+    Calibrated,
     calibrate,
 )
 from placegraph.indoor.refine.mend import Mend, brought, share_view
-from placegraph.indoor.refine.refiner import Refiner
+from placegraph.indoor.refine.refiner import Fitted, Refiner
 from placegraph.indoor.refine.stages import stages_of
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from placegraph.estimate import PoseEstimate
-    from placegraph.geometry import Floats
-    from placegraph.indoor.refine.calibrate import Calibrated
     from placegraph.indoor.refine.match import Sights
     from placegraph.indoor.refine.refinement import Refining
-    from placegraph.indoor.refine.refiner import Fitted
     from placegraph.indoor.refine.solve import Problem
 
 OFF = 0.04

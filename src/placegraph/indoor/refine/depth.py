@@ -6,19 +6,17 @@ surfaces have no part, and no cloud, tree or normal estimation is needed.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.indoor.refine.fit_kernels import plane_distances, read
 from placegraph.indoor.render import camera_rays
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Floats
     from placegraph.indoor.map.scene import Scene

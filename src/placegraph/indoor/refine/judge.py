@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from placegraph.geometry import vector_from_rotation
+from placegraph.geometry import Floats, vector_from_rotation
 from placegraph.indoor.pose.window import timed
 from placegraph.indoor.refine.camera import DULL, OFF, SUSPECT, scale_off
 from placegraph.indoor.refine.check import Evidence, depth_evidence, image_evidence, surely
@@ -15,9 +16,6 @@ from placegraph.indoor.refine.landmarks import kept_scores
 from placegraph.indoor.refine.solve import odometry_errors
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from placegraph.geometry import Floats
     from placegraph.indoor.refine.refiner import Fitted, Refiner
 
 FARTHEST = (1.0, 0.6)

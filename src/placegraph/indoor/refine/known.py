@@ -8,22 +8,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.estimate import PoseEstimate, PoseMode, Status
-from placegraph.geometry import between, compose, pose_matrix, split_pose, wrap
+from placegraph.geometry import Floats, between, compose, pose_matrix, split_pose, wrap
 from placegraph.indoor.likelihood.observe import COARSE, FINE
 from placegraph.indoor.pose import polish
 from placegraph.indoor.pose.chain import Chain
 from placegraph.indoor.pose.verdict import verdict
-from placegraph.indoor.pose.window import observe
+from placegraph.indoor.pose.window import Window, observe
 from placegraph.indoor.refine.camera import wrong_camera
-from placegraph.indoor.refine.refinement import MOST, tried
+from placegraph.indoor.refine.refinement import MOST, Refining, tried
 from placegraph.indoor.refine.refiner import Refiner
 
 if TYPE_CHECKING:
-    from placegraph.geometry import Floats
     from placegraph.indoor.pose.query import PoseQuery
-    from placegraph.indoor.pose.window import Window
     from placegraph.indoor.refine.options import RefineOptions
-    from placegraph.indoor.refine.refinement import Refining
 
 _NEARLY = np.array([0.03, 0.03, 0.02, 0.015])
 _SHARPEST = 1e-3  # nobody knows a pose better than this [m], [rad]

@@ -8,16 +8,11 @@ sequence: what they see is seen from where odometry leads that much later.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from placegraph.geometry import rotation_from_vector, vector_from_rotation
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from placegraph.geometry import Floats
+from placegraph.geometry import Floats, rotation_from_vector, vector_from_rotation
 
 USUAL = (0.03, 0.3)
 """Standard deviation of a lag: in the unit of the stamps [s], or this share of the time between two

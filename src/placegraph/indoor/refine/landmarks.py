@@ -10,16 +10,18 @@ are the same for every map.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import MissingExtraError
-from placegraph.geometry import split_pose, vector_from_rotation
+from placegraph.geometry import Floats, split_pose, vector_from_rotation
 from placegraph.indoor.likelihood.observe import spread
 from placegraph.indoor.map.landmarks import WIDTH, Landmarks
-from placegraph.indoor.pose.window import timed
+from placegraph.indoor.pose.window import Window, timed
 from placegraph.indoor.refine.check import held_back, likely
 from placegraph.indoor.refine.match import Consensus, Sights, smaller, solve_rig
 from placegraph.indoor.refine.matching.guided import resized
@@ -27,13 +29,7 @@ from placegraph.indoor.refine.matching.sift import SiftMatcher
 from placegraph.indoor.refine.options import RefineOptions
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
     from placegraph.formats.capture.frame import Frame
-    from placegraph.geometry import Floats
-    from placegraph.indoor.pose.window import Window
     from placegraph.indoor.refine.matching.features import Features
     from placegraph.indoor.refine.refiner import Refiner
 

@@ -7,20 +7,23 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
 
 from placegraph.errors import MissingExtraError, OptionError
-from placegraph.geometry import rotation_from_vector, rotation_z, vector_from_rotation
+from placegraph.geometry import (
+    Camera,
+    Floats,
+    rotation_from_vector,
+    rotation_z,
+    vector_from_rotation,
+)
 from placegraph.indoor.likelihood.observe import REFERENCE
-from placegraph.indoor.refine.matching import Matches
+from placegraph.indoor.refine.matching import Matcher, Matches
 from placegraph.indoor.refine.matching.guided import resized
 
 if TYPE_CHECKING:
-    from numpy.random import Generator
-    from numpy.typing import NDArray
-
     from placegraph.formats.capture.frame import Frame
-    from placegraph.geometry import Camera, Floats
-    from placegraph.indoor.refine.matching import Matcher
     from placegraph.indoor.refine.options import RefineOptions
     from placegraph.indoor.render import Renderer, Rendering
 

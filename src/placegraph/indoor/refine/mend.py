@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from placegraph.estimate import Calibration, Status
+from placegraph.estimate import Calibration, PoseEstimate, Status
 from placegraph.formats.capture.frame_files import LazyImages
 from placegraph.indoor.refine.calibrate import (
     COUNT,
@@ -21,11 +23,6 @@ from placegraph.indoor.refine.calibrate import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from placegraph.estimate import PoseEstimate
     from placegraph.formats.capture.frame import Frame, Images
     from placegraph.geometry import Camera, Floats
     from placegraph.indoor.pose.query import PoseQuery

@@ -9,7 +9,7 @@ import numpy as np
 
 from placegraph.errors import MissingExtraError, OptionError, ServiceError
 from placegraph.estimate import PoseEstimate, PoseMode, Refinement, Status
-from placegraph.geometry import split_pose
+from placegraph.geometry import Floats, split_pose
 from placegraph.indoor.pose.verdict import evidence_at
 from placegraph.indoor.refine.judge import BENT, Judgement, judged
 from placegraph.indoor.refine.matching import Matcher
@@ -18,7 +18,6 @@ from placegraph.indoor.refine.options import RefineOptions
 from placegraph.indoor.refine.refiner import Fitted, Refiner
 
 if TYPE_CHECKING:
-    from placegraph.geometry import Floats
     from placegraph.indoor.pose.window import Window
 
 MOST = 30

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
 
 from placegraph.indoor.likelihood.observe import spread
-from placegraph.indoor.pose.window import timed
+from placegraph.indoor.pose.window import Window, timed
 from placegraph.indoor.refine.check import held_back
 from placegraph.indoor.refine.depth import Readings, Surfaces, readings
 from placegraph.indoor.refine.landmarks import firm, kept_out, near, plenty, seen
@@ -23,16 +26,10 @@ from placegraph.indoor.render import Renderer
 from placegraph.threads import processors
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.random import Generator
-    from numpy.typing import NDArray
-
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Floats
     from placegraph.indoor.map.scene import Scene
     from placegraph.indoor.pose.query import Progress
-    from placegraph.indoor.pose.window import Window
     from placegraph.indoor.refine.lag import Lags
     from placegraph.indoor.refine.matching import Matcher
     from placegraph.indoor.refine.options import RefineOptions

@@ -9,22 +9,19 @@ Depth and images may lag behind the odometry's clock, each by one unknown (`lag`
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from placegraph.errors import InputError
-from placegraph.geometry import cross_matrix, rotation_from_vector, vector_from_rotation
-from placegraph.indoor.refine.equations import ASTRAY, depth_says, matches_say, usual_errors
+from placegraph.geometry import Floats, cross_matrix, rotation_from_vector, vector_from_rotation
+from placegraph.indoor.refine.equations import ASTRAY, Says, depth_says, matches_say, usual_errors
 from placegraph.indoor.refine.lag import MOST, Lags, clear, in_map_axes, later, twists, usual_lag
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from placegraph.geometry import Floats
     from placegraph.indoor.refine.depth import Readings, Surfaces
-    from placegraph.indoor.refine.equations import Says
     from placegraph.indoor.refine.match import Sights
     from placegraph.indoor.refine.options import RefineOptions
 

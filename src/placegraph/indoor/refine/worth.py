@@ -8,18 +8,16 @@ each pulled by what it sees, part from what odometry says of their way, and how 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.indoor.refine.solve import odometry_errors
+from placegraph.indoor.refine.solve import Problem, Solution, odometry_errors
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from placegraph.geometry import Floats
     from placegraph.indoor.refine.match import Sights
-    from placegraph.indoor.refine.solve import Problem, Solution
 
 PULL = 7.0
 """Error common to all frames, in units of how far they part from their way (benchmark)."""

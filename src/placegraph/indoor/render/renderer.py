@@ -7,21 +7,19 @@ covers: of a texture by its mip levels, across edges by several rays.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from placegraph.errors import OptionError
 from placegraph.indoor.render.render_kernels import TILE, Eye, Picture, World, draw, smooth
 from placegraph.threads import share
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import ArrayLike, NDArray
-
     from placegraph.geometry import Camera, Floats
     from placegraph.indoor.map.mesh import Mesh
     from placegraph.indoor.map.scene import Scene

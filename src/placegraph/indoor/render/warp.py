@@ -6,12 +6,11 @@ from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.indoor.rays.warp import WarpCaster, quietly
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from placegraph.indoor.map.scene import Scene
     from placegraph.indoor.render.render_kernels import Eye
     from placegraph.indoor.render.renderer import Rendering

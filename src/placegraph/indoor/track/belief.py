@@ -7,16 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.estimate import PoseEstimate, Status
-from placegraph.indoor.track.follower import Placed
+from placegraph.indoor.track.follower import Placed, Said
 from placegraph.indoor.track.live_pose import Anchor, LivePose, predicted
-from placegraph.indoor.track.odometry import AHEAD, JUMP, KEPT, TWITCH, Odometry
+from placegraph.indoor.track.odometry import AHEAD, JUMP, KEPT, TWITCH, Odometry, Sample
 
 if TYPE_CHECKING:
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Floats
     from placegraph.indoor.options import MotionNoise
-    from placegraph.indoor.track.follower import Said
-    from placegraph.indoor.track.odometry import Sample
 
 BROKEN = np.diag([0.25, 0.25, 0.01, 0.0, 0.0, 0.25])
 """Covariance that is added where odometry begins anew: half a metre, half a radian."""

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.random import Generator
 
 from placegraph.errors import OptionError
-from placegraph.geometry import split_pose
+from placegraph.geometry import Floats, split_pose
 from placegraph.indoor.likelihood.depth_unit import check_unit
 from placegraph.indoor.likelihood.observe import sight
 from placegraph.indoor.likelihood.score import Scorer
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.pose.placed import placed
-from placegraph.indoor.pose.polish import polished
+from placegraph.indoor.pose.polish import Fit, polished
 from placegraph.indoor.pose.prior import Prior
 from placegraph.indoor.pose.query import PoseQuery
 from placegraph.indoor.pose.search import search
@@ -23,16 +25,9 @@ from placegraph.indoor.pose.verdict import verdict
 from placegraph.indoor.pose.window import Window, own_encoder, shows_something
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from typing import Any
-
-    from numpy.random import Generator
-
     from placegraph.estimate import PoseEstimate
     from placegraph.formats.capture.frame import Frame
-    from placegraph.geometry import Floats
     from placegraph.indoor.library.library import SceneLibrary
-    from placegraph.indoor.pose.polish import Fit
     from placegraph.indoor.scene_map import SceneMap
 
 HEIGHT = 0.15

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from os import PathLike
 from threading import Condition
 from typing import TYPE_CHECKING, Any, Self
+
+from numpy.typing import ArrayLike
 
 from placegraph.errors import MapError, OptionError
 from placegraph.indoor.options import FilterOptions
@@ -15,11 +19,7 @@ from placegraph.indoor.track.saved import Saved, digest_of
 from placegraph.indoor.track.worker import Worker
 
 if TYPE_CHECKING:
-    from collections import Counter
     from concurrent.futures import Executor
-    from os import PathLike
-
-    from numpy.typing import ArrayLike
 
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Camera

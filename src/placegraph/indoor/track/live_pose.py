@@ -7,14 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from placegraph.estimate import Status
-from placegraph.geometry import cross_matrix
+from placegraph.estimate import PoseEstimate, Status
+from placegraph.geometry import Floats, cross_matrix
 from placegraph.indoor.pose.slide import least_known
 from placegraph.indoor.pose.verdict import LOOSE
 
 if TYPE_CHECKING:
-    from placegraph.estimate import PoseEstimate
-    from placegraph.geometry import Floats
     from placegraph.indoor.options import MotionNoise
     from placegraph.indoor.track.odometry import Sample
 

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from placegraph.errors import OptionError
-from placegraph.geometry import rotation_from_vector, vector_from_rotation
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-    from placegraph.geometry import Floats
+from placegraph.geometry import Floats, rotation_from_vector, vector_from_rotation
 
 KEPT = 10.0
 """Seconds remembered: an image that is later than that is of no use."""

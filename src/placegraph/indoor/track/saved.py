@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,8 +15,6 @@ from placegraph.indoor.track.odometry import checked_covariance, checked_odometr
 from placegraph.store import read_map, write_map
 
 if TYPE_CHECKING:
-    from os import PathLike
-
     from placegraph.geometry import Floats
     from placegraph.indoor.map.scene import Scene
 

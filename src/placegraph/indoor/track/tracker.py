@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -10,14 +11,23 @@ import numpy as np
 
 from placegraph.errors import OptionError
 from placegraph.estimate import PoseEstimate, Status
-from placegraph.geometry import between, compose, level_from_camera, pose_matrix, split_pose, wrap
-from placegraph.indoor.likelihood.observe import FINE, sight
+from placegraph.geometry import (
+    Camera,
+    Floats,
+    between,
+    compose,
+    level_from_camera,
+    pose_matrix,
+    split_pose,
+    wrap,
+)
+from placegraph.indoor.likelihood.observe import FINE, Cut, Sighting, sight
 from placegraph.indoor.likelihood.score import Scorer
 from placegraph.indoor.pose.chain import Chain
 from placegraph.indoor.pose.motion import deviations
 from placegraph.indoor.pose.placed import placed
 from placegraph.indoor.pose.polish import FITTED, NARROWEST, Fit, refine, round_of
-from placegraph.indoor.pose.query import leveled
+from placegraph.indoor.pose.query import PoseQuery, leveled
 from placegraph.indoor.pose.slide import least_known
 from placegraph.indoor.pose.verdict import LOOSE, verdict
 from placegraph.indoor.pose.window import Window, own_encoder, shows_something
@@ -25,12 +35,7 @@ from placegraph.indoor.track.again import Again
 from placegraph.indoor.track.finder import look_up
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from placegraph.formats.capture.frame import Frame
-    from placegraph.geometry import Camera, Floats
-    from placegraph.indoor.likelihood.observe import Cut, Sighting
-    from placegraph.indoor.pose.query import PoseQuery
 
 KEPT = 10
 """Keyframes remembered: what a search after the camera was lost has to go by."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -9,14 +10,11 @@ import numpy as np
 
 from placegraph.errors import OptionError
 from placegraph.estimate import PoseEstimate, Status
-from placegraph.geometry import between, compose, level_from_camera, pose_matrix, split_pose
+from placegraph.geometry import Floats, between, compose, level_from_camera, pose_matrix, split_pose
 from placegraph.indoor.pose.query import leveled
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from placegraph.formats.capture.frame import Frame
-    from placegraph.geometry import Floats
     from placegraph.indoor.track.tracker import Tracker
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -14,7 +15,6 @@ from placegraph.indoor.track.odometry import JUMP
 from placegraph.threads import limited, processors
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from threading import Condition
 
     from placegraph.formats.capture.frame import Frame

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,8 +12,6 @@ from placegraph.outdoor.map.objects import POINT
 from placegraph.view.city.items import common_name
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from placegraph.geometry import Floats
     from placegraph.outdoor.map.city import City
 

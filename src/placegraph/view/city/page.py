@@ -4,23 +4,21 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Iterator
 from importlib import resources
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from placegraph.files import put
 from placegraph.view.city.estimate_items import place_of, rivals
-from placegraph.view.city.tiles import CityTiles
+from placegraph.view.city.tiles import CityTiles, Tile
 from placegraph.view.draw.style import clean, style_sheet
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
     from placegraph.estimate import CityEstimate
     from placegraph.outdoor.city import CityMap
-    from placegraph.view.city.tiles import Tile
 
 SCRIPTS = ("base", "gestures", "tiles", "letters", "map", "marks", "panel", "answer", "still")
 """Modules of the page, each after those it imports."""

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from placegraph.errors import OptionError
-from placegraph.estimate import Status
+from placegraph.estimate import CityEstimate, Evidence, Place, Status
 from placegraph.view.city.estimate_items import (
     ellipse,
     evidence_marks,
@@ -25,9 +26,6 @@ from placegraph.view.draw.painter import paint_picture
 from placegraph.view.draw.sheet import Sheet
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
-    from placegraph.estimate import CityEstimate, Evidence, Place
     from placegraph.geometry import Floats
     from placegraph.outdoor.city import CityMap
 

@@ -8,28 +8,25 @@ half the scale of the one below it.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import asdict
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.outdoor.map.objects import simplify
 from placegraph.view.city.coast import sea
 from placegraph.view.city.examples import examples
 from placegraph.view.city.items import city_bounds, extents, item_of, labels_of
-from placegraph.view.draw.canvas import Area, Bounds, Dot, Line, in_painters_order
+from placegraph.view.draw.canvas import Area, Bounds, Dot, Line, MapItem, Points, in_painters_order
 from placegraph.view.draw.clip import clip_ring
 from placegraph.view.draw.style import CASED, CASING, LINE, PAINTS, POINT, paint_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
-
     from placegraph.geometry import Floats
     from placegraph.outdoor.map.city import City
-    from placegraph.view.draw.canvas import MapItem, Points
 
 SIDE = 1024.0
 """Side of a tile of level 0 [m]."""

@@ -7,16 +7,14 @@ Positions are east, north [m].
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.view.draw.style import LAYER
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
 
 Points = NDArray[np.floating[Any]]
 Bounds = tuple[float, float, float, float]

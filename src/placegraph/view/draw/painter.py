@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image, ImageChops, ImageColor, ImageDraw
 
 from placegraph.view.draw.canvas import (
@@ -28,10 +30,6 @@ from placegraph.view.draw.fonts import face_for
 from placegraph.view.draw.style import CASED, PAINTS, PALETTE, Paint
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
     from placegraph.geometry import Floats
 
 RGBA = tuple[int, int, int, int]

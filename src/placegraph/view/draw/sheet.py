@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_right
+from collections.abc import Callable, Sequence
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,8 +18,6 @@ from placegraph.view.draw.painter import SUPERSAMPLE, heat, likely
 from placegraph.view.draw.style import PALETTE
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from placegraph.geometry import Floats
 
 XY = tuple[float, float]

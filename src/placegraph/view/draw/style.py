@@ -6,13 +6,10 @@ looks, change the tables here; pictures and pages read them.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
 from html import escape
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
 
 POINT, LINE, AREA = 0, 1, 2
 

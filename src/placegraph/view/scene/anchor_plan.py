@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from math import degrees
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.earth import unplaced
-from placegraph.view.draw.canvas import Disc, Frame, Item, Stroke
+from placegraph.earth import Anchor, unplaced
+from placegraph.view.draw.canvas import Bounds, Disc, Frame, Item, Stroke
 from placegraph.view.draw.lettering import Taken
 from placegraph.view.draw.painter import paint_picture
 from placegraph.view.draw.sheet import Sheet
@@ -19,13 +21,8 @@ from placegraph.view.scene.room_painter import paint_room
 from placegraph.view.scene.room_plan import MARGIN, RoomPlan
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
-    from pathlib import Path
-
-    from placegraph.earth import Anchor
     from placegraph.geometry import Floats
     from placegraph.indoor.scene_map import SceneMap
-    from placegraph.view.draw.canvas import Bounds
     from placegraph.world.footprints import Footprint
 
 FAR = 150.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,8 +19,6 @@ from placegraph.view.scene.room_plan import RoomPlan
 from placegraph.view.scene.room_style import plain_words
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from placegraph.geometry import Floats
     from placegraph.indoor.mapping.change.changes import Change, SceneDiff
     from placegraph.indoor.scene_map import SceneMap

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from colorsys import hsv_to_rgb
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from placegraph.errors import OptionError
@@ -13,11 +16,6 @@ from placegraph.view.draw.fonts import face_for
 from placegraph.view.draw.sheet import write_image
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
     from placegraph.estimate import PoseEstimate
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Floats

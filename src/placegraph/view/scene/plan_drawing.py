@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -34,8 +35,6 @@ from placegraph.view.scene.room_plan import RoomPlan
 from placegraph.view.scene.room_style import plain_words
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from PIL import Image
 
     from placegraph.estimate import PassRecord, PoseEstimate

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from placegraph.errors import OptionError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from placegraph.view.draw.canvas import Bounds
 
 HEAD, FOOT, GAP = 64, 46, 4

@@ -7,15 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.estimate import Status
+from placegraph.estimate import PoseEstimate, PoseMode, Status
 from placegraph.view.city.estimate_items import SIGMAS
-from placegraph.view.draw.canvas import Disc, Item, Mark, Stroke, Swarm, Text
+from placegraph.view.draw.canvas import Bounds, Disc, Item, Mark, Stroke, Swarm, Text
 from placegraph.view.scene.plan_layout import evenly
 
 if TYPE_CHECKING:
-    from placegraph.estimate import PoseEstimate, PoseMode
     from placegraph.geometry import Camera, Floats
-    from placegraph.view.draw.canvas import Bounds
     from placegraph.view.scene.room_plan import RoomPlan
 
 POSE_COLOR = {Status.OK: "mode", Status.AMBIGUOUS: "amber", Status.LOST: "soft-ink"}

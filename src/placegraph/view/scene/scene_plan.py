@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image, ImageColor
 
 from placegraph.errors import OptionError
@@ -23,10 +25,6 @@ from placegraph.view.scene.room_painter import paint_room
 from placegraph.view.scene.room_plan import RoomPlan
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
     from placegraph.estimate import PoseEstimate
     from placegraph.geometry import Camera, Floats
     from placegraph.indoor.scene_map import SceneMap

@@ -3,15 +3,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.compiled import kernel
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
 
 STEEP = 0.02
 """Triangles whose footprint is narrower than this share of their length are drawn as lines."""

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import socket
 import threading
+from collections.abc import Mapping
 from contextlib import redirect_stdout
 from io import StringIO
 from time import sleep
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import MissingExtraError, OptionError
 from placegraph.geometry import quaternion_from_rotation
@@ -18,10 +20,7 @@ from placegraph.view.scene.pose_items import OPENING, levels
 from placegraph.view.viewer.viewer_scene import SceneView
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     import viser
-    from numpy.typing import NDArray
 
     from placegraph.estimate import PoseEstimate
     from placegraph.indoor.scene_map import SceneMap

@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from placegraph.formats.mesh.glb_write import Part, encode_glb
+from placegraph.formats.mesh.glb_write import Material, Part, Surface, encode_glb
 from placegraph.indoor.mapping.camera_paths import path_lines
 from placegraph.indoor.mapping.export import materials, object_surfaces
 from placegraph.view.scene.room_style import ROOM_PAINTS, room_paint
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
     import viser
-    from numpy.typing import NDArray
 
-    from placegraph.formats.mesh.glb_write import Material, Surface
     from placegraph.indoor.scene_map import SceneMap
 
 INKS = (

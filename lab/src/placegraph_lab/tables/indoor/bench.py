@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
 
 from placegraph_lab.tables.indoor import maps as indoor_maps
-from placegraph_lab.tables.indoor.windows import HALVES, covered, house_windows, office_windows
+from placegraph_lab.tables.indoor.windows import (
+    HALVES,
+    Window,
+    covered,
+    house_windows,
+    office_windows,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
-    from typing import Any, Self
-
     from placegraph.indoor.scene_map import SceneMap
-    from placegraph_lab.tables.indoor.windows import Window
     from placegraph_lab.tables.run import Run
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,9 +23,6 @@ from placegraph_lab.tables.indoor.peers import Peer, colmap_peer, xfeat_peer
 from placegraph_lab.tables.indoor.windows import HALVES, true_poses
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
-
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Floats
 

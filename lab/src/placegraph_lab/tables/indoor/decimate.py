@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from placegraph.errors import OptionError
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.mapping.simplify.simplify import simplify
 
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+Floats = NDArray[np.float64]
+Floats32 = NDArray[np.float32]
+Ints = NDArray[np.int32]
 
-    Floats = NDArray[np.float64]
-    Floats32 = NDArray[np.float32]
-    Ints = NDArray[np.int32]
 
 SPACING = 0.02
 """Distance between samples of the colour of a surface [m]."""

@@ -8,6 +8,7 @@ Needs small_gicp, which only this comparison uses.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -16,8 +17,6 @@ import numpy as np
 from placegraph.errors import MissingExtraError, OptionError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Floats
     from placegraph.indoor.scene_map import SceneMap

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import time
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, Protocol, TypeVar
 
@@ -13,15 +14,12 @@ from placegraph.indoor.encode.instances import ClassesOfInstances, InstancesEnco
 from placegraph.indoor.options import FilterOptions
 from placegraph_lab.tables.indoor.label_noise import NoisyEncoder
 from placegraph_lab.tables.indoor.metrics import Answer, measure
-from placegraph_lab.tables.indoor.windows import HALVES
+from placegraph_lab.tables.indoor.windows import HALVES, Window
 from placegraph_lab.tables.journal import INDOOR
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
     from placegraph.indoor.encode import MapEncoder
     from placegraph.indoor.scene_map import SceneMap
-    from placegraph_lab.tables.indoor.windows import Window
 
 Labels = Literal["instances", "classes", "none"]
 

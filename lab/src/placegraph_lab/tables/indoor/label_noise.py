@@ -8,19 +8,17 @@ other labels are those of a vocabulary. Patches that say nothing go on saying no
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 from zlib import crc32
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from numpy.typing import NDArray
-
     from placegraph.formats.capture.capture import Capture
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Camera

@@ -5,7 +5,7 @@ They lie in a cache folder; a fingerprint of the code that makes them stands in 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 
@@ -19,9 +19,6 @@ from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor.decimate import coarse
 from placegraph_lab.tables.indoor.windows import HALVES, true_poses
 from placegraph_lab.tables.journal import INDOOR, fingerprint
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 MAKING = (*INDOOR, "placegraph_lab/tables/indoor/decimate.py")
 """Code that decides what the maps are."""

@@ -7,22 +7,19 @@ pose off by `OFF` and turned by `OFF_TURN`, and at the true position turned abou
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import MissingExtraError
-from placegraph.geometry import rotation_z
+from placegraph.geometry import Camera, Floats, rotation_z
 from placegraph_lab.tables.indoor.metrics import position_error, rotation_error
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from placegraph.geometry import Camera, Floats
     from placegraph.indoor.refine.matching import Matcher, Matches
     from placegraph.indoor.render import Rendering
     from placegraph.indoor.scene_map import SceneMap

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -10,9 +11,6 @@ from placegraph_lab.tables.indoor.matches import KINDS, LIMITS, PIXELS, Found, T
 from placegraph_lab.tables.indoor.report import errors
 from placegraph_lab.tables.indoor.windows import COVERED
 from placegraph_lab.tables.tables import markdown, number, shares
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
 
 PARTS: dict[str, Callable[[Found], object]] = {
     "house, unchanged": lambda f: f.changed is False,

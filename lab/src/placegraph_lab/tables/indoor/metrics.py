@@ -4,22 +4,19 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
-from placegraph.geometry import vector_from_rotation
+from placegraph.geometry import Floats, vector_from_rotation
 from placegraph_lab.tables.calibration import Reliability, reliability
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from numpy.typing import NDArray
-
     from placegraph.estimate import PoseEstimate
-    from placegraph.geometry import Floats
 
 THRESHOLDS = ((0.10, 5.0), (0.25, 2.0), (0.25, 10.0), (1.00, 10.0))
 """Position [m] and rotation [deg] that a recall allows."""

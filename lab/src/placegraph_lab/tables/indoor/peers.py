@@ -7,11 +7,13 @@ and leave the pose to COLMAP's PnP. Needs pycolmap, which only this comparison u
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
 from placegraph.errors import MissingExtraError
@@ -20,10 +22,6 @@ from placegraph.indoor.refine.matching.features import Features, mutual
 from placegraph.indoor.refine.matching.xfeat import XFeatMatcher
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
-
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Camera, Floats
 

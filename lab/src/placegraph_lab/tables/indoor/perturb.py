@@ -6,15 +6,19 @@ and moved cameras have another. Rates of odometry are those of a frame of the wi
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
 
 from placegraph.formats.capture.frame import ArrayImages, Frame
 from placegraph.formats.capture.frame_files import quarter_turn, turned_camera
 from placegraph.geometry import (
     Camera,
+    Floats,
     between,
     compose,
     pose_matrix,
@@ -24,13 +28,6 @@ from placegraph.geometry import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-    from typing import Any, Self
-
-    from numpy.random import Generator
-    from numpy.typing import NDArray
-
-    from placegraph.geometry import Floats
     from placegraph.indoor.scene_map import SceneMap
 
 WIDE = 640

@@ -3,19 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.random import Generator
 
 from placegraph.errors import OptionError
-from placegraph.formats.capture.frame import ArrayImages
-from placegraph_lab.tables.indoor.perturb import seen
-
-if TYPE_CHECKING:
-    from numpy.random import Generator
-
-    from placegraph.formats.capture.frame import Frame
-    from placegraph_lab.tables.indoor.perturb import Recording, Shot
+from placegraph.formats.capture.frame import ArrayImages, Frame
+from placegraph_lab.tables.indoor.perturb import Recording, Shot, seen
 
 
 def dark(shot: Shot, percent: float, rng: Generator) -> Shot:  # noqa: ARG001

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -22,8 +23,6 @@ from placegraph_lab.tables.indoor.metrics import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from placegraph.estimate import PoseEstimate, PoseMode
     from placegraph.geometry import Floats
     from placegraph_lab.tables.indoor.windows import Window

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from placegraph_lab.tables.indoor.metrics import AXES
 from placegraph_lab.tables.indoor.refine import GICP, PAPER, PLACES, STARTS, RefineJob, Start
@@ -20,9 +21,6 @@ from placegraph_lab.tables.indoor.refine_metrics import (
 from placegraph_lab.tables.indoor.report import errors
 from placegraph_lab.tables.indoor.windows import COVERED, HALVES
 from placegraph_lab.tables.tables import markdown, number, share, shares
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
 
 NEAREST = LIMITS.index((0.10, 5.0))
 OFFICE = LIMITS.index((0.25, 5.0))

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from placegraph_lab.tables.indoor.jobs import TITLES, Job
 from placegraph_lab.tables.indoor.metrics import AXES, THRESHOLDS, Answer, Score, score
 from placegraph_lab.tables.indoor.windows import COVERED, HALVES
 from placegraph_lab.tables.tables import markdown, number, share, shares
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
 
 AIM = (0.25, 2.0)
 """Limits [m], [deg] of most aims."""

@@ -7,6 +7,7 @@ import time
 import zlib
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache, partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,8 +27,6 @@ from placegraph_lab.tables.sg2loc.at_hand import RPY
 from placegraph_lab.worlds.flat.walks import drifted
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from placegraph.geometry import Floats
     from placegraph_lab.tables.indoor.cases import Case
 

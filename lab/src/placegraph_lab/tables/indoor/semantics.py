@@ -8,13 +8,14 @@ or through `OTHER_WORDS`: what a segmentation trained elsewhere would say. Their
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from placegraph.errors import InputError, MissingExtraError
 from placegraph.formats.mesh.ply_write import write_ply
 from placegraph.indoor.build import build_scene
-from placegraph.indoor.encode import bound, encoder
+from placegraph.indoor.encode import MapEncoder, bound, encoder
 from placegraph.indoor.encode.instances import ClassesOfInstances, InstancesEncoder
 from placegraph.indoor.encode.labels import LabelsEncoder
 from placegraph.indoor.options import FilterOptions
@@ -23,15 +24,11 @@ from placegraph_lab.tables.indoor.bench import Bench
 from placegraph_lab.tables.indoor.jobs import answered
 from placegraph_lab.tables.indoor.label_noise import NoisyEncoder, NoisyLabels
 from placegraph_lab.tables.indoor.maps import place
-from placegraph_lab.tables.indoor.windows import HALVES
+from placegraph_lab.tables.indoor.windows import HALVES, Window
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from placegraph.formats.capture.capture import Capture
-    from placegraph.indoor.encode import MapEncoder
     from placegraph_lab.tables.indoor.metrics import Answer
-    from placegraph_lab.tables.indoor.windows import Window
 
 NONE = "none"
 TABLE = "labels, 0/1 table"

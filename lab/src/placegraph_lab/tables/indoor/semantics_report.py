@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from placegraph_lab.tables.indoor.metrics import THRESHOLDS, Answer, Score, score
-from placegraph_lab.tables.indoor.semantics import NONE
+from placegraph_lab.tables.indoor.semantics import NONE, Case
 from placegraph_lab.tables.tables import markdown, number, share
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from placegraph_lab.tables.indoor.semantics import Case
 
 LIMITS = ((0.10, 5.0), (0.25, 10.0), (0.25, 2.0))
 """Recalls that are shown; the first two are the paper's."""

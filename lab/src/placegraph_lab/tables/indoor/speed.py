@@ -6,15 +6,17 @@ import json
 import subprocess
 import sys
 import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from placegraph.errors import PlacegraphError
 from placegraph.formats.capture.capture import open_capture
-from placegraph.geometry import level_from_camera, rotation_z, split_pose
+from placegraph.geometry import Floats, level_from_camera, rotation_z, split_pose
 from placegraph.indoor.encode.instances import InstancesEncoder
 from placegraph.indoor.likelihood.model import model_of
 from placegraph.indoor.likelihood.observe import sight, views
@@ -31,10 +33,6 @@ from placegraph_lab.tables.indoor.metrics import mean_particles
 from placegraph_lab.tables.indoor.windows import true_poses
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
-
-    from placegraph.geometry import Floats
     from placegraph.indoor.likelihood.view import Background, View
 
 PARTICLES = (50, 200, 1000, 5000)

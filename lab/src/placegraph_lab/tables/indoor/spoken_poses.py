@@ -7,12 +7,14 @@ right and behind), and the pose then thrown away; a wrong one is that of another
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.random import Generator
 
-from placegraph.geometry import split_pose
+from placegraph.geometry import Floats, split_pose
 from placegraph.indoor.map.floor import label_words
 from placegraph.indoor.map.structure import WORDS, nameless
 from placegraph.indoor.options import FilterOptions
@@ -20,11 +22,6 @@ from placegraph_lab.tables.indoor.metrics import NEAR, Answer, measure
 from placegraph_lab.tables.tables import markdown, share
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.random import Generator
-
-    from placegraph.geometry import Floats
     from placegraph.indoor.scene_map import SceneMap
     from placegraph_lab.tables.indoor.windows import Window
 

@@ -7,16 +7,14 @@ from typing import TYPE_CHECKING
 from zlib import crc32
 
 import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
 
-from placegraph.geometry import rotation_from_vector
+from placegraph.geometry import Floats, rotation_from_vector
 
 if TYPE_CHECKING:
-    from numpy.random import Generator
-    from numpy.typing import NDArray
-
     from placegraph.formats.capture.capture import Capture
     from placegraph.formats.capture.frame import Images
-    from placegraph.geometry import Floats
     from placegraph_lab.tables.indoor.windows import Window
 
 SHIFT = 0.2

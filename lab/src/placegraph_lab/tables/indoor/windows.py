@@ -7,7 +7,9 @@ nothing of the truth in it.
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,9 +20,6 @@ from placegraph.formats.capture.tum import read_tum
 from placegraph_lab.worlds.flat.walks import drifted
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
     from placegraph.geometry import Floats
     from placegraph.indoor.scene_map import SceneMap
 

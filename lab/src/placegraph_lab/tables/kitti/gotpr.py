@@ -10,7 +10,9 @@ published code for that reason, and a test runs the whole crossed graph beside i
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,9 +23,6 @@ from placegraph.networks import read_state
 from placegraph_lab.train.training import torch_or_what_installs_it
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from pathlib import Path
-
     from placegraph_lab.datasets.gotpr import Graph, Graphs
 
 Floats = NDArray[np.float32]

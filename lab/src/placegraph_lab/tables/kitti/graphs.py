@@ -7,8 +7,9 @@ do say, "The pose is north of a gray pole", as a statement about the speaker; no
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import pi
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -22,14 +23,9 @@ from placegraph.outdoor.language.description import (
     Sense,
     Statement,
 )
-from placegraph_lab.datasets.kitti360pose import DIRECTIONS
+from placegraph_lab.datasets.kitti360pose import DIRECTIONS, Hints, Kitti360Pose, Objects
 from placegraph_lab.tables.outdoor.triples import DIRECTIONS as WINDS
 from placegraph_lab.tables.outdoor.triples import relations
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from placegraph_lab.datasets.kitti360pose import Hints, Kitti360Pose, Objects
 
 Reading = Literal["honest", "paper"]
 """What the query graph of a pose is made of."""

@@ -6,10 +6,12 @@ The truth (a pose's best cell and position) is read here and nowhere else.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
 from placegraph_lab.tables.kitti.graphs import (
@@ -19,20 +21,15 @@ from placegraph_lab.tables.kitti.graphs import (
     description_of,
     scene_graph,
 )
-from placegraph_lab.tables.kitti.matchers import EditDistance, Transformer, TripleBag
+from placegraph_lab.tables.kitti.matchers import EditDistance, Matcher, Transformer, TripleBag
 from placegraph_lab.tables.kitti.relational import Relational
 from placegraph_lab.tables.tables import markdown, number, share, shares
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
-
-    from numpy.typing import NDArray
-
     from placegraph.geometry import Floats
     from placegraph.graph import SceneGraph
     from placegraph.outdoor.language.description import Description
     from placegraph_lab.datasets.kitti360pose import Kitti360Pose
-    from placegraph_lab.tables.kitti.matchers import Matcher
 
 RANKS = (1, 3, 5)
 """k of the retrieval recall."""

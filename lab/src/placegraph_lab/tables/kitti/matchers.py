@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from placegraph.outdoor.language.description import SPEAKER, Relation
+from placegraph.outdoor.language.description import SPEAKER, Description, Relation
 from placegraph_lab.tables.outdoor.triples import DIRECTIONS as WINDS
 from placegraph_lab.tables.outdoor.triples import relations
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from placegraph.geometry import Floats
     from placegraph.graph import SceneGraph
-    from placegraph.outdoor.language.description import Description
 
 Word = tuple[str, str, str]
 HERE = "<speaker>"

@@ -10,14 +10,23 @@ measures the one measures the other.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from os import PathLike
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError, OptionError
 from placegraph.outdoor.map.objects import of_name
 from placegraph_lab.datasets.kitti360 import WORLD
-from placegraph_lab.datasets.kitti360pose import DIRECTIONS, Hints, Objects, Poses
+from placegraph_lab.datasets.kitti360pose import (
+    DIRECTIONS,
+    Cells,
+    Hints,
+    Kitti360Pose,
+    Objects,
+    Poses,
+)
 from placegraph_lab.datasets.kitti360pose_convert import footprint
 from placegraph_lab.tables.outdoor.nearby import Around, Bins
 from placegraph_lab.tables.outdoor.raw import KEYS, RawCity, read_raw
@@ -25,12 +34,7 @@ from placegraph_lab.tables.outdoor.triples import DIRECTIONS as WINDS
 from placegraph_lab.tables.outdoor.triples import relations
 
 if TYPE_CHECKING:
-    from os import PathLike
-
-    from numpy.typing import NDArray
-
     from placegraph.geometry import Floats
-    from placegraph_lab.datasets.kitti360pose import Cells, Kitti360Pose
 
 REACH = 15.0
 """Things this near to a cell's centre are in it [m]: half of KITTI360Pose's 30 m."""

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import tempfile
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,18 +15,16 @@ import numpy as np
 from placegraph.errors import DescriptionError, InputError
 from placegraph.formats.place.descriptions import Told, read_descriptions
 from placegraph.formats.place.osm import SUFFIXES
-from placegraph_lab.tables.outdoor.metrics import RADII, RANKS, Answer, measure, score
+from placegraph_lab.tables.outdoor.metrics import RADII, RANKS, Answer, Score, measure, score
 from placegraph_lab.tables.tables import markdown, number, share, shares
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-    from os import PathLike
-
     from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.search.request import Matcher
-    from placegraph_lab.tables.outdoor.metrics import Score
 
-    Progress = Callable[[str, int], None]
+
+Progress = Callable[[str, int], None]
+
 
 TEXTS = "descriptions.jsonl"
 MAPS = tuple(f"map{ending}" for ending in SUFFIXES)

@@ -7,24 +7,27 @@ all viewpoints whose nearest cell it is, and the pose within it is their mean, w
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import cos, sin
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from placegraph.outdoor.language.description import SPEAKER, Relation
+from placegraph.outdoor.language.description import (
+    SPEAKER,
+    Description,
+    Mention,
+    Relation,
+    Statement,
+)
 from placegraph.outdoor.likelihood.fit_kernels import DIRECTION, INSIDE, direction_table
 from placegraph_lab.tables.kitti.kitti_kernels import between, from_speaker, nearest_owner, sighted
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
     from placegraph.geometry import Floats
-    from placegraph.outdoor.language.description import Description, Mention, Statement
     from placegraph_lab.datasets.kitti360pose import Kitti360Pose
 
 SPACING = 2.5

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -15,8 +16,6 @@ from placegraph_lab.tables.live.paced import quantiles
 from placegraph_lab.tables.live.walks import SENSES, Row, Seen, looked_at, looped
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from placegraph.indoor.scene_map import SceneMap
     from placegraph_lab.tables.indoor.perturb import Recording
 

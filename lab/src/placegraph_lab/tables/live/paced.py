@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import islice
+from pathlib import Path
 from time import perf_counter, process_time
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from placegraph.formats.capture.frame import ArrayImages
+from placegraph.formats.capture.frame import ArrayImages, Frame
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.indoor.track.odometry import Odometry
 from placegraph_lab.tables.indoor.robustness import Places
 from placegraph_lab.tables.live.walks import SENSES, looped
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Floats
     from placegraph.indoor.track.live import LiveTracker
 

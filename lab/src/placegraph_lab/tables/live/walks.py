@@ -6,31 +6,27 @@ has seen nothing of it.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 from time import process_time
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.random import Generator
 
 from placegraph.estimate import Status
-from placegraph.geometry import between, compose, pose_matrix, split_pose
+from placegraph.geometry import Floats, between, compose, pose_matrix, split_pose
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.track.odometry import Odometry
 from placegraph_lab.tables.indoor.metrics import NEAR, near
-from placegraph_lab.tables.indoor.perturb import Shot, drift
+from placegraph_lab.tables.indoor.perturb import Recording, Shot, drift
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from numpy.random import Generator
-
     from placegraph.formats.capture.frame import Frame
-    from placegraph.geometry import Floats
     from placegraph.indoor.scene_map import SceneMap
     from placegraph.indoor.track.live import LiveTracker
     from placegraph.indoor.track.live_pose import LivePose
-    from placegraph_lab.tables.indoor.perturb import Recording
 
 PERIOD = 0.2
 """Seconds from an image to the next."""

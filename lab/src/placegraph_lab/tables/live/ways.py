@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import base64
 import json
+from collections.abc import Sequence
+from pathlib import Path
 from time import perf_counter, process_time
 from typing import TYPE_CHECKING, Any
 from urllib.request import Request, urlopen
@@ -12,15 +14,11 @@ from urllib.request import Request, urlopen
 from placegraph.formats.capture.capture import open_capture
 from placegraph_lab.tables.live.paced import quantiles
 from placegraph_lab.tables.live.walks import SENSES
-from placegraph_lab.tables.serve.load import served
+from placegraph_lab.tables.serve.load import Served, served
 from placegraph_lab.worlds.bags import BagWriter, Layout, write_capture
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
     from placegraph.indoor.scene_map import SceneMap
-    from placegraph_lab.tables.serve.load import Served
 
 
 def from_files(scene: SceneMap, paths: Sequence[Path]) -> dict[str, Any]:

@@ -12,6 +12,7 @@ Prints Markdown, writes JSON. Times are CPU seconds, the median of interleaved r
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from statistics import median
@@ -29,8 +30,6 @@ from placegraph_lab.tables.tables import markdown, number
 from placegraph_lab.worlds.bags import BagWriter, Layout, write_capture
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from placegraph.ros.bag import Container
 
 IMAGES = ("/camera/color/image_raw", "/camera/aligned_depth_to_color/image_raw")

@@ -9,6 +9,7 @@ even records only; the odd ones are reported beside them.
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,17 +17,20 @@ import numpy as np
 
 from placegraph.errors import PlacegraphError
 from placegraph_lab.tables.calibration import reliability
-from placegraph_lab.tables.outdoor.human_text import Baselines, landmarks, read_records, write_osm
+from placegraph_lab.tables.outdoor.human_text import (
+    Baselines,
+    Record,
+    landmarks,
+    read_records,
+    write_osm,
+)
 from placegraph_lab.tables.outdoor.metrics import HIT, distances
 from placegraph_lab.tables.run import Quick, Run, option, table
 from placegraph_lab.tables.tables import markdown, number, share, shares
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from placegraph.geometry import Floats
     from placegraph.outdoor.city import CityMap
-    from placegraph_lab.tables.outdoor.human_text import Record
 
 NEAR, WIDE = 100.0, 250.0
 """Radii of the table [m]."""

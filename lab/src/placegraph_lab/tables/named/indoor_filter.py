@@ -9,7 +9,7 @@ again and it goes on where it was cut. `docs/benchmarks.md` explains the protoco
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from placegraph_lab.tables.indoor.bench import Asker, Bench
 from placegraph_lab.tables.indoor.jobs import (
@@ -24,7 +24,14 @@ from placegraph_lab.tables.indoor.jobs import (
 )
 from placegraph_lab.tables.indoor.metrics import Answer
 from placegraph_lab.tables.indoor.report import Row, report
-from placegraph_lab.tables.indoor.windows import EVERY, HALVES, LENGTHS, OFFICE_EVERY, OFFICE_LENGTH
+from placegraph_lab.tables.indoor.windows import (
+    EVERY,
+    HALVES,
+    LENGTHS,
+    OFFICE_EVERY,
+    OFFICE_LENGTH,
+    Window,
+)
 from placegraph_lab.tables.journal import fingerprint
 from placegraph_lab.tables.run import (
     Device,
@@ -38,9 +45,6 @@ from placegraph_lab.tables.run import (
     parts,
     table,
 )
-
-if TYPE_CHECKING:
-    from placegraph_lab.tables.indoor.windows import Window
 
 ALL_LENGTHS = ",".join(str(n) for n in LENGTHS)
 

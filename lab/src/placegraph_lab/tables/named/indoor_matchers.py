@@ -11,12 +11,13 @@ Prints Markdown tables and writes every row as JSON. A matcher is a name and opt
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated
+from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
 from placegraph.indoor.encode import spoken
-from placegraph.indoor.refine.matching import matcher
+from placegraph.indoor.refine.matching import Matcher, matcher
 from placegraph_lab.tables.indoor.bench import Bench
 from placegraph_lab.tables.indoor.matches import Query, Trial, ask, starts
 from placegraph_lab.tables.indoor.matches_report import report, to_dict
@@ -31,11 +32,6 @@ from placegraph_lab.tables.run import (
     parts,
     table,
 )
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-from placegraph.indoor.refine.matching import Matcher
 
 MATCHERS = "sift; sift upright=False; xfeat; xfeat least=0.82; xfeat dense=True"
 EVERY, OFFICE_EVERY = 5, 6

@@ -10,6 +10,7 @@ again and it goes on where it was cut. `docs/benchmarks.md` explains the protoco
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from placegraph_lab.tables.indoor.bench import Asker, Bench
@@ -17,7 +18,7 @@ from placegraph_lab.tables.indoor.jobs import ANSWERING, QUICK_EVERY, chosen
 from placegraph_lab.tables.indoor.refine import GICP, MATCHERS, QUICK, RefineJob, ask, refine_jobs
 from placegraph_lab.tables.indoor.refine_metrics import Refined
 from placegraph_lab.tables.indoor.refine_report import RefineRow, refine_report
-from placegraph_lab.tables.indoor.windows import EVERY, LENGTHS, OFFICE_EVERY
+from placegraph_lab.tables.indoor.windows import EVERY, LENGTHS, OFFICE_EVERY, Window
 from placegraph_lab.tables.journal import fingerprint
 from placegraph_lab.tables.run import (
     Device,
@@ -33,10 +34,7 @@ from placegraph_lab.tables.run import (
 )
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from placegraph.indoor.refine.matching import Matcher
-    from placegraph_lab.tables.indoor.windows import Window
 
 WORDS = ("auto", "guided", *GICP)
 """What refines without a matcher of its own being made."""

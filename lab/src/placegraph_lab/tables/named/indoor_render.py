@@ -17,7 +17,7 @@ import numba
 import numpy as np
 
 from placegraph.formats.capture.camera import read_camera
-from placegraph.geometry import Camera
+from placegraph.geometry import Camera, Floats
 from placegraph.indoor.rays import RayCaster
 from placegraph.indoor.render import Renderer, camera_rays
 from placegraph.threads import processors
@@ -28,7 +28,6 @@ from placegraph_lab.tables.run import Quick, Run, option, table
 from placegraph_lab.tables.tables import markdown, number, share
 
 if TYPE_CHECKING:
-    from placegraph.geometry import Floats
     from placegraph.indoor.rays.caster import Backend
     from placegraph.indoor.scene_map import SceneMap
 

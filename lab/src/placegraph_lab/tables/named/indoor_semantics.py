@@ -9,14 +9,14 @@ refined. Every answer is written down at once: run it again and it goes on where
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from placegraph_lab.tables.indoor.bench import Asker
 from placegraph_lab.tables.indoor.jobs import ANSWERING, QUICK_EVERY, chosen
 from placegraph_lab.tables.indoor.metrics import Answer
 from placegraph_lab.tables.indoor.semantics import Case, SemanticBench, ask, available, cases
 from placegraph_lab.tables.indoor.semantics_report import Row, report
-from placegraph_lab.tables.indoor.windows import EVERY, OFFICE_EVERY
+from placegraph_lab.tables.indoor.windows import EVERY, OFFICE_EVERY, Window
 from placegraph_lab.tables.journal import fingerprint
 from placegraph_lab.tables.run import (
     Device,
@@ -30,9 +30,6 @@ from placegraph_lab.tables.run import (
     parts,
     table,
 )
-
-if TYPE_CHECKING:
-    from placegraph_lab.tables.indoor.windows import Window
 
 
 @table("SG2Loc, Tables 7, 8")

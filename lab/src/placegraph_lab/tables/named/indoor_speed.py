@@ -8,6 +8,7 @@ Prints Markdown tables and writes JSON. `docs/benchmarks.md` explains what is me
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -33,9 +34,6 @@ from placegraph_lab.tables.run import Quick, Run, known, option, parts, table
 from placegraph_lab.tables.tables import markdown, number, share
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
     from placegraph.indoor.scene_map import SceneMap
 
 PARTS = ("scoring", "engines", "localizing", "tracking", "start")

@@ -10,15 +10,24 @@ Interrupted, the same command goes on. Prints Markdown, writes JSON.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
 from placegraph.outdoor.network.network import GraphTransformer
 from placegraph_lab.tables.bootstrap import paired_interval
-from placegraph_lab.tables.journal import fingerprint
-from placegraph_lab.tables.outdoor.ablation import GIVEN, Task, evaluate, literal_alone, recall
+from placegraph_lab.tables.journal import Journal, fingerprint
+from placegraph_lab.tables.outdoor.ablation import (
+    GIVEN,
+    Hits,
+    Task,
+    evaluate,
+    literal_alone,
+    recall,
+)
 from placegraph_lab.tables.outdoor.extracts import (
     EXTRACTS,
     TRAINED,
@@ -33,12 +42,7 @@ from placegraph_lab.train.city.options import TrainOptions
 from placegraph_lab.train.city.train import train
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from pathlib import Path
-
     from placegraph.outdoor.city import CityMap
-    from placegraph_lab.tables.journal import Journal
-    from placegraph_lab.tables.outdoor.ablation import Hits
 
 OURS, SHIPPED, LITERAL = "ours", "shipped", "statements taken literally"
 PAPER = ("eq17", "eq18")

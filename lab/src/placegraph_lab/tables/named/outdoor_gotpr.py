@@ -8,7 +8,7 @@ RELEASE is the folder `data` of github.com/donghwijung/GOTLoc with `scene_graphs
 
 from __future__ import annotations
 
-from pathlib import Path  # noqa: TC003  # Typer reads the annotations
+from pathlib import Path  # Typer reads the annotations
 from typing import Annotated
 
 import typer

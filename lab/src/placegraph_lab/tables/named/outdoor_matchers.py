@@ -10,13 +10,15 @@ Monaco and Toronto. Interrupted, the same command goes on. Prints Markdown, writ
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
-from placegraph_lab.tables.journal import fingerprint
+from placegraph_lab.tables.journal import Journal, fingerprint
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, names_of, open_city, unseen_queries
 from placegraph_lab.tables.outdoor.matchers import MATCHERS, SLOW, ask, matcher
 from placegraph_lab.tables.outdoor.matchers_report import advantages, report, title
@@ -26,11 +28,7 @@ from placegraph_lab.tables.outdoor.report import Protocol, Row, of_answers
 from placegraph_lab.tables.run import Quick, Run, Seed, known, option, parts, table
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
-
     from placegraph.outdoor.city import CityMap
-    from placegraph_lab.tables.journal import Journal
 
 
 CODE = (

@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import importlib.util
 import os
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
@@ -18,10 +20,6 @@ from placegraph_lab.tables.outdoor.extracts import EXTRACTS, open_city, unseen_q
 from placegraph_lab.tables.outdoor.pairs import Pairs, rate
 from placegraph_lab.tables.run import Quick, Run, Seed, option, table
 from placegraph_lab.tables.tables import markdown, number
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
 
 PAPER = {"rule-based": 11.05, "network-based, CPU": 80.44, "network-based, GPU": 152.96}
 """Table III: pairs a second on a Xeon Gold 6140 and a TITAN Xp."""

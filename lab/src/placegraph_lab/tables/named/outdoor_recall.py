@@ -9,12 +9,14 @@ Prints Markdown tables, writes every row as JSON. `docs/benchmarks.md` explains 
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from enum import StrEnum
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
-from placegraph_lab.tables.outdoor.baselines import Bag
+from placegraph_lab.tables.outdoor.baselines import Bag, Words
 from placegraph_lab.tables.outdoor.ceiling import ceiling, oracle
 from placegraph_lab.tables.outdoor.contest import Contest
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS
@@ -42,14 +44,10 @@ from placegraph_lab.tables.outdoor.report import (
 from placegraph_lab.tables.run import Quick, Run, Seed, option, parts, table
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
     from rich.progress import Progress
 
     from placegraph.geometry import Floats
     from placegraph.outdoor.city import CityMap
-    from placegraph_lab.tables.outdoor.baselines import Words
     from placegraph_lab.tables.outdoor.nearby import Bins
 
 

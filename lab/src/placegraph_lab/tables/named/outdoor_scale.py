@@ -10,23 +10,19 @@ from __future__ import annotations
 
 import os
 import time
-from typing import TYPE_CHECKING, Annotated, Any
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
 
 from placegraph_lab.tables.apart import apart, peak
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS
 from placegraph_lab.tables.outdoor.metrics import measure, score
-from placegraph_lab.tables.outdoor.queries import make_queries
+from placegraph_lab.tables.outdoor.queries import Query, make_queries
 from placegraph_lab.tables.outdoor.tiling import tile
 from placegraph_lab.tables.run import Quick, Run, Seed, option, table
 from placegraph_lab.tables.tables import markdown, number, share
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from placegraph_lab.tables.outdoor.queries import Query
 
 
 def build(osm: Path, city: Path, small: Path) -> dict[str, float]:

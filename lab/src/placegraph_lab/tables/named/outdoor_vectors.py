@@ -10,27 +10,25 @@ are installed; placegraph needs neither. Prints Markdown, writes JSON.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from functools import partial
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.vectors import EmbeddedStore
 from placegraph_lab.tables.run import Quick, Run, Seed, option, parts, table
 from placegraph_lab.tables.tables import markdown, number
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+Floats = NDArray[np.float32]
+Search = Callable[[Floats, int], NDArray[np.int64]]
+"""One query (D,) and n to ids (n,)."""
+Build = Callable[[Floats], tuple[Search, int]]
+"""Vectors (C, D) to the search and its memory in bytes."""
 
-    from numpy.typing import NDArray
-
-    Floats = NDArray[np.float32]
-    Search = Callable[[Floats, int], NDArray[np.int64]]
-    """One query (D,) and n to ids (n,)."""
-    Build = Callable[[Floats], tuple[Search, int]]
-    """Vectors (C, D) to the search and its memory in bytes."""
 
 DIMENSION = 64
 BLOCK = 1_000_000

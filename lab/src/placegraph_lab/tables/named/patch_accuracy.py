@@ -9,15 +9,12 @@ table and writes every row as JSON.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
-from placegraph.indoor.encode import bound, encoder
+from placegraph.indoor.encode import Encoder, bound, encoder
 from placegraph_lab.tables.retrieval.patch_accuracy import Accuracy, accuracy, mean, report
 from placegraph_lab.tables.retrieval.patch_places import HOMES, places
 from placegraph_lab.tables.run import Quick, Run, option, parts, table
-
-if TYPE_CHECKING:
-    from placegraph.indoor.encode import Encoder
 
 
 @table()

@@ -15,21 +15,18 @@ from __future__ import annotations
 import os
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from placegraph_lab.tables.apart import apart
 from placegraph_lab.tables.indoor.robustness import Places
-from placegraph_lab.tables.live.lifelong import lived
+from placegraph_lab.tables.live.lifelong import Life, lived
 from placegraph_lab.tables.live.paced import paced
 from placegraph_lab.tables.live.walks import Row, followed, walks
 from placegraph_lab.tables.live.ways import bags, from_files, from_server
 from placegraph_lab.tables.run import Quick, Run, Seed, known, option, parts, table
 from placegraph_lab.tables.tables import markdown, number, share
-
-if TYPE_CHECKING:
-    from placegraph_lab.tables.live.lifelong import Life
 
 PARTS = ("walks", "paced", "ways", "lifelong")
 DRIFTS = (0.2, 0.5, 1.0)

@@ -12,8 +12,9 @@ from __future__ import annotations
 
 import os
 from importlib.util import find_spec
+from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numba
 import numpy as np
@@ -25,9 +26,6 @@ from placegraph_lab.tables.indoor.windows import true_poses
 from placegraph_lab.tables.run import Quick, Run, table
 from placegraph_lab.tables.scene.fusion import House, Office, Way, open3d_volume, own
 from placegraph_lab.tables.tables import markdown, number
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 TIMES = 3
 """Runs, of which the quickest counts: what else the machine does only slows them."""

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from importlib.util import find_spec
-from pathlib import Path  # noqa: TC003  # Typer reads the annotations
+from pathlib import Path  # Typer reads the annotations
 from typing import Annotated
 
 from placegraph_lab.tables.indoor.jobs import chosen

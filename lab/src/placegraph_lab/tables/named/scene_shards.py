@@ -12,12 +12,15 @@ room.
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, Annotated, Any
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
-from placegraph.indoor.encode import encoder
+from placegraph.indoor.encode import Encoder, encoder
 from placegraph.indoor.language import read
 from placegraph.indoor.library.answer import by_query
 from placegraph.indoor.library.library import SceneLibrary
@@ -28,22 +31,13 @@ from placegraph.indoor.library.search_kernels import beside
 from placegraph.indoor.library.shard import HEAD
 from placegraph.indoor.library.shard_write import SIZE, Listed, write_shards
 from placegraph.indoor.library.shards import SceneShards
-from placegraph.indoor.library.signature import BANDS, TURNS, signature_of
+from placegraph.indoor.library.signature import BANDS, TURNS, Signature, signature_of
 from placegraph_lab.tables.apart import apart, peak
 from placegraph_lab.tables.retrieval.retrieval_scale import Stock
 from placegraph_lab.tables.run import Fresh, Quick, Run, Seed, option, table
 from placegraph_lab.tables.scene.sentences import Scene, describe
 from placegraph_lab.tables.tables import markdown, number, share
 from placegraph_lab.worlds.home.home import STYLES, home, scene_of
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from placegraph.indoor.encode import Encoder
-    from placegraph.indoor.library.signature import Signature
 
 WRONG = (0.0, 0.1, 0.3)
 FRAMES, FACTS = 5, 6

@@ -15,8 +15,9 @@ import json
 import os
 import shutil
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from placegraph.demo.world import FLAT, unpack
 from placegraph.formats.capture.capture import open_capture
@@ -26,9 +27,6 @@ from placegraph_lab.tables.outdoor.queries import make_queries
 from placegraph_lab.tables.run import Quick, Run, Seed, option, table
 from placegraph_lab.tables.serve.load import Request, Served, idle, served
 from placegraph_lab.tables.tables import markdown, number
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 CITY = "vancouver"
 EDGE = "----placegraph"

@@ -12,7 +12,9 @@ from __future__ import annotations
 
 import inspect
 import math
-from typing import TYPE_CHECKING, Annotated
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Annotated
 
 import typer
 
@@ -25,10 +27,6 @@ from placegraph_lab.tables.sg2loc.costs import retrieval, seconds, storage
 from placegraph_lab.tables.sg2loc.poses import poses
 from placegraph_lab.tables.sg2loc.sets import LAYOUT, Set
 from placegraph_lab.tables.sg2loc.spec import SPECS, Spec
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
 
 _OF_POSES = {"frames", "lengths", "only", "matcher", "seed", "device", "pace"}
 UNUSED = {3: {*_OF_POSES, "encoder"}, 5: _OF_POSES, 6: set[str]()}

@@ -8,6 +8,7 @@ on the even records of what people wrote; all else is reported beside it.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -33,8 +34,6 @@ from placegraph_lab.tables.run import LAB, Quick, Run, Seed, option, table
 from placegraph_lab.tables.tables import markdown, share
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
     from placegraph.outdoor.city import CityMap
 
 PICTURE = LAB.parent / "docs/pictures/reliability.png"

@@ -10,15 +10,17 @@ are left out. Prints Markdown, writes JSON.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 from subprocess import TimeoutExpired
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.vectors import EmbeddedStore, Origin, open_store
 from placegraph.vectors.content import Vectors
@@ -31,14 +33,10 @@ from placegraph_lab.tables.outdoor.words_beside import AMONG, hybrid
 from placegraph_lab.tables.run import Quick, Run, Seed, option, parts, table
 from placegraph_lab.tables.tables import markdown, number
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+Floats = NDArray[np.float32]
+Search = Callable[[Floats, int], Sequence[int]]
+"""One query (D,) and n to ids (n,)."""
 
-    from numpy.typing import NDArray
-
-    Floats = NDArray[np.float32]
-    Search = Callable[[Floats, int], Sequence[int]]
-    """One query (D,) and n to ids (n,)."""
 
 NEIGHBOURS = 10
 BATCH = 10_000

@@ -14,17 +14,15 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import median
 from time import perf_counter
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from placegraph_lab.tables.run import LAB, Run, option, table
 from placegraph_lab.tables.tables import markdown, number
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 FINDING = ("outdoor", "indoor", "language", "vectors")
 """Folders of the library where places and poses are found,"""

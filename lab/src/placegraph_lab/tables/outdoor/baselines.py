@@ -9,13 +9,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph_lab.tables.outdoor.triples import DIRECTIONS, Triples, encode, relations
 from placegraph_lab.tables.outdoor.triples_kernels import SHORTEST
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from placegraph.geometry import Floats, LocalPlane
     from placegraph_lab.tables.outdoor.nearby import Around, Bins, Position
     from placegraph_lab.tables.outdoor.queries import Query

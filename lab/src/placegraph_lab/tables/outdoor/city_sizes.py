@@ -6,6 +6,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.random import Generator
+from numpy.typing import ArrayLike, NDArray
 
 from placegraph.errors import OptionError
 from placegraph.outdoor.city import CityMap
@@ -15,14 +17,13 @@ from placegraph_lab.tables.outdoor.matchers import cell_centers
 from placegraph_lab.train.city.sample import TILE, held_out
 
 if TYPE_CHECKING:
-    from numpy.random import Generator
-    from numpy.typing import ArrayLike, NDArray
-
     from placegraph.geometry import Floats
     from placegraph.outdoor.map.raster import Sightings
 
-    Rows = NDArray[np.int64]
-    Starts = NDArray[np.signedinteger[Any]]
+
+Rows = NDArray[np.int64]
+Starts = NDArray[np.signedinteger[Any]]
+
 
 GAP = 200.0
 """Between copies at the least [m]."""

@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from placegraph_lab.tables.outdoor.baselines import spoken, words_around
-from placegraph_lab.tables.outdoor.queries import SIGHT
+from placegraph_lab.tables.outdoor.baselines import Words, spoken, words_around
+from placegraph_lab.tables.outdoor.queries import SIGHT, Query
 from placegraph_lab.tables.outdoor.triples import DIRECTIONS
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
     from placegraph.geometry import Floats
-    from placegraph_lab.tables.outdoor.baselines import Words
     from placegraph_lab.tables.outdoor.nearby import Bins, Position
-    from placegraph_lab.tables.outdoor.queries import Query
     from placegraph_lab.tables.outdoor.raw import Ints
 
 STEP = 12.5

@@ -6,13 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.view.draw.canvas import Disc, Frame, Stroke, Text
+from placegraph.view.draw.canvas import Disc, Frame, Mark, Points, Stroke, Text
 from placegraph.view.draw.painter import paint_picture
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-    from placegraph.view.draw.canvas import Mark, Points
     from placegraph_lab.tables.calibration import Reliability
 
 SIDE = 100.0

@@ -5,10 +5,12 @@ The speaker knows the true viewpoint and looks at the raw extract, not at the ma
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+from numpy.random import Generator
 
 from placegraph.outdoor.search.ask import (
     NO,
@@ -25,10 +27,6 @@ from placegraph_lab.tables.outdoor.raw import AREA, KEYS, RawCity
 from placegraph_lab.tables.outdoor.triples import DIRECTIONS, relations
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.random import Generator
-
     from placegraph.estimate import CityEstimate
     from placegraph.geometry import Floats
     from placegraph.outdoor.city import CityMap

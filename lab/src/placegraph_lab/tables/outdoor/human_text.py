@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import re
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,8 +20,6 @@ from placegraph.errors import InputError
 from placegraph.geometry import Floats, LocalPlane
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from placegraph_lab.tables.outdoor.raw import Ints
 
 APART = 100.0

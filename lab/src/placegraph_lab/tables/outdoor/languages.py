@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from placegraph.outdoor.language.languages import Language, codes, english, language
 from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph_lab.tables.outdoor.queries import Query, Teller, load, make_queries
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
 
 BEARINGS = {"north": "0", "east": "90", "south": "180", "west": "270"}
 _SLOT = re.compile(r"\{(?:(\w+):)?(\w+)\}")

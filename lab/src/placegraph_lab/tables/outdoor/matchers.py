@@ -6,6 +6,7 @@ All rank the cells of the same map. Bags are handed the query's triples; all oth
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
@@ -14,17 +15,14 @@ import numpy as np
 from placegraph.outdoor.likelihood.query import read
 from placegraph.outdoor.search.cells import retrieve
 from placegraph.outdoor.search.edit_distance import TIMEOUT
-from placegraph.outdoor.search.request import Matching
+from placegraph.outdoor.search.request import Matching, MatchingOptions
 from placegraph_lab.tables.outdoor.baselines import Bag
 from placegraph_lab.tables.outdoor.metrics import RANKS, Answer, distances, positions
 from placegraph_lab.tables.outdoor.report import BAGS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
     from placegraph.geometry import Floats
     from placegraph.outdoor.city import CityMap
-    from placegraph.outdoor.search.request import MatchingOptions
     from placegraph_lab.tables.outdoor.nearby import Bins
     from placegraph_lab.tables.outdoor.queries import Query, Setting
 

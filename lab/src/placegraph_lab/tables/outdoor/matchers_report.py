@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from numpy.random import Generator
 
 from placegraph_lab.tables.bootstrap import Interval, paired_interval
 from placegraph_lab.tables.outdoor.matchers import (
@@ -21,15 +23,8 @@ from placegraph_lab.tables.outdoor.matchers import (
     SLOW,
 )
 from placegraph_lab.tables.outdoor.metrics import RADII
-from placegraph_lab.tables.outdoor.report import Protocol, mean_recall, of_answers
+from placegraph_lab.tables.outdoor.report import Protocol, Row, mean_recall, of_answers
 from placegraph_lab.tables.tables import markdown, number, shares
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.random import Generator
-
-    from placegraph_lab.tables.outdoor.report import Row
 
 PAPER = {
     "*paper: Text2Loc, KITTI360Pose*": (0.28, 0.49, 0.58),

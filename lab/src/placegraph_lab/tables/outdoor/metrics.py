@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -12,8 +13,6 @@ from placegraph.geometry import Floats, LocalPlane
 from placegraph_lab.tables.calibration import Reliability, reliability
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from placegraph.estimate import CityEstimate
 
 RANKS = (1, 3, 5)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
 from placegraph_lab.tables.outdoor.nearby_kernels import (
@@ -17,8 +18,6 @@ from placegraph_lab.tables.outdoor.nearby_kernels import (
 from placegraph_lab.tables.outdoor.raw import AREA, Ints, RawCity
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from placegraph.geometry import Floats
 
 

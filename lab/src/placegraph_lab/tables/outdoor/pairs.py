@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,6 +12,7 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.random import Generator
 
 from placegraph.errors import OptionError
 from placegraph.outdoor.likelihood.query import compile_query, read
@@ -19,10 +21,6 @@ from placegraph.outdoor.search.edit_distance import rank
 from placegraph.outdoor.search.viewpoints import TOGETHER
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.random import Generator
-
     from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.language.description import Description
     from placegraph.outdoor.network.batches import WordFits

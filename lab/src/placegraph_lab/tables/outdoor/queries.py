@@ -7,11 +7,15 @@ where an object stands (`Position`), and whether a thing is related to another o
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
 from placegraph_lab.tables.outdoor.nearby import Bins, Position
@@ -21,12 +25,6 @@ from placegraph_lab.tables.outdoor.triples_kernels import SHORTEST
 from placegraph_lab.tables.outdoor.words import everyday, with_article
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from numpy.random import Generator
-    from numpy.typing import NDArray
-
     from placegraph.geometry import Floats
 
 Setting = Literal["none", "replaced", "absent", "synonyms", "names", "speaker"]

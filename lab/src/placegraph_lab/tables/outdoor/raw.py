@@ -6,19 +6,17 @@ with its own choice of keys (`KEYS`) and its own rule for what is a line and wha
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import InputError
 from placegraph.geometry import Floats, LocalPlane
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-    from pathlib import Path
 
 Ints = NDArray[np.int64]
 

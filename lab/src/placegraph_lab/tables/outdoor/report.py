@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from placegraph_lab.tables.calibration import reliability
-from placegraph_lab.tables.outdoor.metrics import HIT, RADII, RANKS, score
+from placegraph_lab.tables.outdoor.metrics import HIT, RADII, RANKS, Answer, Score, score
 from placegraph_lab.tables.tables import markdown, number, share, shares
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from placegraph_lab.tables.outdoor.metrics import Answer, Score
     from placegraph_lab.tables.outdoor.nearby import Position
     from placegraph_lab.tables.outdoor.queries import Setting
 

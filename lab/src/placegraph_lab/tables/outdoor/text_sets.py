@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import re
 import tomllib
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.random import Generator
 
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, TRAINED
 from placegraph_lab.tables.outdoor.human_text import read_records
@@ -20,10 +22,6 @@ from placegraph_lab.tables.outdoor.queries import make_queries
 from placegraph_lab.tables.outdoor.report import Protocol
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from numpy.random import Generator
-
     from placegraph.outdoor.city import CityMap
 
 TRAPS = Path(__file__).parent / "traps.toml"

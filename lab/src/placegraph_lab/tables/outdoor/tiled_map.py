@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
 
 from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.map.objects import CityObjects, centers
-
-if TYPE_CHECKING:
-    from numpy.random import Generator
-    from numpy.typing import NDArray
 
 GAP = 400.0
 """Space between copies [m], in steps of the grid of cells."""

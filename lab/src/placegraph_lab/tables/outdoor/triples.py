@@ -6,12 +6,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from placegraph_lab.tables.outdoor.triples_kernels import EAST, LONGEST, NORTH, SOUTH, WEST, _pairs
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
     from placegraph_lab.tables.outdoor.nearby import Around
     from placegraph_lab.tables.outdoor.raw import Ints
 

@@ -7,12 +7,14 @@ what they say of the way (loosely) or what an odometer measured.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
+from numpy.random import Generator
 
 from placegraph.errors import OptionError
-from placegraph.geometry import bearing
+from placegraph.geometry import Floats, bearing
 from placegraph_lab.tables.outdoor.queries import (
     CELL,
     FEWEST,
@@ -25,12 +27,7 @@ from placegraph_lab.tables.outdoor.queries import (
 )
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.random import Generator
-
     from placegraph.estimate import CityEstimate
-    from placegraph.geometry import Floats
     from placegraph.outdoor.city import CityMap
 
 Shape = Literal["straight", "bent"]

@@ -11,12 +11,14 @@ many by the ids of their references: a rule that anybody can repeat, but not tha
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, cast
 
 import numpy as np
+from numpy.random import Generator
 
 from placegraph.errors import InputError, OptionError
 from placegraph.formats.dataset.scan3r_sequence import read_scan3r_sequence
@@ -24,11 +26,6 @@ from placegraph.formats.dataset.scannet_files import read_text
 from placegraph_lab.tables.indoor.windows import sampled
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-    from os import PathLike
-
-    from numpy.random import Generator
-
     from placegraph.formats.capture.capture import Capture
     from placegraph.formats.dataset.scan3r_rooms import Room, Rooms, Scan
     from placegraph.geometry import Floats

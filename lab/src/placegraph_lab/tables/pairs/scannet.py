@@ -15,22 +15,20 @@ from __future__ import annotations
 
 import itertools
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from placegraph.errors import InputError, OptionError
-from placegraph.formats.capture.capture import open_capture
+from placegraph.formats.capture.capture import Capture, open_capture
 from placegraph.formats.dataset.scannet_files import axis_alignment, is_rigid, read_text
 from placegraph_lab.tables.indoor.windows import sampled
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from os import PathLike
-
-    from placegraph.formats.capture.capture import Capture
     from placegraph.geometry import Floats
 
 EVERY = 25

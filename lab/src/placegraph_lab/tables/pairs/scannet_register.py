@@ -11,14 +11,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.random import Generator
 
-from placegraph.indoor.mapping.change.register import about, register, sample
+from placegraph.indoor.mapping.change.register import Registration, about, register, sample
 
 if TYPE_CHECKING:
-    from numpy.random import Generator
-
     from placegraph.geometry import Floats
-    from placegraph.indoor.mapping.change.register import Registration
     from placegraph.indoor.scene_map import SceneMap
 
 WITHIN = 0.05

@@ -9,19 +9,17 @@ true pose.
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.indoor.options import FilterOptions
 from placegraph_lab.tables.tables import markdown, number, share
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
     from placegraph.formats.capture.capture import Frame
     from placegraph.geometry import Camera, Floats
     from placegraph.indoor.encode import MapEncoder

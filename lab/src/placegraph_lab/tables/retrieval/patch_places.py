@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,9 +18,6 @@ from placegraph_lab.tables.indoor.windows import HALVES, true_poses
 from placegraph_lab.worlds.home.home import home, record, scene_of, visit
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
     from placegraph.geometry import Floats
 
 HOMES = 8

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import tempfile
 import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -16,21 +17,17 @@ from zlib import crc32
 
 import numpy as np
 
-from placegraph.indoor.encode import vectors_of
+from placegraph.indoor.encode import Encoder, vectors_of
 from placegraph.indoor.library import SceneLibrary
 from placegraph.indoor.library.index import Index
 from placegraph.indoor.library.options import SearchOptions
 from placegraph.indoor.library.query import encode
 from placegraph.indoor.library.scenes import Entry
 from placegraph.indoor.library.search import scores
-from placegraph.indoor.library.signature import signature_of
+from placegraph.indoor.library.signature import Signature, signature_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-
     from placegraph.formats.capture.capture import Capture
-    from placegraph.indoor.encode import Encoder
-    from placegraph.indoor.library.signature import Signature
     from placegraph_lab.tables.retrieval.retrieval_places import Place, Walk
 
 LENGTHS = (1, 5, 10, 25, 50)

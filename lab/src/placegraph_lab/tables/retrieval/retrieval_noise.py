@@ -6,19 +6,17 @@ many frames wash it out; this one is drawn for a thing as long as it is in view.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 from zlib import crc32
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from placegraph_lab.tables.indoor.label_noise import SHARE, NoisyLabels
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from numpy.typing import NDArray
-
     from placegraph.formats.capture.frame import Frame
     from placegraph.indoor.encode.labels import LabelsEncoder
 

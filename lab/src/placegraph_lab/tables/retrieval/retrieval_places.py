@@ -6,11 +6,14 @@ Which scene a walk was taken in stands in `Walk.place`, which evaluation alone r
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.formats.capture.capture import Capture, open_capture
 from placegraph.indoor.build import build_scene
@@ -25,11 +28,6 @@ from placegraph_lab.tables.retrieval.retrieval_walks import RENDERING, filmed, k
 from placegraph_lab.worlds.home.home import STYLES, home, scene_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
     from placegraph.formats.capture.frame import Frame
 
 _Number = TypeVar("_Number", bound=np.generic)

@@ -8,23 +8,20 @@ exactly alike (`APART`).
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.geometry import rotation_z
 from placegraph.indoor.library.options import SearchOptions
-from placegraph.indoor.library.signature import TURNS
+from placegraph.indoor.library.signature import TURNS, Signature
 from placegraph_lab.tables.retrieval.retrieval import library_of
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from numpy.typing import NDArray
-
     from placegraph.indoor.encode import Encoder
-    from placegraph.indoor.library.signature import Signature
     from placegraph_lab.tables.retrieval.retrieval_vectors import Encoded
 
 SCENES = 10_000

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph_lab.tables.journal import INDOOR, fingerprint
+from placegraph_lab.tables.journal import INDOOR, Journal, fingerprint
 from placegraph_lab.tables.retrieval.retrieval import (
     ABSENT,
     LENGTHS,
@@ -25,6 +27,7 @@ from placegraph_lab.tables.retrieval.retrieval_scale import Scale, measure
 from placegraph_lab.tables.retrieval.retrieval_vectors import (
     NOISY,
     ROWS,
+    Encoded,
     all_encoded,
     encoder_of,
     replay,
@@ -32,14 +35,9 @@ from placegraph_lab.tables.retrieval.retrieval_vectors import (
 from placegraph_lab.tables.retrieval.retrieval_walks import RENDERING
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
-    from pathlib import Path
-
     from placegraph.indoor.encode import Encoder
     from placegraph.indoor.library import SceneLibrary
-    from placegraph_lab.tables.journal import Journal
     from placegraph_lab.tables.retrieval.retrieval_places import Place, Walk
-    from placegraph_lab.tables.retrieval.retrieval_vectors import Encoded
 
 SEARCHING = (*INDOOR, "placegraph_lab/tables/retrieval/*.py", *RENDERING)
 """Code that decides what answers are."""

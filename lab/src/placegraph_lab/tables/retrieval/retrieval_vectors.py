@@ -8,12 +8,16 @@ from __future__ import annotations
 
 import hashlib
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
+from placegraph.indoor.encode import Encoder
 from placegraph.indoor.encode import encoder as encoder_named
 from placegraph.indoor.encode.labels import LabelsEncoder
 from placegraph_lab.tables.indoor.label_noise import NoisyLabels
@@ -22,15 +26,9 @@ from placegraph_lab.tables.retrieval.retrieval_noise import NoisyThings
 from placegraph_lab.tables.retrieval.retrieval_walks import RENDERING
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
     from placegraph.formats.capture.capture import Capture
     from placegraph.formats.capture.frame import Frame, Images
     from placegraph.geometry import Camera
-    from placegraph.indoor.encode import Encoder
     from placegraph.indoor.map.scene import Scene
     from placegraph_lab.tables.retrieval.retrieval_places import Walk
 

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import io
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
 from placegraph.formats.capture.capture import Capture
@@ -17,11 +20,6 @@ from placegraph_lab.worlds.home.catalogue import SYNONYMS
 from placegraph_lab.worlds.home.home import changed, record, visit
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
     from placegraph_lab.worlds.flat.flat import Flat
     from placegraph_lab.worlds.flat.interior import Interior
 

@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from placegraph.estimate import Status
-from placegraph.formats.capture.capture import open_capture
+from placegraph.formats.capture.capture import Capture, open_capture
 from placegraph.formats.capture.tum import read_tum
 from placegraph.indoor.mapping.change.capture.looks import look
 from placegraph.indoor.mapping.change.diff import DiffOptions, diff_capture
@@ -23,10 +25,6 @@ from placegraph_lab.tables.indoor.metrics import rotation_error
 from placegraph_lab.tables.tables import markdown, number, share
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-    from pathlib import Path
-
-    from placegraph.formats.capture.capture import Capture
     from placegraph.geometry import Floats
     from placegraph.indoor.mapping.change.changes import Change
     from placegraph.indoor.scene_map import SceneMap

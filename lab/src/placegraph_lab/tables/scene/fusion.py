@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.formats.capture.capture import open_capture
 from placegraph.formats.mesh.glb import read_glb
@@ -17,11 +20,6 @@ from placegraph_lab.tables.indoor.windows import true_poses
 from placegraph_lab.tables.scene.maps_surface import distances, spread
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Camera, Floats
 

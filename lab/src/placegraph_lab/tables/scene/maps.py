@@ -12,9 +12,10 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,13 +24,8 @@ from placegraph.indoor.map.scene_file import bytes_of
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor.decimate import coarse
 from placegraph_lab.tables.indoor.maps import COARSE, with_mesh
-from placegraph_lab.tables.journal import INDOOR, fingerprint
+from placegraph_lab.tables.journal import INDOOR, Journal, fingerprint
 from placegraph_lab.tables.scene.maps_surface import Apart, compare
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from placegraph_lab.tables.journal import Journal
 
 MAKING = (
     *INDOOR,

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -17,17 +18,13 @@ from placegraph_lab.tables.indoor.windows import (
     COVERED,
     HALVES,
     OFFICE_LENGTH,
+    Window,
     covered,
     house_windows,
     office_windows,
 )
 from placegraph_lab.tables.journal import fingerprint
 from placegraph_lab.tables.scene.maps import FULL, Maps, Size
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from placegraph_lab.tables.indoor.windows import Window
 
 ROWS = (
     "instances: semantic", "instances: semantic + depth", "none: depth + colour",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from placegraph_lab.tables.scene.maps import FULL, PLACES, SWEEP, Made
@@ -9,8 +10,6 @@ from placegraph_lab.tables.scene.maps_recall import Paired, difference, recall_o
 from placegraph_lab.tables.tables import markdown, number, share, shares
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from placegraph_lab.tables.scene.maps_surface import Apart
 
 KILO, MEGA, MILLI = 1e-3, 1e-6, 1e3

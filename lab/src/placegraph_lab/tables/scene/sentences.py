@@ -10,10 +10,12 @@ from __future__ import annotations
 
 import time
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.random import Generator
 
 from placegraph.indoor.language import TextIndex, read
 from placegraph.indoor.map.floor import label_words
@@ -22,10 +24,6 @@ from placegraph.indoor.map.structure import WORDS, nameless
 from placegraph_lab.tables.tables import markdown, shares
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.random import Generator
-
     from placegraph.graph import SceneGraph
     from placegraph.indoor.scene_map import SceneMap
 

@@ -8,12 +8,15 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from math import log
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
 
 from placegraph.indoor.language import TextIndex, read
 from placegraph.indoor.map.floor import label_words
@@ -26,14 +29,11 @@ from placegraph_lab.worlds.flat.flat import Flat
 from placegraph_lab.worlds.home.home import STYLES, home, scene_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from numpy.random import Generator
-    from numpy.typing import NDArray
-
     from placegraph.graph import SceneGraph
 
-    Ranker = Callable[[str, Sequence[int]], NDArray[np.float64]]
+
+Ranker = Callable[[str, Sequence[int]], NDArray[np.float64]]
+
 
 AMONG = 10
 """Rooms that a text is asked of."""

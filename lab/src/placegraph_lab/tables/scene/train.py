@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from time import perf_counter, process_time
 from typing import TYPE_CHECKING, Any
@@ -18,8 +19,6 @@ from placegraph_lab.train.scenegraphloc.worlds import homes
 from placegraph_lab.train.training import rows_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from placegraph_lab.tables.run import Run
 
 

@@ -10,18 +10,16 @@ import shutil
 import subprocess
 import sys
 import time
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.error import URLError
 from urllib.request import urlopen
 
 from placegraph.errors import OptionError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
 
 SCRIPT = Path(__file__).with_name("requests.lua")
 TICK = 1.0 / os.sysconf("SC_CLK_TCK")

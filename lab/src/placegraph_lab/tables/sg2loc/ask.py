@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from placegraph.indoor.encode import BoundEncoder, encoder, vectors_of
+from placegraph.indoor.encode import BoundEncoder, Encoder, MapEncoder, encoder, vectors_of
 from placegraph.indoor.encode.instances import InstancesEncoder
 from placegraph.indoor.encode.labels import LabelsEncoder
 from placegraph.indoor.mapping.merge import merge_scenes
@@ -24,7 +24,6 @@ from placegraph_lab.tables.retrieval.retrieval_walks import RENDERING
 
 if TYPE_CHECKING:
     from placegraph.estimate import PoseEstimate
-    from placegraph.indoor.encode import Encoder, MapEncoder
     from placegraph.indoor.scene_map import SceneMap
     from placegraph_lab.tables.run import Run
     from placegraph_lab.tables.sg2loc.sets import Set, Walk

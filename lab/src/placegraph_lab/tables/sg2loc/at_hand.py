@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.formats.capture.capture import open_capture
-from placegraph.geometry import Camera
+from placegraph.formats.capture.capture import Capture, open_capture
+from placegraph.geometry import Camera, Floats
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.mapping.from_capture import FromCapture
 from placegraph.indoor.scene_map import SceneMap
@@ -22,11 +24,6 @@ from placegraph_lab.worlds.flat.walks import write_walk
 from placegraph_lab.worlds.home.home import STYLES, changed, home, scene_of, visit
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from placegraph.formats.capture.capture import Capture
-    from placegraph.geometry import Floats
     from placegraph_lab.worlds.flat.flat import Flat
     from placegraph_lab.worlds.flat.interior import Interior
 

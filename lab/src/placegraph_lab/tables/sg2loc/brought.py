@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,8 +21,6 @@ from placegraph_lab.tables.pairs.scannet_register import register_scans
 from placegraph_lab.tables.sg2loc.sets import LAYOUT, Set, Walk, kept
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from placegraph_lab.tables.run import Run
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,14 +15,11 @@ from placegraph_lab.tables.retrieval.retrieval_places import FIRST, HOMES, Place
 from placegraph_lab.tables.retrieval.retrieval_report import figures, main_table
 from placegraph_lab.tables.retrieval.retrieval_study import Study
 from placegraph_lab.tables.retrieval.retrieval_vectors import NOISY
-from placegraph_lab.tables.sg2loc.ask import recipes
+from placegraph_lab.tables.sg2loc.ask import Asking, recipes
 from placegraph_lab.tables.sg2loc.paper import figures as said
 from placegraph_lab.tables.tables import markdown, number
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from placegraph_lab.tables.sg2loc.ask import Asking
     from placegraph_lab.tables.sg2loc.sets import Set
     from placegraph_lab.tables.sg2loc.spec import Spec
 

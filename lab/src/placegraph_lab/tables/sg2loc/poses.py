@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,8 +16,6 @@ from placegraph_lab.tables.sg2loc.report import measured, printed, report
 from placegraph_lab.tables.sg2loc.spec import SPECS, Spec
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from placegraph_lab.tables.sg2loc.sets import Set
 
 ODOMETRY = {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,8 +14,6 @@ from placegraph_lab.tables.sg2loc.paper import figures as said
 from placegraph_lab.tables.tables import markdown, number, shares
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from placegraph_lab.tables.sg2loc.ask import Reply
 
 COLUMNS = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
@@ -12,8 +13,6 @@ import numpy as np
 from placegraph_lab.tables.indoor.windows import DRIFT, Window, drifting_windows
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from placegraph.formats.capture.capture import Capture
     from placegraph.geometry import Floats
     from placegraph.indoor.scene_map import SceneMap

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, fields
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError
 from placegraph.outdoor.network.batches import Fits
@@ -14,12 +17,6 @@ from placegraph.outdoor.network.graphs import TextGraphs
 from placegraph.store import pack_strings, read_map, write_map
 from placegraph_lab.train.city.pool import Pool
 from placegraph_lab.train.training import planned
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from os import PathLike
-
-    from numpy.typing import NDArray
 
 STATE, POOL = "training", "pool"
 VERSION = 1

@@ -15,16 +15,14 @@ temperature. They do not know of other candidates of the same text.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Collection
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 from torch.nn import functional as F  # noqa: N812  # PyTorch's own name for it
 
 from placegraph_lab.train.city.options import LOSSES
-
-if TYPE_CHECKING:
-    from collections.abc import Collection
 
 NEVER = -1e9
 

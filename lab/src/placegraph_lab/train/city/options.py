@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING
 
@@ -9,8 +10,6 @@ from placegraph.errors import OptionError
 from placegraph.outdoor.network.weights import Shape
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from placegraph.outdoor.city import CityMap
 
 LOSSES = ("match", "similarity", "embedding", "fusion")

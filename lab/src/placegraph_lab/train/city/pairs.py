@@ -6,12 +6,11 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from placegraph.outdoor.network.batches import agreements, entries, mask_of
+from placegraph.outdoor.network.batches import Floats, Rows, WordFits, agreements, entries, mask_of
 from placegraph.outdoor.network.graphs_kernels import CHANNELS
 from placegraph_lab.train.city.pairs_kernels import holds_as_said, literal
 
 if TYPE_CHECKING:
-    from placegraph.outdoor.network.batches import Floats, Rows, WordFits
     from placegraph.outdoor.network.graphs import PlaceGraphs, TextGraphs
 
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
 
-from placegraph.outdoor.likelihood.query import compile_query
+from placegraph.outdoor.likelihood.query import Query, compile_query
 from placegraph.outdoor.network.batches import Fits, fits_of
 from placegraph.outdoor.network.graphs import TextGraphs
 from placegraph.outdoor.search.candidates import candidates
@@ -16,13 +19,7 @@ from placegraph.outdoor.search.rerank import HARD
 from placegraph.outdoor.search.viewpoints import score
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.random import Generator
-    from numpy.typing import NDArray
-
     from placegraph.outdoor.language.description import Description
-    from placegraph.outdoor.likelihood.query import Query
     from placegraph_lab.train.city.sample import Speaker
 
 OTHERS = 4

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from placegraph.outdoor.search.rerank import HARD
 from placegraph_lab.train.city.objective import NEVER
-from placegraph_lab.train.city.torch_batches import forward
+from placegraph_lab.train.city.torch_batches import Lessons, forward
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from placegraph_lab.train.city.torch_batches import Lessons
     from placegraph_lab.train.city.torch_network import Network
 
 WITHIN = 50.0

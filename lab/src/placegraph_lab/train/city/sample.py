@@ -7,11 +7,14 @@ What comes out is what `describe` would have understood, since the words go thro
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.random import Generator
+from numpy.typing import ArrayLike, NDArray
 
 from placegraph.errors import OptionError
 from placegraph.outdoor.language.description import (
@@ -26,11 +29,6 @@ from placegraph.outdoor.map.objects import AREA, LINE
 from placegraph_lab.train.city.sample_kernels import _nearest
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.random import Generator
-    from numpy.typing import ArrayLike, NDArray
-
     from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.language.vocabulary import Vocabulary
 

@@ -8,33 +8,30 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import torch
+from numpy.random import Generator
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional as F  # noqa: N812  # PyTorch's own name for it
 
 from placegraph.outdoor.network.batches import (
     GraphBatch,
     NodeWords,
+    Rows,
     entries,
     place_batch,
     text_batch,
     word_fits,
 )
 from placegraph.outdoor.network.graphs import PlaceGraphs
-from placegraph.outdoor.network.labels import Bags
+from placegraph.outdoor.network.labels import Bags, WordVectors
 from placegraph.outdoor.search.rerank import HARD
 from placegraph_lab.train.city.objective import Scores, Truth
 from placegraph_lab.train.city.pairs import PairBatch, pair_batch
 from placegraph_lab.train.city.pool import AT, NEARBY, Pool
-from placegraph_lab.train.city.torch_network import Graphs, Pairs
+from placegraph_lab.train.city.torch_network import Graphs, Network, Pairs
 
 if TYPE_CHECKING:
-    from numpy.random import Generator
-    from numpy.typing import NDArray
-
     from placegraph.outdoor.city import CityMap
-    from placegraph.outdoor.network.batches import Rows
-    from placegraph.outdoor.network.labels import WordVectors
-    from placegraph_lab.train.city.torch_network import Network
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from os import PathLike
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.outdoor.network.labels import words_of
+from placegraph.outdoor.network.labels import WordVectors, words_of
 from placegraph.outdoor.network.weights import Weights, trained, write_weights
 from placegraph.weights import digest
 from placegraph_lab.datasets.word2vec import read_word2vec
@@ -17,12 +19,8 @@ from placegraph_lab.train.city.sample import Speaker
 from placegraph_lab.train.training import add_row, device_named, rows_of, torch_or_what_installs_it
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from os import PathLike
-
     from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.language.vocabulary import Vocabulary
-    from placegraph.outdoor.network.labels import WordVectors
     from placegraph_lab.train.city.checkpoint import PoolFolder
     from placegraph_lab.train.city.torch_batches import Lessons
 

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 
 from placegraph_lab.train.city.objective import Temperatures, losses
-from placegraph_lab.train.city.torch_batches import forward
+from placegraph_lab.train.city.torch_batches import Lessons, forward
 from placegraph_lab.train.city.torch_network import Network
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from placegraph_lab.train.city.options import Progress, TrainOptions
-    from placegraph_lab.train.city.torch_batches import Lessons
 
 WARM = 100
 """Steps until the learning rate is full."""

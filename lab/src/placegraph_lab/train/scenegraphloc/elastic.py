@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+from numpy.typing import NDArray
 
 SCALES = ((0.05, 0.2), (0.2, 0.4), (0.4, 0.4))
 """Granularity, the distance [m] over which the pull changes, and magnitude [m]."""

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import MapError, OptionError
-from placegraph.indoor.encode.scenegraphloc.inputs import Room, rooms_of
+from placegraph.indoor.encode.scenegraphloc.inputs import PointSource, Room, rooms_of
 from placegraph.indoor.encode.scenegraphloc.views import (
     object_views,
     quarter_turns,
@@ -19,14 +22,8 @@ from placegraph.indoor.encode.scenegraphloc.widths import ATTRIBUTES
 from placegraph.store import pack_strings, read_map, write_map
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
     from placegraph.formats.capture.capture import Capture
     from placegraph.indoor.encode.scenegraphloc.features import ImageFeatures
-    from placegraph.indoor.encode.scenegraphloc.inputs import PointSource
     from placegraph.indoor.scene_map import SceneMap
 
 KIND, VERSION = "lesson", 1

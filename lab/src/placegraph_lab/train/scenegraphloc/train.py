@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,9 +22,6 @@ from placegraph_lab.train.scenegraphloc.options import Progress, TrainOptions
 from placegraph_lab.train.training import add_row, device_named, planned, torch_or_what_installs_it
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from os import PathLike
-
     from placegraph.indoor.encode.scenegraphloc.weights import Weights
 
 SNAPSHOT = "snapshot.pth"

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from io import BytesIO
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from placegraph.errors import InputError
@@ -20,11 +23,6 @@ from placegraph_lab.train.scenegraphloc.elastic import distorted
 from placegraph_lab.train.scenegraphloc.objective import Truth, losses
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
     from placegraph.indoor.encode.scenegraphloc.widths import Widths
     from placegraph_lab.train.scenegraphloc.lessons import Lesson
     from placegraph_lab.train.scenegraphloc.options import TrainOptions

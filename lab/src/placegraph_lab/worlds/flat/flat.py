@@ -47,9 +47,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError
 from placegraph_lab.worlds.drawing import Drawing, load, page, sections
@@ -69,10 +70,6 @@ from placegraph_lab.worlds.flat.legend import (
 from placegraph_lab.worlds.trace import Cell, blots
 
 if TYPE_CHECKING:
-    from typing import Self
-
-    from numpy.typing import NDArray
-
     from placegraph_lab.worlds.flat.interior import Interior
 
 HEADROOM = 1.9

@@ -6,16 +6,13 @@ z from its lower edge at 0. `MODELS` says what each is called and how large it i
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from placegraph_lab.worlds.flat.parts import Part, box, frustum
 from placegraph_lab.worlds.flat.textures import Look
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,14 +10,13 @@ import io
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
 from placegraph.formats.mesh.glb_write import Material, Part, Surface, encode_glb
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from placegraph_lab.worlds.flat.interior import Interior
 
 QUALITY = 90

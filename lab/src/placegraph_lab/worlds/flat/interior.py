@@ -7,13 +7,15 @@ binary glTF file, or turned into one mesh to render from.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError, OptionError
 from placegraph.geometry import rotation_z
-from placegraph_lab.worlds.flat.flat import SOLID
+from placegraph_lab.worlds.flat.flat import SOLID, Blot, Flat
 from placegraph_lab.worlds.flat.furniture import MODELS, Body
 from placegraph_lab.worlds.flat.legend import COMPASS
 from placegraph_lab.worlds.flat.parts import Floats, Part, joined
@@ -21,12 +23,7 @@ from placegraph_lab.worlds.flat.textures import paint
 from placegraph_lab.worlds.flat.walls import Piece, rectangles, shell
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
     from placegraph.indoor.map.mesh import Mesh
-    from placegraph_lab.worlds.flat.flat import Blot, Flat
     from placegraph_lab.worlds.trace import Cell
 
 Rectangle = tuple[float, float, float, float]

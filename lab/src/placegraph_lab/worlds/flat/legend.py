@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 from PIL import ImageColor
 
@@ -12,9 +12,6 @@ from placegraph.errors import InputError
 from placegraph_lab.worlds.drawing import legend_line
 from placegraph_lab.worlds.flat.furniture import MODELS
 from placegraph_lab.worlds.flat.textures import PAINTERS, Look
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 COMPASS = {"north": (0, 1), "east": (1, 0), "south": (0, -1), "west": (-1, 0)}
 """Directions on the page as x to the right and y upwards."""

@@ -6,16 +6,13 @@ Lengths are metres, z is up. Faces wind counter-clockwise seen from outside. Tex
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from placegraph_lab.worlds.flat.textures import WHOLE, Look
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
 
 Floats = NDArray[np.float64]
 Size = tuple[float, float]

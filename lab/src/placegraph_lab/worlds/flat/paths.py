@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,8 +12,6 @@ from numpy.typing import NDArray
 from placegraph.errors import OptionError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from placegraph_lab.worlds.flat.flat import Flat
 
 Floats = NDArray[np.float64]

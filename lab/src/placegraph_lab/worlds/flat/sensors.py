@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.indoor.map.textures import srgb_from_linear
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from placegraph_lab.worlds.flat.render import Shot
 
 FARTHEST = 9.5

@@ -6,14 +6,11 @@ its image for a surface of a given size; the same generator gives the same image
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 Image = NDArray[np.uint8]
 Shades = NDArray[np.float64]

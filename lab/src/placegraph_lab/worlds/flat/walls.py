@@ -8,6 +8,7 @@ between two stretches.
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import groupby, pairwise
 from typing import TYPE_CHECKING
@@ -15,15 +16,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.errors import InputError
-from placegraph_lab.worlds.flat.flat import SOLID
+from placegraph_lab.worlds.flat.flat import SOLID, Blot, Flat, Room
 from placegraph_lab.worlds.flat.legend import DOOR, WINDOW
 from placegraph_lab.worlds.flat.parts import Floats, Part, Size, box, quad
 from placegraph_lab.worlds.trace import EAST, NORTH, SOUTH, WEST, Cell, step
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
-    from placegraph_lab.worlds.flat.flat import Blot, Flat, Room
     from placegraph_lab.worlds.flat.textures import Look
 
 CASING = 0.07

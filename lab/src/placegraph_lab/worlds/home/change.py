@@ -6,8 +6,8 @@ with it; nothing comes to stand in another thing, or in a door.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +20,6 @@ from placegraph_lab.worlds.flat.legend import look
 from placegraph_lab.worlds.flat.parts import joined
 from placegraph_lab.worlds.flat.textures import paint
 from placegraph_lab.worlds.home.catalogue import KINDS, STYLES, SYNONYMS
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
 
 Floats = NDArray[np.float64]
 

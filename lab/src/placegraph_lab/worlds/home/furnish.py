@@ -7,17 +7,13 @@ about reaches every doorway. What finds no place is left out.
 from __future__ import annotations
 
 import string
-from typing import TYPE_CHECKING
+from collections.abc import Iterable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph_lab.worlds.home.catalogue import KINDS, SYNONYMS, Kind, Some, Style
 from placegraph_lab.worlds.home.plan import CELL, OPPOSITE, SIDES, Area, Box, Plan
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from numpy.typing import NDArray
 
 GLYPHS = string.ascii_letters + "*%&$@!?<>^~|+/;,_"
 """One for every thing that stands alone."""

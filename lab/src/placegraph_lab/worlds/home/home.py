@@ -20,6 +20,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
 from placegraph.errors import OptionError
@@ -32,8 +33,6 @@ from placegraph_lab.worlds.home.record import CAMERA, record
 from placegraph_lab.worlds.home.visit import visit
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from placegraph.indoor.scene_map import SceneMap
     from placegraph_lab.worlds.flat.interior import Interior
 

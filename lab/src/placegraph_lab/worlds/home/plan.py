@@ -6,14 +6,12 @@ A cell is a character of `CELL` metres; rectangles are half open: top, left, bot
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph_lab.worlds.home.catalogue import ROOMS, RoomKind
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 CELL = 0.125
 """Side of a character [m]."""

@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.geometry import level_from_camera, pose_matrix, split_pose, wrap
 from placegraph_lab.worlds.flat.flat import HEADROOM, Flat
@@ -15,8 +16,6 @@ from placegraph_lab.worlds.flat.walks import TURN, Walk, stroll
 from placegraph_lab.worlds.home.change import SHELL, STANDS
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from placegraph_lab.worlds.flat.interior import Interior
 
 FLAT = 0.1

@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 from placegraph.errors import InputError
-from placegraph_lab.worlds.town.town import Kind
-from placegraph_lab.worlds.trace import ORTHOGONAL, step
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
-    from placegraph_lab.worlds.town.town import Town
-    from placegraph_lab.worlds.trace import Cell
+from placegraph_lab.worlds.town.town import Kind, Town
+from placegraph_lab.worlds.trace import ORTHOGONAL, Cell, step
 
 FAR = 12
 """Characters within which a door looks for a road."""

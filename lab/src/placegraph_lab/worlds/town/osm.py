@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
 from xml.sax.saxutils import quoteattr
 
 from placegraph.errors import InputError
@@ -26,9 +26,6 @@ from placegraph_lab.worlds.trace import (
     strokes,
     without_straight_points,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 Links = dict[Cell, list[Cell]]
 Spot = tuple[float, float]

@@ -46,17 +46,14 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import Self
 
 from placegraph.errors import InputError
 from placegraph.geometry import LocalPlane
 from placegraph_lab.worlds.drawing import Drawing, legend_line, load, page, sections
 from placegraph_lab.worlds.drawing import shipped as drawings
 from placegraph_lab.worlds.trace import DIAGONAL, EAST, NORTH, ORTHOGONAL, SOUTH, WEST, Cell, blots
-
-if TYPE_CHECKING:
-    from pathlib import Path
-    from typing import Self
 
 Tags = dict[str, str]
 

@@ -7,6 +7,7 @@ import os
 import re
 import sqlite3
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,8 +18,6 @@ from placegraph.formats.ros.files.mcap import read_mcap
 from placegraph.formats.ros.files.storage import Chunk, File, Messages, Part, Topic, joined
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from rosbags.rosbag1 import Reader
 
 ENDINGS = (".mcap", ".db3", ".bag")

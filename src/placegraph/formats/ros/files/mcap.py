@@ -7,19 +7,17 @@ from __future__ import annotations
 
 import struct
 from collections import defaultdict
+from collections.abc import Iterator
 from contextlib import suppress
+from pathlib import Path
 from struct import unpack_from
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from placegraph.errors import InputError
 from placegraph.formats.ros.files.packed import MOST
 from placegraph.formats.ros.files.storage import Chunk, File, Part
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
 
 MAGIC = b"\x89MCAP0\r\n"
 _FOOTER = 37

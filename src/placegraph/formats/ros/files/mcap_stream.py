@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable, Iterator
 from struct import unpack_from
-from typing import TYPE_CHECKING
 
 from placegraph.errors import InputError
 from placegraph.formats.ros.files.bag import ros2_type
 from placegraph.formats.ros.files.mcap import CHUNK, MAGIC, MESSAGE, Channels, Cut, records
 from placegraph.formats.ros.files.packed import MOST, Packed
 from placegraph.formats.ros.packets import Fault, Packet
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
 
 _FOOTER, _DATA_END = 2, 15
 

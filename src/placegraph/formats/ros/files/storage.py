@@ -10,23 +10,20 @@ import os
 import struct
 import weakref
 from collections import OrderedDict
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from struct import unpack_from
 from threading import Lock
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError
 from placegraph.files import regular
 from placegraph.formats.capture.database import Database
 from placegraph.formats.ros.files.packed import MOST, Packed
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
 
 _HEAD = 160
 """Bytes before a message, at most: of MCAP 31, of rosbag1 fields of its own."""

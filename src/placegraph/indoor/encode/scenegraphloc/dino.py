@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
 from placegraph.errors import InputError, MissingExtraError, OptionError, ServiceError
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 MODEL = "vit_giant_patch14_dinov2.lvd142m"
 """Name of DINOv2 ViT-g/14 without registers in timm."""

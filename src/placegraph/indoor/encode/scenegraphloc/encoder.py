@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError, MissingExtraError, OptionError
 from placegraph.indoor.encode.scenegraphloc.features import (
@@ -19,10 +21,6 @@ from placegraph.indoor.encode.scenegraphloc.inputs import POINTS, PointSource, r
 from placegraph.indoor.encode.scenegraphloc.views import object_views, quarter_turns
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
     from placegraph.formats.capture.capture import Capture
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Camera

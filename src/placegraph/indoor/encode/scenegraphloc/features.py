@@ -7,20 +7,17 @@ will do, for a network trained on it; `ColourFeatures` needs no weights.
 from __future__ import annotations
 
 import json
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
 from placegraph.errors import InputError, OptionError
 from placegraph.files import regular
 from placegraph.indoor.map.relations import ABOVE, NEXT_TO
-
-if TYPE_CHECKING:
-    from os import PathLike
-
-    from numpy.typing import NDArray
 
 GRID = (9, 16)
 """Rows and columns of patches of an image that is wider than high; the other way round else."""

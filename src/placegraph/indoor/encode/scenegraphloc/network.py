@@ -6,18 +6,15 @@ The layers of the graph and of the views are in `attention`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor, nn
 
 from placegraph.indoor.encode.scenegraphloc.attention import GraphEncoder, ViewEncoder
 from placegraph.indoor.encode.scenegraphloc.widths import POSE, Widths
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 MODALITIES = ("point", "gat", "rel", "attr", "img_patch")
 """What is known of an object, in the order in which the network joins it."""

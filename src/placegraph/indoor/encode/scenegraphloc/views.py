@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from placegraph.geometry import quaternion_from_rotation
+from placegraph.geometry import Camera, quaternion_from_rotation
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
     from placegraph.formats.capture.capture import Capture
     from placegraph.formats.capture.frame import Frame
-    from placegraph.geometry import Camera
     from placegraph.indoor.encode.scenegraphloc.features import ImageFeatures
     from placegraph.indoor.map.scene import Scene
 

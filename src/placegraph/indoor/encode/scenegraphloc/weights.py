@@ -8,9 +8,11 @@ from __future__ import annotations
 import hashlib
 import json
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
@@ -22,10 +24,6 @@ from placegraph.files import regular, write_file
 from placegraph.indoor.encode.scenegraphloc.network import SceneGraphLoc
 from placegraph.indoor.encode.scenegraphloc.widths import Widths
 from placegraph.networks import load_file
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from os import PathLike
 
 IGNORED = ("backbone.", "patch_global_encoder.", "obj_global_encoder.")
 """Keys of what the published training can be told to bring along and nobody needs."""

@@ -28,9 +28,11 @@ by such relations is in one room (`placegraph.indoor.map.relations.words.find` f
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.indoor.map.relations.boxes import (
     NEXT,
@@ -43,10 +45,6 @@ from placegraph.indoor.map.relations.boxes import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from numpy.typing import NDArray
-
     from placegraph.indoor.map.mesh import Mesh
 
 STANDING_ON, INSIDE, ATTACHED_TO, ABOVE, NEXT_TO, SAME_ROOM = (

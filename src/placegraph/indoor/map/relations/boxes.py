@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -10,8 +11,6 @@ from numpy.typing import NDArray
 from placegraph.indoor.map.floor import is_floor, label_words
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from placegraph.indoor.map.mesh import Mesh
 
 NEXT = 0.5

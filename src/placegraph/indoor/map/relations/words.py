@@ -7,9 +7,11 @@ reads as "above", turned. An edge "lamp above desk" so answers "desk under lamp"
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.indoor.map.floor import label_words
 from placegraph.indoor.map.relations import (
@@ -22,10 +24,6 @@ from placegraph.indoor.map.relations import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from numpy.typing import NDArray
-
     from placegraph.graph import SceneGraph
 
 Reading = tuple[str, bool]

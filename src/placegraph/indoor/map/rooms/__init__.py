@@ -19,11 +19,12 @@ around several, is in none.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from placegraph.indoor.map.rooms.cells import (
     BELOW,
@@ -40,10 +41,6 @@ from placegraph.indoor.map.rooms.rooms_kernels import areas_within, flood, neare
 from placegraph.indoor.map.structure import structure
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from numpy.typing import ArrayLike
-
     from placegraph.indoor.map.mesh import Mesh
 
 LEAST_AREA = 2.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -12,8 +13,6 @@ from placegraph.indoor.map.rooms.rooms_kernels import cover, cut, nearest, piece
 from placegraph.indoor.map.structure import NAMELESS, structure
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from placegraph.indoor.map.mesh import Mesh
 
 CELL = 0.05

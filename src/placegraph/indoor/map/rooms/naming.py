@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from placegraph.indoor.map.floor import storey_at
-from placegraph.indoor.map.rooms import rooms_of
+from placegraph.indoor.map.rooms import Rooms, rooms_of
 from placegraph.indoor.map.structure import structure
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import ArrayLike
-
-    from placegraph.indoor.map.rooms import Rooms
     from placegraph.indoor.map.scene import Scene
 
 _STOREY = 3.0  # what is higher above a floor is in none of its rooms [m]

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
 from placegraph.indoor.mapping.atlas.baking_kernels import SEEN, UNSEEN, choose, cover, draw
@@ -14,13 +15,13 @@ from placegraph.indoor.mapping.atlas.pages import Sheets, assembled
 from placegraph.threads import share
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from placegraph.indoor.map.mesh import Mesh
 
-    Floats = NDArray[np.float64]
-    Ints = NDArray[np.int64]
-    Bytes = NDArray[np.uint8]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bytes = NDArray[np.uint8]
+
 
 ColourOf: TypeAlias = Callable[[Any, Any, Any], Any]
 """`colour_of(points, normals, triangles)`: what colour the surface has.

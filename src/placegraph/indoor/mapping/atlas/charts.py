@@ -6,17 +6,18 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.indoor.mapping.atlas.chart_kernels import absorb, grow, overlapping, turns
 from placegraph.threads import share
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from placegraph.indoor.map.mesh import Mesh
 
-    Floats = NDArray[np.float64]
-    Ints = NDArray[np.int64]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
 
 CONE = np.cos(np.radians(45.0))
 """Normals of a chart lie within this of their mean as it grows."""

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from placegraph.errors import OptionError
 from placegraph.indoor.map.mesh import Mesh
@@ -22,15 +24,13 @@ from placegraph.indoor.rays import RayCaster
 from placegraph.threads import share
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import ArrayLike, NDArray
-
     from placegraph.formats.capture.frame import Frame
     from placegraph.indoor.mapping.atlas.baking import ColourOf
 
-    Floats = NDArray[np.float64]
-    Bytes = NDArray[np.uint8]
+
+Floats = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
+
 
 VIEWS = 120
 """Keyframes, at most."""

@@ -6,19 +6,20 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.mapping.atlas.baking_kernels import DARK, FLAT
 from placegraph.indoor.mapping.atlas.chart_kernels import spread
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from placegraph.indoor.mapping.atlas.charts import Charts
 
-    Floats = NDArray[np.float64]
-    Ints = NDArray[np.int64]
-    Bytes = NDArray[np.uint8]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bytes = NDArray[np.uint8]
+
 
 SHADES = 4
 """Charts of one colour share a texel with those that differ by less than this [of 255]."""

@@ -3,14 +3,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.compiled import kernel
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 BEST = 5
 """Views of a texel that are compared; those that agree are mixed."""

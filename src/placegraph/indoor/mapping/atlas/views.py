@@ -2,27 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.indoor.mapping.atlas.view_kernels import Keyframes, around, resampled
 from placegraph.threads import processors
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
-
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Camera
     from placegraph.indoor.rays import RayCaster
 
-    Floats = NDArray[np.float64]
-    Bytes = NDArray[np.uint8]
+
+Floats = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
+
 
 STEP = 0.10
 """Frames nearer than this to each other [m] ..."""

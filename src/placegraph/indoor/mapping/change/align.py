@@ -6,11 +6,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
-from placegraph.geometry import rotation_z
+from placegraph.geometry import Floats, rotation_z
 from placegraph.indoor.map.structure import structure
 from placegraph.indoor.mapping.change.register import (
+    Sampled,
     inverse,
     moved,
     register,
@@ -20,12 +22,8 @@ from placegraph.indoor.mapping.change.register import (
 )
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from placegraph.geometry import Floats
     from placegraph.indoor.map.scene import Scene
     from placegraph.indoor.mapping.change.options import DiffOptions
-    from placegraph.indoor.mapping.change.register import Sampled
 
 POINTS = 20_000
 """On each map."""

@@ -4,24 +4,19 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass, field
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError, OptionError
 from placegraph.files import put
 from placegraph.formats.capture.camera import read_json
-from placegraph.geometry import vector_from_rotation
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from os import PathLike
-
-    from numpy.typing import NDArray
-
-    from placegraph.geometry import Floats
+from placegraph.geometry import Floats, vector_from_rotation
 
 Kind = Literal["moved", "appeared", "vanished", "relabelled"]
 KINDS: tuple[Kind, ...] = get_args(Kind)

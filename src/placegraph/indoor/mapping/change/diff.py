@@ -8,6 +8,7 @@ map covers the place at all.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -20,6 +21,7 @@ from placegraph.indoor.mapping.change.changes import Change, Piece, SceneDiff
 from placegraph.indoor.mapping.change.objects import (
     Body,
     Cover,
+    Motion,
     bodies,
     by_id,
     motion_between,
@@ -29,11 +31,8 @@ from placegraph.indoor.mapping.change.options import DiffOptions
 from placegraph.indoor.mapping.change.register import inverse, moved
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from placegraph.geometry import Floats
     from placegraph.indoor.map.scene import Scene
-    from placegraph.indoor.mapping.change.objects import Motion
 
 __all__ = ["DiffOptions", "diff", "diff_capture"]
 

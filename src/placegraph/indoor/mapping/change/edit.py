@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Generic
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
 from placegraph.indoor.map import textures
@@ -20,10 +22,6 @@ from placegraph.indoor.map.structure import structure
 from placegraph.indoor.mapping.change.register import moved
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from numpy.typing import NDArray
-
     from placegraph.geometry import Floats
     from placegraph.indoor.mapping.change.changes import Change, Piece
 

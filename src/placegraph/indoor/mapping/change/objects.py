@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.random import Generator
 
 from placegraph.formats.mesh.nearest import nearest
-from placegraph.geometry import vector_from_rotation
+from placegraph.geometry import Floats, vector_from_rotation
 from placegraph.indoor.map.structure import nameless, same_label, structure
 from placegraph.indoor.mapping.change.register import (
+    Sampled,
     about,
     inverse,
     moved,
@@ -21,14 +24,8 @@ from placegraph.indoor.mapping.change.register import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.random import Generator
-
-    from placegraph.geometry import Floats
     from placegraph.indoor.map.scene import Scene
     from placegraph.indoor.mapping.change.options import DiffOptions
-    from placegraph.indoor.mapping.change.register import Sampled
     from placegraph.indoor.rays import RayCaster
 
 _DENSITY = 400.0  # most points a square metre of an object

@@ -6,15 +6,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
 
 from placegraph.formats.mesh.nearest import nearest
-from placegraph.geometry import rotation_from_vector, rotation_z
+from placegraph.geometry import Floats, rotation_from_vector, rotation_z
 
 if TYPE_CHECKING:
-    from numpy.random import Generator
-    from numpy.typing import NDArray
-
-    from placegraph.geometry import Floats
     from placegraph.indoor.map.mesh import Mesh
     from placegraph.indoor.rays import RayCaster
 

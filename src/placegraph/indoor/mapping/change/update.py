@@ -3,22 +3,16 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Collection
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from placegraph.errors import InputError, OptionError
 from placegraph.files import write_file
 from placegraph.indoor.map.scene import S, Scene
 from placegraph.indoor.map.scene_file import open_scene, save_scene
-from placegraph.indoor.mapping.change.changes import KINDS
+from placegraph.indoor.mapping.change.changes import KINDS, Change, SceneDiff
 from placegraph.indoor.mapping.change.edit import Edit
-
-if TYPE_CHECKING:
-    from collections.abc import Collection
-    from os import PathLike
-
-    from placegraph.indoor.mapping.change.changes import Change, SceneDiff
-
 
 LEAST = 0.5
 """Findings less sure than this are not taken over, unless that is asked for."""

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.indoor.map.relations import MOST_OBJECTS
 from placegraph.indoor.map.structure import nameless, structure
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
-
     from placegraph.indoor.map.scene import Scene
     from placegraph.indoor.mapping.check.finding import Found, Severity
 

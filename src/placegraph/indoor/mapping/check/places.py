@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.indoor.likelihood.visibility import visibility
 from placegraph.indoor.map.panoramas import DIRECTIONS
@@ -12,10 +14,6 @@ from placegraph.indoor.mapping.check.space import height_of_rooms
 from placegraph.indoor.options import FilterOptions
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
-
     from placegraph.indoor.map.scene import Scene
     from placegraph.indoor.mapping.check.finding import Found
 

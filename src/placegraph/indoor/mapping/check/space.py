@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.indoor.map.floor import LEVEL, is_floor, label_words, labelled_floors, quantiles
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
-
     from placegraph.indoor.map.scene import Scene
     from placegraph.indoor.mapping.check.finding import Found, Severity
 

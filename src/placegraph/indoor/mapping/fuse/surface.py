@@ -7,23 +7,23 @@ cell stay apart, so that edges have two triangles but for rare configurations, a
 
 from __future__ import annotations
 
+from collections import Counter
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.indoor.mapping.fuse import surface_kernels as kernels
 
 if TYPE_CHECKING:
-    from collections import Counter
-
-    from numpy.typing import NDArray
-
     from placegraph.geometry import Floats
     from placegraph.indoor.mapping.fuse.volume import Volume
 
-    Ints = NDArray[np.int64]
-    Colours = NDArray[np.uint8]
+
+Ints = NDArray[np.int64]
+Colours = NDArray[np.uint8]
+
 
 STEEPEST = 1.0
 """Neighbouring voxels differ by one voxel at most, and by noise; not by this much [truncations]."""

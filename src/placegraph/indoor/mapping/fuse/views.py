@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from placegraph.errors import OptionError
-from placegraph.geometry import Camera
+from placegraph.geometry import Camera, Floats
 
 if TYPE_CHECKING:
-    from collections import Counter
-    from collections.abc import Iterator, Sequence
-
-    from numpy.typing import ArrayLike, NDArray
-
     from placegraph.formats.capture.frame import Frame
-    from placegraph.geometry import Floats
 
 FARTHEST = 1e4
 """Cameras farther from the map's origin than this are damage [m]."""

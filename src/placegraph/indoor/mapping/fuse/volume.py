@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.indoor.mapping.fuse import volume_kernels as kernels
 from placegraph.indoor.mapping.fuse.depth_kernels import farthest, visible
@@ -16,8 +17,6 @@ from placegraph.indoor.mapping.fuse.volume_kernels import SIDE, SIZE
 from placegraph.threads import share
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from placegraph.geometry import Floats
     from placegraph.indoor.mapping.fuse.views import Shot
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
 from placegraph.formats.place.indoor_osm import ROOMS, IndoorShape
@@ -13,8 +14,6 @@ from placegraph.indoor.map.rooms import rooms_of
 from placegraph.indoor.mapping.osm.outlines import LEAST_AREA, area, outlines_of, rings_of_cells
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from placegraph.earth import Anchor
     from placegraph.geometry import Floats
     from placegraph.indoor.map.scene import Scene

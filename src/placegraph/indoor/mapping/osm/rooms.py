@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -11,14 +12,11 @@ import numpy as np
 from placegraph.earth import Anchor
 from placegraph.errors import InputError, OptionError
 from placegraph.features import inside
-from placegraph.formats.place.indoor_osm import ROOMS, room_names
+from placegraph.formats.place.indoor_osm import ROOMS, IndoorOsm, IndoorShape, room_names
 from placegraph.formats.place.levels import level_text, levels_of
 from placegraph.indoor.mapping.osm.outlines import polygons
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from placegraph.formats.place.indoor_osm import IndoorOsm, IndoorShape
     from placegraph.geometry import Floats
 
 HEIGHT = 2.8

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.indoor.map.floor import quantiles
 from placegraph.indoor.mapping.segment.objects import join_patches, settle
@@ -14,17 +16,14 @@ from placegraph.indoor.mapping.segment.segment_kernels import connect, nearest
 from placegraph.indoor.mapping.segment.walls import find_walls, peak
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
     from placegraph.indoor.mapping.segment.faces import Faces
-    from placegraph.indoor.mapping.segment.patches import PatchGraph
     from placegraph.indoor.mapping.segment.segments import SegmentOptions
 
-    Floats = NDArray[np.float64]
-    Ints = NDArray[np.int64]
-    Mask = NDArray[np.bool_]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
 
 ROUNDS = 3
 """How often normals and colours are levelled."""

@@ -2,30 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from placegraph.indoor.mapping.segment.faces import Samples
+from placegraph.indoor.mapping.segment.faces import Faces, Samples
 from placegraph.indoor.mapping.segment.geometry import ROUNDS, Cut, adopted
 from placegraph.indoor.mapping.segment.objects import joined, settle
 from placegraph.indoor.mapping.segment.patches import PatchGraph, describe, step_weights
 from placegraph.indoor.mapping.segment.segment_kernels import connect
-from placegraph.indoor.mapping.segment.votes import NOTHING, label_faces
+from placegraph.indoor.mapping.segment.votes import NOTHING, Votes, label_faces
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from placegraph.indoor.mapping.segment.faces import Faces
-    from placegraph.indoor.mapping.segment.patches import PatchGraph
     from placegraph.indoor.mapping.segment.segments import SegmentOptions
-    from placegraph.indoor.mapping.segment.votes import Votes
 
-    Floats = NDArray[np.float64]
-    Ints = NDArray[np.int64]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
 
 _FRAGMENT = 0.15  # area of what may be a broken-off part of a thing [m2] ...
 _NEARBY = 0.2  # ... and how far from it [m]

@@ -12,18 +12,19 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.indoor.mapping.segment.segment_kernels import connect
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from placegraph.indoor.mapping.segment.patches import PatchGraph
     from placegraph.indoor.mapping.segment.segments import SegmentOptions
 
-    Floats = NDArray[np.float64]
-    Ints = NDArray[np.int64]
-    Mask = NDArray[np.bool_]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
 
 _LEVEL = 0.9
 _LOW = 0.2  # a surface that carries things is this far above the floor [m]

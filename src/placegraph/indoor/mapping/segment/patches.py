@@ -6,18 +6,18 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.indoor.mapping.segment import segment_kernels as kernels
-from placegraph.indoor.mapping.segment.faces import Samples
+from placegraph.indoor.mapping.segment.faces import Faces, Samples
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from placegraph.indoor.mapping.segment.faces import Faces
     from placegraph.indoor.mapping.segment.segments import SegmentOptions
 
-    Floats = NDArray[np.float64]
-    Ints = NDArray[np.int64]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
 
 _CONVEX = 0.4
 """A convex edge is worth this share of a concave one of the same angle."""

@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.indoor.mapping.segment.segment_kernels import nearest
 from placegraph.indoor.options import check_numbers, check_positive
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from numpy.typing import NDArray
-
     from placegraph.indoor.mapping.segment.faces import Faces
 
-    Floats = NDArray[np.float64]
-    Ints = NDArray[np.int64]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
 
 UNKNOWN = "unknown"
 """Label of what nothing is known of."""

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
 from placegraph.indoor.map.structure import nameless
@@ -13,17 +16,14 @@ from placegraph.indoor.mapping.segment.segment_kernels import elect
 from placegraph.indoor.rays import RayCaster
 
 if TYPE_CHECKING:
-    from collections import Counter
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
-
     from placegraph.formats.capture.frame import Frame, LabelKind
     from placegraph.geometry import Camera
     from placegraph.indoor.mapping.segment.faces import Faces
 
-    Floats = NDArray[np.float64]
-    Ints = NDArray[np.int64]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
 
 NOTHING = 0
 """What a pixel without a label votes for."""

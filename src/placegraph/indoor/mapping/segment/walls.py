@@ -6,20 +6,20 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.indoor.map.floor import quantiles
-from placegraph.indoor.mapping.segment.faces import Samples
+from placegraph.indoor.mapping.segment.faces import Faces, Samples
 from placegraph.indoor.mapping.segment.segment_kernels import connect
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from placegraph.indoor.mapping.segment.faces import Faces
     from placegraph.indoor.mapping.segment.segments import SegmentOptions
 
-    Floats = NDArray[np.float64]
-    Ints = NDArray[np.int64]
-    Mask = NDArray[np.bool_]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
 
 UPRIGHT = 0.35
 """|z| of the normal of an upright face is below this."""

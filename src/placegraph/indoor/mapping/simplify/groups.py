@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.indoor.mapping.simplify.groups_kernels import _grouped
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 
 def groups(keys: NDArray[np.int64]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:

@@ -11,21 +11,20 @@ A modeller's or a scan's mesh becomes the coarse mesh that the paper's maps hold
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.mapping.simplify.collapse_kernels import collapse
 from placegraph.indoor.mapping.simplify.groups import groups
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Rows = NDArray[np.int32]
 
-    Floats = NDArray[np.float64]
-    Ints = NDArray[np.int64]
-    Rows = NDArray[np.int32]
 
 WELD = 1e-4
 """Vertices of an object that are nearer than this are one [m]."""

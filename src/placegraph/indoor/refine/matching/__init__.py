@@ -9,13 +9,11 @@ from __future__ import annotations
 
 import inspect
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from placegraph.errors import OptionError
 from placegraph.indoor.refine.matching.matches import Matcher, Matches
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 __all__ = ["MATCHERS", "Matcher", "Matches", "matcher"]
 

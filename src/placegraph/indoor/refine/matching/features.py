@@ -6,12 +6,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.indoor.refine.matching.matches import Matches, inside
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from placegraph.geometry import Floats
 
 

@@ -8,15 +8,11 @@ brightness or contrast alters.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.indoor.refine.matching.guided_kernels import corners, search
 from placegraph.indoor.refine.matching.matches import Matches, ViewByView, blank, check_range
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 _PEAK = 3  # pixels around the best place that are no rivals of it
 

@@ -11,23 +11,20 @@ other way.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from unittest.mock import patch
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import MissingExtraError, OptionError, ServiceError
 from placegraph.indoor.refine.matching.dense import Warp, thinned
 from placegraph.indoor.refine.matching.matches import Matches, ViewByView, blank, check_range
 from placegraph.networks import device_for, fitting, read_state, torch_for
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
 
 KINDS = ("indoor", "outdoor", "tiny")
 SETTINGS = ("turbo", "fast", "base", "precise")

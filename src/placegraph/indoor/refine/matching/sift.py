@@ -7,19 +7,16 @@ with the options of `SiftMatcher`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import MissingExtraError
 from placegraph.indoor.refine.matching.features import Features
 from placegraph.indoor.refine.matching.matches import Matches, ViewByView, blank, check_range, grey
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
 
 _SMALLEST = 8
 """OpenCV finds no feature in smaller images, and its pyramid may fail there [px]."""

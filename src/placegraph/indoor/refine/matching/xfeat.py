@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import MissingExtraError, ServiceError
 from placegraph.indoor.refine.matching.features import Features, mutual
@@ -24,8 +25,6 @@ from placegraph.indoor.refine.matching.matches import (
 from placegraph.networks import device_for, fitting, read_state, torch_for
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from placegraph.geometry import Floats
 
 _CENTRE = 4.0

@@ -3,16 +3,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.compiled import kernel
 from placegraph.indoor.map.surface_kernels import colour_at
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
 
 BITS = 20
 """Of a cell's number along one axis."""

@@ -10,13 +10,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.indoor.mapping.change.capture.capture_kernels import paint
 from placegraph.indoor.render import camera_rays
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from placegraph.formats.capture.frame import Frame
     from placegraph.geometry import Camera, Floats
     from placegraph.indoor.map.scene import Scene

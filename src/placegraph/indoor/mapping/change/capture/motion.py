@@ -11,20 +11,24 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
 
 from placegraph.indoor.mapping.change.capture.looks import project, window
-from placegraph.indoor.mapping.change.capture.tally import tolerance
-from placegraph.indoor.mapping.change.register import about, inverse, moved, register, sample
+from placegraph.indoor.mapping.change.capture.tally import Rest, tolerance
+from placegraph.indoor.mapping.change.register import (
+    Sampled,
+    about,
+    inverse,
+    moved,
+    register,
+    sample,
+)
 from placegraph.indoor.rays import RayCaster
 
 if TYPE_CHECKING:
-    from numpy.random import Generator
-    from numpy.typing import NDArray
-
     from placegraph.geometry import Floats
     from placegraph.indoor.map.mesh import Mesh
-    from placegraph.indoor.mapping.change.capture.tally import Rest
-    from placegraph.indoor.mapping.change.register import Sampled
 
 POINTS = 120
 """On a thing, for the first round."""

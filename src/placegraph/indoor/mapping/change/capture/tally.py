@@ -8,24 +8,24 @@ it, both brought to the light that falls on their surroundings.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.indoor.rays import RayCaster
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
     from placegraph.geometry import Floats
     from placegraph.indoor.map.scene import Scene
     from placegraph.indoor.mapping.change.capture.looks import Look
     from placegraph.indoor.mapping.change.options import DiffOptions
 
-    Mask = NDArray[np.bool_]
+
+Mask = NDArray[np.bool_]
+
 
 RING = 7
 """Width of the surroundings of an object that tell the light on it [px]."""
