@@ -115,11 +115,12 @@ class Worn:
 def rows(effort: Effort) -> Iterator[Row]:
     """Rows of this part."""
     prepare(effort.folder / "inputs")
-    at_once = min(processors(), len(LOADS))
-    share = effort.seconds * at_once / len(LOADS)
+    loads = [load for load in LOADS if effort.wants(load)]
+    at_once = min(processors(), max(1, len(loads)))
+    share = effort.seconds * at_once / max(1, len(loads))
     with ProcessPoolExecutor(at_once, get_context("spawn"), max_tasks_per_child=1) as pool:
         started = {
-            pool.submit(borne, load, effort.folder, share, effort.seed): load for load in LOADS
+            pool.submit(borne, load, effort.folder, share, effort.seed): load for load in loads
         }
         for ended in as_completed(started):
             yield told(started[ended], *ended.result(), effort)
@@ -188,15 +189,30 @@ def drawn(rng: np.random.Generator) -> str:
 
 
 def localizations(inputs: Path, rng: np.random.Generator) -> Callable[[], object]:
-    """Windows of three frames of a film, in one map."""
+    """One to three frames of a film in one map, by all senses and by two of three.
+
+    One in fifty is refined, one in ten more is looked for everywhere, and the others near where
+    their first frame was found before.
+    """
     from placegraph.formats.capture.capture import open_capture
+    from placegraph.indoor.options import FilterOptions
+    from placegraph.indoor.pose.prior import Prior
     from placegraph.maps import open_scene
 
     scene, film = open_scene(inputs / "flat.scene"), open_capture(inputs / "walk")
+    each = [scene.localize(film, frames=[k], refine=False).best.pose for k in range(len(film))]
+    near = [Prior(x, y, z, yaw, spread=0.5) for x, y, z, yaw in np.stack(each).tolist()]
+    blind = [FilterOptions(**{sense: False}) for sense in ("semantic", "depth", "colour")]
+    options = (FilterOptions(), *blind, FilterOptions(modes=3))
 
     def ask() -> object:
-        first = int(rng.integers(len(film) - 2))
-        return scene.localize(film, frames=slice(first, first + 3), seed=int(rng.integers(1000)))
+        kind, count = rng.random(), int(rng.integers(1, 4))
+        first = int(rng.integers(len(film) - count + 1))
+        return scene.localize(
+            film, frames=slice(first, first + count), refine=kind < 0.02,
+            prior=near[first] if kind > 0.12 else None,
+            options=options[rng.integers(len(options))], seed=int(rng.integers(1000)),
+        )  # fmt: skip
 
     return ask
 

@@ -50,7 +50,10 @@ def reliability(
         option("Rows whose faults are mended, each with a test; with semicolons: PART/WHAT/SEED."),
     ] = "",
     names: Annotated[
-        str, option("Rows of fuzz and platforms that are wanted, with semicolons; all by default.")
+        str,
+        option(
+            "Rows of fuzz, soak and platforms that are wanted, with semicolons; all by default."
+        ),
     ] = "",
     *,
     quick: Quick = False,
