@@ -160,11 +160,14 @@ def writing(path: Path_) -> Iterator[Write]:
         yield write
 
 
-def read_map(path: Path_, kind: str, max_version: int, mapped: Collection[str] = ()) -> MapFile:
+def read_map(
+    path: Path_, kind: str, max_version: int, mapped: Collection[str] = (), least: int = 0
+) -> MapFile:
     """Read a map file and check all of it.
 
-    Columns of the names `mapped` that are stored as they are are windows on the file, by two descriptors.
-    Whoever shortens it, instead of replacing it, ends who looks at them: `watch` tells before.
+    Columns of the names `mapped` that are stored as they are are windows on the file, by two descriptors,
+    where they have `least` bytes together. Whoever shortens it, instead of replacing it, ends who looks
+    at them: `watch` tells before.
 
     Raises
     ------
@@ -187,6 +190,7 @@ def read_map(path: Path_, kind: str, max_version: int, mapped: Collection[str] =
             )
         start, watch = file.tell(), files.Watch(file, path) if mapped else None
         lying = [b for b in header.blocks if b.name in mapped and lies_there(b, start)]
+        lying = lying if sum(b.length for b in lying) >= least else []
         plain = sorted((b for b in header.blocks if b not in lying), key=lambda b: -b.length)
         with ThreadPoolExecutor(2) as pool:
             hashed = pool.submit(_intact, file, header.file_size)

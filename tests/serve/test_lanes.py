@@ -40,13 +40,15 @@ def stopped(bounded):
     return bounded
 
 
-def test_a_dead_process_is_told_and_replaced(stopped):
+@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGBUS], ids=["killed", "map cut short"])
+def test_a_dead_process_is_told_and_replaced(stopped, end):
     process, before = processes(stopped), replaced(stopped)
     with concurrent.futures.ThreadPoolExecutor(1) as pool:
         asked = pool.submit(stopped.post, "/v1/locate", json=SAID)
         while not stopped.app.state.server.sentences.running:
             pass
-        os.kill(process.pid, signal.SIGKILL)
+        os.kill(process.pid, end)
+        os.kill(process.pid, signal.SIGCONT)
         told = asked.result()
     assert (told.status_code, told.json()["code"]) == (500, "worker_died")
     assert "ask again" in told.json()["detail"]

@@ -1,6 +1,7 @@
 """Images as they are stored, or as a telephone shows them."""
 
 import os
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -62,6 +63,23 @@ def test_more_pixels_than_bytes_can_hold_are_refused_before_they_are_read(tmp_pa
     assert read_rgb(path, (40, 30)).shape == (30, 40, 3)
     with path.open("rb") as source:
         assert read_rgb(path, (40, 30), source).shape == (30, 40, 3)
+
+
+@pytest.mark.parametrize(
+    ("mode", "each"), [("RGB", 3), ("RGBA", 3), ("P", 3), ("L", 4), ("I;16", 4)]
+)
+def test_of_a_large_image_no_second_copy_is_held(tmp_path, mode, each):
+    """Numbers that one looks at, and a strip of them; Pillow's own are counted by nobody here."""
+    large, path = (1500, 3001), tmp_path / "a.png"
+    image = Image.new("L", large)
+    image.paste(200, (0, 2000, 1500, 3001))
+    image.convert(mode).save(path)
+    tracemalloc.start()
+    read = read_rgb(path, large) if each == 3 else read_whole(path, large, (mode,))
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < each * 1500 * 3001 + 16e6
+    assert (read[1999].max(), read[2000].min(), read[-1].max()) == (0, 200, 200)
 
 
 @pytest.mark.parametrize("name", ["odometry.tum", "camera.json", "rgb/0.png", "mesh.ply", "a.glb"])

@@ -49,6 +49,14 @@ def city(path: Path) -> Callable[[], Any]:
     return lambda: found.locate(SENTENCE)
 
 
+def mapped(path: Path) -> Callable[[], Any]:
+    """The same, where the map's index is read where it lies, as that of a large one."""
+    from placegraph.outdoor.city import CityMap
+
+    found = CityMap.open(path, shard=True)
+    return lambda: found.locate(SENTENCE)
+
+
 def scene(path: Path) -> Callable[[], Any]:
     """A scene's map, and a window of frames in it."""
     from placegraph.formats.capture.capture import open_capture
@@ -102,7 +110,7 @@ def weights(path: Path) -> Callable[[], Any]:
 
 USES: dict[str, tuple[str, Callable[[Path], Callable[[], Any]]]] = {
     "a city's map": ("town.city", city),
-    "a city's map that is mapped": ("indexed.city", city),
+    "a city's map that is mapped": ("indexed.city", mapped),
     "a scene's map": ("flat.scene", scene),
     "a map of a library": ("home1.scene", library),
     "vectors": ("town.vectors", vectors),

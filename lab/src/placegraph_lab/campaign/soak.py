@@ -200,10 +200,12 @@ def localizations(inputs: Path, rng: np.random.Generator) -> Callable[[], object
     from placegraph.maps import open_scene
 
     scene, film = open_scene(inputs / "flat.scene"), open_capture(inputs / "walk")
-    each = [scene.localize(film, frames=[k], refine=False).best.pose for k in range(len(film))]
-    near = [Prior(x, y, z, yaw, spread=0.5) for x, y, z, yaw in np.stack(each).tolist()]
-    blind = [FilterOptions(**{sense: False}) for sense in ("semantic", "depth", "colour")]
-    options = (FilterOptions(), *blind, FilterOptions(modes=3))
+    found = [scene.localize(film, frames=[k], refine=False).best for k in range(len(film))]
+    near = [Prior(*best.pose.tolist()) if best else None for best in found]
+    options = (
+        FilterOptions(), FilterOptions(modes=3),
+        FilterOptions(semantic=False), FilterOptions(depth=False), FilterOptions(colour=False),
+    )  # fmt: skip
 
     def ask() -> object:
         kind, count = rng.random(), int(rng.integers(1, 4))

@@ -28,6 +28,8 @@ MOST_PIXELS = 1 << 26
 FREE_PIXELS, PIXELS_A_BYTE = 1 << 24, 64
 """Pixels that an image may have whatever its size, and for each of its bytes: Pillow takes memory for
 all that the head promises before it reads the first, and drawings take an eighth of that."""
+_STRIP = 1 << 20
+"""Pixels that are copied from Pillow at a time: it holds all of them in three forms for a moment."""
 
 WHOLE_MODES = ("L", "P", "I;16", "I;16B", "I;16L", "I")
 """Pillow's modes of one whole number a pixel; P: the number is the palette's row."""
@@ -115,7 +117,7 @@ def read_rgb(
 
             ImageOps.exif_transpose(image, in_place=True)
         _check_size(image, path, size)
-        return np.asarray(image if image.mode == "RGB" else image.convert("RGB"))
+        return rgb_of(image)
 
 
 def read_whole(path: Path, size: tuple[int, int], modes: tuple[str, ...]) -> NDArray[np.int32]:
@@ -127,8 +129,23 @@ def read_whole(path: Path, size: tuple[int, int], modes: tuple[str, ...]) -> NDA
                 f"{path} has pixels of mode {image.mode!r}; it must be a PNG with one whole number "
                 f"a pixel ({'16 bits' if 'L' not in modes else '8 or 16 bits'})."
             )
-        values: NDArray[Any] = np.asarray(image)
-    return values.astype(np.int32)
+        return _pixels(image, image.mode, np.empty((size[1], size[0]), np.int32))
+
+
+def rgb_of(image: Image) -> NDArray[np.uint8]:
+    """Colours (H, W, 3) of an image, read-only."""
+    out = _pixels(image, "RGB", np.empty((image.height, image.width, 3), np.uint8))
+    out.flags.writeable = False
+    return out
+
+
+def _pixels(image: Image, mode: str, out: NDArray[Any]) -> NDArray[Any]:
+    """Pixels of an image in one of Pillow's modes, copied strip by strip."""
+    rows = max(1, _STRIP // image.width)
+    for top in range(0, image.height, rows):
+        part = image.crop((0, top, image.width, min(top + rows, image.height)))
+        out[top : top + rows] = np.asarray(part if part.mode == mode else part.convert(mode))
+    return out
 
 
 def _check_bytes(image: Image, source: Path | IO[bytes], name: object) -> None:

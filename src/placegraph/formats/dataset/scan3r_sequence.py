@@ -31,7 +31,7 @@ from placegraph.formats.capture.frame_files import (
     upright_turns,
 )
 from placegraph.formats.capture.frames import Capture
-from placegraph.formats.capture.images import opened
+from placegraph.formats.capture.images import opened, rgb_of
 from placegraph.formats.dataset.scannet_files import camera_of_matrix, is_rigid
 
 if TYPE_CHECKING:
@@ -211,9 +211,9 @@ def _pose(files: _Files, digits: str, left_out: Counter[str]) -> NDArray[np.floa
 
 def _colours(files: _Files, name: str, camera: Camera) -> NDArray[np.uint8]:
     with opened(io.BytesIO(files.read(name)), files.where(name)) as image:
-        colours: NDArray[np.uint8] = np.asarray(image.convert("RGB"))
-    check_shape(colours, camera, files.where(name))
-    return colours
+        found = rgb_of(image)
+    check_shape(found, camera, files.where(name))
+    return found
 
 
 def _metres(files: _Files, name: str, camera: Camera, per_metre: float) -> NDArray[np.float32]:

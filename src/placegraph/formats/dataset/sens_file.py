@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from placegraph.errors import InputError
 from placegraph.files import regular
-from placegraph.formats.capture.images import opened
+from placegraph.formats.capture.images import opened, rgb_of
 
 VERSION = 4
 RAW, PNG, JPEG = 0, 1, 2
@@ -194,7 +194,7 @@ def read_colour(header: SensHeader, frame: SensFrame) -> NDArray[np.uint8]:
                 f"{name} has {image.width} x {image.height} pixels, but the header says {width} x "
                 f"{height}; download the file again."
             )
-        return np.asarray(image if image.mode == "RGB" else image.convert("RGB"))
+        return rgb_of(image)
 
 
 def read_depth(header: SensHeader, frame: SensFrame) -> NDArray[np.float32]:

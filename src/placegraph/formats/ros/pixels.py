@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import InputError
-from placegraph.formats.capture.images import opened
+from placegraph.formats.capture.images import opened, rgb_of
 from placegraph.formats.capture.rvl import rvl_image, rvl_size
 
 _PLAIN: dict[str, tuple[str, int, tuple[int, ...]]] = {
@@ -169,7 +169,7 @@ def _unpacked_colours(image: Any, name: str) -> NDArray[np.uint8]:  # noqa: ANN4
         red = _bayer(image.format.partition(";")[0].strip())
         if red is not None and picture.mode == "L":
             return demosaiced(np.asarray(picture), red)
-        return np.asarray(picture if picture.mode == "RGB" else picture.convert("RGB"))
+        return rgb_of(picture)
 
 
 def _unpacked_depth(image: Any, name: str) -> NDArray[Any]:  # noqa: ANN401  # rosbags'

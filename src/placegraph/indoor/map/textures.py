@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import InputError, MapError
-from placegraph.formats.capture.images import FREE_PIXELS, PIXELS_A_BYTE, opened
+from placegraph.formats.capture.images import FREE_PIXELS, PIXELS_A_BYTE, opened, rgb_of
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -181,6 +181,6 @@ def _decode(blob: bytes, name: str) -> NDArray[np.uint8]:
         with opened(io.BytesIO(blob), name) as image:
             if max(image.size) > _LARGEST or image.format not in KEPT:
                 raise MapError(f"{name} is no WebP, PNG or JPEG of up to {_LARGEST} texels a side.")
-            return np.asarray(image.convert("RGB"))
+            return rgb_of(image)
     except InputError as error:
         raise MapError(f"{error} Build the map again.") from error

@@ -15,7 +15,7 @@ from placegraph.outdoor.map.blocks import Blocks
 from placegraph.outdoor.map.cells import Cells, cell_graph, occupied_cells
 from placegraph.outdoor.map.index import ViewIndex
 from placegraph.outdoor.map.index_build import grid_of, seen_from, tokens_of
-from placegraph.outdoor.map.index_file import MAPPED, WORTH, index_in, stored
+from placegraph.outdoor.map.index_file import LARGE, MAPPED, WORTH, index_in, stored
 from placegraph.outdoor.map.index_kernels import looks
 from placegraph.outdoor.map.names import NameIndex
 from placegraph.outdoor.map.objects import (
@@ -119,9 +119,12 @@ class City(Portable):
         write_map(path, KIND, VERSION, meta, arrays, MAPPED, quick=quick)
 
     @classmethod
-    def open(cls, path: str | PathLike[str]) -> Self:
-        """Open a map file; raises `InputError` or `MapError` where it is not a sound city map."""
-        file = read_map(path, KIND, VERSION, MAPPED)
+    def open(cls, path: str | PathLike[str], *, shard: bool = False) -> Self:
+        """Open a map file; raises `InputError` or `MapError` where it is not a sound city map.
+
+        The index of a large one is read where it lies, and so is that of a `shard`, one of many.
+        """
+        file = read_map(path, KIND, VERSION, MAPPED, least=0 if shard else LARGE)
         with sound(path, "Build it again."):
             meta = file.meta
             plane = LocalPlane(*map(float, meta["origin"]))

@@ -28,7 +28,9 @@ MAPPED = frozenset(
         "run_total",
     )
 )  # fmt: skip
-"""Columns that are read where they lie."""
+"""Columns that are read where they lie ..."""
+LARGE = 16 << 20
+"""... where they have so many bytes together: what is read is held, whatever becomes of the file."""
 
 
 def stored(index: ViewIndex) -> dict[str, NDArray[Any]]:

@@ -60,7 +60,8 @@ class Planet(World):
     def __init__(self, file: WorldFile, crew: Crew | None = None) -> None:
         from placegraph.outdoor.city import CityMap
 
-        super().__init__(Maps({s.key: file.path(s) for s in file.shards}, CityMap.open))
+        opener = partial(CityMap.open, shard=True)
+        super().__init__(Maps({s.key: file.path(s) for s in file.shards}, opener))
         self.file = file
         self.crew: Crew = crew or Alone()
         same(file.folder / WORDS, file.words)

@@ -79,7 +79,7 @@ class Holder:
             self._open.move_to_end(source.path)
             return held[1]
         same(source.path, source.digest)
-        city = CityMap.open(source.path)
+        city = CityMap.open(source.path, shard=True)
         if not len(city.objects):  # pragma: no cover  # which `open` refuses
             raise MapError(f"{source.path} is empty; build it again.")
         shard = Shard(source.key, city)
