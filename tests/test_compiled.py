@@ -9,6 +9,8 @@ import sys
 import warnings
 from collections import namedtuple
 from concurrent.futures import ThreadPoolExecutor
+from importlib import import_module
+from pkgutil import walk_packages
 
 import numpy as np
 import pytest
@@ -16,7 +18,7 @@ from numba import typeof
 from numba.core import config
 
 from placegraph import kept
-from placegraph.compiled import uninterrupted
+from placegraph.compiled import Kernel, kernel, uninterrupted
 from placegraph.fingerprint import fingerprint
 
 CALLEE = """
@@ -88,6 +90,32 @@ def test_a_change_in_another_file_is_noticed(total):
     assert total(values, options="(fastmath=True)")[1] == BOTH
     assert total(values, options="(error_model='numpy')")[1] == BOTH
     assert total(values) == (18.0, [])
+
+
+@kernel(finite=True)
+def _as_written(values, factors):
+    total = np.float32(0.0)
+    for i in range(len(values)):
+        total += values[i] * factors[i]
+    return total
+
+
+def test_sums_of_finite_numbers_keep_their_order():
+    # a compiler that may add in another order adds eight at a time, and multiplies without rounding
+    rng = np.random.default_rng(0)
+    values, factors = (rng.normal(size=1001).astype(np.float32) for _ in range(2))
+    assert _as_written(values, factors) == np.cumsum(values * factors)[-1]
+    fast = kernel(_as_written.py_func, fastmath=True)
+    assert fast(values, factors) != np.cumsum(values * factors)[-1]
+
+
+def test_answers_about_places_hang_on_no_compiler():
+    for room in ("likelihood", "map", "search", "track"):
+        package = import_module(f"placegraph.outdoor.{room}")
+        for module in walk_packages(package.__path__, f"{package.__name__}."):
+            for name, value in vars(import_module(module.name)).items():
+                if isinstance(value, Kernel):
+                    assert value.targetoptions.get("fastmath") is not True, name
 
 
 def test_what_changes_no_code_compiles_nothing(total):

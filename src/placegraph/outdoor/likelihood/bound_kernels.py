@@ -33,7 +33,7 @@ def blank(n_mentions):
     return seen, np.ones(n_mentions + 1, np.bool_)
 
 
-@kernel(fastmath=True)
+@kernel(finite=True)
 def bounds_of(statements, mentions, views, tiles, at, seen, there, bound):
     """Bounds of the viewpoints of tiles (ascending, at most `TILES`), slot by slot, into `bound`.
 
@@ -59,7 +59,7 @@ def _forget(seen):
     seen[EAST : NORTH + 1] = -NOWHERE
 
 
-@kernel(fastmath=True, _nrt=False)
+@kernel(finite=True, _nrt=False)
 def skip(views, p, end, tile):
     """First of the runs from `p` on whose tile is not before `tile`."""
     if p >= end or views.run_tiles[p] >= tile:
@@ -78,7 +78,7 @@ def skip(views, p, end, tile):
     return high
 
 
-@kernel(fastmath=True, _nrt=False)
+@kernel(finite=True, _nrt=False)
 def _fill(seen, mentions, views, at, m, tiles):
     """What the viewpoints of tiles have of a mention in sight; whether any has any."""
     there = False
@@ -96,7 +96,7 @@ def _fill(seen, mentions, views, at, m, tiles):
     return there
 
 
-@kernel(fastmath=True, _nrt=False)
+@kernel(finite=True, _nrt=False)
 def _unfold(seen, views, p, base, present, weight):
     """Add the postings of a run to what is in sight of its tile's viewpoints."""
     bits, q = views.run_slots[p], np.int64(views.run_first[p])
@@ -113,7 +113,7 @@ def _unfold(seen, views, p, base, present, weight):
         q += 1
 
 
-@kernel(fastmath=True)
+@kernel(finite=True)
 def _bound(statements, seen, there, views, tiles, bound):
     """Bounds of the viewpoints of tiles, 0 where none is worth it; whether any may be."""
     worth = False
@@ -145,7 +145,7 @@ def _bound(statements, seen, there, views, tiles, bound):
     return worth
 
 
-@kernel(fastmath=True, _nrt=False)
+@kernel(finite=True, _nrt=False)
 def _crowds(views, tiles, total, pairs):
     """How much is in sight of the viewpoints of tiles, slot by slot: alone, and in pairs."""
     grain = np.float32(1.0 / FINE)
@@ -167,7 +167,7 @@ def ends_of(statements, s):
     return (statements.target2[s], b) if statements.op[s] == BETWEEN and a == ME else (a, b)
 
 
-@kernel(fastmath=True, error_model="numpy")
+@kernel(finite=True, error_model="numpy")
 def _raise(bound, a, b, among, crowd, gain, towards, wrong):
     """Multiply bounds by what a statement of a and b would add if `among` viewpoints saw it hold.
 
@@ -189,7 +189,7 @@ def _raise(bound, a, b, among, crowd, gain, towards, wrong):
         bound[i] = min(HIGHEST, bound[i] * (1.0 + gain * part[i]))
 
 
-@kernel(fastmath=True, _nrt=False)
+@kernel(finite=True, _nrt=False)
 def _deny(bound, seen, noise, towards, anyhow):
     """Lower the bounds of viewpoints that see what is said to be absent, or absent in a direction."""
     ux, uy = towards

@@ -12,14 +12,14 @@ MOST = 96
 """At most this many objects in sight are weighed for one mention."""
 
 
-@kernel(fastmath=True, _nrt=False)
-def _posterior(statements, m, fits, posterior):
-    """P(thing | all statements about mention m), unnormalised, into `posterior`; returns the gain.
+@kernel(finite=True, _nrt=False)
+def _posterior(statements, m, fits):
+    """P(thing | all statements about mention m), unnormalised, into `fits`; returns the gain.
 
     The gain is how much more likely the statements are if one object serves them all than if each
     has its own: sum over objects of P(object) prod P(s | object) / P(s).
     """
-    many, fit, given = fits.many[m], fits.fit[m], fits.given
+    many, fit, given, posterior = fits.many[m], fits.fit[m], fits.given, fits.posterior[m]
     for i in range(many):
         posterior[i] = fit[i] / fits.mass[m]
     n_about = 0
@@ -48,25 +48,24 @@ def _posterior(statements, m, fits, posterior):
     return gain if n_about > 1 else np.float32(1.0)
 
 
-@kernel(fastmath=True)
+@kernel(finite=True, _nrt=False)
 def log_coherence(statements, fits, together):
     """Log of the gain that mentions mean one object throughout, with prior probability `together`."""
-    posterior = np.empty(MOST, np.float32)
     log_gain = 0.0
     for m in range(len(fits.many)):
         if fits.many[m] > 1:
-            gain = _posterior(statements, m, fits, posterior)
+            gain = _posterior(statements, m, fits)
             log_gain += np.log(1.0 - together + together * gain)
     return log_gain
 
 
-@kernel(fastmath=True)
+@kernel(finite=True, _nrt=False)
 def assign(statements, scene, seen, fits, served):
     """One assignment for all statements: each mention its most probable object, then the best pairs."""
-    weight = np.ones((len(fits.many), MOST), np.float32)
+    weight = fits.posterior
     for m in range(len(fits.many)):
         if fits.many[m]:
-            _posterior(statements, m, fits, weight[m])
+            _posterior(statements, m, fits)
     for s in range(len(statements.op)):
         op, a, b = statements.op[s], statements.source[s], statements.target[s]
         served[s] = -1

@@ -40,7 +40,7 @@ def direction_table(sigma: float, slip: float) -> NDArray[np.float32]:
     return ((1.0 - slip) * inside + slip * 0.25).astype(np.float32)
 
 
-@kernel(fastmath=True, inline="always")
+@kernel(finite=True, inline="always")
 def direction_fit(table, ux, uy, dx, dy, blurred):
     """P(direction said) for a vector; one not longer than its ends are uncertain has no direction."""
     d2 = dx * dx + dy * dy
@@ -52,7 +52,7 @@ def direction_fit(table, ux, uy, dx, dy, blurred):
     return blur * table[min(TABLE - 1, max(0, index))] + (1.0 - blur) * np.float32(0.25)
 
 
-@kernel(fastmath=True, inline="always")
+@kernel(finite=True, inline="always")
 def distance_fit(said, d):
     """How well a distance d fits what was said [m]; 1 where nothing was said.
 
@@ -69,7 +69,7 @@ def distance_fit(said, d):
     return np.exp(-0.5 * z * z)
 
 
-@kernel(fastmath=True, inline="always")
+@kernel(finite=True, inline="always")
 def _close(said, d):
     """How well "near" fits a distance d [m]."""
     if said != 0.0:
@@ -77,7 +77,7 @@ def _close(said, d):
     return 1.0 / (1.0 + np.exp((d - 25.0) / 6.0))
 
 
-@kernel(fastmath=True, _nrt=False)
+@kernel(finite=True, _nrt=False)
 def pair_fit(op, table, ux, uy, said, ax, ay, bx, by, kind_b):
     """P(geometry | source at a, target at b), seen from the viewpoint [m]."""
     dx, dy = ax - bx, ay - by
@@ -95,7 +95,7 @@ def pair_fit(op, table, ux, uy, said, ax, ay, bx, by, kind_b):
     return _close(0.0, d)
 
 
-@kernel(fastmath=True, _nrt=False)
+@kernel(finite=True, _nrt=False)
 def me_fit(op, table, ux, uy, said, x, y, kind, forward, blurred):
     """P(geometry | the thing at (x, y) seen from v); `forward`: it is the source, v the target."""
     d = np.sqrt(x * x + y * y)

@@ -61,9 +61,13 @@ class Fits(NamedTuple):
     """(M,) sum of `fit`."""
     given: NDArray[np.float32]
     """(S, 2, MOST) mass of a statement if its source, or its target, is this thing."""
+    best: NDArray[np.float32]
+    """(M,) how well the words of a thing fit each mention."""
+    posterior: NDArray[np.float32]
+    """(M, MOST) P(thing | all statements about the mention), unnormalised."""
 
 
-@kernel(fastmath=True)
+@kernel(finite=True)
 def in_sight(scene, objects, at, sight, total, pairs, blur, view):
     """`InSight` of the viewpoint `view` (2,) [m]."""
     stands = np.empty((len(objects), 2), np.float32)
@@ -77,41 +81,49 @@ def in_sight(scene, objects, at, sight, total, pairs, blur, view):
     return InSight(objects, at, stands, lies, sight, total, pairs, blur)
 
 
-@kernel(fastmath=True)
-def _recognise(scene, words, seen, n_statements):
-    """`Fits` of all mentions; `words` (T, M) is how well a token fits a mention."""
-    n_mentions, most = words.shape[1], min(MOST, len(seen.objects))
-    many = np.zeros(n_mentions, np.int64)
-    who = np.empty((n_mentions, most), np.int32)
-    fit = np.empty((n_mentions, most), np.float32)
-    mass = np.zeros(n_mentions, np.float32)
-    best = np.empty(n_mentions, np.float32)
+@kernel
+def room(statements, words):
+    """`Fits` of viewpoints one after the other: nothing is allocated for each of them."""
+    n = words.fit.shape[1]
+    return Fits(
+        np.empty(n, np.int64), np.empty((n, MOST), np.int32), np.empty((n, MOST), np.float32),
+        np.empty(n, np.float32), np.empty((len(statements.op), 2, MOST), np.float32),
+        np.empty(n, np.float32), np.empty((n, MOST), np.float32),
+    )  # fmt: skip
+
+
+@kernel(finite=True, _nrt=False)
+def _recognise(scene, words, seen, fits):
+    """Which things in sight each mention may stand for, into `fits`."""
+    many, who, fit, mass, given, best, _ = fits
+    many[:], mass[:] = 0, 0.0
+    given[:, :, : len(seen.objects)] = 0.0
     for e in range(len(seen.objects)):
-        o = seen.objects[e]
-        best[:] = 0.0
+        o, met = seen.objects[e], False
         for t in range(scene.token_starts[o], scene.token_starts[o + 1]):
-            token, weight = scene.token_values[t], scene.token_weights[t]
-            for m in range(n_mentions):
-                best[m] = max(best[m], words[token, m] * weight)
-        for m in range(n_mentions):
-            if best[m] > 0.0 and many[m] < most:
+            row, weight = words.row[scene.token_values[t]], scene.token_weights[t]
+            for m in range(len(many) if row else 0):
+                of = words.fit[row, m] * weight
+                best[m] = max(best[m], of) if met else of
+            met |= row > 0
+        for m in range(len(many) if met else 0):
+            if best[m] > 0.0 and many[m] < MOST:
                 who[m, many[m]], fit[m, many[m]] = e, best[m] * seen.sight[e]
                 mass[m] += fit[m, many[m]]
                 many[m] += 1
-    return Fits(many, who, fit, mass, np.zeros((n_statements, 2, most), np.float32))
 
 
-@kernel(fastmath=True)
-def likelihoods(statements, scene, words, seen, far, together, least, out, served):
+@kernel(finite=True, _nrt=False)
+def likelihoods(statements, scene, words, seen, fits, far, together, least, out, served):
     """Log-likelihood ratio of every statement at a viewpoint, into `out` (S,); returns their sum.
 
-    The sum also rewards that one object serves all statements about a mention. `seen` is what is
-    `InSight`, `far` (S,) what distant objects add, `together` the prior probability that a mention
-    means one and the same object throughout. Gives up, with `HOPELESS`, once the sum without that cannot
-    reach `least`.
+    The sum also rewards that one object serves all statements about a mention. `words` are `Words`,
+    `seen` is what is `InSight`, `fits` is `room`, `far` (S,) what distant objects add, `together` the
+    prior probability that a mention means one and the same object throughout. Gives up, with
+    `HOPELESS`, once the sum without that cannot reach `least`.
     `served` (S, 2) gets the best source and target, -1 for none; leave it empty to skip that.
     """
-    fits = _recognise(scene, words, seen, len(statements.op))
+    _recognise(scene, words, seen, fits)
     hope = 0.0
     for s in range(len(statements.op)):
         out[s] = _ceiling(statements, s, seen, fits, far[s])
@@ -130,7 +142,7 @@ def likelihoods(statements, scene, words, seen, far, together, least, out, serve
     return hope
 
 
-@kernel(fastmath=True, _nrt=False)
+@kernel(finite=True, _nrt=False)
 def _ceiling(statements, s, seen, fits, far):
     """Log-likelihood ratio that a statement has if geometry is on its side."""
     a, b, noise = statements.source[s], statements.target[s], statements.noise[s]
@@ -147,7 +159,7 @@ def _ceiling(statements, s, seen, fits, far):
     return np.log((1.0 - noise) * p / statements.background[s] + noise)
 
 
-@kernel(fastmath=True, _nrt=False)
+@kernel(finite=True, _nrt=False)
 def _ratio(statements, s, scene, seen, fits, far):
     """Log-likelihood ratio of one statement."""
     op, a, b = statements.op[s], statements.source[s], statements.target[s]
@@ -172,7 +184,7 @@ def _ratio(statements, s, scene, seen, fits, far):
     return np.log((1.0 - noise) * p / statements.background[s] + noise)
 
 
-@kernel(fastmath=True, _nrt=False)
+@kernel(finite=True, _nrt=False)
 def _of_me(statements, s, scene, seen, fits):
     """Mass of a statement about a thing and the speaker: how many such things are expected."""
     op, forward = statements.op[s], statements.target[s] == ME
@@ -193,7 +205,7 @@ def _of_me(statements, s, scene, seen, fits):
     return mass
 
 
-@kernel(fastmath=True, _nrt=False)
+@kernel(finite=True, _nrt=False)
 def _of_pair(statements, s, scene, seen, fits):
     """Mass of a statement about two things."""
     op, a, b = statements.op[s], statements.source[s], statements.target[s]
@@ -228,7 +240,7 @@ def _of_pair(statements, s, scene, seen, fits):
     return mass
 
 
-@kernel(fastmath=True, _nrt=False)
+@kernel(finite=True, _nrt=False)
 def _between(statements, s, seen, fits):
     """Mass of "the source lies between two targets"; the source may be the viewpoint."""
     a, b, c = statements.source[s], statements.target[s], statements.target2[s]

@@ -29,7 +29,7 @@ STRIP = 1024
 """Tiles whose bounds are reckoned at once."""
 
 
-@kernel(fastmath=True)
+@kernel(finite=True)
 def promising_views(statements, mentions, views, weights, most, drawn):
     """Viewpoints (K,) worth scoring, their bounds, and how many others each stands for.
 
@@ -75,7 +75,7 @@ def promising_views(statements, mentions, views, weights, most, drawn):
     return _chosen(rows, bounds, stands, highest[:n], most, drawn)
 
 
-@kernel(fastmath=True)
+@kernel(finite=True)
 def _chosen(rows, bounds, stands, highest, most, drawn):
     """As `promising_views`, of all viewpoints looked at."""
     least = 0.0
@@ -98,7 +98,7 @@ def _chosen(rows, bounds, stands, highest, most, drawn):
     return rows[every], bounds[every], np.concatenate((np.zeros(n), stand))
 
 
-@kernel(fastmath=True)
+@kernel(finite=True)
 def draw(bounds, stands, drawn):
     """Rows (`drawn`,) of some that stand for all (N,) that stand for any, and how many each stands for.
 
@@ -125,7 +125,7 @@ def draw(bounds, stands, drawn):
     return rows, stands[rows] * step / np.maximum(weights[rows], 1e-300)
 
 
-@kernel(fastmath=True)
+@kernel(finite=True)
 def _of_tiles(statements, mentions, views):
     """Bound (T,) of all viewpoints of each tile; 0 where none is worth a look."""
     n_mentions = len(mentions.starts) - 1
@@ -163,7 +163,7 @@ def _of_tiles(statements, mentions, views):
     return out
 
 
-@kernel(fastmath=True, _nrt=False)
+@kernel(finite=True, _nrt=False)
 def _fill_tiles(of_pairs, of_total, mentions, views, at, m, first, last):
     """Largest masses of a mention in tiles from `first` to `last`; whether there is any."""
     there = False
@@ -181,7 +181,7 @@ def _fill_tiles(of_pairs, of_total, mentions, views, at, m, first, last):
     return there
 
 
-@kernel(fastmath=True)
+@kernel(finite=True)
 def _visit(
     statements, mentions, views, weights, tiles, promise, share, most, highest, n, least, seen, many
 ):  # fmt: skip
@@ -235,7 +235,7 @@ def _visit(
     return seen, many, n, least
 
 
-@kernel(fastmath=True, _nrt=False)
+@kernel(finite=True, _nrt=False)
 def _weigh(bound, bits, row, weights):
     """Multiply the bounds of a tile's viewpoints by their weights."""
     for slot in range(SLOTS):
@@ -244,7 +244,7 @@ def _weigh(bound, bits, row, weights):
             row += 1
 
 
-@kernel(fastmath=True)
+@kernel(finite=True)
 def _drawn(views, tiles, promise, share, known):
     """Tiles (ascending) that stand for all `tiles`; their `share` becomes how many each stands for."""
     heights = np.empty(len(tiles))

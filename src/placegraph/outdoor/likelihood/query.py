@@ -19,6 +19,7 @@ from placegraph.outdoor.likelihood.statements import (
     Far,
     MentionTokens,
     Statements,
+    Words,
     columns_of,
     ends,
 )
@@ -70,12 +71,17 @@ class Query:
         names = [self.description.mentions[node].name for node in sorted(self.by_kind)]
         return tuple(dict.fromkeys(names))
 
-    def words(self, n_tokens: int) -> NDArray[np.float32]:
-        """How well a token fits a mention, (n_tokens, M) float32."""
+    def words(self, n_tokens: int) -> Words:
+        """How well each of a map's tokens fits a mention."""
         starts, tokens, weights = self.mentions
-        table = np.zeros((n_tokens, len(starts) - 1), np.float32)
-        table[tokens, np.repeat(np.arange(len(starts) - 1), np.diff(starts))] = weights
-        return table
+        known, at = np.unique(tokens, return_inverse=True)
+        row, fit = (
+            np.zeros(n_tokens, np.int32),
+            np.zeros((len(known) + 1, len(starts) - 1), np.float32),
+        )
+        row[known] = np.arange(1, len(known) + 1)
+        fit[at + 1, np.repeat(np.arange(len(starts) - 1), np.diff(starts))] = weights
+        return Words(row, fit)
 
 
 def read(

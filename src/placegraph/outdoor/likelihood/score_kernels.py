@@ -14,7 +14,13 @@ from placegraph.outdoor.likelihood.fit_kernels import (
     direction_fit,
     distance_fit,
 )
-from placegraph.outdoor.likelihood.match_kernels import HOPELESS, SLACK, in_sight, likelihoods
+from placegraph.outdoor.likelihood.match_kernels import (
+    HOPELESS,
+    SLACK,
+    in_sight,
+    likelihoods,
+    room,
+)
 from placegraph.outdoor.map.index import POINT, SIGHT
 from placegraph.outdoor.map.index_kernels import look, most_things, place_of, tile_of
 from placegraph.outdoor.map.raster_kernels import nearest_on_parts, nearest_to_each
@@ -25,7 +31,7 @@ SHARP = 2.0
 """Width of the fall around `SIGHT` where positions are exact [m]."""
 
 
-@kernel(fastmath=True)
+@kernel(finite=True)
 def score_views(statements, scene, views, words, chosen, bounds, relative, far, together, margin):
     """Log-likelihood ratios (K,) of candidates, and the hope (K,) of each; quickest best bounds first.
 
@@ -44,6 +50,7 @@ def score_views(statements, scene, views, words, chosen, bounds, relative, far, 
         noise += 0.0 if statements.negated[s] else np.log(statements.noise[s])
     best = HOPELESS
     most = most_things(views)
+    fits = room(statements, words)
     objects, sight = np.empty(most, np.int32), np.empty(most, np.float32)
     offsets, place = np.empty((most, 2), np.float32), np.empty(2, np.float32)
     for k in range(len(chosen)):
@@ -54,16 +61,9 @@ def score_views(statements, scene, views, words, chosen, bounds, relative, far, 
         n, total, pairs = look(scene, views, tile, slot, objects, offsets, sight)
         seen = in_sight(scene, objects[:n], offsets[:n], sight[:n], total, pairs, COARSE, place)
         scores[k] = likelihoods(
-            statements,
-            scene,
-            words,
-            seen,
-            far[k],
-            together,
-            best - margin - relative[k],
-            each,
-            nothing,
-        )
+            statements, scene, words, seen, fits, far[k], together, best - margin - relative[k],
+            each, nothing,
+        )  # fmt: skip
         if scores[k] > HOPELESS:
             hopes[k] = each.sum() + relative[k]
             best = max(best, hopes[k])
@@ -73,7 +73,7 @@ def score_views(statements, scene, views, words, chosen, bounds, relative, far, 
     return scores, hopes
 
 
-@kernel(fastmath=True)
+@kernel(finite=True)
 def look_again(statements, scene, words, at, nearby, far, together, assign):
     """Score exact positions `at` (K, 2) [m] among `nearby` (n,) objects; log-likelihood ratios (K,).
 
@@ -89,6 +89,7 @@ def look_again(statements, scene, words, at, nearby, far, together, assign):
     distance2 = np.empty((len(at), len(nearby)), np.float32)
     sight = np.empty(len(nearby), np.float32)
     points, near, squares = at.T.copy(), np.empty((2, len(at))), np.empty(len(at))
+    fits = room(statements, words)
     for i in range(len(nearby)):
         nearest_to_each(
             scene.part_starts, scene.point_starts, scene.points, scene.kind[nearby[i]], nearby[i],
@@ -111,12 +112,12 @@ def look_again(statements, scene, words, at, nearby, far, together, assign):
             scene, nearby, where[k], sight, total, pairs, FINE, at[k].astype(np.float32)
         )
         scores[k] = likelihoods(
-            statements, scene, words, seen, far[k], together, HOPELESS, each[k], served[k]
+            statements, scene, words, seen, fits, far[k], together, HOPELESS, each[k], served[k]
         )
     return scores, each, served
 
 
-@kernel(fastmath=True)
+@kernel(finite=True)
 def distant(statements, scene, far, positions):
     """What things out of sight add to P(statement | position), (K, S) float32.
 
@@ -139,7 +140,7 @@ def distant(statements, scene, far, positions):
             reach = max(reach, np.float32(4.0) * far.scale[s] if mention[s] == m else reach)
         for i in range(far.starts[m], far.starts[m + 1] if reach > 0.0 else 0):
             o = far.objects[i]
-            west, south, east, north = _box(scene, o)
+            west, south, east, north = scene.box[o]
             for k in range(len(positions)):
                 x, y = positions[k]
                 aside = max(west - x, x - east, np.float32(0.0))
@@ -163,7 +164,7 @@ def distant(statements, scene, far, positions):
     return out
 
 
-@kernel(fastmath=True, inline="always")
+@kernel(finite=True, inline="always")
 def _fit_afar(statements, s, d, dx, dy, scale, forward):
     """How well a thing out of sight fits a statement, that is d = (dx, dy) away [m]."""
     fit = np.exp(-d / scale) * distance_fit(statements.distance[s], d)
@@ -171,16 +172,3 @@ def _fit_afar(statements, s, d, dx, dy, scale, forward):
         ux, uy = statements.bearing[s] if forward else -statements.bearing[s]
         fit *= direction_fit(statements.table[s], ux, uy, dx, dy, COARSE)
     return fit
-
-
-@kernel(_nrt=False)
-def _box(scene, o):
-    """West, south, east and north end of an object [m]."""
-    a = scene.point_starts[scene.part_starts[o]]
-    b = scene.point_starts[scene.part_starts[o + 1]]
-    west, south = scene.points[a]
-    east, north = west, south
-    for i in range(a + 1, b):
-        west, east = min(west, scene.points[i, 0]), max(east, scene.points[i, 0])
-        south, north = min(south, scene.points[i, 1]), max(north, scene.points[i, 1])
-    return west, south, east, north

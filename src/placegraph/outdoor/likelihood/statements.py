@@ -95,6 +95,15 @@ class MentionTokens(NamedTuple):
     weights: NDArray[np.float32]
 
 
+class Words(NamedTuple):
+    """How well a map's tokens fit mentions."""
+
+    row: NDArray[np.int32]
+    """(T,) row of `fit`; 0 of tokens that fit none."""
+    fit: NDArray[np.float32]
+    """(K + 1, M)"""
+
+
 class Far(NamedTuple):
     """Things rare enough to be spoken of from out of sight."""
 

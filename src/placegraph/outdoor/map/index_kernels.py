@@ -130,8 +130,12 @@ def look(scene, views, tile, slot, objects, offsets, sight):
         o = views.things[k]
         if o < 0 or o >= len(scene.kind):  # a forged map
             continue
-        reach = scene.extent[o] + REACHED
-        if abs(scene.center[o, 0] - east) > reach or abs(scene.center[o, 1] - north) > reach:
+        if (
+            scene.box[o, 0] - east > REACHED
+            or scene.box[o, 1] - north > REACHED
+            or east - scene.box[o, 2] > REACHED
+            or north - scene.box[o, 3] > REACHED
+        ):
             continue
         x, y, d2 = nearest_in_reach(scene, o, east, north)
         if d2 <= REACHED * REACHED:

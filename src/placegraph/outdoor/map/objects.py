@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from placegraph.outdoor.map.simplify_kernels import _centers, _extents, _keep
+from placegraph.outdoor.map.simplify_kernels import _boxes, _centers, _keep
 from placegraph.portable import Portable
 
 if TYPE_CHECKING:
@@ -121,8 +121,8 @@ class CityColumns(NamedTuple):
     point_starts: NDArray[np.int32]
     points: NDArray[np.float32]
     center: NDArray[np.float32]
-    extent: NDArray[np.float32]
-    """(N,) how far it reaches from its center, in east and in north [m]."""
+    box: NDArray[np.float32]
+    """(N, 4) its west, south, east and north end [m]."""
     token_starts: NDArray[np.int32]
     token_values: NDArray[np.int32]
     token_weights: NDArray[np.float32]
@@ -158,9 +158,9 @@ def columns_of(
     o: CityObjects, tokens: tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]]
 ) -> CityColumns:
     """Columns that compiled code reads, of objects and their tokens (starts, values, weights)."""
-    kind, extent = o.kind.view(), _extents(o.part_starts, o.point_starts, o.points, o.center)
+    kind, box = o.kind.view(), _boxes(o.part_starts, o.point_starts, o.points)
     kind.flags.writeable = False  # as of a map that was opened: compiled code tells the two apart
-    return CityColumns(kind, o.part_starts, o.point_starts, o.points, o.center, extent, *tokens)
+    return CityColumns(kind, o.part_starts, o.point_starts, o.points, o.center, box, *tokens)
 
 
 def simplify(

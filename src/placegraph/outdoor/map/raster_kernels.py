@@ -41,7 +41,7 @@ def nearest_on_parts(part_starts, point_starts, points, kind, row, east, north):
     return best_e, best_n, best
 
 
-@kernel(fastmath=True)
+@kernel(finite=True)
 def nearest_to_each(part_starts, point_starts, points, kind, row, at, near, squares):
     """Vectors (2, K) from positions `at` (2, K) to the nearest points of object `row`, and squares (K,).
 

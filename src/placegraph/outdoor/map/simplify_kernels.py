@@ -80,10 +80,14 @@ def _centers(kind, part_starts, point_starts, points):
 
 
 @kernel
-def _extents(part_starts, point_starts, points, center):
-    extent = np.zeros(len(center), np.float32)
-    for row in range(len(center)):
-        for i in range(point_starts[part_starts[row]], point_starts[part_starts[row + 1]]):
-            east, north = points[i, 0] - center[row, 0], points[i, 1] - center[row, 1]
-            extent[row] = max(extent[row], abs(east), abs(north))
-    return extent * np.float32(1.0001)  # of rounding
+def _boxes(part_starts, point_starts, points):
+    box = np.empty((len(part_starts) - 1, 4), np.float32)
+    for row in range(len(box)):
+        a, b = point_starts[part_starts[row]], point_starts[part_starts[row + 1]]
+        west, south = points[a]
+        east, north = west, south
+        for i in range(a + 1, b):
+            west, east = min(west, points[i, 0]), max(east, points[i, 0])
+            south, north = min(south, points[i, 1]), max(north, points[i, 1])
+        box[row] = west, south, east, north
+    return box

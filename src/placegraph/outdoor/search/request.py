@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.outdoor.likelihood.query import Query
+    from placegraph.outdoor.likelihood.statements import Words
     from placegraph.outdoor.map.city import City
     from placegraph.outdoor.network.encoded import EncodedCity, EncodedText
     from placegraph.vectors import Region, VectorStore
@@ -221,8 +222,8 @@ class Request:
         return any(not s.negated for s in self.query.used)
 
     @cached_property
-    def words(self) -> NDArray[np.float32]:
-        """How well every token of the map fits every mention, (T, M)."""
+    def words(self) -> Words:
+        """How well every token of the map fits every mention."""
         return self.query.words(len(self.city.views.share))
 
     @cached_property

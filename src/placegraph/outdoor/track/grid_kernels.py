@@ -38,7 +38,7 @@ def background(mass: NDArray[np.float32], share: float, most: int) -> float:
     return 0.0
 
 
-@kernel(fastmath=True)
+@kernel(finite=True)
 def scatter(
     mass: NDArray[np.float32],
     weights: NDArray[np.float32],
