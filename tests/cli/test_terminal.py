@@ -17,6 +17,7 @@ NAMES = (
     "a\rb",
     "\u2028",
     "\x7f",
+    "\udcff.glb",
 )
 
 

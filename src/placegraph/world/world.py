@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from placegraph.errors import InputError, OptionError
+from placegraph.files import real_path
 from placegraph.indoor.library import SceneLibrary
 from placegraph.indoor.library.scenes import digest_of
 from placegraph.maps import checked, open_map
@@ -76,7 +77,7 @@ class World:
         library = SceneLibrary()
         keys = [e.key for e in library.encoders]
         known = {
-            entry.path.resolve(): entry
+            real_path(entry.path): entry
             for made in self.libraries.values()
             if [e.key for e in made.encoders] == keys
             for entry in map(made.entry, made)
@@ -85,7 +86,7 @@ class World:
         paths = self.scenes.paths if isinstance(self.scenes, Maps) else {}
         for name in self.scenes:
             path = paths.get(name)
-            entry = None if path is None else known.get(path.resolve())
+            entry = None if path is None else known.get(real_path(path))
             if path is not None and entry is not None and entry.digest == digest_of(path):
                 library.insert(name, entry)
             else:
@@ -209,10 +210,10 @@ def open_world(
     libraries: Maps[SceneLibrary] = Maps(found.paths["library"], opener)
     scenes, ignored = dict(found.paths["scene"]), list(found.ignored)
     for library in libraries.values():
-        here = {path.resolve() for path in scenes.values()}
+        here = {real_path(path) for path in scenes.values()}
         for name in library:
             path = library.entry(name).path
-            if path is None or path.resolve() in here:
+            if path is None or real_path(path) in here:
                 continue
             if not path.exists():
                 ignored.append((path, f"the map of {name!r} is not there; bring it back"))

@@ -245,6 +245,7 @@ def test_many_vertices_come_back_exactly(tmp_path, rng):
         (ply("ascii", vertices())[:-3] + b"zero", "no number"),
         (ply("ascii", vertices())[:-3] + b"z" * 100, "what is no number"),
         (ply("ascii", vertices(objectId=("uchar", [999] * 4))), "nonsense among"),
+        (ply("ascii", vertices(), faces([0, 1, 2])).replace(b"3 0 1 2", b"1e999 0 1 2"), "nonsense among"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_read_says_why(content, says, tmp_path):

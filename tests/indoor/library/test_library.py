@@ -117,6 +117,13 @@ def test_what_cannot_be_saved(maps, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_a_link_to_itself_gives_way_to_a_library(folder, tmp_path):
+    target = tmp_path / "a.library"
+    target.symlink_to(target.name)
+    SceneLibrary.open(folder / "homes.library").save(target)
+    assert len(SceneLibrary.open(target)) == len(SceneLibrary.open(folder / "homes.library"))
+
+
 def test_another_encoder_is_refused(folder):
     with pytest.raises(MapError, match="was encoded by labels"):
         SceneLibrary.open(folder / "homes.library", encoders="appearance")

@@ -30,7 +30,8 @@ HONEST = {"worker_died", "busy", "too_long"}
 """Codes of problems that a client may see while workers die."""
 ASKING = 120.0
 """A request that is not answered after so long hangs [s]."""
-READY = 300.0
+READY = 900.0
+"""It is given up after so long: beside other work its processes take minutes to import what they need [s]."""
 
 
 @dataclass
@@ -51,11 +52,13 @@ class Server:
         assert process.stdout is not None  # noqa: S101
         found = re.search(r"http://([^\s:]+):(\d+)", process.stdout.readline())
         if found is None:
+            process.kill()
             raise RuntimeError("the server did not start")
         made = cls(process, found[1], int(found[2]))
         end = time.monotonic() + READY
         while made.ask("GET", "/healthz")[0] != 200:
             if time.monotonic() > end:
+                made.end()
                 raise RuntimeError("the server was not ready")
             time.sleep(0.1)
         return made

@@ -14,6 +14,7 @@ from placegraph.cli.encoders import WeightsFile
 from placegraph.cli.library.options import ItsEncoders, opened
 from placegraph.cli.scene.query import NoProgress
 from placegraph.errors import MapError
+from placegraph.files import real_path
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -70,7 +71,6 @@ def _listed(
             )
         for name in library:
             entry = library.entry(name)
-            place = (
-                "" if entry.path is None else os.path.relpath(entry.path.resolve(), out.resolve())
-            )
+            at = entry.path and real_path(entry.path)
+            place = os.path.relpath(at, real_path(out)) if at else ""
             yield Listed(name if len(paths) == 1 else f"{path.stem}: {name}", entry, place)

@@ -79,7 +79,7 @@ def read_columns(path: Path) -> dict[str, Columns]:
                 found[element.name], at = _binary(element, data, at, order)
             else:
                 found[element.name], at = _text(element, tokens, at)
-        except (IndexError, struct.error, ValueError) as error:
+        except (IndexError, struct.error, ValueError, OverflowError) as error:
             raise InputError(
                 f"{path} ends within, or holds nonsense among, its {element.count} {element.name} "
                 "entries: it is truncated or damaged; copy it again."

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from placegraph.earth import EarthPose
 from placegraph.errors import InputError, MapError, MissingExtraError, OptionError
+from placegraph.files import real_path
 from placegraph.indoor.encode import ENCODERS, Encoder, encoder
 from placegraph.indoor.library.answer import Many, search
 from placegraph.indoor.library.localize import localize
@@ -116,8 +117,8 @@ class SceneLibrary(Asked, Shown, Scenes):
             raise OptionError(
                 f"{nowhere[0]!r} is a map in memory; save it, and add it to the library by its file."
             )
-        folder = Path(path).resolve().parent
-        places = [os.path.relpath(e.path.resolve(), folder) for e in entries if e.path is not None]
+        folder = real_path(path).parent
+        places = [os.path.relpath(real_path(e.path), folder) for e in entries if e.path is not None]
         signatures = [e.signature for e in entries]
         meta = {
             "encoders": [{"name": e.name, "key": e.key} for e in self.encoders],
@@ -174,7 +175,7 @@ class SceneLibrary(Asked, Shown, Scenes):
                 for found in file.meta.get("earth", [[]] * len(names))
             ]
             signatures = signatures_in(file, [e.key for e in library.encoders])
-            folder = Path(path).resolve().parent
+            folder = real_path(path).parent
             for name, place, signature, digest, earth in zip(
                 names, places, signatures, digests, poses, strict=True
             ):
