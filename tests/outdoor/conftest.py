@@ -98,10 +98,13 @@ def _score(city, description, positions, together=TOGETHER):
         if query.far is not None:
             far = distant(query.statements, city.columns, query.far, at.astype(np.float32))
         nearby = np.unique(city.in_sight(views.near(position, REACH)).objects)
+        seen = np.array([0, len(nearby)]), nearby
         found.append(
-            look_again(query.statements, city.columns, words, at, nearby, far, together, True)
+            look_again(
+                query.statements, city.columns, words, at[None], seen, far[None], together, True
+            )
         )
-    return tuple(np.concatenate(column) for column in zip(*found, strict=True))
+    return tuple(np.concatenate([c[0] for c in column]) for column in zip(*found, strict=True))
 
 
 @pytest.fixture(scope="session")

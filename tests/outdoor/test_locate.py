@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import shutil
 import subprocess
 import sys
@@ -476,6 +477,22 @@ def test_a_map_may_be_rebuilt_while_it_is_open(hafenstadt, tmp_path):
         assert builder.returncode == 0
     assert opened > 1
     assert open_map(path).locate(TEXT).to_dict() == expected
+
+
+@pytest.mark.all
+def test_another_processor_gives_the_same_bytes(harbour, harbour_file):
+    """Kernels compiled for the oldest processor of the kind, which has no wide words and fuses nothing."""
+    code = (
+        "import json, sys; from placegraph import open_map; city = open_map(sys.argv[1])\n"
+        "print(json.dumps([city.locate(text).to_dict() for text in sys.argv[2:]]))"
+    )
+    oldest = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
+    texts = [TEXT, *(text for text, _, _ in HARBOUR)]
+    told = subprocess.run(  # noqa: S603  # our own interpreter and code
+        [sys.executable, "-c", code, harbour_file, *texts],
+        env=os.environ | oldest, capture_output=True, check=True,
+    ).stdout  # fmt: skip
+    assert json.loads(told) == [harbour.locate(text).to_dict() for text in texts]
 
 
 def test_other_cells_same_place(make_city, hafenstadt):

@@ -74,22 +74,38 @@ def score_views(statements, scene, views, words, chosen, bounds, relative, far, 
 
 
 @kernel(finite=True)
-def look_again(statements, scene, words, at, nearby, far, together, assign):
-    """Score exact positions `at` (K, 2) [m] among `nearby` (n,) objects; log-likelihood ratios (K,).
+def look_again(statements, scene, words, at, seen, far, together, assign):
+    """Score exact positions `at` (B, K, 2) [m]; log-likelihood ratios (B, K).
 
+    Near the positions of each group lie the objects that are `seen`: starts (B + 1,) and rows.
     Nearest points are computed anew from the geometry, so that a position between viewpoints sees
-    roads and walls where they are. Also returns the ratios of each statement (K, S) and, if
-    `assign`, the objects that serve it (K, S, 2).
+    roads and walls where they are. `far` (B, K, S) is what distant objects add. Also returns the ratios
+    of each statement (B, K, S) and, if `assign`, the objects that serve it (B, K, S, 2).
     """
     n_statements = len(statements.op)
-    scores = np.empty(len(at), np.float32)
-    each = np.empty((len(at), n_statements), np.float32)
-    served = np.empty((len(at), n_statements if assign else 0, 2), np.int64)
+    groups, k = at.shape[:2]
+    scores = np.empty((groups, k), np.float32)
+    each = np.empty((groups, k, n_statements), np.float32)
+    served = np.empty((groups, k, n_statements if assign else 0, 2), np.int64)
+    fits = room(statements, words)
+    starts, objects = seen
+    for b in range(groups):
+        _look_again(
+            statements, scene, words, at[b], objects[starts[b] : starts[b + 1]], fits, far[b],
+            together, scores[b], each[b], served[b],
+        )  # fmt: skip
+    return scores, each, served
+
+
+@kernel(finite=True)
+def _look_again(
+    statements, scene, words, at, nearby, fits, far, together, scores, each, served
+):  # fmt: skip
+    """As `look_again`, of one group, into `scores`, `each` and `served`."""
     where = np.empty((len(at), len(nearby), 2), np.float32)
     distance2 = np.empty((len(at), len(nearby)), np.float32)
     sight = np.empty(len(nearby), np.float32)
     points, near, squares = at.T.copy(), np.empty((2, len(at))), np.empty(len(at))
-    fits = room(statements, words)
     for i in range(len(nearby)):
         nearest_to_each(
             scene.part_starts, scene.point_starts, scene.points, scene.kind[nearby[i]], nearby[i],
@@ -114,7 +130,6 @@ def look_again(statements, scene, words, at, nearby, far, together, assign):
         scores[k] = likelihoods(
             statements, scene, words, seen, fits, far[k], together, HOPELESS, each[k], served[k]
         )
-    return scores, each, served
 
 
 @kernel(finite=True)

@@ -71,10 +71,10 @@ def looked_at(
     if query.far is not None:
         far = distant(query.statements, city.columns, query.far, positions)
     _, ratios, served = look_again(
-        query.statements, city.columns, query.words(len(views.share)),
-        positions, nearby, far, CERTAIN, True,
+        query.statements, city.columns, query.words(len(views.share)), positions[None],
+        (np.array([0, len(nearby)]), nearby), far[None], CERTAIN, True,
     )  # fmt: skip
-    return ratios, served
+    return ratios[0], served[0]
 
 
 def _evidence(

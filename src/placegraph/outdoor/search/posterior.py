@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.outdoor.search.posterior_kernels import peaks
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -20,6 +22,8 @@ APART = 40.0
 """Modes are at least this far apart [m]."""
 LOOKED_AT = 8
 """Peaks that are compared at least: the first one found is not always the heaviest."""
+HEAVIEST = 32
+"""So many points are looked at for peaks."""
 
 
 @dataclass(frozen=True)
@@ -71,47 +75,23 @@ class Mode:
 
 def modes(found: Posterior, top: int, spacing: float) -> list[Mode]:
     """Peaks of the posterior, heaviest first; positions lie on a grid of `spacing` [m]."""
-    left = found.probabilities.copy()
-    peaks: list[Mode] = []
-    smooth = _smoothed(found.positions, left)
-    while len(peaks) < max(top, LOOKED_AT) and len(left):
-        at = int(np.argmax(smooth))
-        if smooth[at] <= 1e-9:
-            break
-        near = _within(found.positions, found.positions[at], APART)
-        weights = np.where(near, left, 0.0)
-        if weights.sum() <= 0.0:
-            smooth[near] = 0.0
-            continue
-        position = weights @ found.positions / weights.sum()
-        delta = found.positions - position
-        covariance = (weights[:, None] * delta).T @ delta / weights.sum()
-        covariance += np.eye(2) * (spacing**2 / 12.0 + 1.0)
-        around = _within(found.positions, position, WITHIN)
-        mass = np.where(around, left, 0.0)
-        peaks.append(Mode(position, covariance, min(1.0, float(mass.sum()))))
-        left = left - mass
-        smooth[around | near] = 0.0
-    return sorted(peaks, key=lambda m: -m.probability)[:top]
+    heavy = np.argsort(-found.probabilities, kind="stable")[:HEAVIEST]
+    own = (spacing**2 / 12.0 + 1.0) * np.eye(2)
+    places, covariances, masses = peaks(
+        found.positions, found.probabilities, heavy, max(top, LOOKED_AT), APART, WITHIN
+    )
+    return [
+        Mode(places[i], covariances[i] + own, min(1.0, float(masses[i])))
+        for i in np.argsort(-masses, kind="stable")[:top].tolist()
+    ]
 
 
 def ranked(found: Posterior, top: int, spacing: float) -> list[Mode]:
     """Peaks of positions that stand best first, whatever they weigh; arguments as of `modes`."""
     # each outweighs all below it together
     weights = 0.5 ** np.arange(1.0, 1.0 + len(found.positions))
-    peaks = modes(replace(found, probabilities=weights), top, spacing)
-    return [replace(peak, probability=found.within(peak.position, WITHIN)) for peak in peaks]
-
-
-def _smoothed(
-    positions: NDArray[np.float64], probabilities: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Probability within `APART` of the heaviest points (0 for light ones): peaks are broad, not sharp."""
-    smooth = np.zeros(len(positions))
-    heavy = np.argsort(-probabilities)[:32]
-    near = _within(positions, positions[heavy, None], APART)
-    smooth[heavy] = np.where(near, probabilities, 0.0).sum(axis=1) + 1e-3 * probabilities[heavy]
-    return smooth
+    best = modes(replace(found, probabilities=weights), top, spacing)
+    return [replace(mode, probability=found.within(mode.position, WITHIN)) for mode in best]
 
 
 def _within(

@@ -128,8 +128,8 @@ def closer(asked: Request, found: Scored, reach: float = 1.0) -> Posterior:
 
     The right one is among them with probability `reach`: together they weigh no more than that.
     """
-    best = np.argsort(-(found.scores + found.log_prior), kind="stable")[:CLOSER]
-    others = np.setdiff1d(np.arange(len(found.rows)), best)
+    order = np.argsort(-(found.scores + found.log_prior), kind="stable")
+    best, others = order[:CLOSER], np.sort(order[CLOSER:])
     fine, ratios = look_around(asked, found.rows[best], found.far[best])
     share = np.repeat(found.log_prior[best] - np.log(len(FINE)), len(FINE))
     positions = asked.city.views.positions_of(found.rows[others]).astype(np.float64)
@@ -148,14 +148,12 @@ def look_around(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Fine positions (B, 9, 2) [m] around viewpoints (B,), and their log-likelihood ratios (B, 9)."""
     positions = asked.city.views.positions_of(rows).astype(np.float64)[:, None] + FINE
-    ratios, seen = np.empty(positions.shape[:2]), asked.city.in_sight(rows)
-    for k in range(len(rows)):
-        nearby = seen.objects[seen.starts[k] : seen.starts[k + 1]]
-        ratios[k], _, _ = look_again(
-            asked.query.statements, asked.city.columns, asked.words, positions[k], nearby,
-            np.tile(far[k], (len(FINE), 1)), TOGETHER, False,
-        )  # fmt: skip
-    return positions, ratios
+    seen = asked.city.in_sight(rows)
+    ratios, _, _ = look_again(
+        asked.query.statements, asked.city.columns, asked.words, positions,
+        (seen.starts, seen.objects), np.repeat(far[:, None], len(FINE), axis=1), TOGETHER, False,
+    )  # fmt: skip
+    return positions, ratios.astype(np.float64)
 
 
 def by_whereabouts(asked: Request) -> Posterior:
