@@ -251,6 +251,20 @@ def test_an_empty_block_behind_the_relations_of_a_file_in_order_hides_none(tmp_p
     assert by_us(path)[0].keys() == {(2, 1)}
 
 
+def test_a_file_that_is_in_order_by_what_it_says_alone_is_refused(tmp_path):
+    path, (nodes, ways, woods) = tmp_path / "a.osm.pbf", wood(ids=[1])
+    heads = pbf.text(4, b"OsmSchema-V0.6") + pbf.text(5, b"Sort.Type_then_ID")
+    blobs = (pbf.blob_of(b"OSMData", b) for b in (nodes, woods, ways, woods))
+    path.write_bytes(pbf.blob_of(b"OSMHeader", heads) + b"".join(blobs))
+    with pytest.raises(InputError, match=r"not in the order that it says.*osmium sort"):
+        by_us(path)
+
+
+def test_dense_nodes_that_are_none_are_passed_over(tmp_path):
+    blobs = [pbf.text(1, pbf.text(1, b"")) + pbf.text(2, pbf.text(2, b"") * 9), *wood(ids=[1])]
+    assert by_us(written(tmp_path / "a.osm.pbf", blobs))[0].keys() == {(2, 1)}
+
+
 def test_a_position_as_far_off_as_numbers_go_is_none(tmp_path):
     far = [-(2**63), 10, 0]
     blobs = wood(ids=[1], position=(far, [0, 0, 10]))

@@ -45,6 +45,43 @@ def placed(first, bounds, words, ids):
 
 
 @kernel
+def sampled(first, bounds, words, every):
+    """The first id of each chunk, and of `every` so many of its others one."""
+    found, n = np.empty(len(first) + bounds[-1] // every, np.int64), 0
+    for chunk in range(len(first)):
+        for at in range(0, bounds[chunk + 1] - bounds[chunk], every):
+            found[n] = first[chunk] + (np.int64(words[3 * bounds[chunk] + at]) & 0xFFFFFFFF)
+            n += 1
+    return found[:n]
+
+
+@kernel
+def between(first, bounds, words, low, high):
+    """Ids and positions of all nodes from id `low` to before `high`, chunk after chunk."""
+    ends, n = np.zeros((len(first), 2), np.int64), 0
+    for chunk in range(len(first)):
+        for side in range(2):
+            wanted, at, end = (low, high)[side] - first[chunk], 0, bounds[chunk + 1] - bounds[chunk]
+            while end > at:
+                middle = (at + end) >> 1
+                if np.int64(words[3 * bounds[chunk] + middle]) & 0xFFFFFFFF < wanted:
+                    at = middle + 1
+                else:
+                    end = middle
+            ends[chunk, side] = at
+        n += ends[chunk, 1] - ends[chunk, 0]
+    ids, steps, n = np.empty(n, np.int64), np.empty((n, 2), np.int32), 0
+    for chunk in range(len(first)):
+        begins, size = 3 * bounds[chunk], bounds[chunk + 1] - bounds[chunk]
+        for at in range(ends[chunk, 0], ends[chunk, 1]):
+            ids[n] = first[chunk] + (np.int64(words[begins + at]) & 0xFFFFFFFF)
+            steps[n, 0] = words[begins + size + 2 * at]
+            steps[n, 1] = words[begins + size + 2 * at + 1]
+            n += 1
+    return ids, steps
+
+
+@kernel
 def lines(starts, steps, known):
     """Points of ways of what is known of the positions of their nodes, as `read_osm` has them.
 

@@ -34,6 +34,7 @@ AT_ONCE = 1 << 18
 """Nodes of a block that is written, or of its ways, about."""
 MOST_FIELDS = 1 << 21
 """Fields of one message: a block has thousands of strings, and 32 MiB room for 16 million."""
+NONE = np.zeros(0, np.int64)
 NODES, DENSE, WAYS, RELATIONS = 1, 2, 3, 4
 """Fields of a group."""
 
@@ -60,16 +61,15 @@ class Rows(NamedTuple):
     """Strings of keys and values by turns."""
     lists: tuple[tuple[Numbers, Numbers], ...] = ()
     """Starts and entries: of ways ids of nodes; of relations roles, ids and kinds of members."""
-    messages: Numbers = np.zeros((0, 2), np.int64)
+    messages: Numbers = NONE.reshape(0, 2)
     """(N, 2) where each message begins in the block, and how long it is."""
-    steps: Numbers = np.zeros((0, 2), np.int64)
+    steps: Numbers = NONE.reshape(0, 2)
     """(N, 2) of nodes longitude and latitude, in steps of 1e-7 degrees, wherever that is."""
 
 
 def blobs(file: BinaryIO) -> Iterator[Blob]:
     """All blobs of a file; raises `DamagedError` where it ends within one."""
-    size = file.seek(0, 2)
-    at = 0
+    size, at = file.seek(0, 2), 0
     while at < size:
         file.seek(at)
         head = file.read(4)
@@ -177,7 +177,7 @@ class Block:
     def nodes(self) -> Rows:
         """Its nodes."""
         made = [self._dense(at, at + n) for group in self.groups if DENSE in self.holds
-                for number, n, at in _fields(self.data, *group) if number == DENSE]  # fmt: skip
+                for number, n, at in _fields(self.data, *group) if number == DENSE and n]  # fmt: skip
         if NODES in self.holds:
             rows, lists = self._elements(NODES)
             (lat_starts, lat), (lon_starts, lon), _ = lists
@@ -186,8 +186,8 @@ class Block:
             ids = kernels.signed_of(rows.ids)
             at = self._steps(kernels.signed_of(lon), kernels.signed_of(lat))
             made.append(rows._replace(ids=ids, steps=at))
-        if len(made) == 1:
-            return made[0]
+        if len(made) < 2:
+            return made[0] if made else Rows(NONE, NONE, starts([]), NONE)
         ids, versions, steps = (
             np.concatenate([getattr(rows, name) for rows in made])
             for name in ("ids", "versions", "steps")

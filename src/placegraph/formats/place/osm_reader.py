@@ -29,7 +29,7 @@ from placegraph.formats.place.osm import (
 from placegraph.formats.place.osm_areas import Assembler
 from placegraph.formats.place.osm_nodes import Nodes
 from placegraph.formats.place.osm_nodes_kernels import lines
-from placegraph.formats.place.osm_pbf import Block, Rows
+from placegraph.formats.place.osm_pbf import NONE, Block, Rows
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -41,7 +41,6 @@ if TYPE_CHECKING:
     Numbers = NDArray[np.int64]
     Steps = NDArray[np.int32]
 
-NONE = np.zeros(0, np.int64)
 SORTED = b"Sort.Type_then_ID"
 LOST = np.int32(2**31 - 1)
 """Longitude of a node of which the position is not known."""
@@ -57,7 +56,7 @@ class Reader:
         self.file, self.path, self.left_out = file, path, left_out
         self.keys = {key.encode() for key in keys}
         self.assembler = Assembler(path)
-        self.members = np.zeros(0, np.int64)
+        self.members = NONE
         """Ids of ways that are wanted for areas, ascending."""
         self.ways: list[tuple[Numbers, Numbers, Steps]] = []
         """Of those that were met ids, starts, and points; `LOST` where a position is not known."""
@@ -75,8 +74,10 @@ class Reader:
         work = [(blob, self._read) for blob in blobs] + [(blob, self._areas) for blob in relations]
         with closing(Nodes(index)) as nodes, closing(self.assembler):
             for n, (blob, read) in enumerate(work, 1):
-                before = self.left_out.counts.copy()
-                found = read(Block(pbf.inflated(self.file, blob)), nodes)
+                before, block = self.left_out.counts.copy(), Block(pbf.inflated(self.file, blob))
+                if pbf.RELATIONS in block.holds and blob not in relations:
+                    raise self._unordered("is not in the order that it says")
+                found = read(block, nodes)
                 if n <= passed:
                     self.left_out.counts = before
                     continue
@@ -84,12 +85,9 @@ class Reader:
                 if any(len(columns.tags) for columns in found):
                     yield found[0] if len(found) == 1 else _joined(found)
         if self.late and self.left_out.counts[POSITIONLESS]:
-            raise InputError(
-                f"{self.path} lists nodes behind the ways that need them; bring it into order by "
-                "`osmium sort`."
-            )
+            raise self._unordered("lists nodes behind the ways that need them")
 
-    def _plan(self, blobs: list[pbf.Blob], *, ordered: bool) -> list[pbf.Blob]:
+    def _plan(self, blobs: list[pbf.Blob], *, ordered: bool) -> dict[pbf.Blob, None]:
         """Blobs that hold relations, which are the last of a file in order; notes the ways they need."""
         found, members = [], [self.members]
         for blob in reversed(blobs):
@@ -101,7 +99,7 @@ class Reader:
             elif ordered and block.holds:
                 break
         self.members = np.unique(np.concatenate(members))
-        return found[::-1]
+        return dict.fromkeys(found[::-1])
 
     def _read(self, block: Block, nodes: Nodes) -> list[OsmColumns]:
         """Nodes and ways of a block."""
@@ -225,6 +223,9 @@ class Reader:
             raise self._several_times()
         if len(ids):
             self.last[kind] = int(ids[-1]), int(versions[-1])
+
+    def _unordered(self, why: str) -> InputError:
+        return InputError(f"{self.path} {why}; bring it into order by `osmium sort`.")
 
     def _several_times(self) -> InputError:
         return InputError(
