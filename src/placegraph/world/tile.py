@@ -100,11 +100,11 @@ def build_tile(job: TileJob) -> TileDone:
         plane, objects_of(things, plane), cell_size=cell_size, stride=stride,
         edge_distance=edge_distance, source=job.source, left_out=dict(left_out.counts),
     )  # fmt: skip
-    seen = city.look_around()
+    words = counted(city, job.key)
     city.save(out, quick=True)
     made = TileDone(job.key, _digest(out), out.stat().st_size, len(city.objects), len(city.cells))
     if job.counts:
-        keep(counted(city, job.key, seen), Path(job.counts), made.digest)
+        keep(words, Path(job.counts), made.digest)
     return made
 
 

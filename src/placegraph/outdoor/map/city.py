@@ -14,7 +14,7 @@ from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.map.blocks import Blocks
 from placegraph.outdoor.map.cells import Cells, cell_graph, occupied_cells
 from placegraph.outdoor.map.index import ViewIndex
-from placegraph.outdoor.map.index_build import grid_of, seen_from, tokens_of
+from placegraph.outdoor.map.index_build import Core, Seen, tokens_of
 from placegraph.outdoor.map.index_file import LARGE, MAPPED, WORTH, index_in, stored
 from placegraph.outdoor.map.index_kernels import looks
 from placegraph.outdoor.map.names import NameIndex
@@ -73,7 +73,8 @@ class City(Portable):
         left_out: dict[str, int],
     ) -> Self:
         """City over these objects; cells are laid over their bounding box."""
-        low, high = objects.points.min(axis=0), objects.points.max(axis=0)
+        axes = np.ascontiguousarray(objects.points.T)
+        low, high = axes.min(axis=1), axes.max(axis=1)
         columns, rows = (int(n) for n in np.ceil((high - low) / stride) + 1)
         grid = Grid(float(low[0]), float(low[1]), stride, columns, rows)
         occupied = occupied_cells(objects, grid, cell_size)
@@ -184,12 +185,11 @@ class City(Portable):
 
     @cached_property
     def _views(self) -> ViewIndex:
-        return self.index or ViewIndex.build(self.objects)
+        return self.index or ViewIndex.build(self.objects)[0]
 
-    def look_around(self) -> Sightings:
-        """What is in sight of all the grid of `views`, which are derived of it and not looked for again."""
-        seen = seen_from(self.objects, grid_of(self.objects))
-        self.__dict__["_views"] = ViewIndex.build(self.objects, seen)
+    def look_around(self, core: Core) -> Seen:
+        """What is seen from a core; `views` are then those about it, and not derived again."""
+        self.__dict__["_views"], seen = ViewIndex.build(self.objects, core)
         return seen
 
     def in_sight(self, rows: NDArray[np.integer[Any]]) -> Sightings:

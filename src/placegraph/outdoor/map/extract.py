@@ -18,6 +18,7 @@ from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.map.index import STRIDE
 from placegraph.outdoor.map.objects import GRAIN, CityObjects, centers, simplify
 from placegraph.outdoor.map.raster import EACH, MOST
+from placegraph.outdoor.map.simplify_kernels import along_curve
 from placegraph.outdoor.map.things import Thing, Things, text_of, words_of
 
 if TYPE_CHECKING:
@@ -182,15 +183,17 @@ def objects_of(things: Things, plane: LocalPlane) -> CityObjects:
     simple, point_starts = simplify(plane.to_plane(things.lonlat), things.point_starts, TOLERANCE)
     steps = np.round(simple / GRAIN).astype(np.int64)
     first = steps[point_starts[things.part_starts[:-1]]]
-    order = np.lexsort((things.osm_id, things.osm_type, _hilbert(first)))
+    order = np.lexsort((things.osm_id, things.osm_type, along_curve(first - first.min(axis=0))))
     part_ends, part_rows = spans(things.part_starts, order)
     point_ends, point_rows = spans(point_starts, part_rows)
     parts, ends = part_ends.astype(np.int32), point_ends.astype(np.int32)
     points = (steps[point_rows] * GRAIN).astype(np.float32)
     kind = things.kind[order]
-    said = [words_of(things.texts[i]) for i in order.tolist()]
-    label_starts, label_table, label_values = _table([labels for labels, _ in said])
-    name_starts, name_table, name_values = _table([names for _, names in said])
+    texts: dict[str, int] = {}  # many things are called alike
+    which = np.array([texts.setdefault(text, len(texts)) for text in things.texts])[order]
+    said = list(map(words_of, texts))
+    label_starts, label_table, label_values = _table([labels for labels, _ in said], which)
+    name_starts, name_table, name_values = _table([names for _, names in said], which)
     return CityObjects(
         osm_type=things.osm_type[order],
         osm_id=things.osm_id[order],
@@ -209,28 +212,12 @@ def objects_of(things: Things, plane: LocalPlane) -> CityObjects:
 
 
 def _table(
-    rows: list[tuple[str, ...]],
+    texts: list[tuple[str, ...]], which: NDArray[np.int64]
 ) -> tuple[NDArray[np.int32], tuple[str, ...], NDArray[np.int32]]:
-    """Bounds of the words of each row, all words that there are, sorted, and which each is."""
-    flat = [word for row in rows for word in row]
+    """Bounds of the words of each row, which has one of the texts; all words, sorted; which each is."""
+    flat = [word for text in texts for word in text]
     table = tuple(sorted(set(flat)))
     index = {word: i for i, word in enumerate(table)}
     values = np.fromiter(map(index.__getitem__, flat), np.int32, len(flat))
-    return starts(list(map(len, rows))).astype(np.int32), table, values
-
-
-def _hilbert(steps: NDArray[np.int64], bits: int = 18) -> NDArray[np.int64]:
-    """Position (N,) along a Hilbert curve: neighbours in the file are neighbours on the ground."""
-    x, y = (steps - steps.min(axis=0)).T.copy()
-    d = np.zeros(len(x), np.int64)
-    side = np.int64(1) << (bits - 1)
-    while side > 0:
-        rx, ry = (x & side) > 0, (y & side) > 0
-        d += side * side * ((3 * rx) ^ ry)
-        flip = ~ry
-        mirror = flip & rx
-        x[mirror], y[mirror] = side - 1 - x[mirror] % side, side - 1 - y[mirror] % side
-        x[flip], y[flip] = y[flip], x[flip].copy()
-        x, y = x % side, y % side
-        side >>= 1
-    return d
+    bounds, at = spans(starts(list(map(len, texts))), which)
+    return bounds.astype(np.int32), table, values[at]

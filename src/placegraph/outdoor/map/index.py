@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.files import Watch
+    from placegraph.outdoor.map.index_build import Core, Seen
     from placegraph.outdoor.map.objects import CityObjects
-    from placegraph.outdoor.map.raster import Sightings
 
 POINT, AREA = 0, 2
 STRIDE = index_build.STRIDE
@@ -102,10 +102,11 @@ class ViewIndex:
     """Of the map file that columns are windows on."""
 
     @classmethod
-    def build(cls, objects: CityObjects, seen: Sightings | None = None) -> Self:
-        """Index of a map that has none yet; `seen` is all that its grid has in sight, where known."""
+    def build(cls, objects: CityObjects, core: Core | None = None) -> tuple[Self, Seen]:
+        """Index of a map that has none yet, about a core if one is given, and what is seen there."""
         grid = grid_of(objects)
-        return cls.of(build(objects, seen), (grid.east, grid.north, grid.columns // SIDE))
+        columns, seen = build(objects, core=core)
+        return cls.of(columns, (grid.east, grid.north, grid.columns // SIDE)), seen
 
     @classmethod
     def of(cls, columns: Mapping[str, NDArray[Any]], grid: tuple[float, float, int]) -> Self:

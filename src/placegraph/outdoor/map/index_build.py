@@ -6,10 +6,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from placegraph.outdoor.map.index_build_kernels import runs_of
+from placegraph.outdoor.map.index_build_kernels import runs_of, standing, with_huts
 from placegraph.outdoor.map.index_kernels import (
     FADED,
-    FINE,
     GRADES,
     LEAST,
     REACHED,
@@ -17,14 +16,16 @@ from placegraph.outdoor.map.index_kernels import (
     STEP,
     WIDTH,
 )
-from placegraph.outdoor.map.raster import Grid, Sightings, sightings
+from placegraph.outdoor.map.raster import EACH, MOST, Grid, out_of_proportion
+from placegraph.outdoor.map.sight_kernels import seen
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from placegraph.outdoor.map.objects import CityObjects
 
-POINT, AREA = 0, 2
 STRIDE = 20.0
 """Distance of neighbouring viewpoints [m]."""
 ENOUGH = 2.0
@@ -37,13 +38,55 @@ AT_ONCE = 150_000
 """Objects of a band, about."""
 
 
-class _Band(NamedTuple):
-    """Lines of the grid from `first` to `last`, and what may be in sight of them."""
+class Core(NamedTuple):
+    """A part of a map that is counted; there are no viewpoints far from it."""
 
-    first: int
-    last: int
+    low: NDArray[np.float64]
+    """(2,) east and north [m] from where on there are viewpoints ..."""
+    high: NDArray[np.float64]
+    """... and up to where, about."""
+    holds: Callable[[NDArray[np.float64]], NDArray[np.bool_]]
+    """Which viewpoints (K, 2) [m] are counted."""
+
+
+class Seen(NamedTuple):
+    """What viewpoints of a core have in sight."""
+
+    mass: NDArray[np.float64]
+    """(T,) sum over viewpoints of how much of a token is in sight."""
+    peak: NDArray[np.float32]
+    """(T,) largest share that a token has of all that one viewpoint has in sight."""
+    sight: float
+    """Sum over viewpoints of all that is in sight."""
+    spread: float
+    """Largest sum of the shares of all labels."""
+    pull: float
+    """Largest square of all in sight against its pairs, and `CROWDED`."""
+    viewpoints: int
+
+
+class _Band(NamedTuple):
+    """Tiles of the grid, and what may be in sight of them."""
+
+    window: tuple[int, int, int, int]
+    """From column to column, and from line to line."""
     rows: NDArray[np.int64]
     """Rows of objects."""
+
+
+class _InSight(NamedTuple):
+    """What tiles have in sight: an entry a tile and thing."""
+
+    things: NDArray[np.int32]
+    """(R,) rows of objects, tile after tile, and ascending within a tile."""
+    slots: NDArray[np.int64]
+    """(R,) from which points of the tile."""
+    first: NDArray[np.int64]
+    """(R,) where its vectors begin."""
+    offsets: NDArray[np.float32]
+    """(E, 2) from points to things [m]."""
+    sight: NDArray[np.float32]
+    """(E,) `fade` of them."""
 
 
 def fade(distance: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -76,126 +119,113 @@ def tokens_of(
 
 def grid_of(objects: CityObjects) -> Grid:
     """Grid of the viewpoints; its sides are whole tiles."""
-    low, high = objects.points.min(axis=0) - REACHED, objects.points.max(axis=0) + REACHED
+    axes = np.ascontiguousarray(objects.points.T)  # along which minima are quick
+    low, high = axes.min(axis=1) - REACHED, axes.max(axis=1) + REACHED
     columns, rows = (SIDE * int(n) for n in np.ceil((np.ceil((high - low) / STRIDE) + 1) / SIDE))
     return Grid(float(low[0]), float(low[1]), STRIDE, columns, rows)
 
 
 def build(
-    objects: CityObjects, all_seen: Sightings | None = None, at_once: int = AT_ONCE
-) -> dict[str, NDArray[Any]]:
-    """Columns of a `ViewIndex`; memory grows with what is in sight of a band, time with the map.
+    objects: CityObjects, at_once: int = AT_ONCE, core: Core | None = None
+) -> tuple[dict[str, NDArray[Any]], Seen]:
+    """Columns of a `ViewIndex`, and what was seen from a core; of nothing, where there is none.
 
-    `all_seen` is what `seen_from` gives of the whole grid, where it is known.
+    Memory grows with what is in sight of a band, time with the map. Raises `MapError` where things
+    reach over more ground than a map of so many is looked through for.
     """
     grid, tokens = grid_of(objects), tokens_of(objects)
-    n_tokens = len(objects.labels) + len(objects.names)
-    bands = _bands(objects, grid, len(objects) if all_seen else at_once)
-    seen = [all_seen or _seen(objects, grid, bands[0])] if len(bands) == 1 else []
+    n_labels, n_tokens = len(objects.labels), len(objects.labels) + len(objects.names)
+    bands = _bands(objects, grid, at_once, core)
+    looked = [_look(objects, grid, bands[0])] if len(bands) == 1 else []
     found = np.zeros(len(objects), np.bool_)
-    for i, band in enumerate(bands):
-        now = seen[i] if seen else _seen(objects, grid, band)
-        keep, _, _ = _worth_standing(now, objects.kind)
-        found[now.objects[np.repeat(keep, np.diff(now.starts))]] = True
-    mass = np.zeros(n_tokens + 1)
-    parts = [
-        _columns(seen[i] if seen else _seen(objects, grid, band), band, grid, objects, tokens, found, mass)
-        for i, band in enumerate(bands)
-    ]  # fmt: skip
-    return _joined(parts, n_tokens) | {"share": mass[:-1] / max(mass[-1], 1e-30)}
+    keeps = [
+        standing(tile_starts, around, objects.kind, ENOUGH, STRIDE, found)
+        for _, tile_starts, around in looked or (_look(objects, grid, band) for band in bands)
+    ]
+    mass, parts, sums, viewpoints = np.zeros(n_tokens + 1), [], [], 0
+    for keep, band in zip(keeps, bands, strict=True):
+        tiles, tile_starts, around = looked.pop() if looked else _look(objects, grid, band)
+        with_huts(tile_starts, around, keep, STRIDE, found)
+        counted, many = _counted(grid, tiles, keep, core)
+        viewpoints += many
+        runs, postings, (total, pairs, things, thing_counts), seen_ = runs_of(
+            tile_starts, around, keep, counted, objects.kind, tokens, LEVELS, n_labels, mass
+        )
+        sums.append(seen_)
+        there = keep != 0
+        token, tile, slots, size, grades = runs
+        parts.append({
+            "token": token, "run_tiles": (np.cumsum(there) - 1)[tile].astype(np.uint32),
+            "run_slots": slots, "size": size, "run_pairs": grades[:, 0], "run_total": grades[:, 1],
+            "postings": postings, "tiles": tiles[there], "present": keep[there], "total": total,
+            "pairs": pairs, "things": things, "thing_counts": thing_counts[there],
+        })  # fmt: skip
+    masses, peaks, sights, spreads, pulls = zip(*sums, strict=True)
+    seen_ = Seen(
+        sum(masses), np.max(peaks, axis=0), sum(sights), max(spreads), max(pulls), viewpoints
+    )
+    return _joined(parts, n_tokens) | {"share": mass[:-1] / max(mass[-1], 1e-30)}, seen_
 
 
-def _bands(objects: CityObjects, grid: Grid, at_once: int) -> list[_Band]:
+def _bands(objects: CityObjects, grid: Grid, at_once: int, core: Core | None) -> list[_Band]:
     """Bands of whole tiles from south to north, about as many objects in each."""
     ends = objects.point_starts[objects.part_starts]
-    south = np.minimum.reduceat(objects.points[:, 1], ends[:-1]) - grid.north
-    north = np.maximum.reduceat(objects.points[:, 1], ends[:-1]) - grid.north
+    norths = objects.points[:, 1].astype(np.float64) - grid.north
+    south, north = (end.reduceat(norths, ends[:-1]) for end in (np.minimum, np.maximum))
+    wide = SIDE * STRIDE
+    low, high = np.zeros(2, np.int64), np.array([grid.columns, grid.rows]) // SIDE
+    if core is not None:
+        corners = (np.stack([core.low, core.high]) - (grid.east, grid.north)) / wide
+        low, high = np.clip([np.floor(corners[0]), np.ceil(corners[1])], low, high).astype(np.int64)
     many = max(1, min(grid.rows // SIDE, round(len(objects) / at_once)))
     shares = np.quantile(north, np.linspace(0.0, 1.0, many + 1)[1:-1])
-    lines = np.unique(np.rint(shares / STRIDE / SIDE).astype(np.int64)) * SIDE
-    lines = np.unique(np.concatenate(([0], lines.clip(0, grid.rows), [grid.rows])))
+    lines = np.rint(shares / wide).astype(np.int64).clip(low[1], high[1])
+    lines = np.unique(np.concatenate(([low[1]], lines, [high[1]])))
+    if len(lines) == 1:
+        lines = np.repeat(lines, 2)
     return [
-        _Band(a, b, np.flatnonzero((north >= STRIDE * a - REACHED - 1) & (south <= STRIDE * b + REACHED)))
+        _Band((int(low[0]), int(high[0]), a, b),
+              np.flatnonzero((north >= wide * a - REACHED - 1) & (south <= wide * b + REACHED)))
         for a, b in zip(lines[:-1].tolist(), lines[1:].tolist(), strict=True)
     ]  # fmt: skip
 
 
-def _seen(objects: CityObjects, grid: Grid, band: _Band) -> Sightings:
-    """What is in sight of the grid points of a band."""
-    part = grid._replace(north=grid.north + band.first * STRIDE, rows=band.last - band.first)
-    return seen_from(objects, part, band.rows)
-
-
-def seen_from(objects: CityObjects, grid: Grid, rows: NDArray[np.int64] | None = None) -> Sightings:
-    """What of objects, or of these rows of them, is in sight of points of a grid."""
-    columns = (objects.kind, objects.part_starts, objects.point_starts, objects.points)
-    return sightings(*columns, grid=grid, radius=REACHED, rows=rows)
-
-
-def _worth_standing(
-    seen: Sightings, kind: NDArray[np.uint8]
-) -> tuple[NDArray[np.bool_], NDArray[np.float32], NDArray[np.bool_]]:
-    """Which grid points see enough to be told from their neighbours, `fade`, and which entries are close."""
-    distance = np.hypot(seen.offsets[:, 0], seen.offsets[:, 1])
-    sight, close = fade(distance), distance < STRIDE
-    if not len(seen.points):
-        return np.zeros(0, np.bool_), sight, close
-    total = np.add.reduceat(sight, seen.starts[:-1])
-    lone = (kind[seen.objects] == POINT) & close
-    keep = (total >= ENOUGH) | np.logical_or.reduceat(lone, seen.starts[:-1])
-    return keep, sight, close
-
-
-def _columns(
-    seen: Sightings,
-    band: _Band,
-    grid: Grid,
-    objects: CityObjects,
-    tokens: tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]],
-    found: NDArray[np.bool_],
-    mass: NDArray[np.float64],
-) -> dict[str, NDArray[Any]]:
-    """Columns of a band; adds to the `mass` in sight of each token, and of all things (the last)."""
-    keep, sight, close = _worth_standing(seen, objects.kind)
-    if len(keep):
-        hut = ~found[seen.objects] & close  # in the hills: nothing else is in sight
-        keep |= np.logical_or.reduceat(hut, seen.starts[:-1])
-    row, column = np.divmod(seen.points[keep], grid.columns)
-    row += band.first
-    key = (row // SIDE) * (grid.columns // SIDE) + column // SIDE
-    slot = (row % SIDE) * SIDE + column % SIDE
-    order = np.argsort(key * SIDE * SIDE + slot, kind="stable")
-    views, entries = _gathered(seen.starts, np.flatnonzero(keep)[order])
-    who, where, sight = seen.objects[entries], seen.offsets[entries], sight[entries]
-    key, slot = key[order], slot[order]
-    first = np.flatnonzero(np.diff(key, prepend=-1))
-    tile_starts = np.append(first, len(key))
-    inside = (objects.kind[who] == AREA) & ~where.any(axis=1)
-    apart = np.where(inside, np.float32(0.0), sight)  # what one stands in lies in no direction
-    total, alone, squared = (_sums(x, views) for x in (sight, apart, apart * apart))
-    total = (np.searchsorted(LEVELS, total, side="right") - 1).clip(0).astype(np.uint8)
-    pairs = np.sqrt(np.maximum(alone * alone - squared, 0.0))
-    pairs = np.floor(pairs * FINE).clip(0, 65535).astype(np.uint16)
-    runs = runs_of(
-        tile_starts, slot, views, who, where, sight, LEVELS[total], (pairs / FINE) ** 2,
-        *tokens, len(mass) - 1,
+def _look(
+    objects: CityObjects, grid: Grid, band: _Band
+) -> tuple[NDArray[np.int64], NDArray[np.int64], _InSight]:
+    """Tiles of a band that have anything in sight, where their entries begin, and these."""
+    things, lines, columns, slots, first, offsets, done = seen(
+        objects.kind, objects.part_starts, objects.point_starts, objects.points, band.rows,
+        (grid.east, grid.north, grid.stride), band.window,
+        max(1024, 32 * len(band.rows)), MOST + EACH * len(band.rows),
     )  # fmt: skip
-    starts, values, weights = tokens
-    of_objects = np.bincount(who, sight, len(objects))
-    mass += np.bincount(values, np.repeat(of_objects, np.diff(starts)) * weights, len(mass))
-    mass[-1] += of_objects.sum()
-    near = np.unique(np.repeat(np.arange(len(first)), _sizes(views, tile_starts)) << 32 | who)
-    present = np.zeros(len(first), np.int64)
-    np.bitwise_or.at(present, np.repeat(np.arange(len(first)), np.diff(tile_starts)), 1 << slot)
-    names = ("token", "run_tiles", "run_slots", "size", "run_pairs", "run_total", "postings")
-    return dict(zip(names, runs, strict=True)) | {
-        "tiles": key[first],
-        "present": present,
-        "total": total,
-        "pairs": pairs,
-        "things": (near & 0xFFFFFFFF).astype(np.int32),
-        "thing_counts": np.bincount(near >> 32, minlength=len(first)).astype(np.uint32),
-    }
+    if not done:
+        raise out_of_proportion(len(band.rows), grid.stride)
+    key = lines.astype(np.int64) * (grid.columns // SIDE) + columns
+    order = np.argsort(key, kind="stable")
+    key = key[order]
+    starts = np.flatnonzero(np.diff(key, prepend=-1))
+    distance = np.hypot(offsets[:, 0], offsets[:, 1])
+    around = _InSight(things[order], slots[order], first[:-1][order], offsets, fade(distance))
+    return key[starts], np.append(starts, len(key)), around
+
+
+def _counted(
+    grid: Grid, tiles: NDArray[np.int64], keep: NDArray[np.int64], core: Core | None
+) -> tuple[NDArray[np.int64], int]:
+    """Slots (T,) of viewpoints in the core, and how many these are."""
+    bits = np.unpackbits(
+        keep.astype("<i8").view(np.uint8).reshape(-1, 8), axis=1, bitorder="little"
+    )
+    tile, slot = np.nonzero(bits)
+    if core is None or not len(tile):
+        return np.zeros(len(keep), np.int64), 0
+    line, column = np.divmod(tiles[tile], grid.columns // SIDE)
+    steps = np.stack([column * SIDE + slot % SIDE, line * SIDE + slot // SIDE], 1)
+    places = (steps * grid.stride + (grid.east, grid.north)).astype(np.float32)
+    bits[tile, slot] = inside = core.holds(places.astype(np.float64))
+    packed = np.packbits(bits, axis=1, bitorder="little").view("<i8")[:, 0]
+    return packed.astype(np.int64), int(inside.sum())
 
 
 def _joined(parts: list[dict[str, NDArray[Any]]], n_tokens: int) -> dict[str, NDArray[Any]]:
@@ -211,22 +241,3 @@ def _joined(parts: list[dict[str, NDArray[Any]]], n_tokens: int) -> dict[str, ND
     columns["run_first"] = first[order].astype(np.uint32)
     columns["run_counts"] = np.bincount(token, minlength=n_tokens).astype(np.uint32)
     return columns
-
-
-def _gathered(
-    starts: NDArray[np.int64], rows: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Starts of rows taken out of a CSR, and their entries."""
-    sizes = np.diff(starts)[rows]
-    taken = np.concatenate(([0], np.cumsum(sizes)))
-    return taken, np.arange(taken[-1]) + np.repeat(starts[rows] - taken[:-1], sizes)
-
-
-def _sums(values: NDArray[np.float32], starts: NDArray[np.int64]) -> NDArray[np.float32]:
-    """Sums of the rows of a CSR, none of which is empty."""
-    return np.add.reduceat(values, starts[:-1]) if len(starts) > 1 else values[:0]
-
-
-def _sizes(starts: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.int64]:
-    """How many entries lie between rows of a CSR."""
-    return np.diff(starts[rows])

@@ -80,15 +80,20 @@ def sightings(
         MOST + EACH * len(rows),
     )
     if not done:
-        raise MapError(
-            f"The map's {len(rows):,} things reach over more ground than a map of so many is looked "
-            f"through for, every {grid.stride:g} m. Build it of a smaller extract, or of larger cells "
-            "further apart."
-        )
+        raise out_of_proportion(len(rows), grid.stride)
     order = _sorted(at)
     at, who, where = at[order], who[order], where[order]
     first = np.flatnonzero(np.diff(at, prepend=-1))
     return Sightings(at[first], np.append(first, len(at)).astype(np.int64), who, where)
+
+
+def out_of_proportion(things: int, stride: float) -> MapError:
+    """What is raised where things reach so far that looking around would take memory and time."""
+    return MapError(
+        f"The map's {things:,} things reach over more ground than a map of so many is looked "
+        f"through for, every {stride:g} m. Build it of a smaller extract, or of larger cells "
+        "further apart."
+    )
 
 
 def _sorted(numbers: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -1,5 +1,5 @@
 # mypy: allow-untyped-defs, allow-incomplete-defs
-"""Compiled parts of `simplify`."""
+"""Compiled parts of `objects` and `extract`: outlines made simpler, their middles, and their order."""
 
 from __future__ import annotations
 
@@ -91,3 +91,21 @@ def _boxes(part_starts, point_starts, points):
             south, north = min(south, points[i, 1]), max(north, points[i, 1])
         box[row] = west, south, east, north
     return box
+
+
+@kernel
+def along_curve(steps):
+    """Position (N,) along a Hilbert curve, 2^18 steps a side: neighbours stay neighbours."""
+    found = np.zeros(len(steps), np.int64)
+    for i in range(len(steps)):
+        x, y = steps[i]
+        for bit in range(17, -1, -1):
+            side = np.int64(1) << bit
+            right, up = (x >> bit) & 1, (y >> bit) & 1
+            found[i] += side * side * ((3 * right) ^ up)
+            x, y = x & (side - 1), y & (side - 1)
+            if not up:
+                if right:
+                    x, y = side - 1 - x, side - 1 - y
+                x, y = y, x
+    return found

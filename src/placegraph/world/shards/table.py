@@ -8,16 +8,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 
-from placegraph.columns import spans
 from placegraph.errors import PlacegraphError
 from placegraph.header import damaged
-from placegraph.outdoor.map.index_build import STRIDE, fade, grid_of, seen_from
-from placegraph.outdoor.map.objects import AREA
+from placegraph.outdoor.map.index_build import Core
 from placegraph.pages import STARTS, SUMS, open_pages, starts_of, stretches, with_sums
 from placegraph.store import pack_strings, read_map, sound, write_map
+from placegraph.tiles import bounds, held
 from placegraph.world.shards import names
 from placegraph.world.shards.names import WorldNames
-from placegraph.world.shards.table_kernels import words_in_sight
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -27,13 +25,13 @@ if TYPE_CHECKING:
 
     from placegraph.files import Watch
     from placegraph.outdoor.map.city import City
-    from placegraph.outdoor.map.raster import Sightings
     from placegraph.pages import Column
 
 KIND, VERSION = "words", 2
 MEND = "Finish the world again: `placegraph.world.shards.finish`."
-CROWD = 30.0
-"""As of `Statements.crowd`: pairs in sight are counted with so many more."""
+AROUND = 100.0
+"""Shards have viewpoints so far around their cores [m], and more to the end of a tile: a thing that
+nothing else has in sight makes those within 20 m of it viewpoints, which others up to 58 m away prevent."""
 
 
 class Counted(NamedTuple):
@@ -52,7 +50,7 @@ class Counted(NamedTuple):
     spread: float
     """Largest sum of the shares of all labels: things have more than one."""
     pull: float
-    """Largest square of all in sight against its pairs, and `CROWD`."""
+    """Largest square of all in sight against its pairs in sight."""
     total: int
     """Objects whose centre lies in the core."""
     cells: int
@@ -80,47 +78,21 @@ def kept(path: Path, digest: str) -> Counted | None:
     return Counted(**found) if found.pop("digest") == digest else None
 
 
-def counted(city: City, key: str, around: Sightings | None = None) -> Counted:
-    """Count the words of a shard in its core; `around` is what `City.look_around` gives, where known."""
-    from placegraph.tiles import held
-
-    views, objects = city.views, city.objects
-    n, n_labels = len(objects.labels) + len(objects.names), len(objects.labels)
-    inside = np.flatnonzero(held(city.plane.to_lonlat(views.positions.astype(np.float64)), key))
-    bounds, seen, offsets = _in_sight(city, inside, around)
-    sight = fade(np.hypot(*offsets.T))
-    view = np.repeat(np.arange(len(inside)), np.diff(bounds))
-    stood_in = (objects.kind[seen] == AREA) & ~offsets.any(axis=1)
-    apart = np.where(stood_in, 0.0, sight)
-    total, alone, squared = (np.bincount(view, x, len(inside)) for x in (sight, apart, apart**2))
-    pairs = np.maximum(alone**2 - squared, 0.0)
-    mass, peak, spread = words_in_sight(bounds, seen, sight, total, city.tokens, n_labels, n)
-    own = held(city.plane.to_lonlat(objects.center.astype(np.float64)), key)
+def counted(city: City, key: str) -> Counted:
+    """Count the words of a shard in its core; `City.views` are those about the core afterwards."""
+    objects, plane, box = city.objects, city.plane, bounds(key).widened(AROUND)
+    corners = plane.to_plane(np.array([box[:2], box[2:]]))
+    seen = city.look_around(Core(*corners, lambda places: held(plane.to_lonlat(places), key)))
+    own = held(plane.to_lonlat(objects.center.astype(np.float64)), key)
     starts, values, _ = city.tokens
     owner = np.repeat(np.arange(len(objects)), np.diff(starts))
-    middles = city.plane.to_lonlat(city.cells.centers(np.arange(len(city.cells))))
+    middles = plane.to_lonlat(city.cells.centers(np.arange(len(city.cells))))
     return Counted(
         objects.labels, objects.names,
-        np.bincount(values[own[owner]], minlength=n).astype(np.int32),
-        mass.astype(np.float32), peak, float(total.sum()), spread,
-        float((total**2 / (pairs + CROWD)).max(initial=0.0)),
-        int(own.sum()), int(held(middles, key).sum()), len(inside),
+        np.bincount(values[own[owner]], minlength=len(seen.mass)).astype(np.int32),
+        seen.mass.astype(np.float32), seen.peak, seen.sight, seen.spread, seen.pull,
+        int(own.sum()), int(held(middles, key).sum()), seen.viewpoints,
     )  # fmt: skip
-
-
-def _in_sight(
-    city: City, rows: NDArray[np.int64], around: Sightings | None
-) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float32]]:
-    """What viewpoints (K,) have in sight: bounds (K + 1,), objects, and their offsets [m].
-
-    As of `City.in_sight`, in half the time where it is most of them.
-    """
-    grid = grid_of(city.objects)
-    at = (city.views.positions[rows].astype(np.float64) - (grid.east, grid.north)) / STRIDE
-    points = np.rint(at).astype(np.int64) @ (1, grid.columns)
-    seen = around or seen_from(city.objects, grid)
-    bounds, entries = spans(seen.starts, np.searchsorted(seen.points, points))
-    return bounds, seen.objects[entries], seen.offsets[entries]
 
 
 class Entries(NamedTuple):
