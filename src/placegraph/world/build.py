@@ -26,12 +26,12 @@ from placegraph.world.journal import Journal, plan_of, told
 from placegraph.world.remote import bring, is_url
 from placegraph.world.shards import WorldFile, finish
 from placegraph.world.shards.folder import digest_of
-from placegraph.world.shards.table import kept
+from placegraph.world.shards.table import keep, kept
 from placegraph.world.tile import TileDone, TileJob, build_tile
 from placegraph.world.workers import done
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
     from os import PathLike
 
     from placegraph.world.shards.table import Counted
@@ -225,13 +225,13 @@ class _Build:
                 for n, _ in enumerate(parts, 1):
                     self.tell("splitting extracts", n, len(todo))
 
-    def each(self, work: Callable[[Path], Counted], paths: list[Path]) -> list[Counted]:
+    def each(self, work: Callable[[Path], Counted], paths: list[Path]) -> Iterator[Counted]:
         """Words of all shards, in their order: as kept when they were built, else counted by `work`."""
-        found = {path: kept(self._counts(path.stem), digest_of(path)) for path in paths}
-        lost = [path for path in paths if found[path] is None]
+        lost = [path for path in paths if not self._counts(path.stem).exists()]
         for n, counted in done(work, lost, self.workers, self.options.scheduler):
-            found[lost[n]] = counted
-        return [counted for counted in found.values() if counted is not None]
+            keep(counted, self._counts(lost[n].stem), digest_of(lost[n]))
+        for path in paths:
+            yield kept(self._counts(path.stem), digest_of(path)) or work(path)
 
     def tiles(self) -> None:
         """Build the shards that are missing, each as soon as a worker is free."""

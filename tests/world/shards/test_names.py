@@ -21,7 +21,7 @@ def written(path, names):
     n = len(names)
     counted = Counted((), names, np.ones(n, np.int32), np.ones(n, np.float32),
                       np.ones(n, np.float32), 1.0, 1.0, 1.0, n, 1, 1)  # fmt: skip
-    table.write(path, [counted])
+    table.write(path, [counted], path.with_name("scratch"))
     return WordTable.open(path).names
 
 
@@ -59,8 +59,8 @@ def test_a_damaged_table_is_named_or_says_what_it_said(tmp_path_factory, data):
 
 @pytest.mark.parametrize("off", [99, 1])  # a name that is not there; a way in which none is called
 def test_a_forged_posting_is_told(off, tmp_path, monkeypatch):
-    def forged(names, real=table.names.columns_of):
-        counts, columns = real(names)
+    def forged(*given, real=table.names.columns_of):
+        counts, columns = real(*given)
         return counts, columns | {"postings": columns["postings"] + off}
 
     monkeypatch.setattr(table.names, "columns_of", forged)

@@ -13,12 +13,15 @@ from placegraph.world.shards.folder import SHARDS, WORDS, ShardFile, WorldFile, 
 from placegraph.world.shards.table import counted, write
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Iterator
     from os import PathLike
 
     from placegraph.world.shards.table import Counted
 
     Each = Callable[[Callable[[Path], Counted], list[Path]], Iterable[Counted]]
+
+SCRATCH = ".finish"
+"""Folder for words of shards while they are put in order."""
 
 
 def finish(
@@ -59,14 +62,18 @@ def finish(
         )
     for path in paths:
         _check_key(path, zoom)
-    found = list((each or map)(count, paths))
-    write(folder / WORDS, found)
-    shards = tuple(
-        ShardFile(p.stem, f"{SHARDS}/{p.name}", digest_of(p), p.stat().st_size,
-                  c.total, c.cells, c.viewpoints)
-        for p, c in zip(paths, found, strict=True)
-    )  # fmt: skip
-    made = WorldFile(folder, zoom, float(overlap), digest_of(folder / WORDS), shards)
+    shards: list[ShardFile] = []
+
+    def found() -> Iterator[Counted]:
+        for p, c in zip(paths, (each or map)(count, paths), strict=True):
+            held = c.total, c.cells, c.viewpoints
+            shards.append(
+                ShardFile(p.stem, f"{SHARDS}/{p.name}", digest_of(p), p.stat().st_size, *held)
+            )
+            yield c
+
+    write(folder / WORDS, found(), folder / SCRATCH)
+    made = WorldFile(folder, zoom, float(overlap), digest_of(folder / WORDS), tuple(shards))
     made.write()
     return made
 

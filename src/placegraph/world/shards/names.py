@@ -13,9 +13,14 @@ import numpy as np
 
 from placegraph.header import damaged
 from placegraph.outdoor.map.names import CROWDED, LONGEST, NameIndex, is_alphabetic, spoken, stems
-from placegraph.pages import STARTS, Column, Texts, packed, starts_of, stretches
+from placegraph.pages import STARTS, Column, stretches
+from placegraph.pages import Texts as Lying
+from placegraph.world.shards.merge import AT_ONCE, Columns, Texts, by_key
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from pathlib import Path
+
     from numpy.typing import NDArray
 
     from placegraph.store import MapFile
@@ -32,35 +37,61 @@ REMEMBERED = 1 << 16
 """Words whose place is kept in mind."""
 
 
-def columns_of(names: Sequence[str]) -> tuple[dict[str, int], dict[str, NDArray[Any]]]:
-    """Counts and columns of names, which are sorted."""
-    said: list[tuple[int, int]] = []
-    known: set[str] = set()
-    first: dict[int, int] = {}
-    postings: dict[str, list[int]] = {}
+def columns_of(
+    names: Iterable[str], scratch: Path, at_once: int = AT_ONCE
+) -> tuple[dict[str, int], dict[str, NDArray[Any]]]:
+    """Counts and columns of names, which are sorted; these lie in files of `scratch`, which is made."""
+    scratch.mkdir()
+    made, words = Columns(scratch / "columns"), Texts(scratch / "words", at_once)
+    n_rows = 0
     for row, name in enumerate(names):
-        for way, words in enumerate(spoken(name)):
-            key, begin = " ".join(words), _hash(words[0])
-            said.append((_hash(key), row))
-            first[begin] = max(first.get(begin, 0), min(len(words), LONGEST))
-            for stem in stems(key) if key not in known else ():
-                postings.setdefault(stem, []).append(2 * row + way)
-            known.add(key)
-    said.sort()
-    words = sorted(postings, key=lambda word: (not is_alphabetic(word), word))
-    name_starts, name_text = packed(names)
-    stem_starts, stem_text = packed(words)
-    counts = {"spoken": len(known), "alphabetic": sum(map(is_alphabetic, words))}
-    return counts, {
-        "name_starts": name_starts, "name_text": name_text,
-        "said": np.array([key for key, _ in said], np.uint64),
-        "said_rows": np.array([row for _, row in said], np.uint32),
-        "first": np.array(sorted(first), np.uint64),
-        "first_longest": np.array([first[key] for key in sorted(first)], np.uint8),
-        "stem_starts": stem_starts, "stem_text": stem_text,
-        "posting_starts": starts_of([len(postings[word]) for word in words]),
-        "postings": np.array([entry for word in words for entry in postings[word]], np.uint32),
+        n_rows += 1
+        _add_text(made, "name", name)
+        for way, said in enumerate(spoken(name)):
+            key = " ".join(said)
+            made.add("key", "<u8", [_hash(key)])
+            made.add("entry", "<u4", [2 * row + way])
+            made.add("begin", "<u8", [_hash(said[0])])
+            made.add("many", "|u1", [min(len(said), LONGEST)])
+            for stem in stems(key):
+                words.add(f"{int(not is_alphabetic(stem))}{stem}", [2 * row + way])
+    # what several names are called stands once among their words: of the first
+    fresh = np.memmap(scratch / "fresh", np.bool_, "w+", shape=(2 * n_rows + 1,))
+    keys, entry, ways = made.of("key", "<u8"), made.of("entry", "<u4"), 0
+    for rows in by_key(keys, at_once):
+        first = np.flatnonzero(_new(keys[rows]))
+        fresh[entry[rows[first]]] = True
+        made.add("said", "<u8", keys[rows])
+        made.add("said_rows", "<u4", entry[rows] >> 1)
+        ways += len(first)
+    begin, many = made.of("begin", "<u8"), made.of("many", "|u1")
+    for rows in by_key(begin, at_once):
+        if len(first := np.flatnonzero(_new(begin[rows]))):
+            made.add("first", "<u8", begin[rows[first]])
+            made.add("first_longest", "|u1", np.maximum.reduceat(many[rows], first))
+    alphabetic = 0
+    for word, entries in words.merged():
+        kept = np.array(entries, np.uint32)[fresh[entries]]
+        alphabetic += word[0] == "0"
+        _add_text(made, "stem", word[1:])
+        made.add("posting_sizes", "<i8", [len(kept)])
+        made.add("postings", "<u4", kept)
+    return {"spoken": ways, "alphabetic": alphabetic}, {
+        name: made.of(name, dtype) if dtype != STARTS
+        else made.starts(name, made.of(name.replace("starts", "sizes"), "<i8"))
+        for name, dtype in COLUMNS.items()
     }  # fmt: skip
+
+
+def _add_text(made: Columns, of: str, text: str) -> None:
+    data = text.encode()
+    made.add(f"{of}_sizes", "<i8", [len(data)])
+    made.add(f"{of}_text", "|u1", data)
+
+
+def _new(keys: NDArray[np.uint64]) -> NDArray[np.bool_]:
+    """Which of sorted keys differ from those before."""
+    return np.append(np.ones(min(1, len(keys)), np.bool_), keys[1:] != keys[:-1])
 
 
 def _hash(words: str) -> int:
@@ -92,13 +123,13 @@ class _Lookup(Mapping[str, Found]):
 class _Alphabetic(Sequence[str]):
     """Those words of all that may be inflected or misspelt; they come first."""
 
-    every: Texts
+    every: Lying
     size: int
 
     def __len__(self) -> int:
         return self.size
 
-    def __getitem__(self, row: Any) -> Any:  # noqa: ANN401  # as of `Texts`
+    def __getitem__(self, row: Any) -> Any:  # noqa: ANN401  # as of `Lying`
         return self.every[slice(*row.indices(self.size)) if isinstance(row, slice) else row]
 
 
@@ -109,8 +140,8 @@ class WorldNames(NameIndex):
     But a misspelt name is only compared with those that have one of its words, or one much like it.
     """
 
-    names: Texts
-    words: Texts
+    names: Lying
+    words: Lying
     """Stems of the words of names: those that may be misspelt come first, both sorted."""
     alphabetic: int
     """How many these are."""
@@ -120,8 +151,8 @@ class WorldNames(NameIndex):
     def of(cls, file: MapFile, columns: Mapping[str, Column]) -> WorldNames:
         """Names of a file, as `columns_of` made them; raises `ValueError` where these are none."""
         size = {name: len(column) for name, column in columns.items()}
-        names = Texts(columns["name_starts"], columns["name_text"])
-        words = Texts(columns["stem_starts"], columns["stem_text"])
+        names = Lying(columns["name_starts"], columns["name_text"])
+        words = Lying(columns["stem_starts"], columns["stem_text"])
         ways, alphabetic = int(file.meta["spoken"]), int(file.meta["alphabetic"])
         if not 0 <= alphabetic <= len(words) == max(0, size["posting_starts"] - 1):
             raise ValueError("words and where they occur are of different lengths")
@@ -176,7 +207,7 @@ class WorldNames(NameIndex):
         return stretches(c["posting_starts"], row, row + 1, len(c["postings"]))
 
 
-def _called(names: Texts, columns: Mapping[str, Column], words: str) -> list[int] | None:
+def _called(names: Lying, columns: Mapping[str, Column], words: str) -> list[int] | None:
     """Rows of names that are called so."""
     key = _hash(words)
     first, last = (columns["said"].find(k) for k in (key, key + 1))
@@ -188,14 +219,14 @@ def _called(names: Texts, columns: Mapping[str, Column], words: str) -> list[int
     return found or None
 
 
-def _name(names: Texts, by: Column, row: int) -> str:
+def _name(names: Lying, by: Column, row: int) -> str:
     """A name; `MapError` where there is none of a row that a column has."""
     if row >= len(names):
         raise damaged(by.path, f"column {by.name!r} points to a name that is not there")
     return names[row]
 
 
-def _said(names: Texts, by: Column, entry: int) -> str:
+def _said(names: Lying, by: Column, entry: int) -> str:
     """What a name is called; `MapError` where it is not called in the way that a column has."""
     ways = spoken(_name(names, by, entry // 2))
     if entry % 2 >= len(ways):

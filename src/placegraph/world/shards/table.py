@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import dataclass
+from itertools import chain
 from sys import intern
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 
 from placegraph.errors import PlacegraphError
+from placegraph.files import cannot_write
 from placegraph.header import damaged
 from placegraph.outdoor.map.index_build import Core
-from placegraph.pages import STARTS, SUMS, open_pages, starts_of, stretches, with_sums
+from placegraph.pages import STARTS, SUMS, open_pages, stretches, with_sums
 from placegraph.store import pack_strings, read_map, sound, write_map
 from placegraph.tiles import bounds, held
 from placegraph.world.shards import names
+from placegraph.world.shards.merge import AT_ONCE, Columns, Texts
 from placegraph.world.shards.names import WorldNames
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -81,8 +85,8 @@ def kept(path: Path, digest: str) -> Counted | None:
 def counted(city: City, key: str) -> Counted:
     """Count the words of a shard in its core; `City.views` are those about the core afterwards."""
     objects, plane, box = city.objects, city.plane, bounds(key).widened(AROUND)
-    corners = plane.to_plane(np.array([box[:2], box[2:]]))
-    seen = city.look_around(Core(*corners, lambda places: held(plane.to_lonlat(places), key)))
+    low, high = plane.to_plane(np.array([box[:2], box[2:]]))
+    seen = city.look_around(Core(low, high, lambda places: held(plane.to_lonlat(places), key)))
     own = held(plane.to_lonlat(objects.center.astype(np.float64)), key)
     starts, values, _ = city.tokens
     owner = np.repeat(np.arange(len(objects)), np.diff(starts))
@@ -186,30 +190,59 @@ class WordTable:
 _OF_A_SHARD = ("objects", "mass", "peak")
 
 
-def write(path: Path, found: Sequence[Counted]) -> None:
-    """Write the table of shards in this order, in one step; `MapError` where that fails."""
-    labels = tuple(sorted({label for c in found for label in c.labels}))
-    every = tuple(sorted({name for c in found for name in c.names}))
-    label_rows = {label: row for row, label in enumerate(labels)}
-    name_rows = {name: row + len(labels) for row, name in enumerate(every)}
-    words, shards, columns = [], [], []
+def write(path: Path, found: Iterable[Counted], scratch: Path, at_once: int = AT_ONCE) -> None:
+    """Write the table of shards in this order, in one step; `MapError` where that fails.
+
+    Memory holds one shard, all labels, and `at_once` words; the others lie in the folder `scratch`
+    meanwhile, which is made, and removed.
+    """
+    shutil.rmtree(scratch, ignore_errors=True)
+    try:
+        scratch.mkdir()
+        _write(path, found, scratch, at_once)
+    except OSError as error:
+        raise cannot_write(scratch, error) from error
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+
+
+def _write(path: Path, found: Iterable[Counted], scratch: Path, at_once: int) -> None:
+    made, words = Columns(scratch / "entries"), Texts(scratch / "words", at_once)
+    of_shards: dict[str, list[float]] = {name: [] for name in _OF_SHARDS}
+    entries = 0
     for i, c in enumerate(found):
-        rows = [*map(label_rows.__getitem__, c.labels), *map(name_rows.__getitem__, c.names)]
-        here = np.flatnonzero((c.objects > 0) | (c.mass > 0.0))
-        words.append(np.array(rows, np.int64)[here])
-        shards.append(np.full(len(here), i, np.int32))
-        columns.append((c.objects[here], c.mass[here], c.peak[here]))
-    word = np.concatenate(words)
-    order = np.argsort(word, kind="stable")
-    entries = (np.concatenate(part)[order] for part in (shards, *zip(*columns, strict=True)))
-    counts, of_names = names.columns_of(every)
-    paged = dict(zip(Entries._fields, entries, strict=True)) | of_names
-    paged["starts"] = starts_of(np.bincount(word, minlength=len(labels) + len(every)))
-    of_shards = {
-        name: np.array([getattr(c, name) for c in found], dtype)
-        for name, dtype in _OF_SHARDS.items()
+        here = (c.objects > 0) | (c.mass > 0.0)
+        numbers = (entries + np.cumsum(here) - 1).tolist()
+        texts = chain((f"0{label}" for label in c.labels), (f"1{name}" for name in c.names))
+        for text, number, there in zip(texts, numbers, here.tolist(), strict=True):
+            words.add(text, (number,) if there else ())
+        many = int(here.sum())
+        made.add("shards", "<i4", np.full(many, i))
+        for name in _OF_A_SHARD:
+            made.add(name, _ENTRIES[name], getattr(c, name)[here])
+        for name, known in of_shards.items():
+            known.append(getattr(c, name))
+        entries += many
+    labels: list[str] = []
+
+    def every() -> Iterator[str]:
+        for text, numbers in words.merged():
+            made.add("sizes", "<i8", [len(numbers)])
+            made.add("order", "<i8", numbers)
+            if text[0] == "0":
+                labels.append(text[1:])
+            else:
+                yield text[1:]
+
+    counts, of_names = names.columns_of(every(), scratch / "names", at_once)
+    order = made.of("order", "<i8")
+    paged = {
+        name: made.taken(f"{name}_by_word", made.of(name, _ENTRIES[name]), order)
+        for name in Entries._fields
     }
-    arrays = with_sums({"labels": pack_strings(labels), **of_shards, **paged}, paged)
+    paged |= of_names | {"starts": made.starts("starts", made.of("sizes", "<i8"))}
+    told = {name: np.array(of_shards[name], dtype) for name, dtype in _OF_SHARDS.items()}
+    arrays = with_sums({"labels": pack_strings(labels), **told, **paged}, paged)
     write_map(path, KIND, VERSION, counts, arrays, mapped=(*paged, SUMS))
 
 
