@@ -24,6 +24,7 @@ from placegraph.outdoor.map.objects import (
     CityObjects,
     centers,
     columns_of,
+    ends_of,
     index_of,
     of_name,
 )
@@ -73,12 +74,11 @@ class City(Portable):
         left_out: dict[str, int],
     ) -> Self:
         """City over these objects; cells are laid over their bounding box."""
-        axes = np.ascontiguousarray(objects.points.T)
-        low, high = axes.min(axis=1), axes.max(axis=1)
-        columns, rows = (int(n) for n in np.ceil((high - low) / stride) + 1)
-        grid = Grid(float(low[0]), float(low[1]), stride, columns, rows)
-        occupied = occupied_cells(objects, grid, cell_size)
-        cells = Cells(plane, grid, cell_size, edge_distance, occupied)
+        low, high = ends_of(objects.points)
+        grid = Grid(*low.tolist(), stride, *(int(n) for n in np.ceil((high - low) / stride) + 1))
+        cells = Cells(
+            plane, grid, cell_size, edge_distance, occupied_cells(objects, grid, cell_size)
+        )
         return cls(plane, objects, cells, source, left_out)
 
     def save(
@@ -159,11 +159,11 @@ class City(Portable):
             center = centers(kind, part_starts, point_starts, points)
             east, north, grid_stride, columns, rows = meta["grid"]
             grid = Grid(float(east), float(north), float(grid_stride), int(columns), int(rows))
-            size, edge = float(meta["cell_size"]), float(meta["edge_distance"])
-            cells = Cells(plane, grid, size, edge, file.array("cells", "<i8"))
+            sizes = float(meta["cell_size"]), float(meta["edge_distance"])
+            cells = Cells(plane, grid, *sizes, file.array("cells", "<i8"))
             cells.check()
-            left_out = {str(k): int(v) for k, v in dict(meta["left_out"]).items()}
-            source = str(meta["source"])
+            source, left = str(meta["source"]), dict(meta["left_out"])
+            left_out = {str(k): int(v) for k, v in left.items()}
             index = index_in(file, len(objects.labels) + len(objects.names))
         city = cls(plane, replace(objects, center=center), cells, source, left_out)
         object.__setattr__(city, "index", index)
@@ -235,8 +235,7 @@ class City(Portable):
     @cached_property
     def word_counts(self) -> tuple[NDArray[np.int64], int]:
         """How many objects bear each of `words`, (T,), and how many objects there are."""
-        counts = np.bincount(self.tokens[1], minlength=len(self.words))
-        return counts, len(self.objects)
+        return np.bincount(self.tokens[1], minlength=len(self.words)), len(self.objects)
 
     @cached_property
     def token_objects(self) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
@@ -286,8 +285,8 @@ class City(Portable):
         return digest.hexdigest()[:32]
 
     def __repr__(self) -> str:
-        size = f"{len(self.objects):,} objects, {len(self.cells):,} cells"
-        return f"{type(self).__name__}({self.source!r}, {size})"
+        name, objects, cells = type(self).__name__, len(self.objects), len(self.cells)
+        return f"{name}({self.source!r}, {objects:,} objects, {cells:,} cells)"
 
 
 def _check_frame(plane: LocalPlane, grain: float) -> None:

@@ -16,6 +16,7 @@ from placegraph.outdoor.map.index_kernels import (
     STEP,
     WIDTH,
 )
+from placegraph.outdoor.map.objects import ends_of
 from placegraph.outdoor.map.raster import EACH, MOST, Grid, out_of_proportion
 from placegraph.outdoor.map.sight_kernels import seen
 
@@ -119,8 +120,8 @@ def tokens_of(
 
 def grid_of(objects: CityObjects) -> Grid:
     """Grid of the viewpoints; its sides are whole tiles."""
-    axes = np.ascontiguousarray(objects.points.T)  # along which minima are quick
-    low, high = axes.min(axis=1) - REACHED, axes.max(axis=1) + REACHED
+    low, high = ends_of(objects.points)
+    low, high = low - REACHED, high + REACHED
     columns, rows = (SIDE * int(n) for n in np.ceil((np.ceil((high - low) / STRIDE) + 1) / SIDE))
     return Grid(float(low[0]), float(low[1]), STRIDE, columns, rows)
 

@@ -163,6 +163,12 @@ def columns_of(
     return CityColumns(kind, o.part_starts, o.point_starts, o.points, o.center, box, *tokens)
 
 
+def ends_of(points: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """South-western and north-eastern corner (2,) of points (N, 2)."""
+    axes = np.ascontiguousarray(points.T)  # NumPy is slow across rows of two
+    return axes.min(axis=1), axes.max(axis=1)
+
+
 def simplify(
     points: NDArray[np.float64], starts: NDArray[np.int64], tolerance: float
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
