@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import hashlib
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError, MissingExtraError, OptionError
 from placegraph.files import regular
+
+if TYPE_CHECKING:
+    from placegraph.store import MapFile
 
 
 def torch_for(name: str, extra: str) -> Any:  # noqa: ANN401  # the module
@@ -80,3 +87,39 @@ def fitting(path: Path | str | None, name: str) -> Iterator[None]:
             f"{path or 'The file from the hub'} holds weights of another network than {name!r} "
             f"({why[:160]}); give its own."
         ) from error
+
+
+def halves(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[np.float16]]:
+    """Arrays as the file holds them."""
+    return {name: np.ascontiguousarray(array, np.float16) for name, array in arrays.items()}
+
+
+def rounded(
+    names: Iterable[str], state: Mapping[str, NDArray[Any]]
+) -> dict[str, NDArray[np.float32]]:
+    """Arrays of these names as they will be read again."""
+    return {n: a.astype(np.float32) for n, a in halves({n: state[n] for n in names}).items()}
+
+
+def arrays_of(
+    file: MapFile, sizes: Mapping[str, tuple[int, ...]]
+) -> dict[str, NDArray[np.float32]]:
+    """Arrays of a file by name, with as many axes as their sizes, finite.
+
+    Raises as `MapFile.array` does, and `ValueError`.
+    """
+    found = {
+        name: file.array(name, "<f2", len(size)).astype(np.float32) for name, size in sizes.items()
+    }
+    for name, array in found.items():
+        if not np.isfinite(array).all():
+            raise ValueError(f"{name} holds what is no finite number")
+    return found
+
+
+def digest(shape: object, arrays: Mapping[str, NDArray[Any]]) -> str:
+    """SHA-256 of a network's shape, by what it prints as, and of its weights as the file has them."""
+    told = hashlib.sha256(repr(shape).encode())
+    for name, array in sorted(halves(arrays).items()):
+        told.update(name.encode() + array.tobytes())
+    return told.hexdigest()

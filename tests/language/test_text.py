@@ -10,8 +10,7 @@ from placegraph.errors import DescriptionError
 from placegraph.language.check import check
 from placegraph.language.islands import Chunk, Islands
 from placegraph.language.measures import metres
-from placegraph.language.phrases import Phrases, Terminal
-from placegraph.language.words import scan
+from placegraph.language.words import Phrases, Terminal, scan
 
 GRAMMAR = """
 pair: A B

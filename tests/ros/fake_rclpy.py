@@ -8,7 +8,7 @@ import sys
 from functools import partial
 from types import ModuleType, SimpleNamespace
 
-from placegraph.formats.ros.types import typestore
+from placegraph.formats.ros.decode import typestore
 
 
 class QoSProfile:

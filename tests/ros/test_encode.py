@@ -5,8 +5,7 @@ from hypothesis import strategies as st
 from mcap_ros2._dynamic import generate_dynamic
 
 from placegraph.errors import OptionError
-from placegraph.formats.ros.decode import decode
-from placegraph.formats.ros.types import typestore
+from placegraph.formats.ros.decode import decode, typestore
 from placegraph.ros.encode import cdr, definition
 from placegraph.ros.message import Message, header, time
 

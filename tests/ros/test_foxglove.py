@@ -8,7 +8,7 @@ import pytest
 from websockets.sync.client import connect
 
 from placegraph.errors import OptionError, ServiceError
-from placegraph.formats.ros.types import typestore
+from placegraph.formats.ros.decode import typestore
 from placegraph.ros.encode import cdr
 from placegraph.ros.foxglove import FoxgloveServer, _Listener
 from placegraph.ros.message import Message

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from tests.ros.world import FRAMES, START, off
 
+from placegraph.formats.ros.decode import typestore
 from placegraph.formats.ros.packets import Fault, packets_of
-from placegraph.formats.ros.types import typestore
 from placegraph.geometry import rotation_from_quaternion
 from placegraph.ros.localizer import Localizer
 from placegraph.ros.loop import run

@@ -11,12 +11,12 @@ from ruamel.yaml import YAML
 from tests.ros.fake_rclpy import World
 from tests.ros.world import FRAMES
 
+from placegraph.formats.ros.decode import typestore
 from placegraph.formats.ros.packets import Packet, packets_of
-from placegraph.formats.ros.types import typestore
 from placegraph.ros import node as ros_node
-from placegraph.ros.inbox import NEWEST, Inbox
 from placegraph.ros.localizer import Localizer
 from placegraph.ros.node import PARAMETERS, LocalizerNode, Ros, main
+from placegraph.ros.node_services import NEWEST, Inbox
 from placegraph.ros.sources import bag_source
 
 PACKAGE = Path(__file__).resolve().parents[2] / "ros" / "placegraph_ros"

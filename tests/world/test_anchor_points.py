@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from placegraph.earth import Anchor
+from placegraph.earth import Anchor, ecef_from_geodetic
 from placegraph.errors import OptionError
-from placegraph.wgs84 import ecef_from_geodetic
 from placegraph.world.anchor_points import UNKNOWN_HEIGHT, fit_points
 
 TRUE = Anchor(7.42, 43.73, 50.0, 1.1)

@@ -5,7 +5,7 @@ import shutil
 import pytest
 
 import placegraph as pg
-from placegraph.demo.homes import TWIN, WINDOW, furnish
+from placegraph.demo.flat import TWIN, WINDOW, furnish
 from placegraph.demo.world import FLAT, TOWNS
 from placegraph.estimate import Status
 

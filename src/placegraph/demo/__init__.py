@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from placegraph.demo.flat import lost_in_a_flat
-from placegraph.demo.homes import lost_in_the_world
+from placegraph.demo.flat import lost_in_a_flat, lost_in_the_world
 from placegraph.demo.town import lost_in_a_town
 from placegraph.demo.world import unpack
 

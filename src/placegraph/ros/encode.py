@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from placegraph.errors import MissingExtraError, OptionError
-from placegraph.formats.ros.types import typestore
+from placegraph.formats.ros.decode import typestore
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore

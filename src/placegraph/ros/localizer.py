@@ -18,7 +18,7 @@ from placegraph.formats.capture.frame import Frame
 from placegraph.formats.ros.assembly import Assembly, Move
 from placegraph.formats.ros.discovery import Discovery
 from placegraph.formats.ros.packets import Fault, Packet
-from placegraph.formats.ros.wishes import Wishes
+from placegraph.formats.ros.plan import Wishes
 from placegraph.indoor.track.live import LiveTracker
 from placegraph.ros.image import image_messages
 from placegraph.ros.message import Message, nanoseconds

@@ -17,13 +17,12 @@ from typing import TYPE_CHECKING, Any
 from placegraph.errors import MissingExtraError, OptionError, PlacegraphError
 from placegraph.formats.ros.discovery import WANTED
 from placegraph.formats.ros.packets import Packet, is_static
-from placegraph.formats.ros.wishes import Wishes, wishes_of
+from placegraph.formats.ros.plan import Wishes, wishes_of
 from placegraph.maps import open_rooms
 from placegraph.ros.encode import cdr
-from placegraph.ros.inbox import Inbox
 from placegraph.ros.localizer import Localizer
 from placegraph.ros.loop import run
-from placegraph.ros.node_services import Services
+from placegraph.ros.node_services import Inbox, Services
 from placegraph.ros.options import LiveOptions, mode_of
 from placegraph.ros.telling import STATUS
 

@@ -18,8 +18,7 @@ from placegraph.formats.ros.files.bag import open_bag
 from placegraph.formats.ros.files.mcap import is_whole
 from placegraph.formats.ros.files.mcap_stream import mcap_packets
 from placegraph.formats.ros.packets import Fault, Packet, packets_of
-from placegraph.formats.ros.plan import Plan, plan_of
-from placegraph.formats.ros.wishes import Wishes, wishes_of
+from placegraph.formats.ros.plan import Plan, Wishes, plan_of, wishes_of
 
 Happening = Packet | Fault | Frame | None
 

@@ -15,9 +15,8 @@ from placegraph.formats.ros.discovery import Discovery
 from placegraph.formats.ros.files.bag import open_bag
 from placegraph.formats.ros.files.mcap_stream import mcap_packets
 from placegraph.formats.ros.packets import Fault, packets_of
-from placegraph.formats.ros.plan import plan_of
+from placegraph.formats.ros.plan import Wishes, plan_of
 from placegraph.formats.ros.transforms import Tree
-from placegraph.formats.ros.wishes import Wishes
 from placegraph.geometry import quaternion_from_rotation, rotation_from_vector
 from placegraph.ros.message import pose
 from placegraph.ros.pose import based

@@ -21,15 +21,20 @@ from placegraph.formats.capture.camera import read_json
 from placegraph.formats.mesh.model import Model, Picture, Thing
 from placegraph.formats.mesh.spark_dsg_mesh import (
     DsgMesh,
+    Json,
     Piece,
     box_corners,
     box_of,
     box_piece,
     joined,
+    logged,
+    object_of,
     pieces_of,
+    plain,
     read_mesh,
+    rooms_of,
+    symbol,
 )
-from placegraph.formats.mesh.spark_dsg_nodes import Json, logged, object_of, plain, rooms_of, symbol
 
 HEADER = "SPARK_DSG_header"
 OWN = "placegraph"

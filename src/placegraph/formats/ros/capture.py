@@ -22,8 +22,7 @@ from placegraph.formats.capture.tum import read_tum
 from placegraph.formats.ros.decode import decoded
 from placegraph.formats.ros.files.bag import looks_like_bag, open_bag
 from placegraph.formats.ros.pixels import colours, depths
-from placegraph.formats.ros.plan import Plan, plan_of
-from placegraph.formats.ros.wishes import wishes_of
+from placegraph.formats.ros.plan import Plan, plan_of, wishes_of
 
 if TYPE_CHECKING:
     from placegraph.formats.capture.frames import Capture

@@ -17,7 +17,7 @@ from placegraph.formats.ros.poses import TRANSFORM_TYPES
 from placegraph.formats.ros.views import IMAGES
 
 if TYPE_CHECKING:
-    from placegraph.formats.ros.wishes import Wishes
+    from placegraph.formats.ros.plan import Wishes
 
 LISTEN = 1.0
 """Seconds of a stream that are heard before something is chosen, and between two tries."""

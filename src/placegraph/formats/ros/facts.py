@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any
 from placegraph.errors import InputError
 from placegraph.formats.ros.capture import capture_from
 from placegraph.formats.ros.files.bag import open_bag
-from placegraph.formats.ros.plan import Plan, plan_of
+from placegraph.formats.ros.plan import Plan, plan_of, wishes_of
 from placegraph.formats.ros.poses import OF_OTHERS
-from placegraph.formats.ros.wishes import wishes_of
 
 if TYPE_CHECKING:
     from placegraph.formats.capture.frames import Capture

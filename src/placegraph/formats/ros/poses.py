@@ -19,8 +19,8 @@ from placegraph.formats.ros.transforms import Tree
 
 if TYPE_CHECKING:
     from placegraph.formats.ros.files.bag import Bag
+    from placegraph.formats.ros.plan import Wishes
     from placegraph.formats.ros.views import View
-    from placegraph.formats.ros.wishes import Wishes
 
 BACK = 0.5
 """Stamps that go back by more [s] are of another run of the clock."""

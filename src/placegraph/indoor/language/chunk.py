@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from placegraph.indoor.map.floor import label_words
 from placegraph.language.islands import Chunk
 from placegraph.language.measures import COUNTS, whole
-from placegraph.language.phrases import Phrases, Terminal
+from placegraph.language.words import Phrases, Terminal
 
 if TYPE_CHECKING:
     from placegraph.language.words import Word

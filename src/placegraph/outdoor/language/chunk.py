@@ -11,8 +11,7 @@ from placegraph.outdoor.language.proper import LONGEST_NOUN, ProperNames
 from placegraph.outdoor.language.words import shouting
 
 if TYPE_CHECKING:
-    from placegraph.language.phrases import Terminal
-    from placegraph.language.words import Word
+    from placegraph.language.words import Terminal, Word
     from placegraph.outdoor.language.description import Sense
     from placegraph.outdoor.language.languages import Language
     from placegraph.outdoor.language.words import NameFinder, Words

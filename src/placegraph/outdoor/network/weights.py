@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from placegraph.errors import InputError, MapError
+from placegraph.networks import arrays_of, digest, halves, rounded
 from placegraph.outdoor.network.graphs_kernels import CHANNELS, MOST_THINGS, REACH
 from placegraph.outdoor.network.labels import WordVectors
 from placegraph.outdoor.network.labels_kernels import BUCKETS, LONGEST, SHORTEST
 from placegraph.outdoor.network.network_kernels import LITERAL
 from placegraph.store import SENSELESS, pack_strings, read_header, read_map, write_map
-from placegraph.weights import arrays_of, digest, halves, rounded
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from placegraph.errors import OptionError
 from placegraph.indoor.map.mesh import Mesh
-from placegraph.indoor.mapping.simplify.groups import groups
-from placegraph.indoor.mapping.simplify.simplify import batches, simplify, tiles, wedged
+from placegraph.indoor.mapping.simplify.simplify import batches, groups, simplify, tiles, wedged
 
 
 def sheet(n, size=2.0, height=lambda x, y: 0.0 * x * y):

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.networks import digest
 from placegraph.outdoor.network.labels import WordVectors, words_of
 from placegraph.outdoor.network.weights import Weights, trained, write_weights
-from placegraph.weights import digest
 from placegraph_lab.datasets.word2vec import read_word2vec
 from placegraph_lab.train.city.options import Progress, TrainOptions, check
 from placegraph_lab.train.city.pool import fill

@@ -9,10 +9,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from placegraph.indoor.mapping.check import objects, space
-from placegraph.indoor.mapping.check.anchors import anchors
 from placegraph.indoor.mapping.check.finding import SEVERITIES, Finding
 from placegraph.indoor.mapping.check.mesh import mesh_findings
-from placegraph.indoor.mapping.check.places import places
+from placegraph.indoor.mapping.check.places import anchors, places
 
 if TYPE_CHECKING:
     from placegraph.indoor.map.scene import Scene

@@ -19,12 +19,11 @@ from numpy.typing import NDArray
 from placegraph.errors import OptionError
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.mapping.simplify.collapse_kernels import collapse
-from placegraph.indoor.mapping.simplify.groups import groups
+from placegraph.indoor.mapping.simplify.groups_kernels import _grouped
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Rows = NDArray[np.int32]
-
 
 WELD = 1e-4
 """Vertices of an object that are nearer than this are one [m]."""
@@ -287,3 +286,15 @@ def _once(corners: Rows) -> Ints:
     _, first = groups(np.column_stack([a, b, c])[real].astype(np.int64))
     rows: Ints = real[first]
     return rows
+
+
+def groups(keys: NDArray[np.int64]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """Group (N,) int32 of equal rows of keys (N, K) int64, and the first row (G,) of each.
+
+    Groups are numbered in the order in which they are met.
+    """
+    bits = max(int(2 * len(keys) - 1).bit_length(), 1)
+    group = np.empty(len(keys), np.int32)
+    first = np.empty(len(keys), np.int64)
+    count = _grouped(np.ascontiguousarray(keys), np.full(1 << bits, -1, np.int32), group, first)
+    return group, first[:count].copy()

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from placegraph.errors import InputError, OptionError
 from placegraph.language.measures import COUNTS
-from placegraph.language.phrases import Phrases, Terminal
-from placegraph.language.words import spelt
+from placegraph.language.words import Phrases, Terminal, spelt
 from placegraph.outdoor.language.languages.check import checked, keys
 from placegraph.outdoor.language.languages.forms import Forms
 from placegraph.outdoor.language.vocabulary.text import folded
