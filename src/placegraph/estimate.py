@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.earth import EarthPose
 from placegraph.evidence import Evidence as Evidence  # noqa: PLC0414 - found here too
 from placegraph.evidence import Explained
 from placegraph.evidence import ObjectRef as ObjectRef  # noqa: PLC0414 - found here too
@@ -16,7 +17,6 @@ from placegraph.geojson import OnEarth
 from placegraph.notebook import Shown
 
 if TYPE_CHECKING:
-    from placegraph.earth import EarthPose
     from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.language.description import Description
     from placegraph.outdoor.search.ask import Question

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from math import degrees, isfinite
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from placegraph.earth import EarthPose, unplaced
 from placegraph.errors import GeoPoseError
+from placegraph.evidence import Evidence
 from placegraph.features import collection, feature
 from placegraph.geometry import LocalPlane
-
-if TYPE_CHECKING:
-    from placegraph.evidence import Evidence
 
 DIGITS = 7
 """Of a degree of the corners of an ellipse: 1 cm."""

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from placegraph.demo.town import say_evidence
 from placegraph.demo.world import FLAT, TOWN, TOWNS
 from placegraph.earth import Anchor
+from placegraph.estimate import PoseEstimate
+from placegraph.formats.capture.capture import Capture
 from placegraph.geometry import vector_from_rotation
 
 if TYPE_CHECKING:
-    from placegraph.estimate import PoseEstimate
-    from placegraph.formats.capture.capture import Capture
     from placegraph.indoor.scene_map import SceneMap
     from placegraph.world import World
 

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from placegraph.demo.world import TOWN
+from placegraph.estimate import Estimate
 
 if TYPE_CHECKING:
-    from placegraph.estimate import Estimate
     from placegraph.outdoor.city import CityMap
 
 SENTENCES = {

@@ -7,15 +7,17 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import InputError, OptionError
 from placegraph.files import real_path
+from placegraph.formats.mesh.model import Model, Thing
 from placegraph.indoor.map.detail import Detail, detail_named
 from placegraph.indoor.map.floor import floor_height, is_floor
+from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.relations import MOST_OBJECTS, SAME_ROOM, relate
 from placegraph.indoor.map.rooms import with_rooms
 from placegraph.indoor.map.scene_file import near_box
@@ -24,10 +26,6 @@ from placegraph.indoor.mapping.from_capture import FromCapture, Progress, Source
 from placegraph.indoor.mapping.reduce import reduced
 from placegraph.indoor.mapping.sources import Reading, Up, read_source
 from placegraph.indoor.scene_map import SceneMap
-
-if TYPE_CHECKING:
-    from placegraph.formats.mesh.model import Model, Thing
-    from placegraph.indoor.map.mesh import Mesh
 
 FAR = 5000.0
 """Farther from the origin [m] coordinates lose what can be seen, and this is told."""

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from placegraph.errors import OptionError
 from placegraph.estimate import PoseEstimate, Status
+from placegraph.formats.capture.capture import Capture
+from placegraph.formats.capture.frame import Frame
 from placegraph.indoor.encode.instances import foreign
 from placegraph.indoor.likelihood.observe import sight
+from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.pose.bend import bend
 from placegraph.indoor.pose.passes import run_passes
 from placegraph.indoor.pose.placed import placed
@@ -25,14 +28,9 @@ from placegraph.indoor.pose.verdict import verdict
 from placegraph.indoor.pose.window import Window, observe, timed
 from placegraph.indoor.refine import RefineOptions, Refining, refined, wrong_camera
 from placegraph.indoor.refine.landmarks import place
+from placegraph.indoor.refine.matching import Matcher
 from placegraph.indoor.track.tracker import Tracker
 from placegraph.indoor.track.whole import follow
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.capture import Capture
-    from placegraph.formats.capture.frame import Frame
-    from placegraph.indoor.map.scene import Scene
-    from placegraph.indoor.refine.matching import Matcher
 
 WINDOW = 30
 """Frames that are searched and fitted together; a longer capture is tracked, where it can be."""

@@ -10,11 +10,10 @@ import numpy as np
 
 from placegraph.errors import MissingExtraError, OptionError
 from placegraph.formats.ros.decode import typestore
+from placegraph.ros.message import Message
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
-
-    from placegraph.ros.message import Message
 
 
 def cdr(message: Message) -> bytes:

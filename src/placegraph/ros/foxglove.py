@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 from placegraph.errors import MissingExtraError, OptionError, ServiceError
 from placegraph.ros.encode import cdr, definition
 from placegraph.ros.message import Message, nanoseconds
-
-if TYPE_CHECKING:
-    from placegraph.ros.pace import Pace
+from placegraph.ros.pace import Pace
 
 DEFAULT = "ws://127.0.0.1:8765"
 _ADDRESS = re.compile(r"ws://(\[[0-9a-fA-F:]+\]|[^:/\[\]]+)(?::(\d{1,5}))?/?")

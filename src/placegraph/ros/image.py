@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import io
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.formats.capture.frame import Frame
+from placegraph.geometry import Camera
 from placegraph.ros.message import Fields, FrameIds, Message, header
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.frame import Frame
-    from placegraph.geometry import Camera
 
 QUALITY = 80
 """Of JPEG."""

@@ -18,19 +18,18 @@ from placegraph.formats.capture.frame import Frame
 from placegraph.formats.ros.assembly import Assembly, Move
 from placegraph.formats.ros.discovery import Discovery
 from placegraph.formats.ros.packets import Fault, Packet
-from placegraph.formats.ros.plan import Wishes
+from placegraph.formats.ros.plan import Plan, Wishes
+from placegraph.geometry import Floats
 from placegraph.indoor.track.live import LiveTracker
+from placegraph.indoor.track.live_pose import LivePose
 from placegraph.ros.image import image_messages
 from placegraph.ros.message import Message, nanoseconds
 from placegraph.ros.options import LiveOptions, Summary
 from placegraph.ros.telling import Telling, frame_ids
 
 if TYPE_CHECKING:
-    from placegraph.formats.ros.plan import Plan
-    from placegraph.geometry import Floats
     from placegraph.indoor.library.library import SceneLibrary
     from placegraph.indoor.scene_map import SceneMap
-    from placegraph.indoor.track.live_pose import LivePose
 
 UNTOLD = np.array([0.5, 0.5, 1.0, 0.1, 0.1, 0.26]) ** 2
 """Variances [m^2, rad^2] of a told pose where it says 0, which no pose has: RViz tells no height."""

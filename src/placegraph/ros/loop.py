@@ -6,12 +6,13 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Protocol
 
+from placegraph.formats.capture.frame import Frame
+from placegraph.ros.message import Message
+from placegraph.ros.options import Summary
+
 if TYPE_CHECKING:
-    from placegraph.formats.capture.frame import Frame
     from placegraph.formats.ros.packets import Fault, Packet
     from placegraph.ros.localizer import Localizer
-    from placegraph.ros.message import Message
-    from placegraph.ros.options import Summary
 
     Asked = Callable[[Localizer], list[Message]]
 

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.mapping.export import glb_of
 from placegraph.indoor.mapping.paint import painted
 from placegraph.ros.message import Fields, FrameIds, Message, colour, header, points, time, xyz
 from placegraph.ros.objects import CUBE, MARKERS, TRIANGLES, extent, label, over
 from placegraph.ros.pose import scale
-
-if TYPE_CHECKING:
-    from placegraph.indoor.map.scene import Scene
 
 MOST = 200_000
 """Triangles, 120 bytes each, that markers show."""

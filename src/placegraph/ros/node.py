@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from threading import Thread
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from placegraph.errors import MissingExtraError, OptionError, PlacegraphError
 from placegraph.formats.ros.discovery import WANTED
@@ -22,12 +22,10 @@ from placegraph.maps import open_rooms
 from placegraph.ros.encode import cdr
 from placegraph.ros.localizer import Localizer
 from placegraph.ros.loop import run
+from placegraph.ros.message import Message
 from placegraph.ros.node_services import Inbox, Services
 from placegraph.ros.options import LiveOptions, mode_of
 from placegraph.ros.telling import STATUS
-
-if TYPE_CHECKING:
-    from placegraph.ros.message import Message
 
 NAME = "placegraph_localizer"
 _LOOK = 1.0  # seconds between two looks at which topics there are

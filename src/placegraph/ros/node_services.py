@@ -1,4 +1,4 @@
-"""What people and navigation ask of the node, and the box in which it waits: it never keeps a robot waiting."""
+"""What people and navigation ask of the node, and where it waits: nobody keeps a robot waiting."""
 
 from __future__ import annotations
 
@@ -17,15 +17,16 @@ from placegraph.formats.capture.posed import pose_of
 from placegraph.formats.ros.decode import frame_of
 from placegraph.formats.ros.packets import Packet
 from placegraph.formats.ros.views import IMAGES
+from placegraph.geometry import Floats
 from placegraph.maps import open_rooms
 from placegraph.ros.localizer import Localizer
+from placegraph.ros.message import Message
 
 if TYPE_CHECKING:
-    from placegraph.geometry import Floats
-    from placegraph.ros.message import Message
     from placegraph.ros.node import Ros
 
-    Asked = Callable[[Localizer], list[Message]]
+
+Asked = Callable[[Localizer], list[Message]]
 
 
 NEWEST = 4

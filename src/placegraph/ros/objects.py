@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from placegraph.estimate import PoseEstimate
+from placegraph.evidence import Evidence
+from placegraph.geometry import Floats
 from placegraph.indoor.map.scene import Scene
 from placegraph.ros.message import Fields, FrameIds, Message, colour, header, points, xyz
 from placegraph.ros.pose import scale
-
-if TYPE_CHECKING:
-    from placegraph.estimate import PoseEstimate
-    from placegraph.evidence import Evidence
-    from placegraph.geometry import Floats
 
 MARKERS = "visualization_msgs/msg/MarkerArray"
 CUBE, LINES, TEXT, TRIANGLES = 1, 5, 9, 11

@@ -6,17 +6,15 @@ from collections.abc import Callable, Sequence
 from itertools import groupby
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 
 from placegraph.errors import MissingExtraError, OptionError
+from placegraph.geometry import Floats
+from placegraph.ros.message import Fields, Message
 from placegraph.ros.objects import CLEAR, CUBE, LINES, TEXT, TRIANGLES
 from placegraph.ros.unfinished import Unfinished, check_free, writing
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
-    from placegraph.ros.message import Fields, Message
 
 _LEVELS = ("INFO", "WARN", "ERROR")
 _GAP = 1.0

@@ -9,20 +9,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.estimate import PoseEstimate, PoseMode, Status
+from placegraph.evidence import Evidence
 from placegraph.geometry import Floats, pose_matrix, rotation_from_vector, split_pose
 from placegraph.indoor.map.scene import Scene
 from placegraph.ros.map import map_messages
 from placegraph.ros.message import FrameIds, Message, header, poses, sayable, transform
 from placegraph.ros.objects import objects_message
+from placegraph.ros.options import LiveOptions
 from placegraph.ros.pose import UPRIGHT_BASE, based, pose_messages, rig_message, transforms_message
 
 if TYPE_CHECKING:
-    from placegraph.evidence import Evidence
     from placegraph.formats.ros.assembly import Assembly
     from placegraph.indoor.library.library import SceneLibrary
     from placegraph.indoor.scene_map import SceneMap
     from placegraph.indoor.track.live_pose import LivePose
-    from placegraph.ros.options import LiveOptions
 
 STATUS = "localization/status"
 

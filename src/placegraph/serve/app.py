@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from typing import TYPE_CHECKING
 
 from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
@@ -16,12 +15,10 @@ from placegraph.errors import PlacegraphError, RequestError
 from placegraph.serve.drawing import drawing_router, page_files
 from placegraph.serve.limits import Guard, Keys
 from placegraph.serve.options import ServeOptions
+from placegraph.serve.places import Places
 from placegraph.serve.problem import problem, refused
 from placegraph.serve.routes import add_routes
 from placegraph.serve.server import Server, response_of
-
-if TYPE_CHECKING:
-    from placegraph.serve.places import Places
 
 
 def create_app(places: Places, options: ServeOptions | None = None) -> FastAPI:

@@ -5,18 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import cos, hypot, log, sin, sqrt
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from placegraph.earth import Anchor
 from placegraph.errors import InputError, OptionError
 from placegraph.formats.capture.frame import Frame
 from placegraph.geometry import Camera
 from placegraph.indoor.pose.prior import Prior
-
-if TYPE_CHECKING:
-    from placegraph.earth import Anchor
-    from placegraph.serve.photo import Photo
+from placegraph.serve.photo import Photo
 
 LEVEL = (0.0, 1.0, 0.0)
 """Gravity in the axes of a camera that is held upright."""

@@ -13,15 +13,15 @@ from placegraph.estimate import Status
 from placegraph.formats.capture.frame import Frame
 from placegraph.formats.dataset.colmap_files import model_camera
 from placegraph.geojson import poses_of
+from placegraph.geometry import Camera
 from placegraph.geopose import EarthPose
 from placegraph.serve.asked import LEVEL, Hints, Images
 from placegraph.serve.localize import found, notes
+from placegraph.serve.options import ServeOptions
 from placegraph.serve.oscp import Asked, number, read_request
 from placegraph.serve.photo import SMALLEST, Photo, check_size, read_photo
 
 if TYPE_CHECKING:
-    from placegraph.geometry import Camera
-    from placegraph.serve.options import ServeOptions
     from placegraph.serve.places import Desk
 
 GUESS = 20.0

@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING
 from urllib.parse import parse_qs, urlsplit
 
 from placegraph.errors import InputError, RequestError
+from placegraph.serve.metrics import Metrics
+from placegraph.serve.options import ServeOptions
 from placegraph.serve.problem import MEDIA_TYPE, problem
 from placegraph.serve.worker import dumped
 
 if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-    from placegraph.serve.metrics import Metrics
-    from placegraph.serve.options import ServeOptions
 
 LARGE = ("/v1/localize", "/v1/sessions/", "/geopose")
 """Paths whose bodies carry images."""

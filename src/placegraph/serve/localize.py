@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING, Any
 
 from placegraph.errors import OptionError, PlacegraphError, RequestError
 from placegraph.estimate import PoseEstimate, Status
+from placegraph.formats.capture.frame import Frame
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.pose.prior import Prior
 from placegraph.serve.asked import Hints, Images, images_of
 from placegraph.serve.locate import on_earth
+from placegraph.serve.options import ServeOptions
 from placegraph.serve.photo import read_depth, read_photo
 from placegraph.serve.unpack import capture_in
 
 if TYPE_CHECKING:
-    from placegraph.formats.capture.frame import Frame
-    from placegraph.serve.options import ServeOptions
     from placegraph.serve.places import Desk, Places
 
 MOST_ALONE = 8

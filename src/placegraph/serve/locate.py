@@ -8,9 +8,9 @@ from math import radians
 from typing import TYPE_CHECKING, Any
 
 from placegraph.errors import DescriptionError, GeoPoseError, OptionError, PlacegraphError
+from placegraph.estimate import CityEstimate
 
 if TYPE_CHECKING:
-    from placegraph.estimate import CityEstimate
     from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.search.ask import Answer, Question
     from placegraph.serve.places import Desk, Places

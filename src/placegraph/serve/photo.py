@@ -15,11 +15,11 @@ from placegraph.errors import InputError, RequestError
 from placegraph.formats.capture.fixes import Fix, exif_fix
 from placegraph.formats.capture.images import opened
 from placegraph.geometry import Camera
+from placegraph.serve.options import ServeOptions
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-    from placegraph.serve.options import ServeOptions
 
 LONGEST = 1280
 """Side of an image that is localized [px]; larger ones are made smaller."""

@@ -13,15 +13,15 @@ from typing import TYPE_CHECKING, Any
 from placegraph import store
 from placegraph.errors import PlacegraphError, RequestError
 from placegraph.geometry import LocalPlane
+from placegraph.indoor.library import SceneLibrary
+from placegraph.indoor.scene_map import SceneMap
 from placegraph.maps import SHARDS, checked, find, open_map
+from placegraph.serve.options import ServeOptions
 from placegraph.world import World, open_world
 from placegraph.world.shards.folder import NAME, WorldFile, is_world
 
 if TYPE_CHECKING:
-    from placegraph.indoor.library import SceneLibrary
-    from placegraph.indoor.scene_map import SceneMap
     from placegraph.outdoor.city import CityMap
-    from placegraph.serve.options import ServeOptions
 
 ANCHOR = ("longitude", "latitude", "building", "osm", "level", "scene", "probability")
 """What is listed of where a scene stands."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 from html import escape
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from fastapi import FastAPI, Query, Request, Response, WebSocket
 from fastapi.responses import HTMLResponse, JSONResponse, PlainTextResponse
@@ -14,15 +14,13 @@ from starlette.websockets import WebSocketDisconnect, WebSocketState
 
 from placegraph.errors import PlacegraphError, RequestError
 from placegraph.serve import metrics
+from placegraph.serve.lanes import Lane
 from placegraph.serve.oscp import version_of
 from placegraph.serve.problem import problem
 from placegraph.serve.schema import Begin, Live, Localize, Locate, Step
 from placegraph.serve.server import Server, response_of
 from placegraph.serve.uploads import uploaded
 from placegraph.serve.worker import dumped
-
-if TYPE_CHECKING:
-    from placegraph.serve.lanes import Lane
 
 _FORM = {
     "requestBody": {

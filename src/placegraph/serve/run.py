@@ -12,9 +12,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from placegraph.errors import MissingExtraError, OptionError
+from placegraph.serve.options import ServeOptions
 
 if TYPE_CHECKING:
-    from placegraph.serve.options import ServeOptions
     from placegraph.serve.places import Places
 
 GRACE = 30

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import secrets
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from starlette.responses import JSONResponse, Response
 from starlette.websockets import WebSocket, WebSocketDisconnect
@@ -15,13 +15,11 @@ from placegraph.errors import PlacegraphError, RequestError
 from placegraph.serve.lanes import Lane
 from placegraph.serve.limits import check_depth
 from placegraph.serve.metrics import Metrics
+from placegraph.serve.options import ServeOptions
+from placegraph.serve.places import Places
 from placegraph.serve.problem import MEDIA_TYPE, problem
 from placegraph.serve.schema import Begin, Step
 from placegraph.serve.worker import Answer, Setting, dumped
-
-if TYPE_CHECKING:
-    from placegraph.serve.options import ServeOptions
-    from placegraph.serve.places import Places
 
 
 class Server:

@@ -7,14 +7,11 @@ import stat
 import zipfile
 import zlib
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING
 
 from placegraph.errors import InputError, RequestError
 from placegraph.formats.capture.capture import Capture, is_capture, open_capture
+from placegraph.serve.options import ServeOptions
 from placegraph.serve.photo import check_size
-
-if TYPE_CHECKING:
-    from placegraph.serve.options import ServeOptions
 
 _BROKEN = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, OSError, ValueError, RuntimeError,
            EOFError)  # fmt: skip

@@ -14,12 +14,11 @@ from starlette.datastructures import FormData, UploadFile
 
 from placegraph.errors import InputError, RequestError
 from placegraph.serve.limits import check_depth
+from placegraph.serve.options import ServeOptions
 from placegraph.serve.schema import Localize
 
 if TYPE_CHECKING:
     from fastapi import Request
-
-    from placegraph.serve.options import ServeOptions
 
 
 @asynccontextmanager

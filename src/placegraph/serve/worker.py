@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import orjson
 
 from placegraph.errors import PlacegraphError, RequestError
+from placegraph.serve.options import ServeOptions
 from placegraph.serve.places import Desk, Places
 from placegraph.serve.problem import problem
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
 
-    from placegraph.serve.options import ServeOptions
 
 LOG = logging.getLogger("placegraph.serve")
 VERBS = {

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from placegraph.errors import IncompleteStoreError, StoreError
 from placegraph.vectors.content import GRAIN, Origin, Vectors
@@ -15,9 +15,7 @@ from placegraph.vectors.milvus import (
     collection_name,
     described,
 )
-
-if TYPE_CHECKING:
-    from placegraph.vectors.server import Server
+from placegraph.vectors.server import Server
 
 BATCH = 10_000
 """Rows sent, and counted, at once: 2.7 MB of 64 numbers; a server takes up to 64 MB."""

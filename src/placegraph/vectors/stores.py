@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 from placegraph.vectors import milvus
+from placegraph.vectors.content import Origin, Vectors, VectorStore
 from placegraph.vectors.embedded import EmbeddedStore
 from placegraph.vectors.milvus_load import load_milvus
 from placegraph.vectors.server import SCHEMES, Server
-
-if TYPE_CHECKING:
-    from placegraph.vectors.content import Origin, Vectors, VectorStore
 
 Address = str | os.PathLike[str]
 

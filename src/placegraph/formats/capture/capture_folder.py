@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +24,7 @@ from placegraph.formats.capture.frame_files import (
 from placegraph.formats.capture.frames import Capture
 from placegraph.formats.capture.images import image_size, images_of
 from placegraph.formats.capture.tum import read_table, read_tum
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Camera
+from placegraph.geometry import Camera
 
 _GRAVITY_COLUMNS = ("stamp", "gx", "gy", "gz")
 _GRAVITY_TOLERANCE = 0.02  # two decimals are a direction still; an accelerometer's 9.81 is not

@@ -5,15 +5,13 @@ from __future__ import annotations
 from contextlib import suppress
 from math import isfinite, nan
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from placegraph.formats.capture.frame_files import ColourFile, LazyImages
+from placegraph.formats.capture.frames import Capture
 from placegraph.formats.capture.images import opened
 from placegraph.formats.capture.posed import nearest_stamps
 from placegraph.formats.capture.tum import read_table
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.frames import Capture
 
 FILE = "fixes.txt"
 """Rows `COLUMNS`, in the clock of the frames; `nan` where a height or an accuracy is not known."""

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from placegraph.errors import OptionError
+from placegraph.geometry import Camera
 from placegraph.portable import Portable
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Camera
 
 LabelKind = Literal["labels", "instances"]
 """What the values of label images are: ids of labels, or ids of objects of the map."""

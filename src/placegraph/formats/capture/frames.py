@@ -9,16 +9,14 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, overload
+from typing import overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.frame import Frame, LabelKind
-    from placegraph.geometry import Camera
+from placegraph.formats.capture.frame import Frame, LabelKind
+from placegraph.geometry import Camera
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import InputError
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Camera
+from placegraph.geometry import Camera
 
 _ACROSS = 20  # windows of an image along its width: at 3 m some 20 cm, in which noise averages out
 _FEWEST_PIXELS = 4  # along a window's side

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 from threading import Lock
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import InputError, MissingExtraError
 from placegraph.formats.capture.frame_files import check_shape
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Camera
+from placegraph.geometry import Camera
 
 ENDINGS = (".mp4", ".mov", ".m4v", ".mkv", ".avi")
 """Endings of videos, in lower case."""

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections import Counter
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from placegraph.errors import InputError
 from placegraph.formats.capture.camera import read_camera, read_json
 from placegraph.formats.capture.frame_files import LazyImages
+from placegraph.formats.capture.frames import Capture
 from placegraph.formats.capture.posed import (
     SAME_MOMENT,
     Shot,
@@ -32,10 +33,6 @@ from placegraph.formats.capture.posed import (
 )
 from placegraph.formats.capture.tum import read_tum
 from placegraph.formats.capture.video import ENDINGS, Video
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.frames import Capture
-
 
 Poses = tuple[NDArray[np.float64], NDArray[np.float64]]
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections import Counter
 from functools import partial
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,6 +24,7 @@ from placegraph.formats.capture.frame_files import (
     colour_file,
     depth_file,
 )
+from placegraph.formats.capture.frames import Capture
 from placegraph.formats.capture.images import image_size, natural
 from placegraph.formats.capture.level import estimated_up, surface_normals, upright
 from placegraph.formats.capture.posed import Shot, capture_of, smaller_view
@@ -34,10 +35,7 @@ from placegraph.formats.dataset.colmap_files import (
     read_depth_map,
 )
 from placegraph.formats.dataset.colmap_files import read_model as read_colmap_model
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.frames import Capture
-    from placegraph.geometry import Camera
+from placegraph.geometry import Camera
 
 _UNIT = 1000.0
 _FEWEST = 30  # readings at sparse points that a scale needs

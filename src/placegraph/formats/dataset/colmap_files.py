@@ -11,7 +11,7 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +19,7 @@ from numpy.typing import NDArray
 from placegraph.errors import InputError
 from placegraph.files import regular
 from placegraph.formats.capture.posed import camera_of, pose_of, read_text
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Camera
+from placegraph.geometry import Camera
 
 _MODELS = (
     ("SIMPLE_PINHOLE", 3), ("PINHOLE", 4), ("SIMPLE_RADIAL", 4), ("RADIAL", 5), ("OPENCV", 8),

@@ -14,7 +14,7 @@ import sqlite3
 from collections import Counter
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,13 +22,11 @@ from numpy.typing import NDArray
 from placegraph.errors import InputError
 from placegraph.formats.capture.database import Database
 from placegraph.formats.capture.frame_files import DepthUnit, LazyImages, check_shape
+from placegraph.formats.capture.frames import Capture
 from placegraph.formats.capture.images import opened, read_rgb
 from placegraph.formats.capture.posed import Shot, capture_of, smaller_view
 from placegraph.formats.dataset.rtabmap_file import calibration, depth_image, matrix
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.frames import Capture
-    from placegraph.geometry import Camera
+from placegraph.geometry import Camera
 
 _COLUMNS = "n.id, n.map_id, n.stamp, n.pose, length(d.image), length(d.depth), d.calibration"
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import io
 import zlib
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +21,7 @@ from placegraph.errors import InputError
 from placegraph.formats.capture.images import opened
 from placegraph.formats.capture.posed import camera_of, exact_pose
 from placegraph.formats.capture.rvl import rvl_image
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Camera
+from placegraph.geometry import Camera
 
 _TYPES = {0: "u1", 4: "<i4", 5: "<f4"}
 """OpenCV's types of one channel, of those that are read."""

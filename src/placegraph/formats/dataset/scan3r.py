@@ -12,7 +12,6 @@ from collections import Counter
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,13 +29,11 @@ from placegraph.formats.dataset.scan3r_files import (
     segment_objects,
 )
 from placegraph.formats.dataset.scan3r_rooms import NAME, Rooms, read_rooms
+from placegraph.formats.mesh.model import Model
 from placegraph.formats.mesh.nearest import nearest
 from placegraph.formats.mesh.obj import read_obj
 from placegraph.formats.mesh.ply import majority, read_ply, things_of_ids, whole
 from placegraph.formats.mesh.ply_file import read_columns
-
-if TYPE_CHECKING:
-    from placegraph.formats.mesh.model import Model
 
 REACH = 0.05
 """A vertex has the label of the annotated mesh's nearest one within this [m]."""

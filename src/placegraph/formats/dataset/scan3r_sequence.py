@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from functools import partial
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,9 +33,7 @@ from placegraph.formats.capture.frame_files import (
 from placegraph.formats.capture.frames import Capture
 from placegraph.formats.capture.images import opened, rgb_of
 from placegraph.formats.dataset.scannet_files import camera_of_matrix, is_rigid
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Camera
+from placegraph.geometry import Camera
 
 INFO = "_info.txt"
 _FRAME = re.compile(r"frame-(\d{1,9})\.(color\.jpg|depth\.pgm|pose\.txt)", re.ASCII)

@@ -9,12 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import InputError, OptionError
+from placegraph.formats.capture.frame import LabelKind
 from placegraph.formats.capture.frame_files import Meanings, label_file
 from placegraph.formats.capture.images import image_size
 from placegraph.formats.dataset.scannet_files import (
@@ -24,10 +25,7 @@ from placegraph.formats.dataset.scannet_files import (
     read_aggregation,
     read_label_map,
 )
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.frame import LabelKind
-    from placegraph.geometry import Camera
+from placegraph.geometry import Camera
 
 Wanted = Literal["auto", "labels", "instances"] | None
 END = ".aggregation.json"

@@ -13,7 +13,7 @@ from collections import Counter
 from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,11 +27,8 @@ from placegraph.formats.dataset.scenegraphfusion_surfels import (
     read_surfels,
     squares,
 )
+from placegraph.formats.mesh.model import Model
 from placegraph.formats.mesh.ply import things_of_ids
-
-if TYPE_CHECKING:
-    from placegraph.formats.mesh.model import Model
-
 
 Rows = NDArray[np.int64]
 Floats = NDArray[np.float64]

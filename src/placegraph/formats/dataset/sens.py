@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from functools import partial as bound
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import InputError
+from placegraph.formats.capture.frame import Frame
 from placegraph.formats.capture.frame_files import (
     DepthUnit,
     LazyImages,
@@ -37,10 +37,7 @@ from placegraph.formats.dataset.sens_file import (
     read_frames,
     read_header,
 )
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.frame import Frame
-    from placegraph.geometry import Camera
+from placegraph.geometry import Camera
 
 DEPTH_PER_METRE = 1000.0
 """Units of depth in a metre of exported images."""

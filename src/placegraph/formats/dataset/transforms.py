@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from placegraph.errors import InputError, OptionError
 from placegraph.formats.capture.camera import read_json
 from placegraph.formats.capture.frame_files import DepthUnit, LazyImages, colour_file, depth_file
+from placegraph.formats.capture.frames import Capture
 from placegraph.formats.capture.images import ENDINGS, image_size
 from placegraph.formats.capture.level import upright
 from placegraph.formats.capture.posed import (
@@ -32,10 +33,7 @@ from placegraph.formats.capture.posed import (
     number,
     smaller_view,
 )
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.frames import Capture
-    from placegraph.geometry import Camera
+from placegraph.geometry import Camera
 
 _FILE = "transforms.json"
 _BENT = {"opencv": ("k1", "k2", "p1", "p2"), "fisheye": ("k1", "k2", "k3", "k4")}

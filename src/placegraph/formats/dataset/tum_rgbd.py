@@ -10,13 +10,13 @@ from __future__ import annotations
 import re
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from placegraph.errors import InputError
 from placegraph.formats.capture.camera import read_camera
 from placegraph.formats.capture.frame_files import DepthUnit, LazyImages, colour_file, depth_file
+from placegraph.formats.capture.frames import Capture
 from placegraph.formats.capture.posed import (
     SAME_MOMENT,
     Shot,
@@ -26,9 +26,6 @@ from placegraph.formats.capture.posed import (
 )
 from placegraph.formats.capture.tum import read_tum
 from placegraph.geometry import Camera
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.frames import Capture
 
 PER_METRE = 5000.0
 """Units of depth in a metre."""

@@ -11,17 +11,15 @@ import re
 from collections import Counter
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.formats.mesh.gltf import MENDS, Gltf
+from placegraph.formats.mesh.gltf_file import Json
 from placegraph.formats.mesh.materials import Materials, vertex_colours
 from placegraph.formats.mesh.model import Model, Thing
-
-if TYPE_CHECKING:
-    from placegraph.formats.mesh.gltf_file import Json
 
 OWN = "placegraph"
 """Key of `extras` for what a node cannot say plainly: `attributes` whose names are taken, and the

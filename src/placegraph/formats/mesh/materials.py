@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import cos, sin
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.formats.mesh.gltf import Gltf
+from placegraph.formats.mesh.gltf_file import Json
 from placegraph.formats.mesh.model import Picture
-
-if TYPE_CHECKING:
-    from placegraph.formats.mesh.gltf import Gltf
-    from placegraph.formats.mesh.gltf_file import Json
 
 _CLAMP, _MIRROR = 33071, 33648
 _EDGE = 1e-4  # of a texture: within the outermost texel of any texture a map holds

@@ -7,21 +7,18 @@ from collections import Counter
 from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
+from placegraph.formats.capture.labels import Entry
 from placegraph.formats.mesh.glb import Z_UP
 from placegraph.formats.mesh.model import Model, Picture, Thing
 from placegraph.formats.mesh.mtl import read_materials
 from placegraph.formats.mesh.obj_text import NAMED, ObjText, read_obj_text
 from placegraph.formats.mesh.ply import UNKNOWN
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.labels import Entry
-
 
 Rows = NDArray[np.int64]
 

@@ -6,18 +6,16 @@ from collections import Counter
 from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import InputError
+from placegraph.formats.capture.labels import Entry
 from placegraph.formats.mesh.glb import Z_UP
 from placegraph.formats.mesh.model import Model, Picture, Thing
 from placegraph.formats.mesh.ply_file import Columns, read_columns
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.labels import Entry
 
 OBJECT_PROPERTIES = (
     "objectid", "object_id", "object", "instanceid", "instance_id", "instance", "segment_id",

@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.formats.mesh.model import Model
 from placegraph.formats.mesh.spark_dsg import (
     BUILDINGS,
     HEADER,
@@ -20,10 +21,6 @@ from placegraph.formats.mesh.spark_dsg import (
     ROOMS,
 )
 from placegraph.geometry import quaternion_from_rotation
-
-if TYPE_CHECKING:
-    from placegraph.formats.mesh.model import Model
-
 
 Json = dict[str, Any]
 

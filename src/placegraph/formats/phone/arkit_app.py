@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from placegraph.errors import InputError
 from placegraph.formats.capture.camera import read_json
 from placegraph.formats.capture.frame_files import DepthUnit, LazyImages, colour_file, depth_file
+from placegraph.formats.capture.frames import Capture
 from placegraph.formats.capture.images import image_size, images_of
 from placegraph.formats.capture.posed import (
     ARKIT_FROM_OPENCV,
@@ -26,9 +26,6 @@ from placegraph.formats.capture.posed import (
     numbers,
     smaller_view,
 )
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.frames import Capture
 
 _UNIT = 1000.0
 _OFF_CENTRE = 0.15  # principal points lie nearer to the middle than this share of the width

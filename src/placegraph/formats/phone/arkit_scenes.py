@@ -10,13 +10,13 @@ from __future__ import annotations
 
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import InputError
 from placegraph.formats.capture.frame_files import DepthUnit, LazyImages, colour_file, depth_file
+from placegraph.formats.capture.frames import Capture
 from placegraph.formats.capture.images import image_size, images_of
 from placegraph.formats.capture.posed import (
     Shot,
@@ -28,9 +28,6 @@ from placegraph.formats.capture.posed import (
 )
 from placegraph.formats.capture.tum import read_table
 from placegraph.geometry import Camera, rotation_from_vector
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.frames import Capture
 
 _TOLERANCE = 0.005  # of Apple's own loader [s]; images come every 17 ms or more
 _UNIT = 1000.0

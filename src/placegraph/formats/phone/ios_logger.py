@@ -10,10 +10,10 @@ from __future__ import annotations
 from collections import Counter
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from placegraph.errors import InputError
 from placegraph.formats.capture.frame_files import LazyImages
+from placegraph.formats.capture.frames import Capture
 from placegraph.formats.capture.posed import (
     ARKIT_FROM_OPENCV,
     MAP_FROM_Y_UP,
@@ -25,9 +25,6 @@ from placegraph.formats.capture.posed import (
     read_rows,
 )
 from placegraph.formats.capture.video import Video
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.frames import Capture
 
 _SAME = 0.002  # seconds: both files have the frame's own stamp, rounded to a microsecond
 

@@ -15,7 +15,7 @@ from collections import Counter
 from functools import partial
 from pathlib import Path
 from threading import Lock
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ from placegraph.errors import InputError
 from placegraph.files import regular
 from placegraph.formats.capture.camera import read_json
 from placegraph.formats.capture.frame_files import DepthUnit, LazyImages
+from placegraph.formats.capture.frames import Capture
 from placegraph.formats.capture.posed import (
     ARKIT_FROM_OPENCV,
     MAP_FROM_Y_UP,
@@ -37,10 +38,7 @@ from placegraph.formats.capture.posed import (
     smaller_view,
 )
 from placegraph.formats.capture.video import Video
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.frames import Capture
-    from placegraph.geometry import Camera
+from placegraph.geometry import Camera
 
 _UNITS = {"m": ("<f2", 1.0), "mm": ("<u2", 1000.0)}
 """Numbers of the depth stream, and units in a metre."""

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 from placegraph.errors import InputError
 from placegraph.formats.capture.camera import read_json
 from placegraph.formats.capture.frame_files import DepthUnit, LazyImages, colour_file, depth_file
+from placegraph.formats.capture.frames import Capture
 from placegraph.formats.capture.images import image_size, images_of
 from placegraph.formats.capture.posed import (
     ARKIT_FROM_OPENCV,
@@ -30,10 +30,7 @@ from placegraph.formats.capture.posed import (
     number,
     smaller_view,
 )
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.frames import Capture
-    from placegraph.geometry import Camera
+from placegraph.geometry import Camera
 
 _UNIT = 1000.0
 

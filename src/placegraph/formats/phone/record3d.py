@@ -14,7 +14,7 @@ import json
 from collections import Counter
 from functools import partial
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ from placegraph.files import regular
 from placegraph.formats.capture.archive import Archive
 from placegraph.formats.capture.camera import read_json
 from placegraph.formats.capture.frame_files import DepthUnit, LazyImages, check_shape
+from placegraph.formats.capture.frames import Capture
 from placegraph.formats.capture.images import natural, read_rgb
 from placegraph.formats.capture.posed import (
     ARKIT_FROM_OPENCV,
@@ -34,11 +35,7 @@ from placegraph.formats.capture.posed import (
     pose_of,
     smaller_view,
 )
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.frames import Capture
-    from placegraph.geometry import Camera
-
+from placegraph.geometry import Camera
 
 _END = b"bvx$"  # of an LZFSE stream
 

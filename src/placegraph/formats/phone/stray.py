@@ -14,12 +14,12 @@ import io
 from collections import Counter
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from placegraph.errors import InputError
 from placegraph.formats.capture.frame_files import DepthUnit, LazyImages, depth_file
+from placegraph.formats.capture.frames import Capture
 from placegraph.formats.capture.images import image_size, images_of
 from placegraph.formats.capture.posed import (
     MAP_FROM_Y_UP,
@@ -31,9 +31,6 @@ from placegraph.formats.capture.posed import (
     smaller_view,
 )
 from placegraph.formats.capture.video import Video
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.frames import Capture
 
 _POSE = ("timestamp", "frame", "x", "y", "z", "qx", "qy", "qz", "qw")
 _INTRINSICS = ("fx", "fy", "cx", "cy")

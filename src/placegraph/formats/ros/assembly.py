@@ -9,11 +9,12 @@ from __future__ import annotations
 from collections import Counter, deque
 from collections.abc import Iterator
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.formats.capture.frame import Frame
 from placegraph.formats.capture.frame_files import (
     LazyImages,
     posed_frame,
@@ -25,12 +26,9 @@ from placegraph.formats.ros.capture import Source, metres_of, picture, unit_of
 from placegraph.formats.ros.decode import decode, frame_of, stamp_of
 from placegraph.formats.ros.moves import Spread, numbers_of
 from placegraph.formats.ros.packets import Packet, is_static
+from placegraph.formats.ros.plan import Plan
 from placegraph.formats.ros.poses import BACK
 from placegraph.formats.ros.transforms import Edge, Tree
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.frame import Frame
-    from placegraph.formats.ros.plan import Plan
 
 PATIENCE = 0.5
 """A frame waits so long for its depth and its transforms [s]."""

@@ -10,26 +10,24 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import InputError
 from placegraph.formats.capture.frame_files import DepthUnit, LazyImages, check_shape
+from placegraph.formats.capture.frames import Capture
 from placegraph.formats.capture.posed import SAME_MOMENT, Shot, capture_of, nearest_stamps
 from placegraph.formats.capture.tum import read_tum
 from placegraph.formats.ros.decode import decoded
 from placegraph.formats.ros.files.bag import looks_like_bag, open_bag
+from placegraph.formats.ros.files.storage import Message, Topic
 from placegraph.formats.ros.pixels import colours, depths
 from placegraph.formats.ros.plan import Plan, plan_of, wishes_of
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.frames import Capture
-    from placegraph.formats.ros.files.storage import Message, Topic
-    from placegraph.formats.ros.poses import Placing
-    from placegraph.formats.ros.register import Registration
-    from placegraph.geometry import Camera
+from placegraph.formats.ros.poses import Placing
+from placegraph.formats.ros.register import Registration
+from placegraph.geometry import Camera
 
 
 def is_bag(path: Path) -> bool:

@@ -17,11 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import InputError
+from placegraph.formats.ros.files.storage import Message, Topic
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
-
-    from placegraph.formats.ros.files.storage import Message, Topic
 
 
 TRANSFORMS = "tf2_msgs/msg/TFMessage"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import deque
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,12 +11,9 @@ from placegraph.errors import PlacegraphError
 from placegraph.formats.ros.files.bag import Bag
 from placegraph.formats.ros.files.storage import Topic
 from placegraph.formats.ros.packets import Held, Packet, is_static
-from placegraph.formats.ros.plan import Plan, plan_of
+from placegraph.formats.ros.plan import Plan, Wishes, plan_of
 from placegraph.formats.ros.poses import TRANSFORM_TYPES
 from placegraph.formats.ros.views import IMAGES
-
-if TYPE_CHECKING:
-    from placegraph.formats.ros.plan import Wishes
 
 LISTEN = 1.0
 """Seconds of a stream that are heard before something is chosen, and between two tries."""

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from placegraph.errors import InputError
+from placegraph.formats.capture.frames import Capture
 from placegraph.formats.ros.capture import capture_from
 from placegraph.formats.ros.files.bag import open_bag
+from placegraph.formats.ros.files.storage import Topic
 from placegraph.formats.ros.plan import Plan, plan_of, wishes_of
 from placegraph.formats.ros.poses import OF_OTHERS
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.frames import Capture
-    from placegraph.formats.ros.files.storage import Topic
 
 USES = ("localize", "refine", "build", "track")
 

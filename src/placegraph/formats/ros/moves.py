@@ -6,17 +6,15 @@ from collections import defaultdict
 from collections.abc import Iterable
 from pathlib import Path
 from struct import unpack_from
-from typing import TYPE_CHECKING, Any, NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.formats.ros.decode import decode, frame_of, stamp_of
+from placegraph.formats.ros.files.storage import Topic
+from placegraph.formats.ros.transforms import Samples
 from placegraph.geometry import cross_matrix
-
-if TYPE_CHECKING:
-    from placegraph.formats.ros.files.storage import Topic
-    from placegraph.formats.ros.transforms import Samples
 
 Moves = dict[tuple[str, str], list[NDArray[np.float64]]]
 """By parent and child: rows (N, 9) of time of recording and stamp [s], x, y, z [m], qx, qy, qz, qw."""

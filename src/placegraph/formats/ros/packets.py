@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from struct import error as struct_error
 from struct import unpack_from
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from placegraph.errors import InputError
+from placegraph.formats.ros.files.bag import Bag
 from placegraph.formats.ros.files.storage import Message
-
-if TYPE_CHECKING:
-    from placegraph.formats.ros.files.bag import Bag
 
 
 class Packet(NamedTuple):

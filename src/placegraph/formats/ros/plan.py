@@ -5,22 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from placegraph.errors import InputError, OptionError
 from placegraph.formats.capture.camera import read_json
+from placegraph.formats.ros.files.bag import Bag
+from placegraph.formats.ros.files.storage import Topic
 from placegraph.formats.ros.poses import Placing
 from placegraph.formats.ros.register import Registration
+from placegraph.formats.ros.transforms import Samples
 from placegraph.formats.ros.views import View, camera_for, chosen_views, views_of
-
-if TYPE_CHECKING:
-    from placegraph.formats.ros.files.bag import Bag
-    from placegraph.formats.ros.files.storage import Topic
-    from placegraph.formats.ros.transforms import Samples
-    from placegraph.geometry import Camera
-
+from placegraph.geometry import Camera
 
 _NAMES = ("colour", "depth", "odometry", "imu", "frame")
 _CAMERAS = ("camera", "depth_camera")

@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 from placegraph.errors import InputError
 from placegraph.formats.capture.level import upright
 from placegraph.formats.ros.decode import HEAD, decode, frame_of, stamp_of, stamps
+from placegraph.formats.ros.files.bag import Bag
 from placegraph.formats.ros.files.storage import Topic, read_all
 from placegraph.formats.ros.moves import Moves, numbers_of, samples_of, transforms
 from placegraph.formats.ros.packets import is_static
 from placegraph.formats.ros.transforms import Tree
+from placegraph.formats.ros.views import View
 
 if TYPE_CHECKING:
-    from placegraph.formats.ros.files.bag import Bag
     from placegraph.formats.ros.plan import Wishes
-    from placegraph.formats.ros.views import View
 
 BACK = 0.5
 """Stamps that go back by more [s] are of another run of the clock."""

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from placegraph.errors import InputError
 from placegraph.formats.capture.posed import camera_of
 from placegraph.formats.ros.decode import decoded, frame_of
+from placegraph.formats.ros.files.bag import Bag
+from placegraph.formats.ros.files.storage import Topic
 from placegraph.formats.ros.pixels import DEPTHS, GREYS, is_colour, size_of
-
-if TYPE_CHECKING:
-    from placegraph.formats.ros.files.bag import Bag
-    from placegraph.formats.ros.files.storage import Topic
-    from placegraph.geometry import Camera
+from placegraph.geometry import Camera
 
 IMAGES = ("sensor_msgs/Image", "sensor_msgs/CompressedImage")
 _RECTIFIED = re.compile(r"(^|[/_])rect([/_]|$)")

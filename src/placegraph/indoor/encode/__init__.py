@@ -21,18 +21,16 @@ import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Protocol, cast, runtime_checkable
+from typing import Any, Protocol, cast, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import MapError, OptionError
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.capture import Capture
-    from placegraph.formats.capture.frame import Frame
-    from placegraph.geometry import Camera
-    from placegraph.indoor.map.scene import Scene
+from placegraph.formats.capture.capture import Capture
+from placegraph.formats.capture.frame import Frame
+from placegraph.geometry import Camera
+from placegraph.indoor.map.scene import Scene
 
 __all__ = ["ENCODERS", "Encoder", "MapEncoder", "Patches", "bound", "encoder", "for_map", "spoken"]
 

@@ -12,22 +12,19 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.formats.capture.capture import Capture
+from placegraph.formats.capture.frame import Frame
 from placegraph.geometry import Camera, Floats
 from placegraph.indoor.encode.grid import GRID
+from placegraph.indoor.likelihood.visibility import VisibilityTable
 from placegraph.indoor.map.panoramas import HIGHEST
 from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, ELEVATIONS, NOTHING, STEP
+from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.options import STANDING, FilterOptions
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.capture import Capture
-    from placegraph.formats.capture.frame import Frame
-    from placegraph.indoor.likelihood.visibility import VisibilityTable
-    from placegraph.indoor.map.scene import Scene
 
 DIMENSION = 64
 TEMPERATURE = 0.12

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,12 +17,10 @@ from numpy.typing import ArrayLike, NDArray
 from placegraph.errors import InputError, OptionError
 from placegraph.files import put, regular
 from placegraph.formats.capture.camera import read_json
+from placegraph.formats.capture.capture import Capture
+from placegraph.formats.capture.frame import Frame
 from placegraph.indoor.encode.words import spelled
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.capture import Capture
-    from placegraph.formats.capture.frame import Frame
-    from placegraph.indoor.map.scene import Scene
+from placegraph.indoor.map.scene import Scene
 
 STEP = 8
 """Pixels between those whose labels are compared with the map."""

@@ -5,17 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import InputError, OptionError
 from placegraph.formats.capture.camera import read_json
+from placegraph.formats.capture.capture import Capture
 from placegraph.indoor.encode.network import ImageNetwork, answered
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.capture import Capture
 
 SLOPE = 0.1
 """`Likelihood.depth_slope` for networks: they err by a tenth of the depth, a frame's readings alike."""

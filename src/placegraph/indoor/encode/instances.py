@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.formats.capture.frame import Frame
 from placegraph.indoor.encode import Patches
 from placegraph.indoor.encode.grid import GRID, checked, looked_up, majority
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.frame import Frame
-    from placegraph.indoor.map.scene import Scene
+from placegraph.indoor.map.scene import Scene
 
 _FOREIGN = 0.2
 """Share of the ids of frames that a map may lack: things come and go."""

@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from placegraph.errors import OptionError
+from placegraph.formats.capture.capture import Capture
+from placegraph.formats.capture.frame import Frame
+from placegraph.geometry import Camera
+from placegraph.indoor.encode.confusion import Confusion
 from placegraph.indoor.encode.grid import GRID, cells, checked, looked_up, majority
 from placegraph.indoor.encode.segmenter import Segmenter
 from placegraph.indoor.encode.words import DIMENSION, digest, vector
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.capture import Capture
-    from placegraph.formats.capture.frame import Frame
-    from placegraph.geometry import Camera
-    from placegraph.indoor.encode.confusion import Confusion
-    from placegraph.indoor.map.scene import Scene
+from placegraph.indoor.map.scene import Scene
 
 TEMPERATURE = 0.1
 """Cosine that counts one nat: found on windows of the house, by its own words and by others."""

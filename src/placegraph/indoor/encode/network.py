@@ -7,17 +7,15 @@ from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import InputError, MissingExtraError
 from placegraph.files import regular
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.capture import Capture
-    from placegraph.formats.capture.frame import Images
+from placegraph.formats.capture.capture import Capture
+from placegraph.formats.capture.frame import Images
 
 Answer = Callable[["NDArray[np.uint8]"], "NDArray[Any]"]
 """What a network says (h, w) of an image (H, W, 3) sRGB."""

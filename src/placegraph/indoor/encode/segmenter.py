@@ -5,17 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import InputError, OptionError
 from placegraph.formats.capture.camera import read_json
+from placegraph.formats.capture.capture import Capture
 from placegraph.indoor.encode.network import ImageNetwork, answered
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.capture import Capture
 
 PASCAL = (
     "", "aeroplane", "bicycle", "bird", "boat", "bottle", "bus", "car", "cat", "chair", "cow",

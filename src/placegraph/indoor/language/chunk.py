@@ -8,15 +8,11 @@ from dataclasses import replace
 from functools import cache
 from importlib.resources import files
 from math import atan2, cos, pi, radians, sin
-from typing import TYPE_CHECKING
 
 from placegraph.indoor.map.floor import label_words
 from placegraph.language.islands import Chunk
 from placegraph.language.measures import COUNTS, whole
-from placegraph.language.words import Phrases, Terminal
-
-if TYPE_CHECKING:
-    from placegraph.language.words import Word
+from placegraph.language.words import Phrases, Terminal, Word
 
 VERBS = frozenset(("BE", "EXISTS", "SEE", "HAVE"))
 _DETERMINERS = frozenset(("DET", "A", "NUM", "NO", "SOME"))

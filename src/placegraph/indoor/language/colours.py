@@ -9,17 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.indoor.language.looks import COLOURS, looks
+from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.map.textures import linear_from_srgb
-
-if TYPE_CHECKING:
-    from placegraph.indoor.map.scene import Scene
-
 
 Floats = NDArray[np.float64]
 

@@ -6,19 +6,15 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
+from placegraph.graph import SceneGraph
 from placegraph.indoor.language.seen import COLUMNS, room_seen, seen
 from placegraph.indoor.map.relations import NEXT_TO, SAME_ROOM
 from placegraph.indoor.map.relations.words import canonical
-
-if TYPE_CHECKING:
-    from placegraph.graph import SceneGraph
-
 
 Floats = NDArray[np.float64]
 

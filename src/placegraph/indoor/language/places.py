@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+from placegraph.indoor.language.parse import Noun, Where
 from placegraph.indoor.language.sentence import ME, Kind
 from placegraph.indoor.language.statements import Statements, looks_of
-
-if TYPE_CHECKING:
-    from placegraph.indoor.language.parse import Noun, Where
 
 PARTS = {
     "corner": "in the corner", "corners": "in the corner", "middle": "in the middle",

@@ -12,22 +12,18 @@ name the one that fits best counts.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from placegraph.estimate import Evidence, ObjectRef
 from placegraph.indoor.language.referents import Referents
+from placegraph.indoor.language.sentence import Sentence, Statement
 from placegraph.indoor.language.sight import Sight
+from placegraph.indoor.likelihood.visibility import VisibilityTable
 from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, STEP
 from placegraph.indoor.map.refs import ref
+from placegraph.indoor.map.scene import Scene
 from placegraph.language.check import Ignored
-
-if TYPE_CHECKING:
-    from placegraph.indoor.language.sentence import Sentence, Statement
-    from placegraph.indoor.likelihood.visibility import VisibilityTable
-    from placegraph.indoor.map.scene import Scene
 
 WRONG = 0.15
 """Share of statements that are wrong, or about another thing of that name."""

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
 from placegraph.estimate import Evidence, ObjectRef
+from placegraph.graph import SceneGraph
 from placegraph.indoor.language.colours import with_colours
 from placegraph.indoor.language.described import Described, units
 from placegraph.indoor.language.index import Columns, columns_of
@@ -19,9 +19,6 @@ from placegraph.indoor.language.read import read
 from placegraph.indoor.language.score import compared, of_scenes, scene_scores
 from placegraph.indoor.language.sentence import Kind, Mention, Sentence, Statement
 from placegraph.indoor.map.scene import Scene
-
-if TYPE_CHECKING:
-    from placegraph.graph import SceneGraph
 
 _TOLD = 0.05  # evidence that says anything [nat]
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,10 +22,7 @@ from placegraph.indoor.language.looks_fit import ratios
 from placegraph.indoor.language.score import sayings
 from placegraph.indoor.language.seen import COLUMNS, seen
 from placegraph.indoor.language.sentence import Kind, Sentence, Statement
-
-if TYPE_CHECKING:
-    from placegraph.indoor.map.scene import Scene
-
+from placegraph.indoor.map.scene import Scene
 
 Floats = NDArray[np.float32]
 

@@ -5,18 +5,14 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.graph import SceneGraph
 from placegraph.indoor.language.colours import from_words
 from placegraph.indoor.language.looks import COLOURS, looks
 from placegraph.indoor.map.floor import is_floor, label_words
-
-if TYPE_CHECKING:
-    from placegraph.graph import SceneGraph
-
 
 Floats = NDArray[np.float64]
 

@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.indoor.language.likeness import EXACT, kinds_of, table
+from placegraph.indoor.language.referents import Referents
 from placegraph.indoor.language.sentence import Kind, Statement
 from placegraph.indoor.language.sight_kernels import look_around_for, look_for, turned, vote_rooms
+from placegraph.indoor.likelihood.visibility import VisibilityTable
 from placegraph.indoor.map.panoramas import HIGHEST, range_of
 from placegraph.indoor.map.panoramas_kernels import ELEVATIONS, STEP
-
-if TYPE_CHECKING:
-    from placegraph.indoor.language.referents import Referents
-    from placegraph.indoor.likelihood.visibility import VisibilityTable
-
 
 Floats = NDArray[np.float32]
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from placegraph.indoor.language.likeness import room_kind
 from placegraph.indoor.language.looks import is_look, leading, looks, trailing
@@ -12,9 +11,7 @@ from placegraph.indoor.language.parse import Item, Noun, Where
 from placegraph.indoor.language.sentence import ME, Kind, Mention, Statement
 from placegraph.indoor.map.relations.words import same_thing
 from placegraph.language.check import Ignored
-
-if TYPE_CHECKING:
-    from placegraph.language.islands import Chunk
+from placegraph.language.islands import Chunk
 
 SCENE = -2
 """Stands for the scene itself where a mention could stand."""

@@ -11,8 +11,12 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.earth import EarthPose
 from placegraph.errors import OptionError
 from placegraph.estimate import Evidence, ObjectRef, SceneEstimate, SceneMode, Status
+from placegraph.formats.capture.capture import Capture
+from placegraph.formats.capture.frame import Frame
+from placegraph.indoor.encode import Encoder
 from placegraph.indoor.language import Sentence, read, score
 from placegraph.indoor.library.options import SearchOptions
 from placegraph.indoor.library.query import Query, encode
@@ -21,10 +25,6 @@ from placegraph.indoor.likelihood.observe import spread
 from placegraph.indoor.pose.query import chosen_frames
 
 if TYPE_CHECKING:
-    from placegraph.earth import EarthPose
-    from placegraph.formats.capture.capture import Capture
-    from placegraph.formats.capture.frame import Frame
-    from placegraph.indoor.encode import Encoder
     from placegraph.indoor.library.scenes import Scenes
 
 SURE = 0.9

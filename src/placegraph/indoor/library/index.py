@@ -5,17 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.indoor.library.search_kernels import row_hashes
+from placegraph.indoor.library.signature import Signature
 from placegraph.vectors import EmbeddedStore
-
-if TYPE_CHECKING:
-    from placegraph.indoor.library.signature import Signature
-
 
 SAMPLE = 1024
 """Vectors that stand for all of a library's."""

@@ -5,28 +5,25 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 from placegraph.earth import EarthPose
 from placegraph.errors import InputError, MapError, MissingExtraError, OptionError
+from placegraph.estimate import PoseEstimate, SceneEstimate
 from placegraph.files import real_path
+from placegraph.formats.capture.capture import Capture
+from placegraph.formats.capture.frame import Frame
+from placegraph.geometry import Camera
 from placegraph.indoor.encode import ENCODERS, Encoder, encoder
 from placegraph.indoor.library.answer import Many, search
 from placegraph.indoor.library.localize import localize
+from placegraph.indoor.library.options import SearchOptions
 from placegraph.indoor.library.scenes import Entry, Scenes
 from placegraph.indoor.library.signature_file import GRAIN, KIND, VERSION, columns, signatures_in
+from placegraph.indoor.scene_map import SceneMap
+from placegraph.indoor.track.live import LiveTracker
 from placegraph.notebook import Shown
 from placegraph.store import MapFile, pack_strings, read_map, sound, write_map
-
-if TYPE_CHECKING:
-    from placegraph.estimate import PoseEstimate, SceneEstimate
-    from placegraph.formats.capture.capture import Capture
-    from placegraph.formats.capture.frame import Frame
-    from placegraph.geometry import Camera
-    from placegraph.indoor.library.options import SearchOptions
-    from placegraph.indoor.scene_map import SceneMap
-    from placegraph.indoor.track.live import LiveTracker
-
 
 Progress = Callable[[str, int, int], None]
 

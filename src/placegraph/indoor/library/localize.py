@@ -16,6 +16,8 @@ import numpy as np
 
 from placegraph.errors import OptionError
 from placegraph.estimate import PoseEstimate, PoseMode, SceneEstimate, Status
+from placegraph.formats.capture.capture import Capture
+from placegraph.formats.capture.frame import Frame
 from placegraph.geometry import split_pose
 from placegraph.indoor.encode import Encoder
 from placegraph.indoor.encode import encoder as encoder_named
@@ -23,18 +25,16 @@ from placegraph.indoor.language import Sentence, read
 from placegraph.indoor.language.prior import unused
 from placegraph.indoor.library.answer import SURE, Many
 from placegraph.indoor.library.answer import search as search_in
+from placegraph.indoor.library.options import SearchOptions
 from placegraph.indoor.localize import localized
+from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.pose.query import chosen_frames
 from placegraph.indoor.pose.trust import SURE as RIGHT
 from placegraph.indoor.pose.trust import TRUST, log_odds
 
 if TYPE_CHECKING:
-    from placegraph.formats.capture.capture import Capture
-    from placegraph.formats.capture.frame import Frame
-    from placegraph.indoor.library.options import SearchOptions
     from placegraph.indoor.library.scenes import Scenes
-    from placegraph.indoor.map.scene import Scene
 
 SCENES = 8
 """Scenes localized in at most."""

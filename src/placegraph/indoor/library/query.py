@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
+from placegraph.formats.capture.frame import Frame
 from placegraph.geometry import Camera, Floats, between, level_from_camera
 from placegraph.indoor.encode import Encoder, patches_of
 from placegraph.indoor.library.index import distinct
@@ -18,9 +18,6 @@ from placegraph.indoor.library.search_kernels import beside, sums_of
 from placegraph.indoor.library.signature import BANDS, REACH, TURNS
 from placegraph.indoor.pose.query import leveled
 from placegraph.threads import product
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.frame import Frame
 
 WORDS = 128
 """Vectors that the patches of one query are told apart by, where they are not fewer; of T frames

@@ -13,26 +13,26 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.earth import EarthPose
 from placegraph.errors import InputError, MapError, OptionError
+from placegraph.estimate import Evidence
 from placegraph.files import regular
+from placegraph.formats.capture.capture import Capture
 from placegraph.indoor.encode import Encoder, encoder
 from placegraph.indoor.language import Sentence, TextIndex
+from placegraph.indoor.language.index import Columns
 from placegraph.indoor.library.answer import evidence
 from placegraph.indoor.library.index import Index
+from placegraph.indoor.library.options import SearchOptions
 from placegraph.indoor.library.search import Scores, scores
 from placegraph.indoor.library.signature import Signature, signature_of
 from placegraph.indoor.library.signature_file import decoys
+from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.pose.placed import whereabouts
 from placegraph.indoor.scene_map import SceneMap
 
 if TYPE_CHECKING:
-    from placegraph.earth import EarthPose
-    from placegraph.estimate import Evidence
-    from placegraph.formats.capture.capture import Capture
-    from placegraph.indoor.language.index import Columns
-    from placegraph.indoor.library.options import SearchOptions
     from placegraph.indoor.library.query import Query
-    from placegraph.indoor.map.scene import Scene
 
 _OPEN = 8  # maps kept open
 _MERGED = 8  # of those localized in, with their tables

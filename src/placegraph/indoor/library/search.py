@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.indoor.library.options import SearchOptions
 from placegraph.indoor.library.search_kernels import (
     add_told,
     along_ways,
@@ -28,7 +29,6 @@ from placegraph.threads import product
 
 if TYPE_CHECKING:
     from placegraph.indoor.library.index import Index, Vocabulary
-    from placegraph.indoor.library.options import SearchOptions
     from placegraph.indoor.library.query import Query, Said
 
 _COMPARED = 50_000  # vectors that a word is compared with quickly

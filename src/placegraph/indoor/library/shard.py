@@ -10,27 +10,25 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import MapError
+from placegraph.files import Watch
 from placegraph.indoor.language.colours import with_colours
 from placegraph.indoor.language.index import Columns, Postings
 from placegraph.indoor.library.index import Index, Vocabulary, runs, starts_of
+from placegraph.indoor.library.options import SearchOptions
+from placegraph.indoor.library.query import Query
 from placegraph.indoor.library.search import patch_weights, ratio
 from placegraph.indoor.library.search_kernels import held
 from placegraph.indoor.library.shard_check import check_scenes
 from placegraph.indoor.library.signature import Signature
 from placegraph.indoor.map.eight_bits import from_8_bits
+from placegraph.indoor.map.scene import Scene
 from placegraph.store import read_header, read_map, sound
-
-if TYPE_CHECKING:
-    from placegraph.files import Watch
-    from placegraph.indoor.library.options import SearchOptions
-    from placegraph.indoor.library.query import Query
-    from placegraph.indoor.map.scene import Scene
 
 KIND, VERSION = "shard", 1
 """Of map files."""

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.indoor.language.index import Columns
 from placegraph.indoor.library.signature import BANDS, TURNS
 
 if TYPE_CHECKING:
-    from placegraph.indoor.language.index import Columns
     from placegraph.indoor.library.shard import Shard, Usual
 
 STRINGS = ("names", "paths", "digests", "earth", "buildings")

@@ -7,27 +7,24 @@ import json
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.earth import EarthPose
 from placegraph.errors import MapError, OptionError
 from placegraph.indoor.encode import Encoder, encoder
 from placegraph.indoor.language.described import Described, units
 from placegraph.indoor.language.index import columns_of
 from placegraph.indoor.library.index import Index
 from placegraph.indoor.library.index import units as units_of
+from placegraph.indoor.library.scenes import Entry
 from placegraph.indoor.library.shard import BESIDE, HEAD, KIND, VERSION, Shard, Usual
+from placegraph.indoor.library.shards import SceneShards
 from placegraph.indoor.library.signature_file import decoys
 from placegraph.indoor.map.eight_bits import in_8_bits
 from placegraph.store import write_map
-
-if TYPE_CHECKING:
-    from placegraph.earth import EarthPose
-    from placegraph.indoor.library.scenes import Entry
-    from placegraph.indoor.library.shards import SceneShards
-
 
 Arrays = dict[str, NDArray[Any]]
 

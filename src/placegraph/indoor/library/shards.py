@@ -17,18 +17,20 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.earth import EarthPose
 from placegraph.errors import InputError, MapError, OptionError, PlacegraphError
+from placegraph.estimate import Evidence
 from placegraph.files import real_path
+from placegraph.indoor.encode import Encoder
 from placegraph.indoor.language import Sentence, score
 from placegraph.indoor.language.score import compared, of_scenes
 from placegraph.indoor.library.answer import evidence
 from placegraph.indoor.library.library import Asked, SceneLibrary, encoders_of
+from placegraph.indoor.library.options import SearchOptions
 from placegraph.indoor.library.query import Query
 from placegraph.indoor.library.scenes import Entry, digest_of
 from placegraph.indoor.library.search import Scores, scores
@@ -45,11 +47,6 @@ from placegraph.indoor.library.shard import (
 from placegraph.indoor.library.shard_check import check_usual
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.store import read_map, sound
-
-if TYPE_CHECKING:
-    from placegraph.estimate import Evidence
-    from placegraph.indoor.encode import Encoder
-    from placegraph.indoor.library.options import SearchOptions
 
 _OPEN = 64
 """Maps kept open."""

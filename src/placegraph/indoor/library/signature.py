@@ -9,23 +9,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
+from placegraph.formats.capture.capture import Capture
+from placegraph.graph import SceneGraph
 from placegraph.indoor.encode import Encoder, vectors_of
 from placegraph.indoor.language.colours import with_colours
 from placegraph.indoor.likelihood.visibility import build_table
 from placegraph.indoor.map.panoramas import HIGHEST
 from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, ELEVATIONS
+from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.options import STANDING, FilterOptions
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.capture import Capture
-    from placegraph.graph import SceneGraph
-    from placegraph.indoor.map.scene import Scene
 
 PLACES = 160
 """Panoramas of a scene, or of a merged map's part, at most,"""

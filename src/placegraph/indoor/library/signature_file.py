@@ -7,19 +7,17 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from importlib.resources import as_file, files
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.graph import SceneGraph
+from placegraph.indoor.encode import Encoder
 from placegraph.indoor.library.index import distinct
 from placegraph.indoor.library.signature import BANDS, TURNS, Signature
 from placegraph.indoor.map.eight_bits import from_8_bits, in_8_bits
 from placegraph.store import MapFile, pack_strings, read_map
-
-if TYPE_CHECKING:
-    from placegraph.indoor.encode import Encoder
 
 KIND = "library"
 VERSION = 1

@@ -8,19 +8,16 @@ logarithmic scale of the visibility table a factor is a shift.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import InputError, OptionError
+from placegraph.formats.capture.frame import Frame
 from placegraph.formats.capture.frame_files import LazyImages
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.frame import Frame
-    from placegraph.geometry import Floats
-    from placegraph.indoor.likelihood.observe import Sighting
-    from placegraph.indoor.likelihood.view import Background, View
+from placegraph.geometry import Floats
+from placegraph.indoor.likelihood.observe import Sighting
+from placegraph.indoor.likelihood.view import Background, View
 
 FACTORS = (1000.0, 100.0, 39.37, 10.0, 5.0, 3.281)
 """What units are mistaken by: mm, cm, inches, 0.1 mm for mm, TUM's 1/5000 m for mm, feet."""

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.geometry import Floats
 from placegraph.indoor.likelihood.calibrated import Calibrated
 from placegraph.indoor.likelihood.paper import Paper
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
-    from placegraph.indoor.likelihood.view import Background, Noise, View
-    from placegraph.indoor.options import Likelihood
+from placegraph.indoor.likelihood.view import Background, Noise, View
+from placegraph.indoor.options import Likelihood
 
 
 class Model(Protocol):

@@ -4,17 +4,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.geometry import Floats
 from placegraph.indoor.likelihood.score_kernels import TONE
 from placegraph.indoor.likelihood.view import Background, Noise, View
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
-    from placegraph.indoor.options import Likelihood
+from placegraph.indoor.options import Likelihood
 
 
 class Paper:

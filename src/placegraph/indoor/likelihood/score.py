@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +13,9 @@ from placegraph.errors import OptionError
 from placegraph.geometry import Floats, compose
 from placegraph.indoor.likelihood.model import model_of
 from placegraph.indoor.likelihood.score_kernels import score_poses
-
-if TYPE_CHECKING:
-    from placegraph.indoor.likelihood.view import View
-    from placegraph.indoor.map.scene import Scene
-    from placegraph.indoor.options import Likelihood
+from placegraph.indoor.likelihood.view import View
+from placegraph.indoor.map.scene import Scene
+from placegraph.indoor.options import Likelihood
 
 
 class Scorer:

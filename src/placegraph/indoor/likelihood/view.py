@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple, Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
-    from placegraph.indoor.options import Likelihood
+from placegraph.geometry import Floats
+from placegraph.indoor.options import Likelihood
 
 
 @dataclass(frozen=True, slots=True, eq=False)

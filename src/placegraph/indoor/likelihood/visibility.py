@@ -11,12 +11,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
+from placegraph.geometry import Floats
 from placegraph.indoor.likelihood.calibrated import TEMPERATURE, reading_ratio
 from placegraph.indoor.likelihood.score_kernels import COLOUR, DEPTH, SEMANTIC
 from placegraph.indoor.likelihood.view import Background, Noise, View
@@ -35,12 +35,9 @@ from placegraph.indoor.map.panoramas_kernels import (
     look_around,
     scan_headings,
 )
+from placegraph.indoor.map.scene import Scene
+from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.rays.layout import LANES
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
-    from placegraph.indoor.map.scene import Scene
-    from placegraph.indoor.options import FilterOptions
 
 _ASKED = {
     SEMANTIC: 240,

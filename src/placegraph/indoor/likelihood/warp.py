@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.geometry import Floats
+from placegraph.indoor.likelihood.view import Noise, View
+from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.rays.layout import LANES
 from placegraph.indoor.rays.warp import WarpArray, WarpCaster, quietly
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
-    from placegraph.indoor.likelihood.view import Noise, View
-    from placegraph.indoor.map.scene import Scene
 
 BATCH = 4_000_000
 """So many rays are scored at once; more poses take several batches, not more memory."""

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from placegraph.earth import unplaced
 from placegraph.features import areas, collection, feature
-
-if TYPE_CHECKING:
-    from placegraph.indoor.map.scene import Scene
+from placegraph.indoor.map.scene import Scene
 
 _RING = np.array([(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)])
 

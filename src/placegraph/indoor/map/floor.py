@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-if TYPE_CHECKING:
-    from placegraph.indoor.map.mesh import Mesh
-    from placegraph.indoor.map.scene import Scene
+from placegraph.indoor.map.mesh import Mesh
+from placegraph.indoor.map.scene import Scene
 
 LEVEL = 0.9
 """A triangle is level where its normal's z is at least this, 26 degrees from upright."""

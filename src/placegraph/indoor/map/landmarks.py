@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from placegraph.errors import OptionError
 from placegraph.portable import Portable
-
-if TYPE_CHECKING:
-    from placegraph.store import MapFile
+from placegraph.store import MapFile
 
 MOST = 20_000
 """Landmarks of a scene."""

@@ -8,13 +8,11 @@ left to the file's codec. Any order can be written; this one is a third of the s
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from placegraph.indoor.map.mesh import Mesh
+from placegraph.indoor.map.mesh import Mesh
 
 
 def ordered(mesh: Mesh) -> Mesh:

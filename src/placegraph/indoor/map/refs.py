@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from placegraph.evidence import ObjectRef
-
-if TYPE_CHECKING:
-    from placegraph.indoor.map.scene import Scene
+from placegraph.indoor.map.scene import Scene
 
 
 def ref(scene: Scene, row: int) -> ObjectRef:

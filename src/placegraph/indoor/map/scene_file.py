@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from os import PathLike
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +17,8 @@ from placegraph.indoor.map.eight_bits import from_8_bits, in_8_bits
 from placegraph.indoor.map.landmarks import MOST, Landmarks
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.mesh_order import from_high_water, high_water
+from placegraph.indoor.map.scene import S, Scene
 from placegraph.store import MapFile, pack_strings, read_header, read_map, sound, write_map
-
-if TYPE_CHECKING:
-    from placegraph.indoor.map.scene import S, Scene
 
 KIND = "scene"
 VERSION = 2

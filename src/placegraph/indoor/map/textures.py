@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 
 from placegraph.errors import InputError, MapError
 from placegraph.formats.capture.images import FREE_PIXELS, PIXELS_A_BYTE, opened, rgb_of
+from placegraph.indoor.map.detail import Detail
+from placegraph.indoor.map.mesh import Mesh
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
     from placegraph.formats.mesh.model import Picture
-    from placegraph.indoor.map.detail import Detail
-    from placegraph.indoor.map.mesh import Mesh
 
 QUALITY = 90
 """WebP quality of textures for which none is asked."""

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import InputError
 from placegraph.formats.mesh.glb import Z_UP
+from placegraph.formats.mesh.model import Model, Picture, Thing
 from placegraph.indoor.map.floor import is_floor
 from placegraph.indoor.map.mesh import GRAIN, Mesh, portions
-
-if TYPE_CHECKING:
-    from placegraph.formats.mesh.model import Model, Picture, Thing
 
 TALLEST = 60.0
 """What is higher than this is not in metres, unless a scale is given [m]."""

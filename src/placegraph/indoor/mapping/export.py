@@ -8,7 +8,7 @@ import os
 from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,14 +20,12 @@ from placegraph.formats.mesh.glb_write import Material, Part, Surface, encode_gl
 from placegraph.formats.mesh.ply_write import write_ply
 from placegraph.formats.mesh.spark_dsg_write import MOST_PATHS, encode_spark_dsg
 from placegraph.formats.place.indoor_osm_write import OSMAG_ENDINGS, encode_rooms
+from placegraph.indoor.map.mesh import Mesh
+from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.map.textures import linear_from_srgb
 from placegraph.indoor.mapping.camera_paths import Paths, checked, path_lines
 from placegraph.indoor.mapping.osm.export import shapes_of
 from placegraph.indoor.mapping.paint import painted
-
-if TYPE_CHECKING:
-    from placegraph.indoor.map.mesh import Mesh
-    from placegraph.indoor.map.scene import Scene
 
 ENDINGS = (".glb", ".ply", ".json", ".osm", *OSMAG_ENDINGS)
 MARK = "placegraph scene export"

@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.earth import Anchor
 from placegraph.errors import InputError, OptionError
 from placegraph.formats.capture.capture import Capture, format_of
 from placegraph.formats.mesh.model import Model, Picture, Thing
+from placegraph.indoor.encode.segmenter import Segmenter
 from placegraph.indoor.map.floor import floor_height
+from placegraph.indoor.map.landmarks import Landmarks
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.scene_file import VIEWPOINTS
 
 if TYPE_CHECKING:
-    from placegraph.earth import Anchor
-    from placegraph.indoor.encode.segmenter import Segmenter
-    from placegraph.indoor.map.landmarks import Landmarks
     from placegraph.indoor.mapping.atlas import ColourOf
     from placegraph.indoor.mapping.fuse import Fused
     from placegraph.indoor.mapping.segment import Segments

@@ -10,19 +10,16 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.formats.capture.frame import Frame
+from placegraph.geometry import Floats
 from placegraph.indoor.likelihood.observe import spread
 from placegraph.indoor.map.landmarks import MOST, WIDTH, Landmarks
 from placegraph.indoor.refine.landmarks import LARGEST, features_of, finder
 from placegraph.threads import processors
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.frame import Frame
-    from placegraph.geometry import Floats
 
 FRAMES = 300
 """Most frames that are looked at, spread over the capture."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +14,7 @@ from placegraph.errors import OptionError
 from placegraph.graph import SceneGraph
 from placegraph.indoor.map.landmarks import Landmarks
 from placegraph.indoor.map.mesh import Mesh
-
-if TYPE_CHECKING:
-    from placegraph.indoor.map.scene import S, Scene
+from placegraph.indoor.map.scene import S, Scene
 
 GAP = 2.0
 """Free space between the boxes of neighbouring scenes [m]."""

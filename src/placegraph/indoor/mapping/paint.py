@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.formats.mesh.model import Model, Picture, Thing
-
-if TYPE_CHECKING:
-    from placegraph.indoor.map.mesh import Mesh
-    from placegraph.indoor.map.scene import Scene
+from placegraph.indoor.map.mesh import Mesh
+from placegraph.indoor.map.scene import Scene
 
 _SAMPLES = np.array(
     [(0.90, 0.05), (0.70, 0.25), (0.70, 0.05), (0.50, 0.40), (0.50, 0.10), (0.40, 0.30)]

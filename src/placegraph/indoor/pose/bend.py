@@ -11,13 +11,14 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.random import Generator
 
 from placegraph.geometry import Floats, between
 from placegraph.indoor.likelihood.observe import FINE
+from placegraph.indoor.likelihood.score import Scorer
+from placegraph.indoor.likelihood.view import View
 from placegraph.indoor.pose.chain import Course, Told, bent
 from placegraph.indoor.pose.polish import (
     FINEST,
@@ -31,10 +32,6 @@ from placegraph.indoor.pose.polish import (
     round_of,
 )
 from placegraph.indoor.pose.window import Window, timed
-
-if TYPE_CHECKING:
-    from placegraph.indoor.likelihood.score import Scorer
-    from placegraph.indoor.likelihood.view import View
 
 GAIN = 10.0
 """Log-likelihood that bending must gain for each frame looked at [nat]."""

@@ -10,16 +10,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.geometry import Floats, between, compose, wrap
+from placegraph.indoor.options import MotionNoise
 from placegraph.indoor.pose.motion import deviations
-
-if TYPE_CHECKING:
-    from placegraph.indoor.options import MotionNoise
 
 USUAL = 0.25
 """Errors of odometry, in units of the noise that is allowed for, that are expected beforehand ..."""

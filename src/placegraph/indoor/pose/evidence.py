@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,15 +11,12 @@ from numpy.typing import NDArray
 from placegraph.estimate import Evidence
 from placegraph.geometry import Floats, compose
 from placegraph.indoor.likelihood.calibrated import reading_ratio
+from placegraph.indoor.likelihood.score import Scorer
 from placegraph.indoor.likelihood.score_kernels import COLOUR, DEPTH, SEMANTIC, TONE, look
+from placegraph.indoor.likelihood.view import View
 from placegraph.indoor.map.refs import ref
+from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.pose.trust import SPEAK, TELLING, TRUST
-
-if TYPE_CHECKING:
-    from placegraph.indoor.likelihood.score import Scorer
-    from placegraph.indoor.likelihood.view import View
-    from placegraph.indoor.map.scene import Scene
-
 
 _MOST = 12  # objects named
 

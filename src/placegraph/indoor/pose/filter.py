@@ -11,6 +11,8 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from placegraph.geometry import compose
+from placegraph.indoor.likelihood.view import View
+from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.pose.motion import propagate
 from placegraph.indoor.pose.particles import (
     Particles,
@@ -23,8 +25,6 @@ from placegraph.indoor.pose.particles import (
 
 if TYPE_CHECKING:
     from placegraph.indoor.likelihood.score import Scorer
-    from placegraph.indoor.likelihood.view import View
-    from placegraph.indoor.options import FilterOptions
 
 _ALIVE = 0.1  # share of particles that must stay effective when an observation is weighed
 _DROP = 25.0  # fall of the mean log-likelihood of a frame below its running mean: kidnapped [nat]

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
 from placegraph.geometry import compose, level_from_camera, wrap
-
-if TYPE_CHECKING:
-    from placegraph.indoor.options import MotionNoise
+from placegraph.indoor.options import MotionNoise
 
 
 def level_poses(odometry: NDArray[np.float64], gravity: NDArray[np.float64]) -> NDArray[np.float64]:

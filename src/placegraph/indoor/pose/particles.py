@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
 from placegraph.geometry import wrap
-
-if TYPE_CHECKING:
-    from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.options import FilterOptions
 
 BIN = np.array([0.2, 0.2, 0.2, np.deg2rad(10.0)])
 """Bins of the state histogram of KLD-sampling: x, y, z [m], yaw [rad]."""

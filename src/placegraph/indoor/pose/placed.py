@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
+from placegraph.earth import EarthPose
+from placegraph.estimate import PoseEstimate, PoseMode
 from placegraph.indoor.map.floor import storey_at
 from placegraph.indoor.map.rooms.naming import room_at
-
-if TYPE_CHECKING:
-    from placegraph.earth import EarthPose
-    from placegraph.estimate import PoseEstimate, PoseMode
-    from placegraph.indoor.map.scene import Scene
+from placegraph.indoor.map.scene import Scene
 
 
 def placed(scene: Scene, estimate: PoseEstimate) -> PoseEstimate:

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.random import Generator
@@ -19,7 +18,10 @@ from numpy.typing import NDArray
 
 from placegraph.geometry import Floats, between, compose, wrap
 from placegraph.indoor.likelihood.observe import COARSE, FINE, recent
+from placegraph.indoor.likelihood.score import Scorer
 from placegraph.indoor.likelihood.score_kernels import DEPTH
+from placegraph.indoor.likelihood.view import View
+from placegraph.indoor.pose.chain import Chain
 from placegraph.indoor.pose.particles import (
     APART,
     TURNED,
@@ -33,11 +35,6 @@ from placegraph.indoor.pose.particles import (
 from placegraph.indoor.pose.search import SCREENED, thinned
 from placegraph.indoor.pose.window import Window, timed
 from placegraph.indoor.rays.layout import LANES
-
-if TYPE_CHECKING:
-    from placegraph.indoor.likelihood.score import Scorer
-    from placegraph.indoor.likelihood.view import View
-    from placegraph.indoor.pose.chain import Chain
 
 SPREAD = np.array([0.12, 0.12, 0.08, 0.05])
 """First standard deviations: x, y, z [m], yaw [rad]; about a cell of the table."""

@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from placegraph.errors import OptionError
+from placegraph.estimate import Evidence
+from placegraph.geometry import Floats
+from placegraph.indoor.likelihood.visibility import VisibilityTable
 from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, STEP
+from placegraph.indoor.map.scene import Scene
 
 if TYPE_CHECKING:
-    from placegraph.estimate import Evidence
-    from placegraph.geometry import Floats
     from placegraph.indoor.language import Sentence
-    from placegraph.indoor.likelihood.visibility import VisibilityTable
-    from placegraph.indoor.map.scene import Scene
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,16 +11,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from placegraph.errors import OptionError
+from placegraph.formats.capture.capture import Capture
+from placegraph.formats.capture.frame import Frame
+from placegraph.geometry import Floats
 from placegraph.indoor.encode import Encoder, MapEncoder, for_map
+from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.pose.motion import keyframes, level_poses
 
 if TYPE_CHECKING:
-    from placegraph.formats.capture.capture import Capture
-    from placegraph.formats.capture.frame import Frame
-    from placegraph.geometry import Floats
     from placegraph.indoor.language import Sentence
-    from placegraph.indoor.map.scene import Scene
     from placegraph.indoor.pose.prior import Prior
 
 

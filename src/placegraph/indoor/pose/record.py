@@ -6,16 +6,14 @@ The layout is that of map files (`placegraph.store`), of kind ``run``: `docs/for
 from __future__ import annotations
 
 from os import PathLike
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.estimate import PassRecord, PoseEstimate, PoseMode, Status
+from placegraph.geometry import Floats
 from placegraph.store import MapFile, read_map, sound, write_map
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
 
 KIND = "run"
 VERSION = 1

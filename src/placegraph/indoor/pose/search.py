@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.random import Generator
@@ -12,15 +12,13 @@ from numpy.typing import NDArray
 from placegraph.errors import OptionError
 from placegraph.geometry import Floats, between, compose
 from placegraph.indoor.likelihood.observe import COARSE, spread
+from placegraph.indoor.likelihood.view import Noise, View
 from placegraph.indoor.likelihood.visibility import VisibilityTable, floor_under
 from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, HEADINGS
 from placegraph.indoor.pose.particles import distinct
+from placegraph.indoor.pose.prior import Leaning, Prior
 from placegraph.indoor.pose.window import Window, timed
 from placegraph.indoor.rays.layout import LANES
-
-if TYPE_CHECKING:
-    from placegraph.indoor.likelihood.view import Noise, View
-    from placegraph.indoor.pose.prior import Leaning, Prior
 
 LOOKS = 5
 """Frames of a window that are looked up in the table."""

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.random import Generator
@@ -17,15 +16,13 @@ from numpy.typing import NDArray
 from placegraph.geometry import Floats, between, level_from_camera, split_pose, wrap
 from placegraph.indoor.likelihood.depth_unit import mended, suspected_factor
 from placegraph.indoor.likelihood.observe import FINE, Sighting, sight, spread
+from placegraph.indoor.likelihood.score import Scorer
 from placegraph.indoor.pose.evidence import agreement
 from placegraph.indoor.pose.polish import polished
+from placegraph.indoor.pose.query import PoseQuery
 from placegraph.indoor.pose.search import search
 from placegraph.indoor.pose.trust import SPEAK
 from placegraph.indoor.pose.window import Window
-
-if TYPE_CHECKING:
-    from placegraph.indoor.likelihood.score import Scorer
-    from placegraph.indoor.pose.query import PoseQuery
 
 _FLAT = 2.0
 """Deviation of the means of an image's blocks, of 255 steps, below which it shows nothing."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,16 +12,14 @@ from placegraph.estimate import Evidence, PoseEstimate, PoseMode, Status
 from placegraph.geometry import Floats, between, pose_matrix
 from placegraph.indoor.likelihood.depth_unit import hint
 from placegraph.indoor.likelihood.observe import FINE
+from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.pose.evidence import Agreement, agreement, explain
 from placegraph.indoor.pose.polish import Fit, covariance_of, probabilities
+from placegraph.indoor.pose.prior import Leaning
 from placegraph.indoor.pose.slide import least_known
 from placegraph.indoor.pose.suspect import divided, spoiled, unmoved
 from placegraph.indoor.pose.trust import CLEAR, LOST, SPEAK, SURE, TELLING, TRUST, WITNESSES
 from placegraph.indoor.pose.window import Window, timed
-
-if TYPE_CHECKING:
-    from placegraph.indoor.map.scene import Scene
-    from placegraph.indoor.pose.prior import Leaning
 
 LOOSE = 0.2
 """A pose known no better than this [m] in any direction is not `OK`: one in a hundred would err by more

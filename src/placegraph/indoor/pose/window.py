@@ -7,29 +7,27 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
+from placegraph.formats.capture.frame import Frame
+from placegraph.geometry import Floats
 from placegraph.indoor.encode import MapEncoder, bound
 from placegraph.indoor.encode.instances import InstancesEncoder
 from placegraph.indoor.encode.labels import LabelsEncoder
 from placegraph.indoor.likelihood.depth_unit import check_unit
 from placegraph.indoor.likelihood.observe import Cut, Sighting, sight, views
 from placegraph.indoor.likelihood.score import Scorer
+from placegraph.indoor.likelihood.view import View
 from placegraph.indoor.likelihood.visibility import VisibilityTable, visibility
+from placegraph.indoor.map.scene import Scene
+from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.pose.chain import Chain
 from placegraph.indoor.pose.prior import Leaning
 from placegraph.indoor.pose.query import PoseQuery, leveled
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.frame import Frame
-    from placegraph.geometry import Floats
-    from placegraph.indoor.likelihood.view import View
-    from placegraph.indoor.map.scene import Scene
-    from placegraph.indoor.options import FilterOptions
 
 T = TypeVar("T")
 

@@ -9,22 +9,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.formats.capture.frame import Frame
+from placegraph.geometry import Camera, Floats
 from placegraph.indoor.rays.layout import LANES
 from placegraph.indoor.refine.depth import Readings, Surfaces, distances
 from placegraph.indoor.refine.fit_kernels import correlations
 from placegraph.indoor.refine.match import smaller
 from placegraph.indoor.refine.matching.guided import lightness, resized
+from placegraph.indoor.render import Renderer
 from placegraph.indoor.render.render_kernels import TILE
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.frame import Frame
-    from placegraph.geometry import Camera, Floats
-    from placegraph.indoor.render import Renderer
 
 NEAR = 0.1
 """Readings farther from the map's surface [m] are of something that it does not show."""

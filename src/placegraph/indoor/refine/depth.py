@@ -8,19 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.formats.capture.frame import Frame
+from placegraph.geometry import Floats
+from placegraph.indoor.map.scene import Scene
+from placegraph.indoor.rays.packets_kernels import Tracer
 from placegraph.indoor.refine.fit_kernels import plane_distances, read
 from placegraph.indoor.render import camera_rays
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.frame import Frame
-    from placegraph.geometry import Floats
-    from placegraph.indoor.map.scene import Scene
-    from placegraph.indoor.rays.packets_kernels import Tracer
 
 _TILE = 4
 _REACH = 3  # pixels from a reading to the points that its normal is made of

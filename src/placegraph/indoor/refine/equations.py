@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from placegraph.geometry import Floats
 from placegraph.indoor.refine.depth import Kernel
 from placegraph.indoor.refine.fit_kernels import depth_system, pixel_system
 
 if TYPE_CHECKING:
-    from placegraph.geometry import Floats
     from placegraph.indoor.refine.solve import Problem
 
 READINGS = 200.0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,15 +11,13 @@ from placegraph.geometry import Floats, between, compose, pose_matrix, split_pos
 from placegraph.indoor.likelihood.observe import COARSE, FINE
 from placegraph.indoor.pose import polish
 from placegraph.indoor.pose.chain import Chain
+from placegraph.indoor.pose.query import PoseQuery
 from placegraph.indoor.pose.verdict import verdict
 from placegraph.indoor.pose.window import Window, observe
 from placegraph.indoor.refine.camera import wrong_camera
+from placegraph.indoor.refine.options import RefineOptions
 from placegraph.indoor.refine.refinement import MOST, Refining, tried
 from placegraph.indoor.refine.refiner import Refiner
-
-if TYPE_CHECKING:
-    from placegraph.indoor.pose.query import PoseQuery
-    from placegraph.indoor.refine.options import RefineOptions
 
 _NEARLY = np.array([0.03, 0.03, 0.02, 0.015])
 _SHARPEST = 1e-3  # nobody knows a pose better than this [m], [rad]

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import MissingExtraError
+from placegraph.formats.capture.frame import Frame
 from placegraph.geometry import Floats, split_pose, vector_from_rotation
 from placegraph.indoor.likelihood.observe import spread
 from placegraph.indoor.map.landmarks import WIDTH, Landmarks
@@ -29,7 +30,6 @@ from placegraph.indoor.refine.matching.sift import SiftMatcher
 from placegraph.indoor.refine.options import RefineOptions
 
 if TYPE_CHECKING:
-    from placegraph.formats.capture.frame import Frame
     from placegraph.indoor.refine.matching.features import Features
     from placegraph.indoor.refine.refiner import Refiner
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
 from placegraph.errors import MissingExtraError, OptionError
+from placegraph.formats.capture.frame import Frame
 from placegraph.geometry import (
     Camera,
     Floats,
@@ -21,11 +22,8 @@ from placegraph.geometry import (
 from placegraph.indoor.likelihood.observe import REFERENCE
 from placegraph.indoor.refine.matching import Matcher, Matches
 from placegraph.indoor.refine.matching.guided import resized
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.frame import Frame
-    from placegraph.indoor.refine.options import RefineOptions
-    from placegraph.indoor.render import Renderer, Rendering
+from placegraph.indoor.refine.options import RefineOptions
+from placegraph.indoor.render import Renderer, Rendering
 
 MOST = 5000
 """Matches of a view that are used, the surest."""

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.estimate import Calibration, PoseEstimate, Status
+from placegraph.formats.capture.frame import Frame, Images
 from placegraph.formats.capture.frame_files import LazyImages
+from placegraph.geometry import Camera, Floats
+from placegraph.indoor.pose.query import PoseQuery
 from placegraph.indoor.refine.calibrate import (
     COUNT,
     FOCAL,
@@ -21,11 +23,6 @@ from placegraph.indoor.refine.calibrate import (
     depth_from_camera,
     turned_gravity,
 )
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.frame import Frame, Images
-    from placegraph.geometry import Camera, Floats
-    from placegraph.indoor.pose.query import PoseQuery
 
 _SAME = 1e-3  # of an image's width: intrinsics of one view
 _ALIKE = 0.01  # focal lengths that are off by one factor

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,14 +10,12 @@ from placegraph.errors import MissingExtraError, OptionError, ServiceError
 from placegraph.estimate import PoseEstimate, PoseMode, Refinement, Status
 from placegraph.geometry import Floats, split_pose
 from placegraph.indoor.pose.verdict import evidence_at
+from placegraph.indoor.pose.window import Window
 from placegraph.indoor.refine.judge import BENT, Judgement, judged
 from placegraph.indoor.refine.matching import Matcher
 from placegraph.indoor.refine.matching import matcher as matcher_named
 from placegraph.indoor.refine.options import RefineOptions
 from placegraph.indoor.refine.refiner import Fitted, Refiner
-
-if TYPE_CHECKING:
-    from placegraph.indoor.pose.window import Window
 
 MOST = 30
 """Frames that are refined together, the newest."""

@@ -12,13 +12,19 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from placegraph.formats.capture.frame import Frame
+from placegraph.geometry import Floats
 from placegraph.indoor.likelihood.observe import spread
+from placegraph.indoor.map.scene import Scene
+from placegraph.indoor.pose.query import Progress
 from placegraph.indoor.pose.window import Window, timed
 from placegraph.indoor.refine.check import held_back
 from placegraph.indoor.refine.depth import Readings, Surfaces, readings
+from placegraph.indoor.refine.lag import Lags
 from placegraph.indoor.refine.landmarks import firm, kept_out, near, plenty, seen
 from placegraph.indoor.refine.match import Sights, look, solve_frame, solve_rig, turned
 from placegraph.indoor.refine.matching.guided import GuidedMatcher
+from placegraph.indoor.refine.options import RefineOptions
 from placegraph.indoor.refine.solve import Problem, Solution, drift_of, solve
 from placegraph.indoor.refine.stages import LANDMARKS, Stage, stages_of
 from placegraph.indoor.refine.worth import covariance
@@ -26,13 +32,7 @@ from placegraph.indoor.render import Renderer
 from placegraph.threads import processors
 
 if TYPE_CHECKING:
-    from placegraph.formats.capture.frame import Frame
-    from placegraph.geometry import Floats
-    from placegraph.indoor.map.scene import Scene
-    from placegraph.indoor.pose.query import Progress
-    from placegraph.indoor.refine.lag import Lags
     from placegraph.indoor.refine.matching import Matcher
-    from placegraph.indoor.refine.options import RefineOptions
 
 DEPTH_WIDTHS = ((10.0, 6.0), (5.0, 3.0), (3.0, 2.0))
 """Kernels of depth and pixels from a start within a hand's breadth, in standard deviations."""

@@ -19,11 +19,11 @@ from placegraph.errors import InputError
 from placegraph.geometry import Floats, cross_matrix, rotation_from_vector, vector_from_rotation
 from placegraph.indoor.refine.equations import ASTRAY, Says, depth_says, matches_say, usual_errors
 from placegraph.indoor.refine.lag import MOST, Lags, clear, in_map_axes, later, twists, usual_lag
+from placegraph.indoor.refine.options import RefineOptions
 
 if TYPE_CHECKING:
     from placegraph.indoor.refine.depth import Readings, Surfaces
     from placegraph.indoor.refine.match import Sights
-    from placegraph.indoor.refine.options import RefineOptions
 
 LOOSE = (1.0, 0.5)
 """Standard deviations [m], [rad] about the start that no data need to overcome: what nothing holds

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.geometry import Floats
 from placegraph.indoor.refine.solve import Problem, Solution, odometry_errors
 
 if TYPE_CHECKING:
-    from placegraph.geometry import Floats
     from placegraph.indoor.refine.match import Sights
 
 PULL = 7.0

@@ -10,20 +10,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from placegraph.errors import OptionError
+from placegraph.geometry import Camera, Floats
+from placegraph.indoor.map.mesh import Mesh
+from placegraph.indoor.map.scene import Scene
+from placegraph.indoor.rays import RayCaster
 from placegraph.indoor.render.render_kernels import TILE, Eye, Picture, World, draw, smooth
 from placegraph.threads import share
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Camera, Floats
-    from placegraph.indoor.map.mesh import Mesh
-    from placegraph.indoor.map.scene import Scene
-    from placegraph.indoor.rays import RayCaster
 
 SAMPLES = (1, 2, 4, 8, 16)
 """Rays a pixel at edges may get."""

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import fields
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.rays.warp import WarpCaster, quietly
-
-if TYPE_CHECKING:
-    from placegraph.indoor.map.scene import Scene
-    from placegraph.indoor.render.render_kernels import Eye
-    from placegraph.indoor.render.renderer import Rendering
+from placegraph.indoor.render.render_kernels import Eye
+from placegraph.indoor.render.renderer import Rendering
 
 
 class WarpRenderer:

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from placegraph.estimate import PoseEstimate, Status
+from placegraph.formats.capture.frame import Frame
 from placegraph.geometry import Floats, vector_from_rotation
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.frame import Frame
 
 NEAR, TURNED = 0.3, 0.17
 """Two poses are of one place where they are no further apart [m, rad]."""

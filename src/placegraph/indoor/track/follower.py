@@ -7,20 +7,17 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.random import Generator
 
 from placegraph.errors import PlacegraphError
 from placegraph.estimate import PoseEstimate, Status
+from placegraph.formats.capture.frame import Frame
+from placegraph.geometry import Camera, Floats
 from placegraph.indoor.track.again import Again
 from placegraph.indoor.track.finder import Finder, prior_of
 from placegraph.indoor.track.tracker import KEPT, PATIENCE, WAIT, Tracker, apart
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.frame import Frame
-    from placegraph.geometry import Camera, Floats
 
 STRAYED = 2
 """Frames in a row that are not sure of a followed pose, before another place is believed instead."""

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from placegraph.estimate import PoseEstimate, Status
 from placegraph.geometry import Floats, cross_matrix
+from placegraph.indoor.options import MotionNoise
 from placegraph.indoor.pose.slide import least_known
 from placegraph.indoor.pose.verdict import LOOSE
-
-if TYPE_CHECKING:
-    from placegraph.indoor.options import MotionNoise
-    from placegraph.indoor.track.odometry import Sample
+from placegraph.indoor.track.odometry import Sample
 
 
 @dataclass(frozen=True, slots=True, eq=False)

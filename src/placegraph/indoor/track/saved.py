@@ -6,17 +6,14 @@ import hashlib
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from placegraph.errors import InputError, MapError, OptionError
+from placegraph.geometry import Floats
+from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.track.odometry import checked_covariance, checked_odometry, checked_pose
 from placegraph.store import read_map, write_map
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
-    from placegraph.indoor.map.scene import Scene
 
 KIND = "track"
 VERSION = 1

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from placegraph.errors import OptionError
 from placegraph.estimate import PoseEstimate, Status
+from placegraph.formats.capture.frame import Frame
 from placegraph.geometry import (
     Camera,
     Floats,
@@ -33,9 +33,6 @@ from placegraph.indoor.pose.verdict import LOOSE, verdict
 from placegraph.indoor.pose.window import Window, own_encoder, shows_something
 from placegraph.indoor.track.again import Again
 from placegraph.indoor.track.finder import look_up
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.frame import Frame
 
 KEPT = 10
 """Keyframes remembered: what a search after the camera was lost has to go by."""

@@ -10,11 +10,11 @@ import numpy as np
 
 from placegraph.errors import OptionError
 from placegraph.estimate import PoseEstimate, Status
+from placegraph.formats.capture.frame import Frame
 from placegraph.geometry import Floats, between, compose, level_from_camera, pose_matrix, split_pose
 from placegraph.indoor.pose.query import leveled
 
 if TYPE_CHECKING:
-    from placegraph.formats.capture.frame import Frame
     from placegraph.indoor.track.tracker import Tracker
 
 

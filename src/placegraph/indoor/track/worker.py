@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from placegraph.errors import OptionError
+from placegraph.formats.capture.frame import Frame
 from placegraph.indoor.track.odometry import JUMP
 from placegraph.threads import limited, processors
 
 if TYPE_CHECKING:
     from threading import Condition
 
-    from placegraph.formats.capture.frame import Frame
     from placegraph.indoor.track.belief import Belief
     from placegraph.indoor.track.follower import Follower, Found, Question, Said
 

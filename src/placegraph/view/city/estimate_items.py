@@ -7,6 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.estimate import CityEstimate, ObjectRef, Place
+from placegraph.geometry import Floats
+from placegraph.outdoor.map.objects import CityObjects
 from placegraph.outdoor.map.raster_kernels import nearest_on_parts
 from placegraph.view.city.items import common_name
 from placegraph.view.draw.canvas import Bounds, Disc, Glow, Mark, Stroke
@@ -14,10 +17,7 @@ from placegraph.view.draw.clip import clip_line, clip_ring
 from placegraph.view.draw.style import AREA, LINE
 
 if TYPE_CHECKING:
-    from placegraph.estimate import CityEstimate, ObjectRef, Place
-    from placegraph.geometry import Floats
     from placegraph.outdoor.city import CityMap
-    from placegraph.outdoor.map.objects import CityObjects
 
 BANDWIDTH = 9.0
 """Standard deviation of the kernel that makes heat of the posterior's points [m]."""

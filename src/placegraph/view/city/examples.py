@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.geometry import Floats
 from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.map.objects import POINT
 from placegraph.view.city.items import common_name
 
 if TYPE_CHECKING:
-    from placegraph.geometry import Floats
     from placegraph.outdoor.map.city import City
 
 KEYS = ("shop", "amenity", "leisure", "tourism", "railway", "highway")

@@ -6,15 +6,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.geometry import Floats
+from placegraph.outdoor.map.objects import CityObjects
 from placegraph.view.city.coast import sea
 from placegraph.view.draw.canvas import Area, Bounds, Dot, Line, MapItem
 from placegraph.view.draw.clip import clip_line, clip_ring
 from placegraph.view.draw.style import AREA, LINE, PAINTS, paint_of
 
 if TYPE_CHECKING:
-    from placegraph.geometry import Floats
     from placegraph.outdoor.city import CityMap
-    from placegraph.outdoor.map.objects import CityObjects
 
 
 def labels_of(objects: CityObjects, row: int) -> list[str]:

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from placegraph.estimate import CityEstimate
 from placegraph.files import put
 from placegraph.view.city.estimate_items import place_of, rivals
 from placegraph.view.city.tiles import CityTiles, Tile
 from placegraph.view.draw.style import clean, style_sheet
 
 if TYPE_CHECKING:
-    from placegraph.estimate import CityEstimate
     from placegraph.outdoor.city import CityMap
 
 SCRIPTS = ("base", "gestures", "tiles", "letters", "map", "marks", "panel", "answer", "still")

@@ -9,6 +9,7 @@ import numpy as np
 
 from placegraph.errors import OptionError
 from placegraph.estimate import CityEstimate, Evidence, Place, Status
+from placegraph.geometry import Floats
 from placegraph.view.city.estimate_items import (
     ellipse,
     evidence_marks,
@@ -26,7 +27,6 @@ from placegraph.view.draw.painter import paint_picture
 from placegraph.view.draw.sheet import Sheet
 
 if TYPE_CHECKING:
-    from placegraph.geometry import Floats
     from placegraph.outdoor.city import CityMap
 
 HEAD, FOOT = 64, 30

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.geometry import Floats
 from placegraph.outdoor.map.objects import simplify
 from placegraph.view.city.coast import sea
 from placegraph.view.city.examples import examples
@@ -25,7 +26,6 @@ from placegraph.view.draw.clip import clip_ring
 from placegraph.view.draw.style import CASED, CASING, LINE, PAINTS, POINT, paint_of
 
 if TYPE_CHECKING:
-    from placegraph.geometry import Floats
     from placegraph.outdoor.map.city import City
 
 SIDE = 1024.0

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.geometry import Floats
+
 if TYPE_CHECKING:
-    from placegraph.geometry import Floats
     from placegraph.view.draw.canvas import Bounds, Points
 
 

@@ -9,17 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from math import atan2, ceil, floor, hypot, pi
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.geometry import Floats
+from placegraph.outdoor.map.objects import CityObjects
 from placegraph.view.draw.canvas import Area, Dot, Line, MapItem, Points, Text
+from placegraph.view.draw.fonts import Face
 from placegraph.view.draw.style import PAINTS
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
-    from placegraph.outdoor.map.objects import CityObjects
-    from placegraph.view.draw.fonts import Face
 
 SIZES = {2: 13.0, 3: 12.0, 4: 12.0}
 """Size of lettering by rank [px]; 11 where nothing is said."""

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageChops, ImageColor, ImageDraw
 
+from placegraph.geometry import Floats
 from placegraph.view.draw.canvas import (
     Area,
     Disc,
@@ -28,9 +28,6 @@ from placegraph.view.draw.canvas import (
 from placegraph.view.draw.clip import clip_line, dashes
 from placegraph.view.draw.fonts import face_for
 from placegraph.view.draw.style import CASED, PAINTS, PALETTE, Paint
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
 
 RGBA = tuple[int, int, int, int]
 

@@ -6,19 +6,17 @@ from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from PIL import Image, ImageColor, ImageDraw
 
 from placegraph.errors import OptionError
 from placegraph.files import put
+from placegraph.geometry import Floats
 from placegraph.view.draw.fonts import face_for
 from placegraph.view.draw.painter import SUPERSAMPLE, heat, likely
 from placegraph.view.draw.style import PALETTE
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
 
 XY = tuple[float, float]
 FORMS = {".png", ".gif", ".jpg", ".jpeg", ".webp"}

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.earth import Anchor, unplaced
+from placegraph.geometry import Floats
 from placegraph.view.draw.canvas import Bounds, Disc, Frame, Item, Stroke
 from placegraph.view.draw.lettering import Taken
 from placegraph.view.draw.painter import paint_picture
@@ -21,7 +22,6 @@ from placegraph.view.scene.room_painter import paint_room
 from placegraph.view.scene.room_plan import MARGIN, RoomPlan
 
 if TYPE_CHECKING:
-    from placegraph.geometry import Floats
     from placegraph.indoor.scene_map import SceneMap
     from placegraph.world.footprints import Footprint
 

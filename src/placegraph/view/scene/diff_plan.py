@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.geometry import Floats
 from placegraph.view.draw.canvas import Disc, Frame, Item, Mark, Stroke, Text
 from placegraph.view.draw.lettering import Taken
 from placegraph.view.draw.painter import paint_picture
@@ -19,7 +20,6 @@ from placegraph.view.scene.room_plan import RoomPlan
 from placegraph.view.scene.room_style import plain_words
 
 if TYPE_CHECKING:
-    from placegraph.geometry import Floats
     from placegraph.indoor.mapping.change.changes import Change, SceneDiff
     from placegraph.indoor.scene_map import SceneMap
 

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from placegraph.errors import OptionError
+from placegraph.estimate import PoseEstimate
+from placegraph.formats.capture.frame import Frame
+from placegraph.geometry import Floats
 from placegraph.view.draw.fonts import face_for
 from placegraph.view.draw.sheet import write_image
 
 if TYPE_CHECKING:
-    from placegraph.estimate import PoseEstimate
-    from placegraph.formats.capture.frame import Frame
-    from placegraph.geometry import Floats
     from placegraph.indoor.render import Rendering
     from placegraph.indoor.scene_map import SceneMap
 

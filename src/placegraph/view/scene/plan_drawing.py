@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.estimate import PassRecord, PoseEstimate
+from placegraph.geometry import Camera, Floats
 from placegraph.view.city.picture import STATUS_COLOR, length_words, round_length
 from placegraph.view.draw.canvas import Frame, Item, Picture
 from placegraph.view.draw.fonts import face_for
@@ -37,8 +39,6 @@ from placegraph.view.scene.room_style import plain_words
 if TYPE_CHECKING:
     from PIL import Image
 
-    from placegraph.estimate import PassRecord, PoseEstimate
-    from placegraph.geometry import Camera, Floats
     from placegraph.indoor.scene_map import SceneMap
 
 LEAST = 0.01

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.estimate import PoseEstimate, PoseMode, Status
+from placegraph.geometry import Camera, Floats
 from placegraph.view.city.estimate_items import SIGMAS
 from placegraph.view.draw.canvas import Bounds, Disc, Item, Mark, Stroke, Swarm, Text
 from placegraph.view.scene.plan_layout import evenly
 
 if TYPE_CHECKING:
-    from placegraph.geometry import Camera, Floats
     from placegraph.view.scene.room_plan import RoomPlan
 
 POSE_COLOR = {Status.OK: "mode", Status.AMBIGUOUS: "amber", Status.LOST: "soft-ink"}

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageColor, ImageDraw, ImageFilter
 
+from placegraph.geometry import Floats
 from placegraph.view.draw.canvas import Frame, Picture
 from placegraph.view.draw.painter import SUPERSAMPLE
 from placegraph.view.draw.style import PALETTE
 from placegraph.view.scene.room_plan import CUT, SCAN, RoomPlan
 from placegraph.view.scene.room_style import ROOM_PAINTS
 from placegraph.view.scene.top_view import look_down, solid
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
 
 WALL = 0.07
 """Surfaces that are cut and enclose nothing, as in a scan, are drawn this thick [m]."""

@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.geometry import Floats
 from placegraph.indoor.map.floor import is_floor
 from placegraph.view.draw.canvas import Bounds, Frame, Text
+from placegraph.view.draw.fonts import Face
 from placegraph.view.draw.lettering import Taken, covering
 from placegraph.view.scene.room_style import ROOM_PAINTS, plain_words, room_paint
 from placegraph.view.scene.top_view import section
 
 if TYPE_CHECKING:
-    from placegraph.geometry import Floats
     from placegraph.indoor.scene_map import SceneMap
-    from placegraph.view.draw.fonts import Face
 
 CUT = 1.4
 """Walls are cut this high above the floor [m]: through windows and doors, above most furniture."""

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from PIL import Image, ImageColor
 
 from placegraph.errors import OptionError
+from placegraph.estimate import PoseEstimate
+from placegraph.geometry import Camera, Floats
 from placegraph.view.draw.canvas import Frame, Item
 from placegraph.view.draw.lettering import Taken
 from placegraph.view.draw.painter import likely, paint_picture
@@ -25,8 +27,6 @@ from placegraph.view.scene.room_painter import paint_room
 from placegraph.view.scene.room_plan import RoomPlan
 
 if TYPE_CHECKING:
-    from placegraph.estimate import PoseEstimate
-    from placegraph.geometry import Camera, Floats
     from placegraph.indoor.scene_map import SceneMap
 
 MOVING_WIDTH = 760

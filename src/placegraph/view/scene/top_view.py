@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.geometry import Floats
 from placegraph.view.scene.top_view_kernels import _draw
 
 if TYPE_CHECKING:
-    from placegraph.geometry import Floats
     from placegraph.view.draw.canvas import Frame
 
 

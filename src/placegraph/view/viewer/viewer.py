@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import MissingExtraError, OptionError
+from placegraph.estimate import PoseEstimate
 from placegraph.geometry import quaternion_from_rotation
 from placegraph.view.draw.painter import likely
 from placegraph.view.scene.pose_items import OPENING, levels
@@ -22,7 +23,6 @@ from placegraph.view.viewer.viewer_scene import SceneView
 if TYPE_CHECKING:
     import viser
 
-    from placegraph.estimate import PoseEstimate
     from placegraph.indoor.scene_map import SceneMap
 
 HOST, PORT = "127.0.0.1", 8080

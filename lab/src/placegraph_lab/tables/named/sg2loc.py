@@ -19,7 +19,7 @@ from typing import Annotated
 import typer
 
 from placegraph.errors import InputError
-from placegraph_lab.tables.pairs.scan3r import Split  # noqa: TC001  # Typer reads it
+from placegraph_lab.tables.pairs.scan3r import Split  # Typer reads it
 from placegraph_lab.tables.run import Device, Fresh, Quick, Run, Seed, Table, known, option, parts
 from placegraph_lab.tables.sg2loc import at_hand, brought
 from placegraph_lab.tables.sg2loc.ask import IMAGES, Asking, How

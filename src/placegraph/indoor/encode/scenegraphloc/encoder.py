@@ -10,6 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import InputError, MissingExtraError, OptionError
+from placegraph.formats.capture.capture import Capture
+from placegraph.formats.capture.frame import Frame
+from placegraph.geometry import Camera
 from placegraph.indoor.encode.scenegraphloc.features import (
     FEATURES,
     RELATIONS,
@@ -19,13 +22,10 @@ from placegraph.indoor.encode.scenegraphloc.features import (
 )
 from placegraph.indoor.encode.scenegraphloc.inputs import POINTS, PointSource, rooms_of, together
 from placegraph.indoor.encode.scenegraphloc.views import object_views, quarter_turns
+from placegraph.indoor.map.scene import Scene
 
 if TYPE_CHECKING:
-    from placegraph.formats.capture.capture import Capture
-    from placegraph.formats.capture.frame import Frame
-    from placegraph.geometry import Camera
     from placegraph.indoor.encode.scenegraphloc.weights import Weights
-    from placegraph.indoor.map.scene import Scene
 
 TEMPERATURE = 0.1
 """Cosine that counts one nat where the file does not say: that of the training loss."""

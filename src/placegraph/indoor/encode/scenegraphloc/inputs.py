@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
 from placegraph.indoor.encode.scenegraphloc.features import NONE, RELATIONS, relation_row
+from placegraph.indoor.encode.scenegraphloc.views import Views
+from placegraph.indoor.map.scene import Scene
 
 if TYPE_CHECKING:
     from placegraph.indoor.encode.scenegraphloc.network import Objects
-    from placegraph.indoor.encode.scenegraphloc.views import Views
-    from placegraph.indoor.map.scene import Scene
 
 POINTS = 512  # of each object
 PointSource = Literal["surface", "vertices"]

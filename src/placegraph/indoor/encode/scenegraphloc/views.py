@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.formats.capture.capture import Capture
+from placegraph.formats.capture.frame import Frame
 from placegraph.geometry import Camera, quaternion_from_rotation
+from placegraph.indoor.map.scene import Scene
 
 if TYPE_CHECKING:
-    from placegraph.formats.capture.capture import Capture
-    from placegraph.formats.capture.frame import Frame
     from placegraph.indoor.encode.scenegraphloc.features import ImageFeatures
-    from placegraph.indoor.map.scene import Scene
 
 MOST = 10
 """Views of an object that are kept: those that show most of it."""

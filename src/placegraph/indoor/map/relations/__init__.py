@@ -29,11 +29,11 @@ by such relations is in one room (`placegraph.indoor.map.relations.words.find` f
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.relations.boxes import (
     NEXT,
     Boxes,
@@ -43,9 +43,6 @@ from placegraph.indoor.map.relations.boxes import (
     overlap_2d,
     triangles_of,
 )
-
-if TYPE_CHECKING:
-    from placegraph.indoor.map.mesh import Mesh
 
 STANDING_ON, INSIDE, ATTACHED_TO, ABOVE, NEXT_TO, SAME_ROOM = (
     "standing on", "inside", "attached to", "above", "next to", "same room",

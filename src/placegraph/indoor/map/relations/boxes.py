@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.indoor.map.floor import is_floor, label_words
-
-if TYPE_CHECKING:
-    from placegraph.indoor.map.mesh import Mesh
+from placegraph.indoor.map.mesh import Mesh
 
 NEXT = 0.5
 """Side by side [m]."""

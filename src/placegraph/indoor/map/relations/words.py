@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.graph import SceneGraph
 from placegraph.indoor.map.floor import label_words
 from placegraph.indoor.map.relations import (
     ABOVE,
@@ -22,9 +22,6 @@ from placegraph.indoor.map.relations import (
     SAME_ROOM,
     STANDING_ON,
 )
-
-if TYPE_CHECKING:
-    from placegraph.graph import SceneGraph
 
 Reading = tuple[str, bool]
 """A relation, and whether subject and object change places."""

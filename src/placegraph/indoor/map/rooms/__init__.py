@@ -21,11 +21,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.rooms.cells import (
     BELOW,
     CELL,
@@ -39,9 +39,6 @@ from placegraph.indoor.map.rooms.cells import (
 )
 from placegraph.indoor.map.rooms.rooms_kernels import areas_within, flood, nearest
 from placegraph.indoor.map.structure import structure
-
-if TYPE_CHECKING:
-    from placegraph.indoor.map.mesh import Mesh
 
 LEAST_AREA = 2.0
 """Of a room [m2]."""

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.indoor.map.floor import label_words
+from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.rooms.rooms_kernels import cover, cut, nearest, pieces
 from placegraph.indoor.map.structure import NAMELESS, structure
-
-if TYPE_CHECKING:
-    from placegraph.indoor.map.mesh import Mesh
 
 CELL = 0.05
 """Side of a cell [m], where the map is no larger than `_MOST_CELLS` of them."""

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from placegraph.indoor.map.floor import storey_at
 from placegraph.indoor.map.rooms import Rooms, rooms_of
+from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.map.structure import structure
-
-if TYPE_CHECKING:
-    from placegraph.indoor.map.scene import Scene
 
 _STOREY = 3.0  # what is higher above a floor is in none of its rooms [m]
 

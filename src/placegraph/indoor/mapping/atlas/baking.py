@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
+from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.mapping.atlas.baking_kernels import SEEN, UNSEEN, choose, cover, draw
 from placegraph.indoor.mapping.atlas.charts import Charts, charts_of, neighbours_of
 from placegraph.indoor.mapping.atlas.pages import Sheets, assembled
 from placegraph.threads import share
-
-if TYPE_CHECKING:
-    from placegraph.indoor.map.mesh import Mesh
-
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.mapping.atlas.chart_kernels import absorb, grow, overlapping, turns
 from placegraph.threads import share
-
-if TYPE_CHECKING:
-    from placegraph.indoor.map.mesh import Mesh
-
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

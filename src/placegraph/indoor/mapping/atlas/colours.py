@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from placegraph.errors import OptionError
+from placegraph.formats.capture.frame import Frame
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.surface import Surface
 from placegraph.indoor.mapping.atlas.surface_kernels import colours_of, nearest, sorted_cells
@@ -24,7 +25,6 @@ from placegraph.indoor.rays import RayCaster
 from placegraph.threads import share
 
 if TYPE_CHECKING:
-    from placegraph.formats.capture.frame import Frame
     from placegraph.indoor.mapping.atlas.baking import ColourOf
 
 

@@ -6,19 +6,15 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.formats.capture.frame import Frame
+from placegraph.geometry import Camera
 from placegraph.indoor.mapping.atlas.view_kernels import Keyframes, around, resampled
+from placegraph.indoor.rays import RayCaster
 from placegraph.threads import processors
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.frame import Frame
-    from placegraph.geometry import Camera
-    from placegraph.indoor.rays import RayCaster
-
 
 Floats = NDArray[np.float64]
 Bytes = NDArray[np.uint8]

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
 from placegraph.geometry import Floats, rotation_z
+from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.map.structure import structure
+from placegraph.indoor.mapping.change.options import DiffOptions
 from placegraph.indoor.mapping.change.register import (
     Sampled,
     inverse,
@@ -20,10 +21,6 @@ from placegraph.indoor.mapping.change.register import (
     sample,
     touching,
 )
-
-if TYPE_CHECKING:
-    from placegraph.indoor.map.scene import Scene
-    from placegraph.indoor.mapping.change.options import DiffOptions
 
 POINTS = 20_000
 """On each map."""

@@ -10,10 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.geometry import Floats
+from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.map.structure import same_label
 from placegraph.indoor.mapping.change.align import align
 from placegraph.indoor.mapping.change.capture.diff import diff_capture
@@ -29,10 +30,6 @@ from placegraph.indoor.mapping.change.objects import (
 )
 from placegraph.indoor.mapping.change.options import DiffOptions
 from placegraph.indoor.mapping.change.register import inverse, moved
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
-    from placegraph.indoor.map.scene import Scene
 
 __all__ = ["DiffOptions", "diff", "diff_capture"]
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Generic
+from typing import Any, Generic
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
+from placegraph.geometry import Floats
 from placegraph.indoor.map import textures
 from placegraph.indoor.map.mesh import WHITE, Mesh
 from placegraph.indoor.map.mesh_order import ordered
@@ -19,11 +20,8 @@ from placegraph.indoor.map.rooms import rooms_of, with_rooms
 from placegraph.indoor.map.rooms.naming import most
 from placegraph.indoor.map.scene import S, graph_of
 from placegraph.indoor.map.structure import structure
+from placegraph.indoor.mapping.change.changes import Change, Piece
 from placegraph.indoor.mapping.change.register import moved
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
-    from placegraph.indoor.mapping.change.changes import Change, Piece
 
 _COMPARED = frozenset({
     "messier", "cleaner", "fuller", "emptier", "brighter", "darker", "more", "less", "older",

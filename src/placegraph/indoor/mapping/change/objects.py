@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.random import Generator
 
 from placegraph.formats.mesh.nearest import nearest
 from placegraph.geometry import Floats, vector_from_rotation
+from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.map.structure import nameless, same_label, structure
+from placegraph.indoor.mapping.change.options import DiffOptions
 from placegraph.indoor.mapping.change.register import (
     Sampled,
     about,
@@ -22,11 +23,7 @@ from placegraph.indoor.mapping.change.register import (
     sample,
     touching,
 )
-
-if TYPE_CHECKING:
-    from placegraph.indoor.map.scene import Scene
-    from placegraph.indoor.mapping.change.options import DiffOptions
-    from placegraph.indoor.rays import RayCaster
+from placegraph.indoor.rays import RayCaster
 
 _DENSITY = 400.0  # most points a square metre of an object
 _AROUND = 0.75

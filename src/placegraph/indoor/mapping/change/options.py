@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from placegraph.errors import OptionError
+from placegraph.geometry import Floats
 from placegraph.indoor.options import check_numbers, check_positive, check_whole
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
 
 
 @dataclass(frozen=True, slots=True)

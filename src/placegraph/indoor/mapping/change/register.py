@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.random import Generator
@@ -11,10 +10,8 @@ from numpy.typing import NDArray
 
 from placegraph.formats.mesh.nearest import nearest
 from placegraph.geometry import Floats, rotation_from_vector, rotation_z
-
-if TYPE_CHECKING:
-    from placegraph.indoor.map.mesh import Mesh
-    from placegraph.indoor.rays import RayCaster
+from placegraph.indoor.map.mesh import Mesh
+from placegraph.indoor.rays import RayCaster
 
 _ROUNDS = 30
 _STILL = 1e-5

@@ -6,16 +6,12 @@ fail or lie, a ``warning`` makes it worse, a ``note`` is good to know.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.mapping.check import objects, space
 from placegraph.indoor.mapping.check.finding import SEVERITIES, Finding
 from placegraph.indoor.mapping.check.mesh import mesh_findings
 from placegraph.indoor.mapping.check.places import anchors, places
-
-if TYPE_CHECKING:
-    from placegraph.indoor.map.scene import Scene
-    from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.options import FilterOptions
 
 __all__ = ["SEVERITIES", "Finding", "check"]
 

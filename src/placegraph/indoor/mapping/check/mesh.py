@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from placegraph.indoor.map.scene import Scene
-    from placegraph.indoor.mapping.check.finding import Found
+from placegraph.indoor.map.scene import Scene
+from placegraph.indoor.mapping.check.finding import Found
 
 _DOUBLES = 0.01
 """Share of triangles that lie on another."""

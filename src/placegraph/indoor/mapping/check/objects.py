@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.indoor.map.relations import MOST_OBJECTS
+from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.map.structure import nameless, structure
-
-if TYPE_CHECKING:
-    from placegraph.indoor.map.scene import Scene
-    from placegraph.indoor.mapping.check.finding import Found, Severity
+from placegraph.indoor.mapping.check.finding import Found, Severity
 
 _GIANT = 0.8
 """An object with this share of all surface that is no wall, floor or ceiling ..."""

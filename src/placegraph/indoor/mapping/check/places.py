@@ -1,23 +1,19 @@
-"""Checks of where a camera can be in a scene map (free places, holes, flipped normals), and the map on Earth."""
+"""Checks of where a camera can be in a scene map (holes, flipped normals), and the map on Earth."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from math import sqrt
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.indoor.likelihood.visibility import visibility
 from placegraph.indoor.map.panoramas import DIRECTIONS
+from placegraph.indoor.map.scene import Scene
+from placegraph.indoor.mapping.check.finding import Found
 from placegraph.indoor.mapping.check.space import height_of_rooms
 from placegraph.indoor.options import FilterOptions
-
-if TYPE_CHECKING:
-    from placegraph.indoor.map.scene import Scene
-    from placegraph.indoor.mapping.check.finding import Found
-
 
 _PLACES = 24
 """Places from which holes are looked for."""

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.indoor.map.floor import LEVEL, is_floor, label_words, labelled_floors, quantiles
-
-if TYPE_CHECKING:
-    from placegraph.indoor.map.scene import Scene
-    from placegraph.indoor.mapping.check.finding import Found, Severity
+from placegraph.indoor.map.scene import Scene
+from placegraph.indoor.mapping.check.finding import Found, Severity
 
 HEIGHTS = {
     "chair": 0.9, "armchair": 0.9, "table": 0.74, "desk": 0.75, "sofa": 0.85, "couch": 0.85,

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.geometry import Floats
 from placegraph.indoor.mapping.fuse import surface_kernels as kernels
 
 if TYPE_CHECKING:
-    from placegraph.geometry import Floats
     from placegraph.indoor.mapping.fuse.volume import Volume
 
 

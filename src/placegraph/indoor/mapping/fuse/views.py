@@ -7,16 +7,13 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from placegraph.errors import OptionError
+from placegraph.formats.capture.frame import Frame
 from placegraph.geometry import Camera, Floats
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.frame import Frame
 
 FARTHEST = 1e4
 """Cameras farther from the map's origin than this are damage [m]."""

@@ -6,19 +6,15 @@ in a hash after Niessner et al., "Real-time 3D reconstruction at scale using vox
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.geometry import Floats
 from placegraph.indoor.mapping.fuse import volume_kernels as kernels
 from placegraph.indoor.mapping.fuse.depth_kernels import farthest, visible
+from placegraph.indoor.mapping.fuse.views import Shot
 from placegraph.indoor.mapping.fuse.volume_kernels import SIDE, SIZE
 from placegraph.threads import share
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
-    from placegraph.indoor.mapping.fuse.views import Shot
 
 FIRST = 4096
 """Blocks that there is room for at first."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,13 +14,11 @@ from placegraph.errors import OptionError
 from placegraph.formats.mesh.model import Model, Picture, Thing
 from placegraph.formats.place.indoor_osm import read_indoor_osm
 from placegraph.formats.place.levels import levels_of
+from placegraph.geometry import Floats
 from placegraph.indoor.mapping.from_capture import Source
 from placegraph.indoor.mapping.osm.outlines import triangulated
 from placegraph.indoor.mapping.osm.rooms import Door, Level, Room, level_of
 from placegraph.indoor.mapping.osm.walls import REACH, THICK, Wall, distances, walls_of
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
 
 
 def rooms_source(path: Path, options: Mapping[str, Any], left_out: Counter[str]) -> Source:

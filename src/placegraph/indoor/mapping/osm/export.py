@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.earth import Anchor
 from placegraph.errors import OptionError
 from placegraph.formats.place.indoor_osm import ROOMS, IndoorShape
+from placegraph.geometry import Floats
 from placegraph.indoor.map.floor import LEVEL, is_floor, label_words
 from placegraph.indoor.map.rooms import rooms_of
+from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.mapping.osm.outlines import LEAST_AREA, area, outlines_of, rings_of_cells
-
-if TYPE_CHECKING:
-    from placegraph.earth import Anchor
-    from placegraph.geometry import Floats
-    from placegraph.indoor.map.scene import Scene
 
 _DOORS = frozenset({"door", "doorway", "doors"})
 _SAID = ("indoor", "ref", "amenity", "shop", "office", "highway", "stairs", "access")

@@ -5,15 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.features import nested, wound
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
+from placegraph.geometry import Floats
 
 LEAST_AREA = 0.05
 """Of a ring that is kept [m2]."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,10 +13,8 @@ from placegraph.errors import InputError, OptionError
 from placegraph.features import inside
 from placegraph.formats.place.indoor_osm import ROOMS, IndoorOsm, IndoorShape, room_names
 from placegraph.formats.place.levels import level_text, levels_of
+from placegraph.geometry import Floats
 from placegraph.indoor.mapping.osm.outlines import polygons
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
 
 HEIGHT = 2.8
 """Of rooms, where nobody said [m]."""

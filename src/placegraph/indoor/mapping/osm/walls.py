@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.geometry import Floats
+
 if TYPE_CHECKING:
-    from placegraph.geometry import Floats
     from placegraph.indoor.mapping.osm.rooms import Door, Level
 
 THICK = 0.1

@@ -5,21 +5,17 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from placegraph.errors import OptionError
+from placegraph.formats.capture.frame import Frame
 from placegraph.indoor.mapping.segment.faces import Faces
 from placegraph.indoor.mapping.segment.geometry import Cut, cut_by_geometry
 from placegraph.indoor.mapping.segment.instances import Named, cut_by_labels
 from placegraph.indoor.mapping.segment.segments import SegmentOptions, Segments, as_segments
 from placegraph.indoor.mapping.segment.votes import Votes, collect
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.frame import Frame
-
 
 Progress = Callable[[str, int, int], None]
 

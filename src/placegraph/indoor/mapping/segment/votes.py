@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
+from placegraph.formats.capture.frame import Frame, LabelKind
+from placegraph.geometry import Camera
 from placegraph.indoor.map.structure import nameless
 from placegraph.indoor.mapping.segment.segment_kernels import elect
 from placegraph.indoor.rays import RayCaster
 
 if TYPE_CHECKING:
-    from placegraph.formats.capture.frame import Frame, LabelKind
-    from placegraph.geometry import Camera
     from placegraph.indoor.mapping.segment.faces import Faces
 
 

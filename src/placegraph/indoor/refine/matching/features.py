@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.geometry import Floats
 from placegraph.indoor.refine.matching.matches import Matches, inside
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)

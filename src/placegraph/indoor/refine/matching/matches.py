@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from placegraph.errors import OptionError
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
+from placegraph.geometry import Floats
 
 BLANK = 2.0
 """An image whose grey values deviate less from their mean shows nothing: black, or burnt out."""

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import MissingExtraError, ServiceError
+from placegraph.geometry import Floats
 from placegraph.indoor.refine.matching.features import Features, mutual
 from placegraph.indoor.refine.matching.matches import (
     Matches,
@@ -23,9 +24,6 @@ from placegraph.indoor.refine.matching.matches import (
     inside,
 )
 from placegraph.networks import device_for, fitting, read_state, torch_for
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
 
 _CENTRE = 4.0
 """A cell of 8 px is said to lie at its corner; it stands for its centre [px]."""

@@ -4,22 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import InputError, OptionError
+from placegraph.formats.capture.frame import Frame
+from placegraph.geometry import Floats
 from placegraph.indoor.mapping.change.capture.capture_kernels import BITS, connected
 from placegraph.indoor.mapping.change.capture.looks import project
 from placegraph.indoor.mapping.change.capture.tally import Rest, tolerance
 from placegraph.indoor.mapping.change.changes import Change, Piece
 from placegraph.indoor.mapping.change.register import moved
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.frame import Frame
-    from placegraph.geometry import Floats
-    from placegraph.indoor.mapping.fuse import Fused
+from placegraph.indoor.mapping.fuse import Fused
 
 _MARGIN = 0.12
 """What lies this near to a thing that moved belongs to it [m]."""

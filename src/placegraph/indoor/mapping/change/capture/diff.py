@@ -9,16 +9,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from placegraph.errors import InputError, OptionError
 from placegraph.estimate import PoseEstimate, Status
+from placegraph.formats.capture.capture import Capture
+from placegraph.formats.capture.frame import Frame
+from placegraph.geometry import Floats
+from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.map.structure import structure
 from placegraph.indoor.mapping.change.capture.appeared import Clump, appeared, gather
 from placegraph.indoor.mapping.change.capture.looks import Look, look
+from placegraph.indoor.mapping.change.capture.motion import Placement
 from placegraph.indoor.mapping.change.capture.moves import box_of, moves
 from placegraph.indoor.mapping.change.capture.tally import (
     Rest,
@@ -33,13 +37,6 @@ from placegraph.indoor.mapping.change.changes import Change, SceneDiff
 from placegraph.indoor.mapping.change.options import DiffOptions
 from placegraph.indoor.mapping.change.register import inverse
 from placegraph.indoor.render import checked_pose
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.capture import Capture
-    from placegraph.formats.capture.frame import Frame
-    from placegraph.geometry import Floats
-    from placegraph.indoor.map.scene import Scene
-    from placegraph.indoor.mapping.change.capture.motion import Placement
 
 SUSPECT, SUSPECT_BY_COLOUR = 0.2, 0.35
 """Share of an object's pixels that have to speak for being gone before a motion is looked for."""

@@ -7,19 +7,16 @@ of another object. What is seen can then be held against "it is still there" and
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.formats.capture.frame import Frame
+from placegraph.geometry import Camera, Floats
+from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.mapping.change.capture.capture_kernels import paint
 from placegraph.indoor.render import camera_rays
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.frame import Frame
-    from placegraph.geometry import Camera, Floats
-    from placegraph.indoor.map.scene import Scene
-
 
 WIDTH = 320
 """Pictures are compared at most this wide [px]."""

@@ -8,12 +8,13 @@ readings end on the thing's surface, and wrong where they go on behind it. What 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from placegraph.geometry import Floats
+from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.mapping.change.capture.looks import project, window
 from placegraph.indoor.mapping.change.capture.tally import Rest, tolerance
 from placegraph.indoor.mapping.change.register import (
@@ -25,10 +26,6 @@ from placegraph.indoor.mapping.change.register import (
     sample,
 )
 from placegraph.indoor.rays import RayCaster
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
-    from placegraph.indoor.map.mesh import Mesh
 
 POINTS = 120
 """On a thing, for the first round."""

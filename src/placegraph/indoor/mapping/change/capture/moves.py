@@ -8,21 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.geometry import Floats, vector_from_rotation
+from placegraph.indoor.map.scene import Scene
+from placegraph.indoor.mapping.change.capture.appeared import Clump
 from placegraph.indoor.mapping.change.capture.looks import Look, project
 from placegraph.indoor.mapping.change.capture.motion import Placement, Suspect, judge, placements
 from placegraph.indoor.mapping.change.capture.tally import Rest, Tally, summed, tolerance
+from placegraph.indoor.mapping.change.options import DiffOptions
 from placegraph.indoor.mapping.change.register import moved, rigid
-
-if TYPE_CHECKING:
-    from placegraph.indoor.map.scene import Scene
-    from placegraph.indoor.mapping.change.capture.appeared import Clump
-    from placegraph.indoor.mapping.change.options import DiffOptions
 
 _NEARNESS = 1.0
 """Of things alike the nearest is meant: over this way [m] a fit's worth falls to a third."""

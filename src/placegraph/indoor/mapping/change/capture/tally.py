@@ -10,19 +10,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.geometry import Floats
+from placegraph.indoor.map.scene import Scene
+from placegraph.indoor.mapping.change.capture.looks import Look
+from placegraph.indoor.mapping.change.options import DiffOptions
 from placegraph.indoor.rays import RayCaster
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
-    from placegraph.indoor.map.scene import Scene
-    from placegraph.indoor.mapping.change.capture.looks import Look
-    from placegraph.indoor.mapping.change.options import DiffOptions
-
 
 Mask = NDArray[np.bool_]
 
