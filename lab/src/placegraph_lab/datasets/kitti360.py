@@ -9,13 +9,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import asinh, cos, radians, tan
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
+from placegraph.geometry import Floats
 
 RADIUS = 6_378_137.0
 """Of the sphere that is projected [m]."""

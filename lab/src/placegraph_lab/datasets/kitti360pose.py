@@ -9,17 +9,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
 from os import PathLike
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.columns import pack
 from placegraph.errors import MapError, OptionError
+from placegraph.geometry import Floats
 from placegraph.store import MapFile, Write, pack_strings, read_map
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
 
 KIND = "kitti360pose"
 VERSION = 1

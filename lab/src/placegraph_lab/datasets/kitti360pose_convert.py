@@ -8,12 +8,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import InputError
+from placegraph.geometry import Floats
 from placegraph.store import writing
 from placegraph_lab.datasets.kitti360pose import (
     DIRECTIONS,
@@ -25,9 +26,6 @@ from placegraph_lab.datasets.kitti360pose import (
 )
 from placegraph_lab.datasets.pickle_names import Record, Release
 from placegraph_lab.datasets.pickles import finished, read_pickle
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
 
 RELEASE = Release(
     "KITTI360Pose",

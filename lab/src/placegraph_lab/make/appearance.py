@@ -10,7 +10,6 @@ further from that of other places.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,10 +17,8 @@ from numpy.typing import NDArray
 from placegraph.errors import OptionError
 from placegraph.indoor.encode import appearance
 from placegraph_lab.worlds.flat.flat import Flat
+from placegraph_lab.worlds.flat.interior import Interior
 from placegraph_lab.worlds.home.home import home, scene_of
-
-if TYPE_CHECKING:
-    from placegraph_lab.worlds.flat.interior import Interior
 
 _A_LINE = 11  # numbers
 

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from placegraph.errors import OptionError
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
-
+from placegraph.geometry import Floats
 
 ROUNDING = 1e-6
 """How far a sum of probabilities may stray from 0 to 1."""

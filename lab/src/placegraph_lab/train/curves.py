@@ -6,18 +6,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from PIL import ImageColor
 
+from placegraph.geometry import Floats
 from placegraph.view.draw.painter import SUPERSAMPLE
 from placegraph.view.draw.sheet import XY, Sheet
 from placegraph.view.draw.style import PALETTE
 from placegraph_lab.train.city.options import LOSSES, PRINTED
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
 
 WIDTH, HEIGHT = 1180, 460
 SERIES = (*LOSSES, *PRINTED, "loss")

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import io
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.formats.capture.frames import Capture
+from placegraph.geometry import Camera
 from placegraph.ros import bag
 from placegraph.ros.image import info_fields
 from placegraph.ros.message import Message, header, pose, transform, xyz
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.frames import Capture
-    from placegraph.geometry import Camera
 
 OPTICAL = "camera_optical_frame"
 BASE_FROM_CAMERA = np.array(

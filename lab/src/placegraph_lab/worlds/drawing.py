@@ -13,11 +13,11 @@ from importlib import resources
 from typing import TYPE_CHECKING
 
 from placegraph.errors import InputError, OptionError
+from placegraph_lab.worlds.trace import Cell
 
 if TYPE_CHECKING:
     from importlib.resources.abc import Traversable
 
-    from placegraph_lab.worlds.trace import Cell
 
 BLANKS = " ."
 LARGEST = 1_000_000

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
+from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor import maps as indoor_maps
 from placegraph_lab.tables.indoor.windows import (
     HALVES,
@@ -16,7 +17,6 @@ from placegraph_lab.tables.indoor.windows import (
 )
 
 if TYPE_CHECKING:
-    from placegraph.indoor.scene_map import SceneMap
     from placegraph_lab.tables.run import Run
 
 

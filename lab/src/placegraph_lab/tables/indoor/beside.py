@@ -6,12 +6,14 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from placegraph.estimate import Status
 from placegraph.formats.capture.capture import open_capture
+from placegraph.formats.capture.frame import Frame
+from placegraph.geometry import Floats
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.map.scene_file import bytes_of
 from placegraph.indoor.mapping.from_capture import FromCapture
@@ -21,10 +23,6 @@ from placegraph_lab.tables.indoor.maps import place
 from placegraph_lab.tables.indoor.metrics import NEAR, near, position_error, rotation_error
 from placegraph_lab.tables.indoor.peers import Peer, colmap_peer, xfeat_peer
 from placegraph_lab.tables.indoor.windows import HALVES, true_poses
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.frame import Frame
-    from placegraph.geometry import Floats
 
 LIMITS = (0.10, 5.0)
 """Position [m] and rotation [deg] that the recall allows."""

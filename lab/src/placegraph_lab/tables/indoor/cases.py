@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from numpy.random import Generator
 
 from placegraph_lab.tables.indoor import perturb, perturb_images
+from placegraph_lab.tables.indoor.perturb import Shot
 from placegraph_lab.tables.indoor.robustness import SETS
 
-if TYPE_CHECKING:
-    from placegraph_lab.tables.indoor.perturb import Shot
+Make = Callable[[Shot, float, Generator], Shot]
 
-    Make = Callable[[Shot, float, Generator], Shot]
 
 FRAMES = 10
 BOTH = ("depth", "colour")

@@ -10,16 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from placegraph.errors import MissingExtraError, OptionError
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.frame import Frame
-    from placegraph.geometry import Floats
-    from placegraph.indoor.scene_map import SceneMap
+from placegraph.formats.capture.frame import Frame
+from placegraph.geometry import Floats
+from placegraph.indoor.scene_map import SceneMap
 
 Kind = Literal["PLANE_ICP", "GICP"]
 

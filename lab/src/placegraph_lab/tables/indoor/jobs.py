@@ -6,20 +6,18 @@ import hashlib
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, Protocol, TypeVar
+from typing import Literal, Protocol, TypeVar
 
 import typer
 
+from placegraph.indoor.encode import MapEncoder
 from placegraph.indoor.encode.instances import ClassesOfInstances, InstancesEncoder
 from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor.label_noise import NoisyEncoder
 from placegraph_lab.tables.indoor.metrics import Answer, measure
 from placegraph_lab.tables.indoor.windows import HALVES, Window
 from placegraph_lab.tables.journal import INDOOR
-
-if TYPE_CHECKING:
-    from placegraph.indoor.encode import MapEncoder
-    from placegraph.indoor.scene_map import SceneMap
 
 Labels = Literal["instances", "classes", "none"]
 

@@ -17,14 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
+from placegraph.formats.capture.capture import Capture
+from placegraph.formats.capture.frame import Frame
+from placegraph.geometry import Camera
+from placegraph.indoor.encode import MapEncoder, Patches
+from placegraph.indoor.map.scene import Scene
 
 if TYPE_CHECKING:
-    from placegraph.formats.capture.capture import Capture
-    from placegraph.formats.capture.frame import Frame
-    from placegraph.geometry import Camera
-    from placegraph.indoor.encode import MapEncoder, Patches
     from placegraph.indoor.encode.labels import LabelsEncoder
-    from placegraph.indoor.map.scene import Scene
 
 SHARE = 0.3
 _SAME = 1e-5  # cosines nearer to 1 are of one label

@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 
 from placegraph.errors import MissingExtraError
 from placegraph.geometry import Camera, Floats, rotation_z
+from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor.metrics import position_error, rotation_error
 
 if TYPE_CHECKING:
     from placegraph.indoor.refine.matching import Matcher, Matches
     from placegraph.indoor.render import Rendering
-    from placegraph.indoor.scene_map import SceneMap
     from placegraph_lab.tables.indoor.windows import Window
 
 PIXELS = (3.0, 5.0, 10.0)

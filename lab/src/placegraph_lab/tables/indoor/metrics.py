@@ -6,17 +6,15 @@ import json
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
+from placegraph.estimate import PoseEstimate
 from placegraph.geometry import Floats, vector_from_rotation
 from placegraph_lab.tables.calibration import Reliability, reliability
-
-if TYPE_CHECKING:
-    from placegraph.estimate import PoseEstimate
 
 THRESHOLDS = ((0.10, 5.0), (0.25, 2.0), (0.25, 10.0), (1.00, 10.0))
 """Position [m] and rotation [deg] that a recall allows."""

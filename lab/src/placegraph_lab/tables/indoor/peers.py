@@ -10,20 +10,18 @@ import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
 from placegraph.errors import MissingExtraError
+from placegraph.formats.capture.frame import Frame
+from placegraph.geometry import Camera, Floats
 from placegraph.indoor.mapping.landmarks import depth_at
 from placegraph.indoor.refine.matching.features import Features, mutual
 from placegraph.indoor.refine.matching.xfeat import XFeatMatcher
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.frame import Frame
-    from placegraph.geometry import Camera, Floats
 
 WORDS = 64
 """Of VLAD."""

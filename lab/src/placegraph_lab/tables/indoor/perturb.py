@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.random import Generator
@@ -26,9 +26,7 @@ from placegraph.geometry import (
     split_pose,
     vector_from_rotation,
 )
-
-if TYPE_CHECKING:
-    from placegraph.indoor.scene_map import SceneMap
+from placegraph.indoor.scene_map import SceneMap
 
 WIDE = 640
 """Width of the image that shifts in pixels are meant for."""

@@ -11,19 +11,17 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.refine.matching import Matcher
 from placegraph.indoor.refine.options import RefineOptions
+from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor.gicp import Kind, align
 from placegraph_lab.tables.indoor.jobs import BARE, SEMANTIC, Job, encoder_of
 from placegraph_lab.tables.indoor.refine_metrics import Refined, measure_pose, measure_refined
 from placegraph_lab.tables.indoor.starts import start_of, without_depth
-
-if TYPE_CHECKING:
-    from placegraph.indoor.refine.matching import Matcher
-    from placegraph.indoor.scene_map import SceneMap
-    from placegraph_lab.tables.indoor.windows import Window
+from placegraph_lab.tables.indoor.windows import Window
 
 Start = Literal["found", "disturbed"]
 

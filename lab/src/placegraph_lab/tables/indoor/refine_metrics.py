@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from placegraph.errors import OptionError
+from placegraph.estimate import PoseEstimate, PoseMode
+from placegraph.geometry import Floats
 from placegraph_lab.tables.indoor.metrics import (
     AXES,
     WITHIN_95,
@@ -23,8 +25,6 @@ from placegraph_lab.tables.indoor.metrics import (
 )
 
 if TYPE_CHECKING:
-    from placegraph.estimate import PoseEstimate, PoseMode
-    from placegraph.geometry import Floats
     from placegraph_lab.tables.indoor.windows import Window
 
 LIMITS = ((0.10, 5.0), (0.25, 2.0), (0.25, 5.0), (0.25, 10.0))

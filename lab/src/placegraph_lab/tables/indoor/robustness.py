@@ -14,6 +14,7 @@ import numpy as np
 
 from placegraph.errors import PlacegraphError
 from placegraph.formats.capture.capture import open_capture
+from placegraph.geometry import Floats
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.mapping.from_capture import FromCapture
 from placegraph.indoor.options import FilterOptions
@@ -27,7 +28,6 @@ from placegraph_lab.tables.sg2loc.at_hand import RPY
 from placegraph_lab.worlds.flat.walks import drifted
 
 if TYPE_CHECKING:
-    from placegraph.geometry import Floats
     from placegraph_lab.tables.indoor.cases import Case
 
 THRESHOLDS = ((0.05, 5.0), (0.10, 5.0), (0.25, 2.0), (0.25, 10.0))

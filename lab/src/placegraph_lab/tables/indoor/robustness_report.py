@@ -6,16 +6,14 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from placegraph_lab.tables.indoor.cases import Case
 from placegraph_lab.tables.indoor.metrics import NEAR, rounded
 from placegraph_lab.tables.indoor.robustness import THRESHOLDS, Told
 from placegraph_lab.tables.tables import markdown, number, share, shares
-
-if TYPE_CHECKING:
-    from placegraph_lab.tables.indoor.cases import Case
 
 TITLES = {
     "spoiled": "Perturbations",

@@ -10,9 +10,9 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 from placegraph.errors import InputError, MissingExtraError
+from placegraph.formats.capture.capture import Capture
 from placegraph.formats.mesh.ply_write import write_ply
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.encode import MapEncoder, bound, encoder
@@ -24,11 +24,8 @@ from placegraph_lab.tables.indoor.bench import Bench
 from placegraph_lab.tables.indoor.jobs import answered
 from placegraph_lab.tables.indoor.label_noise import NoisyEncoder, NoisyLabels
 from placegraph_lab.tables.indoor.maps import place
+from placegraph_lab.tables.indoor.metrics import Answer
 from placegraph_lab.tables.indoor.windows import HALVES, Window
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.capture import Capture
-    from placegraph_lab.tables.indoor.metrics import Answer
 
 NONE = "none"
 TABLE = "labels, 0/1 table"

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from placegraph.indoor.encode.instances import InstancesEncoder
 from placegraph.indoor.likelihood.model import model_of
 from placegraph.indoor.likelihood.observe import sight, views
 from placegraph.indoor.likelihood.score import Scorer
+from placegraph.indoor.likelihood.view import Background, View
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.rays import RayCaster
@@ -31,9 +32,6 @@ from placegraph_lab.tables.indoor.decimate import coarse, decimate, fine
 from placegraph_lab.tables.indoor.maps import with_mesh
 from placegraph_lab.tables.indoor.metrics import mean_particles
 from placegraph_lab.tables.indoor.windows import true_poses
-
-if TYPE_CHECKING:
-    from placegraph.indoor.likelihood.view import Background, View
 
 PARTICLES = (50, 200, 1000, 5000)
 STRIDES = (40.0, 20.0, 10.0, 5.0)

@@ -18,11 +18,11 @@ from placegraph.geometry import Floats, split_pose
 from placegraph.indoor.map.floor import label_words
 from placegraph.indoor.map.structure import WORDS, nameless
 from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor.metrics import NEAR, Answer, measure
 from placegraph_lab.tables.tables import markdown, share
 
 if TYPE_CHECKING:
-    from placegraph.indoor.scene_map import SceneMap
     from placegraph_lab.tables.indoor.windows import Window
 
 SAID = ("nothing", "true", "wrong")

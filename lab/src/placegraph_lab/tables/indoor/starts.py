@@ -10,11 +10,11 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from placegraph.formats.capture.capture import Capture
+from placegraph.formats.capture.frame import Images
 from placegraph.geometry import Floats, rotation_from_vector
 
 if TYPE_CHECKING:
-    from placegraph.formats.capture.capture import Capture
-    from placegraph.formats.capture.frame import Images
     from placegraph_lab.tables.indoor.windows import Window
 
 SHIFT = 0.2

@@ -5,18 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.geometry import Floats
 from placegraph.indoor.pose.trust import SURE, Trust, features
 from placegraph.indoor.pose.verdict import ALONE
+from placegraph_lab.tables.indoor.robustness import Told
 from placegraph_lab.tables.indoor.robustness_report import HALVES, Row
 from placegraph_lab.tables.tables import markdown, share
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
-    from placegraph_lab.tables.indoor.robustness import Told
 
 _RIDGE = 0.01
 _UNRIVALLED = 0.8

@@ -10,18 +10,15 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from placegraph.errors import InputError, OptionError
 from placegraph.formats.capture.capture import Capture, open_capture
 from placegraph.formats.capture.tum import read_tum
+from placegraph.geometry import Floats
+from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.worlds.flat.walks import drifted
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
-    from placegraph.indoor.scene_map import SceneMap
 
 LENGTHS = (5, 10, 25)
 EVERY = 5

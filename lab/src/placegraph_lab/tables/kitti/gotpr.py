@@ -13,17 +13,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import InputError
 from placegraph.networks import read_state
+from placegraph_lab.datasets.gotpr import Graph, Graphs
 from placegraph_lab.train.training import torch_or_what_installs_it
-
-if TYPE_CHECKING:
-    from placegraph_lab.datasets.gotpr import Graph, Graphs
 
 Floats = NDArray[np.float32]
 

@@ -8,12 +8,16 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
+from placegraph.geometry import Floats
+from placegraph.graph import SceneGraph
+from placegraph.outdoor.language.description import Description
+from placegraph_lab.datasets.kitti360pose import Kitti360Pose
 from placegraph_lab.tables.kitti.graphs import (
     EDGE_DISTANCE,
     Names,
@@ -24,12 +28,6 @@ from placegraph_lab.tables.kitti.graphs import (
 from placegraph_lab.tables.kitti.matchers import EditDistance, Matcher, Transformer, TripleBag
 from placegraph_lab.tables.kitti.relational import Relational
 from placegraph_lab.tables.tables import markdown, number, share, shares
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
-    from placegraph.graph import SceneGraph
-    from placegraph.outdoor.language.description import Description
-    from placegraph_lab.datasets.kitti360pose import Kitti360Pose
 
 RANKS = (1, 3, 5)
 """k of the retrieval recall."""

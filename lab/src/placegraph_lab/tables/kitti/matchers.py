@@ -6,17 +6,15 @@ from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
+from placegraph.geometry import Floats
+from placegraph.graph import SceneGraph
 from placegraph.outdoor.language.description import SPEAKER, Description, Relation
 from placegraph_lab.tables.outdoor.triples import DIRECTIONS as WINDS
 from placegraph_lab.tables.outdoor.triples import relations
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
-    from placegraph.graph import SceneGraph
 
 Word = tuple[str, str, str]
 HERE = "<speaker>"

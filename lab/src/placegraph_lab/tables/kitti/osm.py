@@ -11,12 +11,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from os import PathLike
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import InputError, OptionError
+from placegraph.geometry import Floats
 from placegraph.outdoor.map.objects import of_name
 from placegraph_lab.datasets.kitti360 import WORLD
 from placegraph_lab.datasets.kitti360pose import (
@@ -32,9 +32,6 @@ from placegraph_lab.tables.outdoor.nearby import Around, Bins
 from placegraph_lab.tables.outdoor.raw import KEYS, RawCity, read_raw
 from placegraph_lab.tables.outdoor.triples import DIRECTIONS as WINDS
 from placegraph_lab.tables.outdoor.triples import relations
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
 
 REACH = 15.0
 """Things this near to a cell's centre are in it [m]: half of KITTI360Pose's 30 m."""

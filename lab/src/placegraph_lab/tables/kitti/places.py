@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.graph import SceneGraph
 from placegraph.outdoor.map.objects import of_name
 from placegraph.outdoor.network.graphs import PlaceGraphs
 from placegraph.outdoor.network.graphs_kernels import MOST_THINGS
-
-if TYPE_CHECKING:
-    from placegraph.graph import SceneGraph
 
 
 def places_of_graphs(graphs: Sequence[SceneGraph], centers: NDArray[np.float64]) -> PlaceGraphs:

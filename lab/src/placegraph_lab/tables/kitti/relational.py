@@ -11,11 +11,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import cos, sin
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.geometry import Floats
 from placegraph.outdoor.language.description import (
     SPEAKER,
     Description,
@@ -24,11 +24,8 @@ from placegraph.outdoor.language.description import (
     Statement,
 )
 from placegraph.outdoor.likelihood.fit_kernels import DIRECTION, INSIDE, direction_table
+from placegraph_lab.datasets.kitti360pose import Kitti360Pose
 from placegraph_lab.tables.kitti.kitti_kernels import between, from_speaker, nearest_owner, sighted
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
-    from placegraph_lab.datasets.kitti360pose import Kitti360Pose
 
 SPACING = 2.5
 """Distance of viewpoints [m]."""

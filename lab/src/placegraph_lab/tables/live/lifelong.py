@@ -8,16 +8,14 @@ from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from placegraph.indoor.scene_map import SceneMap
+from placegraph_lab.tables.indoor.perturb import Recording
 from placegraph_lab.tables.live.paced import quantiles
 from placegraph_lab.tables.live.walks import SENSES, Row, Seen, looked_at, looped
-
-if TYPE_CHECKING:
-    from placegraph.indoor.scene_map import SceneMap
-    from placegraph_lab.tables.indoor.perturb import Recording
 
 DRIFT = 0.5
 """Of odometry [deg a frame]."""

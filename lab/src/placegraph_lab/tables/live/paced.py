@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from placegraph.formats.capture.frame import ArrayImages, Frame
+from placegraph.geometry import Floats
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.indoor.track.odometry import Odometry
 from placegraph_lab.tables.indoor.robustness import Places
 from placegraph_lab.tables.live.walks import SENSES, looped
 
 if TYPE_CHECKING:
-    from placegraph.geometry import Floats
     from placegraph.indoor.track.live import LiveTracker
 
 ODOMETRY = 100.0

@@ -8,17 +8,15 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 from time import perf_counter, process_time
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.request import Request, urlopen
 
 from placegraph.formats.capture.capture import open_capture
+from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.live.paced import quantiles
 from placegraph_lab.tables.live.walks import SENSES
 from placegraph_lab.tables.serve.load import Served, served
 from placegraph_lab.worlds.bags import BagWriter, Layout, write_capture
-
-if TYPE_CHECKING:
-    from placegraph.indoor.scene_map import SceneMap
 
 
 def from_files(scene: SceneMap, paths: Sequence[Path]) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from statistics import median
 from time import process_time
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -25,12 +25,10 @@ from placegraph.formats.capture.capture import open_capture
 from placegraph.formats.capture.frame import Frame
 from placegraph.formats.capture.frames import Capture
 from placegraph.geometry import Camera
+from placegraph.ros.bag import Container
 from placegraph_lab.tables.run import Quick, Run, option, table
 from placegraph_lab.tables.tables import markdown, number
 from placegraph_lab.worlds.bags import BagWriter, Layout, write_capture
-
-if TYPE_CHECKING:
-    from placegraph.ros.bag import Container
 
 IMAGES = ("/camera/color/image_raw", "/camera/aligned_depth_to_color/image_raw")
 AIM = 1.3

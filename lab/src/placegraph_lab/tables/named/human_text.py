@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 
 from placegraph.errors import PlacegraphError
+from placegraph.geometry import Floats
 from placegraph_lab.tables.calibration import reliability
 from placegraph_lab.tables.outdoor.human_text import (
     Baselines,
@@ -29,7 +30,6 @@ from placegraph_lab.tables.run import Quick, Run, option, table
 from placegraph_lab.tables.tables import markdown, number, share, shares
 
 if TYPE_CHECKING:
-    from placegraph.geometry import Floats
     from placegraph.outdoor.city import CityMap
 
 NEAR, WIDE = 100.0, 250.0

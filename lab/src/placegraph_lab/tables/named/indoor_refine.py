@@ -11,8 +11,9 @@ again and it goes on where it was cut. `docs/benchmarks.md` explains the protoco
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
+from placegraph.indoor.refine.matching import Matcher
 from placegraph_lab.tables.indoor.bench import Asker, Bench
 from placegraph_lab.tables.indoor.jobs import ANSWERING, QUICK_EVERY, chosen
 from placegraph_lab.tables.indoor.refine import GICP, MATCHERS, QUICK, RefineJob, ask, refine_jobs
@@ -32,9 +33,6 @@ from placegraph_lab.tables.run import (
     parts,
     table,
 )
-
-if TYPE_CHECKING:
-    from placegraph.indoor.refine.matching import Matcher
 
 WORDS = ("auto", "guided", *GICP)
 """What refines without a matcher of its own being made."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import sys
 from time import perf_counter, process_time
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numba
 import numpy as np
@@ -19,17 +19,15 @@ import numpy as np
 from placegraph.formats.capture.camera import read_camera
 from placegraph.geometry import Camera, Floats
 from placegraph.indoor.rays import RayCaster
+from placegraph.indoor.rays.caster import Backend
 from placegraph.indoor.render import Renderer, camera_rays
+from placegraph.indoor.scene_map import SceneMap
 from placegraph.threads import processors
 from placegraph_lab.tables.indoor import maps as indoor_maps
 from placegraph_lab.tables.indoor.speed import no_cuda
 from placegraph_lab.tables.indoor.windows import HALVES, true_poses
 from placegraph_lab.tables.run import Quick, Run, option, table
 from placegraph_lab.tables.tables import markdown, number, share
-
-if TYPE_CHECKING:
-    from placegraph.indoor.rays.caster import Backend
-    from placegraph.indoor.scene_map import SceneMap
 
 TIMES = 5
 """Renderings of each pose, of which the median counts."""

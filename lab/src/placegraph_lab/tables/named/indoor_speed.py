@@ -11,11 +11,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.apart import apart
 from placegraph_lab.tables.indoor import maps as indoor_maps
 from placegraph_lab.tables.indoor.speed import (
@@ -32,9 +33,6 @@ from placegraph_lab.tables.indoor.speed import (
 )
 from placegraph_lab.tables.run import Quick, Run, known, option, parts, table
 from placegraph_lab.tables.tables import markdown, number, share
-
-if TYPE_CHECKING:
-    from placegraph.indoor.scene_map import SceneMap
 
 PARTS = ("scoring", "engines", "localizing", "tracking", "start")
 MEGA = 1e-6

@@ -8,20 +8,18 @@ dictionary, so that some sentences are worse grammar than people's. Prints Markd
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import numpy as np
 
 from placegraph.errors import PlacegraphError
+from placegraph.outdoor.city import CityMap
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS
 from placegraph_lab.tables.outdoor.languages import name, told
 from placegraph_lab.tables.outdoor.metrics import HIT, distances, positions
+from placegraph_lab.tables.outdoor.queries import Query
 from placegraph_lab.tables.run import Quick, Run, Seed, option, parts, table
 from placegraph_lab.tables.tables import markdown, share
-
-if TYPE_CHECKING:
-    from placegraph.outdoor.city import CityMap
-    from placegraph_lab.tables.outdoor.queries import Query
 
 
 def judged(city: CityMap, code: str, texts: list[tuple[str, Query]]) -> dict[str, float]:

@@ -13,10 +13,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 
+from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.network.network import GraphTransformer
 from placegraph_lab.tables.bootstrap import paired_interval
 from placegraph_lab.tables.journal import Journal, fingerprint
@@ -40,9 +41,6 @@ from placegraph_lab.tables.run import Device, Quick, Run, Seed, known, option, p
 from placegraph_lab.tables.tables import markdown, number, share, shares
 from placegraph_lab.train.city.options import TrainOptions
 from placegraph_lab.train.city.train import train
-
-if TYPE_CHECKING:
-    from placegraph.outdoor.city import CityMap
 
 OURS, SHIPPED, LITERAL = "ours", "shipped", "statements taken literally"
 PAPER = ("eq17", "eq18")

@@ -12,12 +12,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path  # Typer reads the annotations
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import numpy as np
 import typer
 
 from placegraph.errors import PlacegraphError
+from placegraph.outdoor.network.network import GraphTransformer
 from placegraph_lab.datasets.kitti360pose import SPLITS, Kitti360Pose
 from placegraph_lab.datasets.kitti360pose_convert import convert_kitti360pose
 from placegraph_lab.tables.kitti.kitti360pose import (
@@ -33,9 +34,6 @@ from placegraph_lab.tables.kitti.kitti360pose import (
 from placegraph_lab.tables.kitti.osm import REACH, SIGHT, TOLD, Crop, on_osm
 from placegraph_lab.tables.kitti.relational import Relational
 from placegraph_lab.tables.run import Quick, Run, Seed, known, option, parts, table
-
-if TYPE_CHECKING:
-    from placegraph.outdoor.network.network import GraphTransformer
 
 
 def opened(path: Path, run: Run) -> Kitti360Pose:

@@ -10,16 +10,14 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
+from placegraph.outdoor.city import CityMap
 from placegraph_lab.tables.kitti.kitti360pose import POINT_CLOUD, SCENE_GRAPH
 from placegraph_lab.tables.outdoor.city_sizes import busiest_tile, crop
 from placegraph_lab.tables.outdoor.extracts import names_of, open_city
 from placegraph_lab.tables.run import Quick, Run, option, table
 from placegraph_lab.tables.tables import markdown, number
-
-if TYPE_CHECKING:
-    from placegraph.outdoor.city import CityMap
 
 MEGA = 1e-6
 

@@ -14,10 +14,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import numpy as np
 
+from placegraph.outdoor.city import CityMap
 from placegraph_lab.tables.journal import Journal, fingerprint
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, names_of, open_city, unseen_queries
 from placegraph_lab.tables.outdoor.matchers import MATCHERS, SLOW, ask, matcher
@@ -26,10 +27,6 @@ from placegraph_lab.tables.outdoor.metrics import Answer
 from placegraph_lab.tables.outdoor.queries import SETTINGS, load
 from placegraph_lab.tables.outdoor.report import Protocol, Row, of_answers
 from placegraph_lab.tables.run import Quick, Run, Seed, known, option, parts, table
-
-if TYPE_CHECKING:
-    from placegraph.outdoor.city import CityMap
-
 
 CODE = (
     "placegraph/outdoor/**/*.py",

@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
+from placegraph.geometry import Floats
+from placegraph.outdoor.city import CityMap
 from placegraph_lab.tables.outdoor.baselines import Bag, Words
 from placegraph_lab.tables.outdoor.ceiling import ceiling, oracle
 from placegraph_lab.tables.outdoor.contest import Contest
@@ -30,6 +32,7 @@ from placegraph_lab.tables.outdoor.metrics import (
     measure,
     positions,
 )
+from placegraph_lab.tables.outdoor.nearby import Bins
 from placegraph_lab.tables.outdoor.queries import CELL, SETTINGS, Query, load, make_queries
 from placegraph_lab.tables.outdoor.report import (
     BAGS,
@@ -45,10 +48,6 @@ from placegraph_lab.tables.run import Quick, Run, Seed, option, parts, table
 
 if TYPE_CHECKING:
     from rich.progress import Progress
-
-    from placegraph.geometry import Floats
-    from placegraph.outdoor.city import CityMap
-    from placegraph_lab.tables.outdoor.nearby import Bins
 
 
 class Split(StrEnum):

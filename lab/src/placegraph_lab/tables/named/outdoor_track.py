@@ -9,19 +9,17 @@ Prints a Markdown table and writes JSON. `docs/benchmarks.md` explains the proto
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 
+from placegraph.outdoor.city import CityMap
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, names_of, open_city
 from placegraph_lab.tables.outdoor.metrics import Answer, Score, measure, score
+from placegraph_lab.tables.outdoor.queries import Setting
 from placegraph_lab.tables.outdoor.walks import METHODS, Method, Walk, follow, make_walks
 from placegraph_lab.tables.run import Quick, Run, Seed, option, table
 from placegraph_lab.tables.tables import markdown, number, share, shares
-
-if TYPE_CHECKING:
-    from placegraph.outdoor.city import CityMap
-    from placegraph_lab.tables.outdoor.queries import Setting
 
 SETTINGS: tuple[Setting, ...] = ("none", "replaced")
 

@@ -11,11 +11,12 @@ a sentence, recall of poses; and writes them as JSON. The house is left out wher
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from placegraph.indoor.build import build_scene
+from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor import spoken_poses
 from placegraph_lab.tables.indoor.windows import house_windows
 from placegraph_lab.tables.run import Quick, Run, Seed, option, table
@@ -34,9 +35,6 @@ from placegraph_lab.tables.scene.sentences import (
 )
 from placegraph_lab.worlds.flat.flat import Flat
 from placegraph_lab.worlds.home.home import home, scene_of
-
-if TYPE_CHECKING:
-    from placegraph.indoor.scene_map import SceneMap
 
 
 def _scenes(homes: int, house: SceneMap | None, rng: np.random.Generator) -> list[Scene]:

@@ -10,11 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from placegraph.errors import PlacegraphError
+from placegraph.outdoor.city import CityMap
 from placegraph_lab.tables.calibration import Reliability, reliability
 from placegraph_lab.tables.outdoor.diagram import diagrams
 from placegraph_lab.tables.outdoor.human_text import landmarks, read_records, write_osm
@@ -32,9 +33,6 @@ from placegraph_lab.tables.outdoor.text_sets import (
 from placegraph_lab.tables.outdoor.trust import fitted
 from placegraph_lab.tables.run import LAB, Quick, Run, Seed, option, table
 from placegraph_lab.tables.tables import markdown, share
-
-if TYPE_CHECKING:
-    from placegraph.outdoor.city import CityMap
 
 PICTURE = LAB.parent / "docs/pictures/reliability.png"
 KINDS = {

@@ -4,25 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.likelihood.query import compile_query, read
 from placegraph.outdoor.network.encoded import EncodedCity
+from placegraph.outdoor.network.network import GraphTransformer
 from placegraph.outdoor.search.candidates import dense_cells
 from placegraph.outdoor.search.request import Matching, Request
 from placegraph_lab.tables.outdoor.matchers import BagMatcher
 from placegraph_lab.tables.outdoor.metrics import RANKS
+from placegraph_lab.tables.outdoor.nearby import Bins
+from placegraph_lab.tables.outdoor.queries import Query
 from placegraph_lab.tables.outdoor.stages import matched
-
-if TYPE_CHECKING:
-    from placegraph.outdoor.city import CityMap
-    from placegraph.outdoor.network.network import GraphTransformer
-    from placegraph_lab.tables.outdoor.nearby import Bins
-    from placegraph_lab.tables.outdoor.queries import Query
-
 
 Hits = dict[str, NDArray[np.bool_]]
 """By what was done (Q, 3): whether the true cell is the best, one of three, one of five."""

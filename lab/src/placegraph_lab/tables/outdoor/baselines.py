@@ -6,19 +6,17 @@ They read no text: a query hands them its triples. What is near a cell's centre 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.geometry import Floats, LocalPlane
+from placegraph_lab.tables.outdoor.nearby import Around, Bins, Position
+from placegraph_lab.tables.outdoor.queries import Query
+from placegraph_lab.tables.outdoor.raw import Ints
 from placegraph_lab.tables.outdoor.triples import DIRECTIONS, Triples, encode, relations
 from placegraph_lab.tables.outdoor.triples_kernels import SHORTEST
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats, LocalPlane
-    from placegraph_lab.tables.outdoor.nearby import Around, Bins, Position
-    from placegraph_lab.tables.outdoor.queries import Query
-    from placegraph_lab.tables.outdoor.raw import Ints
 
 Words = Literal["labels", "triples", "speaker"]
 """What a bag holds: labels, triples of two objects, or triples of an object and the speaker."""

@@ -8,18 +8,14 @@ how the generator draws: where little could be said, what was said is more likel
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.geometry import Floats
 from placegraph_lab.tables.outdoor.ceiling_kernels import _likeliest, _rank
+from placegraph_lab.tables.outdoor.contest import Contest
 from placegraph_lab.tables.outdoor.queries import CELL, NOISE
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
-    from placegraph_lab.tables.outdoor.contest import Contest
-    from placegraph_lab.tables.outdoor.raw import Ints
-
+from placegraph_lab.tables.outdoor.raw import Ints
 
 MODE = 45.0
 """The oracle sums the probability of viewpoints within this distance of a place's middle [m]."""

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.geometry import Floats
 from placegraph_lab.tables.outdoor.baselines import Words, spoken, words_around
+from placegraph_lab.tables.outdoor.nearby import Bins, Position
 from placegraph_lab.tables.outdoor.queries import SIGHT, Query
+from placegraph_lab.tables.outdoor.raw import Ints
 from placegraph_lab.tables.outdoor.triples import DIRECTIONS
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
-    from placegraph_lab.tables.outdoor.nearby import Bins, Position
-    from placegraph_lab.tables.outdoor.raw import Ints
 
 STEP = 12.5
 """Edge of the grid of viewpoints that compete with the truth [m]."""

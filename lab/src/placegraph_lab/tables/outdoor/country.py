@@ -12,16 +12,14 @@ import zlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from placegraph.geometry import Floats
 from placegraph_lab.tables.outdoor.tiling import GAP, Extract, Tags, shifts_of, shuffled
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
 
 VERSIONS = 2
 """Of an extract."""

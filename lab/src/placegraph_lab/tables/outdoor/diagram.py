@@ -8,11 +8,11 @@ import numpy as np
 
 from placegraph.view.draw.canvas import Disc, Frame, Mark, Points, Stroke, Text
 from placegraph.view.draw.painter import paint_picture
+from placegraph_lab.tables.calibration import Reliability
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-    from placegraph_lab.tables.calibration import Reliability
 
 SIDE = 100.0
 """Of the square of a diagram, in units of the drawing; a probability of 1 is as long."""

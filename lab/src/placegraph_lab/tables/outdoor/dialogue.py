@@ -7,11 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.random import Generator
 
+from placegraph.estimate import CityEstimate
+from placegraph.geometry import Floats
+from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.search.ask import (
     NO,
     NONE,
@@ -22,16 +25,11 @@ from placegraph.outdoor.search.ask import (
     next_question,
     possible_questions,
 )
+from placegraph_lab.tables.outdoor.nearby import Bins
 from placegraph_lab.tables.outdoor.nearby_kernels import holds
+from placegraph_lab.tables.outdoor.queries import Query
 from placegraph_lab.tables.outdoor.raw import AREA, KEYS, RawCity
 from placegraph_lab.tables.outdoor.triples import DIRECTIONS, relations
-
-if TYPE_CHECKING:
-    from placegraph.estimate import CityEstimate
-    from placegraph.geometry import Floats
-    from placegraph.outdoor.city import CityMap
-    from placegraph_lab.tables.outdoor.nearby import Bins
-    from placegraph_lab.tables.outdoor.queries import Query
 
 SIGHT = 35.0
 """The speaker sees things up to this far [m]."""

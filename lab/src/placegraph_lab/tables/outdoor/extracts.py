@@ -4,20 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
+from placegraph.geometry import Floats
 from placegraph.outdoor.city import CityMap, build_city
 from placegraph_lab.tables.outdoor.queries import JITTER, Query, Setting, make_queries
 from placegraph_lab.train.city.sample import evaluated
 
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
+Where = Callable[[Floats], NDArray[np.bool_]]
 
-    Where = Callable[[Floats], NDArray[np.bool_]]
 
 TRAINED = {
     "vancouver": "vancouver_2015.osm.pbf",

@@ -12,15 +12,12 @@ from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from placegraph.errors import InputError
 from placegraph.geometry import Floats, LocalPlane
-
-if TYPE_CHECKING:
-    from placegraph_lab.tables.outdoor.raw import Ints
+from placegraph_lab.tables.outdoor.raw import Ints
 
 APART = 100.0
 """Points of one name that are nearer to each other are one landmark to the baselines [m]."""

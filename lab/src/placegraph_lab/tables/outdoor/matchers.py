@@ -8,23 +8,21 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from placegraph.geometry import Floats
+from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.likelihood.query import read
 from placegraph.outdoor.search.cells import retrieve
 from placegraph.outdoor.search.edit_distance import TIMEOUT
 from placegraph.outdoor.search.request import Matching, MatchingOptions
 from placegraph_lab.tables.outdoor.baselines import Bag
 from placegraph_lab.tables.outdoor.metrics import RANKS, Answer, distances, positions
+from placegraph_lab.tables.outdoor.nearby import Bins
+from placegraph_lab.tables.outdoor.queries import Query, Setting
 from placegraph_lab.tables.outdoor.report import BAGS
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
-    from placegraph.outdoor.city import CityMap
-    from placegraph_lab.tables.outdoor.nearby import Bins
-    from placegraph_lab.tables.outdoor.queries import Query, Setting
 
 RELATIONAL, FUSED = "relational (default)", "fused"
 DENSE = "dense candidates alone"

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from placegraph.errors import OptionError
+from placegraph.estimate import CityEstimate
 from placegraph.geometry import Floats, LocalPlane
 from placegraph_lab.tables.calibration import Reliability, reliability
-
-if TYPE_CHECKING:
-    from placegraph.estimate import CityEstimate
 
 RANKS = (1, 3, 5)
 RADII = (25.0, 50.0)

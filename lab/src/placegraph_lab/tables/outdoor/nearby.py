@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
+from placegraph.geometry import Floats
 from placegraph_lab.tables.outdoor.nearby_kernels import (
     BIN,
     _centers_around,
@@ -16,10 +17,6 @@ from placegraph_lab.tables.outdoor.nearby_kernels import (
     _rasterize,
 )
 from placegraph_lab.tables.outdoor.raw import AREA, Ints, RawCity
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
-
 
 Position = Literal["nearest", "centroid"]
 """Where an object stands: at its point nearest to the viewpoint, or at its centre."""

@@ -9,24 +9,21 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from types import SimpleNamespace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.random import Generator
 
 from placegraph.errors import OptionError
+from placegraph.outdoor.city import CityMap
+from placegraph.outdoor.language.description import Description
 from placegraph.outdoor.likelihood.query import compile_query, read
 from placegraph.outdoor.likelihood.score_kernels import score_views
+from placegraph.outdoor.network.batches import WordFits
+from placegraph.outdoor.network.graphs import PlaceGraphs, TextGraphs
+from placegraph.outdoor.network.network import GraphTransformer
 from placegraph.outdoor.search.edit_distance import rank
 from placegraph.outdoor.search.viewpoints import TOGETHER
-
-if TYPE_CHECKING:
-    from placegraph.outdoor.city import CityMap
-    from placegraph.outdoor.language.description import Description
-    from placegraph.outdoor.network.batches import WordFits
-    from placegraph.outdoor.network.graphs import PlaceGraphs, TextGraphs
-    from placegraph.outdoor.network.network import GraphTransformer
-    from placegraph_lab.tables.outdoor.queries import Query
+from placegraph_lab.tables.outdoor.queries import Query
 
 EVERYTHING = 1e9
 """Margin [nat] that leaves nothing out: every pair is scored in full."""

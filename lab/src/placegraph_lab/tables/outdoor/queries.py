@@ -11,21 +11,19 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
+from placegraph.geometry import Floats
 from placegraph_lab.tables.outdoor.nearby import Bins, Position
 from placegraph_lab.tables.outdoor.raw import KEYS, RawCity, read_raw
 from placegraph_lab.tables.outdoor.triples import DIRECTIONS, Triples, relations
 from placegraph_lab.tables.outdoor.triples_kernels import SHORTEST
 from placegraph_lab.tables.outdoor.words import everyday, with_article
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
 
 Setting = Literal["none", "replaced", "absent", "synonyms", "names", "speaker"]
 """none; 20 % of relations replaced; 20 % of statements about things that are not there; everyday

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.likelihood.query import compile_query, read
+from placegraph.outdoor.network.encoded import EncodedCity, EncodedText
 from placegraph.outdoor.network.network import Matches
-
-if TYPE_CHECKING:
-    from placegraph.outdoor.city import CityMap
-    from placegraph.outdoor.network.encoded import EncodedCity, EncodedText
-    from placegraph_lab.tables.outdoor.queries import Query
+from placegraph_lab.tables.outdoor.queries import Query
 
 STAGES = ("read", "embed", "search", "match")
 AT_ONCE = 2000

@@ -11,18 +11,16 @@ import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
 
+from placegraph.outdoor.city import CityMap
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, TRAINED
 from placegraph_lab.tables.outdoor.human_text import read_records
 from placegraph_lab.tables.outdoor.queries import make_queries
 from placegraph_lab.tables.outdoor.report import Protocol
-
-if TYPE_CHECKING:
-    from placegraph.outdoor.city import CityMap
 
 TRAPS = Path(__file__).parent / "traps.toml"
 MADE = EXTRACTS | {"manhattan": "manhattan_2025.osm.pbf"}

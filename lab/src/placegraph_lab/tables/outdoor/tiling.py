@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.random import Generator
 
+from placegraph.geometry import Floats
 from placegraph_lab.tables.outdoor.raw import read_raw, tag_label
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
 
 GAP = 0.005
 """Space between copies [deg]."""

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from placegraph_lab.tables.outdoor.nearby import Around
+from placegraph_lab.tables.outdoor.raw import Ints
 from placegraph_lab.tables.outdoor.triples_kernels import EAST, LONGEST, NORTH, SOUTH, WEST, _pairs
-
-if TYPE_CHECKING:
-    from placegraph_lab.tables.outdoor.nearby import Around
-    from placegraph_lab.tables.outdoor.raw import Ints
-
 
 DIRECTIONS = ("north", "south", "east", "west")
 

@@ -3,17 +3,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.compiled import kernel
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
-    from placegraph_lab.tables.outdoor.raw import Ints
-
+from placegraph.geometry import Floats
+from placegraph_lab.tables.outdoor.raw import Ints
 
 NORTH, SOUTH, EAST, WEST = range(4)
 

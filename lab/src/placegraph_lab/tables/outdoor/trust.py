@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import PlacegraphError
+from placegraph.geometry import Floats
+from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.locate import Hints, understand
 from placegraph.outdoor.search.confidence import (
     AT_A_PLACE,
@@ -23,10 +24,6 @@ from placegraph.outdoor.search.posterior import WITHIN, modes
 from placegraph.outdoor.search.request import Matching
 from placegraph.outdoor.search.viewpoints import SPACING, search
 from placegraph_lab.tables.outdoor.text_sets import TUNED, TextSet, Told
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
-    from placegraph.outdoor.city import CityMap
 
 NAMES = {id(IN_SIGHT): "IN_SIGHT", id(AT_A_PLACE): "AT_A_PLACE"}
 

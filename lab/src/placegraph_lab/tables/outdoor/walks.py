@@ -8,13 +8,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.random import Generator
 
 from placegraph.errors import OptionError
+from placegraph.estimate import CityEstimate
 from placegraph.geometry import Floats, bearing
+from placegraph.outdoor.city import CityMap
 from placegraph_lab.tables.outdoor.queries import (
     CELL,
     FEWEST,
@@ -25,10 +27,6 @@ from placegraph_lab.tables.outdoor.queries import (
     Teller,
     load,
 )
-
-if TYPE_CHECKING:
-    from placegraph.estimate import CityEstimate
-    from placegraph.outdoor.city import CityMap
 
 Shape = Literal["straight", "bent"]
 """On in the same direction, give or take `STRAIGHT`, or with turns to any side."""

@@ -6,16 +6,14 @@ import time
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.map.objects import of_name
-
-if TYPE_CHECKING:
-    from placegraph.outdoor.city import CityMap
-    from placegraph_lab.tables.outdoor.queries import Query
+from placegraph_lab.tables.outdoor.queries import Query
 
 BATCH = 10_000
 HIT = 50.0

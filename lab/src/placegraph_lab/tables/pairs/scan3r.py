@@ -15,20 +15,18 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, cast
+from typing import Literal, cast
 
 import numpy as np
 from numpy.random import Generator
 
 from placegraph.errors import InputError, OptionError
+from placegraph.formats.capture.capture import Capture
+from placegraph.formats.dataset.scan3r_rooms import Room, Rooms, Scan
 from placegraph.formats.dataset.scan3r_sequence import read_scan3r_sequence
 from placegraph.formats.dataset.scannet_files import read_text
+from placegraph.geometry import Floats
 from placegraph_lab.tables.indoor.windows import sampled
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.capture import Capture
-    from placegraph.formats.dataset.scan3r_rooms import Room, Rooms, Scan
-    from placegraph.geometry import Floats
 
 Split = Literal["train", "validation", "test"]
 SPLITS: tuple[Split, ...] = ("train", "validation", "test")

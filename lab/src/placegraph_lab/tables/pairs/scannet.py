@@ -19,17 +19,15 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
 from placegraph.errors import InputError, OptionError
 from placegraph.formats.capture.capture import Capture, open_capture
 from placegraph.formats.dataset.scannet_files import axis_alignment, is_rigid, read_text
+from placegraph.geometry import Floats
 from placegraph_lab.tables.indoor.windows import sampled
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
 
 EVERY = 25
 """Images from one query to the next (Sec. 5)."""

@@ -8,16 +8,12 @@ turn does.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.random import Generator
 
+from placegraph.geometry import Floats
 from placegraph.indoor.mapping.change.register import Registration, about, register, sample
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
-    from placegraph.indoor.scene_map import SceneMap
+from placegraph.indoor.scene_map import SceneMap
 
 WITHIN = 0.05
 """Surfaces fit where they are this near [m]: two reconstructions differ by as much."""

@@ -11,19 +11,17 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.formats.capture.capture import Frame
+from placegraph.geometry import Camera, Floats
+from placegraph.indoor.encode import MapEncoder
 from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.tables import markdown, number, share
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.capture import Frame
-    from placegraph.geometry import Camera, Floats
-    from placegraph.indoor.encode import MapEncoder
-    from placegraph.indoor.scene_map import SceneMap
 
 RAYS = 6
 """Rays cast through a patch, across and down."""

@@ -5,20 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from placegraph.formats.capture.capture import Capture, Frame, open_capture
+from placegraph.geometry import Floats
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.mapping.from_capture import FromCapture
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor.maps import place
 from placegraph_lab.tables.indoor.windows import HALVES, true_poses
 from placegraph_lab.worlds.home.home import home, record, scene_of, visit
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
 
 HOMES = 8
 WALK = 15

@@ -17,6 +17,7 @@ from zlib import crc32
 
 import numpy as np
 
+from placegraph.formats.capture.capture import Capture
 from placegraph.indoor.encode import Encoder, vectors_of
 from placegraph.indoor.library import SceneLibrary
 from placegraph.indoor.library.index import Index
@@ -27,7 +28,6 @@ from placegraph.indoor.library.search import scores
 from placegraph.indoor.library.signature import Signature, signature_of
 
 if TYPE_CHECKING:
-    from placegraph.formats.capture.capture import Capture
     from placegraph_lab.tables.retrieval.retrieval_places import Place, Walk
 
 LENGTHS = (1, 5, 10, 25, 50)

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from placegraph.formats.capture.frame import Frame
 from placegraph_lab.tables.indoor.label_noise import SHARE, NoisyLabels
 
 if TYPE_CHECKING:
-    from placegraph.formats.capture.frame import Frame
     from placegraph.indoor.encode.labels import LabelsEncoder
 
 _AROUND = np.ones((3, 3), np.bool_)

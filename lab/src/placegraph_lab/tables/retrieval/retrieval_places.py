@@ -10,12 +10,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.formats.capture.capture import Capture, open_capture
+from placegraph.formats.capture.frame import Frame
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.rooms import Rooms, rooms_of
@@ -26,9 +27,6 @@ from placegraph_lab.tables.indoor.windows import HALVES, true_poses
 from placegraph_lab.tables.journal import fingerprint
 from placegraph_lab.tables.retrieval.retrieval_walks import RENDERING, filmed, kept
 from placegraph_lab.worlds.home.home import STYLES, home, scene_of
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.frame import Frame
 
 _Number = TypeVar("_Number", bound=np.generic)
 

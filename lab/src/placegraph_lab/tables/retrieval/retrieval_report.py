@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from placegraph.estimate import Status
 from placegraph_lab.tables.calibration import reliability
 from placegraph_lab.tables.retrieval.retrieval import ABSENT, LENGTHS, METHODS, Answer, hit, recall
+from placegraph_lab.tables.retrieval.retrieval_scale import Scale
 from placegraph_lab.tables.retrieval.retrieval_study import WHOLE, Row
 from placegraph_lab.tables.tables import markdown, share, shares
-
-if TYPE_CHECKING:
-    from placegraph_lab.tables.retrieval.retrieval_scale import Scale
 
 RANKS = (1, 3, 5)
 PAPER = {

@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.geometry import rotation_z
+from placegraph.indoor.encode import Encoder
 from placegraph.indoor.library.options import SearchOptions
 from placegraph.indoor.library.signature import TURNS, Signature
 from placegraph_lab.tables.retrieval.retrieval import library_of
 
 if TYPE_CHECKING:
-    from placegraph.indoor.encode import Encoder
     from placegraph_lab.tables.retrieval.retrieval_vectors import Encoded
 
 SCENES = 10_000

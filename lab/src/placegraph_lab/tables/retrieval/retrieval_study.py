@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.indoor.encode import Encoder
+from placegraph.indoor.library import SceneLibrary
 from placegraph_lab.tables.journal import INDOOR, Journal, fingerprint
 from placegraph_lab.tables.retrieval.retrieval import (
     ABSENT,
@@ -23,6 +24,7 @@ from placegraph_lab.tables.retrieval.retrieval import (
     queries,
     searcher,
 )
+from placegraph_lab.tables.retrieval.retrieval_places import Place, Walk
 from placegraph_lab.tables.retrieval.retrieval_scale import Scale, measure
 from placegraph_lab.tables.retrieval.retrieval_vectors import (
     NOISY,
@@ -33,11 +35,6 @@ from placegraph_lab.tables.retrieval.retrieval_vectors import (
     replay,
 )
 from placegraph_lab.tables.retrieval.retrieval_walks import RENDERING
-
-if TYPE_CHECKING:
-    from placegraph.indoor.encode import Encoder
-    from placegraph.indoor.library import SceneLibrary
-    from placegraph_lab.tables.retrieval.retrieval_places import Place, Walk
 
 SEARCHING = (*INDOOR, "placegraph_lab/tables/retrieval/*.py", *RENDERING)
 """Code that decides what answers are."""

@@ -11,26 +11,23 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
+from placegraph.formats.capture.capture import Capture
+from placegraph.formats.capture.frame import Frame, Images
+from placegraph.geometry import Camera
 from placegraph.indoor.encode import Encoder
 from placegraph.indoor.encode import encoder as encoder_named
 from placegraph.indoor.encode.labels import LabelsEncoder
+from placegraph.indoor.map.scene import Scene
 from placegraph_lab.tables.indoor.label_noise import NoisyLabels
 from placegraph_lab.tables.journal import fingerprint
 from placegraph_lab.tables.retrieval.retrieval_noise import NoisyThings
+from placegraph_lab.tables.retrieval.retrieval_places import Walk
 from placegraph_lab.tables.retrieval.retrieval_walks import RENDERING
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.capture import Capture
-    from placegraph.formats.capture.frame import Frame, Images
-    from placegraph.geometry import Camera
-    from placegraph.indoor.map.scene import Scene
-    from placegraph_lab.tables.retrieval.retrieval_places import Walk
 
 NOISY = "labels, 30 % wrong"
 THINGS = "labels, 30 % of the things wrong"

@@ -7,7 +7,6 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +15,10 @@ from PIL import Image
 from placegraph.formats.capture.capture import Capture
 from placegraph.formats.capture.frame import Frame
 from placegraph.geometry import Camera
+from placegraph_lab.worlds.flat.flat import Flat
+from placegraph_lab.worlds.flat.interior import Interior
 from placegraph_lab.worlds.home.catalogue import SYNONYMS
 from placegraph_lab.worlds.home.home import changed, record, visit
-
-if TYPE_CHECKING:
-    from placegraph_lab.worlds.flat.flat import Flat
-    from placegraph_lab.worlds.flat.interior import Interior
 
 RENDERING = (
     "placegraph/geometry.py",

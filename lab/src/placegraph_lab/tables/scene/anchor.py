@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import process_time
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
@@ -18,16 +18,14 @@ from placegraph.formats.capture.capture import Capture
 from placegraph.formats.capture.frame import Frame
 from placegraph.geometry import Camera, Floats, wrap
 from placegraph.indoor.mapping.osm.outlines import rings_of_cells
+from placegraph.indoor.scene_map import SceneMap
 from placegraph.world import Fitted, fit_building, fit_capture
 from placegraph_lab.tables.calibration import reliability
 from placegraph_lab.tables.tables import markdown
 from placegraph_lab.worlds.flat.flat import OUTSIDE, Flat
+from placegraph_lab.worlds.flat.interior import Interior
 from placegraph_lab.worlds.flat.legend import DOOR
 from placegraph_lab.worlds.home.home import home, scene_of, visit
-
-if TYPE_CHECKING:
-    from placegraph.indoor.scene_map import SceneMap
-    from placegraph_lab.worlds.flat.interior import Interior
 
 DRAWN, CORNER = 0.5, 0.2
 """Standard deviations of a whole footprint and of each of its corners [m]: pictures from above, a hand."""

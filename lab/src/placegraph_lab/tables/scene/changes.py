@@ -11,23 +11,21 @@ import time
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from placegraph.estimate import Status
 from placegraph.formats.capture.capture import Capture, open_capture
 from placegraph.formats.capture.tum import read_tum
+from placegraph.geometry import Floats
 from placegraph.indoor.mapping.change.capture.looks import look
+from placegraph.indoor.mapping.change.changes import Change
 from placegraph.indoor.mapping.change.diff import DiffOptions, diff_capture
 from placegraph.indoor.mapping.change.register import moved
+from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor.metrics import rotation_error
 from placegraph_lab.tables.tables import markdown, number, share
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Floats
-    from placegraph.indoor.mapping.change.changes import Change
-    from placegraph.indoor.scene_map import SceneMap
 
 GONE = ("moved", "vanished")
 """Kinds that say that an object is not where the map has it."""

@@ -6,24 +6,23 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.formats.capture.capture import open_capture
+from placegraph.formats.capture.frame import Frame
 from placegraph.formats.mesh.glb import read_glb
+from placegraph.geometry import Camera, Floats
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.mapping.fuse import FuseOptions, fuse
 from placegraph.indoor.rays import RayCaster
 from placegraph_lab.tables.indoor.windows import true_poses
 from placegraph_lab.tables.scene.maps_surface import distances, spread
 
-if TYPE_CHECKING:
-    from placegraph.formats.capture.frame import Frame
-    from placegraph.geometry import Camera, Floats
+Fuser = Callable[[Sequence[Frame], Floats], Mesh]
 
-    Fuser = Callable[[Sequence[Frame], Floats], Mesh]
 
 SEQUENCES = ("seq00", "seq03", "seq04", "seq07")
 """Of the house, in which nothing was moved."""

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from placegraph_lab.tables.scene.maps import FULL, PLACES, SWEEP, Made
 from placegraph_lab.tables.scene.maps_recall import Paired, difference, recall_of
+from placegraph_lab.tables.scene.maps_surface import Apart
 from placegraph_lab.tables.tables import markdown, number, share, shares
-
-if TYPE_CHECKING:
-    from placegraph_lab.tables.scene.maps_surface import Apart
 
 KILO, MEGA, MILLI = 1e-3, 1e-6, 1e3
 ROOM = 30

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.indoor.map.mesh import Mesh
 from placegraph_lab.tables.scene.maps_surface_kernels import _CELL, Grid, _distances
-
-if TYPE_CHECKING:
-    from placegraph.indoor.map.mesh import Mesh
-
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -12,20 +12,18 @@ import time
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.random import Generator
 
+from placegraph.graph import SceneGraph
 from placegraph.indoor.language import TextIndex, read
 from placegraph.indoor.map.floor import label_words
 from placegraph.indoor.map.relations import SAME_ROOM
 from placegraph.indoor.map.structure import WORDS, nameless
+from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.tables import markdown, shares
-
-if TYPE_CHECKING:
-    from placegraph.graph import SceneGraph
-    from placegraph.indoor.scene_map import SceneMap
 
 FACTS = (1, 2, 3, 4, 6)
 """Facts in a sentence."""

@@ -12,12 +12,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from math import log
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from placegraph.graph import SceneGraph
 from placegraph.indoor.language import TextIndex, read
 from placegraph.indoor.map.floor import label_words
 from placegraph.indoor.map.mesh import Mesh
@@ -27,10 +28,6 @@ from placegraph_lab.tables.bootstrap import paired_interval
 from placegraph_lab.tables.tables import markdown
 from placegraph_lab.worlds.flat.flat import Flat
 from placegraph_lab.worlds.home.home import STYLES, home, scene_of
-
-if TYPE_CHECKING:
-    from placegraph.graph import SceneGraph
-
 
 Ranker = Callable[[str, Sequence[int]], NDArray[np.float64]]
 

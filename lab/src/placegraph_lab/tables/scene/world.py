@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -15,20 +15,18 @@ from numpy.typing import NDArray
 
 from placegraph.earth import Anchor
 from placegraph.estimate import Status
+from placegraph.formats.capture.capture import Capture
 from placegraph.geometry import Camera, LocalPlane, vector_from_rotation
 from placegraph.indoor.map.floor import label_words
 from placegraph.indoor.map.rooms.naming import room_at
 from placegraph.indoor.map.structure import structure
+from placegraph.indoor.scene_map import SceneMap
 from placegraph.outdoor.city import build_city
 from placegraph.world import World
 from placegraph_lab.tables.tables import markdown
 from placegraph_lab.worlds.home.home import home, scene_of
 from placegraph_lab.worlds.home.record import record
 from placegraph_lab.worlds.home.visit import visit
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.capture import Capture
-    from placegraph.indoor.scene_map import SceneMap
 
 PLANE = LocalPlane(9.99, 53.55)
 CAMERA = Camera(96, 72, 70.0, 70.0, 48.0, 36.0)

@@ -10,23 +10,23 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from placegraph.estimate import PoseEstimate
 from placegraph.indoor.encode import BoundEncoder, Encoder, MapEncoder, encoder, vectors_of
 from placegraph.indoor.encode.instances import InstancesEncoder
 from placegraph.indoor.encode.labels import LabelsEncoder
 from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.refine import RefineOptions
+from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor.label_noise import NoisyEncoder, NoisyLabels
 from placegraph_lab.tables.indoor.metrics import Answer, measure
 from placegraph_lab.tables.indoor.windows import DRIFT, Window
 from placegraph_lab.tables.journal import INDOOR, fingerprint
 from placegraph_lab.tables.retrieval.retrieval_walks import RENDERING
+from placegraph_lab.tables.sg2loc.sets import Set, Walk
 
 if TYPE_CHECKING:
-    from placegraph.estimate import PoseEstimate
-    from placegraph.indoor.scene_map import SceneMap
     from placegraph_lab.tables.run import Run
-    from placegraph_lab.tables.sg2loc.sets import Set, Walk
 
 ANSWERING = (
     *INDOOR, *RENDERING, "placegraph_lab/tables/indoor/*.py", "placegraph_lab/tables/pairs/*.py",

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,12 +19,10 @@ from placegraph_lab.tables.indoor.windows import HALVES, OFFICE_STRIDE, is_chang
 from placegraph_lab.tables.journal import fingerprint
 from placegraph_lab.tables.retrieval.retrieval_walks import RENDERING
 from placegraph_lab.tables.sg2loc.sets import Set, Walk, kept
+from placegraph_lab.worlds.flat.flat import Flat
+from placegraph_lab.worlds.flat.interior import Interior
 from placegraph_lab.worlds.flat.walks import write_walk
 from placegraph_lab.worlds.home.home import STYLES, changed, home, scene_of, visit
-
-if TYPE_CHECKING:
-    from placegraph_lab.worlds.flat.flat import Flat
-    from placegraph_lab.worlds.flat.interior import Interior
 
 FIRST, HOMES, WALKED = 2000, 10, 4
 """Seed of the first home, homes there are, and homes that are walked through; no other table, and no

@@ -6,7 +6,7 @@ import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -17,11 +17,9 @@ from placegraph_lab.tables.retrieval.retrieval_study import Study
 from placegraph_lab.tables.retrieval.retrieval_vectors import NOISY
 from placegraph_lab.tables.sg2loc.ask import Asking, recipes
 from placegraph_lab.tables.sg2loc.paper import figures as said
+from placegraph_lab.tables.sg2loc.sets import Set
+from placegraph_lab.tables.sg2loc.spec import Spec
 from placegraph_lab.tables.tables import markdown, number
-
-if TYPE_CHECKING:
-    from placegraph_lab.tables.sg2loc.sets import Set
-    from placegraph_lab.tables.sg2loc.spec import Spec
 
 Made = tuple[str, list[Any]]
 

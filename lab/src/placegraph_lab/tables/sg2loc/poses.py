@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,10 +13,8 @@ from placegraph_lab.tables.retrieval.retrieval import Cosines, Scenes
 from placegraph_lab.tables.retrieval.retrieval_places import Place
 from placegraph_lab.tables.sg2loc.ask import Asking, group
 from placegraph_lab.tables.sg2loc.report import measured, printed, report
+from placegraph_lab.tables.sg2loc.sets import Set
 from placegraph_lab.tables.sg2loc.spec import SPECS, Spec
-
-if TYPE_CHECKING:
-    from placegraph_lab.tables.sg2loc.sets import Set
 
 ODOMETRY = {
     "exact": (0.0, 0.0), "SLAM-like": DRIFT, "drifting": (0.05, math.radians(1.0)),

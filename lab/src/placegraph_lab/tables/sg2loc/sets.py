@@ -5,17 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING
 from zlib import crc32
 
 import numpy as np
 
+from placegraph.formats.capture.capture import Capture
+from placegraph.geometry import Floats
+from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor.windows import DRIFT, Window, drifting_windows
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.capture import Capture
-    from placegraph.geometry import Floats
-    from placegraph.indoor.scene_map import SceneMap
 
 LAYOUT = """DIR/3RScan has 3RScan.json and a folder a scan (or scenes/SCAN), with its mesh, semseg.v2.json
 and sequence/ or sequence.zip; where SceneGraphLoc's lists lie in DIR/3RScan/files, they part the rooms.

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING
 
 from placegraph.errors import OptionError
+from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.network.weights import Shape
-
-if TYPE_CHECKING:
-    from placegraph.outdoor.city import CityMap
 
 LOSSES = ("match", "similarity", "embedding", "fusion")
 PRINTED = ("eq17", "eq18")

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from placegraph.outdoor.network.batches import Floats, Rows, WordFits, agreements, entries, mask_of
+from placegraph.outdoor.network.graphs import PlaceGraphs, TextGraphs
 from placegraph.outdoor.network.graphs_kernels import CHANNELS
 from placegraph_lab.train.city.pairs_kernels import holds_as_said, literal
-
-if TYPE_CHECKING:
-    from placegraph.outdoor.network.graphs import PlaceGraphs, TextGraphs
 
 
 class PairBatch(NamedTuple):

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from placegraph.outdoor.language.description import Description
 from placegraph.outdoor.likelihood.query import Query, compile_query
 from placegraph.outdoor.network.batches import Fits, fits_of
 from placegraph.outdoor.network.graphs import TextGraphs
@@ -17,10 +17,7 @@ from placegraph.outdoor.search.candidates import candidates
 from placegraph.outdoor.search.request import Request
 from placegraph.outdoor.search.rerank import HARD
 from placegraph.outdoor.search.viewpoints import score
-
-if TYPE_CHECKING:
-    from placegraph.outdoor.language.description import Description
-    from placegraph_lab.train.city.sample import Speaker
+from placegraph_lab.train.city.sample import Speaker
 
 OTHERS = 4
 """Viewpoints from anywhere beside the `HARD` that relational matching finds best."""

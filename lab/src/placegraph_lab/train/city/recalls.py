@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -12,9 +12,7 @@ from numpy.typing import NDArray
 from placegraph.outdoor.search.rerank import HARD
 from placegraph_lab.train.city.objective import NEVER
 from placegraph_lab.train.city.torch_batches import Lessons, forward
-
-if TYPE_CHECKING:
-    from placegraph_lab.train.city.torch_network import Network
+from placegraph_lab.train.city.torch_network import Network
 
 WITHIN = 50.0
 """A viewpoint this near to the truth is right [m]."""

@@ -10,13 +10,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
 
 from placegraph.errors import OptionError
+from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.language.description import (
     SPEAKER,
     Description,
@@ -24,13 +25,10 @@ from placegraph.outdoor.language.description import (
     Relation,
     Statement,
 )
+from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.map.cells import compass
 from placegraph.outdoor.map.objects import AREA, LINE
 from placegraph_lab.train.city.sample_kernels import _nearest
-
-if TYPE_CHECKING:
-    from placegraph.outdoor.city import CityMap
-    from placegraph.outdoor.language.vocabulary import Vocabulary
 
 TILE = 1000.0
 """Edge of the squares of which every fourth is kept from training [m]."""

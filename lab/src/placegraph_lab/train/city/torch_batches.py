@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional as F  # noqa: N812  # PyTorch's own name for it
 
+from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.network.batches import (
     GraphBatch,
     NodeWords,
@@ -29,9 +30,6 @@ from placegraph_lab.train.city.objective import Scores, Truth
 from placegraph_lab.train.city.pairs import PairBatch, pair_batch
 from placegraph_lab.train.city.pool import AT, NEARBY, Pool
 from placegraph_lab.train.city.torch_network import Graphs, Network, Pairs
-
-if TYPE_CHECKING:
-    from placegraph.outdoor.city import CityMap
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -11,9 +11,7 @@ from torch.nn import functional as F  # noqa: N812  # PyTorch's own name for it
 from placegraph.outdoor.network.graphs_kernels import CHANNELS
 from placegraph.outdoor.network.labels_kernels import BUCKETS
 from placegraph.outdoor.network.network_kernels import LITERAL
-
-if TYPE_CHECKING:
-    from placegraph.outdoor.network.weights import Shape
+from placegraph.outdoor.network.weights import Shape
 
 R = len(CHANNELS)
 EPSILON = 1e-5

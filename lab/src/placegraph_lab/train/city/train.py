@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.networks import digest
+from placegraph.outdoor.city import CityMap
+from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.network.labels import WordVectors, words_of
 from placegraph.outdoor.network.weights import Weights, trained, write_weights
 from placegraph_lab.datasets.word2vec import read_word2vec
@@ -19,8 +21,6 @@ from placegraph_lab.train.city.sample import Speaker
 from placegraph_lab.train.training import add_row, device_named, rows_of, torch_or_what_installs_it
 
 if TYPE_CHECKING:
-    from placegraph.outdoor.city import CityMap
-    from placegraph.outdoor.language.vocabulary import Vocabulary
     from placegraph_lab.train.city.checkpoint import PoolFolder
     from placegraph_lab.train.city.torch_batches import Lessons
 

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 
 from placegraph_lab.train.city.objective import Temperatures, losses
+from placegraph_lab.train.city.options import Progress, TrainOptions
 from placegraph_lab.train.city.torch_batches import Lessons, forward
 from placegraph_lab.train.city.torch_network import Network
-
-if TYPE_CHECKING:
-    from placegraph_lab.train.city.options import Progress, TrainOptions
 
 WARM = 100
 """Steps until the learning rate is full."""

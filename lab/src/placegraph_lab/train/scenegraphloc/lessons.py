@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import MapError, OptionError
+from placegraph.formats.capture.capture import Capture
+from placegraph.indoor.encode.scenegraphloc.features import ImageFeatures
 from placegraph.indoor.encode.scenegraphloc.inputs import PointSource, Room, rooms_of
 from placegraph.indoor.encode.scenegraphloc.views import (
     object_views,
@@ -19,12 +21,8 @@ from placegraph.indoor.encode.scenegraphloc.views import (
     shown,
 )
 from placegraph.indoor.encode.scenegraphloc.widths import ATTRIBUTES
+from placegraph.indoor.scene_map import SceneMap
 from placegraph.store import pack_strings, read_map, write_map
-
-if TYPE_CHECKING:
-    from placegraph.formats.capture.capture import Capture
-    from placegraph.indoor.encode.scenegraphloc.features import ImageFeatures
-    from placegraph.indoor.scene_map import SceneMap
 
 KIND, VERSION = "lesson", 1
 _ARRAYS = ("points", "offsets", "edges", "relations", "attributes", "owner", "views", "poses")

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -19,13 +19,11 @@ from placegraph.files import write_file
 from placegraph.indoor.encode.scenegraphloc.inputs import POINTS, Room, together
 from placegraph.indoor.encode.scenegraphloc.network import SceneGraphLoc, unit
 from placegraph.indoor.encode.scenegraphloc.weights import network_of, read_snapshot
+from placegraph.indoor.encode.scenegraphloc.widths import Widths
 from placegraph_lab.train.scenegraphloc.elastic import distorted
+from placegraph_lab.train.scenegraphloc.lessons import Lesson
 from placegraph_lab.train.scenegraphloc.objective import Truth, losses
-
-if TYPE_CHECKING:
-    from placegraph.indoor.encode.scenegraphloc.widths import Widths
-    from placegraph_lab.train.scenegraphloc.lessons import Lesson
-    from placegraph_lab.train.scenegraphloc.options import TrainOptions
+from placegraph_lab.train.scenegraphloc.options import TrainOptions
 
 
 @dataclass(frozen=True)

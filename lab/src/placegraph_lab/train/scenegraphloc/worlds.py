@@ -6,17 +6,14 @@ from dataclasses import replace
 from functools import partial
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import InputError, OptionError
 from placegraph.formats.capture.capture import Capture, open_capture
+from placegraph.geometry import Camera
 from placegraph_lab.train.scenegraphloc.lessons import Material, Surveyed, World
-
-if TYPE_CHECKING:
-    from placegraph.geometry import Camera
 
 SUFFIX = ".scene"
 

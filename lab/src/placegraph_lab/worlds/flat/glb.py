@@ -8,16 +8,13 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
 from placegraph.formats.mesh.glb_write import Material, Part, Surface, encode_glb
-
-if TYPE_CHECKING:
-    from placegraph_lab.worlds.flat.interior import Interior
+from placegraph_lab.worlds.flat.interior import Interior
 
 QUALITY = 90
 """Of the textures' JPEG images."""

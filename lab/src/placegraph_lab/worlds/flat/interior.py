@@ -8,23 +8,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import InputError, OptionError
 from placegraph.geometry import rotation_z
+from placegraph.indoor.map.mesh import Mesh
 from placegraph_lab.worlds.flat.flat import SOLID, Blot, Flat
 from placegraph_lab.worlds.flat.furniture import MODELS, Body
 from placegraph_lab.worlds.flat.legend import COMPASS
 from placegraph_lab.worlds.flat.parts import Floats, Part, joined
 from placegraph_lab.worlds.flat.textures import paint
 from placegraph_lab.worlds.flat.walls import Piece, rectangles, shell
-
-if TYPE_CHECKING:
-    from placegraph.indoor.map.mesh import Mesh
-    from placegraph_lab.worlds.trace import Cell
+from placegraph_lab.worlds.trace import Cell
 
 Rectangle = tuple[float, float, float, float]
 

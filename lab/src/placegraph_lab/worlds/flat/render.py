@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.geometry import Camera
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.textures import linear_from_srgb
 from placegraph.indoor.rays import RayCaster
 
 if TYPE_CHECKING:
-    from placegraph.geometry import Camera
     from placegraph_lab.worlds.flat.interior import Interior
 
 Floats = NDArray[np.float32]

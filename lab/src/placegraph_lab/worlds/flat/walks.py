@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,12 +26,10 @@ from placegraph.geometry import (
     split_pose,
     wrap,
 )
+from placegraph_lab.worlds.flat.flat import Flat
+from placegraph_lab.worlds.flat.interior import Interior
 from placegraph_lab.worlds.flat.paths import FloorPlan
 from placegraph_lab.worlds.flat.sensors import develop, measured
-
-if TYPE_CHECKING:
-    from placegraph_lab.worlds.flat.flat import Flat
-    from placegraph_lab.worlds.flat.interior import Interior
 
 Floats = NDArray[np.float64]
 

@@ -11,7 +11,6 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import groupby, pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,10 +18,8 @@ from placegraph.errors import InputError
 from placegraph_lab.worlds.flat.flat import SOLID, Blot, Flat, Room
 from placegraph_lab.worlds.flat.legend import DOOR, WINDOW
 from placegraph_lab.worlds.flat.parts import Floats, Part, Size, box, quad
+from placegraph_lab.worlds.flat.textures import Look
 from placegraph_lab.worlds.trace import EAST, NORTH, SOUTH, WEST, Cell, step
-
-if TYPE_CHECKING:
-    from placegraph_lab.worlds.flat.textures import Look
 
 CASING = 0.07
 """Width of the boards around an opening [m]."""

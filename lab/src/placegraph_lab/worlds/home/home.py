@@ -17,24 +17,21 @@ from __future__ import annotations
 
 import io
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
 from placegraph.errors import OptionError
+from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.worlds.flat.flat import Flat
+from placegraph_lab.worlds.flat.interior import Interior
 from placegraph_lab.worlds.home.catalogue import STYLES
 from placegraph_lab.worlds.home.change import changed
 from placegraph_lab.worlds.home.furnish import Furnisher
 from placegraph_lab.worlds.home.plan import CELL, plan, rooms_of
 from placegraph_lab.worlds.home.record import CAMERA, record
 from placegraph_lab.worlds.home.visit import visit
-
-if TYPE_CHECKING:
-    from placegraph.indoor.scene_map import SceneMap
-    from placegraph_lab.worlds.flat.interior import Interior
 
 __all__ = ["CAMERA", "STYLES", "changed", "home", "record", "scene_of", "visit"]
 

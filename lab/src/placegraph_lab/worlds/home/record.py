@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +12,10 @@ from placegraph.errors import OptionError
 from placegraph.formats.capture.capture import Capture
 from placegraph.formats.capture.frame import Frame, LabelKind
 from placegraph.geometry import Camera
+from placegraph_lab.worlds.flat.interior import Interior
 from placegraph_lab.worlds.flat.render import Stage
 from placegraph_lab.worlds.flat.sensors import develop, measured
 from placegraph_lab.worlds.flat.walks import Walk, drifted, exposures, gravity
-
-if TYPE_CHECKING:
-    from placegraph_lab.worlds.flat.interior import Interior
 
 CAMERA = Camera(160, 120, 115.0, 115.0, 80.0, 60.0)
 """70 degrees wide."""

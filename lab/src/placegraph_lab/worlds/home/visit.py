@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.geometry import level_from_camera, pose_matrix, split_pose, wrap
 from placegraph_lab.worlds.flat.flat import HEADROOM, Flat
+from placegraph_lab.worlds.flat.interior import Interior
 from placegraph_lab.worlds.flat.legend import DOOR, WINDOW
 from placegraph_lab.worlds.flat.walks import TURN, Walk, stroll
 from placegraph_lab.worlds.home.change import SHELL, STANDS
-
-if TYPE_CHECKING:
-    from placegraph_lab.worlds.flat.interior import Interior
 
 FLAT = 0.1
 """What hangs on a wall stands out less than this [m]."""
