@@ -2,29 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from placegraph.errors import OptionError
 from placegraph.estimate import CityEstimate, Status
 from placegraph.outdoor.language.description import LISTENER, Description, Relation, Statement
-from placegraph.outdoor.likelihood.query import compile_query, read, standing_at
+from placegraph.outdoor.likelihood.query import Query, compile_query, read, standing_at
 from placegraph.outdoor.likelihood.statements import ends
+from placegraph.outdoor.map.city import City
 from placegraph.outdoor.search.answer import estimate
+from placegraph.outdoor.search.ask import Answer
 from placegraph.outdoor.search.cells import search_cells
 from placegraph.outdoor.search.request import Matching, Request, is_count, within
 from placegraph.outdoor.search.viewpoints import search
 from placegraph.outdoor.search.whereabouts import Way, Whereabouts, number, position, swapped
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from placegraph.outdoor.likelihood.query import Query
-    from placegraph.outdoor.map.city import City
-    from placegraph.outdoor.search.ask import Answer
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,29 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 
+from placegraph.earth import Anchor
 from placegraph.errors import OptionError
 from placegraph.formats.place.levels import level_text, levels_of
-from placegraph.geometry import rotation_z, wrap
+from placegraph.geometry import Floats, rotation_z, wrap
+from placegraph.indoor.map.scene import Scene
 from placegraph.world.anchor_points import UNKNOWN_HEIGHT, Fitted
-from placegraph.world.footprints import footprints
+from placegraph.world.footprints import Footprint, footprints
 from placegraph.world.outer_walls import outer_walls
 from placegraph.world.slides import between
-from placegraph.world.wall_fit import fits, wrong
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from placegraph.earth import Anchor
-    from placegraph.geometry import Floats
-    from placegraph.indoor.map.scene import Scene
-    from placegraph.world.footprints import Footprint
-    from placegraph.world.wall_fit import Fit
+from placegraph.world.wall_fit import Fit, fits, wrong
 
 _DRAWN = 0.5  # of the whole footprint, as pictures from above are placed [m]
 _LEAST = 0.01  # probability of a candidate that is told

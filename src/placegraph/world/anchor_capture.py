@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from placegraph.errors import InputError, OptionError
 from placegraph.estimate import Status
-from placegraph.formats.capture.capture import with_poses
-from placegraph.formats.capture.fixes import FILE, fixes_of
+from placegraph.formats.capture.capture import Capture, with_poses
+from placegraph.formats.capture.fixes import FILE, Fix, fixes_of
+from placegraph.geometry import Floats
+from placegraph.indoor.pose.query import Progress
+from placegraph.indoor.scene_map import SceneMap
 from placegraph.world.anchor_points import LEAST, Fitted, fit_points
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from placegraph.formats.capture.capture import Capture
-    from placegraph.formats.capture.fixes import Fix
-    from placegraph.geometry import Floats
-    from placegraph.indoor.pose.query import Progress
-    from placegraph.indoor.scene_map import SceneMap
 
 USUAL = 5.0
 """Accuracy of a fix that does not tell its own [m]; 68 % lie within."""

@@ -7,19 +7,15 @@ lies far off the others it has no say (Tukey's weights, from the best of many tw
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from placegraph.earth import Anchor
 from placegraph.errors import OptionError
-from placegraph.geometry import rotation_z
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-    from placegraph.geometry import Floats
-    from placegraph.world.footprints import Footprint
+from placegraph.geometry import Floats, rotation_z
+from placegraph.world.footprints import Footprint
 
 UNKNOWN_HEIGHT = 100.0
 """Standard deviation of a height that nobody gave [m]; the map then stands at 0."""

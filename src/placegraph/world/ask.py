@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -12,8 +13,6 @@ from placegraph.errors import OptionError
 from placegraph.outdoor.search.ask import NO, WORTH, YES, Answer, Question, Thing
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from placegraph.world.estimate import WorldMode
     from placegraph.world.known import Known
 

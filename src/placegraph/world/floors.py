@@ -8,16 +8,13 @@ is level 2.
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from placegraph.evidence import Evidence
 from placegraph.formats.place.levels import levels_of
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
 
 WRONG = 0.12
 """Share of floors said that are wrong, as of other statements."""

@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.earth import Anchor
 from placegraph.errors import OptionError
 from placegraph.formats.place.levels import levels_of
 from placegraph.formats.place.osm import POINT, read_osm
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from placegraph.geometry import Floats
+from placegraph.geometry import Floats
 
 _KEYS = ("building", "entrance", "door", "name", "addr:housenumber")
 _NAMES = ("name", "official_name", "alt_name", "short_name", "old_name", "loc_name")

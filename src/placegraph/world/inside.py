@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from placegraph.evidence import Evidence
+from placegraph.indoor.language import Sentence
+from placegraph.indoor.language.index import Columns
 from placegraph.indoor.language.likeness import table
 from placegraph.indoor.language.rank import score
 from placegraph.indoor.language.score import compared, of_scenes
 from placegraph.indoor.language.sentence import Kind
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from numpy.typing import NDArray
-
-    from placegraph.evidence import Evidence
-    from placegraph.indoor.language import Sentence
-    from placegraph.indoor.language.index import Columns
     from placegraph.indoor.library import SceneLibrary
 
 MISTAKEN = 0.05

@@ -5,7 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+from collections.abc import Iterable
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from placegraph.errors import MapError
@@ -13,9 +15,6 @@ from placegraph.outdoor.map.spill import no_room
 from placegraph.world.tile import TileDone
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from pathlib import Path
-
     from placegraph.world.build import BuildOptions
 
 

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from placegraph.errors import OptionError
+from placegraph.formats.capture.capture import Capture
+from placegraph.formats.capture.frame import Frame
 from placegraph.outdoor.search.request import is_count
 from placegraph.outdoor.search.whereabouts import number
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from placegraph.formats.capture.capture import Capture
-    from placegraph.formats.capture.frame import Frame
     from placegraph.indoor.pose.query import Progress
     from placegraph.outdoor.search.ask import Answer
 

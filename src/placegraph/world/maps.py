@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from typing import TYPE_CHECKING, Generic, TypeVar
+from pathlib import Path
+from typing import Generic, TypeVar
 
 from placegraph.errors import OptionError
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 Map = TypeVar("Map")
 

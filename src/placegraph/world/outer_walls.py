@@ -4,24 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
 from placegraph.features import nested
+from placegraph.geometry import Floats
 from placegraph.indoor.map.floor import label_words
 from placegraph.indoor.map.rooms import rooms_of
 from placegraph.indoor.map.rooms.rooms_kernels import nearest
+from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.mapping.osm.export import ends_of
 from placegraph.indoor.mapping.osm.outlines import area, rings_of_cells
 from placegraph.indoor.mapping.osm.walls import off_segments
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from placegraph.geometry import Floats
-    from placegraph.indoor.map.scene import Scene
 
 WALL, WINDOW, DOOR = 0, 1, 2
 """What a point of the outer walls lies in."""

@@ -7,21 +7,14 @@ the way, nobody says.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
 
-from placegraph.geometry import rotation_z
-from placegraph.world.footprints import within
-from placegraph.world.outer_walls import WINDOW
+from placegraph.geometry import Floats, rotation_z
+from placegraph.world.footprints import Footprint, within
+from placegraph.world.outer_walls import WINDOW, OuterWalls
 from placegraph.world.wall_fit import Fit, against, at_entrances, moved_by, same
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from placegraph.geometry import Floats
-    from placegraph.world.footprints import Footprint
-    from placegraph.world.outer_walls import OuterWalls
 
 _STEP, _FARTHEST = 0.5, 100.0
 """Along a slide [m]."""

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from placegraph.earth import Anchor, EarthPose
 from placegraph.geometry import LocalPlane
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from placegraph.earth import Anchor, EarthPose
     from placegraph.indoor.map.scene import Scene
 
 UNANCHORED = 0.1

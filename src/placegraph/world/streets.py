@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.outdoor.language.words import tokens
 from placegraph.outdoor.map.index import REACH
@@ -13,8 +14,6 @@ from placegraph.outdoor.map.objects import AREA, LINE
 from placegraph.outdoor.map.raster_kernels import nearest_on_parts
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from placegraph.outdoor.city import CityMap
 
 NEAREST, NEXT, FALL, ANY = 0.8, 0.4, 12.0, 0.003

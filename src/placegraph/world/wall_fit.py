@@ -6,21 +6,16 @@ from least squares. Windows belong to walls that no neighbour shares, outer door
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from placegraph.geometry import rotation_z
+from placegraph.geometry import Floats, rotation_z
 from placegraph.indoor.map.rooms.rooms_kernels import nearest
 from placegraph.indoor.mapping.osm.walls import off_segments
-from placegraph.world.footprints import within
+from placegraph.world.footprints import Footprint, within
 from placegraph.world.outer_walls import DOOR, WINDOW, OuterWalls
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from placegraph.geometry import Floats
-    from placegraph.world.footprints import Footprint
 
 THICK, VARIES = 0.3, 0.12
 """Thickness of outer walls, and its deviation [m]."""

@@ -6,21 +6,20 @@ that it can be done again wherever its worker was killed.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from itertools import islice
 from multiprocessing import get_context
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from placegraph.errors import MapError, OptionError, ServiceError
 from placegraph.threads import end_with_parent
 from placegraph.world.shards.cluster import connected
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterator, Sequence
+Task = TypeVar("Task")
+Made = TypeVar("Made")
 
-    Task = TypeVar("Task")
-    Made = TypeVar("Made")
 
 TRIES = 3
 """A task is given up when so many of its workers were killed."""

@@ -7,8 +7,10 @@ import io
 import json
 import re
 from contextlib import chdir, suppress
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
+from numpy.random import Generator
 from PIL import Image
 
 from placegraph_lab.campaign.mutate import spoil
@@ -16,11 +18,6 @@ from placegraph_lab.campaign.mutate_bytes import WORDS, flipped
 from placegraph_lab.campaign.seeds import ROOT, save
 from placegraph_lab.campaign.seeds_maps import POSE, Places
 from placegraph_lab.campaign.uses import INSIDE, SAID, Bench, chance
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.random import Generator
 
 MARKS = re.compile(r" => .*| @\d+.*")
 """What the tests expect of a sentence stands behind it."""

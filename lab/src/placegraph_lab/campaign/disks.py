@@ -3,21 +3,14 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
-from placegraph_lab.campaign.kills import limited, listed, refused, rows_of, tried
-from placegraph_lab.campaign.row import total
-from placegraph_lab.campaign.trial import Limits, read_only, small_disk, when
+from numpy.random import Generator
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from numpy.random import Generator
-
-    from placegraph_lab.campaign.kills import Ground
-    from placegraph_lab.campaign.row import Effort, Row
-    from placegraph_lab.campaign.trial import Commands
+from placegraph_lab.campaign.kills import Ground, limited, listed, refused, rows_of, tried
+from placegraph_lab.campaign.row import Effort, Row, total
+from placegraph_lab.campaign.trial import Commands, Limits, read_only, small_disk, when
 
 LEAST = 2048
 """Smallest disk: the error itself has to be written somewhere [bytes]."""

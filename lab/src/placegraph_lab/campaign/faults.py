@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import shutil
 from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,16 +15,10 @@ from placegraph_lab.campaign.disks import disks
 from placegraph_lab.campaign.kills import AGAIN, Ground, killed, rows_of, tried
 from placegraph_lab.campaign.outages import kills_under_load
 from placegraph_lab.campaign.resumed import resumed
-from placegraph_lab.campaign.row import Row
+from placegraph_lab.campaign.row import Effort, Row
 from placegraph_lab.campaign.services import services
 from placegraph_lab.campaign.trial import Commands, ended
 from placegraph_lab.campaign.writings import prepare, writings
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from placegraph_lab.campaign.row import Effort
 
 KILLS = 60
 """A minute of effort; five minutes are 300, where the machine is quick enough."""

@@ -13,18 +13,14 @@ import signal
 import subprocess
 import sys
 from collections import Counter
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from placegraph_lab.campaign.row import FAULTS, Row
+from placegraph_lab.campaign.row import FAULTS, Effort, Row
 from placegraph_lab.campaign.targets import TARGETS
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
-    from placegraph_lab.campaign.row import Effort
 
 PATIENCE = 240.0
 """Wall time in which a worker says something; it is killed then [s]."""

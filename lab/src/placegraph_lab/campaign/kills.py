@@ -4,21 +4,16 @@ from __future__ import annotations
 
 import os
 from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from time import perf_counter, sleep
-from typing import TYPE_CHECKING
+
+from numpy.random import Generator
 
 from placegraph_lab.campaign.row import Row
-from placegraph_lab.campaign.trial import files_in, when
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-    from pathlib import Path
-
-    from numpy.random import Generator
-
-    from placegraph_lab.campaign.trial import Commands, Ended, Limits
-    from placegraph_lab.campaign.writings import Writing
+from placegraph_lab.campaign.trial import Commands, Ended, Limits, files_in, when
+from placegraph_lab.campaign.writings import Writing
 
 AGAIN = 6
 """After so many kills a command is let run."""

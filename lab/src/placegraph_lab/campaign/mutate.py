@@ -15,10 +15,13 @@ import shutil
 import struct
 import zipfile
 import zlib
+from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.random import Generator
 
 from placegraph.errors import InputError
 from placegraph.files import regular
@@ -28,11 +31,6 @@ from placegraph_lab.campaign.mutate_json import changed
 from placegraph_lab.campaign.mutate_store import changed_column, restored
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from numpy.random import Generator
-
     Change = Callable[[bytes, Generator], bytes]
 
 TEXTS = {"txt", "csv", "tum", "obj", "mtl", "ply", "tsv", "yaml", "pgm", "traj", "pincam", "http"}

@@ -7,17 +7,15 @@ import json
 import tempfile
 import zlib
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.random import Generator
 
 from placegraph.header import DIGEST, MAGIC, PREFIX
 from placegraph.store import read_map
 from placegraph_lab.campaign.mutate_bytes import flipped
 from placegraph_lab.campaign.mutate_json import changed
-
-if TYPE_CHECKING:
-    from numpy.random import Generator
 
 
 def restored(data: bytes, rng: Generator) -> bytes:

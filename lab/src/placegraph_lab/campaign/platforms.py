@@ -7,21 +7,17 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import placegraph
 from placegraph_lab.campaign.processes import differing, pose_apart, told
-from placegraph_lab.campaign.row import Row
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from placegraph_lab.campaign.row import Effort
+from placegraph_lab.campaign.row import Effort, Row
 
 PART = "platforms"
 SOURCE = Path(placegraph.__file__).parents[1]

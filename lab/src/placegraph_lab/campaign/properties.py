@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from placegraph.errors import PlacegraphError
 from placegraph_lab.campaign.processes import PROCESSES
 from placegraph_lab.campaign.room_properties import ROOMS
-from placegraph_lab.campaign.row import Row
+from placegraph_lab.campaign.row import Effort, Row
 from placegraph_lab.campaign.town_properties import TOWNS
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
-
-    from placegraph_lab.campaign.row import Effort
 
 PART = "properties"
 

@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING
 
-from placegraph_lab.campaign.row import Row
+import numpy as np
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    import numpy as np
-
-    from placegraph_lab.campaign.row import Effort
-    from placegraph_lab.campaign.trial import Commands, Ended
+from placegraph_lab.campaign.row import Effort, Row
+from placegraph_lab.campaign.trial import Commands, Ended
 
 OPTIONS = ("--epochs", "4", "--examples", "6", "--steps", "2", "--batch", "3", "--check", "3", "--device",
            "cpu", "--quiet")  # fmt: skip

@@ -4,27 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import count
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from placegraph.estimate import Status
+from placegraph.estimate import PoseEstimate, Status
 from placegraph.formats.capture.capture import Capture, open_capture
 from placegraph.geometry import Camera
 from placegraph.indoor.build import build_scene
+from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.campaign import rooms
 from placegraph_lab.campaign.rooms import Motion
 from placegraph_lab.worlds.flat.flat import Flat
+from placegraph_lab.worlds.flat.interior import Interior
 from placegraph_lab.worlds.flat.walks import Walk, stroll, write_walk
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from placegraph.estimate import PoseEstimate
-    from placegraph.indoor.scene_map import SceneMap
-    from placegraph_lab.worlds.flat.interior import Interior
 
 DRAWING = """
 [flat]

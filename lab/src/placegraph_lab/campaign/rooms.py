@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.formats.capture.capture import Capture
 from placegraph.formats.capture.frame import Frame
+from placegraph.geometry import Camera
+from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.scene_map import SceneMap
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from placegraph.geometry import Camera
-    from placegraph.indoor.map.mesh import Mesh
 
 _FLIP = np.diag([-1.0, 1.0, 1.0, 1.0])
 """Of what is seen in a mirror: right is left."""

@@ -6,12 +6,10 @@ yields each row as soon as it is done, so that a part which is cut short has tol
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import asdict, dataclass, fields, replace
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Mapping
-    from pathlib import Path
+from pathlib import Path
+from typing import Any
 
 PARTS = ("fuzz", "faults", "soak", "properties", "platforms")
 """Modules of this folder, in the order in which the table lists them."""

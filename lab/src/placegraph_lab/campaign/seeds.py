@@ -9,11 +9,13 @@ import importlib
 import shutil
 import sys
 import zipfile
+from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from PIL import Image
 
 from placegraph.formats.capture.frame import Frame
@@ -22,12 +24,8 @@ from placegraph.formats.capture.tum import write_tum
 from placegraph.geometry import Camera
 from placegraph_lab.worlds.bags import BagWriter, Layout, write_capture
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
+Draw = Callable[[Path, "Drawn"], None]
 
-    from numpy.typing import ArrayLike
-
-    Draw = Callable[[Path, "Drawn"], None]
 
 ROOT = Path(__file__).parents[4]
 """Of the repository: tests stand beside the lab."""

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable
 from functools import cached_property
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 
@@ -14,18 +15,13 @@ from placegraph.formats.place.indoor_osm_write import encode_rooms
 from placegraph.geometry import Camera
 from placegraph.indoor.build import scene_of_model
 from placegraph.indoor.options import FilterOptions
-from placegraph.outdoor.city import build_city
+from placegraph.indoor.scene_map import SceneMap
+from placegraph.outdoor.city import CityMap, build_city
 from placegraph_lab.campaign.seeds import Drawn, writer
 from placegraph_lab.worlds.town.town import Town
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
+Draw = Callable[[Path, "Places"], None]
 
-    from placegraph.indoor.scene_map import SceneMap
-    from placegraph.outdoor.city import CityMap
-
-    Draw = Callable[[Path, "Places"], None]
 
 TOWN = """
 [town]

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from placegraph.indoor.library import library_of
+from placegraph.indoor.library.library import SceneLibrary
 from placegraph_lab.campaign.seeds import writer
-from placegraph_lab.campaign.seeds_maps import _city
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from placegraph.indoor.library.library import SceneLibrary
-    from placegraph_lab.campaign.seeds_maps import Draw, Places
+from placegraph_lab.campaign.seeds_maps import Draw, Places, _city
 
 
 def _rooms(folder: Path, places: Places) -> SceneLibrary:

@@ -8,8 +8,11 @@ import socket
 import threading
 from functools import cached_property, partial
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
+
+from numpy.random import Generator
 
 from placegraph.errors import PlacegraphError, RequestError
 from placegraph.serve.app import create_app
@@ -17,16 +20,12 @@ from placegraph.serve.options import ServeOptions
 from placegraph.serve.places import Desk, Places
 from placegraph.serve.problem import problem
 from placegraph.serve.protocol import Patient
-from placegraph.serve.worker import VERBS, dumped
+from placegraph.serve.worker import VERBS, Answer, dumped
+from placegraph_lab.campaign.uses import Bench
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.random import Generator
     from starlette.testclient import TestClient
 
-    from placegraph.serve.worker import Answer
-    from placegraph_lab.campaign.uses import Bench
 
 HONEST = {501, 502, 503}
 """Statuses from 500 on that say what is wrong."""

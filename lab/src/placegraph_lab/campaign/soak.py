@@ -9,25 +9,20 @@ from __future__ import annotations
 import gc
 import os
 from array import array
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from math import inf
 from multiprocessing import get_context
 from pathlib import Path
 from time import perf_counter, process_time
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from placegraph.threads import processors
 from placegraph_lab.campaign.outages import Server
-from placegraph_lab.campaign.row import Row
+from placegraph_lab.campaign.row import Effort, Row
 from placegraph_lab.campaign.writings import prepare
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from placegraph_lab.campaign.row import Effort
 
 FLAT = 0.02
 """Memory may grow by so much of itself after the first quarter."""

@@ -14,13 +14,11 @@ import json
 import locale
 import resource
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from types import ModuleType
+from types import ModuleType
+from typing import Any
 
 TEXTS = (
     "I am on Speicherweg, and the museum is south of me.",

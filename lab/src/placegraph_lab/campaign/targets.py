@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
+
+from numpy.random import Generator
 
 from placegraph_lab.campaign import asked, serving, uses
 from placegraph_lab.campaign.mutate import spoil, spoil_world
 from placegraph_lab.campaign.seeds import CAPTURES
 from placegraph_lab.campaign.seeds_maps import MAPS
 from placegraph_lab.campaign.seeds_stores import STORES
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from numpy.random import Generator
-
-    from placegraph_lab.campaign.uses import Bench
+from placegraph_lab.campaign.uses import Bench
 
 
 @dataclass(frozen=True)

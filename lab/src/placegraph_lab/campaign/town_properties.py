@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.demo.world import TOWN, unpack
-from placegraph.estimate import Status
+from placegraph.estimate import CityEstimate, Status
 from placegraph.geometry import LocalPlane
+from placegraph.outdoor.city import CityMap
+from placegraph.outdoor.language.description import Description
 from placegraph.outdoor.likelihood.match_kernels import SLACK
 from placegraph.outdoor.likelihood.score_kernels import score_views
 from placegraph.outdoor.locate import Hints, understand
@@ -20,16 +24,11 @@ from placegraph_lab.campaign import towns
 from placegraph_lab.campaign.towns import Motion
 
 if TYPE_CHECKING:
-    from pathlib import Path
     from xml.etree.ElementTree import Element
 
-    from numpy.typing import NDArray
 
-    from placegraph.estimate import CityEstimate
-    from placegraph.outdoor.city import CityMap
-    from placegraph.outdoor.language.description import Description
+Floats = NDArray[np.float64]
 
-    Floats = NDArray[np.float64]
 
 OTHER = "marktstadt"
 ASKED = 12

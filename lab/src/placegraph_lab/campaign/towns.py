@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import count
-from typing import TYPE_CHECKING
+from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.geometry import LocalPlane
-from placegraph.outdoor.city import build_city
+from placegraph.outdoor.city import CityMap, build_city
 from placegraph.outdoor.language.description import (
     SPEAKER,
     Description,
@@ -21,14 +22,8 @@ from placegraph.outdoor.language.description import (
 )
 from placegraph.outdoor.map.index import REACH, STRIDE
 
-if TYPE_CHECKING:
-    from pathlib import Path
+Floats = NDArray[np.float64]
 
-    from numpy.typing import NDArray
-
-    from placegraph.outdoor.city import CityMap
-
-    Floats = NDArray[np.float64]
 
 KINDS = ("node", "way", "relation")
 _SEEN = 24.0

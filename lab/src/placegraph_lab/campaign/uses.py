@@ -6,10 +6,14 @@ Each function returns where the input was taken, and raises whatever is raised w
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from contextlib import suppress
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from unittest.mock import patch
+
+from numpy.random import Generator
 
 from placegraph.errors import GeoPoseError, InputError, OptionError, PlacegraphError
 from placegraph.files import regular
@@ -22,11 +26,6 @@ from placegraph.outdoor.city import CityMap, build_city
 from placegraph_lab.campaign.seeds_maps import POSE, SMALL, Places
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from numpy.random import Generator
-
     Use = Callable[["Bench", Path, Generator], object]
 
 SAID = (

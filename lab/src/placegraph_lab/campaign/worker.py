@@ -18,25 +18,19 @@ import sys
 import traceback
 import warnings
 import zlib
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.random import Generator
 
 from placegraph.errors import PlacegraphError
 from placegraph.kept import listening
-from placegraph_lab.campaign.targets import TARGETS
+from placegraph_lab.campaign.targets import TARGETS, Target
 from placegraph_lab.campaign.uses import Bench
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.random import Generator
-
-    from placegraph_lab.campaign.targets import Target
 
 ROOM = 1 << 30
 """Bytes that an input may take beyond what the process has already; beyond, memory is refused."""

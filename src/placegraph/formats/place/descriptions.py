@@ -5,14 +5,12 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from math import radians
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from placegraph.errors import InputError
 from placegraph.files import regular
-
-if TYPE_CHECKING:
-    from os import PathLike
 
 FIELDS = ("id", "text", "longitude", "latitude", "heading_deg", "near")
 

@@ -9,21 +9,18 @@ ids may be negative, as editors give them to what is new.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from placegraph.errors import InputError
 from placegraph.formats.place.levels import levels_of
 from placegraph.formats.place.osm import SUFFIXES, checked_osm, one_line, osm_file
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-    from os import PathLike
-
-    from placegraph.geometry import Floats
+from placegraph.geometry import Floats
 
 ROOMS = ("room", "corridor", "area")
 """Kinds of shapes that somebody may be in."""

@@ -6,18 +6,14 @@ one node, so that rooms share their walls.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from itertools import count
-from typing import TYPE_CHECKING
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
 from placegraph.formats.place.indoor_osm import ROOMS, IndoorShape, room_names
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from placegraph.geometry import Floats
+from placegraph.geometry import Floats
 
 OSMAG_ENDINGS = (".osmag", ".osmag.osm", ".osmag.xml")
 """Of files that become osmAG."""

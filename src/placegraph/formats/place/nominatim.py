@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from placegraph.errors import InputError
 from placegraph.formats.place.services import accept, agent, nonsense, unreachable
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 PAD = 0.001
 """A place is fetched with its surroundings, this wide [deg]: from its edge one sees beyond it."""

@@ -16,11 +16,13 @@ import re
 import shutil
 import time
 from collections import Counter
+from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from placegraph.errors import InputError, OptionError, ServiceError
 from placegraph.formats.place.nominatim import find, rings
@@ -33,11 +35,8 @@ from placegraph.formats.place.services import (
     unreachable,
 )
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-    from os import PathLike
+Progress = Callable[[str, int], None]
 
-    Progress = Callable[[str, int], None]
 
 SUFFIXES = (".osm", ".osm.pbf")
 """Endings that can be written."""

@@ -6,6 +6,8 @@ import re
 import signal
 import subprocess
 import sys
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -15,9 +17,6 @@ from placegraph.formats.place.osm import one_line
 from placegraph.formats.place.overture_tags import BASE
 
 if TYPE_CHECKING:
-    from collections import Counter
-    from collections.abc import Iterator, Sequence
-
     from placegraph.formats.place.overture import Box
 
 TELLS = {

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Protocol
 
 from placegraph.language.check import Ignored, check
+from placegraph.language.islands import Chunk
 from placegraph.outdoor.language.build import Builder
 from placegraph.outdoor.language.chunk import Chunker
 from placegraph.outdoor.language.clauses import clauses
 from placegraph.outdoor.language.description import Description, conflicts
-from placegraph.outdoor.language.languages.recognise import UNKNOWN, stretches
+from placegraph.outdoor.language.languages.recognise import UNKNOWN, Stretch, stretches
 from placegraph.outdoor.language.languages.scan import clean
 from placegraph.outdoor.language.languages.scan import scan as scan_other
 from placegraph.outdoor.language.model import LanguageModelDescriber
@@ -17,11 +19,7 @@ from placegraph.outdoor.language.parse import parse
 from placegraph.outdoor.language.words import NameFinder, Words, labels, normalise, scan, tokens
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from placegraph.language.islands import Chunk
     from placegraph.outdoor.language.languages import Language
-    from placegraph.outdoor.language.languages.recognise import Stretch
     from placegraph.outdoor.language.statements import BlockLength
 
 __all__ = [

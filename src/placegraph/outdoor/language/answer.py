@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from math import radians
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from placegraph.errors import ServiceError
 from placegraph.language.check import Ignored
@@ -16,9 +16,7 @@ from placegraph.outdoor.language.description import (
     Statement,
     conflicts,
 )
-
-if TYPE_CHECKING:
-    from placegraph.outdoor.language.words import Words
+from placegraph.outdoor.language.words import Words
 
 SIGMA = 0.5
 """How loosely a direction is meant [rad] where the answer does not say."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -17,19 +18,15 @@ from placegraph.outdoor.language.items import (
     placed,
     shared,
 )
-from placegraph.outdoor.language.parse import Place, Thing
+from placegraph.outdoor.language.parse import Clause, Items, Place, Thing
 from placegraph.outdoor.language.refer import Referents
 from placegraph.outdoor.language.relate import Relator
-from placegraph.outdoor.language.statements import NO_MAP, UNKNOWN, Said
+from placegraph.outdoor.language.statements import NO_MAP, UNKNOWN, BlockLength, Said
 from placegraph.outdoor.language.walk import Walk
+from placegraph.outdoor.language.words import Words
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from placegraph.outdoor.language.languages import Language
-    from placegraph.outdoor.language.parse import Clause, Items
-    from placegraph.outdoor.language.statements import BlockLength
-    from placegraph.outdoor.language.words import Words
 
 MENTIONED = 0.7
 """Certainty that a thing is in sight that is only named."""

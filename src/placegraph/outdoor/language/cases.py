@@ -5,15 +5,11 @@ Slavic languages have no "of" ("угол улицы", "brama parku") and mostly 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from placegraph.language.islands import Chunk
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from placegraph.outdoor.language.languages.language import Order
+from placegraph.outdoor.language.languages.language import Order
 
 _PERSONS = frozenset(("ME", "YOU", "IT", "SPOT"))
 _COUNTED = frozenset(("A", "ANOTHER", "NUM", "NO"))

@@ -6,15 +6,14 @@ from typing import TYPE_CHECKING
 
 from placegraph.language.islands import Chunk
 from placegraph.language.measures import whole
+from placegraph.language.words import Terminal, Word
+from placegraph.outdoor.language.description import Sense
 from placegraph.outdoor.language.parse import Noun
 from placegraph.outdoor.language.proper import LONGEST_NOUN, ProperNames
-from placegraph.outdoor.language.words import shouting
+from placegraph.outdoor.language.words import NameFinder, Words, shouting
 
 if TYPE_CHECKING:
-    from placegraph.language.words import Terminal, Word
-    from placegraph.outdoor.language.description import Sense
     from placegraph.outdoor.language.languages import Language
-    from placegraph.outdoor.language.words import NameFinder, Words
 
 _OPEN = frozenset(
     ("WORD", "GO", "PASS", "CROSS", "PART", "ADVERB", "PREP", "FACE", "SEE", "BE", "REACH", "SPOT")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -9,8 +10,6 @@ from placegraph.language.islands import Chunk
 from placegraph.outdoor.language.settle import JOINTS, VERBS, settled
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from placegraph.outdoor.language.languages import Language
 
 _STARTS = VERBS - {"BE", "SEE", "HAVE"}

@@ -6,6 +6,7 @@ are nodes; "the road" in two sentences is one node.
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from math import pi, radians
@@ -14,8 +15,6 @@ from typing import TYPE_CHECKING, Any
 from placegraph.geometry import angle_between
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Sequence
-
     from placegraph.language.check import Ignored
 
 

@@ -6,10 +6,12 @@ grammar. Their verbs: `verb_first`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from math import pi
-from typing import TYPE_CHECKING
 
+from placegraph.language.islands import Chunk
+from placegraph.outdoor.language.languages import Language
 from placegraph.outdoor.language.verb_first import (
     LEADS,
     NEW,
@@ -24,12 +26,6 @@ from placegraph.outdoor.language.verb_first import (
     subjects,
 )
 from placegraph.outdoor.language.words import Direction, tokens
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from placegraph.language.islands import Chunk
-    from placegraph.outdoor.language.languages import Language
 
 _LINKS = ("OF", "AT", "TO", "FROM")
 """What joins a preposition of two words to its thing."""

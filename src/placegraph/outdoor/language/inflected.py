@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from placegraph.language.islands import Chunk
+from placegraph.language.words import Word
 from placegraph.outdoor.language.chunk import Chunker
+from placegraph.outdoor.language.description import Sense
+from placegraph.outdoor.language.languages import Language
 from placegraph.outdoor.language.order import ordered
 from placegraph.outdoor.language.parse import Noun
-from placegraph.outdoor.language.proper import ProperNames
-from placegraph.outdoor.language.words import fold
-
-if TYPE_CHECKING:
-    from placegraph.language.words import Word
-    from placegraph.outdoor.language.description import Sense
-    from placegraph.outdoor.language.languages import Language
-    from placegraph.outdoor.language.proper import Known
-    from placegraph.outdoor.language.vocabulary.tongue import LanguageWords
-    from placegraph.outdoor.language.words import NameFinder
+from placegraph.outdoor.language.proper import Known, ProperNames
+from placegraph.outdoor.language.vocabulary.tongue import LanguageWords
+from placegraph.outdoor.language.words import NameFinder, fold
 
 _LONGEST_SENTENCE = 120
 """Chunks that are brought into order together; nobody speaks in longer sentences."""

@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
-from placegraph.outdoor.language.parse import Place, Thing
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from placegraph.outdoor.language.parse import Items
+from placegraph.outdoor.language.parse import Items, Place, Thing
 
 
 def placed(places: Items, after: Items) -> Items:

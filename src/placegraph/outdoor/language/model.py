@@ -5,15 +5,12 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from math import degrees, radians
-from typing import TYPE_CHECKING
 
 from placegraph.errors import OptionError, ServiceError
 from placegraph.language.check import check
 from placegraph.outdoor.language.answer import SCHEMA, Answer
-
-if TYPE_CHECKING:
-    from placegraph.outdoor.language.description import Description
-    from placegraph.outdoor.language.words import NameFinder, Words
+from placegraph.outdoor.language.description import Description
+from placegraph.outdoor.language.words import NameFinder, Words
 
 LONGEST_ANSWER = 1_000_000
 """Bytes."""

@@ -6,21 +6,17 @@ verb between what it speaks of. Where a language has postpositions or final verb
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from math import pi
-from typing import TYPE_CHECKING
 
 from placegraph.language.islands import Chunk
 from placegraph.outdoor.language.cases import told
 from placegraph.outdoor.language.head_first import head_first
+from placegraph.outdoor.language.languages import Language
+from placegraph.outdoor.language.languages.language import Order
 from placegraph.outdoor.language.verb_first import existing, gapped
 from placegraph.outdoor.language.verb_last import LEADS, PERSONS, Item, verbs_last
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from placegraph.outdoor.language.languages import Language
-    from placegraph.outdoor.language.languages.language import Order
 
 CASES = frozenset(("GEN", "DROP"))
 """Markers that only order needs; they are not in the grammar."""

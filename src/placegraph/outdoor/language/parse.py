@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache, partialmethod
 from importlib.resources import files
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from placegraph.language.islands import Chunk, Islands
+from placegraph.outdoor.language.description import Sense
 from placegraph.outdoor.language.words import NORTH, Direction
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from placegraph.outdoor.language.description import Sense
 
 
 @dataclass(slots=True)

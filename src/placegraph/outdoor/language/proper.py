@@ -5,16 +5,17 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
+from placegraph.language.words import Terminal, Word
 from placegraph.outdoor.language.description import Sense
-from placegraph.outdoor.language.words import fold, tokens
+from placegraph.outdoor.language.words import NameFinder, Words, fold, tokens
 
 if TYPE_CHECKING:
-    from placegraph.language.words import Terminal, Word
     from placegraph.outdoor.language.languages import Language
-    from placegraph.outdoor.language.words import NameFinder, Words
 
-    Known = tuple[int, tuple[Terminal, ...]]
-    """Words of a phrase that the grammar knows, and its terminals."""
+
+Known = tuple[int, tuple[Terminal, ...]]
+"""Words of a phrase that the grammar knows, and its terminals."""
+
 
 NAMED_KIND = 0.5
 """Weight of a common noun that ends a proper name: the Dollar Tree is no tree."""

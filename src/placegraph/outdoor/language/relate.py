@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import pi
-from typing import TYPE_CHECKING
 
 from placegraph.language.check import Ignored
 from placegraph.language.measures import Measure
 from placegraph.outdoor.language.description import LISTENER, SPEAKER, Relation
-from placegraph.outdoor.language.parse import Thing
+from placegraph.outdoor.language.parse import Place, Thing
 from placegraph.outdoor.language.statements import (
     LISTENER_HEADING,
     NEEDS_HEADING,
@@ -21,9 +20,6 @@ from placegraph.outdoor.language.statements import (
     Said,
 )
 from placegraph.outdoor.language.words import Direction
-
-if TYPE_CHECKING:
-    from placegraph.outdoor.language.parse import Place
 
 BLOCK = Measure.within(0.0, blocks=1.0)
 SHORT_WAY = Measure.within(120.0)

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
 from math import pi
 from typing import TYPE_CHECKING
 
+from placegraph.language.islands import Chunk
 from placegraph.language.measures import Measure
 from placegraph.outdoor.language.words import LOOSE_SIGMA, SHARP_SIGMA, Direction
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from placegraph.language.islands import Chunk
     from placegraph.outdoor.language.languages import Language
 
 VERBS = frozenset(

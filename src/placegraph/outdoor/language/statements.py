@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import pi
 from typing import TYPE_CHECKING
 
+from placegraph.language.check import Ignored
 from placegraph.language.measures import Measure
 from placegraph.outdoor.language.description import LISTENER, SPEAKER, Relation, Statement
+from placegraph.outdoor.language.words import Direction
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from placegraph.language.check import Ignored
     from placegraph.outdoor.language.parse import Place, Thing
     from placegraph.outdoor.language.refer import Referents
-    from placegraph.outdoor.language.words import Direction
 
-    BlockLength = Callable[[float | None], float]
-    """Length of a block [m] in the direction of a bearing [rad], or in any (None)."""
+
+BlockLength = Callable[[float | None], float]
+"""Length of a block [m] in the direction of a bearing [rad], or in any (None)."""
+
 
 SIDE_SIGMA = 0.6
 """How loosely "on the north side of" is meant [rad]."""

@@ -6,15 +6,12 @@ verb speaks of.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 from placegraph.language.islands import Chunk
 from placegraph.outdoor.language.settle import VERBS
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 LEADS = ("IN", "ON", "AT", "TO", "FROM", "OF")
 OWNED = ("DET", "THIS", "A", "ANOTHER", "NUM", "NO", "MY", "YOUR", "ITS", "WORD")

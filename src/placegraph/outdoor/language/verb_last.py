@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
+from placegraph.language.islands import Chunk
 from placegraph.outdoor.language.verb_first import mark
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from placegraph.language.islands import Chunk
 
 LEADS = ("IN", "ON", "AT", "TO", "FROM", "OF", "WITH")
 PERSONS = ("ME", "YOU", "IT", "SPOT", "THIS")

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from math import atan2, cos, hypot, pi, sin
 from typing import TYPE_CHECKING
 
 from placegraph.outdoor.language.description import LISTENER, SPEAKER, Relation
-from placegraph.outdoor.language.parse import Place, Thing
-from placegraph.outdoor.language.statements import LEGS, ROUTE, WALKED
+from placegraph.outdoor.language.parse import Items, Place, Thing
+from placegraph.outdoor.language.statements import LEGS, ROUTE, WALKED, Said
 from placegraph.outdoor.language.words import Direction
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from placegraph.outdoor.language.parse import Items
     from placegraph.outdoor.language.relate import Relator
-    from placegraph.outdoor.language.statements import Said
 
 ASIDE = 60.0
 """How far people are off in what they say of a leg [m], beside a share of its length."""

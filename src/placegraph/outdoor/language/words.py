@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import re
 import unicodedata
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from placegraph.language import words
+from placegraph.outdoor.language.description import Sense
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
-
-    from placegraph.outdoor.language.description import Sense
     from placegraph.outdoor.language.languages import Language
 
 

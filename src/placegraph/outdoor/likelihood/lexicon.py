@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from collections.abc import Mapping, Sequence
+from typing import Protocol
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+import numpy as np
+from numpy.typing import NDArray
 
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from placegraph.outdoor.language.vocabulary import Vocabulary
-    from placegraph.outdoor.map.names import NameIndex
+from placegraph.outdoor.language.vocabulary import Vocabulary
+from placegraph.outdoor.map.names import NameIndex
 
 
 class Known(Protocol):

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from placegraph.outdoor.map.objects import LINE
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from placegraph.outdoor.map.objects import CityObjects
+from placegraph.outdoor.map.objects import LINE, CityObjects
 
 USUAL = 100.0
 """Metres in a block where the map has too few streets to tell."""

@@ -5,21 +5,17 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
+from placegraph.geometry import LocalPlane
+from placegraph.graph import SceneGraph
+from placegraph.outdoor.map.objects import CityObjects
 from placegraph.outdoor.map.raster import Grid, Sightings, sightings
 from placegraph.outdoor.map.raster_kernels import nearest_on_parts
 from placegraph.portable import Portable
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from placegraph.geometry import LocalPlane
-    from placegraph.graph import SceneGraph
-    from placegraph.outdoor.map.objects import CityObjects
 
 LINE, AREA = 1, 2
 NEAR = 10.0

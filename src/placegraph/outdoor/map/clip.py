@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.outdoor.map.objects import AREA
+from placegraph.tiles import Box
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from placegraph.tiles import Box
-
-    Points = NDArray[np.float64]
+Points = NDArray[np.float64]
 
 
 def clip(kind: int, parts: Sequence[Points], box: Box, spare: float = 0.0) -> list[Points]:

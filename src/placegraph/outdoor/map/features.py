@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal
+from collections.abc import Iterator
+from typing import Any, Literal
 
 from placegraph.errors import OptionError
 from placegraph.features import areas, collection, feature, lines, point
+from placegraph.outdoor.map.city import City
 from placegraph.outdoor.map.objects import AREA, LINE
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from placegraph.outdoor.map.city import City
 
 
 def features(city: City, what: Literal["objects", "cells"]) -> dict[str, Any]:

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from numpy.typing import NDArray
 
 from placegraph.outdoor.map.index import ViewIndex
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from placegraph.store import MapFile
+from placegraph.store import MapFile
 
 WORTH = 10_000
 """Maps of fewer objects are stored without one: it is several times as large as they are, and derived

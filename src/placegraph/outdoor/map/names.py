@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import sys
 from bisect import bisect_left
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import log
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 from placegraph.outdoor.language.words import COMPASS, ROADS, SMALL, tokens
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 LONGEST = 8
 """Names are found in running text up to this many words."""

@@ -11,17 +11,14 @@ from __future__ import annotations
 import os
 import struct
 import zlib
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 
 from placegraph.columns import starts
 from placegraph.errors import MapError
 from placegraph.outdoor.map.things import THING, Things
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
 
 HEAD = struct.Struct("<4sQIIII")
 """Magic, bytes that follow, crc32 of these and of the numbers behind it: things, parts, points."""

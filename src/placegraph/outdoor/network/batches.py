@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.outdoor.likelihood.query import Query
+from placegraph.outdoor.network.graphs import PlaceGraphs, TextGraphs
 from placegraph.outdoor.network.graphs_kernels import agreement, place_relations, text_relations
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from placegraph.outdoor.likelihood.query import Query
-    from placegraph.outdoor.network.graphs import PlaceGraphs, TextGraphs
-
 
 Floats = NDArray[np.float32]
 

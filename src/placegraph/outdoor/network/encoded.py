@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
+import numpy as np
+from numpy.typing import NDArray
+
+from placegraph.outdoor.likelihood.query import Query
+from placegraph.outdoor.map.city import City
 from placegraph.outdoor.network.batches import WordFits, fits_of, word_fits
 from placegraph.outdoor.network.graphs import PlaceGraphs, TextGraphs
-from placegraph.vectors import EmbeddedStore, Origin, Vectors, load_store
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from placegraph.outdoor.likelihood.query import Query
-    from placegraph.outdoor.map.city import City
-    from placegraph.outdoor.network.network import GraphTransformer, Matches
-    from placegraph.vectors import VectorStore
-    from placegraph.vectors.stores import Address
+from placegraph.outdoor.network.network import GraphTransformer, Matches
+from placegraph.vectors import EmbeddedStore, Origin, Vectors, VectorStore, load_store
+from placegraph.vectors.stores import Address
 
 
 @dataclass(frozen=True, eq=False)

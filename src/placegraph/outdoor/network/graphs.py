@@ -6,15 +6,17 @@ things; how they stand to each other is in `graphs_kernels`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from placegraph.outdoor.language.description import SPEAKER, Relation
+from placegraph.outdoor.language.description import SPEAKER, Description, Mention, Relation
 from placegraph.outdoor.likelihood.query import is_tag
+from placegraph.outdoor.map.city import City
 from placegraph.outdoor.map.objects import of_name
-from placegraph.outdoor.map.raster import sightings
+from placegraph.outdoor.map.raster import Sightings, sightings
 from placegraph.outdoor.network.graphs_kernels import (
     ALONG,
     CHANNELS,
@@ -26,16 +28,6 @@ from placegraph.outdoor.network.graphs_kernels import (
     _nearest_things,
     winds,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from placegraph.outdoor.language.description import Description, Mention
-    from placegraph.outdoor.map.city import City
-    from placegraph.outdoor.map.raster import Sightings
-
 
 MOST_MENTIONS = 24
 """At most this many things of a text are read."""

@@ -8,26 +8,27 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from os import PathLike
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import MapError
 from placegraph.outdoor.network import network_kernels as kernels
-from placegraph.outdoor.network.batches import agreements, place_batch, text_batch
-from placegraph.outdoor.network.labels import Bags
-from placegraph.outdoor.network.weights import MEANING, read_weights, shipped, sizes
+from placegraph.outdoor.network.batches import (
+    Floats,
+    GraphBatch,
+    Rows,
+    WordFits,
+    agreements,
+    place_batch,
+    text_batch,
+)
+from placegraph.outdoor.network.graphs import PlaceGraphs, TextGraphs
+from placegraph.outdoor.network.labels import Bags, WordVectors
+from placegraph.outdoor.network.weights import MEANING, Shape, read_weights, shipped, sizes
 from placegraph.threads import product
-
-if TYPE_CHECKING:
-    from os import PathLike
-
-    from numpy.typing import NDArray
-
-    from placegraph.outdoor.network.batches import Floats, GraphBatch, Rows, WordFits
-    from placegraph.outdoor.network.graphs import PlaceGraphs, TextGraphs
-    from placegraph.outdoor.network.labels import WordVectors
-    from placegraph.outdoor.network.weights import Shape
 
 BLOCK = 1024
 """Places embedded at once."""

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from importlib.resources import as_file, files
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError, MapError
 from placegraph.networks import arrays_of, digest, halves, rounded
@@ -13,16 +18,7 @@ from placegraph.outdoor.network.graphs_kernels import CHANNELS, MOST_THINGS, REA
 from placegraph.outdoor.network.labels import WordVectors
 from placegraph.outdoor.network.labels_kernels import BUCKETS, LONGEST, SHORTEST
 from placegraph.outdoor.network.network_kernels import LITERAL
-from placegraph.store import SENSELESS, pack_strings, read_header, read_map, write_map
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from os import PathLike
-
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from placegraph.store import MapFile
+from placegraph.store import SENSELESS, MapFile, pack_strings, read_header, read_map, write_map
 
 
 @dataclass(frozen=True)

@@ -2,31 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from placegraph.estimate import CityEstimate, Place, Status
+from placegraph.estimate import CityEstimate, Evidence, Place, Status
 from placegraph.geometry import angle_between
-from placegraph.outdoor.language.description import LISTENER, SPEAKER
+from placegraph.outdoor.language.description import LISTENER, SPEAKER, Description, Statement
+from placegraph.outdoor.likelihood.query import Query
 from placegraph.outdoor.likelihood.statements import ends
+from placegraph.outdoor.map.city import City
 from placegraph.outdoor.search.confidence import believed, claim_of, doubt_of, status_of
 from placegraph.outdoor.search.evidence import evidence_at
-from placegraph.outdoor.search.posterior import modes, ranked
+from placegraph.outdoor.search.posterior import Mode, Posterior, modes, ranked
+from placegraph.outdoor.search.request import Request
 from placegraph.outdoor.search.viewpoints import SPACING
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from placegraph.estimate import Evidence
-    from placegraph.outdoor.language.description import Description, Statement
-    from placegraph.outdoor.likelihood.query import Query
-    from placegraph.outdoor.map.city import City
-    from placegraph.outdoor.search.posterior import Mode, Posterior
-    from placegraph.outdoor.search.request import Request
 
 MOST_SUPPORT = 4000
 """At most this many points of the posterior are kept in an estimate."""

@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import heapq
 import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
-from placegraph.estimate import Status
+from placegraph.estimate import CityEstimate, Status
 from placegraph.language.check import Ignored
 from placegraph.outdoor.language.description import (
     LISTENER,
@@ -25,15 +27,10 @@ from placegraph.outdoor.language.description import (
     Sense,
     Statement,
 )
+from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.language.words import tokens
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
-
-    from placegraph.estimate import CityEstimate
-    from placegraph.outdoor.language.vocabulary import Vocabulary
     from placegraph.outdoor.map.city import City
 
 YES, NO, UNKNOWN = "yes", "no", "don't know"

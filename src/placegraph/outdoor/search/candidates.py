@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import StoreError
 from placegraph.outdoor.likelihood.bound_kernels import HIGHEST
 from placegraph.outdoor.likelihood.promise_kernels import draw, promising_views
 from placegraph.outdoor.likelihood.score_kernels import distant
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from placegraph.outdoor.likelihood.statements import Far
-    from placegraph.outdoor.map.city import City
-    from placegraph.outdoor.search.request import Request
+from placegraph.outdoor.likelihood.statements import Far
+from placegraph.outdoor.map.city import City
+from placegraph.outdoor.search.request import Request
 
 MOST_CANDIDATES = 400
 """At most this many viewpoints are scored for themselves ..."""

@@ -7,24 +7,21 @@ with the network is in `rerank`. Here every matcher ranks the same cells, so tha
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
+from placegraph.outdoor.language.description import Description
 from placegraph.outdoor.likelihood.query import compile_query
+from placegraph.outdoor.map.city import City
 from placegraph.outdoor.search.candidates import Candidates, candidate_cells, views_in
 from placegraph.outdoor.search.posterior import Posterior, posterior
 from placegraph.outdoor.search.request import Matching, Request, is_count
 from placegraph.outdoor.search.rerank import rerank
 from placegraph.outdoor.search.viewpoints import score
 from placegraph.outdoor.search.whereabouts import Whereabouts
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from placegraph.outdoor.language.description import Description
-    from placegraph.outdoor.map.city import City
 
 TIMEOUT = 0.1
 """Of one edit distance [s]."""

@@ -7,21 +7,16 @@ that its log odds are shrunk, by coefficients that were fitted to texts whose pl
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from placegraph.estimate import Status
-from placegraph.outdoor.language.description import LISTENER, SPEAKER, Relation
+from placegraph.outdoor.language.description import LISTENER, SPEAKER, Description, Relation
+from placegraph.outdoor.likelihood.query import Query
 from placegraph.outdoor.likelihood.statements import ends
+from placegraph.outdoor.map.city import City
 from placegraph.outdoor.map.objects import POINT
-from placegraph.outdoor.search.posterior import WITHIN
-
-if TYPE_CHECKING:
-    from placegraph.outdoor.language.description import Description
-    from placegraph.outdoor.likelihood.query import Query
-    from placegraph.outdoor.map.city import City
-    from placegraph.outdoor.search.posterior import Mode, Posterior
+from placegraph.outdoor.search.posterior import WITHIN, Mode, Posterior
 
 SURE = 0.85
 """Probability that what was claimed holds, from which an estimate is OK."""

@@ -9,23 +9,18 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from placegraph.errors import MissingExtraError, OptionError
+from placegraph.graph import SceneGraph
+from placegraph.outdoor.language.description import Description
 from placegraph.outdoor.search.edit_bound import Problem, bound, reduced
-from placegraph.outdoor.search.edit_graphs import BEARINGS, LabelledGraph, fit
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import ArrayLike, NDArray
-
-    from placegraph.graph import SceneGraph
-    from placegraph.outdoor.language.description import Description
-    from placegraph.outdoor.search.edit_graphs import Node
+from placegraph.outdoor.search.edit_graphs import BEARINGS, LabelledGraph, Node, fit
 
 TIMEOUT = 0.1
 """Time for one pair [s]: the paper's 11 pairs a second."""

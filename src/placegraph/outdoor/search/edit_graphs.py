@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from placegraph.errors import DescriptionError, OptionError
-from placegraph.outdoor.language.description import LISTENER, SPEAKER, Relation
+from placegraph.graph import SceneGraph
+from placegraph.outdoor.language.description import (
+    LISTENER,
+    SPEAKER,
+    Description,
+    Mention,
+    Relation,
+    Statement,
+)
 from placegraph.outdoor.map.cells import compass
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
-    from numpy.typing import ArrayLike, NDArray
-
-    from placegraph.graph import SceneGraph
-    from placegraph.outdoor.language.description import Description, Mention, Statement
 
 UNNAMED = 0.4
 """How well a thing without a name fits a mention by name of its kind."""

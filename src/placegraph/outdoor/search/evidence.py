@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.estimate import Evidence, ObjectRef
 from placegraph.geometry import angle_between, bearing
 from placegraph.outdoor.language.description import LISTENER, SPEAKER, Relation, Statement
+from placegraph.outdoor.likelihood.query import Query
 from placegraph.outdoor.likelihood.score_kernels import distant, look_again
 from placegraph.outdoor.likelihood.statements import ends
+from placegraph.outdoor.map.city import City
 from placegraph.outdoor.map.index import REACH
 from placegraph.outdoor.map.raster_kernels import nearest_on_parts
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from placegraph.outdoor.likelihood.query import Query
-    from placegraph.outdoor.map.city import City
 
 CERTAIN = 0.9
 """Prior that a mention means one thing: an explanation is one assignment."""

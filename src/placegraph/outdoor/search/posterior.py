@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.outdoor.search.posterior_kernels import peaks
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 TEMPER = 1.0
 """Exponent of the likelihood: statements about one place are not independent."""

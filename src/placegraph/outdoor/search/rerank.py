@@ -6,15 +6,11 @@ of them together weigh against the rest of the city and against elsewhere stays 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from placegraph.outdoor.network.graphs import PlaceGraphs
-
-if TYPE_CHECKING:
-    from placegraph.outdoor.search.request import Request
-    from placegraph.outdoor.search.viewpoints import Scored
+from placegraph.outdoor.search.request import Request
+from placegraph.outdoor.search.viewpoints import Scored
 
 HARD = 24
 """Viewpoints that relational matching finds best, which the network looks at."""

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.outdoor.likelihood.match_kernels import HOPELESS
 from placegraph.outdoor.likelihood.score_kernels import look_again, score_views
-from placegraph.outdoor.search.candidates import FAR_CANDIDATES, candidates
+from placegraph.outdoor.search.candidates import FAR_CANDIDATES, Candidates, candidates
 from placegraph.outdoor.search.posterior import WITHIN, Posterior, posterior
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from placegraph.outdoor.search.candidates import Candidates
-    from placegraph.outdoor.search.request import Request
+from placegraph.outdoor.search.request import Request
 
 TOGETHER = 0.3
 """Prior probability that a mention means one and the same thing in all statements."""

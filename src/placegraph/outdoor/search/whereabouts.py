@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple, Self
+from typing import NamedTuple, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
 from placegraph.geometry import angle_between, bearing
-from placegraph.outdoor.map.index import REACH, STRIDE
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
-
-    from placegraph.outdoor.map.city import City
-    from placegraph.outdoor.map.index import ViewIndex
+from placegraph.outdoor.map.city import City
+from placegraph.outdoor.map.index import REACH, STRIDE, ViewIndex
 
 WALK = 900.0
 """Spread to either side of the places that a listener is told of [m]; half lie within 1.2 times it."""

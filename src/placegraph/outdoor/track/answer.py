@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
 
-from placegraph.estimate import CityEstimate, Place, Status
+from placegraph.estimate import CityEstimate, Evidence, Place, Status
+from placegraph.geometry import Floats
+from placegraph.outdoor.likelihood.query import Query
+from placegraph.outdoor.map.city import City
 from placegraph.outdoor.search.answer import CONTRADICTS, MOST_SUPPORT, contradicted, place, support
 from placegraph.outdoor.search.confidence import (
     IN_SIGHT,
@@ -17,14 +19,8 @@ from placegraph.outdoor.search.confidence import (
 from placegraph.outdoor.search.evidence import evidence_at
 from placegraph.outdoor.search.posterior import modes
 from placegraph.outdoor.search.viewpoints import SPACING
-
-if TYPE_CHECKING:
-    from placegraph.estimate import Evidence
-    from placegraph.geometry import Floats
-    from placegraph.outdoor.likelihood.query import Query
-    from placegraph.outdoor.map.city import City
-    from placegraph.outdoor.track.grid import TrackGrid
-    from placegraph.outdoor.track.stop import Memory, Stop
+from placegraph.outdoor.track.grid import TrackGrid
+from placegraph.outdoor.track.stop import Memory, Stop
 
 
 @dataclass(frozen=True)

@@ -7,19 +7,15 @@ there) hold probability only where motion brought it. What leaves the grid is el
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from placegraph.outdoor.map.index import STRIDE
+from placegraph.geometry import Floats
+from placegraph.outdoor.map.index import STRIDE, ViewIndex
 from placegraph.outdoor.search.posterior import ELSEWHERE
 from placegraph.outdoor.track.grid_kernels import background, scatter
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from placegraph.geometry import Floats
-    from placegraph.outdoor.map.index import ViewIndex
 
 MARGIN = 15
 """Cells around the viewpoints: whoever leaves the map by 300 m is still followed."""

@@ -7,11 +7,12 @@ of its end ("to the church", "along the canal") becomes a sentence about the pla
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from math import pi
-from typing import TYPE_CHECKING
 
 from placegraph.language.measures import metres
+from placegraph.language.words import Word
 from placegraph.outdoor.language.languages import english
 from placegraph.outdoor.language.words import scan
 from placegraph.outdoor.track.phrases import (
@@ -32,11 +33,6 @@ from placegraph.outdoor.track.phrases import (
     in_digits,
     seconds,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from placegraph.language.words import Word
 
 LOOSE = 0.25
 """Deviation of a stated distance, as a share of it; "exactly" makes it less, blocks and times more."""

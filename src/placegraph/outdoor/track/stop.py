@@ -9,16 +9,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from math import hypot
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from placegraph.estimate import Evidence
+from placegraph.geometry import Floats
 from placegraph.language.check import LONGEST_TEXT
 from placegraph.outdoor.language.description import Description
 from placegraph.outdoor.likelihood.match_kernels import HOPELESS
 from placegraph.outdoor.likelihood.promise_kernels import promising_views
-from placegraph.outdoor.likelihood.query import compile_query, read
+from placegraph.outdoor.likelihood.query import Query, compile_query, read
 from placegraph.outdoor.likelihood.score_kernels import distant, score_views
+from placegraph.outdoor.map.city import City
 from placegraph.outdoor.map.index import STRIDE
 from placegraph.outdoor.search.candidates import FAR_CANDIDATES, around_far
 from placegraph.outdoor.search.evidence import evidence_at
@@ -26,14 +30,6 @@ from placegraph.outdoor.search.posterior import Posterior
 from placegraph.outdoor.search.request import Request
 from placegraph.outdoor.search.viewpoints import CLOSER, SPACING, TOGETHER, look_around
 from placegraph.outdoor.track.grid import Belief, TrackGrid, laid, mixed
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from placegraph.estimate import Evidence
-    from placegraph.geometry import Floats
-    from placegraph.outdoor.likelihood.query import Query
-    from placegraph.outdoor.map.city import City
 
 MOST_STATEMENTS = 24
 """What was said at one place is read as one text up to so many statements."""

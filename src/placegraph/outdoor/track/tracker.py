@@ -8,8 +8,8 @@ and what is said twice is no surer.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import atan2, hypot, pi
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,6 +18,8 @@ from placegraph.estimate import CityEstimate, Status
 from placegraph.language.check import check
 from placegraph.outdoor.language.description import Description
 from placegraph.outdoor.likelihood.query import compile_query, read
+from placegraph.outdoor.map.city import City
+from placegraph.outdoor.search.ask import Answer
 from placegraph.outdoor.search.request import is_count
 from placegraph.outdoor.search.whereabouts import finite, positive, shares_around
 from placegraph.outdoor.track.answer import Waypoint, estimate, why_nothing
@@ -35,12 +37,6 @@ from placegraph.outdoor.track.grid import (
 )
 from placegraph.outdoor.track.motion import Leg, ways
 from placegraph.outdoor.track.stop import SURPRISED, Memory, Stop
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from placegraph.outdoor.map.city import City
-    from placegraph.outdoor.search.ask import Answer
 
 REMEMBERED = 6
 """Of so many places before, the evidence is told again."""

@@ -2,28 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.outdoor.map.blocks import Blocks
-from placegraph.outdoor.map.objects import columns_of
+from placegraph.outdoor.map.objects import CityObjects, columns_of
 from placegraph.tiles import bounds
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
-
     from placegraph.outdoor.language.vocabulary import Vocabulary
     from placegraph.outdoor.map.city import City
     from placegraph.outdoor.map.names import NameIndex
-    from placegraph.outdoor.map.objects import CityObjects
     from placegraph.world.shards.table import WordTable
 
-    Gather = Callable[[NDArray[np.int64]], "list[Thing]"]
+
+Gather = Callable[[NDArray[np.int64]], "list[Thing]"]
 
 
 @dataclass(frozen=True, eq=False)

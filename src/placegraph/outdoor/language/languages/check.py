@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from placegraph.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
     _What = tuple[str, Callable[[Any], bool]]
     """What is wanted of a value, in words, and whether it is so."""
 

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from placegraph.outdoor.language.vocabulary.text import folded
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 _SYLLABLES = "\u1100"
 """From here on a letter is a syllable or more, as in Korean."""

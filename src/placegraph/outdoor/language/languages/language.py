@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from importlib.resources import files
 from math import radians
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from placegraph.errors import InputError, OptionError
@@ -18,9 +20,7 @@ from placegraph.outdoor.language.vocabulary.text import folded
 from placegraph.outdoor.language.words import CARDINAL_SIGMA, DIAGONAL_SIGMA, Direction
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
     from importlib.resources.abc import Traversable
-    from pathlib import Path
 
 SPOKEN = (
     "who", "determiners", "verbs", "prepositions", "relations", "compass", "compass_short",

@@ -4,19 +4,15 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Collection, Iterator, Mapping
 from functools import cache
 from hashlib import sha256
-from typing import TYPE_CHECKING, NamedTuple
+from pathlib import Path
+from typing import NamedTuple
 
 from placegraph.kept import kept
-from placegraph.outdoor.language.languages.language import english, language, tables
+from placegraph.outdoor.language.languages.language import Language, english, language, tables
 from placegraph.outdoor.language.vocabulary.text import singular
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping
-    from pathlib import Path
-
-    from placegraph.outdoor.language.languages.language import Language
 
 VERSION = "1"
 """Of what is kept."""

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import re
 import unicodedata
+from collections.abc import Callable
 from functools import cache
 from typing import TYPE_CHECKING
 
 from placegraph.language.words import Word, spelt
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from placegraph.outdoor.language.languages.language import Language
 
 _HALF = 0.5

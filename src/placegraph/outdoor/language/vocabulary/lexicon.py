@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_left
+from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from placegraph.errors import InputError
@@ -11,9 +13,7 @@ from placegraph.outdoor.language.vocabulary.tables import read_text
 from placegraph.outdoor.language.vocabulary.text import folded
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from importlib.resources.abc import Traversable
-    from pathlib import Path
 
 KINDS = {"r": 1.0, "n": 1.0, "a": 0.95, "v": 0.85, "t": 0.7}
 """How likely a word is meant so: a raw tag value, a preset's name, an alias, a part or variant of

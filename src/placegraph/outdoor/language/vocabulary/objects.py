@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator, Mapping
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from pathlib import Path
+from typing import NamedTuple, TypeAlias
 
 from placegraph.errors import InputError
 from placegraph.outdoor.language.vocabulary.tables import find, rows
 from placegraph.outdoor.language.vocabulary.text import normal, singular
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-    from pathlib import Path
 
 COLUMNS = ("key", "values", "role", "rank", "with", "said")
 OBJECT, KIND, DETAIL, SKIP = ROLES = ("object", "kind", "detail", "skip")

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, TypeAlias
+from pathlib import Path
+from typing import TypeAlias
 
 from placegraph.errors import InputError
 from placegraph.outdoor.language.description import Sense
 from placegraph.outdoor.language.vocabulary.lexicon import Lexicon, read_lexicon, weighted
-from placegraph.outdoor.language.vocabulary.objects import read_objects
+from placegraph.outdoor.language.vocabulary.objects import ObjectTable, read_objects
 from placegraph.outdoor.language.vocabulary.tables import find, rows
 from placegraph.outdoor.language.vocabulary.text import beginnings, folded, normal, singular
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
-
-    from placegraph.outdoor.language.vocabulary.objects import ObjectTable
 
 SHORTEST = 4
 """Letters of the shortest word that is corrected."""

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Sequence
 
 from placegraph.language.words import spelt
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
 
 # fmt: off
 ARTICLES = frozenset((

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
+from placegraph.outdoor.language.description import Sense
 from placegraph.outdoor.language.vocabulary.text import folded, normal
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from placegraph.outdoor.language.description import Sense
     from placegraph.outdoor.language.languages import Language
     from placegraph.outdoor.language.languages.forms import Form
     from placegraph.outdoor.language.vocabulary.vocabulary import Vocabulary

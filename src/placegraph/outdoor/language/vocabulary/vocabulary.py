@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property, lru_cache, partial
-from typing import TYPE_CHECKING
+from pathlib import Path
 
+from placegraph.outdoor.language.description import Sense
 from placegraph.outdoor.language.vocabulary.objects import KIN
 from placegraph.outdoor.language.vocabulary.sources import SHORTEST, Sources
 from placegraph.outdoor.language.vocabulary.tables import user_folder
@@ -19,12 +21,6 @@ from placegraph.outdoor.language.vocabulary.text import (
     singular,
 )
 from placegraph.outdoor.language.vocabulary.tongue import LanguageWords
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-    from pathlib import Path
-
-    from placegraph.outdoor.language.description import Sense
 
 LONGEST = 5
 """Words of the longest phrase that is looked up."""
