@@ -31,7 +31,7 @@ from placegraph.outdoor.network.graphs_kernels import (
     place_relations,
     text_relations,
 )
-from placegraph_lab.tables.kitti.places import places_of_graphs
+from placegraph_lab.tables.kitti.matchers import places_of_graphs
 
 BAKERY, BENCH, FOUNTAIN = "shop=bakery", "amenity=bench", "amenity=fountain"
 

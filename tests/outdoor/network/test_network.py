@@ -10,7 +10,7 @@ from placegraph.outdoor.network.batches import fits_of, word_fits
 from placegraph.outdoor.network.graphs import PlaceGraphs, TextGraphs
 from placegraph.outdoor.network.labels import WordVectors
 from placegraph.outdoor.network.network import GraphTransformer
-from placegraph_lab.tables.kitti.places import places_of_graphs
+from placegraph_lab.tables.kitti.matchers import places_of_graphs
 
 WORD_VECTORS = WordVectors(
     ("bakery", "bench", "museum", "tree"),

@@ -10,12 +10,14 @@ import inspect
 import json
 import os
 import pkgutil
+import platform
 import subprocess
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -27,7 +29,39 @@ from placegraph.cli.terminal import bare
 from placegraph.files import put
 from placegraph_lab.tables import named
 from placegraph_lab.tables.journal import Journal
-from placegraph_lab.tables.machine import machine
+
+PACKAGES = (
+    "placegraph", "numpy", "numba", "osmium", "rapidfuzz", "lark", "embreex", "warp-lang",
+    "opencv-python-headless", "poselib", "kornia", "torch", "small_gicp",
+)  # fmt: skip
+
+
+def machine() -> dict[str, object]:
+    """Processor, cores, Python and package versions."""
+    return {
+        "processor": _processor(),
+        "cores": os.cpu_count(),
+        "system": platform.platform(),
+        "python": sys.version.split()[0],
+        "packages": {name: found for name in PACKAGES if (found := _version(name))},
+    }
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return ""  # an extra that is not installed
+
+
+def _processor() -> str:
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        for entry in info.read_text(encoding="utf-8").splitlines():
+            if entry.startswith("model name"):
+                return entry.split(":", 1)[1].strip()
+    return platform.processor() or platform.machine()
+
 
 Item = TypeVar("Item")
 

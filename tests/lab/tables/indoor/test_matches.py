@@ -30,10 +30,10 @@ from placegraph_lab.tables.indoor.matches import (
     summary,
     turned,
 )
-from placegraph_lab.tables.indoor.matches_report import report, to_dict
 from placegraph_lab.tables.indoor.metrics import position_error, rotation_error
 from placegraph_lab.tables.indoor.windows import Window
 from placegraph_lab.tables.named import indoor_matchers as script
+from placegraph_lab.tables.named.indoor_matchers import report, to_dict
 
 ROOT = Path(__file__).resolve().parents[2]
 CAMERA = Camera(120, 80, 80.0, 80.0, 60.0, 40.0)

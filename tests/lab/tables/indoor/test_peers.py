@@ -6,9 +6,8 @@ import pytest
 from placegraph.formats.capture.frame import Frame
 from placegraph.geometry import Camera
 from placegraph.indoor.refine.matching.features import Features
-from placegraph_lab.tables.indoor.beside import Answer, Row
 from placegraph_lab.tables.indoor.peers import View, peer, vlad
-from placegraph_lab.tables.named.indoor_colmap import report
+from placegraph_lab.tables.named.indoor_colmap import Answer, Row, report
 
 CAMERA = Camera(320, 240, 300.0, 300.0, 160.0, 120.0)
 

@@ -27,9 +27,9 @@ from placegraph_lab.tables.indoor.semantics import (
     encoder_of,
     named,
 )
-from placegraph_lab.tables.indoor.semantics_report import Row, report
 from placegraph_lab.tables.indoor.windows import Window, true_poses
 from placegraph_lab.tables.named import indoor_semantics as script
+from placegraph_lab.tables.named.indoor_semantics import Row, report
 from placegraph_lab.worlds.flat.flat import Flat
 from placegraph_lab.worlds.flat.walks import stroll, write_walk
 

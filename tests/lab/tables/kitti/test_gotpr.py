@@ -7,7 +7,7 @@ import pytest
 
 from placegraph.errors import InputError
 from placegraph_lab.datasets.gotpr import Graphs, file_of, read_graphs
-from placegraph_lab.tables.kitti.gotpr import BigGNN, recalls
+from placegraph_lab.tables.named.outdoor_gotpr import BigGNN, recalls
 
 
 @pytest.fixture(scope="module")

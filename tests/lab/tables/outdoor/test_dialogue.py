@@ -5,7 +5,7 @@ import pytest
 
 import placegraph as pg
 from placegraph.outdoor.search.ask import NO, NONE, YES, Question, Thing
-from placegraph_lab.tables.outdoor.dialogue import Speaker, dialogue, distance, standing_in
+from placegraph_lab.tables.named.outdoor_dialogue import Speaker, dialogue, distance, standing_in
 from placegraph_lab.tables.outdoor.queries import Query, load
 from placegraph_lab.worlds.town.town import Town
 

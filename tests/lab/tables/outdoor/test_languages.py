@@ -3,7 +3,7 @@
 import pytest
 
 from placegraph.outdoor.language import describe
-from placegraph_lab.tables.outdoor.languages import spoken, told
+from placegraph_lab.tables.named.languages import spoken, told
 from placegraph_lab.worlds.town.town import Town
 
 

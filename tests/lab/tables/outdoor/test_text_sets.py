@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from placegraph_lab.tables.calibration import reliability
-from placegraph_lab.tables.named.statuses import Verdict, rates
-from placegraph_lab.tables.outdoor.diagram import diagrams
+from placegraph_lab.tables.named.statuses import Verdict, diagrams, rates
 from placegraph_lab.tables.outdoor.text_sets import TRAPS, Filler
 from placegraph_lab.tables.outdoor.trust import logistic
 

@@ -8,9 +8,16 @@ import pytest
 from placegraph.errors import OptionError
 from placegraph.geometry import angle_between, bearing
 from placegraph.outdoor.track.motion import Leg, ways
+from placegraph_lab.tables.named.outdoor_track import (
+    FARTHEST,
+    METHODS,
+    NEAREST,
+    follow,
+    make_walks,
+    told,
+)
 from placegraph_lab.tables.outdoor.metrics import distances
 from placegraph_lab.tables.outdoor.queries import load
-from placegraph_lab.tables.outdoor.walks import FARTHEST, METHODS, NEAREST, follow, make_walks, told
 
 WINDS = {"north": 0, "north-east": 1, "east": 2, "south-east": 3, "south": 4, "south-west": 5,
          "west": 6, "north-west": 7}  # fmt: skip

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from placegraph.geometry import Camera
 from placegraph.indoor.encode import Patches
 from placegraph.indoor.options import FilterOptions
-from placegraph_lab.tables.retrieval.patch_accuracy import (
+from placegraph_lab.tables.named.patch_accuracy import (
     accuracy,
     mean,
     nats,

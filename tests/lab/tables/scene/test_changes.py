@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from placegraph.indoor.build import build_scene
-from placegraph_lab.tables.scene.changes import Told, ask, changes_of, figures, report
+from placegraph_lab.tables.named.scene_changes import Told, ask, changes_of, figures, report
 
 
 def told(**columns):

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from placegraph_lab.tables.scene.world import ROWS, ask, quarter, report
+from placegraph_lab.tables.named.world_locate import ROWS, ask, quarter, report
 
 
 def test_a_house_is_where_its_address_is_and_found_by_it(tmp_path):

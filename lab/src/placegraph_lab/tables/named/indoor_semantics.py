@@ -9,13 +9,14 @@ refined. Every answer is written down at once: run it again and it goes on where
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Annotated, Any
 
 from placegraph_lab.tables.indoor.bench import Asker
 from placegraph_lab.tables.indoor.jobs import ANSWERING, QUICK_EVERY, chosen
-from placegraph_lab.tables.indoor.metrics import Answer
-from placegraph_lab.tables.indoor.semantics import Case, SemanticBench, ask, available, cases
-from placegraph_lab.tables.indoor.semantics_report import Row, report
+from placegraph_lab.tables.indoor.metrics import THRESHOLDS, Answer, Score, score
+from placegraph_lab.tables.indoor.semantics import NONE, Case, SemanticBench, ask, available, cases
 from placegraph_lab.tables.indoor.windows import EVERY, OFFICE_EVERY, Window
 from placegraph_lab.tables.journal import fingerprint
 from placegraph_lab.tables.run import (
@@ -30,6 +31,103 @@ from placegraph_lab.tables.run import (
     parts,
     table,
 )
+from placegraph_lab.tables.tables import markdown, number, share
+
+LIMITS = ((0.10, 5.0), (0.25, 10.0), (0.25, 2.0))
+"""Recalls that are shown; the first two are the paper's."""
+TITLES = {
+    "house": "House, 30 % of the labelled patches wrong",
+    "b in a": "Office, map of frames 0-185, asked about 186-372",
+    "a in b": "Office, map of frames 186-372, asked about 0-185",
+}
+HEADER = [
+    "encoder", "terms", "windows", "mean", "median", *(f"R@{100 * m:.0f}cm {d:.0f}°" for m, d in LIMITS),
+    "OK", "OK right", "s/frame",
+]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Published:
+    """A row of the paper: 3RScan, 5 frames."""
+
+    terms: str
+    mean: tuple[float, float] | None
+    median: tuple[float, float] | None
+    recall: tuple[float, float]
+    source: str
+
+
+PUBLISHED = (
+    Published("semantic", (1.20, 21.44), (0.66, 8.77), (0.08, 0.26), "Table 8, 3RScan"),
+    Published("depth", (1.44, 39.01), (0.96, 6.42), (0.09, 0.32), "Table 8, 3RScan"),
+    Published("colour", (1.79, 44.78), (1.51, 17.37), (0.14, 0.20), "Table 8, 3RScan"),
+    Published("semantic", None, None, (0.11, 0.35), "Table 7, 3RScan"),
+    Published("semantic + depth", None, None, (0.20, 0.54), "Table 7, 3RScan"),
+    Published("semantic + depth + colour", None, None, (0.35, 0.61), "Table 7, 3RScan"),
+)
+
+
+@dataclass(frozen=True)
+class Row:
+    """Answers to all windows of one case."""
+
+    case: Case
+    length: int
+    answers: tuple[Answer, ...]
+    score: Score = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "score", score(self.answers))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers and strings, ready for `json.dumps`."""
+        return {
+            "place": self.case.place,
+            "encoder": self.case.encoder,
+            "terms": self.case.terms,
+            "length": self.length,
+            "score": self.score.to_dict(),
+        }
+
+
+def report(rows: Sequence[Row]) -> str:
+    """A table for each place and length, and the paper's."""
+    parts = []
+    for place, title in TITLES.items():
+        for length in sorted({r.length for r in rows if r.case.place == place}):
+            mine = [r for r in rows if r.case.place == place and r.length == length]
+            parts += [f"#### {title}, {length} frames", markdown(HEADER, map(line, mine))]
+    parts += ["#### Published (SG2Loc, 5 frames)", markdown(HEADER, map(published, PUBLISHED))]
+    return "\n\n".join(parts)
+
+
+def line(row: Row) -> list[str]:
+    """Cells of `HEADER`."""
+    s = row.score
+    return [
+        "–" if row.case.encoder == NONE else row.case.encoder,
+        row.case.terms,
+        str(s.windows),
+        error(s.mean),
+        error(s.median),
+        *(share(s.recall[THRESHOLDS.index(limits)]) for limits in LIMITS),
+        share(s.status.get("OK", 0.0)),
+        share(s.right),
+        number(s.frame_seconds, 3),
+    ]
+
+
+def published(row: Published) -> list[str]:
+    """Cells of `HEADER`, as far as they were published."""
+    recall = [share(r) for r in row.recall]
+    return [
+        f"*{row.source}*", row.terms, "–", error(row.mean), error(row.median), *recall, *["–"] * 4,
+    ]  # fmt: skip
+
+
+def error(pair: tuple[float, float] | None) -> str:
+    """`0.066 m 8.8°`, or a dash."""
+    return f"{number(pair[0], 3, 'm')} {number(pair[1], 1)}°" if pair else "–"
 
 
 @table("SG2Loc, Tables 7, 8")

@@ -9,17 +9,184 @@ Prints a Markdown table and writes JSON. `docs/benchmarks.md` explains the proto
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
+from numpy.random import Generator
 
+from placegraph.errors import OptionError
+from placegraph.estimate import CityEstimate
+from placegraph.geometry import Floats, bearing
 from placegraph.outdoor.city import CityMap
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, names_of, open_city
 from placegraph_lab.tables.outdoor.metrics import Answer, Score, measure, score
-from placegraph_lab.tables.outdoor.queries import Setting
-from placegraph_lab.tables.outdoor.walks import METHODS, Method, Walk, follow, make_walks
+from placegraph_lab.tables.outdoor.queries import (
+    CELL,
+    FEWEST,
+    JITTER,
+    SIGHT,
+    Query,
+    Setting,
+    Teller,
+    load,
+)
 from placegraph_lab.tables.run import Quick, Run, Seed, option, table
 from placegraph_lab.tables.tables import markdown, number, share, shares
+
+Shape = Literal["straight", "bent"]
+"""On in the same direction, give or take `STRAIGHT`, or with turns to any side."""
+Method = Literal["last place alone", "all as one text", "track, told", "track, measured"]
+METHODS: tuple[Method, ...] = get_args(Method)
+NEAREST, FARTHEST = 30.0, 150.0
+"""Distance of neighbouring places [m]."""
+STRAIGHT, BENT = 0.2, 1.6
+"""Deviation of the direction from one leg to the next [rad]."""
+DISTANCE_ERROR, BEARING_ERROR = 0.15, np.deg2rad(20.0)
+"""Deviations of what people say of their way: share of the distance, angle [rad]."""
+ODOMETRY = 0.03
+"""Deviation of measured motion along each axis, as a share of the distance."""
+TRIES = 60
+WINDS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
+
+
+@dataclass(frozen=True)
+class Step:
+    """A place of a walk: how it was reached, and what is said there."""
+
+    query: Query
+    told: str
+    """What the speaker says of the way from the place before; empty at the first."""
+    measured: tuple[float, float]
+    """What an odometer says of it, east and north [m]."""
+
+
+@dataclass(frozen=True)
+class Walk:
+    """Places in the order of the walk."""
+
+    steps: tuple[Step, ...]
+
+    @property
+    def last(self) -> Query:
+        """What is said at the last place: the one that is sought."""
+        return self.steps[-1].query
+
+    @property
+    def text(self) -> str:
+        """All that is said of places, as if it were said of one."""
+        return " ".join(step.query.text for step in self.steps)
+
+
+def make_walks(
+    osm_path: str | Path,
+    *,
+    n: int = 100,
+    statements: int = 2,
+    setting: Setting = "none",
+    seed: int = 0,
+    fewest: int = 3,
+    most: int = 5,
+) -> list[Walk]:
+    """Make `n` walks of `fewest` to `most` places with `statements` sentences each.
+
+    Every other walk is bent. The same seed gives the same walks in the settings that say the same
+    things.
+
+    Raises
+    ------
+    OptionError
+        Where the extract has too few places with that much to say.
+    InputError
+        Where the extract cannot be read.
+    """
+    if not 1 <= fewest <= most:
+        raise OptionError(f"A walk of {fewest} to {most} places is none; give 1 or more.")
+    bins = load(osm_path)
+    centers = bins.centers(CELL)
+    full = centers[np.diff(bins.around(centers, SIGHT).starts) >= FEWEST]
+    if not len(full):
+        raise OptionError(f"{osm_path} has no 50 m cell with {FEWEST} objects; give a larger one.")
+    teller = Teller(bins, setting, statements, "nearest", same_label=False)
+    walks: list[Walk] = []
+    for stream in np.random.default_rng(seed).spawn(50 * n):
+        path, speech = stream.spawn(2)
+        places = int(path.integers(fewest, most + 1))
+        shape: Shape = "bent" if len(walks) % 2 else "straight"
+        found = _walk(teller, full[path.integers(len(full))], places, shape, (path, speech))
+        if found is not None:
+            walks.append(found)
+        if len(walks) == n:
+            return walks
+    raise OptionError(f"{osm_path} has too few places for {n} walks; ask for fewer.")
+
+
+def _walk(
+    teller: Teller,
+    center: Floats,
+    places: int,
+    shape: Shape,
+    rng: tuple[Generator, Generator],
+) -> Walk | None:
+    """One walk from around a centre (2,) [m], or None where it finds nothing to say."""
+    path, speech = rng
+    radius, angle = JITTER * np.sqrt(path.random()), 2.0 * np.pi * path.random()
+    at = center + radius * np.array([np.sin(angle), np.cos(angle)])
+    ahead = 2.0 * np.pi * path.random()
+    first = teller.describe(at, speech)
+    if first is None:
+        return None
+    steps = [Step(first, "", (0.0, 0.0))]
+    while len(steps) < places:
+        for _ in range(TRIES):
+            turn = path.normal(0.0, STRAIGHT if shape == "straight" else BENT)
+            distance = path.uniform(NEAREST, FARTHEST)
+            way = distance * np.array([np.sin(ahead + turn), np.cos(ahead + turn)])
+            query = teller.describe(at + way, speech)
+            if query is not None:
+                break
+        else:
+            return None
+        at, ahead = at + way, ahead + turn
+        east, north = (way + path.normal(0.0, ODOMETRY * distance, 2)).tolist()
+        steps.append(Step(query, told(way, path), (east, north)))
+    return Walk(tuple(steps))
+
+
+def told(way: Floats, rng: Generator) -> str:
+    """What people say of a way (2,) [m]: roughly how far, and in which of the eight winds."""
+    distance = float(np.hypot(*way)) * max(0.3, 1.0 + rng.normal(0.0, DISTANCE_ERROR))
+    angle = float(bearing(way)) + rng.normal(0.0, BEARING_ERROR)
+    wind = WINDS[round(angle / (np.pi / 4)) % 8]
+    return f"I walked about {max(10, 10 * round(distance / 10))} metres {wind}."
+
+
+def follow(city: CityMap, walk: Walk, method: Method) -> tuple[CityEstimate, list[float]]:
+    """Estimate of the last place, and the seconds that every call took."""
+    from time import perf_counter
+
+    from placegraph.outdoor.track.tracker import CityTracker
+
+    if method in ("last place alone", "all as one text"):
+        start = perf_counter()
+        estimate = city.locate(walk.last.text if method == "last place alone" else walk.text)
+        return estimate, [perf_counter() - start]
+    tracker = CityTracker(city)
+    seconds = []
+    for k, step in enumerate(walk.steps):
+        start = perf_counter()
+        if k and method == "track, told":
+            tracker.tell(step.told)
+        elif k:
+            tracker.move(*step.measured)
+        if k:
+            seconds.append(perf_counter() - start)
+            start = perf_counter()
+        tracker.tell(step.query.text)
+        seconds.append(perf_counter() - start)
+    return tracker.estimate, seconds
+
 
 SETTINGS: tuple[Setting, ...] = ("none", "replaced")
 

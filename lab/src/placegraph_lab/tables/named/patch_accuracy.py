@@ -9,12 +9,185 @@ table and writes every row as JSON.
 
 from __future__ import annotations
 
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from typing import Annotated, Any
 
-from placegraph.indoor.encode import Encoder, bound, encoder
-from placegraph_lab.tables.retrieval.patch_accuracy import Accuracy, accuracy, mean, report
+import numpy as np
+from numpy.typing import NDArray
+
+from placegraph.formats.capture.capture import Frame
+from placegraph.geometry import Camera, Floats
+from placegraph.indoor.encode import Encoder, MapEncoder, bound, encoder
+from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.retrieval.patch_places import HOMES, places
 from placegraph_lab.tables.run import Quick, Run, option, parts, table
+from placegraph_lab.tables.tables import markdown, number, share
+
+RAYS = 6
+"""Rays cast through a patch, across and down."""
+TEMPERATURES = (0.02, 0.03, 0.05, 0.07, 0.1, 0.14, 0.2, 0.3, 0.5)
+"""Temperatures that are tried for the best."""
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """How good an encoder is in one place, over patches of which half or more show one object."""
+
+    patches: int
+    telling: float
+    """Share of patches that say anything."""
+    best: float
+    """Share of patches whose best object is the true one."""
+    auc: float
+    """Share of the other objects that the true one is put before; a half by chance."""
+    nats: float
+    """Mean log-likelihood ratio of a patch as the particle filter weighs it, which takes a share
+    of patches for wrong (`Likelihood.wrong`)."""
+    bare: float
+    """The same of softmax(cosines / temperature) alone."""
+    temperature: float
+    """Of the encoder."""
+    ideal: float
+    """Temperature of `TEMPERATURES` with the most nats here."""
+    ideal_nats: float
+    milliseconds: float
+    """To encode a frame and compare it with the objects."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers."""
+        return asdict(self)
+
+
+def accuracy(
+    encoder: MapEncoder, scene: SceneMap, frames: Sequence[Frame], map_from_camera: Floats
+) -> Accuracy | None:
+    """Accuracy over frames of true poses (T, 4, 4); None where the encoder says nothing of any.
+
+    Things that are not where the map has them count against it. Raises `InputError` where an image
+    is broken.
+    """
+    cosines, truth, temperature = [], [], 0.0
+    silent, seconds = 0, 0.0
+    for frame, pose in zip(frames, map_from_camera, strict=True):
+        start = time.perf_counter()
+        patches = encoder.encode(frame)
+        seconds += time.perf_counter() - start
+        if patches is None:
+            continue
+        temperature = patches.temperature
+        true = true_objects(scene, patches.camera, pose, patches.grid)
+        told = (patches.rows >= 0) & (true >= 0)
+        silent += int(((true >= 0) & ~told).sum())
+        cosines.append(patches.table[patches.rows[told]])
+        truth.append(true[told])
+    told_of = sum(map(len, truth))
+    if not told_of:
+        return None
+    table, rows = np.concatenate(cosines).astype(np.float64), np.concatenate(truth)
+    background = scene.visibility(FilterOptions()).background.objects
+    part = told_of / (told_of + silent)  # what is silent adds nothing
+    wrong = FilterOptions().likelihood.wrong
+    trials = [part * float(nats(table, rows, background, t, wrong).mean()) for t in TEMPERATURES]
+    own = table[np.arange(told_of), rows][:, None]
+    others = max(table.shape[1] - 1, 1)
+    before = ((own > table).sum(axis=1) + ((own == table).sum(axis=1) - 1) / 2) / others
+    return Accuracy(
+        patches=told_of + silent,
+        telling=part,
+        best=part * float((table.argmax(axis=1) == rows).mean()),
+        auc=part * float(before.mean()) + (1.0 - part) / 2,
+        nats=part * float(nats(table, rows, background, temperature, wrong).mean()),
+        bare=part * float(nats(table, rows, background, temperature).mean()),
+        temperature=temperature,
+        ideal=TEMPERATURES[int(np.argmax(trials))],
+        ideal_nats=max(trials),
+        milliseconds=seconds / len(frames) * 1e3,
+    )
+
+
+def true_objects(
+    scene: SceneMap, camera: Camera, map_from_camera: Floats, grid: tuple[int, int]
+) -> NDArray[np.int32]:
+    """Object (rows * columns,) that half or more of the rays of a patch hit; -1: there is none."""
+    rows, columns = grid
+    y, x = np.mgrid[: rows * RAYS, : columns * RAYS] + 0.5
+    uv = np.stack([x * camera.width / columns, y * camera.height / rows], axis=-1) / RAYS
+    rays = camera.directions(uv.reshape(-1, 2)) @ map_from_camera[:3, :3].T
+    hits = scene.caster.cast(map_from_camera[:3, 3], rays).triangle
+    hit = np.where(hits >= 0, scene.mesh.object_of[np.maximum(hits, 0)], -1)
+    tiles = hit.reshape(rows, RAYS, columns, RAYS).swapaxes(1, 2).reshape(rows * columns, -1)
+    # sorted, what has half of them stands in the middle or just before it
+    tiles = np.sort(tiles, axis=1)
+    out = np.full(len(tiles), -1, np.int32)
+    for middle in (RAYS * RAYS // 2 - 1, RAYS * RAYS // 2):
+        much = (tiles == tiles[:, middle, None]).sum(axis=1) * 2 >= RAYS * RAYS
+        out = np.where(much, tiles[:, middle], out)
+    return out
+
+
+def nats(
+    cosines: Floats,
+    truth: NDArray[np.int32],
+    background: Floats,
+    temperature: float,
+    wrong: float = 0.0,
+) -> Floats:
+    """Log-likelihood ratio (P,) of the true object of each patch against the background.
+
+    `cosines`: (P, N); `truth`: (P,) rows of objects; `background`: (N,) share of each object among
+    all that is seen in the map; `wrong`: share of patches taken to say nothing true. Expected over
+    the background, the ratio is one: its logarithm is what a patch tells.
+    """
+    logits = cosines / temperature
+    ratio = np.exp(logits - logits.max(axis=1, keepdims=True))
+    ratio /= ratio.mean(axis=1, keepdims=True)
+    ratio = (1.0 - wrong) * ratio + wrong
+    own = ratio[np.arange(len(truth)), truth]
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.log(own) - np.log(ratio @ background))
+
+
+def report(found: Mapping[str, Mapping[str, Accuracy | None]]) -> str:
+    """Markdown table of places, and of encoders in each: `found[place][encoder]`."""
+    header = (
+        "place, encoder", "patches", "that tell", "best is true", "AUC", "nats a patch",
+        "softmax alone", "temperature", "best of all", "ms a frame",
+    )  # fmt: skip
+    rows = [
+        (f"{place}, {name}", *_cells(told))
+        for place, encoders in found.items()
+        for name, told in encoders.items()
+    ]
+    return markdown(header, rows)
+
+
+def mean(found: Iterable[Accuracy | None]) -> Accuracy | None:
+    """Mean over places of one kind, each counting alike; None where nothing was said in any."""
+    told = [f for f in found if f is not None]
+    if not told:
+        return None
+    columns = {name: [getattr(f, name) for f in told] for name in told[0].to_dict()}
+    means = {name: float(np.mean(values)) for name, values in columns.items()}
+    return Accuracy(**means | {"patches": sum(columns["patches"])})
+
+
+def _cells(told: Accuracy | None) -> tuple[str, ...]:
+    if told is None:
+        return ("–",) * 9
+    return (
+        f"{told.patches:,}",
+        share(told.telling),
+        share(told.best),
+        share(told.auc),
+        number(told.nats, 2),
+        number(told.bare, 2),
+        f"{told.temperature:.2g}",
+        f"{told.ideal_nats:.2f} at {told.ideal:.2g}",
+        number(told.milliseconds, 1),
+    )
 
 
 @table()

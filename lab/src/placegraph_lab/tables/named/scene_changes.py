@@ -10,10 +10,234 @@ and it goes on where it was cut.
 
 from __future__ import annotations
 
+import json
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from placegraph.estimate import Status
+from placegraph.formats.capture.capture import Capture, open_capture
+from placegraph.formats.capture.tum import read_tum
+from placegraph.geometry import Floats
 from placegraph.indoor.build import build_scene
+from placegraph.indoor.mapping.change.capture.looks import look
+from placegraph.indoor.mapping.change.changes import Change
+from placegraph.indoor.mapping.change.diff import DiffOptions, diff_capture
+from placegraph.indoor.mapping.change.register import moved
+from placegraph.indoor.scene_map import SceneMap
+from placegraph_lab.tables.indoor.metrics import rotation_error
 from placegraph_lab.tables.journal import INDOOR, fingerprint
 from placegraph_lab.tables.run import Fresh, Quick, Run, Seed, table
-from placegraph_lab.tables.scene.changes import Told, ask, figures, report
+from placegraph_lab.tables.tables import markdown, number, share
+
+GONE = ("moved", "vanished")
+"""Kinds that say that an object is not where the map has it."""
+NEAR_NEW = 0.1
+"""What appeared is right where it lies this near to the box of a thing that moved there [m]."""
+
+
+@dataclass(frozen=True)
+class Told:
+    """What one run said of one window of a sequence, beside the truth."""
+
+    sequence: str
+    first: int
+    frames: int
+    status: str
+    changed: bool
+    """Whether anything in the sequence was."""
+    visible: tuple[str, ...]
+    """Ids of what was truly moved or removed, and whose old place enough pixels show."""
+    found: tuple[str, ...]
+    """Of these, what is reported as moved or vanished."""
+    moves: int
+    """Of `found`, what truly moved ..."""
+    moves_found: int
+    """... and is reported as moved."""
+    removed: int
+    removed_found: int
+    """Of `found`, what was truly removed, and is reported as vanished."""
+    errors: tuple[tuple[float, float], ...]
+    """Of the motions of those: metres of the box's middle, and degrees."""
+    right: tuple[float, ...]
+    """Confidences of reports (moved, vanished) of things that truly changed ..."""
+    wrong: tuple[float, ...]
+    """... and of things that did not."""
+    new_right: int
+    """Appeared, where something truly stands now that did not."""
+    new_wrong: int
+    seconds: float
+    """Of comparing, without localizing."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers and strings."""
+        return asdict(self)
+
+
+def changes_of(folder: Path) -> dict[str, Floats | None]:
+    """What was changed before a sequence was recorded: ids, and motions (4, 4); None: removed."""
+    told = json.loads((folder / "changes.json").read_text(encoding="utf-8"))
+    return {
+        str(c["id"]): np.array(c["matrix"], np.float64) if c["action"] == "move" else None
+        for c in told["changes"]
+    }
+
+
+def visible(scene: SceneMap, capture: Capture, truth: Floats, options: DiffOptions) -> set[str]:
+    """Ids of the objects whose old place enough pixels of enough frames show, from true poses.
+
+    Pixels count where the map has the object in front and the depth has a reading that is not
+    nearer: what hides an object shows nothing of it. Limits are those of the options.
+    """
+    counts = []
+    for frame, pose in zip(capture, truth, strict=True):
+        seen = look(scene, frame, pose)
+        clear = seen.front.objects >= 0
+        if seen.depth is not None:
+            with np.errstate(invalid="ignore"):
+                clear &= seen.depth > seen.front.depth - 0.1
+        counts.append(np.bincount(seen.front.objects[clear], minlength=len(scene)))
+    pixels = np.array(counts)
+    frames = np.count_nonzero(pixels >= options.least_pixels / 10, axis=0)
+    enough = (pixels.sum(axis=0) >= options.least_pixels) & (
+        frames >= min(options.least_frames, len(pixels))
+    )
+    return {scene.graph.ids[i] for i in np.flatnonzero(enough).tolist()}
+
+
+def ask(scene: SceneMap, folder: Path, first: int, frames: int, *, seed: int = 0) -> Told:
+    """Localize a window of a sequence, compare it with the map, and hold that against the truth."""
+    capture = open_capture(folder, labels=None)[first : first + frames]
+    truth = read_tum(folder / "trajectory.tum").poses[first : first + frames]
+    changed, options = changes_of(folder), DiffOptions(seed=seed)
+    estimate = scene.localize(capture, seed=seed)
+    begun = time.perf_counter()
+    lost = estimate.status is Status.LOST
+    told = None if lost else diff_capture(scene, capture, estimate, options=options)
+    seconds = time.perf_counter() - begun
+    seen = {id_ for id_ in visible(scene, capture, truth, options) if id_ in changed}
+    reports = {c.id: c for c in told or () if c.kind in GONE}
+    appeared = [c.box for c in (told.of("appeared") if told else []) if c.box is not None]
+    boxes = _new_boxes(scene, changed)
+    new_right = sum(any(_meet(box, other) for other in boxes) for box in appeared)
+    return Told(
+        sequence=folder.name,
+        first=first,
+        frames=len(capture),
+        status=estimate.status.name,
+        changed=bool(changed),
+        visible=tuple(sorted(seen)),
+        **_verdicts(scene, reports, changed, seen),
+        right=tuple(c.confidence for c in reports.values() if c.id in changed),
+        wrong=tuple(c.confidence for c in reports.values() if c.id not in changed),
+        new_right=new_right,
+        new_wrong=len(appeared) - new_right,
+        seconds=seconds,
+    )
+
+
+def _verdicts(
+    scene: SceneMap,
+    reports: dict[str, Change],
+    changed: dict[str, Floats | None],
+    seen: set[str],
+) -> dict[str, Any]:
+    """What became of the visible changes: fields of `Told`."""
+    found = sorted(id_ for id_ in seen if id_ in reports)
+    moves = [id_ for id_ in found if changed[id_] is not None]
+    removed = [id_ for id_ in found if changed[id_] is None]
+    errors = []
+    for id_ in moves:
+        true, said = changed[id_], reports[id_].after_from_before
+        if true is not None and said is not None:
+            middle = scene.graph.positions[scene.row_of(id_)][None]
+            off = float(np.linalg.norm(moved(said, middle) - moved(true, middle)))
+            errors.append((off, rotation_error(said, true)))
+    return {
+        "found": tuple(found),
+        "moves": len(moves),
+        "moves_found": len(errors),
+        "removed": len(removed),
+        "removed_found": sum(reports[id_].kind == "vanished" for id_ in removed),
+        "errors": tuple(errors),
+    }
+
+
+def _new_boxes(scene: SceneMap, changed: dict[str, Floats | None]) -> list[Floats]:
+    """Boxes (2, 3) of what moved, where it is now."""
+    boxes, mesh = [], scene.mesh
+    for id_, motion in changed.items():
+        if motion is not None:
+            own = mesh.object_of == scene.row_of(id_)
+            points = moved(motion, mesh.vertices[mesh.triangles[own]].reshape(-1, 3).astype(float))
+            boxes.append(np.stack([points.min(axis=0), points.max(axis=0)]))
+    return boxes
+
+
+def _meet(box: Floats, other: Floats) -> bool:
+    return bool(np.all((box[0] <= other[1] + NEAR_NEW) & (other[0] <= box[1] + NEAR_NEW)))
+
+
+def report(rows: Iterable[tuple[str, Sequence[Told]]]) -> str:
+    """Markdown table, one row a way of asking."""
+    header = [
+        "map, frames", "windows", "recall of gone", "precision", "motions found",
+        "median error", "false, unchanged", "appeared right", "seconds",
+    ]  # fmt: skip
+    return markdown(header, [[name, *_cells(told)] for name, told in rows])
+
+
+def figures(told: Sequence[Told]) -> dict[str, Any]:
+    """Sums and rates of some windows."""
+    total = sum(len(t.visible) for t in told)
+    right, wrong = sum(len(t.right) for t in told), sum(len(t.wrong) for t in told)
+    errors = np.array([e for t in told for e in t.errors]).reshape(-1, 2)
+    still = [
+        t for t in told if t.sequence not in {s.sequence for s in told if s.visible or s.right}
+    ]
+    return {
+        "windows": len(told),
+        "lost": sum(t.status == "LOST" for t in told),
+        "visible": total,
+        "found": sum(len(t.found) for t in told),
+        "right": right,
+        "wrong": wrong,
+        "recall": sum(len(t.found) for t in told) / total if total else None,
+        "precision": right / (right + wrong) if right + wrong else None,
+        "moves": sum(t.moves for t in told),
+        "moves_found": sum(t.moves_found for t in told),
+        "removed": sum(t.removed for t in told),
+        "removed_found": sum(t.removed_found for t in told),
+        "median_m": float(np.median(errors[:, 0])) if len(errors) else None,
+        "median_deg": float(np.median(errors[:, 1])) if len(errors) else None,
+        "still_windows": len(still),
+        "still_false": sum(len(t.wrong) + t.new_wrong for t in still),
+        "appeared_right": sum(t.new_right for t in told),
+        "appeared_wrong": sum(t.new_wrong for t in told),
+        "seconds": float(np.median([t.seconds for t in told])),
+        "confidence_right": float(np.mean([c for t in told for c in t.right])) if right else None,
+        "confidence_wrong": float(np.mean([c for t in told for c in t.wrong])) if wrong else None,
+    }
+
+
+def _cells(told: Sequence[Told]) -> list[str]:
+    f = figures(told)
+    error = f"{number(f['median_m'], 3, 'm')}, {number(f['median_deg'], 1)}°"
+    return [
+        f"{f['windows']}",
+        f"{share(f['recall'])} ({f['found']} of {f['visible']})",
+        f"{share(f['precision'])} ({f['right']} of {f['right'] + f['wrong']})",
+        f"{f['moves_found']} of {f['moves']}",
+        error,
+        f"{f['still_false']} in {f['still_windows']}",
+        f"{f['appeared_right']} of {f['appeared_right'] + f['appeared_wrong']}",
+        number(f["seconds"], 1),
+    ]
+
 
 CODE = (*INDOOR, "placegraph_lab/tables/scene/changes.py")
 """Code that decides what the answers are."""
