@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.outdoor.map.index import FADE, REACH, SIGHT, STRIDE, ViewIndex
-from placegraph.outdoor.map.index_build import LEVELS, SECOND_LABEL, build, fade
+from placegraph.outdoor.map.index_build import LEVELS, SECOND_LABEL, Core, build, fade
 from placegraph.outdoor.map.index_kernels import EDGE, WIDE, below, grade_of, pack, slot_of, unpack
 from placegraph.outdoor.map.raster_kernels import nearest_on_parts
 
@@ -230,6 +230,44 @@ def test_band_by_band_is_all_at_once(real_city):
     for name in once.keys() - {"share"}:
         np.testing.assert_array_equal(once[name], banded[name], err_msg=name)
     np.testing.assert_allclose(once["share"], banded["share"], rtol=1e-5)
+
+
+def test_about_a_core_viewpoints_are_those_of_the_whole_map(real_city):
+    """What is seen from them is the same; only they are counted."""
+    o, views = real_city.objects, real_city.views
+    middle = np.median(views.positions, axis=0).astype(np.float64)
+    core = Core(middle - 300, middle + 300, lambda at: (np.abs(at - middle) < 200).all(axis=1))
+    index, seen = ViewIndex.build(o, core)
+    assert 0 < len(index) < len(views)
+    inside = np.flatnonzero(core.holds(views.positions.astype(np.float64)))
+    here = np.flatnonzero(core.holds(index.positions.astype(np.float64)))
+    np.testing.assert_array_equal(index.positions[here], views.positions[inside])
+    for name in ("total", "pairs"):
+        mine, all_ = (getattr(i.columns, name) for i in (index, views))
+        np.testing.assert_array_equal(mine[here], all_[inside])
+    assert seen.viewpoints == len(inside)
+    looked = real_city.in_sight(inside)
+    sight, (starts, values, weights) = sight_of(looked), real_city.tokens
+    assert seen.sight == pytest.approx(sight.sum(), rel=1e-4)
+    mass = np.zeros((len(inside), len(seen.mass)))
+    view = np.repeat(np.arange(len(inside)), np.diff(looked.starts))
+    for row, o_row, s in zip(view.tolist(), looked.objects.tolist(), sight.tolist(), strict=True):
+        mine = slice(starts[o_row], starts[o_row + 1])
+        np.add.at(mass[row], values[mine], s * weights[mine])
+    np.testing.assert_allclose(seen.mass, mass.sum(axis=0), rtol=1e-3, atol=1e-4)
+    total = np.add.reduceat(sight, looked.starts[:-1])
+    np.testing.assert_allclose(seen.peak, (mass / total[:, None]).max(axis=0), rtol=1e-3, atol=1e-4)
+    shares = (mass[:, : len(o.labels)] / total[:, None]).sum(axis=1)
+    assert seen.spread == pytest.approx(shares.max(), rel=1e-3)
+    pairs = (index.columns.pairs[here] / 64) ** 2
+    assert seen.pull == pytest.approx((total**2 / (pairs + 30.0)).max(), rel=0.02)
+
+
+def test_a_core_in_which_nothing_is_seen_counts_nothing(harbour):
+    far = np.full(2, 1e6)
+    index, seen = ViewIndex.build(harbour.objects, Core(far, far, lambda at: at[:, 0] > 1e5))
+    assert len(index) == len(harbour.views)
+    assert (seen.viewpoints, seen.sight, seen.mass.any()) == (0, 0.0, False)
 
 
 def test_an_index_travels(harbour):

@@ -161,6 +161,11 @@ def build(
             "postings": postings, "tiles": tiles[there], "present": keep[there], "total": total,
             "pairs": pairs, "things": things, "thing_counts": thing_counts[there],
         })  # fmt: skip
+    if core is not None and not any(
+        len(part["tiles"]) for part in parts
+    ):  # all lies beyond: a road's bend
+        everywhere = np.full(2, np.inf)
+        return build(objects, at_once, core._replace(low=-everywhere, high=everywhere))
     masses, peaks, sights, spreads, pulls = zip(*sums, strict=True)
     seen_ = Seen(
         sum(masses), np.max(peaks, axis=0), sum(sights), max(spreads), max(pulls), viewpoints
