@@ -75,10 +75,10 @@ class City(Portable):
     ) -> Self:
         """City over these objects; cells are laid over their bounding box."""
         low, high = ends_of(objects.points)
-        grid = Grid(*low.tolist(), stride, *(int(n) for n in np.ceil((high - low) / stride) + 1))
-        cells = Cells(
-            plane, grid, cell_size, edge_distance, occupied_cells(objects, grid, cell_size)
-        )
+        columns, rows = (int(n) for n in np.ceil((high - low) / stride) + 1)
+        grid = Grid(float(low[0]), float(low[1]), stride, columns, rows)
+        occupied = occupied_cells(objects, grid, cell_size)
+        cells = Cells(plane, grid, cell_size, edge_distance, occupied)
         return cls(plane, objects, cells, source, left_out)
 
     def save(

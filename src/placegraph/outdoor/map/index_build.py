@@ -75,7 +75,7 @@ class _Band(NamedTuple):
     """Rows of objects."""
 
 
-class _InSight(NamedTuple):
+class InSight(NamedTuple):
     """What tiles have in sight: an entry a tile and thing."""
 
     things: NDArray[np.int32]
@@ -198,7 +198,7 @@ def _bands(objects: CityObjects, grid: Grid, at_once: int, core: Core | None) ->
 
 def _look(
     objects: CityObjects, grid: Grid, band: _Band
-) -> tuple[NDArray[np.int64], NDArray[np.int64], _InSight]:
+) -> tuple[NDArray[np.int64], NDArray[np.int64], InSight]:
     """Tiles of a band that have anything in sight, where their entries begin, and these."""
     things, lines, columns, slots, first, offsets, done = seen(
         objects.kind, objects.part_starts, objects.point_starts, objects.points, band.rows,
@@ -212,7 +212,7 @@ def _look(
     key = key[order]
     starts = np.flatnonzero(np.diff(key, prepend=-1))
     distance = np.hypot(offsets[:, 0], offsets[:, 1])
-    around = _InSight(things[order], slots[order], first[:-1][order], offsets, fade(distance))
+    around = InSight(things[order], slots[order], first[:-1][order], offsets, fade(distance))
     return key[starts], np.append(starts, len(key)), around
 
 

@@ -24,7 +24,7 @@ POINT = 0
 def standing(tile_starts, seen, kind, enough, stride, found):
     """Slots (T,) of points that see `enough`, or a point object closer than `stride` [m].
 
-    `seen` is what tiles have in sight (`_InSight`); notes in `found` (N,) what those points see.
+    `seen` is what tiles have in sight (`InSight`); notes in `found` (N,) what those points see.
     """
     keep, total = np.zeros(len(tile_starts) - 1, np.int64), np.zeros(SLOTS, np.float32)
     for tile in range(len(tile_starts) - 1):
