@@ -106,6 +106,15 @@ def test_what_is_cut_short_is_written_down_and_the_rest_stays(tmp_path, monkeypa
     assert len(asked(minutes=1.0, only="soak", fresh=True)) == 4
 
 
+def test_what_was_tried_by_several_seeds_is_one_line():
+    found = [Row.counted("fuzz", "GLB", FOUND, seed, 60.0) for seed in (8, 7)]
+    shown = module.shown([*found, Row("fuzz", "PLY", 1, typed=1, seed=9)]).splitlines()
+    cells = [[cell.strip() for cell in line.split("|")[1:-1]] for line in shown[2:]]
+    assert [(c[1], c[2], c[10], c[11]) for c in cells] == [
+        ("GLB", "16", "7, 8", "2.0"), ("PLY", "1", "9", "0.0"), ("all", "17", "7, 8, 9", "2.0"),
+    ]  # fmt: skip
+
+
 def test_page_and_readme_are_those_of_the_rows(tmp_path):
     rows = module.written(LAB / "results/reliability.json")
     for name in ("README.md", module.PAGE):

@@ -39,15 +39,7 @@ def change(path: Path, how: str, rng: Generator) -> None:
 
 
 def city(path: Path) -> Callable[[], Any]:
-    """A city's map, and a sentence in it."""
-    from placegraph.outdoor.city import CityMap
-
-    found = CityMap.open(path)
-    return lambda: found.locate(SENTENCE)
-
-
-def mapped(path: Path) -> Callable[[], Any]:
-    """The same, where the map's index is read where it lies, as that of a large one."""
+    """A city's map, and a sentence in it; one with an index is mapped, as a large one is."""
     from placegraph.outdoor.city import CityMap
 
     found = CityMap.open(path, shard=True)
@@ -107,7 +99,7 @@ def weights(path: Path) -> Callable[[], Any]:
 
 USES: dict[str, tuple[str, Callable[[Path], Callable[[], Any]]]] = {
     "a city's map": ("town.city", city),
-    "a city's map that is mapped": ("indexed.city", mapped),
+    "a city's map that is mapped": ("indexed.city", city),
     "a scene's map": ("flat.scene", scene),
     "a map of a library": ("home1.scene", library),
     "vectors": ("town.vectors", vectors),

@@ -148,9 +148,7 @@ class Keeper:
             code = -signal.SIGPROF
         self.end()
         log = self.folder / "died.log"
-        told = (
-            log.read_text("utf-8", "replace") if log.exists() else ""
-        )  # it died before it wrote one
+        told = log.read_text("utf-8", "replace") if log.exists() else ""  # died before it wrote
         at = re.findall(r'src/placegraph/(\S+)", line (\d+)', told)
         where = f"{at[0][0]}:{at[0][1]}" if at else "outside of placegraph"
         if code == -signal.SIGPROF:

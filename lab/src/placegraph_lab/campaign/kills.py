@@ -81,11 +81,7 @@ class Ground:
             "" if {n: there.get(n) for n in self.new} == self.new else "it made other files"
         )
         right = ended.code == 0 and not why
-        outcome = (
-            "accepted"
-            if right
-            else ("untyped" if ended.outcome in ("accepted", "typed") else ended.outcome)
-        )
+        outcome = "accepted" if right else worse(ended.outcome)
         self.count(outcome, "" if right else f"the next run: {ended.code} {why}", ended.said, say)
 
 
@@ -104,9 +100,7 @@ def killed(ground: Ground, commands: Commands, rng: Generator, say: Callable[[st
     ended = running.end()
     why = ground.whole(old)
     if not ended.killed and ended.code:
-        outcome = (
-            "untyped" if ended.outcome == "typed" else ended.outcome
-        )  # nothing was refused before
+        outcome = worse(ended.outcome)  # nothing was refused before
         ground.count(outcome, f"it ended with {ended.code}", ended.said, say)
     elif why:
         ground.count("untyped", why, ended.said, say)

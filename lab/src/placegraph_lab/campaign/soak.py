@@ -39,17 +39,8 @@ FEW = 200
 LOADS = {"sentences": 1e6, "localizations": 2e4, "tracker frames": 2e5, "a server": inf}
 """After so many answers a load has borne enough."""
 WORDS = (
-    "bakery",
-    "church",
-    "library",
-    "fountain",
-    "pharmacy",
-    "bank",
-    "hotel",
-    "café",
-    "museum",
-    "zoo",
-)
+    "bakery", "church", "library", "fountain", "pharmacy", "bank", "hotel", "café", "museum", "zoo",
+)  # fmt: skip
 SIDES = ("north", "south", "east", "west", "left", "right")
 PAGE = os.sysconf("SC_PAGE_SIZE")
 

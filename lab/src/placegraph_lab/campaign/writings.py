@@ -14,11 +14,7 @@ TEXT = "A bakery is north of me."
 OLD = b"what was there before"
 RUN = ("--tum", "a.tum", "--png", "a.png", "--overlay", "b.png", "--record", "a.run")
 DRAWN = (
-    "colour.png",
-    "depth.png",
-    "objects.png",
-    "objects_preview.png",
-    "overlay.png",
+    *(f"{name}.png" for name in ("colour", "depth", "objects", "objects_preview", "overlay")),
     "objects.json",
 )
 """What `scene render` makes."""

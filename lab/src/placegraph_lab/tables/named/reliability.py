@@ -33,7 +33,7 @@ PAGE = "docs/benchmarks/reliability.md"
 TABLE = re.compile(r"(?m)^\|\s+\|\s+\| +tried \|.*(?:\n\|.*)*")
 SUM = re.compile(r"[\d,]+ trials(?: \([^)]*\))?, [\d,]+ faults(?: found, [\d,]+ open)?")
 COUNTS = ("tried", *OUTCOMES, "mended")
-HEADER = ["", "", *COUNTS, "seed", "minutes", "measured"]
+HEADER = ["", "", *COUNTS, "seeds", "minutes", "measured"]
 
 
 @table()
@@ -91,11 +91,14 @@ def reliability(
 
 
 def shown(rows: list[Row]) -> str:
-    """Rows, and the sum of each part and of all."""
+    """Rows, those of one name and other seeds as one, and the sum of each part."""
     told = []
     for part in dict.fromkeys(row.part for row in rows):
         own = [row for row in rows if row.part == part]
-        told += [_cells(row) for row in [*own, total(own)]]
+        alike: dict[tuple[str, str], list[Row]] = {}
+        for row in own:
+            alike.setdefault((row.what, row.said), []).append(row)
+        told += [_cells(each, *key) for key, each in [*alike.items(), (("all", ""), own)]]
     return markdown(HEADER, told)
 
 
@@ -113,11 +116,12 @@ def summed(rows: list[Row]) -> str:
     return f"{whole.tried:,} trials{apart}, {whole.faults:,} faults found, {whole.open:,} open"
 
 
-def _cells(row: Row) -> list[str]:
+def _cells(rows: list[Row], what: str, said: str) -> list[str]:
+    row, seeds = total(rows), ", ".join(map(str, sorted({r.seed for r in rows})))
     counts = [number(getattr(row, name)) for name in COUNTS]
     told = [f"**{c}**" if row.open and name in FAULTS and c != "0" else c
             for name, c in zip(COUNTS, counts, strict=True)]  # fmt: skip
-    return [row.part, row.what, *told, str(row.seed), number(row.seconds / 60, 1), row.said]
+    return [row.part, what, *told, seeds, number(row.seconds / 60, 1), said]
 
 
 def written(path: Path) -> list[Row]:
