@@ -49,10 +49,10 @@ def columns_of(
         _add_text(made, "name", name)
         for way, said in enumerate(spoken(name)):
             key = " ".join(said)
-            made.add("key", "<u8", [_hash(key)])
-            made.add("entry", "<u4", [2 * row + way])
-            made.add("begin", "<u8", [_hash(said[0])])
-            made.add("many", "|u1", [min(len(said), LONGEST)])
+            made.add("key", "<u8", _hash(key).to_bytes(8, "little"))
+            made.add("entry", "<u4", (2 * row + way).to_bytes(4, "little"))
+            made.add("begin", "<u8", _hash(said[0]).to_bytes(8, "little"))
+            made.add("many", "|u1", bytes([min(len(said), LONGEST)]))
             for stem in stems(key):
                 words.add(f"{int(not is_alphabetic(stem))}{stem}", [2 * row + way])
     # what several names are called stands once among their words: of the first
@@ -74,7 +74,7 @@ def columns_of(
         kept = np.array(entries, np.uint32)[fresh[entries]]
         alphabetic += word[0] == "0"
         _add_text(made, "stem", word[1:])
-        made.add("posting_sizes", "<i8", [len(kept)])
+        made.add("posting_sizes", "<i8", len(kept).to_bytes(8, "little"))
         made.add("postings", "<u4", kept)
     return {"spoken": ways, "alphabetic": alphabetic}, {
         name: made.of(name, dtype) if dtype != STARTS
@@ -85,7 +85,7 @@ def columns_of(
 
 def _add_text(made: Columns, of: str, text: str) -> None:
     data = text.encode()
-    made.add(f"{of}_sizes", "<i8", [len(data)])
+    made.add(f"{of}_sizes", "<i8", len(data).to_bytes(8, "little"))
     made.add(f"{of}_text", "|u1", data)
 
 

@@ -227,7 +227,7 @@ def _write(path: Path, found: Iterable[Counted], scratch: Path, at_once: int) ->
 
     def every() -> Iterator[str]:
         for text, numbers in words.merged():
-            made.add("sizes", "<i8", [len(numbers)])
+            made.add("sizes", "<i8", len(numbers).to_bytes(8, "little"))
             made.add("order", "<i8", numbers)
             if text[0] == "0":
                 labels.append(text[1:])
