@@ -23,6 +23,8 @@ KINDS = {".city": "city", ".scene": "scene", ".library": "library"}
 """Kind of map that a file of each name holds."""
 SHARDS = "usual.shard"
 """File of a library in shards that is written last."""
+WORLD, PARTS = "world.json", frozenset(("world.json", "words.table", "shards", ".build"))
+"""File of a world in shards that is written last; and what is such a world's own in its folder."""
 
 
 def open_map(path: str | os.PathLike[str]) -> CityMap | SceneMap | SceneLibrary | SceneShards:
@@ -48,6 +50,8 @@ def open_map(path: str | os.PathLike[str]) -> CityMap | SceneMap | SceneLibrary 
         from placegraph.indoor.library.shards import SceneShards
 
         return SceneShards.open(path)
+    if is_world(path):
+        raise MapError(f"{path} is a world in shards and no single map; open it by `open_world`.")
     if Path(path).is_dir():
         from placegraph.indoor.library import SceneLibrary
 
@@ -79,8 +83,17 @@ def open_map(path: str | os.PathLike[str]) -> CityMap | SceneMap | SceneLibrary 
 
 def is_shards(path: str | os.PathLike[str]) -> bool:
     """Whether a folder is a library in shards, by the name of the file that is written last."""
+    return _holds(path, SHARDS)
+
+
+def is_world(path: str | os.PathLike[str]) -> bool:
+    """Whether a folder is a world in shards, by the same."""
+    return _holds(path, WORLD)
+
+
+def _holds(folder: str | os.PathLike[str], name: str) -> bool:
     try:
-        return (Path(path) / SHARDS).is_file()
+        return (Path(folder) / name).is_file()
     except (OSError, ValueError):
         return False
 
@@ -124,7 +137,7 @@ class Found:
     """Files of a world, as they are called; none was looked into."""
 
     paths: dict[str, dict[str, Path]]
-    """Of each kind of map its files by name."""
+    """Of each kind of map its files by name; folders of `shards` (of scenes), and of each `world`."""
     ignored: tuple[tuple[Path, str], ...]
     """Files and folders left alone, and why."""
     twins: tuple[str, ...]
@@ -135,7 +148,7 @@ class Found:
         bad = list(self.twins)
         for kind, paths in self.paths.items():
             for path in paths.values():
-                if kind == "shards":
+                if kind in ("shards", "world"):
                     continue
                 try:
                     held = store.read_header(path).kind
@@ -150,16 +163,21 @@ class Found:
 
 def find(places: Sequence[Path]) -> Found:
     """Map files that are named, or lie in folders that are named, by what they are called."""
-    paths: dict[str, dict[str, Path]] = {kind: {} for kind in (*KINDS.values(), "shards")}
+    paths: dict[str, dict[str, Path]] = {k: {} for k in (*KINDS.values(), "shards", "world")}
     ignored, twins = [], []
     for path in itertools.chain.from_iterable(map(_files, places)):
-        kind = "shards" if is_shards(path) else KINDS.get(path.suffix)
-        if path.is_dir() and kind != "shards":
+        kind = "shards" if is_shards(path) else "world" if is_world(path) else None
+        if kind is None and path.is_dir():
             ignored.append((path, "a folder"))
-        elif kind is None:
+        elif (kind := kind or KINDS.get(path.suffix)) is None:
             ignored.append((path, f"no map: its name ends in none of {', '.join(KINDS)}"))
-        elif realpath(known := paths[kind].setdefault(path.stem, path)) != realpath(path):
+        elif realpath(known := paths[kind].setdefault(_name(path), path)) != realpath(path):
             twins.append(f"{known} and {path} have one name; rename one of them.")
+    towns = paths["world"].keys() & paths["city"].keys()
+    twins += [
+        f"{paths['world'][n]} and {paths['city'][n]} have one name; rename one of them."
+        for n in towns
+    ]
     return Found(paths, tuple(ignored), tuple(twins))
 
 
@@ -188,10 +206,18 @@ def checked(places: Sequence[Path]) -> Found:
     return found
 
 
+def _name(path: Path) -> str:
+    return path.resolve().name if is_world(path) else path.stem
+
+
 def _files(place: Path) -> list[Path]:
+    """Maps that a place is, or holds: a world in shards, and what lies in its folder, too."""
     if is_shards(place):
         return [place]
     try:
-        return sorted(place.iterdir())
+        inside = sorted(place.iterdir())
     except OSError:  # a file, or gone by now
         return [place]
+    if is_world(place):
+        return [place, *(path for path in inside if path.name not in PARTS)]
+    return [p for path in inside for p in (_files(path) if is_world(path) else [path])]

@@ -43,7 +43,7 @@ def test_a_street_far_off_is_not_its_street(world):
 def test_another_street_weighs_as_much_as_the_wrong_building(world, street):
     def heard(text):
         known = Known(text)
-        return hear(world, known, said(world, known)).scenes["reading"].told.weights
+        return hear(world, known, said(world, known)).scenes["reading"].told.judged.weights
 
     (_, right), (_, wrong) = (
         heard("I am in the library on Lange Straße"),
@@ -56,5 +56,5 @@ def test_another_street_weighs_as_much_as_the_wrong_building(world, street):
 
 @pytest.mark.parametrize("said", ["on Hafenweg", "at Hafenweg 99", "in the Hafenweg"])
 def test_one_is_along_what_the_map_knows_as_a_street(world, said):
-    told = understand(f"I am {said}", {"west": world.cities["west"]}, ("desk",)).outside["west"]
+    told = understand(f"I am {said}", {"west": world.towns["west"]}, ("desk",)).outside["west"]
     assert [s.relation.name for s in told.statements] == ["ALONG"]

@@ -152,7 +152,7 @@ def answer(places: Places, frames: list[Frame], hints: Hints, *, record: bool) -
             f"Map {name!r} is a city, and images are found in scenes; name one, or none.",
             status=422, code="map_kind",
         )  # fmt: skip
-    return places.world().locate(
+    return places.world(name).locate(
         hints.description, frames, near=hints.near, radius=hints.radius, heading=hints.heading,
         seed=hints.seed,
     )  # fmt: skip

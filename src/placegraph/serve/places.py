@@ -11,14 +11,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from placegraph import store
-from placegraph.errors import PlacegraphError, RequestError
+from placegraph.errors import OptionError, PlacegraphError, RequestError
 from placegraph.geometry import LocalPlane
 from placegraph.indoor.library import SceneLibrary
 from placegraph.indoor.scene_map import SceneMap
-from placegraph.maps import SHARDS, checked, find, open_map
+from placegraph.maps import SHARDS, WORLD, checked, find, is_world
 from placegraph.serve.options import ServeOptions
 from placegraph.world import World, open_world
-from placegraph.world.shards.folder import NAME, WorldFile, is_world
+from placegraph.world.shards.folder import WorldFile
+from placegraph.world.world import opened
 
 if TYPE_CHECKING:
     from placegraph.outdoor.city import CityMap
@@ -36,7 +37,7 @@ class Entry:
     name: str
     kind: str
     """``city``, ``scene`` or ``library``; ``shards`` of one in shards, a folder;
-    ``world`` of a world in shards, whose `path` is its world.json."""
+    ``world`` of one of cities in shards, a folder, too."""
     path: Path
 
 
@@ -46,8 +47,8 @@ class Places:
     Parameters
     ----------
     paths
-        Map files, and folders of them; a folder is looked into anew when it is listed. A folder may
-        be a world in shards.
+        Map files, and folders of them, which are looked into anew when they are listed; worlds in
+        shards, with what else lies in their folders.
     scheduler
         Address of a Dask scheduler whose workers search worlds in shards; this process if not given.
 
@@ -57,6 +58,8 @@ class Places:
         A path does not exist, or there is no map.
     MapError
         A file is no map.
+    OptionError
+        A scheduler is given, and there is no world in shards.
 
     """
 
@@ -65,8 +68,11 @@ class Places:
         self.scheduler = scheduler
         self._held: dict[Path, tuple[State, Any]] = {}
         self._worlds: dict[str | None, tuple[dict[Path, State], World]] = {}
-        if maps := [path for path in self.paths if not is_world(path)]:
-            checked(maps)
+        if not checked(self.paths).paths["world"] and scheduler is not None:
+            raise OptionError(
+                "scheduler: its workers search worlds in shards, and here is none; leave it out, or name "
+                "one that `placegraph world build` wrote."
+            )
         self._entries = self._found()
 
     def entries(self) -> tuple[Entry, ...]:
@@ -98,17 +104,10 @@ class Places:
         held = self._held.get(path)
         if held is None or held[0] != state:
             try:
-                held = self._held[path] = state, self._open(path)
+                held = self._held[path] = state, opened(path, self.scheduler)
             except PlacegraphError as error:
                 raise type(error)(without_folder(error, path)) from error
         return held[1]
-
-    def _open(self, path: Path) -> Any:  # noqa: ANN401  # any map
-        return (
-            open_world(path.parent, scheduler=self.scheduler)
-            if path.name == NAME
-            else open_map(path)
-        )
 
     def city(self, name: str) -> CityMap:
         """A map that must be a city; `RequestError` where it is none."""
@@ -139,15 +138,13 @@ class Places:
         return there[0].name if len(there) == 1 else None
 
     def world(self, name: str | None = None) -> World:
-        """All maps as one world, or one of them alone; made anew where a file was replaced."""
-        if name is None:
-            entries = tuple(entry for entry in self.entries() if entry.kind != "world")
-        else:
-            entries = (self.entry(name),)
-            if entries[0].kind == "world":
-                planet: World = self._opened(entries[0].path)
-                return planet
-        states = {entry.path: state_of(entry.path) for entry in entries}
+        """All maps as one world, or one of them alone; made anew where a file was replaced.
+
+        A world in shards is it with what else lies in its folder.
+        """
+        entries = self.entries() if name is None else (self.entry(name),)
+        kinds = find([entry.path for entry in entries]).paths.values()
+        states = {path: state_of(path) for paths in kinds for path in paths.values()}
         held = self._worlds.get(name)
         if held is None or held[0] != states:
             held = self._worlds[name] = states, open_world(list(states), opener=self._opened)
@@ -163,7 +160,7 @@ class Places:
             "anchored": entry.kind in ("city", "world"), "bytes": 0,
         }  # fmt: skip
         if entry.kind == "world":
-            return facts | _of_shards(entry.path.parent)
+            return facts | _of_shards(entry.path)
         file = entry.path / SHARDS if entry.kind == "shards" else entry.path
         try:
             header = store.read_header(file)
@@ -188,11 +185,13 @@ class Places:
 
     def _found(self) -> dict[str, Entry]:
         """Entries by name, which is the stem of the file, or all of its name where two share one."""
-        found = find([path for path in self.paths if not is_world(path)]).paths
+        found = find(self.paths).paths
         stems = Counter(itertools.chain.from_iterable(found.values()))
-        files = ((kind, path) for kind, paths in found.items() for path in paths.values())
-        named = [Entry(p.stem if stems[p.stem] == 1 else p.name, kind, p) for kind, p in files]
-        named += [Entry(p.resolve().name, "world", p / NAME) for p in self.paths if is_world(p)]
+        named = (
+            Entry(name if stems[name] == 1 else path.resolve().name, kind, path)
+            for kind, paths in found.items()
+            for name, path in paths.items()
+        )
         return {entry.name: entry for entry in named}
 
 
@@ -201,7 +200,7 @@ def _of_shards(folder: Path) -> dict[str, Any]:
     try:
         shards = WorldFile.read(folder).shards
     except PlacegraphError as error:
-        return {"problem": without_folder(error, folder / NAME)}
+        return {"problem": without_folder(error, folder / WORLD)}
     return {"objects": sum(s.objects for s in shards), "bytes": sum(s.bytes for s in shards)}
 
 
@@ -213,7 +212,7 @@ def without_folder(error: PlacegraphError, path: Path) -> str:
 def state_of(path: Path) -> State:
     """What changes when a file is replaced; `RequestError` where it is gone."""
     try:
-        stat = path.stat()
+        stat = (path / WORLD if is_world(path) else path).stat()
     except OSError:
         raise RequestError(
             f"The file of map {path.stem!r} is gone from the server; ask another map, or put it back.",

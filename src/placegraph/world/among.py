@@ -187,7 +187,7 @@ def among(world: World, crowd: Crowd, known: Known, heard: Heard) -> World:
             name = crowd.name(row)
             names[row] = name if name not in names.values() else f"{name} (scene {row})"
     rest = np.append(np.delete(weights, list(names)), np.log(missing) if missing else -np.inf)
-    out = World(world.cities, ignored=world.ignored)
+    out = World(world.cities, planets=world.planets, ignored=world.ignored)
     out.library = crowd.holding(list(names), list(names.values()))
     out.scenes = {name: out.library.scene(name) for name in names.values()}
     modes = () if weighed is None else tuple(

@@ -83,7 +83,7 @@ class WorldEstimate(Estimate[WorldMode]):
     understood: Understood | None = None
     """What was understood of the text, of the outside and of the inside."""
     cities: dict[str, CityEstimate] = field(default_factory=dict)
-    """What each city alone says of the text's outside."""
+    """What each city alone says of the text's outside; each shard, of a world in shards."""
     poses: dict[str, PoseEstimate] = field(default_factory=dict)
     """What the frames say in each scene looked into."""
     notes: tuple[str, ...] = ()
@@ -98,9 +98,9 @@ class WorldEstimate(Estimate[WorldMode]):
             return None
         if best.place is None:
             return question_of(self.modes, self.answered)
-        for name, estimate in self.cities.items():
+        for part, estimate in self.cities.items():
             if best.place in estimate.modes:
-                return world.cities[name].ask(estimate)
+                return world.towns[part.partition("//")[0]].ask(part, estimate)
         return None
 
     def to_dict(self) -> dict[str, Any]:

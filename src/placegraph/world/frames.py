@@ -84,7 +84,7 @@ def by_frames(world: World, known: Known, witnesses: Witnesses) -> WorldEstimate
     return WorldEstimate(
         status, tuple(m for m in modes if m.probability >= LEAST)[: known.top] or tuple(modes[:1]),
         reason, elsewhere=elsewhere, understood=witnesses.understood,
-        cities={n: t.estimate for n, t in witnesses.towns.items()}, poses=poses,
+        cities=witnesses.parts, poses=poses,
     )  # fmt: skip
 
 

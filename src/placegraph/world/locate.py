@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 from placegraph.errors import OptionError
 from placegraph.estimate import Status
-from placegraph.outdoor.search.whereabouts import Whereabouts, swapped
 from placegraph.world.among import among
 from placegraph.world.ask import with_answers
 from placegraph.world.frames import by_frames
@@ -17,6 +16,7 @@ from placegraph.world.words import by_words
 if TYPE_CHECKING:
     from placegraph.world.estimate import WorldEstimate
     from placegraph.world.known import Known
+    from placegraph.world.witnesses import Heard
     from placegraph.world.world import World
 
 NO_SCENES = "There is no scene map in this world, so the frames were not used."
@@ -24,6 +24,8 @@ NO_SCENES = "There is no scene map in this world, so the frames were not used."
 
 def locate(world: World, asked: Known) -> WorldEstimate:
     """One posterior over place, room and pose; parameters and errors: `World.locate`."""
+    if asked.budget is not None and not world.planets:
+        raise OptionError("budget: it is of worlds in shards, and here is none; leave it out.")
     known = with_answers(asked)
     answered = tuple(answer.question.text for answer in asked.answers)
     return replace(_located(world, known), answered=answered)
@@ -42,17 +44,27 @@ def _located(world: World, known: Known) -> WorldEstimate:
     else:
         estimate = by_words(world, known, witnesses)
         notes += (NO_SCENES,) if known.capture is not None else ()
-    return replace(_swap_told(world, known, estimate), notes=notes)
+    return _searched(replace(_off_told(world, known, estimate), notes=notes), heard)
 
 
-def _swap_told(world: World, known: Known, estimate: WorldEstimate) -> WorldEstimate:
-    """Estimate that says so where a fix is off every city, and on one with its numbers swapped."""
+def _searched(estimate: WorldEstimate, heard: Heard) -> WorldEstimate:
+    """Estimate that says what was searched; where that was not all, nothing is sure."""
+    towns = heard.towns.values()
+    gaps = [town.gap for town in towns if town.gap]
+    told = [estimate.reason, *gaps, *(town.cost for town in towns if town.cost)]
+    short = bool(gaps) and estimate.status is Status.OK
+    return replace(
+        estimate, status=Status.AMBIGUOUS if short else estimate.status, reason=" ".join(told),
+        notes=(*estimate.notes, *(note for town in towns for note in town.notes)),
+    )  # fmt: skip
+
+
+def _off_told(world: World, known: Known, estimate: WorldEstimate) -> WorldEstimate:
+    """Estimate that says so where a fix is off every town, and on one with its numbers swapped."""
     if known.near is None or estimate.status is Status.OK:
         return estimate
-    cities = world.cities.values()
-    if not cities or not all(
-        Whereabouts.around(city, known.near, known.radius).off(city) for city in cities
-    ):
+    hints = [town.off(known.near, known.radius) for town in world.towns.values()]
+    if not hints or None in hints:
         return estimate
-    hint = next((told for city in cities if (told := swapped(city, known.near))), "")
+    hint = next(filter(None, hints), "")
     return replace(estimate, reason=f"{estimate.reason} The fix is on none of the maps.{hint}")

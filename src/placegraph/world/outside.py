@@ -3,186 +3,176 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import TYPE_CHECKING
+from functools import cached_property, partial
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from placegraph.features import inside
-from placegraph.outdoor.language.description import SPEAKER, Relation
-from placegraph.outdoor.locate import Hints
-from placegraph.outdoor.locate import understand as asked_of
-from placegraph.outdoor.map.objects import AREA, POINT
-from placegraph.outdoor.map.raster_kernels import nearest_on_parts
+from placegraph.outdoor.likelihood.lexicon import Known as Read
+from placegraph.outdoor.locate import Hints, understand, why_nothing
 from placegraph.outdoor.search.answer import estimate
-from placegraph.outdoor.search.confidence import Claim, claim_of
-from placegraph.outdoor.search.evidence import TELLING, evidence_at, looked_at
+from placegraph.outdoor.search.confidence import claim_of
+from placegraph.outdoor.search.evidence import TELLING, evidence_at
 from placegraph.outdoor.search.posterior import ELSEWHERE
 from placegraph.outdoor.search.request import Matching
 from placegraph.outdoor.search.viewpoints import search
-from placegraph.world.streets import AROUND_IT, on_street, roads_called
+from placegraph.outdoor.search.whereabouts import Whereabouts, swapped
+from placegraph.world.buildings import Buildings
+from placegraph.world.streets import roads_called
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
     from numpy.typing import NDArray
 
     from placegraph.estimate import CityEstimate
     from placegraph.evidence import Evidence
     from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.language.description import Description
-    from placegraph.outdoor.map.objects import CityObjects
+    from placegraph.outdoor.likelihood.query import Query
+    from placegraph.outdoor.search.ask import Question
     from placegraph.outdoor.search.posterior import Posterior
     from placegraph.outdoor.search.request import Request
-
-AROUND = (12.0, 24.0)
-"""What stands around a building is seen from its doors and windows, so far from its walls [m]."""
-BESIDE = 100.0
-"""A scene so far off a city's map [m] is in another town."""
-THERE = 30.0
-"""A building is the one that somebody is said to be in where its point is this near its middle [m]."""
-MISSED = -2.0
-"""Log-likelihood ratio, at most, of a building that somebody is not in by what was said [nat]."""
+    from placegraph.world.buildings import Judged
+    from placegraph.world.known import Known
 
 
-@dataclass(frozen=True, eq=False)
-class Outside:
-    """A city, and what was said of its streets and buildings."""
-
-    city: CityMap
-    asked: Request
-    posterior: Posterior
-    estimate: CityEstimate
-
-    @classmethod
-    def hear(cls, city: CityMap, said: Description, hints: Hints, top: int) -> Outside | None:
-        """What a description says in a city; None where it says nothing that could be looked for."""
-        description, asked = asked_of(city, said, hints, Matching())
-        if not asked.positive:
-            return None
-        near = asked.known.near
-        if near is not None and not len(city.views.near(near, 4.0 * asked.known.radius)):
-            return None
-        found = search(asked)
-        return cls(city, asked, found, estimate(asked, found, top, description))
+class Words(Read, Protocol):
+    """What words mean in a town."""
 
     @property
-    def claim(self) -> Claim:
-        """What an answer to such a text claims."""
-        return claim_of(self.asked.query.description)
-
-    @cached_property
-    def gain(self) -> float:
-        """Log-likelihood ratio of this town, wherever in it, against anywhere else [nat]."""
-        here, off = float(self.posterior.probabilities.sum()), self.posterior.elsewhere
-        ratio = (here + 1e-9) / (off + 1e-9) * ELSEWHERE / (1.0 - ELSEWHERE)
-        return self.claim.whole.slope * float(np.log(ratio))
-
-    @cached_property
-    def streets(self) -> dict[int, NDArray[np.int64]]:
-        """Of each statement that names the street one is on: rows of that street."""
-        query = self.asked.query
-        named = {
-            i: roads_called(self.city, query.description.mentions[s.target].name)
-            for i, s in enumerate(query.used)
-            if s.relation is Relation.ALONG and s.source == SPEAKER
-        }
-        return {i: rows for i, rows in named.items() if len(rows)}
-
-    def holds(self, position: NDArray[np.float64]) -> bool:
-        """Whether a position (2,) [m] is on the map."""
-        return len(self.city.views.near(position, BESIDE)) > 0
-
-    def of_building(self, footprint: NDArray[np.float64]) -> Told:
-        """What was said of a building, by its corners (4, 2) east and north [m].
-
-        What one is said to be *in* is told of the building itself, on which street one is said to be
-        of its address, all else of what lies around it, too.
-        """
-        middle = footprint.mean(axis=0)
-        inner = np.concatenate([middle[None], (footprint + middle) / 2.0])
-        rays = (
-            np.concatenate([footprint, (footprint + np.roll(footprint, 1, axis=0)) / 2.0]) - middle
-        )
-        far = np.linalg.norm(rays, axis=1, keepdims=True)
-        outer = np.concatenate([middle + rays * (1.0 + d / np.maximum(far, 1.0)) for d in AROUND])
-        ratios, served = looked_at(np.concatenate([inner, outer]), self.city, self.asked.query)
-        weights, meant = [], False
-        for i, s in enumerate(self.asked.query.used):
-            own = s.relation in (Relation.INSIDE, Relation.SAME) and s.source == SPEAKER
-            told = float((ratios[: len(inner)] if own else ratios)[:, i].max())
-            if i in self.streets:
-                told = self._of_street(i, footprint)
-            if own and not s.negated:
-                held, own = self._holds(served[: len(inner), i], footprint)
-                meant |= own
-                told = told if held else min(told, MISSED)
-            weights.append(told)
-        return Told(self, middle, self.claim.whole.slope * sum(weights), meant, tuple(weights))
-
-    def _of_street(self, i: int, footprint: NDArray[np.float64]) -> float:
-        """Log-likelihood ratio of a statement about the street that one is on, for who is in a building.
-
-        Against the other streets around; and so far as it is on that street, as for who stands there.
-        """
-        asked = self.asked.query
-        noise, negated = asked.statements.noise[i], asked.used[i].negated
-        on = on_street(self.city, self.streets[i], footprint)
-        p = on.probability if on is not None else 0.0
-        odds = 1.0 - p if negated else p / AROUND_IT
-        gain = float(np.log((1.0 - noise) * odds + noise))
-        if on is None or negated:
-            return gain
-        there, _ = looked_at(on.position[None], self.city, asked)
-        return gain + p * max(0.0, float(there[0, i]) - gain)
-
-    def _holds(self, rows: NDArray[np.int32], footprint: NDArray[np.float64]) -> tuple[bool, bool]:
-        """Whether one of what serves a statement holds a building (4, 2), and whether it is a building.
-
-        A shop is where its point is; a square or a park may hold a building, and is none; a promenade
-        holds nothing.
-        """
-        o, middle = self.city.objects, footprint.mean(axis=0)
-        ring = np.concatenate([footprint, footprint[:1]])
-        held = meant = False
-        for r in np.unique(rows[rows >= 0]).tolist():
-            part = o.part_starts, o.point_starts, o.points, o.kind[r], r
-            away = float(np.hypot(*nearest_on_parts(*part, *middle)[:2]))
-            if o.kind[r] == AREA:
-                central = inside(o.center[r], ring)
-                holds, built = away == 0.0 or central, central or _is_building(o, r)
-            else:
-                holds = built = o.kind[r] == POINT and away < THERE
-            held, meant = held or holds, meant or (holds and built)
-        return held, meant
+    def label_index(self) -> Mapping[str, Sequence[int]]:
+        """Tokens by label and by ``key=*``."""
 
 
-def _is_building(o: CityObjects, row: int) -> bool:
-    labels = o.label_values[o.label_starts[row] : o.label_starts[row + 1]].tolist()
-    return any(o.labels[k].startswith("building") for k in labels)
+class Town(Protocol):
+    """What a world asks of what lies outdoors: a city, or a world in shards."""
+
+    @property
+    def words(self) -> Words:
+        """What words mean in it."""
+
+    def is_street(self, name: str) -> bool:
+        """Whether a name means streets, and nothing else."""
+
+    def hear(self, said: Description, known: Known) -> Outside | str:
+        """What was said, looked for in it; or why nothing of it can be."""
+
+    def off(self, near: Sequence[float], radius: float) -> str | None:
+        """Where a fix is on none of its maps a sentence if it is so when swapped, or an empty one."""
+
+    def ask(self, part: str, found: CityEstimate) -> Question | None:
+        """Question that tells places apart, of a part of what it answered (`Outside.parts`)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Told:
     """What the outside of a sentence says of one building."""
 
-    by: Outside
-    position: NDArray[np.float64]
-    """(2,) east, north [m]."""
-    ratio: float
-    """Log-likelihood ratio of being there, against anywhere [nat]."""
-    meant: bool
-    """Whether the speaker was said to be in this building."""
-    weights: tuple[float, ...]
-    """The same of each statement that was used."""
+    judged: Judged
+    explain: Callable[[], tuple[Evidence, ...]]
+    """What statements say of the middle of it."""
 
     @property
     def evidence(self) -> tuple[Evidence, ...]:
         """What each statement says of the building."""
-        found = evidence_at(self.position, self.by.city, self.by.asked.query)
+        found = self.explain()
         told = [
             e if abs(e.weight - w) < TELLING else replace(
                 e, weight=w, verdict="for" if w > TELLING else "against" if w < -TELLING else "silent",
                 note="" if w > TELLING else e.note,
             )
-            for e, w in zip(found, self.weights, strict=False)
+            for e, w in zip(found, self.judged.weights, strict=False)
         ]  # fmt: skip
         return (*told, *found[len(told) :])
+
+
+@dataclass(frozen=True, eq=False)
+class Outside:
+    """What was said of streets and buildings, in a town."""
+
+    query: Query
+    posterior: Posterior
+    estimate: CityEstimate
+    parts: dict[str, CityEstimate]
+    """Its answer, or parts of it of which can be asked back, by name of the map."""
+    gap: str
+    """What of the town was not searched, and why; empty where all that matters was."""
+
+    @cached_property
+    def gain(self) -> float:
+        """Log-likelihood ratio of this town, wherever in it, against anywhere else [nat]."""
+        here, off = float(self.posterior.probabilities.sum()), self.posterior.elsewhere
+        ratio = (here + 1e-9) / (off + 1e-9) * ELSEWHERE / (1.0 - ELSEWHERE)
+        return claim_of(self.query.description).whole.slope * float(np.log(ratio))
+
+    @property
+    def cost(self) -> str:
+        """What was looked into."""
+        return ""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Maps that did not answer."""
+        return ()
+
+    def of_buildings(self, corners: Sequence[NDArray[np.float64]]) -> list[Told | None]:
+        """What was said of buildings, by their corners (4, 2) [deg]; None of those in other towns."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, eq=False)
+class InCity(Outside):
+    """The same in one city."""
+
+    city: CityMap
+    asked: Request
+
+    def of_buildings(self, corners: Sequence[NDArray[np.float64]]) -> list[Told | None]:
+        """As `Outside.of_buildings`."""
+        buildings = Buildings(self.city, self.asked)
+        out: list[Told | None] = []
+        for each in corners:
+            judged = buildings.around(each)
+            middle = self.city.plane.to_plane(each).mean(axis=0)
+            explain = partial(evidence_at, middle, self.city, self.query)
+            out.append(None if judged is None else Told(judged, explain))
+        return out
+
+
+@dataclass(frozen=True, eq=False)
+class OneCity:
+    """A `Town` of one map."""
+
+    name: str
+    words: CityMap
+
+    def is_street(self, name: str) -> bool:
+        """As `Town.is_street`."""
+        return len(roads_called(self.words, name)) > 0
+
+    def hear(self, said: Description, known: Known) -> Outside | str:
+        """As `Town.hear`."""
+        city, hints = (
+            self.words,
+            Hints(known.near, known.radius, known.heading, answers=known.answers),
+        )
+        description, asked = understand(city, said, hints, Matching())
+        if not asked.positive:
+            return why_nothing(asked.query, description)
+        near = asked.known.near
+        if near is not None and not len(city.views.near(near, 4.0 * asked.known.radius)):
+            return ""
+        found = search(asked)
+        told = estimate(asked, found, known.top, description)
+        return InCity(asked.query, found, told, {self.name: told}, "", city, asked)
+
+    def off(self, near: Sequence[float], radius: float) -> str | None:
+        """As `Town.off`."""
+        off = Whereabouts.around(self.words, near, radius).off(self.words)
+        return swapped(self.words, near) if off else None
+
+    def ask(self, part: str, found: CityEstimate) -> Question | None:
+        """As `Town.ask`."""
+        del part
+        return self.words.ask(found)

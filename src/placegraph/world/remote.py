@@ -15,7 +15,7 @@ from placegraph.errors import InputError, MapError, MissingExtraError, OptionErr
 from placegraph.world.shards.folder import NAME, SHARDS, WORDS, WorldFile, digest_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
     from os import PathLike
 
     Progress = Callable[[str, int, int | None], None]
@@ -96,15 +96,19 @@ def fetch(url: str, folder: str | PathLike[str], progress: Progress | None = Non
     return folder
 
 
-def at_hand(place: str | PathLike[str], keep: str | PathLike[str] | None) -> str | PathLike[str]:
-    """A place on this machine; `fetch` brings what lies at a URL to the folder `keep`."""
-    if not is_url(place):
-        if keep is not None:
-            raise OptionError("keep: it is of worlds at a URL; leave it out.")
-        return place
-    if keep is None:
-        raise OptionError(f"{place} is a URL: name a folder for what is fetched (keep).")
-    return fetch(str(place), keep)
+def at_hand(places: Sequence[str | PathLike[str]], keep: str | PathLike[str] | None) -> list[Path]:
+    """Places on this machine; `fetch` brings the world that lies at a URL to the folder `keep`."""
+    urls = [str(place) for place in places if is_url(place)]
+    if keep is not None and not urls:
+        raise OptionError("keep: it is of a world at a URL, and none is given; leave it out.")
+    if keep is None and urls:
+        raise OptionError(f"{urls[0]} is a URL: name a folder for what is fetched (keep).")
+    if len(urls) > 1:
+        raise OptionError(
+            f"{' and '.join(urls)} are URLs, and one folder keeps one world: fetch the others by "
+            "`placegraph.world.remote.fetch`, and name their folders."
+        )
+    return [fetch(str(p), keep) if keep is not None and is_url(p) else Path(p) for p in places]
 
 
 def _fetched(system: Any, there: str, here: Path, digest: str) -> None:  # noqa: ANN401  # fsspec has no types

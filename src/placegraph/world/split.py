@@ -18,7 +18,6 @@ from placegraph.outdoor.language.description import LISTENER, SPEAKER, Relation
 from placegraph.outdoor.likelihood.query import read as read_outside
 from placegraph.outdoor.likelihood.statements import ends
 from placegraph.world.floors import said_floors
-from placegraph.world.streets import roads_called
 from placegraph.world.translate import in_english, of_rooms
 
 if TYPE_CHECKING:
@@ -27,10 +26,10 @@ if TYPE_CHECKING:
     from placegraph.indoor.language import Sentence
     from placegraph.indoor.language.sentence import Mention as Thing
     from placegraph.indoor.language.sentence import Statement as Inside
-    from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.language.description import Description
     from placegraph.outdoor.language.description import Statement as Outside
     from placegraph.world.floors import Floor
+    from placegraph.world.outside import Town, Words
 
 SENSE = 0.7
 """Weight from which on a word means such a thing of the map."""
@@ -50,7 +49,7 @@ class Understood:
 
     text: str
     outside: Mapping[str, Description]
-    """Of each city, by its name, what is said of the outside; only where there is something."""
+    """Of each town, by its name, what is said of the outside; only where there is something."""
     inside: Sentence | None
     """What is said of the inside; None if nothing."""
     ignored: tuple[Ignored, ...] = ()
@@ -74,7 +73,7 @@ class Understood:
 
 def understand(
     text: str,
-    cities: Mapping[str, CityMap],
+    towns: Mapping[str, Town],
     things: Sequence[str],
     heading: float | None = None,
     names: Collection[str] = (),
@@ -86,8 +85,8 @@ def understand(
     ----------
     text
         What was said.
-    cities
-        Cities by name.
+    towns
+        Cities, and worlds in shards, by name.
     things
         Labels of what stands in the rooms of the world, and names of these rooms.
     heading
@@ -107,12 +106,13 @@ def understand(
     floors, left = said_floors(text)
     whole = {
         name: in_english(
-            addressed(read_outside(city, left, heading=heading, language=language), city), city
+            addressed(read_outside(town.words, left, heading=heading, language=language), town),
+            town.words,
         )
-        for name, city in (cities if left else {}).items()
+        for name, town in (towns if left else {}).items()
     }
     own = {" ".join(_words(name)) for name in names}
-    out = {name: _outside(d, cities[name], things, own) for name, d in whole.items()}
+    out = {name: _outside(d, towns[name].words, things, own) for name, d in whole.items()}
     outside = {name: _kept(d, out[name]) for name, d in whole.items()}
     outside = {name: d for name, d in outside.items() if d.statements}
     spoken = {
@@ -124,7 +124,7 @@ def understand(
         inside = read_inside(left) if foreign is None else of_rooms(foreign)
     sentence = None if inside is None else _inside(inside, spoken | _WINDS | _parts(own))
     ignored = tuple(dict.fromkeys(i for d in whole.values() for i in d.ignored))
-    if not cities and inside is not None:
+    if not towns and inside is not None:
         ignored = inside.ignored
     if sentence is not None:  # what the other wing could use
         used = {_plain(sentence.mentions[t].words) for s in sentence.statements for t in s.things}
@@ -134,7 +134,7 @@ def understand(
     return Understood(text, outside, sentence, ignored, floors)
 
 
-def addressed(description: Description, city: CityMap) -> Description:
+def addressed(description: Description, town: Town) -> Description:
     """A description with addresses as the map writes them, number first: "5 Gartenweg".
 
     One is along what the map knows as a street, whatever its name: "on Fischergang".
@@ -146,13 +146,15 @@ def addressed(description: Description, city: CityMap) -> Description:
             " ".join([words[-1], *words[:-1]]) if len(words) > 1 and words[-1][0].isdigit() else ""
         )
         street = " ".join(words[:-1])
-        if turned and not city.name_index.named(turned):  # the map may lack the house
-            turned = street if len(roads_called(city, street)) else ""
+        if turned and not town.words.name_index.named(turned):  # the map may lack the house
+            turned = street if town.is_street(street) else ""
         mentions.append(replace(m, name=turned) if turned else m)
-    streets = {m.id for m in mentions if m.name and len(roads_called(city, m.name))}
     statements = tuple(
         replace(s, relation=Relation.ALONG)
-        if s.source == SPEAKER and s.relation in _WITHIN and s.target in streets
+        if s.source == SPEAKER
+        and s.relation in _WITHIN
+        and (name := mentions[s.target].name)
+        and town.is_street(name)
         else s
         for s in description.statements
     )
@@ -160,15 +162,15 @@ def addressed(description: Description, city: CityMap) -> Description:
 
 
 def _outside(
-    said: Description, city: CityMap, things: Sequence[str], own: Collection[str]
+    said: Description, town: Words, things: Sequence[str], own: Collection[str]
 ) -> set[int]:
-    """Mentions that speak of something on the city's map, and not in a room."""
+    """Mentions that speak of something on the town's map, and not in a room."""
     out, either = set(), set()
     for m in said.mentions[LISTENER + 1 :]:
         words = " ".join(_words(m.words))
-        known = any(s.weight >= SENSE and s.label in city.label_index for s in m.senses)
+        known = any(s.weight >= SENSE and s.label in town.label_index for s in m.senses)
         if m.name:
-            is_out = bool(city.name_index.named(m.name)) or words not in own
+            is_out = bool(town.name_index.named(m.name)) or words not in own
         elif room_kind(words):
             held = {room_kind(thing) for thing in things}
             whole = " " in words and words in {_plain(s.label.partition("=")[2]) for s in m.senses}
@@ -183,7 +185,7 @@ def _outside(
         beside = bool(_ends(s) & out) and SPEAKER not in ends(s)
         if beside or _WINDS.intersection(_words(s.text)):
             out |= either & _ends(s)
-    return out
+    return out if things else out | either  # where no room is mapped, what is known is outside
 
 
 def _in_rooms(words: str, things: Sequence[str]) -> bool:

@@ -18,16 +18,16 @@ from placegraph.outdoor.language.description import LISTENER, SPEAKER, Relation
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.language.description import Description
     from placegraph.outdoor.language.description import Statement as Outside
+    from placegraph.world.outside import Words
 
 ENDING = 2
 """Letters that a word may have behind the one of the table: "Fenstern", "Lampen"."""
 _IN = (Relation.INSIDE, Relation.SAME)
 
 
-def in_english(said: Description, city: CityMap) -> Description:
+def in_english(said: Description, town: Words) -> Description:
     """A description in which things of rooms have their English words; what the map names stays."""
     table = _tables().get(said.language)
     if table is None:
@@ -35,7 +35,7 @@ def in_english(said: Description, city: CityMap) -> Description:
     mentions, known = list(said.mentions), set()
     for i, m in enumerate(said.mentions[LISTENER + 1 :], LISTENER + 1):
         word = _english(m.words, table)
-        if word and not (m.name and city.name_index.named(m.name)):
+        if word and not (m.name and town.name_index.named(m.name)):
             mentions[i] = replace(m, words=word, name="")
             known.add(m.words)
     ignored = tuple(i for i in said.ignored if i.text not in known)

@@ -11,19 +11,21 @@ from placegraph.evidence import Evidence
 from placegraph.indoor.map.floor import storeys
 from placegraph.outdoor.language.description import SPEAKER, Relation
 from placegraph.outdoor.language.words import tokens
-from placegraph.outdoor.locate import Hints
 from placegraph.world.floors import ratio_of
 from placegraph.world.inside import Inside, things_of
-from placegraph.world.outside import Outside, Told
 from placegraph.world.split import Understood, understand
 from placegraph.world.standing import UNANCHORED, Standing
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
+    from placegraph.estimate import CityEstimate
     from placegraph.world.among import Others
     from placegraph.world.floors import Floor
     from placegraph.world.known import Known
+    from placegraph.world.outside import Outside, Told
     from placegraph.world.world import World
 
 CALLED = 3.0
@@ -76,6 +78,13 @@ class Witnesses:
     near: tuple[float, float] | None = None
     others: Others | None = None
     """What the scenes hold that are not among these, where there are many."""
+    mute: str = ""
+    """Why nothing that was said can be looked for outdoors."""
+
+    @property
+    def parts(self) -> dict[str, CityEstimate]:
+        """What each town says of the outside."""
+        return {name: part for town in self.towns.values() for name, part in town.parts.items()}
 
     @property
     def speaks_inside(self) -> bool:
@@ -119,6 +128,8 @@ class Heard:
 
     understood: Understood | None = None
     towns: dict[str, Outside] = field(default_factory=dict)
+    mute: str = ""
+    """Why no town makes anything of it."""
 
 
 def said(world: World, known: Known) -> Heard:
@@ -132,13 +143,17 @@ def said(world: World, known: Known) -> Heard:
         things = things_of(world.library) if world.scenes else ()
         stands = (s for scene in world.scenes.values() for s in Standing.of(scene))
         names = {*world.scenes, *(s.anchor.building for s in stands)} - {""}
-    understood = understand(known.text, world.cities, things, known.heading, names, known.language)
-    hints = Hints(known.near, known.radius, known.heading, answers=known.answers)
-    told = {
-        city: Outside.hear(world.cities[city], outside, hints, known.top)
-        for city, outside in understood.outside.items()
-    }
-    return Heard(understood, {city: town for city, town in told.items() if town is not None})
+    towns = world.towns
+    understood = understand(known.text, towns, things, known.heading, names, known.language)
+    heard: dict[str, Outside] = {}
+    mute: dict[str, None] = {}
+    for name, outside in understood.outside.items():
+        told = towns[name].hear(outside, known)
+        if isinstance(told, str):
+            mute[told] = None
+        else:
+            heard[name] = told
+    return Heard(understood, heard, " ".join(filter(None, mute)))
 
 
 def hear(world: World, known: Known, heard: Heard) -> Witnesses:
@@ -154,10 +169,11 @@ def hear(world: World, known: Known, heard: Heard) -> Witnesses:
     for name in refused:
         spoken = spoken.replace(name, " | ")
     denied = "|".join(refused)
-    judge = _Judge(known, floors, towns, inside, spoken, denied)
+    judge = _Judge(known, floors, inside, spoken, denied)
     near = None if known.near is None else (float(known.near[0]), float(known.near[1]))
-    found = {n: judge.witness(n, s, above[n]) for n, s in scenes.items()}
-    return Witnesses(understood, towns, inside, found, near, world.others)
+    told = iter(_told([s for standings in scenes.values() for s in standings], towns))
+    found = {n: judge.witness(n, s, [next(told) for _ in s], above[n]) for n, s in scenes.items()}
+    return Witnesses(understood, towns, inside, found, near, world.others, heard.mute)
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,15 +182,16 @@ class _Judge:
 
     known: Known
     floors: tuple[Floor, ...]
-    towns: dict[str, Outside]
     inside: Inside | None
     spoken: str
     """All words, but for those that deny."""
     denied: str
     """Names that the speaker is not in."""
 
-    def witness(self, name: str, standings: tuple[Standing, ...], above: int) -> Witness:
-        """What they say of one scene and the candidates of its place."""
+    def witness(
+        self, name: str, standings: tuple[Standing, ...], told: Sequence[Told | None], above: int
+    ) -> Witness:
+        """What they, and towns, say of one scene and the candidates of its place."""
         names = {name, *(s.anchor.building for s in standings)}
         called = any(_called(n, self.spoken) for n in names)
         refused = CALLED * any(_called(n, self.denied) for n in names)
@@ -185,8 +202,7 @@ class _Judge:
                 name, outside=CALLED * called - refused, inside=said, near=fits, meant=called
             )
         priors = np.array([s.there.probability for s in standings])
-        told = [_told(s, self.towns) for s in standings]
-        ratios = np.array([t.ratio if t else 0.0 for t in told])
+        ratios = np.array([t.judged.ratio if t else 0.0 for t in told])
         ratios += [ratio_of(self.floors, s.anchor.level, above) for s in standings]
         nears = np.ones(len(standings))
         if self.known.near is not None:
@@ -205,20 +221,23 @@ class _Judge:
             outside + CALLED * (called and told[best] is None) - refused,
             said,
             float(priors @ nears + unknown * UNANCHORED),
-            called or any(t is not None and t.meant for t in told),
+            called or any(t is not None and t.judged.meant for t in told),
             told[best],
             self.floors,
             above,
         )  # fmt: skip
 
 
-def _told(standing: Standing, towns: dict[str, Outside]) -> Told | None:
-    """What the town that a candidate stands in says of it."""
+def _told(standings: Sequence[Standing], towns: dict[str, Outside]) -> list[Told | None]:
+    """What the town that each candidate stands in says of it."""
+    out: list[Told | None] = [None] * len(standings)
     for town in towns.values():
-        corners = town.city.plane.to_plane(standing.corners)
-        if town.holds(corners.mean(axis=0)):
-            return town.of_building(corners)
-    return None
+        left = [k for k, told in enumerate(out) if told is None]
+        for k, told in zip(
+            left, town.of_buildings([standings[k].corners for k in left]), strict=True
+        ):
+            out[k] = told
+    return out
 
 
 def _denied(understood: Understood | None) -> tuple[str, ...]:

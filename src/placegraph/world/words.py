@@ -65,18 +65,18 @@ def by_words(world: World, known: Known, witnesses: Witnesses) -> WorldEstimate:
     return WorldEstimate(
         status, tuple(m for m in modes if m.probability >= LEAST)[: known.top] or tuple(modes[:1]),
         reason, elsewhere=elsewhere, understood=witnesses.understood,
-        cities={n: t.estimate for n, t in witnesses.towns.items()},
+        cities=witnesses.parts,
     )  # fmt: skip
 
 
 def _of_one_town(witnesses: Witnesses) -> WorldEstimate:
     """What a town says of a sentence about nothing but its outside: all of it, as it says it."""
-    ((name, town),) = witnesses.towns.items()
+    (town,) = witnesses.towns.values()
     found = town.estimate
     modes = tuple(replace(_place_mode(town, p), probability=p.probability) for p in found.modes)
     return WorldEstimate(
         found.status, modes, found.reason, elsewhere=town.posterior.elsewhere,
-        understood=witnesses.understood, cities={name: found},
+        understood=witnesses.understood, cities=witnesses.parts,
     )  # fmt: skip
 
 
@@ -117,10 +117,13 @@ def place_modes(town: Outside, share: float) -> list[WorldMode]:
 
 def _place_mode(town: Outside, place: Place) -> WorldMode:
     """A place of a town, with the building that the speaker is said to be in."""
-    building = ""
-    for s, e in zip(town.asked.query.used, place.evidence, strict=False):
-        if s.relation in (Relation.INSIDE, Relation.SAME) and s.source == SPEAKER:
-            building = building or next((o.name for o in e.objects if o.id[0] != "n"), "")
+    said = [
+        i
+        for i, s in enumerate(town.query.used)
+        if s.relation in (Relation.INSIDE, Relation.SAME) and s.source == SPEAKER
+    ]
+    told = (e for i in said for e in place.evidence[i : i + 1])  # found only where it is needed
+    building = next((o.name for e in told for o in e.objects if o.id[0] != "n" and o.name), "")
     return WorldMode(
         place.longitude, place.latitude, place.probability, place.covariance, building=building,
         place=place, explain=lambda: place.evidence,
@@ -132,7 +135,7 @@ def _judged(
 ) -> tuple[Status, str]:
     """Status and reason of modes, best first."""
     if not modes:
-        return Status.LOST, "Nothing that was said can be found on these maps."
+        return Status.LOST, witnesses.mute or "Nothing that was said can be found on these maps."
     best = modes[0]
     if elsewhere > max(0.5, best.probability):
         return (

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import os
-from functools import cached_property
-from pathlib import Path
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 from placegraph.errors import InputError, OptionError
 from placegraph.files import real_path
 from placegraph.indoor.library import SceneLibrary
 from placegraph.indoor.library.scenes import digest_of
-from placegraph.maps import checked, open_map
+from placegraph.maps import checked, is_world, open_map
 from placegraph.world.maps import Maps
+from placegraph.world.outside import OneCity
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
+    from pathlib import Path
 
     from placegraph.formats.capture.capture import Capture
     from placegraph.formats.capture.frame import Frame
@@ -24,7 +25,8 @@ if TYPE_CHECKING:
     from placegraph.outdoor.city import CityMap
     from placegraph.world.among import Crowd, Others
     from placegraph.world.estimate import WorldEstimate
-    from placegraph.world.known import Known
+    from placegraph.world.outside import Town
+    from placegraph.world.shards.planet import Planet
 
 
 class World:
@@ -38,6 +40,8 @@ class World:
         Maps by name. Scenes of a library whose map files are there are scenes of the world.
     shards
         Libraries in shards, by name: of their scenes a question looks into few.
+    planets
+        Worlds in shards, by name: of their cities a question looks into few.
     ignored
         Files left alone, and why.
 
@@ -53,13 +57,21 @@ class World:
         libraries: Maps[SceneLibrary] | dict[str, SceneLibrary] | None = None,
         shards: Maps[SceneShards] | dict[str, SceneShards] | None = None,
         *,
+        planets: Mapping[str, Planet] | None = None,
         ignored: Sequence[tuple[Path, str]] = (),
     ) -> None:
         self.cities = {} if cities is None else cities
         self.scenes: Maps[SceneMap] | dict[str, SceneMap] = {} if scenes is None else scenes
         self.libraries = {} if libraries is None else libraries
         self.shards = {} if shards is None else shards
+        self.planets = {} if planets is None else planets
         self.ignored = tuple(ignored)
+
+    @cached_property
+    def towns(self) -> Mapping[str, Town]:
+        """All that lies outdoors: cities and worlds in shards."""
+        cities = {name: OneCity(name, city) for name, city in self.cities.items()}
+        return {**cities, **self.planets}
 
     @cached_property
     def crowd(self) -> Crowd | None:
@@ -124,8 +136,9 @@ class World:
         options
             `top`: modes at most (5); `most`: scenes in which a pose is sought, at most (8);
             `refine`, `device`, `progress`: as of `SceneMap.localize`; `answers` to questions, and the
-            `language` of the text: as of `CityMap.locate`; `budget` [s], of a world in shards, ends the
-            search early: the best so far is `AMBIGUOUS`, and the reason tells what share was searched.
+            `language` of the text: as of `CityMap.locate`; `budget` [s] ends the search of a world in
+            shards early: the best so far is `AMBIGUOUS`, and the reason tells what share was searched.
+            What frames show is sought as long as it takes.
 
         Returns
         -------
@@ -141,48 +154,51 @@ class World:
             The text is empty, too long, or no text.
         InputError, MapError
             An image is broken; a map is damaged, gone, or another one than its library has.
+        ServiceError
+            The scheduler of a world in shards went away.
 
         """
         from placegraph.world.known import Known
-
-        return self._ask(Known(text, capture, frames, near, radius, heading, seed, **options))
-
-    def _ask(self, known: Known) -> WorldEstimate:
         from placegraph.world.locate import locate
 
-        if known.budget is not None:
-            raise OptionError("budget: it is of worlds in shards; leave it out.")
-        return locate(self, known)
+        return locate(self, Known(text, capture, frames, near, radius, heading, seed, **options))
+
+    def close(self) -> None:
+        """Let go of the shards of cities, and of the cluster that searches them."""
+        for planet in self.planets.values():
+            planet.close()
 
     def __repr__(self) -> str:
         shards = f", {len(self.shards)} in shards" if self.shards else ""
-        return f"World({len(self.cities)} cities, {len(self.scenes)} scenes{shards})"
+        planets = "".join(f", {planet}" for planet in self.planets.values())
+        return f"World({len(self.cities)} cities, {len(self.scenes)} scenes{shards}{planets})"
 
 
 def open_world(
     places: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
     *,
-    opener: Callable[[Path], Any] = open_map,
+    opener: Callable[[Path], Any] | None = None,
     scheduler: str | None = None,
     keep: str | os.PathLike[str] | None = None,
 ) -> World:
-    """Open the maps of a folder, or of several folders and files; or one world in shards.
+    """Open the maps of a folder, or of several folders and files, as one world.
 
-    Maps are only listed now, and opened when they are needed. Other files are left alone, and named in
-    `World.ignored`. A scene's place on Earth stands in its own file.
+    Maps are only listed now, and opened when they are needed; of a world in shards the table of words
+    is opened. Other files are left alone, and named in `World.ignored`. A scene's place on Earth stands
+    in its own file.
 
     Parameters
     ----------
     places
-        A folder with ``.city``, ``.scene`` and ``.library`` files and folders of library shards; or a
-        list of such folders and files.
+        A folder with ``.city``, ``.scene`` and ``.library`` files, folders of library shards and worlds
+        in shards; such a world itself, with what else lies in its folder; or a list of all these.
     opener
         Opens one of them, where that is to be done once for several worlds.
     scheduler
-        Address of a Dask scheduler whose workers search a world in shards; this process if not given.
+        Address of a Dask scheduler whose workers search worlds in shards; this process if not given.
     keep
-        Folder of this machine for a world in shards that lies at a URL (``s3://...``): what it does not
-        hold yet is fetched into it first.
+        Folder of this machine for the world in shards that lies at a URL (``s3://...``): what it does
+        not hold yet is fetched into it first.
 
     Raises
     ------
@@ -190,23 +206,25 @@ def open_world(
         A place is missing, or holds no map.
     MapError
         Map files are damaged or have one name: the message names all, each with its mend.
+    OptionError
+        A place is a URL and `keep` is not given, or several are; `keep` or `scheduler` is given, and
+        nothing is there that takes it.
     MissingExtraError, ServiceError
         The scheduler takes Dask, which is not installed; or it does not answer.
 
     """
     from placegraph.world.remote import at_hand
-    from placegraph.world.shards.folder import is_world
 
-    given = [at_hand(places, keep)] if isinstance(places, str | os.PathLike) else list(places)
-    if len(given) == 1 and is_world(given[0]):
-        from placegraph.world.shards.planet import Planet
-
-        return Planet.open(given[0], scheduler)
-    if scheduler is not None:
-        raise OptionError("scheduler: it is of worlds in shards; leave it out.")
+    given = [places] if isinstance(places, str | os.PathLike) else list(places)
     if not given:
         raise InputError("There is no place to look for maps; name a folder, or map files.")
-    found = checked([Path(place) for place in given])
+    found = checked(at_hand(given, keep))
+    if scheduler is not None and not found.paths["world"]:
+        raise OptionError(
+            f"scheduler: its workers search worlds in shards, and {given[0]} holds none; leave it out, "
+            "or build one by `placegraph world build`."
+        )
+    opener = opener or partial(opened, scheduler=scheduler)
     libraries: Maps[SceneLibrary] = Maps(found.paths["library"], opener)
     scenes, ignored = dict(found.paths["scene"]), list(found.ignored)
     for library in libraries.values():
@@ -224,4 +242,14 @@ def open_world(
     return World(
         Maps(found.paths["city"], opener), Maps(scenes, opener), libraries,
         Maps(found.paths["shards"], opener), ignored=ignored,
+        planets={name: opener(path) for name, path in found.paths["world"].items()},
     )  # fmt: skip
+
+
+def opened(path: Path, scheduler: str | None = None) -> Any:  # noqa: ANN401  # any map, or a planet
+    """What a file or folder of `maps.find` holds; raises as `open_map` and `open_world`."""
+    if not is_world(path):
+        return open_map(path)
+    from placegraph.world.shards.planet import Planet
+
+    return Planet.open(path, scheduler)

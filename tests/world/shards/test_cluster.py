@@ -4,7 +4,7 @@ import socket
 import sys
 
 import pytest
-from tests.world.shards.test_planet import TEXTS
+from tests.world.shards.test_planet import TEXTS, town
 
 import placegraph as pg
 from placegraph.errors import MissingExtraError, ServiceError
@@ -34,14 +34,14 @@ def test_workers_answer_as_one_process(scheduler, sharded):
 
 def test_a_step_is_sent_once_to_each_worker(scheduler, sharded, monkeypatch):
     planet, sent = pg.open_world(sharded, scheduler=scheduler), []
-    real = planet.crew.client.submit
+    real = town(planet).crew.client.submit
     monkeypatch.setattr(
-        planet.crew.client,
+        town(planet).crew.client,
         "submit",
         lambda do, batch, **how: sent.append(batch) or real(do, batch, **how),
     )
-    tasks = [workers.Task(source, ([],)) for source in planet.sources]
-    assert sorted(planet.crew.each("name", tasks)) == [(row, []) for row in range(len(tasks))]
+    tasks = [workers.Task(source, ([],)) for source in town(planet).sources]
+    assert sorted(town(planet).crew.each("name", tasks)) == [(row, []) for row in range(len(tasks))]
     assert len(sent) <= 2 < len(tasks) == sum(len(batch.tasks) for batch in sent)
     planet.close()
 
@@ -98,7 +98,7 @@ def test_a_scheduler_that_goes_away_is_said_and_may_come_again(sharded, monkeypa
 
 
 def test_a_worker_out_of_memory_is_a_shard_that_does_not_answer(scheduler, sharded, monkeypatch):
-    small = next(iter(pg.open_world(sharded).sources)).path
+    small = next(iter(town(pg.open_world(sharded)).sources)).path
 
     def full(self, source, known=workers.Holder.shard):
         if source.path == small:
@@ -136,7 +136,7 @@ def test_a_worker_killed_in_between_loses_nothing(sharded, workers):
         alone = pg.open_world(sharded)
         planet = pg.open_world(sharded, scheduler=found.scheduler_address)
         planet.locate(TEXTS[0])
-        victim = next(iter(planet.crew.client.run(os.getpid).values()))
+        victim = next(iter(town(planet).crew.client.run(os.getpid).values()))
         os.kill(victim, signal.SIGKILL)
         for text in TEXTS[:4]:
             assert planet.locate(text).to_dict() == alone.locate(text).to_dict()

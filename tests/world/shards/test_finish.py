@@ -5,8 +5,9 @@ import pytest
 from tests.world.shards.conftest import ZOOM
 
 from placegraph.errors import InputError, MapError, OptionError
+from placegraph.maps import is_world
 from placegraph.outdoor.city import CityMap
-from placegraph.world.shards import WorldFile, finish, is_world
+from placegraph.world.shards import WorldFile, finish
 from placegraph.world.shards.table import WordTable
 
 

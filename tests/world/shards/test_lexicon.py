@@ -11,7 +11,7 @@ from placegraph.world.shards.lexicon import Thing, joined
 
 @pytest.fixture(scope="module")
 def shard(sharded):
-    source = pg.open_world(sharded).sources[0]
+    source = pg.open_world(sharded).planets["WORLD"].sources[0]
     return source.key, CityMap.open(source.path)
 
 

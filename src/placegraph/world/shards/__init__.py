@@ -6,6 +6,6 @@
 from __future__ import annotations
 
 from placegraph.world.shards.finish import finish
-from placegraph.world.shards.folder import WorldFile, is_world
+from placegraph.world.shards.folder import WorldFile
 
-__all__ = ["WorldFile", "finish", "is_world"]
+__all__ = ["WorldFile", "finish"]

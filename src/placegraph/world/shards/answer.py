@@ -1,4 +1,4 @@
-"""From scored candidates of many shards to a world's estimate."""
+"""From scored candidates of many shards to what they say of places, and of buildings."""
 
 from __future__ import annotations
 
@@ -14,22 +14,20 @@ from placegraph.outdoor.search.answer import CONTRADICTS, MOST_SUPPORT, contradi
 from placegraph.outdoor.search.confidence import believed, claim_of, doubts, status_of
 from placegraph.outdoor.search.posterior import Posterior, modes, posterior
 from placegraph.outdoor.search.viewpoints import CLOSER, FINE, SPACING
-from placegraph.world.estimate import WorldEstimate, WorldMode
-from placegraph.world.split import Understood
+from placegraph.world.buildings import BESIDE
+from placegraph.world.outside import Outside, Told
+from placegraph.world.shards.lexicon import distance
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
     from placegraph.evidence import Evidence
-    from placegraph.outdoor.language.description import Description
     from placegraph.outdoor.search.posterior import Mode
     from placegraph.world.shards.merged import Merged
     from placegraph.world.shards.search import Search
-
-    Explain = Callable[[int, tuple[float, float]], tuple[Evidence, ...]]
-
+    from placegraph.world.shards.steps import Asked
 
 WIDE = 1.35
 """Shards whose planes begin so near to each other share one [deg of a great circle]: 150 km."""
@@ -80,6 +78,13 @@ class Weighed:
     shards: NDArray[np.int64]
     """(K,) row of the shard of each position."""
     frames: Frames
+
+    def support(self, row: int) -> NDArray[np.float64]:
+        """The heaviest points in a shard, as of `CityEstimate.support`."""
+        chances, mine = self.posterior.probabilities, np.flatnonzero(self.shards == row)
+        heaviest = mine[np.argsort(-chances[mine], kind="stable")][:MOST_SUPPORT]
+        points = [(*self.frames.lonlat(self.posterior.positions[k]), chances[k]) for k in heaviest]
+        return np.array(points, np.float64).reshape(-1, 3)
 
 
 def weigh(search: Search, found: Merged, beyond: float, searched: float) -> Weighed:
@@ -132,34 +137,72 @@ def weigh(search: Search, found: Merged, beyond: float, searched: float) -> Weig
     return Weighed(made, np.concatenate(rows), frames)
 
 
+@dataclass(frozen=True, eq=False)
+class InShards(Outside):
+    """What was said of streets and buildings, in the shards of a world."""
+
+    search: Search
+    asked: Asked
+    cores: NDArray[np.float64]
+    """(N, 4) of all shards [deg]."""
+
+    @property
+    def cost(self) -> str:
+        """How many shards were looked into."""
+        touched, n = len(self.search.touched), len(self.search.sources)
+        return f"Looked into {touched:,} of {n:,} shards."
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Shards that did not answer."""
+        return tuple(self.search.lost[row] for row in sorted(self.search.lost))
+
+    def of_buildings(self, corners: Sequence[NDArray[np.float64]]) -> list[Told | None]:
+        """As `Outside.of_buildings`, each in the shard that it stands in."""
+        middles = [each.mean(axis=0) for each in corners]
+        away = [distance(np.broadcast_to(m, (len(self.cores), 2)), self.cores) for m in middles]
+        of_shard: dict[int, list[int]] = {}
+        for k, off in enumerate(away):
+            if off.min() <= BESIDE:
+                of_shard.setdefault(int(off.argmin()), []).append(k)
+        told = [
+            (row, (self.asked, [corners[k] for k in of])) for row, of in sorted(of_shard.items())
+        ]
+        out: list[Told | None] = [None] * len(corners)
+        for row, judged in self.search.each("judge", told):
+            for k, each in zip(of_shard[row], judged, strict=True):
+                at = (float(middles[k][0]), float(middles[k][1]))
+                explain = partial(_explained, self.search, self.asked, row, at)
+                out[k] = None if each is None else Told(each, explain)
+        return out
+
+
 def estimate(
-    search: Search, found: Merged, weighed: Weighed, description: Description, top: int,
-    explain: Explain, whole: str,
-) -> WorldEstimate:  # fmt: skip
-    """Modes over all shards; `whole` says what was not searched, so that nothing is sure."""
+    search: Search, asked: Asked, weighed: Weighed, top: int
+) -> tuple[CityEstimate, dict[str, CityEstimate]]:
+    """Modes over all shards; and the part of each shard that has one, of which can be asked back."""
     peaks = modes(weighed.posterior, top, SPACING)
-    query = found.asked.query
+    query = asked.query
+    description = query.description
     claim, doubt = claim_of(description), doubts(query)
     status, reason = status_of(weighed.posterior, peaks, claim, doubt)
     post, peaks = believed(weighed.posterior, peaks, claim, doubt)
-    places = _places(search, weighed, peaks, explain)
+    weighed = replace(weighed, posterior=post)
+    places = _places(search, asked, weighed, peaks)
     if places and description.conflicts and contradicted(places[0][1], query):
         status, reason = Status.LOST, CONTRADICTS.format(description.conflicts[0])
-    if whole and status is Status.OK:
-        status = Status.AMBIGUOUS
-    n = len(search.sources)
-    cost = f"Looked into {len(search.touched):,} of {n:,} shards."
-    return WorldEstimate(
-        status, tuple(_mode(place) for _, place in places), " ".join(filter(None, (reason, whole, cost))),
-        elsewhere=post.elsewhere,
-        understood=Understood(description.text, {"": description}, None, description.ignored),
-        cities=_cities(search, replace(weighed, posterior=post), places, description),
-        notes=tuple(search.lost[row] for row in sorted(search.lost)),
-    )  # fmt: skip
+    parts = {}
+    for row in dict.fromkeys(row for row, _ in places):
+        mine = tuple(place for r, place in places if r == row)
+        parts[search.sources[row].key] = CityEstimate(
+            Status.AMBIGUOUS, mine, "A part of the answer of a world in shards.", description,
+            weighed.support(row),
+        )  # fmt: skip
+    return CityEstimate(status, tuple(place for _, place in places), reason, description), parts
 
 
 def _places(
-    search: Search, weighed: Weighed, peaks: Sequence[Mode], explain: Explain
+    search: Search, asked: Asked, weighed: Weighed, peaks: Sequence[Mode]
 ) -> list[tuple[int, Place]]:
     """Places of modes, each with the row of its shard."""
     at = [weighed.frames.lonlat(peak.position) for peak in peaks]
@@ -178,36 +221,14 @@ def _places(
             }
     return [
         (row, Place(*at[k], p.probability, cells.get(k, search.sources[row].key), p.covariance,
-                    explain=partial(explain, row, at[k])))
+                    explain=partial(_explained, search, asked, row, at[k])))
         for k, (p, row) in enumerate(zip(peaks, shards, strict=True))
     ]  # fmt: skip
 
 
-def _mode(place: Place) -> WorldMode:
-    return WorldMode(
-        place.longitude, place.latitude, place.probability, place.covariance, place=place,
-        explain=lambda: place.evidence,
-    )  # fmt: skip
-
-
-def _cities(
-    search: Search, weighed: Weighed, places: list[tuple[int, Place]], description: Description
-) -> dict[str, CityEstimate]:
-    """What the answer says of each shard that has a mode: questions are asked of these."""
-    found = {}
-    for row in dict.fromkeys(row for row, _ in places):
-        mine = np.flatnonzero(weighed.shards == row)
-        heaviest = mine[np.argsort(-weighed.posterior.probabilities[mine], kind="stable")]
-        points = [
-            (
-                *weighed.frames.lonlat(weighed.posterior.positions[k]),
-                weighed.posterior.probabilities[k],
-            )
-            for k in heaviest[:MOST_SUPPORT].tolist()
-        ]
-        found[search.sources[row].key] = CityEstimate(
-            Status.AMBIGUOUS, tuple(place for r, place in places if r == row),
-            "A part of the answer of a world in shards.", description,
-            np.array(points, np.float64).reshape(-1, 3),
-        )  # fmt: skip
-    return found
+def _explained(
+    search: Search, asked: Asked, row: int, lonlat: tuple[float, float]
+) -> tuple[Evidence, ...]:
+    """Evidence for a place, from its shard."""
+    told = search.again().each("explain", [(row, (asked, lonlat))])
+    return next((found for _, found in told), ())

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from placegraph import files
-from placegraph.errors import InputError, MapError, PlacegraphError
+from placegraph.errors import InputError, MapError
 from placegraph.header import DIGEST
+from placegraph.maps import WORLD
 from placegraph.tiles import DEEPEST, bounds
 
 if TYPE_CHECKING:
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
     from placegraph.tiles import Box
 
-NAME, WORDS, SHARDS = "world.json", "words.table", "shards"
+NAME, WORDS, SHARDS = WORLD, "words.table", "shards"
 FORMAT, VERSION = "placegraph world", 1
 _MEND = "Write it anew with `placegraph world build`."
 
@@ -136,11 +137,3 @@ def same(path: Path, digest: str) -> None:
             f"{path} is not the file that the world was finished with; bring that back, or finish "
             "the world again with `placegraph world build`."
         )
-
-
-def is_world(place: str | PathLike[str]) -> bool:
-    """Whether a place is such a folder, by the name of the file in it."""
-    try:
-        return (Path(place) / NAME).is_file()
-    except (OSError, ValueError, PlacegraphError):
-        return False

@@ -1,47 +1,47 @@
-"""A world in shards, and one question to all of them."""
+"""A world in shards: one town to the world that it is part of, searched as one map."""
 
 from __future__ import annotations
 
 from functools import partial
 from time import monotonic
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.errors import MapError, OptionError
-from placegraph.estimate import Status
+from placegraph.errors import MapError
 from placegraph.outdoor.language.description import LISTENER
 from placegraph.outdoor.likelihood.query import compile_query
-from placegraph.outdoor.likelihood.query import read as read_text
 from placegraph.outdoor.likelihood.statements import ends
 from placegraph.outdoor.locate import why_nothing
-from placegraph.outdoor.search.ask import Answer
-from placegraph.world.estimate import WorldEstimate
-from placegraph.world.maps import Maps
-from placegraph.world.shards.answer import estimate, weigh
+from placegraph.outdoor.map.objects import LINE
+from placegraph.world.shards.answer import InShards, estimate, weigh
 from placegraph.world.shards.folder import WORDS, WorldFile, same
 from placegraph.world.shards.lexicon import Gathering, Things, Words, distance
 from placegraph.world.shards.search import Search
 from placegraph.world.shards.steps import Asked, Fix
 from placegraph.world.shards.table import WordTable
 from placegraph.world.shards.workers import Alone, Source
-from placegraph.world.split import Understood
-from placegraph.world.world import World
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from os import PathLike
 
     from numpy.typing import NDArray
 
-    from placegraph.evidence import Evidence
+    from placegraph.estimate import CityEstimate
     from placegraph.outdoor.language.description import Description
+    from placegraph.outdoor.search.ask import Question
     from placegraph.world.known import Known
+    from placegraph.world.outside import Outside
     from placegraph.world.shards.lexicon import Thing
     from placegraph.world.shards.workers import Crew
 
+MOST_STREETS = 8
+"""Shards that are looked into at most to see whether a name means streets."""
 
-class Planet(World):
-    """A folder of shards, asked as one map; made by `open_world`.
+
+class Planet:
+    """A folder of shards, asked as one map; a `Town` of the world that `open_world` makes.
 
     Parameters
     ----------
@@ -58,10 +58,6 @@ class Planet(World):
     """
 
     def __init__(self, file: WorldFile, crew: Crew | None = None) -> None:
-        from placegraph.outdoor.city import CityMap
-
-        opener = partial(CityMap.open, shard=True)
-        super().__init__(Maps({s.key: file.path(s) for s in file.shards}, opener))
         self.file = file
         self.crew: Crew = crew or Alone()
         same(file.folder / WORDS, file.words)
@@ -84,62 +80,77 @@ class Planet(World):
 
         return cls(file, Cluster.at(scheduler))
 
-    def _ask(self, known: Known) -> WorldEstimate:
-        """As of `World.locate`; shards that do not answer are named in `notes`."""
-        if known.capture is not None or known.text is None:
-            raise OptionError(
-                "text: a world in shards is asked by what is said of a place; give a text, and no "
-                "capture. Frames are localized in a scene map, or in a folder of maps."
-            )
-        self.words.table.watch.check()
-        deadline = None if known.budget is None else monotonic() + known.budget
-        search = Search(self.sources, self.words.table, self.crew, deadline)
-        return self._located(known, known.text, search)
+    @property
+    def name(self) -> str:
+        """Of its folder."""
+        return self.file.folder.resolve().name
 
-    def _located(self, known: Known, text: str, search: Search) -> WorldEstimate:
-        description = read_text(self.words, text, heading=known.heading, language=known.language)
+    def is_street(self, name: str) -> bool:
+        """As `Town.is_street`, by what a few of the shards hold that have the name."""
+        table = self.words.table
+        tokens = [len(table.labels) + token for token in self.words.name_index.named(name)]
+        things = self._gathered(self._search(), np.array(tokens, np.int64), MOST_STREETS)
+        return bool(things) and all(
+            t.kind == LINE and t.label.startswith("highway") for t in things
+        )
+
+    def hear(self, said: Description, known: Known) -> Outside | str:
+        """As `Town.hear`; shards that do not answer are named in the `notes` of what is returned."""
+        self.words.table.watch.check()
+        search, description = self._search(known.budget), said
         for answer in known.answers:
-            if not isinstance(answer, Answer):
-                raise OptionError(
-                    f"answers holds {answer!r}; answer questions by `question.answer(option)`."
-                )
             description = answer.added_to(description)
         things = Things(self.words.table.labels, [])
         lexicon = Gathering(self.words, partial(self._gathered, search), things)
         on_a_way = any(LISTENER in ends(s) for s in description.statements)
         query = compile_query(description, lexicon, on_a_way=on_a_way)
         if reason := why_nothing(query, description):
-            return self._nothing(reason, description, search)
-        fix = None
-        if known.near is not None:
-            fix = Fix(float(known.near[0]), float(known.near[1]), float(known.radius))
+            return reason
+        fix = (
+            None
+            if known.near is None
+            else Fix(float(known.near[0]), float(known.near[1]), float(known.radius))
+        )
         log_mass, fixed = search.masses(fix, self.cores)
         if fix is not None and fixed is None:
-            return self._nothing(self._off(fix), description, search)
+            return ""
         words = tuple(self.words.table.reads(int(token)) for token in query.mentions.tokens)
         size = int(self.words.table.viewpoints.sum())
         asked = Asked(query, words, tuple(things.rows), size, fixed)
         found = search.run(asked, log_mass, self.cores)
-        return self._answered(known, description, search, found, log_mass)
-
-    def _answered(
-        self, known: Known, description: Description, search: Search, found: Any,  # noqa: ANN401
-        log_mass: NDArray[np.float64],
-    ) -> WorldEstimate:  # fmt: skip
         missing = search.missing(found, log_mass)
-        late, search.deadline = search.late and missing > 0.0, None
+        gap = search.gap(missing)
+        search.deadline = None
         beyond = -np.inf if missing > 0.0 else search.remaining()
         weighed = weigh(search, found, beyond, 1.0 - missing)
-        whole = ""
-        if missing > 0.0:
-            why = (
-                "The time was over" if late else f"{len(search.lost)} of the shards did not answer"
-            )
-            whole = f"{why}: {1.0 - missing:.1%} of the world was searched."
-        explain = partial(self._explained, found.asked)
-        return estimate(search, found, weighed, description, known.top, explain, whole)
+        told, parts = estimate(search, asked, weighed, known.top)
+        named = {f"{self.name}//{key}": part for key, part in parts.items()}
+        return InShards(query, weighed.posterior, told, named, gap, search, asked, self.cores)
 
-    def _gathered(self, search: Search, tokens: NDArray[np.int64]) -> list[Thing]:
+    def off(self, near: Sequence[float], radius: float) -> str | None:
+        """As `Town.off`."""
+        longitude, latitude = map(float, near)
+        place = np.array([[longitude, latitude]])
+        if (distance(place, self.cores) <= 4.0 * radius).any():
+            return None
+        if abs(longitude) > 90.0 or not (distance(place[:, ::-1], self.cores) == 0.0).any():
+            return ""
+        return f" Swapped, it lies on the map: longitude comes first, {latitude},{longitude}."
+
+    def ask(self, part: str, found: CityEstimate) -> Question | None:
+        """As `Town.ask`."""
+        key = part.partition("//")[2]
+        rows = [row for row, source in enumerate(self.sources) if source.key == key]
+        asked = self._search().each("ask", [(row, (found,)) for row in rows])
+        return next((question for _, question in asked), None)
+
+    def _search(self, budget: float | None = None) -> Search:
+        deadline = None if budget is None else monotonic() + budget
+        return Search(self.sources, self.words.table, self.crew, deadline)
+
+    def _gathered(
+        self, search: Search, tokens: NDArray[np.int64], most: int | None = None
+    ) -> list[Thing]:
         """Things that bear tokens, from the shards that hold them."""
         table = self.words.table
         wanted: dict[int, list[str]] = {}
@@ -148,37 +159,12 @@ class Planet(World):
             for row in held.shards[held.objects > 0].tolist():
                 wanted.setdefault(row, []).append(table.reads(token))
         told = [(row, (tuple(words),)) for row, words in sorted(wanted.items())]
-        return [thing for _, found in search.each("gather", told) for thing in found]
-
-    def _explained(
-        self, asked: Asked, row: int, lonlat: tuple[float, float]
-    ) -> tuple[Evidence, ...]:
-        """Evidence for a place, from its shard."""
-        search = Search(self.sources, self.words.table, self.crew)
-        return next((found for _, found in search.each("explain", [(row, (asked, lonlat))])), ())
-
-    def _nothing(self, reason: str, description: Description, search: Search) -> WorldEstimate:
-        understood = Understood(description.text, {"": description}, None, description.ignored)
-        notes = tuple(search.lost.values())
-        return WorldEstimate(
-            Status.LOST, (), reason, elsewhere=1.0, understood=understood, notes=notes
-        )
-
-    def _off(self, fix: Fix) -> str:
-        """Why a fix is on no shard."""
-        hint = ""
-        if abs(fix.longitude) <= 90.0:
-            swapped = np.broadcast_to([[fix.latitude, fix.longitude]], (len(self.cores), 2))
-            if (distance(swapped, self.cores) == 0.0).any():
-                hint = (
-                    " Swapped, it lies on one: longitude comes first, "
-                    f"{fix.latitude},{fix.longitude}."
-                )
-        return f"No shard reaches the surroundings of ({fix.longitude}, {fix.latitude}).{hint}"
+        return [thing for _, found in search.each("gather", told[:most]) for thing in found]
 
     def close(self) -> None:
         """Let go of shards and of the cluster."""
         self.crew.close()
 
     def __repr__(self) -> str:
-        return f"Planet({len(self.file.shards):,} shards, {self.words.table.viewpoints.sum():,} viewpoints)"
+        shards, viewpoints = len(self.file.shards), self.words.table.viewpoints.sum()
+        return f"Planet({shards:,} shards, {viewpoints:,} viewpoints)"

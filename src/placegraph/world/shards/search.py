@@ -53,6 +53,10 @@ class Search:
     searched: set[int] = field(default_factory=set)
     """Shards whose candidates are known."""
 
+    def again(self) -> Search:
+        """One that begins anew."""
+        return Search(self.sources, self.table, self.crew)
+
     def each(
         self, step: str, told: Iterable[tuple[int, tuple[Any, ...]]]
     ) -> Iterator[tuple[int, Any]]:
@@ -130,6 +134,14 @@ class Search:
         total = np.logaddexp(np.log1p(-ELSEWHERE) + found.weight, np.log(ELSEWHERE))
         matters = beyond + np.log1p(-ELSEWHERE) - total > np.log(NEGLIGIBLE)
         return float(np.exp(log_mass[left[matters]]).sum())
+
+    def gap(self, missing: float) -> str:
+        """What was not searched of what matters, and why; empty where that is nothing."""
+        if missing <= 0.0:
+            return ""
+        lost = f"{len(self.lost)} of the shards did not answer"
+        why = "The time was over" if self.late else lost
+        return f"{why}: {1.0 - missing:.1%} of the world was searched."
 
     def _near(self, asked: Asked, cores: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Shards (N,) from which a rare thing out of sight may be spoken of."""

@@ -17,16 +17,20 @@ from placegraph.outdoor.search.viewpoints import ALL, look_around
 from placegraph.outdoor.search.viewpoints import score as score_of
 from placegraph.outdoor.search.whereabouts import Whereabouts
 from placegraph.tiles import held
+from placegraph.world.buildings import Buildings
 from placegraph.world.shards.lexicon import Thing, joined
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from placegraph.estimate import CityEstimate
     from placegraph.evidence import Evidence
     from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.likelihood.query import Query
     from placegraph.outdoor.map.city import City
     from placegraph.outdoor.map.index import ViewIndex
+    from placegraph.outdoor.search.ask import Question
+    from placegraph.world.buildings import Judged
 
 
 class Fix(NamedTuple):
@@ -254,6 +258,17 @@ def explained(shard: Shard, asked: Asked, lonlat: tuple[float, float]) -> tuple[
     """What speaks for and against a place [deg]."""
     request = requested(shard, asked)
     return evidence_at(shard.city.plane.to_plane(lonlat), request.city, request.query)
+
+
+def judged(shard: Shard, asked: Asked, buildings: list[NDArray[np.float64]]) -> list[Judged | None]:
+    """What was said of buildings, by their corners (4, 2) [deg]; None of what is off the map."""
+    held = Buildings(shard.city, requested(shard, asked))
+    return [held.around(corners) for corners in buildings]
+
+
+def asked_back(shard: Shard, found: CityEstimate) -> Question | None:
+    """Question that tells the modes of an estimate apart."""
+    return shard.city.ask(found)
 
 
 def named(shard: Shard, lonlats: list[tuple[float, float]]) -> list[str]:

@@ -26,6 +26,8 @@ STEPS: dict[str, Callable[..., Any]] = {
     "look": steps.looked,
     "explain": steps.explained,
     "name": steps.named,
+    "judge": steps.judged,
+    "ask": steps.asked_back,
 }
 """What can be done in a shard."""
 

@@ -76,7 +76,9 @@ def compared(city: Path, world: Path, texts: Texts) -> list[dict[str, Any]]:
             )
             row["same"] += bool(np.hypot(*(a - b)) < 20.0)
             row["differ"].append(abs(one.best.probability - many.best.probability))
-        rows.append(row | {"queries": len(queries), "shards": len(planet.cities)})
+        rows.append(
+            row | {"queries": len(queries), "shards": len(planet.planets[world.name].sources)}
+        )
     return rows
 
 
@@ -88,7 +90,7 @@ def asked(world: Path, texts: Texts) -> dict[str, Any]:
     planet = pg.open_world(world)
     planet.locate(next(iter(texts.values()))[0].text)
     first = time.process_time() - start
-    found: dict[str, Any] = {"first_s": first, "shards": len(planet.cities)}
+    found: dict[str, Any] = {"first_s": first, "shards": len(planet.planets[world.name].sources)}
     for kind, queries in texts.items():
         for q in queries[:3]:
             planet.locate(q.text, **fix(kind, q))
@@ -129,11 +131,12 @@ def together(
         start, answers = time.perf_counter(), []
         for k, text in enumerate(texts):
             if killed and k == len(texts) // 2:
-                victim = next(iter(planet.crew.client.run(os.getpid).values()))  # type: ignore[attr-defined]
+                crew: Any = planet.planets[world.name].crew
+                victim = next(iter(crew.client.run(os.getpid).values()))
                 os.kill(victim, signal.SIGKILL)
             answers.append(planet.locate(text).to_dict())
         seconds = time.perf_counter() - start
-        planet.close()  # type: ignore[attr-defined]
+        planet.close()
     return {"seconds": seconds, "answers": answers}
 
 
@@ -198,7 +201,8 @@ def world_shards(
 def built(city: Path, folder: Path, zoom: int, copies: list[int], seed: int) -> list[Path]:
     """Folders of a city's shards and of worlds of copies of them; those that are finished stay."""
     import placegraph as pg
-    from placegraph.world.shards import finish, is_world
+    from placegraph.maps import is_world
+    from placegraph.world.shards import finish
 
     base, large = folder / "base", folder / "large"
     if not is_world(base):
