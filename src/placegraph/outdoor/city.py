@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from placegraph.errors import OptionError
 from placegraph.formats.place.overture import Overture
+from placegraph.formats.place.urls import is_url, on_disk
 from placegraph.notebook import Shown
 from placegraph.outdoor.map.cells import LARGEST, SMALLEST
 from placegraph.outdoor.map.city import City
@@ -165,7 +166,8 @@ def build_city(
     Parameters
     ----------
     osm_path
-        `.osm.pbf`, `.osm`, `.osm.gz` or `.osm.bz2`; or `Overture`: files and a box.
+        `.osm.pbf`, `.osm`, `.osm.gz` or `.osm.bz2`, or a URL of one, which is fetched beside `out_path`
+        until it is read; or `Overture`: files and a box.
     out_path
         Map file to write (atomically; an old one is replaced only by a whole new one).
     cell_size
@@ -187,11 +189,15 @@ def build_city(
     InputError
         The file cannot be read, or holds nothing worth naming.
     OptionError
-        A size is not positive.
+        A size is not positive; `out_path` is a URL.
+    MissingExtraError, ServiceError
+        What a URL takes is not installed; or its server does not answer.
     MapLockedError
         Somebody else is writing the same map.
 
     """
+    if is_url(out_path):
+        raise OptionError(f"{out_path} is a URL; name a file of this machine.")
     paths = osm_path.paths if isinstance(osm_path, Overture) else (osm_path,)
     for path in paths:
         if os.path.realpath(path) == os.path.realpath(out_path):
@@ -204,7 +210,9 @@ def build_city(
             raise OptionError(f"{name} is {value} m; choose between 1 and 10,000 m.")
     from placegraph.outdoor.map.extract import read_extract
 
-    plane, objects, left_out = read_extract(osm_path, vocabulary, progress)
+    fetching = None if progress is None else lambda step, n, _total: progress(step, n)
+    with on_disk(osm_path, Path(out_path).parent, fetching) as path:
+        plane, objects, left_out = read_extract(path, vocabulary, progress)
     city = CityMap.create(
         plane, objects, cell_size=cell_size, stride=stride, edge_distance=edge_distance,
         source=", ".join(Path(path).name for path in paths), left_out=left_out,

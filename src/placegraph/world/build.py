@@ -17,13 +17,13 @@ from typing import TYPE_CHECKING
 from placegraph import locks
 from placegraph.errors import InputError, MapError, OptionError
 from placegraph.files import cannot_write, write_file
-from placegraph.formats.place.osm import checked_osm
+from placegraph.formats.place.urls import all_on_disk, is_url
 from placegraph.outdoor.map.cells import LARGEST, SMALLEST
 from placegraph.outdoor.map.split import Split, split, spread_large
 from placegraph.threads import processors
 from placegraph.tiles import check_zoom
 from placegraph.world.journal import Journal, plan_of, told
-from placegraph.world.remote import bring, is_url
+from placegraph.world.remote import bring
 from placegraph.world.shards import WorldFile, finish
 from placegraph.world.shards.folder import digest_of
 from placegraph.world.shards.table import keep, kept
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
     Progress = Callable[[str, int, int | None], None]
 
-WORK, PLAN, COUNTS = ".build", "plan.json", "counts"
+WORK, PLAN, COUNTS, EXTRACTS = ".build", "plan.json", "counts", "extracts"
 OVERLAP = 500.0
 """Viewpoints near a rare thing are looked at up to 400 m from it, and things are in sight up to 38 m
 from a viewpoint: with this margin [m] a border changes neither."""
@@ -101,7 +101,8 @@ def build_world(
     Parameters
     ----------
     extracts
-        Files in the formats of `build_city`; where they overlap, things are taken once.
+        Files in the formats of `build_city`, or URLs of such; where they overlap, things are taken
+        once. What lies at a URL is fetched to ``WORLD/.build/extracts`` and stays there.
     folder
         Is made where it is missing. A URL that fsspec knows takes `BuildOptions.work`.
     options
@@ -112,14 +113,15 @@ def build_world(
     Raises
     ------
     InputError
-        An extract cannot be read, changed meanwhile, or there is nothing worth naming in any.
+        An extract is missing, cannot be read, changed meanwhile, or none holds anything worth naming.
     MapError
         The folder cannot be written, as on a full disk; what is half done in it is damaged; or a
         worker was killed again and again.
     MapLockedError
         Somebody else is building there.
     MissingExtraError, ServiceError
-        Dask is not installed; its scheduler does not answer, or is of another version.
+        Dask, or what a URL takes, is not installed; the scheduler or a URL does not answer, or the
+        former is of another version.
     OptionError
         An option is out of its range, or another build was begun in this folder.
 
@@ -143,7 +145,7 @@ def build_world(
         work.mkdir(exist_ok=True)
         with locks.exclusive(work / "journal.jsonl"):
             build = _Build(target, options, tell)
-            build.begin([checked_osm(Path(path)).resolve() for path in extracts])
+            build.begin(all_on_disk(extracts, work / EXTRACTS, tell))
             build.split()
             build.tiles()
             tell("counting words", 0, None)

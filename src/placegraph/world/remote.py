@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from placegraph import files
-from placegraph.errors import InputError, MapError, MissingExtraError, OptionError, PlacegraphError
+from placegraph.errors import InputError, MapError, OptionError, PlacegraphError
+from placegraph.formats.place.urls import is_url, system_of
 from placegraph.world.shards.folder import NAME, SHARDS, WORDS, WorldFile, digest_of
 
 if TYPE_CHECKING:
@@ -19,11 +20,6 @@ if TYPE_CHECKING:
     from os import PathLike
 
     Progress = Callable[[str, int, int | None], None]
-
-
-def is_url(place: str | PathLike[str]) -> bool:
-    """Whether a place is no path of this machine."""
-    return "://" in str(place)
 
 
 def bring(world: WorldFile, url: str, progress: Progress | None = None) -> WorldFile:
@@ -37,7 +33,7 @@ def bring(world: WorldFile, url: str, progress: Progress | None = None) -> World
         fsspec is not installed; or knows no such URL.
 
     """
-    system, root = _system(url)
+    system, root = system_of(url)
     try:
         known = {s["file"]: s for s in json.loads(system.cat_file(f"{root}/{NAME}"))["shards"]}
     except (OSError, ValueError, LookupError, TypeError):
@@ -73,7 +69,7 @@ def fetch(url: str, folder: str | PathLike[str], progress: Progress | None = Non
         fsspec is not installed; or knows no such URL.
 
     """
-    system, root = _system(url)
+    system, root = system_of(url)
     folder = Path(folder)
     try:
         told = system.cat_file(f"{root}/{NAME}")
@@ -118,19 +114,3 @@ def _fetched(system: Any, there: str, here: Path, digest: str) -> None:  # noqa:
         same = False
     if not same:
         system.get_file(there, str(here))
-
-
-def _system(url: str) -> tuple[Any, str]:
-    """File system of a URL, and the path in it."""
-    try:
-        import fsspec
-    except ImportError as error:
-        raise MissingExtraError(
-            f"{url} is read and written by fsspec, which is not installed: "
-            "pip install 'placegraph[scale]'."
-        ) from error
-    try:
-        system, root = fsspec.core.url_to_fs(url)
-    except (ImportError, ValueError) as error:
-        raise OptionError(f"{url}: no file system knows this URL ({error}).") from error
-    return system, str(root).rstrip("/")

@@ -13,6 +13,7 @@ from placegraph.cli.command import Argument, Option
 from placegraph.cli.common import AsJson, Quiet, numbers_of, progress_of
 from placegraph.errors import OptionError
 from placegraph.formats.place.overture import CONFIDENCE, Box, Overture, is_overture
+from placegraph.formats.place.urls import is_url
 
 OVERTURE = "What of Overture is read"
 EDGES = "give west,south,east,north in degrees, such as 7.41,43.72,7.44,43.75."
@@ -22,12 +23,12 @@ def build(
     file: Annotated[
         list[str],
         Argument(
-            help="OpenStreetMap extract: .osm.pbf, .osm, .osm.gz or .osm.bz2; or files, folders or URLs "
-            "of Overture's GeoParquet."
+            help="OpenStreetMap extract, or URL of one: .osm.pbf, .osm, .osm.gz or .osm.bz2; or files, "
+            "folders or URLs of Overture's GeoParquet."
         ),
     ],
     out: Annotated[
-        Path,
+        str,
         Option(
             "--out",
             "-o",
@@ -72,8 +73,13 @@ def build(
     from placegraph.outdoor.language.vocabulary import Vocabulary
     from placegraph.outdoor.map.split import is_large
 
+    if is_url(out):
+        raise OptionError(
+            f"{out} is a URL, and a map is written to this machine. A world in shards may be brought there: "
+            f"placegraph world build {file[0]} -o {out} --work FOLDER"
+        )
     source = _source(file, bbox, confidence)
-    if isinstance(source, Path) and is_large(source):
+    if isinstance(source, str) and is_large(source):
         if no_index:
             raise OptionError(
                 "--no-index is of one map; of an extract this large a world in shards is made, each with "
@@ -93,10 +99,11 @@ def build(
         tell("reading")
         city = build_city(
             source, out, cell_size=cell_size, stride=stride, edge_distance=edge_distance, vocabulary=words,
-            index=False if no_index else None, progress=lambda step, n: tell(f"{step} {n:,} elements"),
+            index=False if no_index else None,
+            progress=lambda step, n: tell(f"{step} {n:,}" + " elements" * (step == "reading")),
         )  # fmt: skip
     seconds = perf_counter() - start
-    size = out.stat().st_size
+    size = Path(out).stat().st_size
     summary = {**facts(city), "bytes": size, "seconds": round(seconds, 3)}
     if as_json:
         click.echo(json.dumps(summary))
@@ -112,7 +119,7 @@ def build(
             )
 
 
-def _source(given: list[str], bbox: str | None, confidence: float) -> Path | Overture:
+def _source(given: list[str], bbox: str | None, confidence: float) -> str | Overture:
     """One extract, or all that is given of Overture."""
     if all(map(is_overture, given)):
         box = None if bbox is None else Box.of(numbers_of(bbox, "--bbox", (4,), EDGES))
@@ -124,7 +131,7 @@ def _source(given: list[str], bbox: str | None, confidence: float) -> Path | Ove
         )
     if bbox is not None:
         raise OptionError("--bbox is for Overture; cut an OpenStreetMap extract with osmium.")
-    return Path(given[0])
+    return given[0]
 
 
 def fetch(

@@ -18,7 +18,10 @@ if TYPE_CHECKING:
 
 def build(
     files: Annotated[
-        list[Path], Argument(help="OpenStreetMap extracts, as of `city build`; they may overlap.")
+        list[str],
+        Argument(
+            help="OpenStreetMap extracts, as of `city build`, or URLs of such; they may overlap."
+        ),
     ],
     out: Annotated[
         str, Option("--out", "-o", help="Folder to write, such as europe/, or URL (s3://...).")
@@ -66,7 +69,7 @@ def build(
 
 
 def made_of(
-    files: Sequence[Path], out: str | Path, options: BuildOptions, *, as_json: bool, quiet: bool
+    files: Sequence[str], out: str, options: BuildOptions, *, as_json: bool, quiet: bool
 ) -> None:
     """Build a world, and say what it holds."""
     from time import perf_counter

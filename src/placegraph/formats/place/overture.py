@@ -29,6 +29,7 @@ from placegraph.formats.place.osm import (
 )
 from placegraph.formats.place.overture_files import DAMAGED, OvertureFile, files_of
 from placegraph.formats.place.overture_tags import tags_of
+from placegraph.formats.place.urls import of_osm
 
 if TYPE_CHECKING:
     from collections import Counter
@@ -111,7 +112,7 @@ class Overture:
 
 def is_overture(path: str) -> bool:
     """Whether a path or URL looks like one of Overture, and not like an OpenStreetMap file."""
-    if path.lower().endswith(SUFFIXES) or "://" in path:
+    if path.lower().endswith(SUFFIXES) or ("://" in path and not of_osm(path)):
         return True
     return Path(path).is_dir() and any(next(Path(path).rglob(f"*{end}"), None) for end in SUFFIXES)
 

@@ -12,6 +12,7 @@ from collections import Counter
 from contextlib import closing
 from dataclasses import asdict, dataclass
 from itertools import pairwise
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,6 +21,7 @@ from placegraph.columns import starts
 from placegraph.errors import InputError
 from placegraph.files import write_file
 from placegraph.formats.place.osm import LeftOut, read_columns
+from placegraph.formats.place.urls import is_url, size_of
 from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.map.clip import clip
 from placegraph.outdoor.map.extract import keys_read, labelled, nothing_in
@@ -29,7 +31,7 @@ from placegraph.tiles import bounds, key_of, reached
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
-    from pathlib import Path
+    from os import PathLike
 
     from numpy.typing import NDArray
 
@@ -79,8 +81,11 @@ class Split:
         return found if kept else None
 
 
-def is_large(path: Path) -> bool:
-    """Whether a map of all of an extract would take more memory than there may be."""
+def is_large(extract: str | PathLike[str]) -> bool:
+    """Whether a map of all of an extract, or of one at a URL, would take more memory than there may be."""
+    if is_url(extract):
+        return (size_of(str(extract)) or 0) > SMALL
+    path = Path(extract)
     return path.is_file() and path.stat().st_size > SMALL
 
 
