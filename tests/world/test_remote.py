@@ -95,3 +95,14 @@ def test_urls_take_a_folder_of_this_machine(extract, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "fsspec", None)
     with pytest.raises(MissingExtraError, match=r"placegraph\[scale\]"):
         fetch("memory:///w", tmp_path)
+
+
+def test_a_list_of_places_may_hold_one_url(url, extract, tmp_path):
+    build_world([extract], url, options(tmp_path))
+    pg.build_city(extract, tmp_path / "town.city")
+    world = pg.open_world([url, tmp_path / "town.city"], keep=tmp_path / "kept")
+    assert set(world.towns) == {"kept", "town"}
+    with pytest.raises(OptionError, match="keep"):
+        pg.open_world([tmp_path / "town.city", url])
+    with pytest.raises(OptionError, match="one folder keeps one world"):
+        pg.open_world([url, "memory:///another"], keep=tmp_path / "kept")

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 from placegraph import files
 from placegraph.errors import InputError, MapError, OptionError, PlacegraphError
-from placegraph.formats.place.urls import is_url, system_of
+from placegraph.formats.place.osm import one_line
+from placegraph.formats.place.urls import is_missing, is_url, system_of
 from placegraph.world.shards.folder import NAME, SHARDS, WORDS, WorldFile, digest_of
 
 if TYPE_CHECKING:
@@ -51,8 +52,10 @@ def bring(world: WorldFile, url: str, progress: Progress | None = None) -> World
             system.rm_file(f"{root}/{gone}")
         for name in (WORDS, NAME):
             system.put_file(str(world.folder / name), f"{root}/{name}")
-    except OSError as error:
-        raise MapError(f"{url} cannot be written: {error}. The same command goes on.") from error
+    except Exception as error:  # each file system has its own
+        raise MapError(
+            f"{url} cannot be written: {one_line(error)}. The same command goes on."
+        ) from error
     return world
 
 
@@ -81,13 +84,16 @@ def fetch(url: str, folder: str | PathLike[str], progress: Progress | None = Non
             if progress is not None:
                 progress("fetching shards", n + 1, len(world.shards))
         _fetched(system, f"{root}/{WORDS}", folder / WORDS, world.words)
-    except FileNotFoundError as error:
-        raise InputError(
-            f"{url}: {error.filename or error} is not there; build the world, or bring it again."
-        ) from error
-    except OSError as error:
+    except PlacegraphError:
+        raise
+    except Exception as error:  # each file system has its own
+        if is_missing(error):
+            raise InputError(
+                f"{url}: {getattr(error, 'filename', None) or error} is not there; name the folder of a "
+                "world in shards, build it, or bring it again."
+            ) from error
         raise MapError(
-            f"{url} cannot be fetched to {folder}: {error}. The same command goes on."
+            f"{url} cannot be fetched to {folder}: {one_line(error)}. The same command goes on."
         ) from error
     return folder
 

@@ -204,12 +204,18 @@ def _read(
             return
 
 
-def _failure(url: str, error: Exception) -> InputError | ServiceError:
-    """What went wrong; fsspec takes servers that do not answer for files that are not there."""
+def is_missing(error: Exception) -> bool:
+    """Whether a file is not there; fsspec says so of servers that do not answer, too."""
     cause = error.__cause__ or error
-    status = 404 if cause is error else getattr(cause, "status", None)
-    if isinstance(error, FileNotFoundError) and status == 404:
+    gone = isinstance(cause, LookupError | FileNotFoundError)
+    return isinstance(error, FileNotFoundError) and (gone or getattr(cause, "status", None) == 404)
+
+
+def _failure(url: str, error: Exception) -> InputError | ServiceError:
+    """What went wrong with a file."""
+    if is_missing(error):
         return InputError(f"{url} is not there; check the address.")
+    cause = error.__cause__ or error
     return ServiceError(_cut(url, f"{type(cause).__name__}: {one_line(Exception(cause))}"))
 
 
