@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Literal, Unpack
+
+from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
 from placegraph.formats.place.overture import Overture
@@ -16,13 +20,8 @@ from placegraph.outdoor.map.cells import LARGEST, SMALLEST
 from placegraph.outdoor.map.city import City
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from os import PathLike
-    from typing import Any, Literal, Unpack
-
     import geopandas as gpd
     import numpy as np
-    from numpy.typing import NDArray
 
     from placegraph.estimate import CityEstimate
     from placegraph.outdoor.language.description import Description

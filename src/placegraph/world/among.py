@@ -7,11 +7,13 @@ a town's best places are; what the others hold of the probability is no mode's, 
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import MapError, PlacegraphError
 from placegraph.geometry import LocalPlane
@@ -25,15 +27,12 @@ from placegraph.world.standing import UNANCHORED, fit
 from placegraph.world.world import World
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from numpy.typing import NDArray
-
     from placegraph.estimate import SceneMode
     from placegraph.indoor.library.scenes import Entry
     from placegraph.indoor.scene_map import SceneMap
     from placegraph.world.known import Known
     from placegraph.world.witnesses import Heard
+
 
 LIKELIEST, NAMED, BESIDE = 16, 8, 8
 """Scenes looked into: by all that is known, by their names, and by where a town says one is."""

@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -31,12 +33,10 @@ from placegraph.world.tile import TileDone, TileJob, build_tile
 from placegraph.world.workers import done
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-    from os import PathLike
-
     from placegraph.world.shards.table import Counted
 
     Progress = Callable[[str, int, int | None], None]
+
 
 WORK, PLAN, COUNTS, EXTRACTS = ".build", "plan.json", "counts", "extracts"
 OVERLAP = 500.0

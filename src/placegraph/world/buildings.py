@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.features import inside
 from placegraph.outdoor.language.description import SPEAKER, Relation
@@ -17,11 +18,10 @@ from placegraph.outdoor.search.evidence import looked_at
 from placegraph.world.streets import AROUND_IT, on_street, roads_called
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.map.objects import CityObjects
     from placegraph.outdoor.search.request import Request
+
 
 AROUND = (12.0, 24.0)
 """What stands around a building is seen from its doors and windows, so far from its walls [m]."""

@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from numpy.typing import NDArray
+
 from placegraph.estimate import Estimate, Status
 from placegraph.evidence import Explained
 from placegraph.world.ask import question_of
 
 if TYPE_CHECKING:
     import numpy as np
-    from numpy.typing import NDArray
 
     from placegraph.earth import EarthPose
     from placegraph.estimate import CityEstimate, Place, PoseEstimate, PoseMode

@@ -6,6 +6,7 @@ likeliest, one by one, and the odds of each add to what is known of its scene.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -33,14 +34,13 @@ from placegraph.world.standing import nowhere
 from placegraph.world.words import IN_TOWN, LEAST, MAPPED, by_words
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from placegraph.estimate import PoseEstimate, PoseMode
     from placegraph.evidence import Evidence
     from placegraph.formats.capture.frame import Frame
     from placegraph.world.known import Known
     from placegraph.world.witnesses import Witness, Witnesses
     from placegraph.world.world import World
+
 
 POSES = 3
 """Poses of each scene that are told."""

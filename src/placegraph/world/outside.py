@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.outdoor.likelihood.lexicon import Known as Read
 from placegraph.outdoor.locate import Hints, understand, why_nothing
@@ -21,10 +23,6 @@ from placegraph.world.buildings import Buildings
 from placegraph.world.streets import roads_called
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
     from placegraph.estimate import CityEstimate
     from placegraph.evidence import Evidence
     from placegraph.outdoor.city import CityMap

@@ -7,6 +7,8 @@ brought there, or fetched from there and opened here; what is the same at both e
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Sequence
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,9 +19,6 @@ from placegraph.formats.place.urls import is_missing, is_url, system_of
 from placegraph.world.shards.folder import NAME, SHARDS, WORDS, WorldFile, digest_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from os import PathLike
-
     Progress = Callable[[str, int, int | None], None]
 
 

@@ -7,6 +7,7 @@ round. "Library" is a room in one home and a building in the next town: where th
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -21,8 +22,6 @@ from placegraph.world.floors import said_floors
 from placegraph.world.translate import in_english, of_rooms
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
-
     from placegraph.indoor.language import Sentence
     from placegraph.indoor.language.sentence import Mention as Thing
     from placegraph.indoor.language.sentence import Statement as Inside
@@ -30,6 +29,7 @@ if TYPE_CHECKING:
     from placegraph.outdoor.language.description import Statement as Outside
     from placegraph.world.floors import Floor
     from placegraph.world.outside import Town, Words
+
 
 SENSE = 0.7
 """Weight from which on a word means such a thing of the map."""

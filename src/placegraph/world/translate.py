@@ -6,6 +6,7 @@ get their English words from a table, and its relations become statements of the
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
 from importlib.resources import files
@@ -16,11 +17,10 @@ from placegraph.indoor.language.sentence import Kind, Mention, Sentence, Stateme
 from placegraph.outdoor.language.description import LISTENER, SPEAKER, Relation
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from placegraph.outdoor.language.description import Description
     from placegraph.outdoor.language.description import Statement as Outside
     from placegraph.world.outside import Words
+
 
 ENDING = 2
 """Letters that a word may have behind the one of the table: "Fenstern", "Lampen"."""

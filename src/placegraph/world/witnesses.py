@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.evidence import Evidence
 from placegraph.indoor.map.floor import storeys
@@ -17,16 +19,13 @@ from placegraph.world.split import Understood, understand
 from placegraph.world.standing import UNANCHORED, Standing
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
     from placegraph.estimate import CityEstimate
     from placegraph.world.among import Others
     from placegraph.world.floors import Floor
     from placegraph.world.known import Known
     from placegraph.world.outside import Outside, Told
     from placegraph.world.world import World
+
 
 CALLED = 3.0
 """What it says for a scene that its name, or its building's, was spoken [nat]."""

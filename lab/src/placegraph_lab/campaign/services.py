@@ -9,8 +9,10 @@ import socket
 import threading
 import time
 from collections import Counter
+from collections.abc import Callable, Iterator
 from contextlib import closing, suppress
 from importlib.util import find_spec
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,10 +22,8 @@ from placegraph_lab.campaign.outages import ASKING
 from placegraph_lab.campaign.row import Row
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
-
     from placegraph_lab.campaign.row import Effort
+
 
 SENTENCE = "A bakery is north of me. A church is south of me."
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,8 +12,6 @@ from placegraph.cli.command import Argument, Option
 from placegraph.cli.common import AsJson, Quiet, echo_json, progress_of
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from placegraph.world.build import BuildOptions
 
 

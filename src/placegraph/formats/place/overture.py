@@ -9,11 +9,14 @@ from __future__ import annotations
 import hashlib
 import math
 import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import InputError, MissingExtraError, OptionError
 from placegraph.formats.place.osm import (
@@ -30,12 +33,6 @@ from placegraph.formats.place.osm import (
 from placegraph.formats.place.overture_files import DAMAGED, OvertureFile, files_of
 from placegraph.formats.place.overture_tags import tags_of
 from placegraph.formats.place.urls import of_osm
-
-if TYPE_CHECKING:
-    from collections import Counter
-    from collections.abc import Iterator, Sequence
-
-    from numpy.typing import NDArray
 
 SUFFIXES = (".parquet", ".geoparquet")
 CONFIDENCE = 0.5

@@ -6,8 +6,10 @@ What is fetched goes into a ``.part`` beside a note of which file it is of; cut 
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from hashlib import sha256
+from os import PathLike
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -18,10 +20,8 @@ from placegraph.files import cannot_write, write_file
 from placegraph.formats.place.osm import SUFFIXES, checked_osm, one_line
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-    from os import PathLike
-
     Progress = Callable[[str, int, int | None], None]
+
 
 CHUNK = 8 << 20
 """Bytes that are held in memory at once."""

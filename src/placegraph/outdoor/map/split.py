@@ -9,13 +9,16 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from collections.abc import Iterable, Iterator
 from contextlib import closing
 from dataclasses import asdict, dataclass
 from itertools import pairwise
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.columns import starts
 from placegraph.errors import InputError
@@ -30,12 +33,8 @@ from placegraph.outdoor.map.things import Thing, Things
 from placegraph.tiles import bounds, key_of, reached
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-    from os import PathLike
-
-    from numpy.typing import NDArray
-
     from placegraph.outdoor.map.extract import Progress
+
 
 MANY = 16
 """What touches more tiles than this is put to them only where they hold something else."""

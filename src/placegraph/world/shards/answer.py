@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.estimate import CityEstimate, Place, Status
 from placegraph.geometry import LocalPlane
@@ -19,15 +21,12 @@ from placegraph.world.outside import Outside, Told
 from placegraph.world.shards.lexicon import distance
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
     from placegraph.evidence import Evidence
     from placegraph.outdoor.search.posterior import Mode
     from placegraph.world.shards.merged import Merged
     from placegraph.world.shards.search import Search
     from placegraph.world.shards.steps import Asked
+
 
 WIDE = 1.35
 """Shards whose planes begin so near to each other share one [deg of a great circle]: 150 km."""

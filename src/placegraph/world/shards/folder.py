@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -14,9 +15,8 @@ from placegraph.maps import WORLD
 from placegraph.tiles import DEEPEST, bounds
 
 if TYPE_CHECKING:
-    from os import PathLike
-
     from placegraph.tiles import Box
+
 
 NAME, WORDS, SHARDS = WORLD, "words.table", "shards"
 FORMAT, VERSION = "placegraph world", 1

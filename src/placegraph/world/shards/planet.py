@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
+from os import PathLike
 from time import monotonic
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import MapError
 from placegraph.outdoor.language.description import LISTENER
@@ -23,11 +26,6 @@ from placegraph.world.shards.table import WordTable
 from placegraph.world.shards.workers import Alone, Source
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from os import PathLike
-
-    from numpy.typing import NDArray
-
     from placegraph.estimate import CityEstimate
     from placegraph.outdoor.language.description import Description
     from placegraph.outdoor.search.ask import Question
@@ -35,6 +33,7 @@ if TYPE_CHECKING:
     from placegraph.world.outside import Outside
     from placegraph.world.shards.lexicon import Thing
     from placegraph.world.shards.workers import Crew
+
 
 MOST_STREETS = 8
 """Shards that are looked into at most to see whether a name means streets."""

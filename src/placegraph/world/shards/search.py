@@ -7,11 +7,13 @@ together, scored, looked at more closely and weighed, as those of one city are.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.outdoor.map.index import REACH
 from placegraph.outdoor.search.candidates import FAR_REACH
@@ -22,13 +24,10 @@ from placegraph.world.shards.merged import Merged
 from placegraph.world.shards.workers import Lost, Task
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
-    from numpy.typing import NDArray
-
     from placegraph.world.shards.steps import Asked, Fix
     from placegraph.world.shards.table import WordTable
     from placegraph.world.shards.workers import Crew, Source
+
 
 NEGLIGIBLE = 0.002
 """Shards that together hold no more than this share of the posterior are not looked into."""

@@ -7,6 +7,7 @@ from functools import cached_property, partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.outdoor.likelihood.statements import Far, MentionTokens
 from placegraph.outdoor.map.index import REACH, STRIDE
@@ -21,8 +22,6 @@ from placegraph.world.buildings import Buildings
 from placegraph.world.shards.lexicon import Thing, joined
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from placegraph.estimate import CityEstimate
     from placegraph.evidence import Evidence
     from placegraph.outdoor.city import CityMap

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from placegraph.errors import MapError, PlacegraphError
 from placegraph.world.shards import steps
 from placegraph.world.shards.folder import same
 from placegraph.world.shards.steps import Shard
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-    from pathlib import Path
 
 OPEN = 256
 """Shards that a process holds open at most."""
