@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import placegraph as pg
-from placegraph.demo.homes import STANDS, TWIN, WINDOW, furnish
+from placegraph.demo.flat import STANDS, TWIN, WINDOW, furnish
 from placegraph.demo.world import FLAT, TOWN
 from placegraph.errors import MapError, OptionError
 from placegraph.estimate import Status
