@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from concurrent.futures import BrokenExecutor
 from contextlib import suppress
 from time import perf_counter
 from typing import TYPE_CHECKING
@@ -32,6 +31,8 @@ class Compiling:
         """Take part: `kept.listening`."""
         if done or self._busy or kept.FOLDERS.write is None:  # what others compile would be lost
             return
+        from concurrent.futures import BrokenExecutor
+
         from placegraph.warm import calls_with, missing
 
         self._busy = True  # what is imported here may itself be compiled
