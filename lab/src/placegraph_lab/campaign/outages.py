@@ -11,20 +11,16 @@ import sys
 import threading
 import time
 from collections import Counter
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from http.client import HTTPConnection, HTTPException
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from placegraph_lab.campaign.row import Row
+from numpy.random import Generator
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from numpy.random import Generator
-
-    from placegraph_lab.campaign.row import Effort
+from placegraph_lab.campaign.row import Effort, Row
 
 HONEST = {"worker_died", "busy", "too_long"}
 """Codes of problems that a client may see while workers die."""

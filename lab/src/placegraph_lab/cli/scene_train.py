@@ -11,11 +11,11 @@ import click
 from placegraph.cli.command import Argument, Option
 from placegraph.cli.common import AsJson, Quiet
 from placegraph.errors import OptionError
+from placegraph.indoor.encode.scenegraphloc.widths import Widths
 from placegraph_lab.cli.training_shown import TrainingDevice, WorkFolder, training
 
 if TYPE_CHECKING:
     from placegraph.indoor.encode.scenegraphloc.weights import Weights
-    from placegraph.indoor.encode.scenegraphloc.widths import Widths
     from placegraph_lab.train.scenegraphloc.lessons import Teacher, World
 
 

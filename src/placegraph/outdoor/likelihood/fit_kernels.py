@@ -4,14 +4,11 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.compiled import kernel
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 DIRECTION, NEAR, INSIDE, ALONG, ACROSS, BETWEEN, VISIBLE, SAME = range(8)
 """Operations, one for each `Relation`, in its order."""

@@ -3,17 +3,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.compiled import kernel
 from placegraph.outdoor.likelihood.coherence_kernels import MOST, assign, log_coherence
 from placegraph.outdoor.likelihood.fit_kernels import AREA, BETWEEN, DIRECTION, ME, me_fit, pair_fit
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
 
 HOPELESS = -1e9
 """Score of a viewpoint that cannot matter: finite, since compiled code assumes finite numbers."""

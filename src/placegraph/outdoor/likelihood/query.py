@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.outdoor.language.description import (
     LISTENER,
@@ -15,6 +16,7 @@ from placegraph.outdoor.language.description import (
     Relation,
     Statement,
 )
+from placegraph.outdoor.likelihood.lexicon import Known, Lexicon
 from placegraph.outdoor.likelihood.statements import (
     Far,
     MentionTokens,
@@ -24,13 +26,6 @@ from placegraph.outdoor.likelihood.statements import (
     ends,
 )
 from placegraph.outdoor.map.objects import POINT
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from placegraph.outdoor.likelihood.lexicon import Known, Lexicon
 
 KIND_ONLY = 0.03
 """Weight of things of the right kind where a name was said: the map may lack the name."""

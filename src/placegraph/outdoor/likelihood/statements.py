@@ -13,17 +13,13 @@ sight serves may still be served from afar, if the thing is rare enough to be sp
 from __future__ import annotations
 
 from math import cos, sin
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from placegraph.outdoor.language.description import SPEAKER, Relation
+from placegraph.outdoor.language.description import SPEAKER, Description, Relation, Statement
 from placegraph.outdoor.likelihood.fit_kernels import ME, TABLE, direction_table
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from placegraph.outdoor.language.description import Description, Statement
 
 SLIP = 0.08
 """Share of stated directions that are simply wrong."""

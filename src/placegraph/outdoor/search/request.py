@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal, TypedDict, get_args
+from typing import Any, Literal, TypedDict, Unpack, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
+from placegraph.outdoor.likelihood.query import Query
+from placegraph.outdoor.likelihood.statements import Words
+from placegraph.outdoor.map.city import City
+from placegraph.outdoor.network.encoded import EncodedCity, EncodedText
 from placegraph.outdoor.search.whereabouts import Whereabouts
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from typing import Any, Unpack
-
-    from numpy.typing import NDArray
-
-    from placegraph.outdoor.likelihood.query import Query
-    from placegraph.outdoor.likelihood.statements import Words
-    from placegraph.outdoor.map.city import City
-    from placegraph.outdoor.network.encoded import EncodedCity, EncodedText
-    from placegraph.vectors import Region, VectorStore
+from placegraph.vectors import Region, VectorStore
 
 Matcher = Literal[
     "fused", "relational", "transformer", "edit-distance", "edit-distance-plain", "embedding"

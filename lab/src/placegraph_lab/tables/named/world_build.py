@@ -19,9 +19,10 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from threading import Event, Thread
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -29,9 +30,6 @@ from placegraph_lab.tables.outdoor.country import country
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS
 from placegraph_lab.tables.run import Quick, Run, Seed, option, parts, table
 from placegraph_lab.tables.tables import markdown, number
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 CITIES = ("liechtenstein", "vancouver", "andorra", "ankara")
 AFTER = 1000

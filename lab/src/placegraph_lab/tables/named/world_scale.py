@@ -13,24 +13,20 @@ import json
 import os
 import time
 from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 
+from placegraph.outdoor.city import CityMap
+from placegraph.outdoor.search.posterior import Posterior
+from placegraph.outdoor.search.request import Request
 from placegraph_lab.tables.apart import apart, peak
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, open_city
-from placegraph_lab.tables.outdoor.queries import load, make_queries
+from placegraph_lab.tables.outdoor.queries import Query, load, make_queries
 from placegraph_lab.tables.run import Quick, Run, Seed, option, table
 from placegraph_lab.tables.tables import markdown, number
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from placegraph.outdoor.city import CityMap
-    from placegraph.outdoor.search.posterior import Posterior
-    from placegraph.outdoor.search.request import Request
-    from placegraph_lab.tables.outdoor.queries import Query
 
 SAME = 40.0
 """Best places nearer than this are one [m]: as far apart as modes are at least."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,15 +13,11 @@ from placegraph_lab.tables.indoor.report import errors
 from placegraph_lab.tables.indoor.windows import DRIFT
 from placegraph_lab.tables.retrieval.retrieval import Cosines, Scenes
 from placegraph_lab.tables.retrieval.retrieval_places import Place
-from placegraph_lab.tables.sg2loc.ask import Asking, group
+from placegraph_lab.tables.sg2loc.ask import Asking, Reply, group
 from placegraph_lab.tables.sg2loc.paper import figures as said
 from placegraph_lab.tables.sg2loc.sets import Set
 from placegraph_lab.tables.sg2loc.spec import SPECS, Spec
 from placegraph_lab.tables.tables import markdown, number, shares
-
-if TYPE_CHECKING:
-    from placegraph_lab.tables.sg2loc.ask import Reply
-
 
 COLUMNS = {
     "R@1": 1, "mean": 2, "median": 2, "25 cm / 2° / both": 3, "25 cm 2°": 1,
