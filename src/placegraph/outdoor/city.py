@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
 from placegraph.formats.place.overture import Overture
-from placegraph.formats.place.urls import is_url, on_disk
+from placegraph.formats.place.urls import is_url, name_of, on_disk
 from placegraph.notebook import Shown
 from placegraph.outdoor.map.cells import LARGEST, SMALLEST
 from placegraph.outdoor.map.city import City
@@ -210,11 +210,11 @@ def build_city(
     from placegraph.outdoor.map.extract import read_extract
 
     fetching = None if progress is None else lambda step, n, _total: progress(step, n)
-    with on_disk(osm_path, Path(out_path).parent, fetching) as path:
+    with on_disk(osm_path, Path(out_path), fetching) as path:
         plane, objects, left_out = read_extract(path, vocabulary, progress)
     city = CityMap.create(
         plane, objects, cell_size=cell_size, stride=stride, edge_distance=edge_distance,
-        source=", ".join(Path(path).name for path in paths), left_out=left_out,
+        source=", ".join(map(name_of, paths)), left_out=left_out,
     )  # fmt: skip
     city.save(out_path, index=index)
     return city

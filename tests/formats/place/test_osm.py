@@ -397,6 +397,13 @@ def test_other_texts_are_refused(text, tmp_path):
     refused(path)
 
 
+@pytest.mark.parametrize("ids", [(1 << 62, -(1 << 62)), (2**63 - 2, 5), (5, -(2**63 - 2))])
+def test_numbers_of_nodes_that_are_none(ids, tmp_path):
+    nodes = "".join(node(i, 10, 50) for i in ids)
+    path = write(tmp_path / "w.osm.pbf", f'<osm version="0.6">{nodes}{way(1, ids)}</osm>')
+    assert "no number of a node" in refused(path)
+
+
 def test_a_format_under_another_ending_is_refused(tmp_path):
     pbf, xml = write(tmp_path / "a.osm.pbf"), write(tmp_path / "b.osm")
     refused(pbf.rename(tmp_path / "c.osm"))

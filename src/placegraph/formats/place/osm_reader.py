@@ -47,6 +47,8 @@ LOST = np.int32(2**31 - 1)
 AREAS = (b"multipolygon", b"boundary")
 """Types of relations that are areas."""
 POSITIONLESS = "ways without positions"
+LARGEST_ID = 1 << 60
+"""No number of a node is larger, nor below as much: differences are numbers of 64 bits, too."""
 
 
 class Reader:
@@ -113,6 +115,8 @@ class Reader:
     def _points(self, block: Block, nodes: Nodes) -> OsmColumns:
         rows = block.nodes()
         self._one_time(pbf.NODES, rows)
+        if len(wrong := rows.ids[(rows.ids < -LARGEST_ID) | (rows.ids > LARGEST_ID)]):
+            raise pbf.DamagedError(f"{wrong[0]} is no number of a node")
         self.late |= pbf.WAYS in self.last
         near = (rows.steps >= -pbf.FARTHEST) & (rows.steps <= pbf.FARTHEST)
         there: NDArray[np.bool_] = np.all(near, axis=1)

@@ -6,15 +6,17 @@ What is fetched goes into a ``.part`` beside a note of which file it is of; cut 
 from __future__ import annotations
 
 import json
+import os
+import shutil
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from hashlib import sha256
 from os import PathLike
 from pathlib import Path, PurePosixPath
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
+from placegraph import locks
 from placegraph.errors import InputError, MissingExtraError, OptionError, ServiceError
 from placegraph.files import cannot_write, write_file
 from placegraph.formats.place.osm import SUFFIXES, checked_osm, one_line
@@ -36,9 +38,17 @@ def is_url(place: object) -> bool:
     return "://" in str(place)
 
 
+def name_of(place: str | PathLike[str]) -> str:
+    """Name of a file: of a URL without what it is asked with, as that may be a key."""
+    if not is_url(place):
+        return Path(place).name
+    parts = urlsplit(str(place))
+    return PurePosixPath(parts.path or parts.netloc).name
+
+
 def of_osm(url: str) -> bool:
     """Whether a URL is of an OpenStreetMap file, by its name."""
-    return _name(url).lower().endswith(SUFFIXES)
+    return name_of(url).lower().endswith(SUFFIXES)
 
 
 def system_of(url: str) -> tuple[Any, str]:
@@ -102,24 +112,27 @@ def fetch_file(url: str, folder: Path, progress: Progress | None = None) -> Path
     """
     system, root = system_of(url)
     told = _told(url, system, root)
-    path = folder / sha256(url.encode()).hexdigest()[:8] / _name(url)
+    path = folder / sha256(url.encode()).hexdigest()[:8] / name_of(url)
     part, note = path.with_name(f"{path.name}.part"), path.with_name("note.json")
     size = told["size"]
     step = f"fetching {path.name}" + (f" ({size / 1e6:,.1f} MB)" if size else "")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        if size is None or not note.exists() or note.read_text() != json.dumps(told):
+        known = note.exists() and note.read_text() == json.dumps(told)
+        if None in told.values() or not known:  # it may be another one, or a part of another one
             path.unlink(missing_ok=True)
             part.unlink(missing_ok=True)
             write_file(note, [json.dumps(told).encode()])
         if path.exists():
             return path
         with part.open("ab") as file:
-            for chunk in _read(url, system, root, file.tell(), lambda: file.truncate(0)):
+            for chunk in _read(url, system, root, file.tell(), lambda: file.truncate(file.seek(0))):
                 file.write(chunk)
                 if progress is not None:
                     progress(step, file.tell(), size)
             fetched = file.tell()
+            file.flush()
+            os.fsync(file.fileno())
         if size is not None and fetched < size:
             raise ServiceError(_cut(url, f"{fetched:,} of {size:,} bytes came"))
         if _told(url, system, root) != told or fetched != (size or fetched):
@@ -146,18 +159,24 @@ def all_on_disk(
 
 
 @contextmanager
-def on_disk(path: Any, folder: Path, progress: Progress | None = None) -> Iterator[Any]:  # noqa: ANN401
-    """An extract on this machine: of one at a URL a copy in `folder`, as long as it is read."""
+def on_disk(path: Any, out: Path, progress: Progress | None = None) -> Iterator[Any]:  # noqa: ANN401
+    """An extract on this machine: of one at a URL a copy beside `out`, until it was read.
+
+    Raises as `fetch_file`; what is cut off stays for the same call. `MapLockedError` where another is at it.
+    """
     if not isinstance(path, str) or not is_url(path):
         yield path
         return
     size_of(path)  # before anything is written
-    try:
-        room = TemporaryDirectory(dir=folder, prefix=".fetched-")
-    except OSError as error:
-        raise cannot_write(folder, error) from error
-    with room as name:
-        yield fetch_file(path, Path(name), progress)
+    room = out.parent / f".{out.name}.fetched"
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(locks.exclusive(room))
+        except OSError as error:
+            raise cannot_write(out.parent, error) from error
+        found = fetch_file(path, room, progress)
+        stack.callback(shutil.rmtree, room, ignore_errors=True)
+        yield found
 
 
 def _told(url: str, system: Any, root: str) -> dict[str, Any]:  # noqa: ANN401  # fsspec has no types
@@ -177,10 +196,6 @@ def _told(url: str, system: Any, root: str) -> dict[str, Any]:  # noqa: ANN401  
     plain = {key.lower().replace("-", "").replace("_", ""): value for key, value in info.items()}
     version = next((str(plain[key]) for key in VERSIONS if plain.get(key)), None)
     return {"url": url, "size": info.get("size"), "version": version}
-
-
-def _name(url: str) -> str:
-    return PurePosixPath(urlsplit(url).path or urlsplit(url).netloc).name
 
 
 def _read(
