@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
+from placegraph.columns import starts
 from placegraph.geometry import LocalPlane
 from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.map.blocks import Blocks
@@ -128,9 +129,10 @@ class City(Portable):
         file = read_map(path, KIND, VERSION, MAPPED, least=0 if shard else LARGE)
         with sound(path, "Build it again."):
             meta = file.meta
-            plane = LocalPlane(*map(float, meta["origin"]))
-            grain = float(meta["grain"])
-            _check_frame(plane, grain)
+            (longitude, latitude), grain = map(float, meta["origin"]), float(meta["grain"])
+            plane = LocalPlane(longitude, latitude)
+            if not (0.0 < grain <= 1e3 and abs(longitude) <= 180.0 and abs(latitude) <= 90.0):
+                raise ValueError(f"grain {grain}, {plane}")
             kind = file.array("kind", "u1")
             label_values = file.array("label_values", "<i4")
             name_values = file.array("name_values", "<i4")
@@ -162,8 +164,8 @@ class City(Portable):
             sizes = float(meta["cell_size"]), float(meta["edge_distance"])
             cells = Cells(plane, grid, *sizes, file.array("cells", "<i8"))
             cells.check()
-            source, left = str(meta["source"]), dict(meta["left_out"])
-            left_out = {str(k): int(v) for k, v in left.items()}
+            source = str(meta["source"])
+            left_out = {str(k): int(v) for k, v in dict(meta["left_out"]).items()}
             index = index_in(file, len(objects.labels) + len(objects.names))
         city = cls(plane, replace(objects, center=center), cells, source, left_out)
         object.__setattr__(city, "index", index)
@@ -243,8 +245,7 @@ class City(Portable):
         token_starts, values, _ = self.tokens
         owner = np.repeat(np.arange(len(self.objects), dtype=np.int32), np.diff(token_starts))
         order = np.argsort(values, kind="stable")
-        counts = np.bincount(values, minlength=len(self.objects.labels) + len(self.objects.names))
-        return np.concatenate(([0], np.cumsum(counts))), owner[order]
+        return starts(np.bincount(values, minlength=len(self.words))), owner[order]
 
     def frequency(self, tokens: NDArray[np.int32], weights: NDArray[np.float32]) -> float:
         """Share of all things in sight, over all viewpoints, that tokens stand for."""
@@ -289,14 +290,9 @@ class City(Portable):
         return f"{name}({self.source!r}, {objects:,} objects, {cells:,} cells)"
 
 
-def _check_frame(plane: LocalPlane, grain: float) -> None:
-    if not (0.0 < grain <= 1e3 and abs(plane.longitude) <= 180.0 and abs(plane.latitude) <= 90.0):
-        raise ValueError(f"grain {grain}, {plane}")
-
-
 def _starts(counts: NDArray[Any]) -> NDArray[np.int32]:
     """Bounds of counted entries; `ValueError` where they do not fit, which compiled code believes."""
-    starts = np.concatenate(([0], np.cumsum(counts, dtype=np.int64)))
-    if starts[-1] > np.iinfo(np.int32).max:
+    bounds = starts(counts)
+    if bounds[-1] > np.iinfo(np.int32).max:
         raise ValueError("counts are too large")
-    return starts.astype(np.int32)
+    return bounds.astype(np.int32)
