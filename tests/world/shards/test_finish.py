@@ -7,8 +7,10 @@ from tests.world.shards.conftest import ZOOM
 from placegraph.errors import InputError, MapError, OptionError
 from placegraph.maps import is_world
 from placegraph.outdoor.city import CityMap
-from placegraph.world.shards import WorldFile, finish
-from placegraph.world.shards.table import WordTable
+from placegraph.world.shards import WorldFile, finish, table
+from placegraph.world.shards.finish import count
+from placegraph.world.shards.folder import digest_of
+from placegraph.world.shards.table import WordTable, keep, kept
 
 
 def words_of(map_):
@@ -39,6 +41,18 @@ def test_the_table_says_where_a_name_is(sharded):
     holders = [told.shards[i] for i in held.shards[held.objects > 0]]
     assert len(holders) == 1
     assert "Rex" in CityMap.open(told.path(holders[0])).objects.names
+
+
+def test_what_another_version_counted_is_counted_anew(sharded, tmp_path, monkeypatch):
+    (path, *_), at = sorted(sharded.glob("shards/*.city")), tmp_path / "counts"
+    found, digest = count(path), digest_of(path)
+    keep(found, at, digest)
+    assert kept(at, digest).labels == found.labels
+    assert kept(at, "another") is None
+    with monkeypatch.context() as before:
+        before.setattr(table, "_OF_A_SHARD", ("objects", "mass"))
+        keep(found, at, digest)
+    assert kept(at, digest) is None
 
 
 def test_finishing_again_changes_nothing(world):

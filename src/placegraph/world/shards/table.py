@@ -76,9 +76,9 @@ def kept(path: Path, digest: str) -> Counted | None:
         found: dict[str, Any] = {
             n: tuple(map(intern, file.strings(n))) for n in ("labels", "names")
         }
-    except PlacegraphError:
+        found |= {name: file.arrays[name] for name in _OF_A_SHARD} | file.meta
+    except (PlacegraphError, LookupError):  # or by a version that counted something else
         return None
-    found |= {name: file.arrays[name] for name in _OF_A_SHARD} | file.meta
     return Counted(**found) if found.pop("digest") == digest else None
 
 
