@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, Unpack
 from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
+from placegraph.files import real_path
 from placegraph.formats.place.overture import Overture
 from placegraph.formats.place.urls import is_url, name_of, on_disk
 from placegraph.notebook import Shown
@@ -189,6 +189,8 @@ def build_city(
         The file cannot be read, or holds nothing worth naming.
     OptionError
         A size is not positive; `out_path` is a URL.
+    MapError
+        `out_path` cannot be written, or is no file name.
     MissingExtraError, ServiceError
         What a URL takes is not installed; or its server does not answer.
     MapLockedError
@@ -199,7 +201,7 @@ def build_city(
         raise OptionError(f"{out_path} is a URL; name a file of this machine.")
     paths = osm_path.paths if isinstance(osm_path, Overture) else (osm_path,)
     for path in paths:
-        if os.path.realpath(path) == os.path.realpath(out_path):
+        if real_path(path) == real_path(out_path):
             raise OptionError(f"{path} would be overwritten by its map; name another file.")
     stride = cell_size if stride is None else stride
     edge_distance = cell_size if edge_distance is None else edge_distance

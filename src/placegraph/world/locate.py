@@ -51,7 +51,10 @@ def _searched(estimate: WorldEstimate, heard: Heard) -> WorldEstimate:
     """Estimate that says what was searched; where that was not all, nothing is sure."""
     towns = heard.towns.values()
     gaps = [town.gap for town in towns if town.gap]
-    told = [estimate.reason, *gaps, *(town.cost for town in towns if town.cost)]
+    reason = estimate.reason
+    if gaps and estimate.status is Status.LOST:  # of what was not searched nothing is known
+        gaps, reason = [*gaps, f"In that, {reason[:1].lower()}{reason[1:]}"], ""
+    told = filter(None, [reason, *gaps, *(town.cost for town in towns)])
     short = bool(gaps) and estimate.status is Status.OK
     return replace(
         estimate, status=Status.AMBIGUOUS if short else estimate.status, reason=" ".join(told),

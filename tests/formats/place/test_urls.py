@@ -220,6 +220,18 @@ def test_what_is_not_there_or_no_extract(server, tmp_path):
         size_of("nonsense://a.osm")
 
 
+@pytest.mark.parametrize("url", ["zip://a.osm::file:///none.zip", "github://a.osm"])
+def test_what_file_systems_say_of_a_url_is_typed(url):
+    with pytest.raises(OptionError, match="cannot be opened"):
+        size_of(url)
+
+
+def test_a_city_of_a_damaged_extract_names_its_url(tmp_path):
+    memory("memory:///page.osm", b"<html>log in</html>")
+    with pytest.raises(InputError, match=r"^memory:///page.osm cannot be read as OpenStreetMap"):
+        pg.build_city("memory:///page.osm", tmp_path / "a.city")
+
+
 def test_nothing_is_fetched_where_another_is_missing(remote, tmp_path):
     with pytest.raises(InputError, match="does not exist"):
         build_world([remote, tmp_path / "none.osm"], tmp_path / "W", BuildOptions(workers=1))

@@ -333,6 +333,12 @@ def test_a_map_is_replaced_only_by_a_whole_one(hafenstadt, tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.city", "town.osm"]
 
 
+@pytest.mark.parametrize("names", [("a\0.osm", "a.city"), ("a.osm", "a\0.city")])
+def test_a_name_that_is_none_is_refused(names, tmp_path):
+    with pytest.raises(MapError, match="not a file name"):
+        build_city(*(tmp_path / name for name in names))
+
+
 def test_the_extract_is_not_overwritten(hafenstadt, tmp_path):
     osm = hafenstadt.write_osm(tmp_path / "town.osm")
     before = osm.read_bytes()

@@ -145,6 +145,7 @@ def test_a_shard_that_does_not_answer_is_named_and_the_rest_answers(world, harm)
     assert found.status is not Status.OK
     assert any(path.name in note for note in found.notes)
     assert "did not answer" in found.reason
+    assert "No place on the map" not in found.reason
     assert found.modes
     assert found.best.probability < whole.best.probability
 
@@ -159,6 +160,13 @@ def test_a_shard_that_cannot_matter_may_be_missing(world):
             break
     after = pg.open_world(world).locate(text)
     assert after.best.probability == pytest.approx(before.best.probability, abs=0.01)
+
+
+@pytest.mark.parametrize("fix", [{}, {"near": (10.012, 50.006), "radius": 200.0}])
+def test_what_was_not_searched_is_not_said_to_be_empty(planet, fix):
+    late = planet.locate(TEXTS[0], budget=1e-9, **fix)
+    assert late.status is not Status.OK
+    assert late.reason.startswith("The time was over: 0.0% of the world was searched. In that, ")
 
 
 def test_a_budget_gives_the_best_so_far(planet):

@@ -17,7 +17,13 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 from placegraph import locks
-from placegraph.errors import InputError, MissingExtraError, OptionError, ServiceError
+from placegraph.errors import (
+    InputError,
+    MissingExtraError,
+    OptionError,
+    PlacegraphError,
+    ServiceError,
+)
 from placegraph.files import cannot_write, write_file
 from placegraph.formats.place.osm import SUFFIXES, checked_osm, one_line
 
@@ -77,6 +83,8 @@ def system_of(url: str) -> tuple[Any, str]:
         ) from error
     except ValueError as error:
         raise OptionError(f"{url}: no file system knows this URL ({one_line(error)}).") from error
+    except Exception as error:  # each file system has its own
+        raise OptionError(f"{url} cannot be opened: {one_line(error)}.") from error
     return system, str(root).rstrip("/")
 
 
@@ -176,7 +184,10 @@ def on_disk(path: Any, out: Path, progress: Progress | None = None) -> Iterator[
             raise cannot_write(out.parent, error) from error
         found = fetch_file(path, room, progress)
         stack.callback(shutil.rmtree, room, ignore_errors=True)
-        yield found
+        try:
+            yield found
+        except PlacegraphError as error:  # the copy is gone before this is read
+            raise type(error)(str(error).replace(str(found), path)) from error
 
 
 def _told(url: str, system: Any, root: str) -> dict[str, Any]:  # noqa: ANN401  # fsspec has no types

@@ -132,7 +132,7 @@ class Search:
         beyond = np.logaddexp.accumulate(self.reach[left]) if len(left) else np.zeros(0)
         total = np.logaddexp(np.log1p(-ELSEWHERE) + found.weight, np.log(ELSEWHERE))
         matters = beyond + np.log1p(-ELSEWHERE) - total > np.log(NEGLIGIBLE)
-        return float(np.exp(log_mass[left[matters]]).sum())
+        return min(1.0, float(np.exp(log_mass[left[matters]]).sum()))
 
     def gap(self, missing: float) -> str:
         """What was not searched of what matters, and why; empty where that is nothing."""
@@ -170,9 +170,11 @@ class Search:
             (away <= max(FAR_OFF * sigma, 4.0 * fix.radius + 2.0 * REACH)) & (log_size >= 0)
         )
         mass, highest, reached = np.full(len(cores), -np.inf), -np.inf, False
+        silent = set(near.tolist())
         for row, (most_, total, there) in self.each("weigh", ((r, (fix,)) for r in near.tolist())):
             mass[row], highest, reached = total, max(highest, most_), reached or there
-        for row in self.lost:  # it would have held about so much
+            silent.remove(row)
+        for row in sorted(silent):  # it would have held about so much
             mass[row] = log_size[row] - 0.5 * (away[row] / sigma) ** 2
             reached, highest = True, max(highest, -0.5 * (away[row] / sigma) ** 2)
         if not reached:
