@@ -1,7 +1,9 @@
+import asyncio
 import os
 import signal
 import socket
 import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from tests.world.shards.test_planet import TEXTS, town
@@ -9,8 +11,10 @@ from tests.world.shards.test_planet import TEXTS, town
 import placegraph as pg
 from placegraph.errors import MissingExtraError, ServiceError
 from placegraph.estimate import Status
+from placegraph.outdoor.city import CityMap
 from placegraph.world.shards import cluster, workers
 
+dask = pytest.importorskip("dask")
 distributed = pytest.importorskip("distributed")
 
 
@@ -34,15 +38,28 @@ def test_workers_answer_as_one_process(scheduler, sharded):
 
 def test_a_step_is_sent_once_to_each_worker(scheduler, sharded, monkeypatch):
     planet, sent = pg.open_world(sharded, scheduler=scheduler), []
-    real = town(planet).crew.client.submit
-    monkeypatch.setattr(
-        town(planet).crew.client,
-        "submit",
-        lambda do, batch, **how: sent.append(batch) or real(do, batch, **how),
-    )
-    tasks = [workers.Task(source, ([],)) for source in town(planet).sources]
-    assert sorted(town(planet).crew.each("name", tasks)) == [(row, []) for row in range(len(tasks))]
-    assert len(sent) <= 2 < len(tasks) == sum(len(batch.tasks) for batch in sent)
+    real = town(planet).crew.asked
+
+    async def asked(worker, tasks, seconds):
+        sent.append(tasks)
+        return await real(worker, tasks, seconds)
+
+    monkeypatch.setattr(town(planet).crew, "asked", asked)
+    tasks = [workers.Task("name", source, ([],)) for source in town(planet).sources]
+    assert town(planet).crew.each(tasks) == {row: [] for row in range(len(tasks))}
+    assert len(sent) == 2 < len(tasks) == sum(map(len, sent))
+    planet.close()
+
+
+def test_a_text_takes_a_few_trips(scheduler, sharded, monkeypatch):
+    planet, trips = pg.open_world(sharded, scheduler=scheduler), []
+    real = town(planet).crew.each
+    monkeypatch.setattr(town(planet).crew, "each", lambda *told: trips.append(told) or real(*told))
+    found = planet.locate("A bench is north of me. A tree is east of me. A cafe is south of me.")
+    assert len(trips) <= 5
+    trips.clear()
+    assert all(mode.evidence for mode in found.modes)
+    assert len(trips) == 1
     planet.close()
 
 
@@ -83,7 +100,7 @@ def test_without_dask_a_sentence_says_what_to_install(sharded, monkeypatch):
 
 
 def test_a_scheduler_that_goes_away_is_said_and_may_come_again(sharded, monkeypatch):
-    monkeypatch.setattr(cluster, "PATIENCE", 1.0)
+    monkeypatch.setattr(cluster, "PATIENCE", 2.0)
     options = {"n_workers": 1, "processes": False, "protocol": "tcp"}
     with local(**options) as found:
         address = found.scheduler_address
@@ -117,22 +134,84 @@ def test_a_worker_out_of_memory_is_a_shard_that_does_not_answer(scheduler, shard
     assert found.modes
 
 
-@pytest.mark.parametrize("ended", [MemoryError(), distributed.KilledWorker("task", None, 3)])
-def test_where_every_worker_ended_the_shard_is_lost(ended):
-    class Future:
-        def exception(self):
-            return ended
+def source(key, size=1):
+    return workers.Source(key, f"{key}.city", "", size)
 
-    task = workers.Task(workers.Source("0", "0.city", ""), ())
-    (told,) = cluster._result(Future(), [task], "x")
-    assert told.reason.startswith("0.city: every worker")
-    assert cluster._result(Future(), [task, task], "x") is None  # each is tried alone
+
+class Ending(cluster.Cluster):
+    """Its workers are new at each look, and end at the shard 0."""
+
+    looks = 0
+
+    async def workers(self, _age=0.0):
+        self.looks += 1
+        return [f"tcp://{self.looks}:{i}" for i in range(2)]
+
+    async def asked(self, _worker, tasks, _seconds):
+        if any(task.source.key == "0" for task in tasks):
+            raise OSError("closed")
+        return [task.source.key for task in tasks]
+
+
+def test_where_every_worker_ended_the_shard_is_lost_and_no_other():
+    sources = [source(str(k)) for k in range(6)]
+    work = cluster._Work(
+        Ending(None, "x", sources), [workers.Task("name", s, ()) for s in sources], None
+    )
+    asyncio.run(work.do())
+    assert work.found.pop(0).reason.startswith("0.city: every worker")
+    assert work.found == {k: str(k) for k in range(1, 6)}
+
+
+def test_where_no_worker_is_left_it_is_said(monkeypatch):
+    class Empty(Ending):
+        async def workers(self, _age=0.0):
+            return []
+
+    monkeypatch.setattr(cluster, "REPLACED", 0.0)
+    work = cluster._Work(Empty(None, "x", []), [workers.Task("name", source("1"), ())], None)
+    with pytest.raises(ServiceError, match="no worker"):
+        asyncio.run(work.do())
+
+
+def test_workers_share_the_world_and_keep_their_shards():
+    sources = [source(str(k), 1 + k % 7) for k in range(200)]
+    three, four = (cluster.shared(sources, [f"w{i}" for i in range(n)]) for n in (3, 4))
+    loads = [sum(s.size for s in sources if three[s.key] == f"w{i}") for i in range(3)]
+    assert max(loads) <= 1.05 * sum(loads) / 3 + 7
+    moved = sum(three[s.key] != four[s.key] and four[s.key] != "w3" for s in sources)
+    assert moved < len(sources) // 5
+
+
+def test_steps_of_two_clients_are_done_one_after_the_other(monkeypatch):
+    inside, overlaps = [], []
+
+    def step(shard):
+        inside.append(shard)
+        sys.setswitchinterval(1e-6)
+        overlaps.extend(inside[1:])
+        inside.remove(shard)
+
+    monkeypatch.setitem(workers.STEPS, "name", step)
+    monkeypatch.setattr(workers, "same", lambda *_: None)
+    monkeypatch.setattr(CityMap, "open", lambda path, **_: type("City", (), {"objects": [path]})())
+    holder, before = workers.Holder(most=2), sys.getswitchinterval()
+    tasks = [workers.Task("name", source(str(k % 7)), ()) for k in range(300)]
+    try:
+        with ThreadPoolExecutor(4) as pool:
+            done = [pool.submit(holder.work, tasks) for _ in range(4)]
+            assert all(len(one.result()) == len(tasks) for one in done)
+    finally:
+        sys.setswitchinterval(before)
+    assert not overlaps
+    assert len(holder._open) == 2
 
 
 @pytest.mark.all
 @pytest.mark.parametrize("workers", [1, 2])
 def test_a_worker_killed_in_between_loses_nothing(sharded, workers):
-    with local(n_workers=workers, processes=True) as found:
+    slow = {"distributed.deploy.lost-worker-timeout": "10 minutes"}  # to start on a busy machine
+    with dask.config.set(slow), local(n_workers=workers, processes=True) as found:
         alone = pg.open_world(sharded)
         planet = pg.open_world(sharded, scheduler=found.scheduler_address)
         planet.locate(TEXTS[0])
@@ -146,13 +225,26 @@ def test_a_worker_killed_in_between_loses_nothing(sharded, workers):
 def test_a_worker_stops_while_its_answer_is_still_in_time():
     sent = []
 
-    class Client:
-        def submit(self, _do, batch, **_how):
-            sent.append(batch)
+    class Asked(Ending):
+        async def asked(self, _worker, tasks, seconds):
+            sent.append(seconds)
+            return [None for _ in tasks]
 
-    tasks = [workers.Task(workers.Source("0", "0.city", ""), ())]
-    crew, deadline = cluster.Cluster(Client(), "x"), cluster.monotonic() + 100.0
-    for until in (deadline, None):
-        crew._sent("name", tasks, [0], ["worker"], until)
-    assert 0.0 < sent[0].seconds < 90.0
-    assert sent[1].seconds is None
+    tasks = [workers.Task("name", source("1"), ())]
+    for until in (cluster.monotonic() + 100.0, None):
+        asyncio.run(cluster._Work(Asked(None, "x", [source("1")]), tasks, until).do())
+    assert 0.0 < sent[0] < 90.0
+    assert sent[1] is None
+
+
+def test_the_world_waits_for_no_worker_longer_than_was_given():
+    class Hanging(Ending):
+        async def asked(self, *_):
+            await asyncio.Event().wait()
+
+    work = cluster._Work(
+        Hanging(None, "x", [source("1")]), [workers.Task("name", source("1"), ())],
+        cluster.monotonic() + 0.01,
+    )  # fmt: skip
+    asyncio.run(work.do())
+    assert work.found == {}

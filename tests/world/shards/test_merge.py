@@ -26,7 +26,9 @@ def shards(draw):
         n = len(labels) + len(names)
         objects = np.array(draw(st.lists(st.integers(0, 3), min_size=n, max_size=n)), np.int32)
         mass = objects.astype(np.float32) * 0.5
-        found.append(Counted(labels, names, objects, mass, mass / 9, 1.0, 2.0, 3.0, 4, 5, 6))
+        found.append(
+            Counted(labels, names, objects, mass, mass / 3, mass / 9, 1.0, 2.0, 3.0, 4, 5, 6)
+        )
     return found
 
 

@@ -19,8 +19,8 @@ SAID = st.lists(st.sampled_from(WORDS), min_size=1, max_size=4).map(" ".join)
 
 def written(path, names):
     n = len(names)
-    counted = Counted((), names, np.ones(n, np.int32), np.ones(n, np.float32),
-                      np.ones(n, np.float32), 1.0, 1.0, 1.0, n, 1, 1)  # fmt: skip
+    counted = Counted((), names, np.ones(n, np.int32), *np.ones((3, n), np.float32),
+                      1.0, 1.0, 1.0, n, 1, 1)  # fmt: skip
     table.write(path, [counted], path.with_name("scratch"))
     return WordTable.open(path).names
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,9 +16,12 @@ from placegraph.outdoor.map.index import REACH, STRIDE
 from placegraph.outdoor.map.objects import POINT, CityObjects
 from placegraph.tiles import bounds, held, key_of, tile_of, tiles
 from placegraph.world.shards import WorldFile, finish
+from placegraph.world.shards.table import Counted
 
 SIDE = 8
 """Viewpoints are kept in squares of so many."""
+DISTINCT = 19
+"""So many copies of a world have labels that are shuffled anew."""
 
 
 def write_shards(city: CityMap, folder: Path, zoom: int, overlap: float = 150.0) -> WorldFile:
@@ -120,23 +123,63 @@ def write_copies(source: Path, folder: Path, copies: int, seed: int = 0) -> None
     """The shards of a larger world: copies of one side by side, to the east, their labels shuffled.
 
     The first keeps its labels. In every other one labels and names are exchanged among the things of
-    a kind of geometry in a shard, and names get a word of their own before them. What is there already
+    a kind of geometry in a shard, and names get a word of their own before them. From `DISTINCT` on
+    only that word is new: a copy is one of those before, at another place. What is there already
     is taken as it is, so that one goes on where one was stopped; `copies_of` links the first of them.
     """
     old = WorldFile.read(source)
     (folder / "shards").mkdir(parents=True, exist_ok=True)
     for i, shard in enumerate(old.shards):
         city = CityMap.open(old.path(shard))
-        for k, key in enumerate(keys_of_copies(old, i, copies)):
+        keys = keys_of_copies(old, i, copies)
+        for k, key in enumerate(keys):
             path = folder / "shards" / f"{key}.city"
             if path.exists():
                 continue
             turn = 360.0 * (tile_of(key)[0] - tile_of(shard.key)[0]) / (1 << old.zoom)
             east = (city.plane.longitude + turn + 180.0) % 360.0 - 180.0
             plane = LocalPlane(east, city.plane.latitude)
+            cells = replace(city.cells, plane=plane)
+            first = first_of(k)
+            if k > first:
+                like = CityMap.open(folder / "shards" / f"{keys[first]}.city")
+                named = replace(like.objects, names=renamed(like.objects.names, k))
+                made = CityMap(plane, named, cells, city.source, {})
+                made.__dict__["_views"] = like.views
+                made.save(path, quick=True)
+                continue
             rng = np.random.default_rng([seed, i, k])
             objects = city.objects if k == 0 else shuffled(city.objects, _word(k), rng)
-            CityMap(plane, objects, replace(city.cells, plane=plane), city.source, {}).save(path)
+            CityMap(plane, objects, cells, city.source, {}).save(path)
+
+
+def first_of(copy: int) -> int:
+    """The copy whose labels one has."""
+    return copy if copy < DISTINCT else 1 + (copy - 1) % (DISTINCT - 1)
+
+
+def renamed(names: tuple[str, ...], copy: int) -> tuple[str, ...]:
+    """Names of a copy, with the word of another one before them."""
+    return tuple(f"{_word(copy)} {name.partition(' ')[2]}" for name in names)
+
+
+def finish_copies(source: Path, world: Path, copies: int) -> WorldFile:
+    """Finish a world of copies: what is the same in several is counted once."""
+    old = WorldFile.read(source)
+    keys = [keys_of_copies(old, i, copies) for i in range(len(old.shards))]
+    of = {key: (i, k) for i, mine in enumerate(keys) for k, key in enumerate(mine)}
+
+    def each(count: Callable[[Path], Counted], paths: list[Path]) -> Iterator[Counted]:
+        known: dict[tuple[int, int], Counted] = {}
+        for path in paths:
+            i, k = of[path.stem]
+            first = first_of(k)
+            if (i, first) not in known:
+                known[i, first] = count(path.with_stem(keys[i][first]))
+            found = known[i, first]
+            yield found if k == first else found._replace(names=renamed(found.names, k))
+
+    return finish(world, old.zoom, old.overlap, each)
 
 
 def keys_of_copies(world: WorldFile, shard: int, copies: int) -> list[str]:

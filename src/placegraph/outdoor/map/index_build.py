@@ -54,9 +54,11 @@ class Seen(NamedTuple):
     """What viewpoints of a core have in sight."""
 
     mass: NDArray[np.float64]
-    """(T,) sum over viewpoints of how much of a token is in sight."""
+    """(T,) sum over viewpoints of how much of a token is in sight ..."""
+    shares: NDArray[np.float64]
+    """(T,) ... and of which share that is of all that one has in sight."""
     peak: NDArray[np.float32]
-    """(T,) largest share that a token has of all that one viewpoint has in sight."""
+    """(T,) largest such share."""
     sight: float
     """Sum over viewpoints of all that is in sight."""
     spread: float
@@ -166,10 +168,9 @@ def build(
     ):  # all lies beyond: a road's bend
         everywhere = np.full(2, np.inf)
         return build(objects, at_once, core._replace(low=-everywhere, high=everywhere))
-    masses, peaks, sights, spreads, pulls = zip(*sums, strict=True)
-    seen_ = Seen(
-        sum(masses), np.max(peaks, axis=0), sum(sights), max(spreads), max(pulls), viewpoints
-    )
+    masses, shares, peaks, sights, spreads, pulls = zip(*sums, strict=True)
+    most = (np.max(peaks, axis=0), sum(sights), max(spreads), max(pulls))
+    seen_ = Seen(sum(masses), sum(shares), *most, viewpoints)
     return _joined(parts, n_tokens) | {"share": mass[:-1] / max(mass[-1], 1e-30)}, seen_
 
 

@@ -69,7 +69,7 @@ def runs_of(tile_starts, seen, keep, core, kind, tokens, levels, n_labels, mass)
     have in sight. Adds to `mass` (tokens + 1,) what of each is in sight of all viewpoints, and of all
     things (the last). Returns columns of the runs (token, tile, slots, postings, grades of the largest
     masses against pairs and totals), and the postings (`pack`); totals and pairs of viewpoints; things of
-    tiles, and how many; and what is counted: mass and peak of tokens, in sight, spread and pull (`Seen`).
+    tiles, and how many; and what is counted: what `Seen` has of tokens and of all.
     """
     token_starts, token_values, token_weights = tokens
     number, named = np.full(len(mass) - 1, -1, np.int64), np.empty(256, np.int32)
@@ -80,7 +80,8 @@ def runs_of(tile_starts, seen, keep, core, kind, tokens, levels, n_labels, mass)
     totals, roots, views = np.empty(1024, np.uint8), np.empty(1024, np.uint16), 0
     things, n_things = np.empty(len(seen.things), np.int32), 0
     thing_counts = np.zeros(len(keep), np.uint32)
-    counted, peak = np.zeros(len(mass) - 1, np.float64), np.zeros(len(mass) - 1, np.float32)
+    counted, shares = np.zeros(len(mass) - 1), np.zeros(len(mass) - 1)
+    peak = np.zeros(len(mass) - 1, np.float32)
     in_sight = spread = pull = 0.0
     # of each slot: all, apart from what one stands in, squares of that; divisors; shares of labels
     sums, against = np.zeros((4, SLOTS), np.float32), np.empty((2, SLOTS), np.float32)
@@ -181,6 +182,7 @@ def runs_of(tile_starts, seen, keep, core, kind, tokens, levels, n_labels, mass)
                 if core[tile] >> slot & 1:
                     share = much / total[slot]
                     counted[token] += much
+                    shares[token] += share
                     peak[token] = max(peak[token], share)
                     labelled[slot] += share if token < n_labels else np.float32(0.0)
             run_token[runs], run_tile[runs], run_slots[runs] = token, tile, bits
@@ -196,4 +198,4 @@ def runs_of(tile_starts, seen, keep, core, kind, tokens, levels, n_labels, mass)
         run_grades[:runs],
     )
     of_views = totals[:views], roots[:views], things[:n_things], thing_counts
-    return columns, posted[:postings], of_views, (counted, peak, in_sight, spread, pull)
+    return columns, posted[:postings], of_views, (counted, shares, peak, in_sight, spread, pull)

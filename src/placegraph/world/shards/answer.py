@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cache, partial
+from itertools import chain
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,7 +16,7 @@ from placegraph.geometry import LocalPlane
 from placegraph.outdoor.search.answer import CONTRADICTS, MOST_SUPPORT, contradicted
 from placegraph.outdoor.search.confidence import believed, claim_of, doubts, status_of
 from placegraph.outdoor.search.posterior import Posterior, modes, posterior
-from placegraph.outdoor.search.viewpoints import CLOSER, FINE, SPACING
+from placegraph.outdoor.search.viewpoints import FINE, SPACING
 from placegraph.world.buildings import BESIDE
 from placegraph.world.outside import Outside, Told
 from placegraph.world.shards.lexicon import distance
@@ -86,54 +87,38 @@ class Weighed:
         return np.array(points, np.float64).reshape(-1, 3)
 
 
-def weigh(search: Search, found: Merged, beyond: float, searched: float) -> Weighed:
-    """Look more closely at the best, and apply Bayes to all; as `viewpoints.closer`.
+def weigh(found: Merged, beyond: float, searched: float) -> Weighed:
+    """Apply Bayes to all that was scored and looked at; as `viewpoints.closer`.
 
     `beyond` is the log of what shards weigh that were not looked into; `searched` the share of the
     world that probabilities can speak of.
     """
     ranked, scores = found.ranked, found.values()
-    reached = np.flatnonzero(np.isfinite(scores))
-    order = reached[np.argsort(-(scores + ranked.log_prior)[reached], kind="stable")]
-    best, shard = order[:CLOSER], ranked.shard
-    told = []
-    for row in dict.fromkeys(shard[best].tolist()):
-        at = ranked.at[best[shard[best] == row]]
-        told.append((row, (found.asked, found.proposals[row].part(at))))
-    looks = dict(search.each("look", told))
+    weights = scores + ranked.log_prior
+    order = np.argsort(-weights, kind="stable")
     frames = Frames()
-    coarse = np.setdiff1d(reached, [k for k in best.tolist() if shard[k] in looks])
-    positions, scored, priors, rows = (
-        [np.zeros((0, 2))],
-        [np.zeros(0)],
-        [np.zeros(0)],
-        [np.zeros(0, int)],
-    )
-    heaviest = dict.fromkeys([*shard[order].tolist(), *looks])
-    placed = {row: found.proposals[row].origin for row in heaviest}
-    for origin in placed.values():  # the heaviest shard's plane is the first
-        frames.placed(origin, np.zeros((0, 2)))
-    for row in np.unique(shard[coarse]).tolist():
-        mine = coarse[shard[coarse] == row]
-        positions.append(frames.placed(placed[row], found.positions[row][ranked.at[mine]]))
-        scored.append(scores[mine])
-        priors.append(ranked.log_prior[mine])
-        rows.append(np.full(len(mine), row))
-    for row, (fine, ratios) in looks.items():
-        mine = best[shard[best] == row]
-        positions.append(frames.placed(placed[row], fine.reshape(-1, 2)))
-        scored.append(ratios.ravel().astype(np.float64))
-        priors.append(np.repeat(ranked.log_prior[mine] - np.log(len(FINE)), len(FINE)))
-        rows.append(np.full(ratios.size, row))
+    parts = [(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0, np.int64))]
+    # the heaviest shard's plane is the first
+    for row in dict.fromkeys(ranked.shard[order[weights[order] > -np.inf]].tolist()):
+        frames.placed(found.proposals[row].origin, np.zeros((0, 2)))
+    for row, proposed in sorted(found.proposals.items()):
+        mine = np.flatnonzero((ranked.shard == row) & (weights > -np.inf))
+        look = found.looks.get(row)
+        if look is not None:
+            mine = mine[~np.isin(ranked.at[mine], look.at)]
+            share = np.repeat(proposed.log_prior[look.at] - np.log(len(FINE)), len(FINE))
+            at = frames.placed(proposed.origin, look.positions.reshape(-1, 2))
+            parts.append((at, look.scores.ravel(), share, np.full(len(share), row)))
+        at = frames.placed(proposed.origin, found.positions[row][ranked.at[mine]])
+        parts.append((at, scores[mine], ranked.log_prior[mine], np.full(len(mine), row)))
+    positions, scored, priors, rows = map(np.concatenate, zip(*parts, strict=True))
     rest = float(np.logaddexp(found.rest(), beyond))
-    made = posterior(
-        np.concatenate(positions), np.concatenate(scored), np.concatenate(priors), rest
-    )
+    made = posterior(positions, scored, priors, rest)
     if searched < 1.0:
         shares = made.probabilities * searched
         lost = float(made.probabilities.sum() - shares.sum())
         made = replace(made, probabilities=shares, elsewhere=made.elsewhere + lost)
-    return Weighed(made, np.concatenate(rows), frames)
+    return Weighed(made, rows, frames)
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,16 +196,23 @@ def _places(
         )
         for p in peaks
     ]
-    cells: dict[int, str] = {}
-    for row in dict.fromkeys(shards):
-        mine = [k for k, shard in enumerate(shards) if shard == row]
-        for _, names in search.each("name", [(row, ([at[k] for k in mine],))]):
-            cells |= {
-                k: f"{search.sources[row].key}/{name}" for k, name in zip(mine, names, strict=True)
-            }
+    of = {row: [k for k, mine in enumerate(shards) if mine == row] for row in dict.fromkeys(shards)}
+    told = [(row, ([at[k] for k in mine],)) for row, mine in of.items()]
+    cells = {
+        k: f"{search.sources[row].key}/{name}"
+        for row, names in search.each("name", told)
+        for k, name in zip(of[row], names, strict=True)
+    }
+
+    @cache
+    def explained() -> dict[int, tuple[Evidence, ...]]:  # of all of them in one go
+        asked_of = [(row, (asked, *places)) for row, places in told]
+        answers = search.again().each("explain", asked_of)
+        return dict(chain(*(zip(of[row], e, strict=True) for row, e in answers)))
+
     return [
         (row, Place(*at[k], p.probability, cells.get(k, search.sources[row].key), p.covariance,
-                    explain=partial(_explained, search, asked, row, at[k])))
+                    explain=partial(lambda k: explained().get(k, ()), k)))
         for k, (p, row) in enumerate(zip(peaks, shards, strict=True))
     ]  # fmt: skip
 
@@ -229,5 +221,5 @@ def _explained(
     search: Search, asked: Asked, row: int, lonlat: tuple[float, float]
 ) -> tuple[Evidence, ...]:
     """Evidence for a place, from its shard."""
-    told = search.again().each("explain", [(row, (asked, lonlat))])
-    return next((found for _, found in told), ())
+    told = search.again().each("explain", [(row, (asked, [lonlat]))])
+    return next((found for _, (found,) in told), ())

@@ -1,8 +1,14 @@
-"""Workers of a Dask cluster: each holds the shards open that it was asked for before."""
+"""Workers of a Dask cluster: each holds the shards open that it was asked for before.
+
+The scheduler says which workers there are. They are asked by whoever asks, each for all of its shards
+at once: a task by way of the scheduler takes several times as long as what is to be done.
+"""
 
 from __future__ import annotations
 
-from contextlib import contextmanager, suppress
+import asyncio
+from collections import Counter
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from time import monotonic
@@ -10,22 +16,29 @@ from typing import TYPE_CHECKING, Any, Self
 from zlib import crc32
 
 from placegraph.errors import MissingExtraError, ServiceError
-from placegraph.world.shards.workers import Alone, Holder, Lost
+from placegraph.world.shards.workers import Holder, Lost
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
-    from distributed import Client, Future
+    from distributed import Client, Worker
 
-    from placegraph.world.shards.workers import Task
+    from placegraph.world.shards.workers import Source, Task
 
 PATIENCE = 10.0
 """A scheduler that does not answer for so long is not there [s]."""
 LOOK = 2.0
-"""Where no task was done for so long, it is looked whether all workers are there [s]."""
+"""So long after it was looked which workers are there, it is looked again [s]."""
+EVEN = 1.05
+"""No worker has so many times its share of the world."""
+REPLACED = 300.0
+"""Workers that all ended have others in their place by then [s]."""
+ENDS = 3
+"""A task at which so many workers ended is given up."""
 BEGIN = 0.8
 """In this share of the time that is left a worker begins with shards: what it tells is to be in time."""
-_HOLDER = "_placegraph_shards"
+_STEPS = "placegraph_steps"
+"""What workers are asked."""
 
 
 def connected(address: str, patience: float = PATIENCE) -> Client:
@@ -80,119 +93,185 @@ def _check(client: Client, address: str) -> None:
 
 @dataclass(eq=False)
 class Cluster:
-    """Workers of a cluster; a task whose worker ends is done by another one."""
+    """Workers of a cluster; what one did not end is done by another one."""
 
     client: Client
     address: str
+    sources: Sequence[Source]
+    """All shards of the world."""
     _there: list[str] = field(default_factory=list)
     """Workers when they were last asked for ..."""
     _seen: float = 0.0
     """... and when that was [s]."""
+    _ready: set[str] = field(default_factory=set)
+    """Workers that know what to do."""
+    _shared: tuple[tuple[str, ...], dict[str, str]] = ((), {})
+    """Whose the shards are, among which workers."""
 
     @classmethod
-    def at(cls, address: str) -> Self:
-        """Cluster of a scheduler; raises as `connected`."""
-        return cls(connected(address, PATIENCE), address)
+    def at(cls, address: str, sources: Sequence[Source]) -> Self:
+        """Cluster of a scheduler, for these shards; raises as `connected`."""
+        return cls(connected(address, PATIENCE), address, sources)
 
-    def each(
-        self, step: str, tasks: Sequence[Task], deadline: float | None = None
-    ) -> Iterator[tuple[int, Any]]:
-        """Row and result of tasks, as they are done; `ServiceError` where the scheduler is gone."""
-        from distributed import as_completed
-
+    def each(self, tasks: Sequence[Task], deadline: float | None = None) -> dict[int, Any]:
+        """Results of tasks by their rows; `ServiceError` where the scheduler or all workers are gone."""
         if self.client.status == "closed":  # the scheduler went away, and may have come again
             self.client = connected(self.address, PATIENCE)
             self._seen = 0.0
-        there = self._workers()
-        asked = self._sent(step, tasks, range(len(tasks)), there, deadline)
-        try:
-            while asked:
-                left = LOOK if deadline is None else min(LOOK, deadline - monotonic())
-                alone: list[int] = []
-                with suppress(TimeoutError):
-                    for future in as_completed(
-                        [*asked], loop=self.client.loop, timeout=max(left, 0.0)
-                    ):
-                        rows = asked.pop(future)
-                        results = _result(future, [tasks[row] for row in rows], self.address)
-                        if results is None:
-                            alone += rows
-                        else:
-                            yield from zip(rows, results, strict=False)  # fewer where it was late
-                if deadline is not None and monotonic() > deadline:
-                    return
-                for row in alone:  # one of them ends workers
-                    asked |= self._sent(step, tasks, [row], there, deadline)
-                if asked and there != (
-                    there := self._workers(0.0)
-                ):  # some wait for one that is gone
-                    self.client.cancel([*asked])
-                    left_over = [row for rows in asked.values() for row in rows]
-                    asked = self._sent(step, tasks, left_over, there, deadline)
-        finally:
-            if self.client.status == "running" and asked:
-                self.client.cancel([*asked])
+        work = _Work(self, tasks, deadline)
+        self.client.sync(work.do)
+        return work.found
 
-    def _workers(self, age: float = LOOK) -> list[str]:
+    async def workers(self, age: float = LOOK) -> list[str]:
         """Addresses of all workers that are there now, or were no longer ago [s]."""
         if monotonic() - self._seen >= age:
             with _answering(self.address):
-                self._there = sorted(self.client.scheduler_info(n_workers=-1)["workers"])
-            self._seen = monotonic()
+                if self.client.scheduler is None:  # it is being left
+                    raise OSError("the connection is closed")
+                scheduler: Any = self.client.scheduler
+                told = await scheduler.identity()
+            self._there, self._seen = sorted(told["workers"]), monotonic()
         return self._there
 
-    def _sent(
-        self, step: str, tasks: Sequence[Task], rows: Iterable[int], workers: Sequence[str],
-        deadline: float | None,
-    ) -> dict[Future[Any], list[int]]:  # fmt: skip
-        """Rows of tasks by what each worker was sent: all of its tasks at once."""
-        of: dict[str, list[int]] = {}
-        for row in rows:
-            of.setdefault(_favourite(tasks[row].source.key, workers), []).append(row)
-        seconds = None if deadline is None else BEGIN * max(0.0, deadline - monotonic())
-        with _answering(self.address):
-            return {
-                self.client.submit(
-                    _done, _Batch(step, [tasks[row] for row in mine], seconds), pure=False, retries=1,
-                    **({"workers": [worker], "allow_other_workers": True} if worker else {}),
-                ): mine
-                for worker, mine in of.items()
-            }  # fmt: skip
+    async def asked(self, worker: str, tasks: list[Task], seconds: float | None) -> list[Any]:
+        """Results of tasks by a worker, as of `Holder.work`; `OSError` where it ends."""
+        from distributed.protocol.pickle import dumps, loads
+
+        rpc = self.client.rpc(worker)
+        batch, told = dumps((tasks, seconds)), None
+        if worker in self._ready:
+            told = await getattr(rpc, _STEPS)(told=batch)
+        if told is None:  # it is new, or another one at the same address
+            await rpc.run(function=dumps(_prepare))
+            self._ready.add(worker)
+            told = await getattr(rpc, _STEPS)(told=batch)
+        found: list[Any] = loads(told)
+        return found
+
+    def shared(self, workers: tuple[str, ...]) -> dict[str, str]:
+        """The worker of each shard, by its key."""
+        if self._shared[0] != workers:
+            self._shared = workers, shared(self.sources, workers)
+        return self._shared[1]
 
     def close(self) -> None:
         """Leave the cluster; its workers stay."""
         self.client.close()
 
 
-@dataclass(frozen=True, slots=True)
-class _Batch:
-    """A step in all shards of a worker; what they are told alike travels once."""
+@dataclass(eq=False)
+class _Work:
+    """Tasks, and what became of them."""
 
-    step: str
-    tasks: list[Task]
-    seconds: float | None
-    """After which no more is begun."""
+    cluster: Cluster
+    tasks: Sequence[Task]
+    deadline: float | None
+    found: dict[int, Any] = field(default_factory=dict)
+    ends: Counter[int] = field(default_factory=Counter)
+    """How many workers ended at a task; if any did, each is tried alone."""
+    gone: set[str] = field(default_factory=set)
+    """Workers that ended."""
+
+    async def do(self) -> None:
+        """Do all that can be done in time."""
+        age, since = LOOK, monotonic()
+        while self.left() > 0.0 and len(self.found) < len(self.tasks):
+            there = [w for w in await self.cluster.workers(age) if w not in self.gone]
+            age = 0.0
+            if not there:
+                await self._wait(monotonic() - since)
+                continue
+            of, whose = dict[str, list[int]](), self.cluster.shared(tuple(there))
+            for row in (row for row in range(len(self.tasks)) if row not in self.found):
+                of.setdefault(whose[self.tasks[row].source.key], []).append(row)
+            await asyncio.gather(*(self._by(worker, rows) for worker, rows in of.items()))
+            since = monotonic()
+
+    async def _wait(self, waited: float) -> None:
+        """Wait for a worker, as where all are being replaced [s]."""
+        if waited >= REPLACED:
+            raise ServiceError(
+                f"The scheduler at {self.cluster.address} has no worker any more that answers; start "
+                f"some with `dask worker {self.cluster.address}`, where this process can reach them."
+            )
+        if waited >= PATIENCE:
+            self.gone.clear()  # others may have taken their addresses
+        await asyncio.sleep(0.1)
+
+    def left(self) -> float:
+        """Time that is left [s]."""
+        return float("inf") if self.deadline is None else self.deadline - monotonic()
+
+    async def _by(self, worker: str, rows: list[int]) -> None:
+        """Have a worker do tasks until it ends."""
+        for part in [[row] for row in rows] if self.ends else [rows]:
+            try:
+                results = await self._asked(worker, [self.tasks[row] for row in part])
+            except OSError as error:
+                self.gone.add(worker)
+                self.ends.update(part)
+                self.found |= {
+                    row: Lost(
+                        f"{self.tasks[row].source.path}: every worker that opened it ended ({error}); "
+                        "give workers more memory."
+                    )
+                    for row in part if self.ends[row] >= ENDS
+                }  # fmt: skip
+                return
+            self.found |= zip(part, results, strict=False)  # fewer where it was late
+
+    async def _asked(self, worker: str, tasks: list[Task]) -> list[Any]:
+        """As `Cluster.asked`; nothing where the time is over, `OSError` where the worker is gone."""
+        seconds = None if self.deadline is None else BEGIN * max(0.0, self.left())
+        call = asyncio.ensure_future(self.cluster.asked(worker, tasks, seconds))
+        try:
+            while not call.done():
+                await asyncio.wait({call}, timeout=max(0.0, min(LOOK, self.left())))
+                if self.left() <= 0.0 and not call.done():
+                    return []
+                if not call.done() and worker not in await self.cluster.workers(LOOK):
+                    raise OSError(f"{worker} is gone")
+            return call.result()
+        finally:
+            call.cancel()
 
 
-def _favourite(key: str, workers: Sequence[str]) -> str:
-    """The worker that holds a shard open if any does: the same one as long as it is there.
+def shared(shards: Sequence[Source], workers: Sequence[str]) -> dict[str, str]:
+    """The worker of each shard, by its key: nearly the same one whichever others there are.
 
-    Empty where none is known for a moment, as where all are being replaced.
+    None has much more than its share of the bytes.
     """
-    return max(workers, key=lambda worker: crc32(f"{key} {worker}".encode()), default="")
+    load, most = dict.fromkeys(workers, 0), EVEN * sum(s.size for s in shards) / len(workers)
+    found = {}
+    for source in sorted(shards, key=lambda s: -s.size):
+        room = [w for w in workers if load[w] + source.size <= most]
+        room = room or [min(workers, key=load.__getitem__)]
+        found[source.key] = max(room, key=lambda w: crc32(f"{source.key} {w}".encode()))
+        load[found[source.key]] += source.size
+    return found
 
 
-def _done(batch: _Batch) -> list[Any]:
-    """Do a step in the worker, with the shards that it holds; fewer where the time is over."""
-    from distributed import get_worker
+@dataclass(eq=False)
+class _Steps:
+    """What a worker holds, and does when it is asked."""
 
-    worker = get_worker()
-    holder = getattr(worker, _HOLDER, None)
-    if holder is None:
-        holder = Holder()
-        setattr(worker, _HOLDER, holder)
-    deadline = None if batch.seconds is None else monotonic() + batch.seconds
-    return [result for _, result in Alone(holder).each(batch.step, batch.tasks, deadline)]
+    holder: Holder = field(default_factory=Holder)
+
+    async def do(self, told: bytes) -> bytes:
+        """Do tasks in a thread, so that the worker goes on to say that it is there."""
+        return await asyncio.to_thread(self._done, told)
+
+    def _done(self, told: bytes) -> bytes:
+        from distributed.protocol.pickle import dumps, loads
+
+        tasks, seconds = loads(told)
+        deadline = None if seconds is None else monotonic() + seconds
+        return bytes(dumps(self.holder.work(tasks, deadline)))
+
+
+def _prepare(dask_worker: Worker) -> None:
+    """Have a worker do steps when it is asked."""
+    dask_worker.handlers.setdefault(_STEPS, _Steps().do)
 
 
 @contextmanager
@@ -207,30 +286,3 @@ def _answering(address: str) -> Iterator[None]:
             f"The scheduler at {address} went away ({type(error).__name__}: {error}); start it and ask "
             "again."
         ) from error
-
-
-def _result(future: Future[Any], tasks: Sequence[Task], address: str) -> list[Any] | None:
-    """What came of tasks; `Lost` where all workers ended, as one does that is out of memory.
-
-    None where these were several: each is to be tried alone.
-    """
-    from distributed import CancelledError, KilledWorker
-
-    with _answering(address):
-        error = future.exception()
-        if error is None:
-            found: list[Any] = future.result()
-            return found
-        if isinstance(error, CancelledError):
-            raise error
-    if not isinstance(error, KilledWorker | MemoryError):
-        raise error
-    if len(tasks) > 1:
-        return None
-    return [
-        Lost(
-            f"{task.source.path}: every worker that opened it ended ({type(error).__name__}); give workers "
-            "more memory."
-        )
-        for task in tasks
-    ]

@@ -10,14 +10,25 @@ import numpy as np
 
 from placegraph.outdoor.search.candidates import MOST_CANDIDATES, ranks
 from placegraph.outdoor.search.posterior import WITHIN
-from placegraph.outdoor.search.viewpoints import FEWEST, sure
+from placegraph.outdoor.search.viewpoints import CLOSER, FEWEST, sure
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
     from placegraph.world.shards.steps import Asked, Compared, Proposed
+
+
+class Look(NamedTuple):
+    """A closer look around some candidates of a shard."""
+
+    at: NDArray[np.int64]
+    """(B,) rows among its candidates."""
+    positions: NDArray[np.float64]
+    """(B, 9, 2) in its plane [m]."""
+    scores: NDArray[np.float64]
+    """(B, 9) log-likelihood ratios."""
 
 
 class Ranked(NamedTuple):
@@ -35,6 +46,29 @@ class Ranked(NamedTuple):
     """(K,) as of `Candidates`."""
 
 
+def counting(proposals: Sequence[Proposed]) -> list[tuple[int, NDArray[np.int64]]]:
+    """Which proposals, and rows of each, count for themselves among all of these.
+
+    Among more proposals no others count.
+    """
+    told = _joined([_own(p) for p in proposals])
+    which = _joined([np.full(len(p.rows), i) for i, p in enumerate(proposals)], np.int64)
+    least = max((p.least for p in proposals), default=-np.inf)
+    best = np.argsort(-told, kind="stable")[:MOST_CANDIDATES]
+    best = best[(told[best] >= least) & (told[best] > -np.inf)]
+    first = np.concatenate(([0], np.cumsum([len(p.rows) for p in proposals]))).astype(np.int64)
+    return [
+        (i, np.sort(best[which[best] == i]) - first[i]) for i in np.unique(which[best]).tolist()
+    ]
+
+
+def _own(proposed: Proposed) -> NDArray[np.float64]:
+    """Log of bounds times the prior (K,), -inf of what stands for others."""
+    with np.errstate(divide="ignore"):
+        told = np.log(proposed.bounds) + proposed.highest
+    return np.where(proposed.stands == 0.0, told, -np.inf)
+
+
 @dataclass(eq=False)
 class Merged:
     """What shards proposed, and what became of it."""
@@ -47,18 +81,23 @@ class Merged:
     """(K, 2) of each candidate of a shard in its plane [m]; NaN where it was not compared."""
     told: int = FEWEST
     """So many of those that stand for others are compared."""
+    looks: dict[int, Look] = field(default_factory=dict)
+    """The closer look that was taken in a shard."""
 
     def add(self, row: int, proposed: Proposed) -> None:
         """What a shard proposes."""
         self.proposals[row] = proposed
         self.scores[row] = np.full(len(proposed.rows), -np.inf)
         self.positions[row] = np.full((len(proposed.rows), 2), np.nan)
+        if proposed.scored is not None:
+            self.scored(row, *proposed.scored)
         self.__dict__.pop("ranked", None)
 
     def dropped(self, rows: Iterable[int]) -> None:
         """Shards that are lost after all."""
         for row in rows:
-            for of in (self.proposals, self.scores, self.positions):
+            of: dict[int, Any]
+            for of in (self.proposals, self.scores, self.positions, self.looks):
                 of.pop(row, None)
         self.__dict__.pop("ranked", None)
 
@@ -80,9 +119,18 @@ class Merged:
         """Largest log prior of a viewpoint."""
         return max((p.highest for p in self.proposals.values()), default=-np.inf)
 
-    def unscored(self) -> Iterator[tuple[int, NDArray[np.int64]]]:
-        """Shards, and rows among their candidates, that count and were not compared."""
-        count = np.count_nonzero(self.ranked.stands == 0.0) + self.told
+    @property
+    def least(self) -> float:
+        """Log of a bound times the prior from which on candidates count, however many more there are."""
+        told = np.sort(_joined([_own(p) for p in self.proposals.values()]))
+        return float(told[-MOST_CANDIDATES]) if len(told) >= MOST_CANDIDATES else -np.inf
+
+    def unscored(self, told: int) -> Iterator[tuple[int, NDArray[np.int64]]]:
+        """Shards, and rows among their candidates, that count and were not compared.
+
+        Of those that stand for others so many are `told`.
+        """
+        count = np.count_nonzero(self.ranked.stands == 0.0) + told
         shard, rows = self.ranked.shard[:count], self.ranked.at[:count]
         for row in np.unique(shard).tolist():
             at = np.unique(rows[shard == row])
@@ -90,8 +138,16 @@ class Merged:
             if len(at):
                 yield row, at
 
+    def best(self) -> Iterator[tuple[int, NDArray[np.int64]]]:
+        """Shards, and rows among their candidates, that a closer look is worth."""
+        weights = self.values() + self.ranked.log_prior
+        order = np.argsort(-weights, kind="stable")[:CLOSER]
+        order = order[weights[order] > -np.inf]
+        for row in dict.fromkeys(self.ranked.shard[order].tolist()):
+            yield row, self.ranked.at[order[self.ranked.shard[order] == row]]
+
     def more(self) -> bool:
-        """Whether chance has its say as yet: twice as many that stand for others are to be `told` then."""
+        """Whether chance has its say as yet: four times as many for others are to be `told` then."""
         here = self.values() + self.ranked.log_prior
         if self.weight == -np.inf:
             return False
@@ -104,7 +160,7 @@ class Merged:
         weights, drawn = self._others()
         if sure(np.exp(weights - self.weight), drawn, float(near)):
             return False
-        self.told *= 2
+        self.told *= 4
         return True
 
     def _others(self) -> tuple[NDArray[np.float64], int]:

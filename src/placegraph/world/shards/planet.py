@@ -67,7 +67,7 @@ class Planet:
                 f"{len(file.shards)}; finish the world again with `placegraph world build`."
             )
         self.cores: NDArray[np.float64] = np.array([s.core for s in file.shards])
-        self.sources = tuple(Source(s.key, file.path(s), s.digest) for s in file.shards)
+        self.sources = sources_of(file)
 
     @classmethod
     def open(cls, folder: str | PathLike[str], scheduler: str | None = None) -> Planet:
@@ -77,7 +77,7 @@ class Planet:
             return cls(file)
         from placegraph.world.shards.cluster import Cluster
 
-        return cls(file, Cluster.at(scheduler))
+        return cls(file, Cluster.at(scheduler, sources_of(file)))
 
     @property
     def name(self) -> str:
@@ -121,7 +121,7 @@ class Planet:
         gap = search.gap(missing)
         search.deadline = None
         beyond = -np.inf if missing > 0.0 else search.remaining()
-        weighed = weigh(search, found, beyond, 1.0 - missing)
+        weighed = weigh(found, beyond, 1.0 - missing)
         told, parts = estimate(search, asked, weighed, known.top)
         named = {f"{self.name}//{key}": part for key, part in parts.items()}
         return InShards(query, weighed.posterior, told, named, gap, search, asked, self.cores)
@@ -167,3 +167,8 @@ class Planet:
     def __repr__(self) -> str:
         shards, viewpoints = len(self.file.shards), self.words.table.viewpoints.sum()
         return f"Planet({shards:,} shards, {viewpoints:,} viewpoints)"
+
+
+def sources_of(file: WorldFile) -> tuple[Source, ...]:
+    """Where the shards of a world lie."""
+    return tuple(Source(s.key, file.path(s), s.digest, s.bytes) for s in file.shards)

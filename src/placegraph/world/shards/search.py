@@ -20,7 +20,7 @@ from placegraph.outdoor.search.candidates import FAR_REACH
 from placegraph.outdoor.search.posterior import ELSEWHERE
 from placegraph.world.shards.bounds import most
 from placegraph.world.shards.lexicon import distance
-from placegraph.world.shards.merged import Merged
+from placegraph.world.shards.merged import Look, Merged
 from placegraph.world.shards.workers import Lost, Task
 
 if TYPE_CHECKING:
@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 
 NEGLIGIBLE = 0.002
 """Shards that together hold no more than this share of the posterior are not looked into."""
-FIRST, GROWTH = 4, 4
-"""Shards of the first round, and how many times as large every other one is."""
+FIRST, GROWTH = 4, 16
+"""Shards of the first round, and how many times as large every other one is at most."""
 FAR_OFF = 6.0
 """A fix says nothing of shards that lie so many standard deviations away."""
 
@@ -59,17 +59,24 @@ class Search:
     def each(
         self, step: str, told: Iterable[tuple[int, tuple[Any, ...]]]
     ) -> Iterator[tuple[int, Any]]:
-        """Results of a step by row of the shard, in order of the rows; of those that answer in time."""
+        """Results of a step by row of the shard, in their order; of those that answer in time."""
+        for _, row, answer in self.all((step, *task) for task in told):
+            yield row, answer
+
+    def all(
+        self, told: Iterable[tuple[str, int, tuple[Any, ...]]]
+    ) -> Iterator[tuple[str, int, Any]]:
+        """Results of several steps at once, each by its name and the row of the shard."""
         given = list(told)
-        tasks = [Task(self.sources[row], args) for row, args in given]
-        answers = dict(self.crew.each(step, tasks, self.deadline))
-        for k, (row, _) in enumerate(given):
+        tasks = [Task(step, self.sources[row], args) for step, row, args in given]
+        answers = self.crew.each(tasks, self.deadline) if tasks else {}
+        for k, (step, row, _) in enumerate(given):
             answer = answers.get(k)
             if isinstance(answer, Lost):
                 self.lost[row] = answer.reason
             elif answer is not None:
                 self.touched.add(row)
-                yield row, answer
+                yield step, row, answer
 
     @property
     def late(self) -> bool:
@@ -80,40 +87,57 @@ class Search:
         self, asked: Asked, log_mass: NDArray[np.float64], cores: NDArray[np.float64]
     ) -> Merged:
         """Candidates of all shards that matter, scored; `log_mass` (N,) is the shards' prior."""
-        self.reach = log_mass + most(asked.query, self.table)
+        self.reach = log_mass + most(asked.query, self.table, even=asked.fix is None)
         self.reach[self._near(asked, cores) & (log_mass > -np.inf)] = np.inf
         order = np.argsort(-self.reach, kind="stable")
         order = order[self.reach[order] > -np.inf]
         found, first, size = Merged(asked), 0, FIRST
         while first < len(order) and not self.late and not self.settled(found):
-            rows = order[first : first + size].tolist()
-            for row, proposed in self.each("propose", ((r, (asked,)) for r in rows)):
+            last = min(first + size, self._enough(found, order))
+            for row, proposed in self.each(
+                "propose", [(r, (asked, found.least)) for r in order[first:last].tolist()]
+            ):
                 found.add(row, proposed)
                 self.searched.add(row)
-            self._compare(found)
-            first, size = first + size, GROWTH * size
+            self._compare(found, dict(found.unscored(0)))
+            first, size = last, GROWTH * size
+        late, self.deadline = self.deadline, None
+        self._compare(found, dict(found.unscored(found.told)), dict(found.best()))
+        self.deadline = late
         while not self.late and found.more():
-            self._compare(found)
+            self._compare(found, dict(found.unscored(found.told)))
         return found
 
-    def _compare(self, found: Merged) -> None:
-        """Score what counts and was not scored."""
-        scoring = dict(found.unscored())
-        told = ((r, (found.asked, found.proposals[r].part(at))) for r, at in scoring.items())
-        for row, compared in self.each("compare", told):
-            found.scored(row, scoring[row], compared)
-        found.dropped(self.lost.keys() & scoring)
+    def _compare(
+        self, found: Merged, some: dict[int, NDArray[np.int64]],
+        best: dict[int, NDArray[np.int64]] | None = None,
+    ) -> None:  # fmt: skip
+        """Score candidates by shard, and look more closely at the best."""
+        steps = {"compare": some, "look": best or {}}
+        told = [
+            (step, row, (found.asked, found.proposals[row].part(at)))
+            for step, rows in steps.items() for row, at in rows.items()
+        ]  # fmt: skip
+        for step, row, answer in self.all(told):
+            if step == "compare":
+                found.scored(row, some[row], answer)
+            else:
+                found.looks[row] = Look(steps[step][row], *answer)
+        found.dropped(self.lost.keys() & {row for _, row, _ in told})
+
+    def _enough(self, found: Merged, order: NDArray[np.int64]) -> int:
+        """So many shards in `order` that all others are `NEGLIGIBLE`, as far as is known."""
+        beyond = np.logaddexp.accumulate(self.reach[order[::-1]])[::-1]
+        return int(np.count_nonzero(self._share(found, beyond) > np.log(NEGLIGIBLE)))
 
     def settled(self, found: Merged) -> bool:
         """Whether what was not looked into is `NEGLIGIBLE`."""
-        return self.beyond(found) <= np.log(NEGLIGIBLE)
+        return bool(self._share(found, self.remaining()) <= np.log(NEGLIGIBLE))
 
-    def beyond(self, found: Merged, rows: NDArray[np.int64] | None = None) -> float:
-        """Log of the largest share that shards not looked into can have of the posterior."""
-        rows = self.left() if rows is None else rows
+    def _share(self, found: Merged, weight: Any) -> Any:  # noqa: ANN401  # a number or an array of them
+        """Log of the largest share of the posterior of what weighs so much beside what was found."""
         total = np.logaddexp(np.log1p(-ELSEWHERE) + found.weight, np.log(ELSEWHERE))
-        beyond = float(np.logaddexp.reduce(self.reach[rows], initial=-np.inf))
-        return beyond + float(np.log1p(-ELSEWHERE) - total)
+        return weight + np.log1p(-ELSEWHERE) - total
 
     def remaining(self) -> float:
         """Log of the most that shards not looked into weigh together."""
@@ -130,8 +154,7 @@ class Search:
         left = self.left()
         left = left[np.argsort(self.reach[left], kind="stable")]
         beyond = np.logaddexp.accumulate(self.reach[left]) if len(left) else np.zeros(0)
-        total = np.logaddexp(np.log1p(-ELSEWHERE) + found.weight, np.log(ELSEWHERE))
-        matters = beyond + np.log1p(-ELSEWHERE) - total > np.log(NEGLIGIBLE)
+        matters = self._share(found, beyond) > np.log(NEGLIGIBLE)
         return min(1.0, float(np.exp(log_mass[left[matters]]).sum()))
 
     def gap(self, missing: float) -> str:

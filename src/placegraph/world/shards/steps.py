@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, NamedTuple
+from uuid import uuid4
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,6 +60,8 @@ class Asked:
     viewpoints: int
     """Of the world."""
     fix: Fix | None
+    key: str = field(default_factory=lambda: uuid4().hex)
+    """Tells it from other questions."""
 
 
 class Proposed(NamedTuple):
@@ -69,7 +72,7 @@ class Proposed(NamedTuple):
     bounds: NDArray[np.float64]
     """(K,) on the likelihood ratio, times the prior against `highest`."""
     far: NDArray[np.float32]
-    """(K, S) what things out of sight add."""
+    """(K, S) what things out of sight add; (K, 0) where it is nothing."""
     log_prior: NDArray[np.float64]
     """(K,)"""
     stands: NDArray[np.float64]
@@ -78,13 +81,22 @@ class Proposed(NamedTuple):
     """Largest log prior of the shard."""
     origin: tuple[float, float]
     """Of the shard's plane [deg]."""
+    least: float
+    """Log of what a bound times the prior must be at least to count."""
+    scored: tuple[NDArray[np.int64], Compared] | None = None
+    """Which of them (J,) were compared already, and what came of it."""
 
     def part(self, kept: NDArray[np.int64]) -> Proposed:
         """Some of the candidates."""
         return self._replace(
             rows=self.rows[kept], bounds=self.bounds[kept], far=self.far[kept],
-            log_prior=self.log_prior[kept], stands=self.stands[kept],
+            log_prior=self.log_prior[kept], stands=self.stands[kept], scored=None,
         )  # fmt: skip
+
+    def candidates(self, statements: int) -> Candidates:
+        """As those of a city, each for itself."""
+        far = self.far if self.far.shape[1] else np.zeros((len(self.rows), statements), np.float32)
+        return Candidates(self.rows, self.bounds, far, np.zeros(len(self.rows)))
 
 
 class Compared(NamedTuple):
@@ -96,22 +108,28 @@ class Compared(NamedTuple):
     """(K, 2) east, north in the shard's plane [m]."""
 
 
+@dataclass(eq=False)
+class Session:
+    """What shards made of the question that was asked last: its other steps begin with that."""
+
+    key: str = ""
+    requests: dict[str, Request] = field(default_factory=dict)
+    """By key of the shard."""
+
+
 @dataclass(frozen=True, eq=False)
 class Shard:
     """A shard that is open."""
 
     key: str
     city: CityMap
-
-    @cached_property
-    def lonlat(self) -> NDArray[np.float64]:
-        """Longitude and latitude (W, 2) [deg] of its viewpoints."""
-        return self.city.plane.to_lonlat(self.city.views.positions.astype(np.float64))
+    session: Session = field(default_factory=Session)
 
     @cached_property
     def inside(self) -> NDArray[np.bool_]:
         """Which viewpoints (W,) lie in the core."""
-        return held(self.lonlat, self.key)
+        places = self.city.plane.to_lonlat(self.city.views.positions.astype(np.float64))
+        return held(places, self.key)
 
     @cached_property
     def tokens(self) -> dict[str, int]:
@@ -185,6 +203,15 @@ def _off(shard: Shard, fix: Fix) -> NDArray[np.float64]:
 
 def requested(shard: Shard, asked: Asked) -> Request:
     """The query in the tokens and rows of a shard, and the prior of its viewpoints."""
+    session = shard.session
+    if session.key != asked.key:
+        session.key, session.requests = asked.key, {}
+    if shard.key not in session.requests:
+        session.requests[shard.key] = _requested(shard, asked)
+    return session.requests[shard.key]
+
+
+def _requested(shard: Shard, asked: Asked) -> Request:
     prior = np.full(len(shard.inside), -np.inf)
     if asked.fix is None:
         prior[shard.inside] = -np.log(asked.viewpoints)
@@ -223,26 +250,27 @@ def _translated(shard: Shard, asked: Asked) -> tuple[City, Query]:
     return city, replace(query, mentions=mentions, far=far)
 
 
-def proposed(shard: Shard, asked: Asked) -> Proposed:
-    """The most promising viewpoints of the core."""
+def proposed(shard: Shard, asked: Asked, least: float) -> Proposed:
+    """The most promising viewpoints of the core; `least` is the log of what is to count."""
     request = requested(shard, asked)
     prior = request.log_prior
     highest, n = float(prior.max(initial=-np.inf)), len(asked.query.used)
-    if highest == -np.inf:
-        none = np.zeros(0)
-        return Proposed(none.astype(np.int32), none, np.zeros((0, n), np.float32), none, none,
-                        highest, shard.origin)  # fmt: skip
-    found = candidates(request, DRAWN)
+    none = np.zeros(0)
+    found = Candidates(none.astype(np.int32), none, np.zeros((0, n), np.float32), none)
+    if highest > -np.inf:
+        found = candidates(request, DRAWN)
+    rows, far = found.rows, found.far
+    if asked.query.far is None:
+        far = far[:, :0]
     return Proposed(
-        found.rows, found.bounds, found.far, prior[found.rows], found.stands, highest, shard.origin
+        rows, found.bounds, far, prior[rows], found.stands, highest, shard.origin, least
     )
 
 
 def compared(shard: Shard, asked: Asked, chosen: Proposed) -> Compared:
     """Scores of candidates."""
-    request = requested(shard, asked)
-    some = Candidates(chosen.rows, chosen.bounds, chosen.far, np.zeros(len(chosen.rows)))
-    scores = score_of(request, some, ALL).scores.astype(np.float64)
+    some = chosen.candidates(len(asked.query.used))
+    scores = score_of(requested(shard, asked), some, ALL).scores.astype(np.float64)
     return Compared(scores, shard.city.views.positions[chosen.rows].astype(np.float64))
 
 
@@ -250,13 +278,17 @@ def looked(
     shard: Shard, asked: Asked, chosen: Proposed
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """A closer look around candidates; as `look_around`."""
-    return look_around(requested(shard, asked), chosen.rows, chosen.far)
+    some = chosen.candidates(len(asked.query.used))
+    return look_around(requested(shard, asked), some.rows, some.far)
 
 
-def explained(shard: Shard, asked: Asked, lonlat: tuple[float, float]) -> tuple[Evidence, ...]:
-    """What speaks for and against a place [deg]."""
+def explained(
+    shard: Shard, asked: Asked, lonlats: list[tuple[float, float]]
+) -> list[tuple[Evidence, ...]]:
+    """What speaks for and against places [deg]."""
     request = requested(shard, asked)
-    return evidence_at(shard.city.plane.to_plane(lonlat), request.city, request.query)
+    places = map(shard.city.plane.to_plane, lonlats)
+    return [evidence_at(at, request.city, request.query) for at in places]
 
 
 def judged(shard: Shard, asked: Asked, buildings: list[NDArray[np.float64]]) -> list[Judged | None]:

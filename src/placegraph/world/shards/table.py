@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from placegraph.outdoor.map.city import City
     from placegraph.pages import Column
 
-KIND, VERSION = "words", 2
+KIND, VERSION = "words", 3
 MEND = "Finish the world again: `placegraph.world.shards.finish`."
 AROUND = 100.0
 """Shards have viewpoints so far around their cores [m], and more to the end of a tile: a thing that
@@ -46,9 +46,11 @@ class Counted(NamedTuple):
     objects: NDArray[np.int32]
     """(T,) objects of a word; those count whose centre lies in the core."""
     mass: NDArray[np.float32]
-    """(T,) sum over viewpoints of how much of a word is in sight."""
+    """(T,) sum over viewpoints of how much of a word is in sight ..."""
+    shares: NDArray[np.float32]
+    """(T,) ... and of which share that is of all that one has in sight."""
     peak: NDArray[np.float32]
-    """(T,) largest share that a word has of all that one viewpoint has in sight."""
+    """(T,) largest such share."""
     sight: float
     """Sum over viewpoints of all that is in sight."""
     spread: float
@@ -94,7 +96,8 @@ def counted(city: City, key: str) -> Counted:
     return Counted(
         objects.labels, objects.names,
         np.bincount(values[own[owner]], minlength=len(seen.mass)).astype(np.int32),
-        seen.mass.astype(np.float32), seen.peak, seen.sight, seen.spread, seen.pull,
+        seen.mass.astype(np.float32), seen.shares.astype(np.float32), seen.peak,
+        seen.sight, seen.spread, seen.pull,
         int(own.sum()), int(held(middles, key).sum()), seen.viewpoints,
     )  # fmt: skip
 
@@ -108,6 +111,8 @@ class Entries(NamedTuple):
     """(E,) as `Counted.objects` ..."""
     mass: NDArray[np.float32]
     """... `mass` ..."""
+    shares: NDArray[np.float32]
+    """... `shares` ..."""
     peak: NDArray[np.float32]
     """... and `peak`."""
 
@@ -187,7 +192,7 @@ class WordTable:
         return mass / max(float(self.sight.sum()), 1e-30)
 
 
-_OF_A_SHARD = ("objects", "mass", "peak")
+_OF_A_SHARD = ("objects", "mass", "shares", "peak")
 
 
 def write(path: Path, found: Iterable[Counted], scratch: Path, at_once: int = AT_ONCE) -> None:
@@ -246,5 +251,7 @@ def _write(path: Path, found: Iterable[Counted], scratch: Path, at_once: int) ->
     write_map(path, KIND, VERSION, counts, arrays, mapped=(*paged, SUMS))
 
 
-_ENTRIES = {"starts": STARTS, "shards": "<i4", "objects": "<i4", "mass": "<f4", "peak": "<f4"}
+_ENTRIES = {"starts": STARTS, "shards": "<i4", "objects": "<i4"} | dict.fromkeys(
+    ("mass", "shares", "peak"), "<f4"
+)
 _OF_SHARDS = {"viewpoints": "<i8", "sight": "<f8", "spread": "<f8", "pull": "<f8"}

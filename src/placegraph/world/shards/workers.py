@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from threading import Lock
 from time import monotonic
 from typing import Any, NamedTuple, Protocol
 
 from placegraph.errors import MapError, PlacegraphError
 from placegraph.world.shards import steps
 from placegraph.world.shards.folder import same
-from placegraph.world.shards.steps import Shard
+from placegraph.world.shards.merged import counting
+from placegraph.world.shards.steps import Proposed, Session, Shard
 
 OPEN = 256
 """Shards that a process holds open at most."""
@@ -42,33 +44,59 @@ class Source(NamedTuple):
     key: str
     path: Path
     digest: str
+    size: int
+    """[bytes]"""
 
 
 class Task(NamedTuple):
     """A step in a shard, and what it is told."""
 
+    step: str
     source: Source
     told: tuple[Any, ...]
 
 
 @dataclass(eq=False)
 class Holder:
-    """Shards that one process holds open; those that were not used for longest are closed first."""
+    """Shards that one process holds open; those that were not used for longest are closed first.
+
+    Several threads may ask for steps: one is done after the other.
+    """
 
     most: int = OPEN
     _open: OrderedDict[Path, tuple[str, Shard]] = field(default_factory=OrderedDict)
+    _session: Session = field(default_factory=Session)
+    _lock: Lock = field(default_factory=Lock)
 
-    def do(self, step: str, task: Task) -> Any:  # noqa: ANN401
+    def work(self, tasks: Sequence[Task], deadline: float | None = None) -> list[Any]:
+        """Results of tasks, in their order; fewer where the time is over.
+
+        What shards propose is compared at once, as far as it counts among all that these propose.
+        """
+        done: list[Any] = []
+        for task in tasks:
+            if deadline is not None and monotonic() >= deadline:
+                break
+            done.append(self._do(task))
+        proposed = [k for k, result in enumerate(done) if isinstance(result, Proposed)]
+        for i, at in counting([done[k] for k in proposed]):
+            k = proposed[i]
+            asked, told = tasks[k].told[0], done[k]
+            scored = self._do(Task("compare", tasks[k].source, (asked, told.part(at))))
+            done[k] = scored if isinstance(scored, Lost) else told._replace(scored=(at, scored))
+        return done
+
+    def _do(self, task: Task) -> Any:  # noqa: ANN401
         """Result of a step, or `Lost` where the shard is missing, damaged or of another version."""
-        try:
-            shard = self.shard(task.source)
-        except PlacegraphError as error:
-            return Lost(str(error))
-        except MemoryError:
-            return Lost(
-                f"{task.source.path} does not fit into this process's memory; use less of it."
-            )
-        return STEPS[step](shard, *task.told)
+        with self._lock:
+            try:
+                return STEPS[task.step](self.shard(task.source), *task.told)
+            except PlacegraphError as error:
+                return Lost(str(error))
+            except MemoryError:
+                return Lost(
+                    f"{task.source.path} does not fit into this process's memory; use less of it."
+                )
 
     def shard(self, source: Source) -> Shard:
         """Open a shard; raises `InputError` or `MapError`."""
@@ -82,7 +110,7 @@ class Holder:
         city = CityMap.open(source.path, shard=True)
         if not len(city.objects):  # pragma: no cover  # which `open` refuses
             raise MapError(f"{source.path} is empty; build it again.")
-        shard = Shard(source.key, city)
+        shard = Shard(source.key, city, self._session)
         self._open[source.path] = source.digest, shard
         while len(self._open) > self.most:
             self._open.popitem(last=False)
@@ -92,10 +120,8 @@ class Holder:
 class Crew(Protocol):
     """Does steps in shards."""
 
-    def each(
-        self, step: str, tasks: Sequence[Task], deadline: float | None = None
-    ) -> Iterator[tuple[int, Any]]:
-        """Row and result of tasks, in any order; those not done by the deadline are left out."""
+    def each(self, tasks: Sequence[Task], deadline: float | None = None) -> dict[int, Any]:
+        """Results of tasks by their rows; those not done by the deadline are left out."""
 
     def close(self) -> None:
         """Let go of what is held."""
@@ -107,14 +133,9 @@ class Alone:
 
     holder: Holder = field(default_factory=Holder)
 
-    def each(
-        self, step: str, tasks: Sequence[Task], deadline: float | None = None
-    ) -> Iterator[tuple[int, Any]]:
-        """Row and result of tasks, in their order."""
-        for row, task in enumerate(tasks):
-            if deadline is not None and monotonic() >= deadline:
-                return
-            yield row, self.holder.do(step, task)
+    def each(self, tasks: Sequence[Task], deadline: float | None = None) -> dict[int, Any]:
+        """Results of tasks by their rows."""
+        return dict(enumerate(self.holder.work(tasks, deadline)))
 
     def close(self) -> None:
         """Close all shards."""

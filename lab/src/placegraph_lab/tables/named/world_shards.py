@@ -9,9 +9,7 @@ Milliseconds are of the processor, so that other load counts less.
 
 from __future__ import annotations
 
-import os
 import re
-import signal
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -21,9 +19,10 @@ import numpy as np
 from placegraph_lab.tables.apart import apart, peak
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS
 from placegraph_lab.tables.outdoor.queries import make_queries
+from placegraph_lab.tables.outdoor.shard_crews import WORKED, crew, worked
 from placegraph_lab.tables.run import Quick, Run, Seed, option, parts, table
 from placegraph_lab.tables.tables import markdown, number, share
-from placegraph_lab.worlds.shards import copies_of, write_copies, write_shards
+from placegraph_lab.worlds.shards import copies_of, finish_copies, write_copies, write_shards
 
 if TYPE_CHECKING:
     from placegraph_lab.tables.outdoor.queries import Query
@@ -88,9 +87,11 @@ def asked(world: Path, texts: Texts) -> dict[str, Any]:
 
     start = time.process_time()
     planet = pg.open_world(world)
+    town: Any = planet.planets[world.name]
+    town.crew.holder.most = len(town.sources)
     planet.locate(next(iter(texts.values()))[0].text)
     first = time.process_time() - start
-    found: dict[str, Any] = {"first_s": first, "shards": len(planet.planets[world.name].sources)}
+    found: dict[str, Any] = {"first_s": first, "shards": len(town.sources)}
     for kind, queries in texts.items():
         for q in queries[:3]:
             planet.locate(q.text, **fix(kind, q))
@@ -102,7 +103,10 @@ def asked(world: Path, texts: Texts) -> dict[str, Any]:
             touched.append(told(estimate.reason) if estimate.modes else 0)
             right += estimate.best is not None and near(estimate.best, q)
         found[kind] = {"ms": ms, "touched": touched, "right": right / len(queries)}
-    return found | {"peak_bytes": peak()}
+    mapped = Path("/proc/self/maps").read_text("utf-8").count(f"{world}/shards/")
+    return found | {
+        "peak_bytes": peak(), "mapped": mapped, "handles": len(list(Path("/proc/self/fd").iterdir())),
+    }  # fmt: skip
 
 
 def fix(kind: str, q: Query) -> dict[str, Any]:
@@ -114,30 +118,6 @@ def near(best: Any, q: Query) -> bool:  # noqa: ANN401
     """Whether a place is within 50 m of the truth."""
     east = (best.longitude - q.longitude) * np.cos(np.radians(q.latitude))
     return bool(np.hypot(east, best.latitude - q.latitude) * 111_000.0 < 50.0)
-
-
-def together(
-    world: Path, texts: list[str], workers: int, *, killed: bool = False
-) -> dict[str, Any]:
-    """Seconds that workers of a cluster take for texts; one of them is killed in between."""
-    from distributed import LocalCluster
-
-    import placegraph as pg
-
-    with LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=":0") as cluster:
-        planet = pg.open_world(world, scheduler=cluster.scheduler_address)
-        for text in texts:
-            planet.locate(text)
-        start, answers = time.perf_counter(), []
-        for k, text in enumerate(texts):
-            if killed and k == len(texts) // 2:
-                crew: Any = planet.planets[world.name].crew
-                victim = next(iter(crew.client.run(os.getpid).values()))
-                os.kill(victim, signal.SIGKILL)
-            answers.append(planet.locate(text).to_dict())
-        seconds = time.perf_counter() - start
-        planet.close()
-    return {"seconds": seconds, "answers": answers}
 
 
 @table()
@@ -185,16 +165,12 @@ def world_shards(
         print(markdown(GROWN, [line(grown[-1], kind) for kind in kept]))
     run.say("workers")
     said = [q.text for q in texts["common words"][:20]]
-    crew = {n: apart(together, made[1], said, n) for n in (1, 2)}
-    killed = apart(_killed, made[1], said)
-    same = killed["answers"] == crew[2]["answers"] == crew[1]["answers"]
-    print(f"\nWorkers: 1 {crew[1]['seconds']:.1f} s, 2 {crew[2]['seconds']:.1f} s, ", end="")
-    print(f"2 of which one was killed {killed['seconds']:.1f} s; the same answers: {same}.")
+    crews = [crew(world, said) for world in (made[1], made[-2 if len(made) > 2 else -1])]
+    print(markdown(WORKED, [row for one in crews for row in worked(one)]))
     capacity = model(grown)
     print(markdown(["", "model", "measured", "planet, extrapolated"], capacity))
     run.save({
-        "rows": rows, "grown": grown, "model": capacity, "workers_answer_alike": same,
-        "seconds": {"1": crew[1]["seconds"], "2": crew[2]["seconds"], "killed": killed["seconds"]},
+        "rows": rows, "grown": grown, "model": capacity, "crews": crews,
     })  # fmt: skip
 
 
@@ -202,7 +178,6 @@ def built(city: Path, folder: Path, zoom: int, copies: list[int], seed: int) -> 
     """Folders of a city's shards and of worlds of copies of them; those that are finished stay."""
     import placegraph as pg
     from placegraph.maps import is_world
-    from placegraph.world.shards import finish
 
     base, large = folder / "base", folder / "large"
     if not is_world(base):
@@ -213,12 +188,8 @@ def built(city: Path, folder: Path, zoom: int, copies: list[int], seed: int) -> 
     for n, world in zip(copies, made, strict=True):
         if not is_world(world):
             copies_of(base, large, world, n)
-            finish(world, zoom, 150.0)
+            finish_copies(base, world, n)
     return [base, *made]
-
-
-def _killed(world: Path, texts: list[str]) -> dict[str, Any]:
-    return together(world, texts, 2, killed=True)
 
 
 EQUAL = [
@@ -226,6 +197,7 @@ EQUAL = [
 ]  # fmt: skip
 GROWN = [
     "copies", "cells", "shards", "MB", "texts", "p50", "p95", "touched p50", "p95", "@1 50 m", "peak",
+    "handles", "mapped",
 ]  # fmt: skip
 
 
@@ -246,6 +218,7 @@ def sizes(folder: Path) -> dict[str, float]:
 
     shards = WorldFile.read(folder).shards
     return {
+        "shards": len(shards),
         "cells": sum(s.cells for s in shards),
         "bytes": sum(s.bytes for s in shards),
         "words_bytes": (folder / "words.table").stat().st_size,
@@ -260,7 +233,7 @@ def line(row: dict[str, Any], kind: str) -> list[str]:
         number(1e-6 * row["bytes"], 0), kind, number(np.median(of["ms"]), 0, "ms"),
         number(np.quantile(of["ms"], 0.95), 0, "ms"), number(np.median(of["touched"])),
         number(np.quantile(of["touched"], 0.95)), share(of["right"]),
-        number(1e-6 * row["peak_bytes"], 0, "MB"),
+        number(1e-6 * row["peak_bytes"], 0, "MB"), number(row["handles"]), number(row["mapped"]),
     ]  # fmt: skip
 
 
