@@ -1,5 +1,7 @@
+import gc
 import json
 import shutil
+import weakref
 from dataclasses import replace
 
 import numpy as np
@@ -193,12 +195,19 @@ def test_localizing_never_writes(world):
     assert {p: p.stat().st_mtime_ns for p in world.rglob("*")} == before
 
 
-def test_shards_are_closed_again(sharded):
-    planet = pg.open_world(sharded)
+def test_shards_are_closed_again(sharded, monkeypatch):
+    planet, opened, shard = pg.open_world(sharded), [], workers.Shard
     town(planet).crew.holder.most = 2
+
+    def noted(key, city, *rest):
+        opened.append(weakref.ref(city))
+        return shard(key, city, *rest)
+
+    monkeypatch.setattr(workers, "Shard", noted)
     found = planet.locate(TEXTS[4])
     assert np.isfinite(found.best.probability)
-    assert len(town(planet).crew.holder._open) <= 2
+    gc.collect()
+    assert sum(city() is not None for city in opened) <= 2 < len(opened)
     planet.close()
     assert not town(planet).crew.holder._open
 

@@ -10,6 +10,7 @@ from uuid import uuid4
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.geometry import LocalPlane
 from placegraph.outdoor.likelihood.statements import Far, MentionTokens
 from placegraph.outdoor.map.index import REACH, STRIDE
 from placegraph.outdoor.search.candidates import Candidates, candidates
@@ -108,22 +109,14 @@ class Compared(NamedTuple):
     """(K, 2) east, north in the shard's plane [m]."""
 
 
-@dataclass(eq=False)
-class Session:
-    """What shards made of the question that was asked last: its other steps begin with that."""
-
-    key: str = ""
-    requests: dict[str, Request] = field(default_factory=dict)
-    """By key of the shard."""
-
-
 @dataclass(frozen=True, eq=False)
 class Shard:
     """A shard that is open."""
 
     key: str
     city: CityMap
-    session: Session = field(default_factory=Session)
+    requests: dict[str, Request] = field(default_factory=dict)
+    """What it made of the question that it was asked last, by its key: other steps begin with that."""
 
     @cached_property
     def inside(self) -> NDArray[np.bool_]:
@@ -203,12 +196,10 @@ def _off(shard: Shard, fix: Fix) -> NDArray[np.float64]:
 
 def requested(shard: Shard, asked: Asked) -> Request:
     """The query in the tokens and rows of a shard, and the prior of its viewpoints."""
-    session = shard.session
-    if session.key != asked.key:
-        session.key, session.requests = asked.key, {}
-    if shard.key not in session.requests:
-        session.requests[shard.key] = _requested(shard, asked)
-    return session.requests[shard.key]
+    if asked.key not in shard.requests:
+        shard.requests.clear()
+        shard.requests[asked.key] = _requested(shard, asked)
+    return shard.requests[asked.key]
 
 
 def _requested(shard: Shard, asked: Asked) -> Request:
@@ -217,13 +208,13 @@ def _requested(shard: Shard, asked: Asked) -> Request:
         prior[shard.inside] = -np.log(asked.viewpoints)
     else:
         prior[shard.inside] = _off(shard, asked.fix) - asked.fix.norm
-    inside = partial(_holds, shard)
+    inside = partial(_holds, shard.city.plane, shard.key)  # not the shard, which holds this
     city, query = _translated(shard, asked)
     return Request(city, query, _Within(inside=inside, given=prior))
 
 
-def _holds(shard: Shard, positions: NDArray[np.float64]) -> NDArray[np.bool_]:
-    return held(shard.city.plane.to_lonlat(positions), shard.key)
+def _holds(plane: LocalPlane, key: str, positions: NDArray[np.float64]) -> NDArray[np.bool_]:
+    return held(plane.to_lonlat(positions), key)
 
 
 def _translated(shard: Shard, asked: Asked) -> tuple[City, Query]:

@@ -14,7 +14,7 @@ from placegraph.errors import MapError, PlacegraphError
 from placegraph.world.shards import steps
 from placegraph.world.shards.folder import same
 from placegraph.world.shards.merged import counting
-from placegraph.world.shards.steps import Proposed, Session, Shard
+from placegraph.world.shards.steps import Proposed, Shard
 
 OPEN = 256
 """Shards that a process holds open at most."""
@@ -65,7 +65,6 @@ class Holder:
 
     most: int = OPEN
     _open: OrderedDict[Path, tuple[str, Shard]] = field(default_factory=OrderedDict)
-    _session: Session = field(default_factory=Session)
     _lock: Lock = field(default_factory=Lock)
 
     def work(self, tasks: Sequence[Task], deadline: float | None = None) -> list[Any]:
@@ -110,7 +109,7 @@ class Holder:
         city = CityMap.open(source.path, shard=True)
         if not len(city.objects):  # pragma: no cover  # which `open` refuses
             raise MapError(f"{source.path} is empty; build it again.")
-        shard = Shard(source.key, city, self._session)
+        shard = Shard(source.key, city)
         self._open[source.path] = source.digest, shard
         while len(self._open) > self.most:
             self._open.popitem(last=False)
