@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterable, Iterator
 from contextlib import closing
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.columns import spans
 from placegraph.columns import starts as starts_of
@@ -31,15 +34,8 @@ from placegraph.formats.place.osm_nodes import Nodes
 from placegraph.formats.place.osm_nodes_kernels import lines
 from placegraph.formats.place.osm_pbf import NONE, Block, Rows
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-    from pathlib import Path
-    from typing import BinaryIO
-
-    from numpy.typing import NDArray
-
-    Numbers = NDArray[np.int64]
-    Steps = NDArray[np.int32]
+Numbers = NDArray[np.int64]
+Steps = NDArray[np.int32]
 
 SORTED = b"Sort.Type_then_ID"
 LOST = np.int32(2**31 - 1)
