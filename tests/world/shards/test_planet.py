@@ -11,6 +11,7 @@ import placegraph as pg
 from placegraph.errors import DescriptionError, InputError, MapError, OptionError
 from placegraph.estimate import Status
 from placegraph.world.shards import steps, workers
+from placegraph.world.shards.search import Search
 
 THREE = "The bakery is on the north of the cafe. The cafe is on the east of the bench. "
 TEXTS = (
@@ -169,6 +170,25 @@ def test_what_was_not_searched_is_not_said_to_be_empty(planet, fix):
     late = planet.locate(TEXTS[0], budget=1e-9, **fix)
     assert late.status is not Status.OK
     assert late.reason.startswith("The time was over: 0.0% of the world was searched. In that, ")
+
+
+@pytest.mark.parametrize("step", ["propose", "compare"])
+def test_a_time_that_is_over_in_any_step_leaves_nothing_half_compared(planet, step, monkeypatch):
+    every, whole = Search.all, planet.locate(TEXTS[0])
+
+    def late(search, told):
+        given = list(told)
+        if any(task[0] == step for task in given) and search.deadline is not None:
+            search.deadline = 0.0
+        return every(search, given)
+
+    monkeypatch.setattr(Search, "all", late)
+    found = planet.locate(TEXTS[0], budget=1e6)
+    if step == "compare":  # all was proposed, and what was proposed is compared
+        assert found.best.probability == whole.best.probability
+    else:
+        assert found.status is not Status.OK
+        assert "The time was over" in found.reason
 
 
 def test_a_budget_gives_the_best_so_far(planet):
