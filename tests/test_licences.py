@@ -8,8 +8,8 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 FREE = re.compile(
-    r"apache|\bMIT|\bBSD|\bISC|\bMPL|\bPSF|\bBSL-1|\b0BSD|\bzlib|\bCC0|\bCNRI|\bLGPL|lesser general public"
-    r"|\bany-OSI|redistribution and use in source and binary forms",
+    r"apache|\bMIT|\bBSD|\bISC|\bMPL|\bPSF|python software foundation|\bBSL-1|\b0BSD|\bzlib"
+    r"|\bCC0|\bCNRI|\bLGPL|lesser general public|\bany-OSI|redistribution and use in source and binary forms",
     re.IGNORECASE,
 )
 BARRED = re.compile(

@@ -138,6 +138,12 @@ def source(key, size=1):
     return workers.Source(key, f"{key}.city", "", size)
 
 
+def ran(work):
+    """What a coroutine returns; in a thread, since tests of pages leave a loop in this one."""
+    with ThreadPoolExecutor(1) as pool:
+        return pool.submit(asyncio.run, work).result()
+
+
 class Ending(cluster.Cluster):
     """Its workers are new at each look, and end at the shard 0."""
 
@@ -158,7 +164,7 @@ def test_where_every_worker_ended_the_shard_is_lost_and_no_other():
     work = cluster._Work(
         Ending(None, "x", sources), [workers.Task("name", s, ()) for s in sources], None
     )
-    asyncio.run(work.do())
+    ran(work.do())
     assert work.found.pop(0).reason.startswith("0.city: every worker")
     assert work.found == {k: str(k) for k in range(1, 6)}
 
@@ -171,7 +177,7 @@ def test_where_no_worker_is_left_it_is_said(monkeypatch):
     monkeypatch.setattr(cluster, "REPLACED", 0.0)
     work = cluster._Work(Empty(None, "x", []), [workers.Task("name", source("1"), ())], None)
     with pytest.raises(ServiceError, match="no worker"):
-        asyncio.run(work.do())
+        ran(work.do())
 
 
 def test_workers_share_the_world_and_keep_their_shards():
@@ -232,7 +238,7 @@ def test_a_worker_stops_while_its_answer_is_still_in_time():
 
     tasks = [workers.Task("name", source("1"), ())]
     for until in (cluster.monotonic() + 100.0, None):
-        asyncio.run(cluster._Work(Asked(None, "x", [source("1")]), tasks, until).do())
+        ran(cluster._Work(Asked(None, "x", [source("1")]), tasks, until).do())
     assert 0.0 < sent[0] < 90.0
     assert sent[1] is None
 
@@ -246,5 +252,5 @@ def test_the_world_waits_for_no_worker_longer_than_was_given():
         Hanging(None, "x", [source("1")]), [workers.Task("name", source("1"), ())],
         cluster.monotonic() + 0.01,
     )  # fmt: skip
-    asyncio.run(work.do())
+    ran(work.do())
     assert work.found == {}
