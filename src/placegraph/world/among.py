@@ -173,7 +173,8 @@ def among(world: World, crowd: Crowd, known: Known, heard: Heard) -> World:
         weights += np.log(weighed.shares + 1e-12)
         missing = 0.0  # `weighed.elsewhere` holds them
     places = [(m.longitude, m.latitude) for t in heard.towns.values() for m in t.estimate.modes]
-    likely = np.argsort(-weights, kind="stable")[:LIKELIEST].tolist()
+    told = bool(np.ptp(weights))  # else none is likelier than another
+    likely = np.argsort(-weights, kind="stable")[: LIKELIEST * told].tolist()
     named = sorted(crowd.spoken(known.text), key=lambda row: -weights[row])[:NAMED]
     names: dict[int, str] = {}
     notes = list(crowd.notes)

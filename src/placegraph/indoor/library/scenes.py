@@ -277,10 +277,9 @@ class Scenes:
         """All graphs as texts ask for them; `OptionError` where the library is empty."""
         if self._texts is None:
             _ = self.index
-            signatures = [e.signature for e in self._entries.values()]
             self._texts = TextIndex()
-            for s in signatures:
-                self._texts.add(s.graph, [a.get("room", "") for a in s.attributes], s.attributes)
+            for entry in self._entries.values():
+                self._texts.add_units(entry.signature.described)
         return self._texts
 
 

@@ -15,10 +15,8 @@ from numpy.typing import NDArray
 from placegraph.earth import EarthPose
 from placegraph.errors import MapError, OptionError
 from placegraph.indoor.encode import Encoder, encoder
-from placegraph.indoor.language.described import Described, units
 from placegraph.indoor.language.index import columns_of
-from placegraph.indoor.library.index import Index
-from placegraph.indoor.library.index import units as units_of
+from placegraph.indoor.library.index import Index, units
 from placegraph.indoor.library.scenes import Entry
 from placegraph.indoor.library.shard import BESIDE, HEAD, KIND, VERSION, Shard, Usual
 from placegraph.indoor.library.shards import SceneShards
@@ -121,7 +119,7 @@ def shard_arrays(scenes: Sequence[Listed], keys: Sequence[str]) -> tuple[dict[st
     meta, arrays = of_texts(scenes)
     signatures = [s.entry.signature for s in scenes]
     arrays |= of_index(Index.of(signatures, keys))
-    arrays["order"] = np.concatenate([u.objects for u in units_of(signatures)]).astype(np.uint16)
+    arrays["order"] = np.concatenate([u.objects for u in units(signatures)]).astype(np.uint16)
     earth = [s.entry.earth for s in scenes]
     told = {
         "names": [s.name for s in scenes],
@@ -179,7 +177,7 @@ def of_index(index: Index) -> Arrays:
 
 def of_texts(scenes: Sequence[Listed]) -> tuple[dict[str, Any], Arrays]:
     """What texts are compared with: postings of labels and of relations."""
-    columns = columns_of([_described(s) for s in scenes])
+    columns = columns_of([s.entry.signature.described for s in scenes])
     meta = {"labels": columns.labels, "relations": columns.relations, "scenes": columns.scenes}
     found = {
         "label_starts": columns.of_labels.starts, "label_units": columns.of_labels.units,
@@ -190,11 +188,6 @@ def of_texts(scenes: Sequence[Listed]) -> tuple[dict[str, Any], Arrays]:
         "scene": columns.scene,
     }  # fmt: skip
     return meta, {f"text_{name}": np.asarray(array) for name, array in found.items()}
-
-
-def _described(listed: Listed) -> Sequence[Described]:
-    s = listed.entry.signature
-    return units(s.graph, [a.get("room", "") for a in s.attributes], s.attributes)
 
 
 def packed(strings: Sequence[str]) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from placegraph.formats.capture.capture import Capture
 from placegraph.graph import SceneGraph
 from placegraph.indoor.encode import Encoder, vectors_of
 from placegraph.indoor.language.colours import with_colours
+from placegraph.indoor.language.described import Described, units
 from placegraph.indoor.likelihood.visibility import build_table
 from placegraph.indoor.map.panoramas import HIGHEST
 from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, ELEVATIONS
@@ -69,6 +71,12 @@ class Signature:
         """Names of its rooms, as far as the map names them."""
         named = dict.fromkeys(a.get("room", "") for a in self.attributes)
         return tuple(name for name in named if name)
+
+    @cached_property
+    def described(self) -> list[Described]:
+        """What may be described of it; worked out once."""
+        rooms = [a.get("room", "") for a in self.attributes]
+        return units(self.graph, rooms, self.attributes)
 
 
 def signature_of(

@@ -132,7 +132,6 @@ def bytes_of(path: str | PathLike[str]) -> dict[str, int]:
 def _fields(file: MapFile) -> dict[str, Any]:
     """Fields of a `Scene` from a file's columns."""
     blobs = _blobs(file)
-    textures.check_texels(blobs, file.header.path)
     return {
         "graph": _graph(file),
         "mesh": _mesh(file, textures.decode(blobs, file.header.path)),

@@ -7,9 +7,9 @@ from them, so that a map just built and the same map opened give the same colour
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -103,24 +103,31 @@ def needed_texels(mesh: Mesh, texel: float) -> NDArray[np.float64]:
 
 
 def decode(blobs: Sequence[bytes], path: object) -> tuple[NDArray[np.uint8], ...]:
-    """Textures (h, w, 3) uint8 of encoded ones; `MapError` naming `path` where one is no image."""
-    with ThreadPoolExecutor(2) as pool:
-        return tuple(
-            pool.map(lambda i: _decode(blobs[i], f"{path}: texture {i}"), range(len(blobs)))
-        )
+    """Textures (h, w, 3) uint8 of encoded ones.
 
+    Raises `MapError` naming `path` where one is no image, or where all together would fill memory.
+    """
+    left = 4 * FREE_PIXELS + PIXELS_A_BYTE * sum(map(len, blobs))
 
-def check_texels(blobs: Sequence[bytes], path: object) -> None:
-    """Refuse encoded textures that would fill memory; broken ones are told by `decode`."""
-    texels = 0
-    for blob in blobs:
-        with suppress(InputError), opened(io.BytesIO(blob), path) as image:
-            texels += image.width * image.height
-    if texels > 4 * FREE_PIXELS + PIXELS_A_BYTE * sum(map(len, blobs)):
-        raise MapError(
-            f"{path} says that its textures have {texels:,} texels, in {sum(map(len, blobs)):,} "
-            "bytes; it is damaged, or made to fill memory. Build the map again."
-        )
+    def decoded(first: int) -> list[NDArray[np.uint8]]:
+        nonlocal left
+        out = []
+        for i in range(first, len(blobs), 2):
+            with _opened(blobs[i], f"{path}: texture {i}") as image:
+                left -= image.width * image.height
+                if left < 0:
+                    raise MapError(
+                        f"{path} says that its textures have more texels than its "
+                        f"{sum(map(len, blobs)):,} bytes of them can hold; it is damaged, or made to "
+                        "fill memory. Build the map again."
+                    )
+                out.append(rgb_of(image))
+        return out
+
+    found = [np.zeros((0, 0, 3), np.uint8)] * len(blobs)
+    with ThreadPoolExecutor(2) as pool:  # Pillow works outside the interpreter's lock
+        found[::2], found[1::2] = pool.map(decoded, (0, 1))
+    return tuple(found)
 
 
 def _encode_picture(picture: Picture, detail: Detail, needed: NDArray[np.float64]) -> bytes:
@@ -176,11 +183,12 @@ def _bytes(image: Image, form: str, **options: Any) -> bytes:  # noqa: ANN401  #
     return file.getvalue()
 
 
-def _decode(blob: bytes, name: str) -> NDArray[np.uint8]:
+@contextmanager
+def _opened(blob: bytes, name: str) -> Iterator[Image]:
     try:
         with opened(io.BytesIO(blob), name) as image:
             if max(image.size) > _LARGEST or image.format not in KEPT:
                 raise MapError(f"{name} is no WebP, PNG or JPEG of up to {_LARGEST} texels a side.")
-            return rgb_of(image)
+            yield image
     except InputError as error:
         raise MapError(f"{error} Build the map again.") from error
