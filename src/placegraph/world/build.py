@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 from placegraph import locks
 from placegraph.errors import InputError, MapError, OptionError
 from placegraph.files import cannot_write, write_file
+from placegraph.formats.place.osm import checked_osm
 from placegraph.formats.place.urls import all_on_disk, is_url
 from placegraph.outdoor.map.cells import LARGEST, SMALLEST
 from placegraph.outdoor.map.split import Split, split, spread_large
@@ -140,6 +141,9 @@ def build_world(
     tell = progress or (lambda _step, _done, _total: None)
     target = Path(folder)
     work = target / WORK
+    for path in extracts:
+        if not is_url(path):
+            checked_osm(Path(path))  # before anything is made
     try:
         (target / "shards").mkdir(parents=True, exist_ok=True)
         work.mkdir(exist_ok=True)

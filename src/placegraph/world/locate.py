@@ -53,7 +53,7 @@ def _searched(estimate: WorldEstimate, heard: Heard) -> WorldEstimate:
     gaps = [town.gap for town in towns if town.gap]
     reason = estimate.reason
     if gaps and estimate.status is Status.LOST:  # of what was not searched nothing is known
-        gaps, reason = [*gaps, f"In that, {reason[:1].lower()}{reason[1:]}"], ""
+        gaps, reason = [*gaps, f"In what was, {reason[:1].lower()}{reason[1:]}"], ""
     told = filter(None, [reason, *gaps, *(town.cost for town in towns)])
     short = bool(gaps) and estimate.status is Status.OK
     return replace(

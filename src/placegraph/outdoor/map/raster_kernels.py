@@ -92,6 +92,38 @@ def _sort(values, count):
 
 
 @kernel
+def box_of(points, a, b):
+    """West, east, south and north end of some points."""
+    w = e = np.float64(points[a, 0])
+    s = n = np.float64(points[a, 1])
+    for i in range(a + 1, b):
+        w, e = min(w, points[i, 0]), max(e, points[i, 0])
+        s, n = min(s, points[i, 1]), max(n, points[i, 1])
+    return w, e, s, n
+
+
+@kernel
+def crossings(part_starts, point_starts, points, row, north, found):
+    """Where the lines of object `row` cross a parallel, from west to east, and how many do.
+
+    `found` is overwritten, and returned larger where it was too small.
+    """
+    count = 0
+    for part in range(part_starts[row], part_starts[row + 1]):
+        for i in range(point_starts[part], point_starts[part + 1] - 1):
+            y0, y1 = points[i, 1], points[i + 1, 1]
+            if (y0 > north) != (y1 > north):
+                if count == len(found):
+                    found = np.concatenate((found, found))
+                found[count] = points[i, 0] + (north - y0) / (y1 - y0) * (
+                    points[i + 1, 0] - points[i, 0]
+                )
+                count += 1
+    _sort(found, count)
+    return found, count
+
+
+@kernel
 def _collect(kind, part_starts, point_starts, points, rows, grid, radius, capacity, most):
     """Entries of `sightings`, unsorted, and whether they were found by at most `most` comparisons."""
     east0, north0, stride, columns, n_rows = grid
@@ -102,17 +134,13 @@ def _collect(kind, part_starts, point_starts, points, rows, grid, radius, capaci
     spent = 0.0
     best = np.empty(64, np.float64)
     near = np.empty((64, 2), np.float32)
-    crossings = np.empty(64, np.float64)
+    crossed = np.empty(64, np.float64)
     r2 = radius * radius
     for row in rows:
         a, b = point_starts[part_starts[row]], point_starts[part_starts[row + 1]]
         if b == a:
             continue
-        w = e = points[a, 0]
-        s = n = points[a, 1]
-        for i in range(a + 1, b):
-            w, e = min(w, points[i, 0]), max(e, points[i, 0])
-            s, n = min(s, points[i, 1]), max(n, points[i, 1])
+        w, e, s, n = box_of(points, a, b)
         c0 = max(0, int(np.ceil((w - radius - east0) / stride)))
         c1 = min(columns - 1, int(np.floor((e + radius - east0) / stride)))
         r0 = max(0, int(np.ceil((s - radius - north0) / stride)))
@@ -160,22 +188,12 @@ def _collect(kind, part_starts, point_starts, points, rows, grid, radius, capaci
                 max(r0, int(np.ceil((s - north0) / stride))),
                 min(r1, int(np.floor((n - north0) / stride))) + 1,
             ):
-                gy = north0 + r * stride
-                count = 0
-                for part in range(part_starts[row], part_starts[row + 1]):
-                    for i in range(point_starts[part], point_starts[part + 1] - 1):
-                        y0, y1 = points[i, 1], points[i + 1, 1]
-                        if (y0 > gy) != (y1 > gy):
-                            if count == len(crossings):
-                                crossings = np.concatenate((crossings, crossings))
-                            crossings[count] = points[i, 0] + (gy - y0) / (y1 - y0) * (
-                                points[i + 1, 0] - points[i, 0]
-                            )
-                            count += 1
-                _sort(crossings, count)
+                crossed, count = crossings(
+                    part_starts, point_starts, points, row, north0 + r * stride, crossed
+                )
                 for k in range(0, count - 1, 2):
-                    ca = max(c0, int(np.ceil((crossings[k] - east0) / stride)))
-                    cb = min(c1, int(np.floor((crossings[k + 1] - east0) / stride)))
+                    ca = max(c0, int(np.ceil((crossed[k] - east0) / stride)))
+                    cb = min(c1, int(np.floor((crossed[k + 1] - east0) / stride)))
                     for c in range(ca, cb + 1):
                         best[(r - r0) * width + c - c0] = 0.0
                         near[(r - r0) * width + c - c0] = 0.0

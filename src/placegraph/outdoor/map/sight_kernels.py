@@ -11,7 +11,7 @@ import numpy as np
 
 from placegraph.compiled import kernel
 from placegraph.outdoor.map.index_kernels import AREA, REACHED, SIDE, SLOTS, ones
-from placegraph.outdoor.map.raster_kernels import _sort
+from placegraph.outdoor.map.raster_kernels import box_of, crossings
 
 FAR = np.float32(1e30)
 LINES = 2
@@ -34,7 +34,7 @@ def seen(kind, part_starts, point_starts, points, rows, grid, window, capacity, 
     )
     slots, first = np.empty(1024, np.int64), np.empty(1025, np.int64)
     where = np.empty((capacity, 2), np.float32)
-    crossings = np.empty(64, np.float64)
+    crossed = np.empty(64, np.float64)
     near = np.empty((4, 3, SLOTS), np.float32)  # squares of distances, and vectors
     found, used, spent = 0, 0, 0.0
     first[0] = 0
@@ -43,11 +43,7 @@ def seen(kind, part_starts, point_starts, points, rows, grid, window, capacity, 
         a, b = point_starts[part_starts[row]], point_starts[part_starts[row + 1]]
         if b == a:
             continue
-        w = e = np.float64(points[a, 0])
-        s = n = np.float64(points[a, 1])
-        for i in range(a + 1, b):
-            w, e = min(w, points[i, 0]), max(e, points[i, 0])
-            s, n = min(s, points[i, 1]), max(n, points[i, 1])
+        w, e, s, n = box_of(points, a, b)
         c0 = max(window[0], int(np.floor((w - REACHED - east0) / wide)))
         c1 = min(window[1] - 1, int(np.floor((e + REACHED - east0) / wide)))
         r0 = max(window[2], int(np.floor((s - REACHED - north0) / wide)))
@@ -115,21 +111,12 @@ def seen(kind, part_starts, point_starts, points, rows, grid, window, capacity, 
                 max(0, int(np.ceil((s - south) / stride))),
                 min(SIDE * height - 1, int(np.floor((n - south) / stride))) + 1,
             ):
-                gy, count = south + r * stride, 0
-                for part in range(part_starts[row], part_starts[row + 1]):
-                    for i in range(point_starts[part], point_starts[part + 1] - 1):
-                        y0, y1 = points[i, 1], points[i + 1, 1]
-                        if (y0 > gy) != (y1 > gy):
-                            if count == len(crossings):
-                                crossings = np.concatenate((crossings, crossings))
-                            crossings[count] = points[i, 0] + (gy - y0) / (y1 - y0) * (
-                                points[i + 1, 0] - points[i, 0]
-                            )
-                            count += 1
-                _sort(crossings, count)
+                crossed, count = crossings(
+                    part_starts, point_starts, points, row, south + r * stride, crossed
+                )
                 for i in range(0, count - 1, 2):
-                    ca = max(0, int(np.ceil((crossings[i] - west) / stride)))
-                    cb = min(SIDE * width - 1, int(np.floor((crossings[i + 1] - west) / stride)))
+                    ca = max(0, int(np.ceil((crossed[i] - west) / stride)))
+                    cb = min(SIDE * width - 1, int(np.floor((crossed[i + 1] - west) / stride)))
                     for c in range(ca, cb + 1):
                         t, k = (
                             (r >> 3) * width + (c >> 3),

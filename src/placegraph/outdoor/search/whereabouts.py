@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from math import nan
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -141,11 +142,11 @@ def _walk(distance: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def number(value: object) -> float:
-    """A number, or NaN where it is none."""
+    """A number, or NaN where it is none, as a text or `True` is not."""
     try:
-        return float(value)  # type: ignore[arg-type]
+        return nan if isinstance(value, str | bytes | bool) else float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError, OverflowError):
-        return float("nan")
+        return nan
 
 
 def position(city: City, lonlat: Sequence[float], name: str) -> NDArray[np.float64]:

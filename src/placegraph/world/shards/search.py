@@ -155,7 +155,7 @@ class Search:
         left = left[np.argsort(self.reach[left], kind="stable")]
         beyond = np.logaddexp.accumulate(self.reach[left]) if len(left) else np.zeros(0)
         matters = self._share(found, beyond) > np.log(NEGLIGIBLE)
-        return min(1.0, float(np.exp(log_mass[left[matters]]).sum()))
+        return min(1.0, float(np.exp(log_mass[left[matters]]).sum()))  # but for rounding
 
     def gap(self, missing: float) -> str:
         """What was not searched of what matters, and why; empty where that is nothing."""
@@ -163,7 +163,7 @@ class Search:
             return ""
         lost = f"{len(self.lost)} of the shards did not answer"
         why = "The time was over" if self.late else lost
-        return f"{why}: {1.0 - missing:.1%} of the world was searched."
+        return f"{why}: {missing:.1%} of the world, where it may be as well, was not searched."
 
     def _near(self, asked: Asked, cores: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Shards (N,) from which a rare thing out of sight may be spoken of."""
