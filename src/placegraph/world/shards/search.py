@@ -94,8 +94,9 @@ class Search:
         found, first, size = Merged(asked), 0, FIRST
         while first < len(order) and not self.late and not self.settled(found):
             last = min(first + size, self._enough(found, order))
+            told = (asked, found.least)
             for row, proposed in self.each(
-                "propose", [(r, (asked, found.least)) for r in order[first:last].tolist()]
+                "propose", [(r, told) for r in order[first:last].tolist()]
             ):
                 found.add(row, proposed)
                 self.searched.add(row)
