@@ -13,6 +13,8 @@ TEXTS = (
     "The building is on the north of the footway. The footway is on the south of the bench.",
     "I am between a restaurant and a bus stop. A hotel is west of me.",
 )
+MANY = 1 << 14
+"""So many are drawn that all tiles are looked at."""
 
 
 @pytest.fixture(params=TEXTS)
@@ -20,9 +22,9 @@ def query(request, monaco):
     return compile_query(read(monaco, request.param), monaco)
 
 
-def promising(query, city, weights, most, drawn=0):
+def promising(query, city, weights, most, drawn=0, least=0.0):
     return promising_views(
-        query.statements, query.mentions, city.views.columns, weights, most, drawn
+        query.statements, query.mentions, city.views.columns, weights, most, drawn, least
     )
 
 
@@ -45,16 +47,30 @@ def test_the_heaviest_are_found(query, monaco, rng, most, weighed):
 def test_some_stand_for_all_others(query, monaco, rng, weighed):
     weights = rng.random(len(monaco.views)) ** 4 if weighed else np.zeros(0)
     every, of_every, _ = promising(query, monaco, weights, len(monaco.views))
-    rows, bounds, stands = promising(query, monaco, weights, 60, 64)
+    rows, bounds, stands = promising(query, monaco, weights, 60, MANY)
     others = of_every[60:] ** 0.75
     told = stands[60:] * bounds[60:] ** 0.75
     assert not stands[:60].any()
-    assert len(told) == 64 * bool(others.sum())
+    assert len(told) == MANY * bool(others.sum())
     assert set(rows) <= set(every)
-    for n in (64, 32, 16):  # those drawn first do as well as all
-        assert told[:n].sum() * 64 / n == pytest.approx(others.sum(), rel=1e-6)
+    for n in (MANY, MANY // 2, MANY // 4):  # those drawn first do as well as all
+        assert told[:n].sum() * MANY / n == pytest.approx(others.sum(), rel=1e-6)
     # what they say of something else is about right
     assert stands[60:] @ bounds[60:] == pytest.approx(of_every[60:].sum(), rel=0.1)
+
+
+@pytest.mark.parametrize("weighed", [False, True])
+@pytest.mark.parametrize("drawn", [256, MANY])
+def test_of_small_bounds_some_stand_for_all(query, monaco, rng, weighed, drawn):
+    """What does not count elsewhere is not looked at for itself."""
+    weights = rng.random(len(monaco.views)) ** 4 if weighed else np.zeros(0)
+    _, of_every, _ = promising(query, monaco, weights, len(monaco.views))
+    least = float(of_every[min(20, len(of_every) // 2)]) * 1.000001
+    _, bounds, stands = promising(query, monaco, weights, 60, drawn, least)
+    count = int((of_every >= least).sum())
+    np.testing.assert_allclose(bounds[stands == 0.0], of_every[:count], rtol=1e-6)
+    rest = of_every[count:].sum()
+    assert stands @ bounds == pytest.approx(rest, rel=0.1 if drawn == MANY else 0.4)
 
 
 def test_bounds_are_bounds(query, monaco):
@@ -96,6 +112,8 @@ def test_no_more_are_chosen_than_there_is_room_for():
     """A tile that was passed over holds a viewpoint that is, by rounding, as good as those chosen."""
     bounds, highest = np.array([3.0, 2.0, np.nextafter(2.0, 3.0)]), np.array([3.0, 2.0])
     rows = np.arange(3, dtype=np.int32)
-    chosen, _, stands = promise_kernels._chosen.py_func(rows, bounds, np.ones(3), highest, 2, 1)
+    chosen, _, stands = promise_kernels._chosen.py_func(
+        rows, bounds, np.ones(3), highest, 0.0, 2, 1
+    )
     assert len(chosen) == 3
     assert (stands == 0.0).sum() == 2

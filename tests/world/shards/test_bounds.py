@@ -28,7 +28,7 @@ def test_no_shard_weighs_more_than_its_bound(sharded, monkeypatch):
         found = real(self, asked, log_mass, cores)
         for row in np.flatnonzero(~self._near(asked, cores)).tolist():
             one = Merged(asked)
-            for _, proposed in self.each("propose", [(row, (asked, -np.inf))]):
+            for _, proposed in self.each("propose", [(row, (asked, -np.inf, 512))]):
                 one.add(row, proposed)
             one.told = 1 << 20
             self._compare(one, dict(one.unscored(one.told)))

@@ -19,8 +19,8 @@ from placegraph.outdoor.map.index_kernels import SLOTS, below
 FIRST = 64
 """So many tiles of largest bound are looked at first, then four times as many, and so on: what they
 hold tells which others may matter."""
-DRAWN = 512
-"""About so many of the tiles that cannot matter tell what all of these weigh together."""
+DRAWN = 4
+"""For about so many viewpoints that are drawn, a tile of those that cannot matter is looked at."""
 NOTHING = 1e-4
 """Tiles that together weigh less than this share of those looked at weigh nothing."""
 EVERY = 1e300
@@ -30,15 +30,15 @@ STRIP = 1024
 
 
 @kernel(finite=True)
-def promising_views(statements, mentions, views, weights, most, drawn):
+def promising_views(statements, mentions, views, weights, most, drawn, least):
     """Viewpoints (K,) worth scoring, their bounds, and how many others each stands for.
 
     Only viewpoints that have all things of at least one statement in sight are worth it. The bound
     (`bounds_of`) is of the likelihood ratio, times the prior `weights` (W,), all equal where empty.
     First come the `most` of largest bound of all the map, the most promising first, which stand for
-    none: a tile is passed over only where the bound of the whole tile is below theirs. Then `drawn`
-    others that stand for all others (`draw`); tiles that were passed over are represented by
-    `DRAWN` of them, each drawn as surely as it may weigh.
+    none: a tile is passed over only where the bound of the whole tile is below theirs, or no larger than
+    `least`. Then `drawn` others that stand for all others (`draw`); tiles that were passed over are
+    represented by some of them, each drawn as surely as it may weigh.
     """
     promise = _of_tiles(statements, mentions, views)
     if len(weights):
@@ -47,7 +47,7 @@ def promising_views(statements, mentions, views, weights, most, drawn):
             for v in range(views.first[t], views.first[t + 1]):
                 heaviest = max(heaviest, weights[v])
             promise[t] *= heaviest
-    highest, n, least = np.empty(2 * most + TILES * SLOTS), 0, 0.0
+    highest, n, floor = np.empty(2 * most + TILES * SLOTS), 0, least
     seen = (np.empty(4096, np.int32), np.empty(4096), np.empty(4096))
     many = 0
     share = np.ones(len(promise))
@@ -66,19 +66,25 @@ def promising_views(statements, mentions, views, weights, most, drawn):
         every = every[(promise[every] > least) & (promise[every] > 0.0)]
         size *= 4
     if drawn:
-        rest = _drawn(views, np.flatnonzero(promise > 0.0), promise, share, seen[1][:many].sum())
+        rest = _drawn(
+            views,
+            np.flatnonzero(promise > 0.0),
+            promise,
+            share,
+            seen[1][:many].sum(),
+            drawn // DRAWN,
+        )
         seen, many, n, least = _visit(
             statements, mentions, views, weights, rest, promise, share, most,
             highest, n, EVERY, seen, many,
         )  # fmt: skip
     rows, bounds, stands = seen[0][:many], seen[1][:many], seen[2][:many]
-    return _chosen(rows, bounds, stands, highest[:n], most, drawn)
+    return _chosen(rows, bounds, stands, highest[:n], floor, most, drawn)
 
 
 @kernel(finite=True)
-def _chosen(rows, bounds, stands, highest, most, drawn):
+def _chosen(rows, bounds, stands, highest, least, most, drawn):
     """As `promising_views`, of all viewpoints looked at."""
-    least = 0.0
     if len(highest) >= most:
         least = np.partition(highest, len(highest) - most)[len(highest) - most]
     ties = most
@@ -245,8 +251,8 @@ def _weigh(bound, bits, row, weights):
 
 
 @kernel(finite=True)
-def _drawn(views, tiles, promise, share, known):
-    """Tiles (ascending) that stand for all `tiles`; their `share` becomes how many each stands for."""
+def _drawn(views, tiles, promise, share, known, most):
+    """Tiles (ascending), `most`, that stand for all; their `share` becomes how many each stands for."""
     heights = np.empty(len(tiles))
     rest = 0.0
     for i in range(len(tiles)):
@@ -254,10 +260,10 @@ def _drawn(views, tiles, promise, share, known):
         rest += heights[i]
     if rest <= NOTHING * known:
         return tiles[:0]
-    if len(tiles) <= DRAWN:
+    if len(tiles) <= most:
         return tiles
-    taken, n = np.empty(DRAWN + 1, np.int64), 0
-    step = rest / DRAWN
+    taken, n = np.empty(most + 1, np.int64), 0
+    step = rest / most
     upto, mark = 0.0, 0.5 * step
     for i in range(len(tiles)):
         upto += heights[i]

@@ -74,15 +74,19 @@ def ranks(
     )
 
 
-def candidates(asked: Request, drawn: int = DRAWN) -> Candidates:
-    """Viewpoints that the statements may have been made at, by the way that was asked for."""
+def candidates(asked: Request, drawn: int = DRAWN, least: float = 0.0) -> Candidates:
+    """Viewpoints that the statements may have been made at, by the way that was asked for.
+
+    `drawn`, a power of two, stand for all others; those of a bound below `least` are among these.
+    """
     query, views, way = asked.query, asked.city.views, asked.matching.way
     weights = np.exp(asked.log_prior - asked.highest)
     if way == "sparse":
         most = FAR_CANDIDATES if query.far else MOST_CANDIDATES
         chosen, bounds, stands = promising_views(
-            query.statements, query.mentions, views.columns, weights, most, drawn
-        )
+            query.statements, query.mentions, views.columns, weights, most, drawn,
+            0.0 if query.far else least,  # to which those add
+        )  # fmt: skip
     else:
         chosen = views_by(asked).astype(np.int32)
         bounds, stands = np.full(len(chosen), HIGHEST), np.zeros(len(chosen))
@@ -122,7 +126,7 @@ def _touched(asked: Request, most: int) -> NDArray[np.int32]:
     views, inside = asked.city.views, _inside(asked)
     weights = np.zeros(0) if inside is None else inside.astype(np.float64)
     chosen, _, _ = promising_views(
-        asked.query.statements, asked.query.mentions, views.columns, weights, most, 0
+        asked.query.statements, asked.query.mentions, views.columns, weights, most, 0, 0.0
     )
     return chosen if inside is None else chosen[inside[chosen]]
 

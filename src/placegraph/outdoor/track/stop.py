@@ -253,7 +253,7 @@ def _candidates(
         bounds = relative[chosen]
     else:
         chosen, bounds, _ = promising_views(
-            statements, query.mentions, views.columns, relative, len(relative), 0
+            statements, query.mentions, views.columns, relative, len(relative), 0, 0.0
         )
     chosen, bounds = chosen[bounds > 0.0], bounds[bounds > 0.0]
     far = np.zeros((min(len(chosen), MOST_SCORED), len(statements.op)), np.float32)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.outdoor.map.index import REACH
-from placegraph.outdoor.search.candidates import FAR_REACH
+from placegraph.outdoor.search.candidates import DRAWN, FAR_REACH
 from placegraph.outdoor.search.posterior import ELSEWHERE
 from placegraph.world.shards.bounds import most
 from placegraph.world.shards.lexicon import distance
@@ -33,6 +33,8 @@ NEGLIGIBLE = 0.002
 """Shards that together hold no more than this share of the posterior are not looked into."""
 FIRST, GROWTH = 4, 16
 """Shards of the first round, and how many times as large every other one is at most."""
+FEWEST_DRAWN, EVENLY = 64, 2.0
+"""In each shard so many viewpoints at least stand for all others, and so many times its share of them."""
 FAR_OFF = 6.0
 """A fix says nothing of shards that lie so many standard deviations away."""
 
@@ -94,10 +96,10 @@ class Search:
         found, first, size = Merged(asked), 0, FIRST
         while first < len(order) and not self.late and not self.settled(found):
             last = min(first + size, self._enough(found, order))
-            told = (asked, found.least)
-            for row, proposed in self.each(
-                "propose", [(r, told) for r in order[first:last].tolist()]
-            ):
+            rows, least = order[first:last], found.least
+            drawn = self._drawn(found, rows)
+            told = [(row, (asked, least, n)) for row, n in zip(rows.tolist(), drawn, strict=True)]
+            for row, proposed in self.each("propose", told):
                 found.add(row, proposed)
                 self.searched.add(row)
             self._compare(found, dict(found.unscored(0)))
@@ -108,6 +110,14 @@ class Search:
         while not self.late and found.more():
             self._compare(found, dict(found.unscored(found.told)))
         return found
+
+    def _drawn(self, found: Merged, rows: NDArray[np.int64]) -> list[int]:
+        """How many viewpoints of each shard stand for all others: more, the more it may weigh."""
+        reach = self.reach[self.left()]
+        total = np.logaddexp.reduce(reach[reach < np.inf], initial=found.weight)
+        share = np.exp(np.minimum(self.reach[rows] - total, 0.0))
+        drawn = np.clip(EVENLY * DRAWN * share, FEWEST_DRAWN, DRAWN)
+        return [1 << k for k in np.ceil(np.log2(drawn)).astype(int).tolist()]
 
     def _compare(
         self, found: Merged, some: dict[int, NDArray[np.int64]],

@@ -45,10 +45,6 @@ class Fix(NamedTuple):
     """Log of what all viewpoints of the world weigh together, before it is known how far off it is."""
 
 
-DRAWN = 512
-"""So many viewpoints of a shard stand for all that it does not list."""
-
-
 @dataclass(frozen=True, eq=False)
 class Asked:
     """A query against the whole world, as every shard gets it."""
@@ -241,15 +237,18 @@ def _translated(shard: Shard, asked: Asked) -> tuple[City, Query]:
     return city, replace(query, mentions=mentions, far=far)
 
 
-def proposed(shard: Shard, asked: Asked, least: float) -> Proposed:
-    """The most promising viewpoints of the core; `least` is the log of what is to count."""
+def proposed(shard: Shard, asked: Asked, least: float, drawn: int) -> Proposed:
+    """The most promising viewpoints of the core; `least` is the log of what is to count.
+
+    `drawn` stand for all others.
+    """
     request = requested(shard, asked)
     prior = request.log_prior
     highest, n = float(prior.max(initial=-np.inf)), len(asked.query.used)
     none = np.zeros(0)
     found = Candidates(none.astype(np.int32), none, np.zeros((0, n), np.float32), none)
     if highest > -np.inf:
-        found = candidates(request, DRAWN)
+        found = candidates(request, drawn, float(np.exp(least - highest)))
     rows, far = found.rows, found.far
     if asked.query.far is None:
         far = far[:, :0]
