@@ -33,7 +33,7 @@ NEGLIGIBLE = 0.002
 """Shards that together hold no more than this share of the posterior are not looked into."""
 FIRST, GROWTH = 4, 16
 """Shards of the first round, and how many times as large every other one is at most."""
-FEWEST_DRAWN, EVENLY = 64, 2.0
+FEWEST_DRAWN, EVENLY = 64, 8.0
 """In each shard so many viewpoints at least stand for all others, and so many times its share of them."""
 FAR_OFF = 6.0
 """A fix says nothing of shards that lie so many standard deviations away."""
