@@ -71,6 +71,26 @@ def test_frames_are_answered_as_by_the_library(both, films, room):
     assert ours.best.pose is not None
 
 
+@pytest.mark.parametrize("names", [["reading"], ["suite", "twin"]])
+def test_scenes_that_nothing_tells_apart_are_looked_into(folder, films, tmp_path, names):
+    """One alone, and two that are the same."""
+    library = pg.SceneLibrary()
+    for name in names:
+        library.add(name, folder / f"{name}.scene")
+    write_shards(
+        tmp_path / "all.shards", [Listed(n, library.entry(n), str(folder / f"{n}.scene")) for n in library]
+    )  # fmt: skip
+    world, room = open_world(tmp_path), "study" if len(names) == 1 else "parlour"
+    for asked in (
+        {"text": "There is a sofa." if len(names) > 1 else "I am in a room with two desks."},
+        {"near": (9.99, 53.55), "radius": 1e6},
+        {"capture": films[room], "refine": False},
+    ):
+        found = world.locate(**asked)
+        assert {m.scene for m in found.modes} == set(names)
+        assert sum(m.probability for m in found.modes) > 0.8
+
+
 def test_few_are_opened_and_the_others_are_weighed(both, monkeypatch):
     monkeypatch.setattr(among, "LIKELIEST", 1)
     read, mapped = both

@@ -234,6 +234,10 @@ def test_options_out_of_range(wrong, name, extract, tmp_path):
 def test_an_extract_that_is_missing(tmp_path):
     with pytest.raises(InputError, match=r"no\.osm\.pbf does not exist"):
         build_world([tmp_path / "no.osm.pbf"], tmp_path / "w", SMALL)
+    with pytest.raises(InputError, match="cannot be read"):
+        build_world([tmp_path / f"{'x' * 300}.osm.pbf"], tmp_path / "w", SMALL)
+    with pytest.raises(OptionError, match="name at least one"):
+        build_world([], tmp_path / "w", SMALL)
     assert not (tmp_path / "w").exists()
 
 

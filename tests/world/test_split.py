@@ -24,6 +24,20 @@ def test_split(world, text, outside, inside):
 
 
 @pytest.mark.parametrize(
+    ("text", "indoors"),
+    [
+        ("I am in the library", True),
+        ("I am at Lange Straße 7", True),
+        ("I am on the second floor", True),
+        ("I am next to the sofa", True),
+        ("A bakery is north of me. A church is east of the bakery.", False),
+    ],
+)
+def test_who_may_be_indoors(world, text, indoors):
+    assert understand(text, {"west": world.towns["west"]}, THINGS).indoors is indoors
+
+
+@pytest.mark.parametrize(
     ("text", "outside", "inside"),
     [
         ("Ich bin in der Bibliothek in der Langen Straße, am Fenster", True, ["near: window"]),

@@ -1,8 +1,9 @@
 """A world with more scenes than can be opened: few of them are looked into, all are weighed.
 
 What is said of the inside, what frames show and a fix weigh all scenes of all shards by their columns.
-Maps are opened of the likeliest, of those that were spoken of by name, and of those that stand where
-a town's best places are; what the others hold of the probability is no mode's, and is told as `rest`.
+Maps are opened of those that were spoken of by name, and, where somebody may be indoors, of the likeliest
+and of those that stand where a town's best places are; what the others hold of the probability is no
+mode's, and is told as `rest`.
 """
 
 from __future__ import annotations
@@ -172,13 +173,14 @@ def among(world: World, crowd: Crowd, known: Known, heard: Heard) -> World:
         weighed = by_frames(crowd, known.capture, known.frames, SearchOptions())
         weights += np.log(weighed.shares + 1e-12)
         missing = 0.0  # `weighed.elsewhere` holds them
-    places = [(m.longitude, m.latitude) for t in heard.towns.values() for m in t.estimate.modes]
-    told = bool(np.ptp(weights))  # else none is likelier than another
-    likely = np.argsort(-weights, kind="stable")[: LIKELIEST * told].tolist()
+    places, likely = [], np.zeros(0, np.int64)
+    if heard.understood is None or known.capture is not None or heard.understood.indoors:
+        places = [(m.longitude, m.latitude) for t in heard.towns.values() for m in t.estimate.modes]
+        likely = np.argsort(-weights, kind="stable")[:LIKELIEST]
     named = sorted(crowd.spoken(known.text), key=lambda row: -weights[row])[:NAMED]
     names: dict[int, str] = {}
     notes = list(crowd.notes)
-    for row in sorted({*likely, *named, *crowd.beside_places(places)[:BESIDE]}):
+    for row in sorted({*likely.tolist(), *named, *crowd.beside_places(places)[:BESIDE]}):
         try:
             crowd.map(row)
         except PlacegraphError as error:

@@ -20,7 +20,7 @@ from placegraph import locks
 from placegraph.errors import InputError, MapError, OptionError
 from placegraph.files import cannot_write, write_file
 from placegraph.formats.place.osm import checked_osm
-from placegraph.formats.place.urls import all_on_disk, is_url
+from placegraph.formats.place.urls import all_on_disk, is_url, size_of
 from placegraph.outdoor.map.cells import LARGEST, SMALLEST
 from placegraph.outdoor.map.split import Split, split, spread_large
 from placegraph.threads import processors
@@ -141,9 +141,10 @@ def build_world(
     tell = progress or (lambda _step, _done, _total: None)
     target = Path(folder)
     work = target / WORK
-    for path in extracts:
-        if not is_url(path):
-            checked_osm(Path(path))  # before anything is made
+    if not extracts:
+        raise OptionError("No extract is given; name at least one.")
+    for path in extracts:  # before anything is made
+        _ = size_of(str(path)) if is_url(path) else checked_osm(Path(path))
     try:
         (target / "shards").mkdir(parents=True, exist_ok=True)
         work.mkdir(exist_ok=True)
@@ -190,8 +191,6 @@ class _Build:
 
     def begin(self, extracts: list[Path]) -> None:
         """Take up the build that was begun here, if it is the same."""
-        if not extracts:
-            raise OptionError("No extract is given; name at least one.")
         self.extracts = sorted(extracts)
         plan, path = plan_of(self.extracts, self.options), self.work / PLAN
         if path.exists():

@@ -57,6 +57,14 @@ class Understood:
     floors: tuple[Floor, ...] = ()
     """Floors that the speaker was said to be on."""
 
+    @property
+    def indoors(self) -> bool:
+        """Whether the speaker may be inside of something, by what was said."""
+        said = (s for description in self.outside.values() for s in description.statements)
+        return self.inside is not None or bool(self.floors) or any(
+            s.relation in _WITHIN and s.source == SPEAKER for s in said
+        )  # fmt: skip
+
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and strings."""
         outside: dict[str, None] = {}

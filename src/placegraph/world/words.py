@@ -39,7 +39,8 @@ def by_words(world: World, known: Known, witnesses: Witnesses) -> WorldEstimate:
     inside = witnesses.speaks_inside or known.text is None
     if not inside and len(witnesses.towns) == 1:
         return _of_one_town(witnesses)
-    mapped, in_town = (MAPPED, IN_TOWN) if inside and witnesses.scenes else (0.0, MAPPED + IN_TOWN)
+    scenes = inside and (witnesses.scenes or witnesses.others)
+    mapped, in_town = (MAPPED, IN_TOWN) if scenes else (0.0, MAPPED + IN_TOWN)
     logs = {
         name: float(np.log(mapped * witnesses.prior(name))) + w.said
         for name, w in witnesses.scenes.items()

@@ -136,7 +136,7 @@ class World:
             `top`: modes at most (5); `most`: scenes in which a pose is sought, at most (8);
             `refine`, `device`, `progress`: as of `SceneMap.localize`; `answers` to questions, and the
             `language` of the text: as of `CityMap.locate`; `budget` [s] ends the search of a world in
-            shards early: the best so far is `AMBIGUOUS`, and the reason tells what share was searched.
+            shards early: the best so far is `AMBIGUOUS`, and the reason tells what share was not.
             What frames show is sought as long as it takes.
 
         Returns

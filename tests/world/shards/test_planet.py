@@ -10,8 +10,9 @@ import pytest
 import placegraph as pg
 from placegraph.errors import DescriptionError, InputError, MapError, OptionError
 from placegraph.estimate import Status
-from placegraph.world.shards import steps, workers
+from placegraph.world.shards import search, steps, workers
 from placegraph.world.shards.search import Search
+from placegraph_lab.worlds.shards import write_shards
 
 THREE = "The bakery is on the north of the cafe. The cafe is on the east of the bench. "
 TEXTS = (
@@ -164,6 +165,32 @@ def test_a_shard_that_cannot_matter_may_be_missing(world):
             break
     after = pg.open_world(world).locate(text)
     assert after.best.probability == pytest.approx(before.best.probability, abs=0.01)
+
+
+def test_a_search_ends_where_what_is_lost_alone_matters(whole, tmp_path, monkeypatch):
+    """A shard does not answer, and all others not looked into are negligible."""
+    write_shards(whole, tmp_path / "WORLD", 16)
+    monkeypatch.setattr(search, "NEGLIGIBLE", 0.1)
+    text = "I am at the Museum of Salt. A bench is north of me."
+    rounds, enough = [], Search._enough
+
+    def counted(self, found, order):
+        rounds.append(order)
+        assert len(rounds) < 50
+        return enough(self, found, order)
+
+    monkeypatch.setattr(Search, "_enough", counted)
+    planet = pg.open_world(tmp_path / "WORLD")
+    planet.locate(text)
+    (town,) = planet.planets.values()
+    for row in rounds[-1][:4].tolist():
+        rounds.clear()
+        path = town.sources[row].path
+        kept = path.read_bytes()
+        path.unlink()
+        found = pg.open_world(tmp_path / "WORLD").locate(text)
+        assert any(path.name in note for note in found.notes)
+        path.write_bytes(kept)
 
 
 @pytest.mark.parametrize("fix", [{}, {"near": (10.012, 50.006), "radius": 200.0}])

@@ -194,15 +194,19 @@ def _ending(path: Path) -> str:
 
 def checked_osm(path: Path) -> Path:
     """Path of a file that may be read; raises `InputError` where it is none."""
-    if path.is_dir():
+    try:
+        size = -1 if path.is_dir() else path.stat().st_size
+    except (OSError, ValueError) as error:
+        missing = isinstance(error, FileNotFoundError)
+        why = "does not exist" if missing else f"cannot be read ({error})"
+        raise InputError(f"{path} {why}; check the path.") from error
+    if size < 0:
         raise InputError(f"{path} is a folder; name an OpenStreetMap file in it.")
-    if not path.exists():
-        raise InputError(f"{path} does not exist; check the path.")
     if not path.name.lower().endswith(SUFFIXES):
         raise InputError(
             f"{path} has an unknown ending; OpenStreetMap files end in {', '.join(SUFFIXES)}."
         )
-    if path.stat().st_size == 0:
+    if size == 0:
         raise InputError(f"{path} is empty; download or export it again.")
     return path
 

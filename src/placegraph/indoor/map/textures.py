@@ -10,6 +10,7 @@ import io
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from threading import Lock
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -107,27 +108,23 @@ def decode(blobs: Sequence[bytes], path: object) -> tuple[NDArray[np.uint8], ...
 
     Raises `MapError` naming `path` where one is no image, or where all together would fill memory.
     """
-    left = 4 * FREE_PIXELS + PIXELS_A_BYTE * sum(map(len, blobs))
+    size, lock = sum(map(len, blobs)), Lock()
+    left = 4 * FREE_PIXELS + PIXELS_A_BYTE * size
 
-    def decoded(first: int) -> list[NDArray[np.uint8]]:
+    def decoded(i: int) -> NDArray[np.uint8]:
         nonlocal left
-        out = []
-        for i in range(first, len(blobs), 2):
-            with _opened(blobs[i], f"{path}: texture {i}") as image:
+        with _opened(blobs[i], f"{path}: texture {i}") as image:
+            with lock:
                 left -= image.width * image.height
-                if left < 0:
-                    raise MapError(
-                        f"{path} says that its textures have more texels than its "
-                        f"{sum(map(len, blobs)):,} bytes of them can hold; it is damaged, or made to "
-                        "fill memory. Build the map again."
-                    )
-                out.append(rgb_of(image))
-        return out
+            if left < 0:
+                raise MapError(
+                    f"{path} says that its textures have more texels than its {size:,} bytes of them "
+                    "can hold; it is damaged, or made to fill memory. Build the map again."
+                )
+            return rgb_of(image)
 
-    found = [np.zeros((0, 0, 3), np.uint8)] * len(blobs)
     with ThreadPoolExecutor(2) as pool:  # Pillow works outside the interpreter's lock
-        found[::2], found[1::2] = pool.map(decoded, (0, 1))
-    return tuple(found)
+        return tuple(pool.map(decoded, range(len(blobs))))
 
 
 def _encode_picture(picture: Picture, detail: Detail, needed: NDArray[np.float64]) -> bytes:

@@ -19,7 +19,7 @@ from placegraph.outdoor.map.index_kernels import SLOTS, below
 FIRST = 64
 """So many tiles of largest bound are looked at first, then four times as many, and so on: what they
 hold tells which others may matter."""
-DRAWN = 4
+A_TILE = 4
 """For about so many viewpoints that are drawn, a tile of those that cannot matter is looked at."""
 NOTHING = 1e-4
 """Tiles that together weigh less than this share of those looked at weigh nothing."""
@@ -35,10 +35,10 @@ def promising_views(statements, mentions, views, weights, most, drawn, least):
 
     Only viewpoints that have all things of at least one statement in sight are worth it. The bound
     (`bounds_of`) is of the likelihood ratio, times the prior `weights` (W,), all equal where empty.
-    First come the `most` of largest bound of all the map, the most promising first, which stand for
-    none: a tile is passed over only where the bound of the whole tile is below theirs, or no larger than
-    `least`. Then `drawn` others that stand for all others (`draw`); tiles that were passed over are
-    represented by some of them, each drawn as surely as it may weigh.
+    First come the `most` of largest bound of all the map that is `least` at least, the most promising
+    first, which stand for none: a tile is passed over only where the bound of the whole tile is below
+    theirs, or no larger than `least`. Then `drawn` others that stand for all others (`draw`); tiles that
+    were passed over are represented by some of them, each drawn as surely as it may weigh.
     """
     promise = _of_tiles(statements, mentions, views)
     if len(weights):
@@ -72,7 +72,7 @@ def promising_views(statements, mentions, views, weights, most, drawn, least):
             promise,
             share,
             seen[1][:many].sum(),
-            drawn // DRAWN,
+            max(1, drawn // A_TILE),
         )
         seen, many, n, least = _visit(
             statements, mentions, views, weights, rest, promise, share, most,

@@ -58,16 +58,16 @@ class Candidates(NamedTuple):
 
 
 def ranks(
-    bounds: NDArray[np.float64], stands: NDArray[np.float64], most: int
+    bounds: NDArray[np.float64], stands: NDArray[np.float64], most: int, drawn: int = DRAWN
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Rows of the `most` of largest bound, and of `DRAWN` that stand for all others, as these do.
+    """Rows of the `most` of largest bound, and of `drawn` that stand for all others, as these do.
 
     Columns (K,) are those of `Candidates`; the second is what each row stands for then.
     """
     own = np.flatnonzero(stands == 0.0)
     order = own[np.argsort(-bounds[own], kind="stable")]
     others = np.concatenate([order[most:], np.flatnonzero(stands)])
-    some, stand = draw(bounds[others], np.where(stands[others] == 0.0, 1.0, stands[others]), DRAWN)
+    some, stand = draw(bounds[others], np.where(stands[others] == 0.0, 1.0, stands[others]), drawn)
     return (
         np.concatenate([order[:most], others[some]]),
         np.concatenate([np.zeros(min(most, len(own))), stand]),
@@ -77,7 +77,8 @@ def ranks(
 def candidates(asked: Request, drawn: int = DRAWN, least: float = 0.0) -> Candidates:
     """Viewpoints that the statements may have been made at, by the way that was asked for.
 
-    `drawn`, a power of two, stand for all others; those of a bound below `least` are among these.
+    `drawn`, a power of two, stand for all others. Those of a bound below `least` are among these, but
+    where things out of sight are spoken of, which add to it.
     """
     query, views, way = asked.query, asked.city.views, asked.matching.way
     weights = np.exp(asked.log_prior - asked.highest)
@@ -93,12 +94,12 @@ def candidates(asked: Request, drawn: int = DRAWN, least: float = 0.0) -> Candid
     far = np.zeros((len(chosen), len(query.statements.op)), np.float32)
     found = Candidates(chosen, bounds, far, stands)
     if query.far:
-        found = _with_far(asked, query.far, weights, found)
+        found = _with_far(asked, query.far, weights, found, drawn)
     return found if asked.known.inside is None else found.part(weights[found.rows] > 0.0)
 
 
 def _with_far(
-    asked: Request, far: Far, weights: NDArray[np.float64], found: Candidates
+    asked: Request, far: Far, weights: NDArray[np.float64], found: Candidates, drawn: int
 ) -> Candidates:
     """Add viewpoints around rare things out of sight, and what those add to each statement."""
     statements, city = asked.query.statements, asked.city
@@ -109,7 +110,7 @@ def _with_far(
     stands = np.concatenate([found.stands, np.zeros(len(extra))])
     added = distant(statements, city.columns, far, city.views.positions_of(chosen))
     total = np.log(np.maximum(bounds, 1e-300)) + np.log1p(statements.gain * added).sum(axis=1)
-    rows, stands = ranks(np.exp(total - total.max(initial=-np.inf)), stands, MOST_CANDIDATES)
+    rows, stands = ranks(np.exp(total - total.max(initial=-np.inf)), stands, MOST_CANDIDATES, drawn)
     bounds = np.exp(np.minimum(total[rows], 690.0))
     return Candidates(chosen[rows], bounds, added[rows], stands)
 

@@ -96,6 +96,8 @@ class Search:
         found, first, size = Merged(asked), 0, FIRST
         while first < len(order) and not self.late and not self.settled(found):
             last = min(first + size, self._enough(found, order))
+            if last <= first:  # what is missing are shards that did not answer
+                break
             rows, least = order[first:last], found.least
             drawn = self._drawn(found, rows)
             told = [(row, (asked, least, n)) for row, n in zip(rows.tolist(), drawn, strict=True)]
@@ -174,7 +176,8 @@ class Search:
             return ""
         lost = f"{len(self.lost)} of the shards did not answer"
         why = "The time was over" if self.late else lost
-        return f"{why}: {missing:.1%} of the world, where it may be as well, was not searched."
+        share = f"{missing:.1%}" if missing >= 0.001 else "less than 0.1%"
+        return f"{why}: {share} of the world, where it may be as well, was not searched."
 
     def _near(self, asked: Asked, cores: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Shards (N,) from which a rare thing out of sight may be spoken of."""

@@ -248,7 +248,7 @@ def proposed(shard: Shard, asked: Asked, least: float, drawn: int) -> Proposed:
     none = np.zeros(0)
     found = Candidates(none.astype(np.int32), none, np.zeros((0, n), np.float32), none)
     if highest > -np.inf:
-        found = candidates(request, drawn, float(np.exp(least - highest)))
+        found = candidates(request, drawn, float(np.exp(min(least - highest, 690.0))))
     rows, far = found.rows, found.far
     if asked.query.far is None:
         far = far[:, :0]
