@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.features import inside
-from placegraph.outdoor.language.description import SPEAKER, Relation
+from placegraph.outdoor.language.description import SPEAKER, WITHIN, Relation
 from placegraph.outdoor.map.objects import AREA, POINT
 from placegraph.outdoor.map.raster_kernels import nearest_on_parts
 from placegraph.outdoor.search.confidence import claim_of
@@ -87,7 +87,7 @@ class Buildings:
         )
         weights, meant = [], False
         for i, s in enumerate(self.asked.query.used):
-            own = s.relation in (Relation.INSIDE, Relation.SAME) and s.source == SPEAKER
+            own = s.relation in WITHIN and s.source == SPEAKER
             told = float((ratios[: len(inner)] if own else ratios)[:, i].max())
             if i in self.streets:
                 told = self._of_street(i, footprint)

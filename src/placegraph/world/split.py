@@ -15,7 +15,7 @@ from placegraph.indoor.language import read as read_inside
 from placegraph.indoor.language.likeness import EXACT, fits, room_kind, table
 from placegraph.indoor.language.sentence import Kind
 from placegraph.language.check import Ignored, check
-from placegraph.outdoor.language.description import LISTENER, SPEAKER, Relation
+from placegraph.outdoor.language.description import LISTENER, SPEAKER, WITHIN, Relation
 from placegraph.outdoor.likelihood.query import read as read_outside
 from placegraph.outdoor.likelihood.statements import ends
 from placegraph.world.floors import said_floors
@@ -40,8 +40,6 @@ _WINDS = frozenset(
     ("north", "south", "east", "west", "northeast", "northwest", "southeast", "southwest")
 )
 
-_WITHIN = (Relation.INSIDE, Relation.SAME)
-
 
 @dataclass(frozen=True)
 class Understood:
@@ -62,7 +60,7 @@ class Understood:
         """Whether the speaker may be inside of something, by what was said."""
         said = (s for description in self.outside.values() for s in description.statements)
         return self.inside is not None or bool(self.floors) or any(
-            s.relation in _WITHIN and s.source == SPEAKER for s in said
+            s.relation in WITHIN and s.source == SPEAKER for s in said
         )  # fmt: skip
 
     def to_dict(self) -> dict[str, Any]:
@@ -160,7 +158,7 @@ def addressed(description: Description, town: Town) -> Description:
     statements = tuple(
         replace(s, relation=Relation.ALONG)
         if s.source == SPEAKER
-        and s.relation in _WITHIN
+        and s.relation in WITHIN
         and (name := mentions[s.target].name)
         and town.is_street(name)
         else s
@@ -212,7 +210,7 @@ def _kept(said: Description, out: Collection[int]) -> Description:
     rooms = {
         s.target
         for s in said.statements
-        if s.source == SPEAKER and s.relation in _WITHIN and s.target not in known
+        if s.source == SPEAKER and s.relation in WITHIN and s.target not in known
     }
     kept = []
     for s in said.statements:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from placegraph.evidence import Evidence
 from placegraph.indoor.map.floor import storeys
-from placegraph.outdoor.language.description import SPEAKER, Relation
+from placegraph.outdoor.language.description import SPEAKER, WITHIN
 from placegraph.outdoor.language.words import tokens
 from placegraph.world.floors import ratio_of
 from placegraph.world.inside import Inside, things_of
@@ -246,7 +246,7 @@ def _denied(understood: Understood | None) -> tuple[str, ...]:
         d.mentions[s.target].name
         for d in said for s in d.statements
         if d.mentions[s.target].name and s.negated and s.source == SPEAKER
-        and s.relation in (Relation.INSIDE, Relation.SAME)
+        and s.relation in WITHIN
     ))  # fmt: skip
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from placegraph.estimate import Status
 from placegraph.indoor.library.answer import SURE
-from placegraph.outdoor.language.description import SPEAKER, Relation
+from placegraph.outdoor.language.description import SPEAKER, WITHIN
 from placegraph.world.estimate import WorldEstimate, WorldMode
 from placegraph.world.inside import rooms_of
 from placegraph.world.standing import nowhere
@@ -119,9 +119,7 @@ def place_modes(town: Outside, share: float) -> list[WorldMode]:
 def _place_mode(town: Outside, place: Place) -> WorldMode:
     """A place of a town, with the building that the speaker is said to be in."""
     said = [
-        i
-        for i, s in enumerate(town.query.used)
-        if s.relation in (Relation.INSIDE, Relation.SAME) and s.source == SPEAKER
+        i for i, s in enumerate(town.query.used) if s.relation in WITHIN and s.source == SPEAKER
     ]
     told = (e for i in said for e in place.evidence[i : i + 1])  # found only where it is needed
     building = next((o.name for e in told for o in e.objects if o.id[0] != "n" and o.name), "")

@@ -45,6 +45,10 @@ class Relation(StrEnum):
     """Source stands at the target itself: "I'm at the bakery"."""
 
 
+WITHIN = (Relation.INSIDE, Relation.SAME)
+"""Relations of who is inside of something, or is there where it is."""
+
+
 @dataclass(frozen=True, slots=True)
 class Sense:
     """One meaning of a word: a map label and how likely the word means it."""
