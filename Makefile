@@ -6,6 +6,7 @@ CORE := $(VENV)/.core
 TOOLS := $(VENV)/.tools
 # Bytecode is written when a module is first imported, and most of what is installed never is.
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
+PLUGINS := io serve ros scale learn
 PYTEST := $(BIN)/python -m pytest -n auto --dist worksteal
 
 # Debian's browser for the tests of pages, where it may be installed without a password.
@@ -55,7 +56,7 @@ release: $(TOOLS) ## build wheel and sdist into dist/, check them, and write wha
 
 clean: ## remove what the targets above left behind, .venv included
 	rm -rf $(VENV) demo-out dist site .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache .benchmark-cache
-	find src lab tests docs examples -name __pycache__ -type d -prune -exec rm -rf {} +
+	find src packages lab tests docs examples -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(CORE): pyproject.toml $(BIN)/python
 	$(PIP) --editable .
@@ -64,13 +65,13 @@ $(CORE): pyproject.toml $(BIN)/python
 # PyTorch is pinned here and nowhere else; kornia and timm, which would bring another one, come with
 # it. Without them, training, the matcher XFeat and timm's backbones are left out, and their tests.
 # The browser is fetched meanwhile: pip keeps one processor busy.
-$(TOOLS): pyproject.toml lab/pyproject.toml $(BIN)/python
+$(TOOLS): pyproject.toml lab/pyproject.toml $(wildcard packages/*/pyproject.toml) $(BIN)/python
 	@{ $(CHROMIUM); } >/dev/null 2>&1 & browser=$$!; \
 	$(PIP) torch==2.13.0 'kornia>=0.9' \
 	  || echo "PyTorch 2.13.0 cannot be had: tests of training and of XFeat will be skipped" >&2; \
 	$(PIP) torch==2.13.0 torchvision==0.28.0 'timm>=1.0' 'safetensors>=0.4' \
 	  || echo "timm cannot be had: tests of its backbones will be skipped" >&2; \
-	$(PIP) --editable '.[dev,docs]' --editable ./lab || exit 1; \
+	$(PIP) --editable '.[dev,docs]' $(addprefix --editable ./packages/placegraph-,$(PLUGINS)) --editable ./lab || exit 1; \
 	wait $$browser || echo "No chromium: tests of pages will be skipped" >&2
 	@touch $(CORE) $@
 

@@ -5,14 +5,14 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 import pytest
 
-from placegraph.geometry import LocalPlane
+from placegraph.core.geometry import LocalPlane
 from placegraph.outdoor.city import build_city
 from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.network.encoded import EncodedCity
 from placegraph.outdoor.network.network import GraphTransformer
 from placegraph.outdoor.network.weights import Shape
 from placegraph.outdoor.network.weights import sizes as sizes_of
-from placegraph_lab.train.city.sample import Speaker
+from placegraph_learn.train.city.sample import Speaker
 
 PLANE = LocalPlane(10.0, 50.0)
 SMALL = Shape(width=16, dimension=12, heads=2, layers=2, crossings=2, evidence=8)
@@ -122,7 +122,7 @@ def speakers(harbour, vocabulary):
 @pytest.fixture(scope="session")
 def pool(speakers):
     """Examples from the shipped town."""
-    from placegraph_lab.train.city.pool import fill
+    from placegraph_learn.train.city.pool import fill
 
     return fill(speakers[0], 24, np.random.default_rng(5))
 

@@ -8,7 +8,7 @@ import zlib
 import numpy as np
 from PIL import Image
 
-from placegraph.geometry import rotation_z
+from placegraph.core.geometry import rotation_z
 
 NAME = "scene0000_00"
 DRAWING = """

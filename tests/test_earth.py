@@ -8,9 +8,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph.earth import Anchor, ecef_from_enu, ecef_from_geodetic, geodetic_from_ecef, ranked
-from placegraph.errors import OptionError
-from placegraph.geometry import (
+from placegraph.core.earth import (
+    Anchor,
+    ecef_from_enu,
+    ecef_from_geodetic,
+    geodetic_from_ecef,
+    ranked,
+)
+from placegraph.core.geometry import (
     WGS84_A,
     LocalPlane,
     level_from_camera,
@@ -19,7 +24,8 @@ from placegraph.geometry import (
     rotation_from_vector,
     vector_from_rotation,
 )
-from placegraph.geopose import CAMERA_FROM_BODY
+from placegraph.core.geopose import CAMERA_FROM_BODY
+from placegraph.errors import OptionError
 
 anchors = st.builds(
     Anchor, st.floats(-180, 180), st.floats(-90, 90), st.floats(-500, 9000), st.floats(-7, 7)

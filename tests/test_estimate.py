@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from placegraph.estimate import (
+from placegraph.core.estimate import (
     CityEstimate,
     Evidence,
     ObjectRef,
@@ -18,7 +18,7 @@ from placegraph.estimate import (
     Refinement,
     Status,
 )
-from placegraph.geometry import level_from_camera, pose_matrix
+from placegraph.core.geometry import level_from_camera, pose_matrix
 
 CHAIR = ObjectRef("17", "chair", "")
 CAFE = ObjectRef("way/4711", "amenity=cafe", "Adler", 9.5, 47.1)

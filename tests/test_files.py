@@ -5,13 +5,13 @@ from pathlib import Path
 
 import pytest
 
-from placegraph import files, locks
+from placegraph.core import files, locks
+from placegraph.core.files import put, regular, write_file
 from placegraph.errors import InputError, MapError, MapLockedError
-from placegraph.files import put, regular, write_file
 from placegraph.indoor.encode.confusion import Confusion
 from placegraph.indoor.encode.network import ImageNetwork
-from placegraph.indoor.encode.scenegraphloc.features import read_attributes
 from placegraph.indoor.library.scenes import digest_of
+from placegraph_learn.scenegraphloc.features import read_attributes
 
 
 def test_a_file_takes_the_place_of_the_old_one(tmp_path):

@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from placegraph.earth import Anchor
-from placegraph.errors import GeoPoseError
-from placegraph.estimate import (
+from placegraph.core.earth import Anchor
+from placegraph.core.estimate import (
     CityEstimate,
     Evidence,
     ObjectRef,
@@ -20,8 +19,9 @@ from placegraph.estimate import (
     SceneMode,
     Status,
 )  # fmt: skip
-from placegraph.geojson import SHARE
-from placegraph.geometry import LocalPlane, level_from_camera, pose_matrix
+from placegraph.core.geojson import SHARE
+from placegraph.core.geometry import LocalPlane, level_from_camera, pose_matrix
+from placegraph.errors import GeoPoseError
 
 CAFE = Evidence(
     "A café is near", "for", 2.0, (ObjectRef("node/1", "amenity=cafe", "Adler", 9.5, 47.1),)

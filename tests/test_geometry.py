@@ -7,7 +7,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from placegraph.geometry import (
+from placegraph.core.geometry import (
     LocalPlane,
     angle_between,
     bearing,

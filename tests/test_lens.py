@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from placegraph.core.lens import Camera
 from placegraph.errors import OptionError
-from placegraph.lens import Camera
 
 PLAIN = Camera(640, 360, 460.0, 455.0, 318.0, 181.5)
 WIDE = Camera(640, 480, 300.0, 305.0, 322.0, 236.0, (-0.25, 0.07, 0.001, -0.0008))

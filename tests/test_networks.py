@@ -6,9 +6,9 @@ import sys
 import numpy as np
 import pytest
 
+from placegraph.core.networks import arrays_of, digest, halves, rounded
+from placegraph.core.store import read_map, write_map
 from placegraph.errors import MapError
-from placegraph.networks import arrays_of, digest, halves, rounded
-from placegraph.store import read_map, write_map
 
 CUT = """
 import os, sys
@@ -22,10 +22,10 @@ os.truncate(path, 10)
 print(float(weights["a"].sum()))
 """
 READERS = {
-    "networks": ("placegraph.networks", "read_state", "torch, path, 'x'", "pt"),
-    "backbone": ("placegraph.indoor.encode.backbone", "_state", "torch, path, 'x'", "safetensors"),
+    "networks": ("placegraph.core.networks", "read_state", "torch, path, 'x'", "pt"),
+    "backbone": ("placegraph_learn.backbone", "_state", "torch, path, 'x'", "safetensors"),
     "scenegraphloc": (
-        "placegraph.indoor.encode.scenegraphloc.weights", "read_state", "path", "safetensors",
+        "placegraph_learn.scenegraphloc.weights", "read_state", "path", "safetensors",
     ),
 }  # fmt: skip
 

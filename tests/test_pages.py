@@ -3,9 +3,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from placegraph.core.pages import PAGE, STARTS, SUMS, Texts, open_pages, packed, with_sums
+from placegraph.core.store import write_map
 from placegraph.errors import InputError, MapError
-from placegraph.pages import PAGE, STARTS, SUMS, Texts, open_pages, packed, with_sums
-from placegraph.store import write_map
 
 TYPES = {"numbers": "<u8", "short": "<i4", "text": "|u1", "text_starts": STARTS}
 NAMES = tuple(f"name {i}" for i in range(9_000))

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import placegraph as pg
-from placegraph.estimate import Evidence, Place, Status
-from placegraph.evidence import Explained
-from placegraph.formats.capture.capture import Frame
-from placegraph.geometry import Camera
+from placegraph.core.estimate import Evidence, Place, Status
+from placegraph.core.evidence import Explained
+from placegraph.core.geometry import Camera
+from placegraph.io.capture.capture import Frame
 
 SAID = "A bakery is north of me. The church is east of the bakery."
 

@@ -15,7 +15,7 @@ def test_every_public_name_is_there(name):
 
 
 def test_lazy_names_are_what_their_modules_hold():
-    from placegraph.graph import SceneGraph
+    from placegraph.core.graph import SceneGraph
     from placegraph.indoor.refine import RefineOptions
     from placegraph.indoor.refine.matching import matcher
     from placegraph.maps import open_map

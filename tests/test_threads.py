@@ -6,9 +6,9 @@ import threading
 import numpy as np
 import pytest
 
-from placegraph.compiled import kernel
+from placegraph.core.compiled import kernel
+from placegraph.core.threads import limited, processors, share
 from placegraph.errors import OptionError
-from placegraph.threads import limited, processors, share
 
 
 @kernel

@@ -10,8 +10,9 @@ from pathlib import Path
 import pytest
 from numba.core import types
 
-from placegraph import cli, kept, warm
+from placegraph import cli
 from placegraph.cli.compiling import Compiling
+from placegraph.core import kept, warm
 from placegraph.errors import OptionError
 
 CALLS = list(dict.fromkeys(call for calls in warm.commands().values() for call in calls))

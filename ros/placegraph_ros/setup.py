@@ -16,5 +16,5 @@ setup(
     ],
     install_requires=["setuptools"],
     zip_safe=True,
-    entry_points={"console_scripts": ["localizer = placegraph.ros.node:main"]},
+    entry_points={"console_scripts": ["localizer = placegraph_ros.node:main"]},
 )

@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING
 from placegraph import errors
 
 if TYPE_CHECKING:
-    from placegraph.earth import Anchor
-    from placegraph.estimate import Estimate, Refinement, Status
-    from placegraph.formats.capture.capture import Capture, Frame, open_capture
-    from placegraph.graph import SceneGraph
+    from placegraph.core.earth import Anchor
+    from placegraph.core.estimate import Estimate, Refinement, Status
+    from placegraph.core.graph import SceneGraph
     from placegraph.indoor.build import build_scene
     from placegraph.indoor.encode import encoder
     from placegraph.indoor.language import rank_scenes
@@ -25,6 +24,7 @@ if TYPE_CHECKING:
     from placegraph.indoor.refine import RefineOptions
     from placegraph.indoor.refine.matching import matcher
     from placegraph.indoor.scene_map import SceneMap
+    from placegraph.io.capture.capture import Capture, Frame, open_capture
     from placegraph.maps import open_map
     from placegraph.outdoor.city import CityMap, build_city
     from placegraph.outdoor.language import describe
@@ -34,21 +34,21 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOME = {
-    "Anchor": "placegraph.earth",
-    "Capture": "placegraph.formats.capture.capture",
+    "Anchor": "placegraph.core.earth",
+    "Capture": "placegraph.io.capture.capture",
     "CityMap": "placegraph.outdoor.city",
-    "Estimate": "placegraph.estimate",
+    "Estimate": "placegraph.core.estimate",
     "FilterOptions": "placegraph.indoor.options",
-    "Frame": "placegraph.formats.capture.capture",
+    "Frame": "placegraph.io.capture.capture",
     "Prior": "placegraph.indoor.pose.prior",
     "RefineOptions": "placegraph.indoor.refine",
-    "Refinement": "placegraph.estimate",
+    "Refinement": "placegraph.core.estimate",
     "Region": "placegraph.vectors",
-    "SceneGraph": "placegraph.graph",
+    "SceneGraph": "placegraph.core.graph",
     "SceneLibrary": "placegraph.indoor.library",
     "SceneMap": "placegraph.indoor.scene_map",
     "SearchOptions": "placegraph.indoor.library",
-    "Status": "placegraph.estimate",
+    "Status": "placegraph.core.estimate",
     "World": "placegraph.world",
     "build_city": "placegraph.outdoor.city",
     "build_scene": "placegraph.indoor.build",
@@ -56,7 +56,7 @@ _HOME = {
     "encoder": "placegraph.indoor.encode",
     "matcher": "placegraph.indoor.refine.matching",
     "merge_scenes": "placegraph.indoor.mapping.merge",
-    "open_capture": "placegraph.formats.capture.capture",
+    "open_capture": "placegraph.io.capture.capture",
     "open_map": "placegraph.maps",
     "open_store": "placegraph.vectors",
     "open_world": "placegraph.world",

@@ -10,14 +10,14 @@ from os.path import realpath
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from placegraph import store
+from placegraph.core import store
 from placegraph.errors import InputError, MapError, PlacegraphError
 
 if TYPE_CHECKING:
     from placegraph.indoor.library import SceneLibrary
-    from placegraph.indoor.library.shards import SceneShards
     from placegraph.indoor.scene_map import SceneMap
     from placegraph.outdoor.city import CityMap
+    from placegraph_scale.library.shards import SceneShards
 
 KINDS = {".city": "city", ".scene": "scene", ".library": "library"}
 """Kind of map that a file of each name holds."""
@@ -47,7 +47,7 @@ def open_map(path: str | os.PathLike[str]) -> CityMap | SceneMap | SceneLibrary 
     if _is_scene_graph(Path(path)):
         return open_scene(path)
     if is_shards(path):
-        from placegraph.indoor.library.shards import SceneShards
+        from placegraph_scale.library.shards import SceneShards
 
         return SceneShards.open(path)
     if is_world(path):
@@ -100,8 +100,8 @@ def _holds(folder: str | os.PathLike[str], name: str) -> bool:
 
 def open_rooms(path: str | os.PathLike[str]) -> SceneMap | SceneLibrary:
     """Open a scene map or a library; raises as `open_map`, and `MapError` where it is a city's."""
-    from placegraph.indoor.library.shards import SceneShards
     from placegraph.outdoor.city import CityMap
+    from placegraph_scale.library.shards import SceneShards
 
     found = open_map(path)
     if isinstance(found, SceneShards):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import placegraph as pg
-from placegraph.geometry import Camera
+from placegraph.core.geometry import Camera
 from placegraph.indoor.build import build_scene
 from placegraph_lab.worlds.bags import BagWriter, Layout, write_capture
 from placegraph_lab.worlds.flat.walks import stroll, write_walk

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from placegraph import __version__, open_map
-from placegraph.store import writing
+from placegraph.core.store import writing
 from placegraph_lab.worlds.town.town import Town
 
 CLEAR = "I am on Speicherweg. The museum is south of me."
@@ -131,7 +131,7 @@ def test_build_of_a_large_map_with_and_without_its_index(run, osm, tmp_path, mon
 
 
 def test_no_index_is_not_of_an_extract_that_becomes_a_world(run, osm, tmp_path, monkeypatch):
-    monkeypatch.setattr("placegraph.outdoor.map.split.SMALL", 100)
+    monkeypatch.setattr("placegraph_scale.build.split.SMALL", 100)
     result = run("city", "build", osm, "-o", tmp_path / "a", "--no-index")
     assert result.code == 7
     assert "--no-index is of one map" in result.err

@@ -1,4 +1,4 @@
-"""Commands that another distribution brings, and what is said where it is not installed."""
+"""Commands of other distributions, and the sentence where one is not installed."""
 
 from importlib import import_module
 from importlib.metadata import EntryPoint
@@ -18,26 +18,23 @@ def brought(monkeypatch):
     """Commands of a wing, with the entry points that are installed."""
 
     def of(wing, *points):
-        def installed(*, group):
-            assert group == GROUP
-            return points
-
-        monkeypatch.setattr("importlib.metadata.entry_points", installed)
+        monkeypatch.setattr(
+            extensions, "plugins", lambda group: {p.name: p for p in points if group == GROUP}
+        )
         return extensions.extensions(wing)
 
     return of
 
 
-@pytest.mark.parametrize(
-    ("wing", "name"), [(wing, name) for wing, names in extensions.LAB.items() for name in names]
-)
-def test_without_the_lab_a_sentence_says_how_to_get_it(brought, wing, name):
-    command = brought(wing)[name]
+@pytest.mark.parametrize("name", extensions.KNOWN)
+def test_a_missing_distribution_is_named(brought, name):
+    wing, _, word = name.rpartition(".")
+    command = brought(wing)[word]
     result = CliRunner().invoke(command, ["a.city", "--out", "b"])
     assert isinstance(result.exception, MissingExtraError)
-    assert f"placegraph {wing} {name}" in str(result.exception)
-    assert "pip install placegraph-lab" in str(result.exception)
-    assert command.help == extensions.LAB[wing][name]
+    assert f"`placegraph {name.replace('.', ' ')}`" in str(result.exception)
+    assert "pip install" in str(result.exception)
+    assert command.help == extensions.KNOWN[name][1]
 
 
 def test_what_is_installed_takes_its_place(brought):
@@ -46,7 +43,7 @@ def test_what_is_installed_takes_its_place(brought):
     found = brought("city", ours, other)
     assert found["train"] == "mine.trainings:train"  # imported when it is asked for
     assert isinstance(found["evaluate"], click.Command)
-    assert found.keys() == extensions.LAB["city"].keys()
+    assert found.keys() == {n[5:] for n in extensions.KNOWN if n.startswith("city.")}
 
 
 def test_another_command_joins(brought):

@@ -189,7 +189,7 @@ def test_weights_belong_to_an_encoder_that_has_some(run, world, tmp_path):
 
 
 def test_json_has_no_nan(run, library, monkeypatch):
-    from placegraph.estimate import SceneEstimate
+    from placegraph.core.estimate import SceneEstimate
 
     whole = SceneEstimate.to_dict
     monkeypatch.setattr(

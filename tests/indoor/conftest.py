@@ -7,12 +7,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from placegraph.formats.capture.capture import open_capture
-from placegraph.formats.capture.tum import read_tum
-from placegraph.formats.mesh.model import Model, Picture, Thing
-from placegraph.geometry import Camera
+from placegraph.core.geometry import Camera
+from placegraph.core.threads import limited
 from placegraph.indoor.build import build_scene
-from placegraph.threads import limited
+from placegraph.io.capture.capture import open_capture
+from placegraph.io.capture.tum import read_tum
+from placegraph.io.mesh.model import Model, Picture, Thing
 from placegraph_lab.worlds.flat.flat import Flat
 from placegraph_lab.worlds.flat.walks import stroll, write_walk
 

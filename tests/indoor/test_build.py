@@ -12,14 +12,14 @@ from hypothesis import strategies as st
 from PIL import Image
 
 import placegraph as pg
+from placegraph.core.store import writing
 from placegraph.errors import InputError, MapLockedError, OptionError, PlacegraphError
-from placegraph.formats.mesh.glb import Z_UP
-from placegraph.formats.mesh.model import Picture
 from placegraph.indoor.build import build_scene, scene_of_model
 from placegraph.indoor.map.detail import Detail
 from placegraph.indoor.map.textures import linear_from_srgb, srgb_from_linear
 from placegraph.indoor.mapping.from_capture import FromCapture
-from placegraph.store import writing
+from placegraph.io.mesh.glb import Z_UP
+from placegraph.io.mesh.model import Picture
 
 ROOM = {"floor": ((0, 0, -0.1), (5, 4, 0)), "table": ((1, 1, 0), (2, 2, 0.7))}
 
@@ -411,8 +411,8 @@ def test_the_shared_house(house):
 
 def test_the_house_looks_as_in_its_pictures(house, shared):
     """Objects and colours cast from the true pose agree with the first image of a sequence."""
-    from placegraph.formats.capture.capture import open_capture
-    from placegraph.formats.capture.tum import read_tum
+    from placegraph.io.capture.capture import open_capture
+    from placegraph.io.capture.tum import read_tum
 
     scene, _, _ = house
     folder = shared / "data" / "house" / "seq00"

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 import placegraph.indoor.mapping.simplify.simplify
 from placegraph.errors import InputError, MapError, OptionError, PlacegraphError
-from placegraph.formats.mesh.ply_write import write_ply
 from placegraph.indoor.build import build_scene, scene_of_model
 from placegraph.indoor.map.relations import MOST_OBJECTS
 from placegraph.indoor.mapping.from_capture import FromCapture
+from placegraph.io.mesh.ply_write import write_ply
 
 IDS = np.repeat([0, 1, 2], 12)
 

@@ -9,16 +9,15 @@ import numpy as np
 import pytest
 
 import placegraph as pg
-from placegraph.errors import InputError, OptionError
-from placegraph.estimate import Status
-from placegraph.formats.capture.capture import Capture, open_capture
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import (
+from placegraph.core.estimate import Status
+from placegraph.core.geometry import (
     level_from_camera,
     pose_matrix,
     split_pose,
     vector_from_rotation,
 )
+from placegraph.core.threads import limited
+from placegraph.errors import InputError, OptionError
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.encode import Patches
 from placegraph.indoor.encode.instances import ClassesOfInstances
@@ -28,7 +27,8 @@ from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.options import FilterOptions, Likelihood
 from placegraph.indoor.pose.prior import Prior
 from placegraph.indoor.scene_map import SceneMap
-from placegraph.threads import limited
+from placegraph.io.capture.capture import Capture, open_capture
+from placegraph.io.capture.frame import Frame
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 OPTIONS = FilterOptions()

@@ -11,14 +11,14 @@ from hypothesis import strategies as st
 from PIL import Image
 
 import placegraph as pg
-from placegraph.earth import Anchor
+from placegraph.core.earth import Anchor
+from placegraph.core.store import read_header, write_map
 from placegraph.errors import MapError, OptionError, PlacegraphError
 from placegraph.indoor.build import scene_of_model
 from placegraph.indoor.map import textures
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.scene_file import columns
 from placegraph.indoor.scene_map import SceneMap
-from placegraph.store import read_header, write_map
 
 ROOM = {
     "floor": ((0, 0, -0.1), (5, 4, 0)),
@@ -239,7 +239,7 @@ def test_anchors_that_make_no_sense(anchors, forge):
 
 
 def test_attributes_and_textures_that_make_no_sense(forge):
-    from placegraph.store import pack_strings
+    from placegraph.core.store import pack_strings
 
     for texts in (["[1]", "", ""], ["{", "", ""], ["5", "", ""], ["{}"]):
         with pytest.raises(MapError, match=r"f\.scene"):

@@ -12,11 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import placegraph as pg
+from placegraph.core.store import read_map, write_map
 from placegraph.errors import InputError, MapError, PlacegraphError, StoreError
 from placegraph.maps import open_map
 from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.map.city import KIND, VERSION
-from placegraph.store import read_map, write_map
 from placegraph.vectors import EmbeddedStore, open_store
 
 TEXT = "I am next to a bench. A bakery is north of me. A church is east of the bakery."

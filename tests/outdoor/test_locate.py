@@ -13,8 +13,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from placegraph.core.estimate import Status
 from placegraph.errors import DescriptionError, OptionError
-from placegraph.estimate import Status
 from placegraph.maps import open_map
 from placegraph.outdoor.language.description import Description, Mention, Relation, Sense, Statement
 

@@ -16,7 +16,7 @@ import pytest
 
 from placegraph.errors import ServiceError
 from placegraph.vectors import Vectors
-from placegraph.vectors.server import Server
+from placegraph_scale.milvus.server import Server
 
 
 def make_cloud(rng, count, dimension=8, box=(7.40, 43.72, 7.44, 43.76)):
@@ -179,7 +179,7 @@ def fake():
 @pytest.fixture
 def server(fake, monkeypatch):
     """A `Server` that talks to the fake, and never sleeps."""
-    monkeypatch.setattr("placegraph.vectors.server.sleep", lambda _: None)
+    monkeypatch.setattr("placegraph_scale.milvus.server.sleep", lambda _: None)
     return Server(fake, "http://root:secret@fake:19530")
 
 

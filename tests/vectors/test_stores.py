@@ -18,8 +18,8 @@ from placegraph.vectors import (
     load_store,
     open_store,
 )
-from placegraph.vectors.server import Server
 from placegraph.vectors.stores import is_uri
+from placegraph_scale.milvus.server import Server
 
 URI = "http://fake:19530"
 

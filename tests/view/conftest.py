@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from placegraph.estimate import CityEstimate, Evidence, ObjectRef, Place, Status
+from placegraph.core.estimate import CityEstimate, Evidence, ObjectRef, Place, Status
 from placegraph.language.check import Ignored
 from placegraph.outdoor.city import build_city
 from placegraph.outdoor.language.description import Description, Mention, Relation, Sense, Statement

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 import placegraph as pg
-from placegraph.estimate import Estimate, SceneMode, Status
+from placegraph.core.estimate import Estimate, SceneMode, Status
 
 
 def picture(html):

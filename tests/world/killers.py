@@ -4,7 +4,7 @@ import os
 import signal
 from pathlib import Path
 
-from placegraph.world.tile import build_tile
+from placegraph_scale.build.tile import build_tile
 
 
 def once(job):

@@ -8,10 +8,10 @@ import pytest
 import placegraph as pg
 from placegraph.errors import InputError, MapError, PlacegraphError
 from placegraph.indoor.library.scenes import Entry
-from placegraph.indoor.library.shard_write import Listed, write_shards
-from placegraph.indoor.library.shards import SceneShards
 from placegraph.world import among, open_world
 from placegraph_lab.tables.retrieval.retrieval_scale import varied
+from placegraph_scale.library.shard_write import Listed, write_shards
+from placegraph_scale.library.shards import SceneShards
 
 ASKED = (
     {"text": "I am in the Stadtbibliothek, in a room with two desks."},
@@ -124,7 +124,7 @@ def test_open_map_and_a_folder_of_shards_alone(maps_and_library):
 
 
 def test_by_the_command_line_and_a_server(maps_and_library, run):
-    from placegraph.serve.places import Places
+    from placegraph_serve.places import Places
 
     _, mapped = maps_and_library
     told = run("locate", mapped, "There are two desks.", "--json")
@@ -162,7 +162,7 @@ def test_a_shard_that_cannot_be_read_is_named_and_the_rest_answers(damaged, faul
     elif fault == "another":
         shutil.copy(damaged / "all.shards" / "00002.shard", shard)
     elif fault == "newer":
-        from placegraph import store
+        from placegraph.core import store
 
         file = store.read_map(shard, "shard", 1)
         store.write_map(shard, "shard", 2, file.meta, file.arrays)
@@ -214,7 +214,7 @@ def test_a_map_that_is_gone_is_named(maps_and_library, damaged, tmp_path):
     ],
 )
 def test_a_forged_column_is_refused(damaged, column):
-    from placegraph import store
+    from placegraph.core import store
 
     shard = damaged / "all.shards" / "00001.shard"
     file = store.read_map(shard, "shard", 1)

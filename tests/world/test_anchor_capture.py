@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from placegraph.earth import Anchor
+from placegraph.core.earth import Anchor
+from placegraph.core.geometry import Camera, level_from_camera, pose_matrix
 from placegraph.errors import InputError, OptionError
-from placegraph.formats.capture.capture import Capture
-from placegraph.formats.capture.frame import Frame
-from placegraph.formats.capture.tum import write_tum
-from placegraph.geometry import Camera, level_from_camera, pose_matrix
+from placegraph.io.capture.capture import Capture
+from placegraph.io.capture.frame import Frame
+from placegraph.io.capture.tum import write_tum
 from placegraph.world import fit_capture
 
 TRUE = Anchor(7.42, 43.73, 50.0, 1.1)

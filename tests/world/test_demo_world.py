@@ -5,9 +5,9 @@ import shutil
 import pytest
 
 import placegraph as pg
+from placegraph.core.estimate import Status
 from placegraph.demo.flat import TWIN, WINDOW, furnish
 from placegraph.demo.world import FLAT, TOWNS
-from placegraph.estimate import Status
 
 pytestmark = pytest.mark.all
 

@@ -4,7 +4,7 @@ import dataclasses
 
 import pytest
 
-from placegraph.estimate import Status
+from placegraph.core.estimate import Status
 from placegraph.world import World
 from placegraph.world.floors import ABOVE, ratio_of, said_floors
 

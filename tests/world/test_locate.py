@@ -6,8 +6,8 @@ import pickle
 import numpy as np
 import pytest
 
+from placegraph.core.estimate import Status
 from placegraph.errors import OptionError
-from placegraph.estimate import Status
 from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.world import World
 

@@ -1,1 +1,1 @@
-"""The package of ROS 2 about `placegraph.ros.node`; all code lies in placegraph itself."""
+"""The package of ROS 2 about `placegraph_ros.node`; all code lies in placegraph itself."""

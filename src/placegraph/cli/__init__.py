@@ -17,8 +17,8 @@ from placegraph.cli.compiling import Compiling
 from placegraph.cli.extensions import extensions
 from placegraph.cli.interrupts import INTERRUPTED, interruptible
 from placegraph.cli.terminal import bare, guarded, harmless
+from placegraph.core.kept import listening, use_folder
 from placegraph.errors import InputError, PlacegraphError
-from placegraph.kept import listening, use_folder
 
 NAME = "placegraph"
 _COMPLETE = "_PLACEGRAPH_COMPLETE"
@@ -68,25 +68,23 @@ LIBRARY = Group(
         "add": f"{_HERE}.library.keep:add",
         "remove": f"{_HERE}.library.keep:remove",
         "info": f"{_HERE}.library.keep:info",
-        "shard": f"{_HERE}.library.shard:shard",
         "search": f"{_HERE}.library.search:search",
         "localize": f"{_HERE}.library.search:localize",
     },
+    partial(extensions, "library"),
 )
 WORLD = Group(
     "world",
     "Countries and planets: a folder of shards, built of extracts of any size.",
-    {"build": f"{_HERE}.world.build:build"},
+    {},
+    partial(extensions, "world"),
 )
 BAG = Group(
     "bag",
     "Bags of ROS: what they hold, and what they can be used for. Every command that takes a capture "
     "takes a bag.",
-    {
-        "info": f"{_HERE}.bag.info:info",
-        "localize": f"{_HERE}.bag.localize:localize",
-        "layout": f"{_HERE}.bag.layout:layout",
-    },
+    {},
+    partial(extensions, "bag"),
 )
 
 
@@ -171,9 +169,8 @@ APP = Group(
         "library": LIBRARY,
         "world": WORLD,
         "bag": BAG,
-        "live": f"{_HERE}.live:live",
-        "serve": f"{_HERE}.serve:serve",
     },
+    partial(extensions, ""),
     params=[
         click.Option(
             ["--version"], is_flag=True, expose_value=False, is_eager=True, callback=_version,

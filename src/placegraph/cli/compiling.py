@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from placegraph import kept
 from placegraph.cli.common import Quiet, progress_of
+from placegraph.core import kept
 from placegraph.errors import OptionError
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ class Compiling:
             return
         from concurrent.futures import BrokenExecutor
 
-        from placegraph.warm import calls_with, missing
+        from placegraph.core.warm import calls_with, missing
 
         self._busy = True  # what is imported here may itself be compiled
         try:
@@ -46,7 +46,7 @@ class Compiling:
 
 def compile_all(calls: list[str], *, hidden: bool) -> list[str]:
     """Compile on all processors, and say how far it is; returns what failed, as of `warm.warm`."""
-    from placegraph.warm import warm
+    from placegraph.core.warm import warm
 
     if not calls:
         return []
@@ -68,7 +68,7 @@ def warm_up(quiet: Quiet = False) -> None:
     Code is kept beside the package or in your cache folder, or in `placegraph --compiled FOLDER`,
     and is valid for this processor, this Python and this version of numba.
     """
-    from placegraph.warm import commands, missing
+    from placegraph.core.warm import commands, missing
 
     if kept.FOLDERS.write is None:
         raise OptionError("--compiled: name a folder that can be written; nothing is kept else.")

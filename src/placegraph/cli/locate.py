@@ -67,7 +67,7 @@ def locate(
     Examples: placegraph locate town/ "I am in the library on Lange Straße, by the window";
     placegraph locate town/ "in the library" --capture walk/ --frames :3 --near 9.99,53.55
     """
-    from placegraph.formats.capture.capture import open_capture
+    from placegraph.io.capture.capture import open_capture
     from placegraph.world import open_world
 
     if frames is not None and capture is None:

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.earth import Anchor
+from placegraph.core.estimate import PoseEstimate
+from placegraph.core.geometry import vector_from_rotation
 from placegraph.demo.town import say_evidence
 from placegraph.demo.world import FLAT, TOWN, TOWNS
-from placegraph.earth import Anchor
-from placegraph.estimate import PoseEstimate
-from placegraph.formats.capture.capture import Capture
-from placegraph.geometry import vector_from_rotation
+from placegraph.io.capture.capture import Capture
 
 if TYPE_CHECKING:
     from placegraph.indoor.scene_map import SceneMap
@@ -29,9 +29,9 @@ def lost_in_a_flat(world: Path, out: Path, say: Callable[[str], None]) -> list[s
 
     Returns the commands that do the same.
     """
-    from placegraph.formats.capture.capture import open_capture
-    from placegraph.formats.capture.tum import read_tum
     from placegraph.indoor.build import build_scene
+    from placegraph.io.capture.capture import open_capture
+    from placegraph.io.capture.tum import read_tum
     from placegraph.view import draw_scene
 
     glb, file, walk = world / f"{FLAT}.glb", out / f"{FLAT}.scene", world / "walk"
@@ -186,8 +186,8 @@ def lost_in_the_world(world: Path, out: Path, say: Callable[[str], None]) -> lis
 
     Returns the commands that do the same.
     """
-    from placegraph.formats.capture.capture import open_capture
     from placegraph.indoor.library import SceneLibrary
+    from placegraph.io.capture.capture import open_capture
     from placegraph.outdoor.city import build_city
     from placegraph.world import open_world
 

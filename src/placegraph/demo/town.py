@@ -6,8 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from placegraph.core.estimate import Estimate
 from placegraph.demo.world import TOWN
-from placegraph.estimate import Estimate
 
 if TYPE_CHECKING:
     from placegraph.outdoor.city import CityMap

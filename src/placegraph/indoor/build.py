@@ -12,9 +12,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.files import real_path
 from placegraph.errors import InputError, OptionError
-from placegraph.files import real_path
-from placegraph.formats.mesh.model import Model, Thing
 from placegraph.indoor.map.detail import Detail, detail_named
 from placegraph.indoor.map.floor import floor_height, is_floor
 from placegraph.indoor.map.mesh import Mesh
@@ -26,6 +25,7 @@ from placegraph.indoor.mapping.from_capture import FromCapture, Progress, Source
 from placegraph.indoor.mapping.reduce import reduced
 from placegraph.indoor.mapping.sources import Reading, Up, read_source
 from placegraph.indoor.scene_map import SceneMap
+from placegraph.io.mesh.model import Model, Thing
 
 FAR = 5000.0
 """Farther from the origin [m] coordinates lose what can be seen, and this is told."""
@@ -61,7 +61,7 @@ def build_scene(
         Map file to write (atomically); None writes nothing.
     labels
         Label of each object by its id or its name: a mapping, or a JSON file as
-        `placegraph.formats.capture.labels.label_table` reads it. It wins over what the source says.
+        `placegraph.io.capture.labels.label_table` reads it. It wins over what the source says.
     floor
         Height of the floor [m, map]; found where not given.
     up
@@ -116,8 +116,8 @@ def build_scene(
     for given in (source, labels):
         if isinstance(given, str | os.PathLike) and os.path.realpath(given) == str(target):
             raise OptionError(f"{given} would be overwritten by its map; name another file.")
+    from placegraph.core.store import writing
     from placegraph.indoor.map.scene_file import KIND, VERSION, columns
-    from placegraph.store import writing
 
     with writing(out_path) as write:
         scene = made()

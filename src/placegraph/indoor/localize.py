@@ -8,10 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from placegraph.core.estimate import PoseEstimate, Status
 from placegraph.errors import OptionError
-from placegraph.estimate import PoseEstimate, Status
-from placegraph.formats.capture.capture import Capture
-from placegraph.formats.capture.frame import Frame
 from placegraph.indoor.encode.instances import foreign
 from placegraph.indoor.likelihood.observe import sight
 from placegraph.indoor.map.scene import Scene
@@ -31,6 +29,8 @@ from placegraph.indoor.refine.landmarks import place
 from placegraph.indoor.refine.matching import Matcher
 from placegraph.indoor.track.tracker import Tracker
 from placegraph.indoor.track.whole import follow
+from placegraph.io.capture.capture import Capture
+from placegraph.io.capture.frame import Frame
 
 WINDOW = 30
 """Frames that are searched and fitted together; a longer capture is tracked, where it can be."""

@@ -10,18 +10,16 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
+from placegraph.core.notebook import Shown
 from placegraph.errors import OptionError
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.map.scene_file import open_scene, save_scene
-from placegraph.notebook import Shown
 
 if TYPE_CHECKING:
     import geopandas as gpd
 
-    from placegraph.estimate import PoseEstimate
-    from placegraph.formats.capture.capture import Capture
-    from placegraph.formats.capture.frame import Frame
-    from placegraph.geometry import Camera
+    from placegraph.core.estimate import PoseEstimate
+    from placegraph.core.geometry import Camera
     from placegraph.indoor.encode import Encoder, MapEncoder
     from placegraph.indoor.language import Sentence
     from placegraph.indoor.likelihood.visibility import VisibilityTable
@@ -36,6 +34,8 @@ if TYPE_CHECKING:
     from placegraph.indoor.render import Rendering
     from placegraph.indoor.track.live import LiveTracker
     from placegraph.indoor.track.tracker import Tracker
+    from placegraph.io.capture.capture import Capture
+    from placegraph.io.capture.frame import Frame
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -47,7 +47,7 @@ class SceneMap(Shown, Scene):
     """
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write the map file (atomically, with checksums); raises as `placegraph.store` does."""
+        """Write the map file (atomically, with checksums); raises as `placegraph.core.store` does."""
         save_scene(self, path)
 
     @classmethod
@@ -249,7 +249,7 @@ class SceneMap(Shown, Scene):
 
     def to_geopandas(self) -> gpd.GeoDataFrame:
         """`to_geojson` as a table in WGS84; raises `MissingExtraError` without GeoPandas."""
-        from placegraph.features import geopandas_of
+        from placegraph.core.features import geopandas_of
 
         return geopandas_of(self.to_geojson())
 

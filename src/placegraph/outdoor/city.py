@@ -11,19 +11,19 @@ from typing import TYPE_CHECKING, Any, Literal, Unpack
 
 from numpy.typing import NDArray
 
+from placegraph.core.files import real_path
+from placegraph.core.notebook import Shown
 from placegraph.errors import OptionError
-from placegraph.files import real_path
-from placegraph.formats.place.overture import Overture
-from placegraph.formats.place.urls import is_url, name_of, on_disk
-from placegraph.notebook import Shown
+from placegraph.io.osm.urls import is_url, name_of, on_disk
 from placegraph.outdoor.map.cells import LARGEST, SMALLEST
 from placegraph.outdoor.map.city import City
+from placegraph_io.overture.overture import Overture
 
 if TYPE_CHECKING:
     import geopandas as gpd
     import numpy as np
 
-    from placegraph.estimate import CityEstimate
+    from placegraph.core.estimate import CityEstimate
     from placegraph.outdoor.language.description import Description
     from placegraph.outdoor.language.vocabulary import Vocabulary
     from placegraph.outdoor.map.extract import Progress
@@ -138,7 +138,7 @@ class CityMap(Shown, City):
 
     def to_geopandas(self, what: Literal["objects", "cells"] = "objects") -> gpd.GeoDataFrame:
         """`to_geojson` as a table in WGS84; raises `MissingExtraError` without GeoPandas."""
-        from placegraph.features import geopandas_of
+        from placegraph.core.features import geopandas_of
 
         return geopandas_of(self.to_geojson(what))
 

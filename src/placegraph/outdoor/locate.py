@@ -8,8 +8,8 @@ from functools import partial
 
 import numpy as np
 
+from placegraph.core.estimate import CityEstimate, Status
 from placegraph.errors import OptionError
-from placegraph.estimate import CityEstimate, Status
 from placegraph.outdoor.language.description import LISTENER, Description, Relation, Statement
 from placegraph.outdoor.likelihood.query import Query, compile_query, read, standing_at
 from placegraph.outdoor.likelihood.statements import ends

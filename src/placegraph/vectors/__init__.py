@@ -12,13 +12,13 @@ from placegraph.vectors.content import (
     VectorStore,
 )
 from placegraph.vectors.embedded import EmbeddedStore
-from placegraph.vectors.milvus import MilvusStore, StoreInfo
 from placegraph.vectors.stores import (
     drop_store,
     list_stores,
     load_store,
     open_store,
 )
+from placegraph_scale.milvus.milvus import MilvusStore, StoreInfo
 
 __all__ = [
     "EmbeddedStore",

@@ -12,8 +12,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from placegraph.core.store import MapFile, read_map, sound, write_map
 from placegraph.errors import OptionError, StoreError
-from placegraph.store import MapFile, read_map, sound, write_map
 from placegraph.vectors.content import (
     GRAIN,
     Neighbours,

@@ -5,11 +5,11 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 
-from placegraph.vectors import milvus
 from placegraph.vectors.content import Origin, Vectors, VectorStore
 from placegraph.vectors.embedded import EmbeddedStore
-from placegraph.vectors.milvus_load import load_milvus
-from placegraph.vectors.server import SCHEMES, Server
+from placegraph_scale.milvus import milvus
+from placegraph_scale.milvus.milvus_load import load_milvus
+from placegraph_scale.milvus.server import SCHEMES, Server
 
 Address = str | os.PathLike[str]
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from PIL import Image
 
-from placegraph.estimate import CityEstimate, Estimate, PoseEstimate
+from placegraph.core.estimate import CityEstimate, Estimate, PoseEstimate
 from placegraph.indoor.library import SceneLibrary
 from placegraph.indoor.map.scene import Scene
 from placegraph.outdoor.map.city import City

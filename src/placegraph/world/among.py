@@ -16,19 +16,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.geometry import LocalPlane
 from placegraph.errors import MapError, PlacegraphError
-from placegraph.geometry import LocalPlane
 from placegraph.indoor.library import SceneLibrary
 from placegraph.indoor.library.answer import by_frames
 from placegraph.indoor.library.options import SearchOptions
-from placegraph.indoor.library.shard_write import Listed, shard_of
-from placegraph.indoor.library.shards import SceneShards
 from placegraph.outdoor.language.words import tokens
 from placegraph.world.standing import UNANCHORED, fit
 from placegraph.world.world import World
+from placegraph_scale.library.shard_write import Listed, shard_of
+from placegraph_scale.library.shards import SceneShards
 
 if TYPE_CHECKING:
-    from placegraph.estimate import SceneMode
+    from placegraph.core.estimate import SceneMode
     from placegraph.indoor.library.scenes import Entry
     from placegraph.indoor.scene_map import SceneMap
     from placegraph.world.known import Known

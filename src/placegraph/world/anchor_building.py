@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from placegraph.earth import Anchor
+from placegraph.core.earth import Anchor
+from placegraph.core.geometry import Floats, rotation_z, wrap
 from placegraph.errors import OptionError
-from placegraph.formats.place.levels import level_text, levels_of
-from placegraph.geometry import Floats, rotation_z, wrap
 from placegraph.indoor.map.scene import Scene
+from placegraph.io.osm.levels import level_text, levels_of
 from placegraph.world.anchor_points import UNKNOWN_HEIGHT, Fitted
 from placegraph.world.footprints import Footprint, footprints
 from placegraph.world.outer_walls import outer_walls

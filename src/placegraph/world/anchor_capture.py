@@ -8,13 +8,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from placegraph.core.estimate import Status
+from placegraph.core.geometry import Floats
 from placegraph.errors import InputError, OptionError
-from placegraph.estimate import Status
-from placegraph.formats.capture.capture import Capture, with_poses
-from placegraph.formats.capture.fixes import FILE, Fix, fixes_of
-from placegraph.geometry import Floats
 from placegraph.indoor.pose.query import Progress
 from placegraph.indoor.scene_map import SceneMap
+from placegraph.io.capture.capture import Capture, with_poses
+from placegraph.io.capture.fixes import FILE, Fix, fixes_of
 from placegraph.world.anchor_points import LEAST, Fitted, fit_points
 
 USUAL = 5.0

@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from placegraph.earth import Anchor
+from placegraph.core.earth import Anchor
+from placegraph.core.geometry import Floats, rotation_z
 from placegraph.errors import OptionError
-from placegraph.geometry import Floats, rotation_z
 from placegraph.world.footprints import Footprint
 
 UNKNOWN_HEIGHT = 100.0

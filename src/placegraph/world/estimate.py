@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
-from placegraph.estimate import Estimate, Status
-from placegraph.evidence import Explained
+from placegraph.core.estimate import Estimate, Status
+from placegraph.core.evidence import Explained
 from placegraph.world.ask import question_of
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from placegraph.earth import EarthPose
-    from placegraph.estimate import CityEstimate, Place, PoseEstimate, PoseMode
+    from placegraph.core.earth import EarthPose
+    from placegraph.core.estimate import CityEstimate, Place, PoseEstimate, PoseMode
     from placegraph.outdoor.search.ask import Question
     from placegraph.world.split import Understood
     from placegraph.world.world import World

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from placegraph.evidence import Evidence
-from placegraph.formats.place.levels import levels_of
+from placegraph.core.evidence import Evidence
+from placegraph.io.osm.levels import levels_of
 
 WRONG = 0.12
 """Share of floors said that are wrong, as of other statements."""

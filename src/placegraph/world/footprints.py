@@ -12,11 +12,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.earth import Anchor
+from placegraph.core.earth import Anchor
+from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
-from placegraph.formats.place.levels import levels_of
-from placegraph.formats.place.osm import POINT, read_osm
-from placegraph.geometry import Floats
+from placegraph.io.osm.levels import levels_of
+from placegraph.io.osm.osm import POINT, read_osm
 
 _KEYS = ("building", "entrance", "door", "name", "addr:housenumber")
 _NAMES = ("name", "official_name", "alt_name", "short_name", "old_name", "loc_name")

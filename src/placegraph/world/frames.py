@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.estimate import SceneEstimate, Status
-from placegraph.geometry import angle_between
+from placegraph.core.estimate import SceneEstimate, Status
+from placegraph.core.geometry import angle_between
 from placegraph.indoor.library.answer import by_frames as by_frames_in
 from placegraph.indoor.library.localize import (
     decided,
@@ -34,9 +34,9 @@ from placegraph.world.standing import nowhere
 from placegraph.world.words import IN_TOWN, LEAST, MAPPED, by_words
 
 if TYPE_CHECKING:
-    from placegraph.estimate import PoseEstimate, PoseMode
-    from placegraph.evidence import Evidence
-    from placegraph.formats.capture.frame import Frame
+    from placegraph.core.estimate import PoseEstimate, PoseMode
+    from placegraph.core.evidence import Evidence
+    from placegraph.io.capture.frame import Frame
     from placegraph.world.known import Known
     from placegraph.world.witnesses import Witness, Witnesses
     from placegraph.world.world import World

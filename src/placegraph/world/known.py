@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.errors import OptionError
-from placegraph.formats.capture.capture import Capture
-from placegraph.formats.capture.frame import Frame
+from placegraph.io.capture.capture import Capture
+from placegraph.io.capture.frame import Frame
 from placegraph.outdoor.search.request import is_count
 from placegraph.outdoor.search.whereabouts import number
 

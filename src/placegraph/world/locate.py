@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from placegraph.core.estimate import Status
 from placegraph.errors import OptionError
-from placegraph.estimate import Status
 from placegraph.world.among import among
 from placegraph.world.ask import with_answers
 from placegraph.world.frames import by_frames

@@ -8,9 +8,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.features import nested
+from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
-from placegraph.features import nested
-from placegraph.geometry import Floats
 from placegraph.indoor.map.floor import label_words
 from placegraph.indoor.map.rooms import rooms_of
 from placegraph.indoor.map.rooms.rooms_kernels import nearest

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from placegraph.geometry import Floats, rotation_z
+from placegraph.core.geometry import Floats, rotation_z
 from placegraph.world.footprints import Footprint, within
 from placegraph.world.outer_walls import WINDOW, OuterWalls
 from placegraph.world.wall_fit import Fit, against, at_entrances, moved_by, same

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.earth import Anchor, EarthPose
-from placegraph.geometry import LocalPlane
+from placegraph.core.earth import Anchor, EarthPose
+from placegraph.core.geometry import LocalPlane
 
 if TYPE_CHECKING:
     from placegraph.indoor.map.scene import Scene

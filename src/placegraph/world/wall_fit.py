@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.geometry import Floats, rotation_z
+from placegraph.core.geometry import Floats, rotation_z
 from placegraph.indoor.map.rooms.rooms_kernels import nearest
 from placegraph.indoor.mapping.osm.walls import off_segments
 from placegraph.world.footprints import Footprint, within

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.evidence import Evidence
+from placegraph.core.evidence import Evidence
 from placegraph.indoor.map.floor import storeys
 from placegraph.outdoor.language.description import SPEAKER, WITHIN
 from placegraph.outdoor.language.words import tokens
@@ -19,7 +19,7 @@ from placegraph.world.split import Understood, understand
 from placegraph.world.standing import UNANCHORED, Standing
 
 if TYPE_CHECKING:
-    from placegraph.estimate import CityEstimate
+    from placegraph.core.estimate import CityEstimate
     from placegraph.world.among import Others
     from placegraph.world.floors import Floor
     from placegraph.world.known import Known

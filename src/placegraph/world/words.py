@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.estimate import Status
+from placegraph.core.estimate import Status
 from placegraph.indoor.library.answer import SURE
 from placegraph.outdoor.language.description import SPEAKER, WITHIN
 from placegraph.world.estimate import WorldEstimate, WorldMode
@@ -20,7 +20,7 @@ from placegraph.world.inside import rooms_of
 from placegraph.world.standing import nowhere
 
 if TYPE_CHECKING:
-    from placegraph.estimate import Place
+    from placegraph.core.estimate import Place
     from placegraph.world.known import Known
     from placegraph.world.outside import Outside
     from placegraph.world.witnesses import Witnesses

@@ -8,8 +8,8 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from placegraph.core.files import real_path
 from placegraph.errors import InputError, OptionError
-from placegraph.files import real_path
 from placegraph.indoor.library import SceneLibrary
 from placegraph.indoor.library.scenes import digest_of
 from placegraph.maps import checked, is_world, open_map
@@ -17,15 +17,15 @@ from placegraph.world.maps import Maps
 from placegraph.world.outside import OneCity
 
 if TYPE_CHECKING:
-    from placegraph.formats.capture.capture import Capture
-    from placegraph.formats.capture.frame import Frame
-    from placegraph.indoor.library.shards import SceneShards
     from placegraph.indoor.scene_map import SceneMap
+    from placegraph.io.capture.capture import Capture
+    from placegraph.io.capture.frame import Frame
     from placegraph.outdoor.city import CityMap
     from placegraph.world.among import Crowd, Others
     from placegraph.world.estimate import WorldEstimate
     from placegraph.world.outside import Town
-    from placegraph.world.shards.planet import Planet
+    from placegraph_scale.library.shards import SceneShards
+    from placegraph_scale.shards.planet import Planet
 
 
 class World:
@@ -212,7 +212,7 @@ def open_world(
         The scheduler takes Dask, which is not installed; or it does not answer.
 
     """
-    from placegraph.world.remote import at_hand
+    from placegraph_scale.remote import at_hand
 
     given = [places] if isinstance(places, str | os.PathLike) else list(places)
     if not given:
@@ -249,6 +249,6 @@ def opened(path: Path, scheduler: str | None = None) -> Any:  # noqa: ANN401  # 
     """What a file or folder of `maps.find` holds; raises as `open_map` and `open_world`."""
     if not is_world(path):
         return open_map(path)
-    from placegraph.world.shards.planet import Planet
+    from placegraph_scale.shards.planet import Planet
 
     return Planet.open(path, scheduler)

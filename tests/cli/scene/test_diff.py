@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from placegraph.geometry import Camera, level_from_camera, pose_matrix
+from placegraph.core.geometry import Camera, level_from_camera, pose_matrix
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.worlds.flat.walks import Walk, write_walk

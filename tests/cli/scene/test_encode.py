@@ -139,7 +139,7 @@ def test_images_of_the_map(run, file, walked, tmp_path):
 @pytest.mark.usefixtures("pooled")
 def test_images_of_elsewhere_are_refused(run, file, walked, tmp_path):
     folder, capture = walked
-    from placegraph.formats.capture.tum import write_tum
+    from placegraph.io.capture.tum import write_tum
 
     far = capture.odometry.copy()
     far[:, :3, 3] += 500.0

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from placegraph.cli.scene import view as scene_view
-from placegraph.estimate import PassRecord, PoseEstimate, Status
-from placegraph.formats.capture.tum import write_tum
+from placegraph.core.estimate import PassRecord, PoseEstimate, Status
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.pose.record import read_run, write_run
 from placegraph.indoor.scene_map import SceneMap
+from placegraph.io.capture.tum import write_tum
 from placegraph_lab.worlds.flat.walks import stroll, write_walk
 
 
@@ -129,7 +129,7 @@ def test_a_capture_is_localized_recorded_and_viewed(run, study, served, tmp_path
     interior.write_glb(tmp_path / "study.glb")
     room = tmp_path / "study.scene"
     assert run("scene", "build", tmp_path / "study.glb", "-o", room, "--quiet").code == 0
-    from placegraph.geometry import Camera
+    from placegraph.core.geometry import Camera
 
     walk = stroll(study, rng, frames=3, through="123", height=1.6)
     write_walk(interior, walk, tmp_path / "walk", rng, camera=Camera(80, 45, 57, 57, 40, 22.5))

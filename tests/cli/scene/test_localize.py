@@ -14,16 +14,16 @@ from PIL import Image
 from placegraph import open_capture, open_map
 from placegraph.cli.scene.answer import pose_words, refinement_words, show
 from placegraph.cli.scene.query import chosen_frames, matcher_of
+from placegraph.core.estimate import Evidence, ObjectRef, PoseEstimate, PoseMode, Refinement, Status
+from placegraph.core.geometry import Camera, level_from_camera, pose_matrix, split_pose
 from placegraph.errors import InputError, OptionError
-from placegraph.estimate import Evidence, ObjectRef, PoseEstimate, PoseMode, Refinement, Status
-from placegraph.formats.capture.tum import read_tum
-from placegraph.geometry import Camera, level_from_camera, pose_matrix, split_pose
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.encode.depth_network import SLOPE
 from placegraph.indoor.options import COARSE_TO_FINE, FilterOptions
 from placegraph.indoor.refine import RefineOptions
 from placegraph.indoor.refine.matching.sift import SiftMatcher
 from placegraph.indoor.scene_map import SceneMap
+from placegraph.io.capture.tum import read_tum
 from placegraph.view import write_plan
 from placegraph_lab.worlds.flat.walks import stroll, write_walk
 

@@ -8,9 +8,9 @@ import pytest
 from PIL import Image
 
 from placegraph.cli.scene.pose import map_from_camera_of
-from placegraph.formats.capture.tum import read_tum
-from placegraph.geometry import Camera, level_from_camera, split_pose
+from placegraph.core.geometry import Camera, level_from_camera, split_pose
 from placegraph.indoor.build import build_scene
+from placegraph.io.capture.tum import read_tum
 from placegraph_lab.worlds.flat.walks import stroll, write_walk
 
 FRAMES = 6

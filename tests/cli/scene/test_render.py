@@ -9,11 +9,11 @@ from PIL import Image
 
 from placegraph import open_capture, open_map
 from placegraph.cli.scene.pose import map_from_camera_of
+from placegraph.core.geometry import Camera, split_pose
 from placegraph.errors import OptionError
-from placegraph.formats.capture.tum import write_tum
-from placegraph.geometry import Camera, split_pose
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.render import render
+from placegraph.io.capture.tum import write_tum
 from placegraph_lab.worlds.flat.flat import Flat
 from placegraph_lab.worlds.flat.walks import stroll, write_walk
 

@@ -4,13 +4,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Camera
+from placegraph.core.geometry import Camera
 from placegraph.indoor.encode import Encoder, bound, encoder
 from placegraph.indoor.encode.appearance import DIMENSION, AppearanceEncoder, _features
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.textures import linear_from_srgb, srgb_from_linear
 from placegraph.indoor.scene_map import SceneMap
+from placegraph.io.capture.frame import Frame
 
 APPEARANCE = AppearanceEncoder()
 

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from placegraph.errors import InputError, OptionError
-from placegraph.formats.capture.capture import Capture
 from placegraph.indoor.encode.confusion import Confusion
+from placegraph.io.capture.capture import Capture
 
 NAMES = ("desk", "table", "wall, white")
 MATRIX = [[0.2, 0.8, 0.0], [0.0, 1.0, 0.0], [0.1, 0.1, 0.8]]

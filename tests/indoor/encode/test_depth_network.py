@@ -5,14 +5,14 @@ import json
 import numpy as np
 import pytest
 
+from placegraph.core.estimate import Status
+from placegraph.core.geometry import Camera
 from placegraph.errors import InputError, OptionError
-from placegraph.estimate import Status
-from placegraph.formats.capture.capture import Capture
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Camera
 from placegraph.indoor.encode.depth_network import SLOPE, DepthEstimator, depth_network, measured
 from placegraph.indoor.options import FilterOptions, Likelihood
 from placegraph.indoor.refine import RefineOptions
+from placegraph.io.capture.capture import Capture
+from placegraph.io.capture.frame import Frame
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from placegraph.geometry import Camera
+from placegraph.core.geometry import Camera
 from placegraph.indoor.encode.appearance import LEAST, around, towards
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.render import Renderer

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
+from placegraph.core.geometry import Camera
 from placegraph.errors import OptionError
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Camera
 from placegraph.indoor.build import scene_of_model
 from placegraph.indoor.encode import MapEncoder, Patches
 from placegraph.indoor.encode.grid import GRID
 from placegraph.indoor.encode.instances import ClassesOfInstances, InstancesEncoder, foreign
 from placegraph.indoor.mapping.merge import merge_scenes
+from placegraph.io.capture.frame import Frame
 
 CAMERA = Camera(160, 90, 100.0, 100.0, 80.0, 45.0)
 UNIT = ((0, 0, 0), (1, 1, 1))

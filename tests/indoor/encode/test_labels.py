@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
+from placegraph.core.geometry import Camera
 from placegraph.errors import OptionError
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Camera
 from placegraph.indoor import encode
 from placegraph.indoor.build import scene_of_model
 from placegraph.indoor.encode import Encoder, MapEncoder, bound
@@ -13,6 +12,7 @@ from placegraph.indoor.encode.confusion import Confusion
 from placegraph.indoor.encode.grid import GRID
 from placegraph.indoor.encode.labels import LabelsEncoder
 from placegraph.indoor.mapping.merge import merge_scenes
+from placegraph.io.capture.frame import Frame
 
 CAMERA = Camera(160, 90, 100.0, 100.0, 80.0, 45.0)
 EIGHT = Camera(80, 40, 50.0, 50.0, 40.0, 20.0)

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from placegraph.core.geometry import Camera
 from placegraph.errors import InputError, MissingExtraError, OptionError
-from placegraph.formats.capture.capture import Capture, open_capture
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Camera
 from placegraph.indoor.encode.segmenter import PASCAL, Segmenter, labelled, segmenter
 from placegraph.indoor.mapping.segment import segment
+from placegraph.io.capture.capture import Capture, open_capture
+from placegraph.io.capture.frame import Frame
 
 SHARED = Path(__file__).resolve().parents[4] / "shared"
 WEIGHTS = SHARED / "weights/deeplabv3_mnv2_pascal_quant.tflite"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from placegraph.graph import SceneGraph
+from placegraph.core.graph import SceneGraph
 from placegraph.indoor.language import TextIndex, rank_scenes, read
 from placegraph.indoor.language.colours import (
     KEY,

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import placegraph as pg
+from placegraph.core.graph import SceneGraph
 from placegraph.errors import DescriptionError, OptionError
-from placegraph.graph import SceneGraph
 from placegraph.indoor.language import TextIndex, rank_scenes, read, score
 
 

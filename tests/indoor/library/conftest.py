@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from placegraph.formats.capture.capture import Capture
-from placegraph.geometry import Camera
+from placegraph.core.geometry import Camera
 from placegraph.indoor.library import library_of
 from placegraph.indoor.scene_map import SceneMap
+from placegraph.io.capture.capture import Capture
 from placegraph_lab.worlds.flat.flat import Flat
 from placegraph_lab.worlds.flat.interior import Interior
 from placegraph_lab.worlds.flat.walks import Walk, stroll

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import placegraph as pg
-from placegraph.earth import Anchor
+from placegraph.core.earth import Anchor
+from placegraph.core.estimate import PoseEstimate, PoseMode, SceneEstimate, SceneMode, Status
 from placegraph.errors import InputError, MapError, OptionError, PlacegraphError
-from placegraph.estimate import PoseEstimate, PoseMode, SceneEstimate, SceneMode, Status
 from placegraph.indoor.library import SceneLibrary, library_of, localize
 from placegraph.indoor.mapping.merge import merge_scenes
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from placegraph.core.estimate import Status
 from placegraph.errors import MapError, OptionError
-from placegraph.estimate import Status
 from placegraph.indoor.library import library_of
 
 pytestmark = pytest.mark.usefixtures("one_thread")

@@ -8,9 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from placegraph.core.estimate import Status
 from placegraph.errors import OptionError
-from placegraph.estimate import Status
-from placegraph.formats.capture.frame import Frame
 from placegraph.indoor.library import SceneLibrary, SearchOptions, library_of, search
 from placegraph.indoor.library.index import distinct
 from placegraph.indoor.library.query import WORDS, encode, told_apart
@@ -22,6 +21,7 @@ from placegraph.indoor.library.search_kernels import (
     best_cosines,
     mixtures,
 )
+from placegraph.io.capture.frame import Frame
 from placegraph_lab.worlds.home.change import changed
 from placegraph_lab.worlds.home.home import scene_of
 

@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Camera, level_from_camera
+from placegraph.core.geometry import Camera, level_from_camera
 from placegraph.indoor.encode import Patches
 from placegraph.indoor.likelihood.model import model_of
 from placegraph.indoor.likelihood.observe import sight, views
 from placegraph.indoor.likelihood.view import Background
 from placegraph.indoor.map.surface_kernels import opponent
 from placegraph.indoor.options import FilterOptions, Likelihood
+from placegraph.io.capture.frame import Frame
 
 CAMERA = Camera(160, 90, 115.0, 112.0, 78.0, 47.0)
 BENT = Camera(160, 90, 90.0, 92.0, 81.0, 44.0, (-0.2, 0.05, 0.001, -0.002))

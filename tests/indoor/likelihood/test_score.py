@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from placegraph.geometry import Camera, level_from_camera, rotation_z
+from placegraph.core.geometry import Camera, level_from_camera, rotation_z
 from placegraph.indoor.encode.instances import InstancesEncoder
 from placegraph.indoor.likelihood.model import model_of
 from placegraph.indoor.likelihood.observe import sight, views

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from placegraph.core.geometry import compose
 from placegraph.errors import MissingExtraError, OptionError
-from placegraph.geometry import compose
 from placegraph.indoor.likelihood.model import model_of
 from placegraph.indoor.likelihood.observe import sight, views
 from placegraph.indoor.likelihood.score import Scorer

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from placegraph.geometry import between, compose, level_from_camera, split_pose, wrap
+from placegraph.core.geometry import between, compose, level_from_camera, split_pose, wrap
 from placegraph.indoor.build import scene_of_model
 from placegraph.indoor.likelihood.calibrated import TEMPERATURE
 from placegraph.indoor.likelihood.model import model_of

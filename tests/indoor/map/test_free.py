@@ -6,10 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from placegraph.earth import Anchor
+from placegraph.core.earth import Anchor
+from placegraph.core.estimate import PoseEstimate, PoseMode, Status
+from placegraph.core.geometry import split_pose
+from placegraph.core.store import write_map
 from placegraph.errors import MapError
-from placegraph.estimate import PoseEstimate, PoseMode, Status
-from placegraph.geometry import split_pose
 from placegraph.indoor.build import scene_of_model
 from placegraph.indoor.likelihood.visibility import build_table
 from placegraph.indoor.map import free
@@ -22,7 +23,6 @@ from placegraph.indoor.mapping.from_capture import thinned
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.pose.placed import placed
 from placegraph.indoor.scene_map import SceneMap
-from placegraph.store import write_map
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 STAGE = {

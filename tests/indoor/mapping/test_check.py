@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from placegraph.geometry import rotation_from_vector
+from placegraph.core.geometry import rotation_from_vector
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.mapping.check import check
 from placegraph.indoor.options import FilterOptions

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Camera
+from placegraph.core.geometry import Camera
 from placegraph.indoor.mapping.landmarks import depth_at, landmarks_of
 from placegraph.indoor.refine import landmarks
 from placegraph.indoor.refine.landmarks import FEATURES, agreed, features_of, finder, sights_of
 from placegraph.indoor.refine.options import RefineOptions
+from placegraph.io.capture.frame import Frame
 
 pytest.importorskip("cv2")
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from placegraph.formats.capture.capture import open_capture
-from placegraph.formats.dataset.scannet import read_scannet
-from placegraph.formats.dataset.scannet_files import axis_alignment
 from placegraph.indoor.build import scene_of_model
+from placegraph.io.capture.capture import open_capture
+from placegraph_io.dataset.scannet import read_scannet
+from placegraph_io.dataset.scannet_files import axis_alignment
 
 
 @pytest.fixture(scope="module")

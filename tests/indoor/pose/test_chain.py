@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from placegraph.geometry import between, compose, wrap
+from placegraph.core.geometry import between, compose, wrap
 from placegraph.indoor.options import MotionNoise
 from placegraph.indoor.pose.chain import USUAL, Chain, Course, Told, bent
 

@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Camera, between, compose, split_pose
+from placegraph.core.geometry import Camera, between, compose, split_pose
 from placegraph.indoor.build import scene_of_model
 from placegraph.indoor.encode import bound
 from placegraph.indoor.encode.instances import InstancesEncoder
@@ -20,6 +19,7 @@ from placegraph.indoor.likelihood.score_kernels import look
 from placegraph.indoor.options import FilterOptions, Likelihood
 from placegraph.indoor.pose.evidence import Agreement, agreement, explain
 from placegraph.indoor.pose.motion import level_poses
+from placegraph.io.capture.frame import Frame
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 OPTIONS = FilterOptions()

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from placegraph.geometry import between, compose, wrap
+from placegraph.core.geometry import between, compose, wrap
 from placegraph.indoor.options import FilterOptions, Likelihood, MotionNoise
 from placegraph.indoor.pose.filter import ParticleFilter, run_pass
 from placegraph.indoor.pose.particles import Particles, kld_count

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph.geometry import (
+from placegraph.core.geometry import (
     between,
     compose,
     level_from_camera,

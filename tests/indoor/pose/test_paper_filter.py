@@ -10,8 +10,7 @@ import pytest
 from scipy.stats import ks_2samp, kstest
 from tests.indoor.pose import paper_filter as theirs
 
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Camera, between, compose, pose_matrix, wrap
+from placegraph.core.geometry import Camera, between, compose, pose_matrix, wrap
 from placegraph.indoor.encode import Patches
 from placegraph.indoor.likelihood.model import model_of
 from placegraph.indoor.likelihood.observe import sight, views
@@ -27,6 +26,7 @@ from placegraph.indoor.pose.polish import heaviest
 from placegraph.indoor.pose.query import PoseQuery
 from placegraph.indoor.pose.window import Window
 from placegraph.indoor.scene_map import SceneMap
+from placegraph.io.capture.frame import Frame
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 PAPER = FilterOptions.paper()

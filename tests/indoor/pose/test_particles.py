@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph.geometry import wrap
+from placegraph.core.geometry import wrap
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.pose.particles import (
     BIN,

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from placegraph.geometry import compose, split_pose, wrap
+from placegraph.core.geometry import compose, split_pose, wrap
 from placegraph.indoor.encode.instances import InstancesEncoder
 from placegraph.indoor.likelihood.model import model_of
 from placegraph.indoor.likelihood.observe import sight, views

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from placegraph.core.estimate import Status
 from placegraph.errors import OptionError
-from placegraph.estimate import Status
 from placegraph.indoor.map.panoramas_kernels import AZIMUTHS
 from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.options import FilterOptions

@@ -5,12 +5,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from placegraph.core.geometry import Camera
 from placegraph.errors import OptionError
-from placegraph.formats.capture.capture import Capture
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Camera
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.pose.query import PoseQuery, chosen_frames
+from placegraph.io.capture.capture import Capture
+from placegraph.io.capture.frame import Frame
 
 CAMERA = Camera(8, 6, 8.0, 8.0, 4.0, 3.0)
 

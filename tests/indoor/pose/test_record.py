@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from placegraph.core.estimate import PassRecord, PoseEstimate, PoseMode, Status
+from placegraph.core.store import read_map, write_map
 from placegraph.errors import InputError, MapError
-from placegraph.estimate import PassRecord, PoseEstimate, PoseMode, Status
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.pose.record import KIND, STEPS, VERSION, read_run, write_run
-from placegraph.store import read_map, write_map
 
 
 def made(passes=2, frames=3, particles=50, modes=2):

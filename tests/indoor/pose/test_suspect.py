@@ -7,13 +7,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from placegraph.core.estimate import Status
 from placegraph.errors import InputError, OptionError
-from placegraph.estimate import Status
-from placegraph.formats.capture.capture import open_capture
 from placegraph.indoor import localize
 from placegraph.indoor.likelihood.observe import Sighting
 from placegraph.indoor.pose.prior import Prior
 from placegraph.indoor.pose.suspect import divided
+from placegraph.io.capture.capture import open_capture
 from placegraph_lab.tables.indoor import perturb_images as bad
 from placegraph_lab.tables.indoor.perturb import Recording, Shot, height
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph.estimate import PoseMode, Status
+from placegraph.core.estimate import PoseMode, Status
 from placegraph.indoor.pose.evidence import Agreement
 from placegraph.indoor.pose.trust import SURE, TRUST
 from placegraph.indoor.pose.verdict import believed, judge

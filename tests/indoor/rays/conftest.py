@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from placegraph.formats.mesh.glb import read_glb
 from placegraph.indoor.rays import RayCaster, embree
+from placegraph.io.mesh.glb import read_glb
 
 BOX = np.array(
     [

@@ -6,15 +6,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from placegraph.formats.capture.capture import Capture
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Camera, level_from_camera, pose_matrix, rotation_from_vector
+from placegraph.core.geometry import Camera, level_from_camera, pose_matrix, rotation_from_vector
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.refine.depth import Surfaces, readings
 from placegraph.indoor.refine.match import Sights
 from placegraph.indoor.refine.options import RefineOptions
 from placegraph.indoor.refine.solve import Problem
 from placegraph.indoor.scene_map import SceneMap
+from placegraph.io.capture.capture import Capture
+from placegraph.io.capture.frame import Frame
 
 CAMERA = Camera(160, 120, 120.0, 120.0, 80.0, 60.0)
 FACES = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]]

@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from placegraph.core.estimate import Status
 from placegraph.errors import InputError, OptionError
-from placegraph.estimate import Status
-from placegraph.formats.capture.capture import Capture, open_capture
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.refine import RefineOptions
 from placegraph.indoor.refine.matching import matcher
 from placegraph.indoor.scene_map import SceneMap
+from placegraph.io.capture.capture import Capture, open_capture
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 FIVE = slice(0, 5)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from placegraph.geometry import Camera, rotation_from_vector
+from placegraph.core.geometry import Camera, rotation_from_vector
 from placegraph.indoor.refine.calibrate import (
     COUNT,
     FOCAL,

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from placegraph.estimate import Status
-from placegraph.formats.capture.capture import Capture
-from placegraph.geometry import Camera, rotation_from_vector
+from placegraph.core.estimate import Status
+from placegraph.core.geometry import Camera, rotation_from_vector
 from placegraph.indoor.refine.calibrate import COUNT, FOCAL, IMAGE, SCALE
 from placegraph.indoor.refine.mend import Mend, longer, moved_depth, share_view
+from placegraph.io.capture.capture import Capture
 
 CAMERA = Camera(160, 120, 120.0, 120.0, 80.0, 60.0)
 

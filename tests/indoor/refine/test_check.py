@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph.geometry import Camera
+from placegraph.core.geometry import Camera
 from placegraph.indoor.refine.check import (
     BLOCKS,
     depth_evidence,

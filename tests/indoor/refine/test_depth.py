@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Camera
+from placegraph.core.geometry import Camera
 from placegraph.indoor.refine.depth import Surfaces, distances, readings
+from placegraph.io.capture.frame import Frame
 
 
 def frame_of(depth, **camera):

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from placegraph.geometry import rotation_from_vector
+from placegraph.core.geometry import rotation_from_vector
 from placegraph.indoor.refine.depth import Kernel, Surfaces, readings
 from placegraph.indoor.refine.fit_kernels import (
     add_row,

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from placegraph.geometry import Camera
+from placegraph.core.geometry import Camera
 from placegraph.indoor.refine.judge import (
     BENT,
     FARTHEST,

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from placegraph.core.geometry import Camera, rotation_from_vector, vector_from_rotation
 from placegraph.errors import MissingExtraError
-from placegraph.geometry import Camera, rotation_from_vector, vector_from_rotation
 from placegraph.indoor.refine.match import Sights, lift, look, solve_frame, solve_rig, turned
 from placegraph.indoor.refine.matching import Matches
 from placegraph.indoor.refine.options import RefineOptions

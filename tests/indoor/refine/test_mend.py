@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from placegraph.estimate import PoseEstimate, Status
+from placegraph.core.estimate import PoseEstimate, Status
 from placegraph.indoor.refine.calibrate import COUNT, PLACE
 from placegraph.indoor.refine.mend import Mend
 

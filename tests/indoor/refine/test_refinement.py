@@ -8,9 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from placegraph.core.estimate import Status
 from placegraph.errors import MissingExtraError, OptionError
-from placegraph.estimate import Status
-from placegraph.formats.capture.capture import open_capture
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.pose.query import PoseQuery
 from placegraph.indoor.pose.window import observe
@@ -19,6 +18,7 @@ from placegraph.indoor.refine import refined as refined_in
 from placegraph.indoor.refine.judge import Judgement
 from placegraph.indoor.refine.matching.guided import GuidedMatcher
 from placegraph.indoor.refine.refinement import _told
+from placegraph.io.capture.capture import open_capture
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 FIVE = slice(0, 5)
@@ -201,7 +201,7 @@ def test_several_views_are_for_a_matcher_that_knows_no_neighbourhood(monkeypatch
     assert Refining.of(paper, "guided").matcher is None
     with pytest.raises(MissingExtraError, match=r"placegraph\[sift\]"):
         Refining.of(paper, "auto")
-    roma = "placegraph.indoor.refine.matching.roma.RomaMatcher"
+    roma = "placegraph_learn.roma.RomaMatcher"
     monkeypatch.setattr(roma, lambda device: GuidedMatcher(radius={"cuda": 9}[device]))
     assert Refining.of(paper, "auto", "cuda:0").matcher.radius == 9
 

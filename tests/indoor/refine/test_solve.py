@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from placegraph.geometry import level_from_camera, rotation_from_vector
+from placegraph.core.geometry import level_from_camera, rotation_from_vector
 from placegraph.indoor.options import MotionNoise
 from placegraph.indoor.refine.match import Sights
 from placegraph.indoor.refine.options import RefineOptions

@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
+from placegraph.core.estimate import Status
 from placegraph.errors import OptionError
-from placegraph.estimate import Status
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.refine import RefineOptions, refinement
 from placegraph.indoor.refine.judge import Judgement

@@ -10,8 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
+from placegraph.core.geometry import (
+    Camera,
+    level_from_camera,
+    pose_matrix,
+    rotation_from_quaternion,
+)
+from placegraph.core.threads import limited
 from placegraph.errors import OptionError
-from placegraph.geometry import Camera, level_from_camera, pose_matrix, rotation_from_quaternion
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.rays import RayCaster, warp
 from placegraph.indoor.render.renderer import (
@@ -23,7 +29,6 @@ from placegraph.indoor.render.renderer import (
     render,
 )
 from placegraph.indoor.scene_map import SceneMap
-from placegraph.threads import limited
 
 CAMERA = Camera(64, 48, 50.0, 52.0, 31.0, 25.0)
 WIDE = Camera(57, 43, 40.0, 41.0, 28.0, 21.0, (-0.25, 0.06, 0.001, -0.002, -0.008))

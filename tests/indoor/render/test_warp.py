@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from placegraph.core.geometry import Camera
 from placegraph.errors import PlacegraphError
-from placegraph.geometry import Camera
 from placegraph.indoor.rays.warp import open_device
 from placegraph.indoor.render.renderer import Eye, Renderer, Rendering, camera_rays, pattern
 from placegraph.indoor.render.warp import WarpRenderer

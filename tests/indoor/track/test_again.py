@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from placegraph.estimate import PoseEstimate, PoseMode, Status
-from placegraph.geometry import pose_matrix
+from placegraph.core.estimate import PoseEstimate, PoseMode, Status
+from placegraph.core.geometry import pose_matrix
 from placegraph.indoor.track.again import NEAR, Again
 
 HERE = (1.0, 2.0, 1.6, 0.5)

@@ -8,13 +8,13 @@ from time import sleep
 import numpy as np
 import pytest
 
+from placegraph.core.estimate import Status
+from placegraph.core.geometry import Camera
 from placegraph.errors import InputError, OptionError
-from placegraph.estimate import Status
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Camera
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.track.finder import Finder
 from placegraph.indoor.track.odometry import AHEAD, JUMP, KEPT, Odometry
+from placegraph.io.capture.frame import Frame
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from placegraph.core.estimate import Status
+from placegraph.core.geometry import rotation_from_vector
 from placegraph.errors import OptionError
-from placegraph.estimate import Status
-from placegraph.geometry import rotation_from_vector
 from placegraph.indoor.options import MotionNoise
 from placegraph.indoor.track.live_pose import Anchor, predicted
 from placegraph.indoor.track.odometry import (

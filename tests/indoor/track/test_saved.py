@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from placegraph.core.estimate import Status
+from placegraph.core.store import read_map, write_map
 from placegraph.errors import InputError, MapError, OptionError
-from placegraph.estimate import Status
 from placegraph.indoor.track.live import LiveTracker
 from placegraph.indoor.track.saved import KIND, VERSION, Saved
-from placegraph.store import read_map, write_map
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 

@@ -6,13 +6,13 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from placegraph.core.estimate import Status
+from placegraph.core.geometry import Camera, pose_matrix, split_pose
 from placegraph.errors import InputError, OptionError
-from placegraph.estimate import Status
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Camera, pose_matrix, split_pose
 from placegraph.indoor.localize import WINDOW
 from placegraph.indoor.options import FilterOptions, Likelihood
 from placegraph.indoor.track.tracker import KEPT
+from placegraph.io.capture.frame import Frame
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 

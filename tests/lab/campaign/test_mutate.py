@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from placegraph.core.store import read_map, write_map
 from placegraph.errors import PlacegraphError
-from placegraph.store import read_map, write_map
 from placegraph_lab.campaign.mutate import spoil, spoiled
 
 TIMES = 60

@@ -9,8 +9,8 @@ from PIL import Image
 
 from placegraph.outdoor.network.weights import read_weights
 from placegraph_lab.cli import city_train
-from placegraph_lab.train.city.train import TrainOptions
 from placegraph_lab.worlds.town.town import Town
+from placegraph_learn.train.city.train import TrainOptions
 
 TINY = ("--epochs", 2, "--examples", 6, "--steps", 2, "--batch", 3, "--check", 3, "--device", "cpu")
 TEXT = "I am on Speicherweg. The museum is south of me."

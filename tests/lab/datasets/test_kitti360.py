@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph.geometry import LocalPlane
+from placegraph.core.geometry import LocalPlane
 from placegraph_lab.datasets.kitti360 import WORLD
 
 ORIGIN = (8.4295857, 48.9843445)

@@ -5,7 +5,7 @@ import pytest
 from osmium.osm.mutable import Node, Relation, Way
 from typer.testing import CliRunner
 
-from placegraph.geometry import LocalPlane
+from placegraph.core.geometry import LocalPlane
 from placegraph_lab.tables.run import load
 from placegraph_lab.worlds.town.town import Town
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from placegraph.formats.capture.frame import Frame
-from placegraph.formats.capture.frames import Capture
-from placegraph.geometry import Camera
+from placegraph.core.geometry import Camera
+from placegraph.io.capture.frame import Frame
+from placegraph.io.capture.frames import Capture
 from placegraph_lab.tables.named.bag_read import (
     KINDS,
     Row,

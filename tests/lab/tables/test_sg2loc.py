@@ -6,8 +6,8 @@ import re
 import numpy as np
 import pytest
 
+from placegraph.core.geometry import Camera
 from placegraph.errors import InputError
-from placegraph.geometry import Camera
 from placegraph.indoor.likelihood import visibility
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.run import Run, load, names

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from placegraph.core.estimate import Status
 from placegraph.demo.town import ON_THE_WAY
-from placegraph.estimate import Status
 from placegraph.outdoor.city import build_city
 from placegraph_lab.worlds.town.town import Town
 

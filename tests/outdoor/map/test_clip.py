@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from placegraph.core.tiles import Box
 from placegraph.outdoor.map.clip import clip
 from placegraph.outdoor.map.objects import AREA, LINE, POINT
-from placegraph.tiles import Box
 
 BOX = Box(0.0, 0.0, 10.0, 10.0)
 points = st.tuples(st.integers(-20, 30), st.integers(-20, 30))

@@ -10,13 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from placegraph.core.store import read_header, writing
 from placegraph.errors import InputError, MapError, MapLockedError, OptionError, PlacegraphError
 from placegraph.maps import open_map
 from placegraph.outdoor.city import build_city
 from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.map.extract import TOLERANCE, names_of
 from placegraph.outdoor.map.objects import AREA, GRAIN, LINE, POINT, centers, simplify
-from placegraph.store import read_header, writing
 from placegraph_lab.worlds.town.town import Town
 
 EXTRACTS = [
@@ -448,7 +448,7 @@ def test_stored_shapes_are_those_of_the_extract(build_world, rng):
     [stored] = city.objects.parts(0)
     assert len(stored) < 200
     lonlat = city.plane.to_lonlat(stored)
-    from placegraph.geometry import LocalPlane
+    from placegraph.core.geometry import LocalPlane
 
     back = LocalPlane(10.0, 50.0).to_plane(lonlat)
     bound = TOLERANCE + GRAIN * np.sqrt(0.5) + 0.02

@@ -5,8 +5,8 @@ import json
 import pytest
 
 import placegraph as pg
+from placegraph.core.features import areas
 from placegraph.errors import OptionError
-from placegraph.features import areas
 
 
 def ring(low, high):

@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.errors import MapError
-from placegraph.outdoor.map import spill
-from placegraph.outdoor.map.spill import Spills, things_of
 from placegraph.outdoor.map.things import Thing, Things, once, text_of, words_of
+from placegraph_scale.build import spill
+from placegraph_scale.build.spill import Spills, things_of
 
 words = st.lists(
     st.text(st.characters(exclude_categories=["Cs"]), min_size=1, max_size=9), max_size=3

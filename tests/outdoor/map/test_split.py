@@ -8,14 +8,15 @@ import numpy as np
 import osmium
 import pytest
 
+from placegraph.core.tiles import bounds, key_at
 from placegraph.errors import InputError
 from placegraph.outdoor.city import CityMap
-from placegraph.outdoor.map import extract, spill
-from placegraph.outdoor.map import split as module
-from placegraph.outdoor.map.spill import things_of
-from placegraph.outdoor.map.split import LARGE, Split, split, spread_large
-from placegraph.tiles import bounds, key_at
-from placegraph.world.tile import TileJob, build_tile
+from placegraph.outdoor.map import extract
+from placegraph_scale.build import spill
+from placegraph_scale.build import split as module
+from placegraph_scale.build.spill import things_of
+from placegraph_scale.build.split import LARGE, Split, split, spread_large
+from placegraph_scale.build.tile import TileJob, build_tile
 
 ZOOM, MARGIN = 15, 100.0  # tiles of 780 m at 50 degrees
 BENCH, TREE = {"amenity": "bench"}, {"natural": "tree"}

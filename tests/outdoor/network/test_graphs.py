@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph.graph import SceneGraph
+from placegraph.core.graph import SceneGraph
 from placegraph.outdoor.language.description import Description, Mention, Relation, Sense, Statement
 from placegraph.outdoor.network.graphs import (
     MOST_MENTIONS,

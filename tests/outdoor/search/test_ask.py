@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from placegraph.core.estimate import CityEstimate, Status
 from placegraph.errors import OptionError
-from placegraph.estimate import CityEstimate, Status
 from placegraph.outdoor.language.description import SPEAKER, Description, Relation
 from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.map.raster_kernels import nearest_on_parts

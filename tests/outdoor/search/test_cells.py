@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from placegraph.core.estimate import Status
 from placegraph.errors import DescriptionError, OptionError, StoreError
-from placegraph.estimate import Status
 from placegraph.outdoor.likelihood.query import compile_query, read
 from placegraph.outdoor.network.encoded import EncodedCity
 from placegraph.outdoor.search import cells

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph.estimate import Status
+from placegraph.core.estimate import Status
 from placegraph.outdoor.language import describe
 from placegraph.outdoor.search.confidence import (
     AT_A_PLACE,

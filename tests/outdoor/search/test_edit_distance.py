@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from placegraph.core.graph import SceneGraph
 from placegraph.errors import DescriptionError, MissingExtraError, OptionError
-from placegraph.graph import SceneGraph
 from placegraph.outdoor.language.description import (
     SPEAKER,
     Description,

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.outdoor.test_locate import HARBOUR, metres, sound
 
+from placegraph.core.estimate import Status
 from placegraph.errors import DescriptionError, OptionError
-from placegraph.estimate import Status
 from placegraph.outdoor.language import describe
 from placegraph.outdoor.search.ask import NO, UNKNOWN, YES
 from placegraph.outdoor.track.tracker import CityTracker

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from placegraph.estimate import Status
+from placegraph.core.estimate import Status
 from placegraph.view.city.estimate_items import (
     SIGMAS,
     ellipse,

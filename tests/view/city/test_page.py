@@ -8,7 +8,7 @@ from html.parser import HTMLParser
 import pytest
 from tests.browser import opened, still
 
-from placegraph.estimate import Status
+from placegraph.core.estimate import Status
 from placegraph.outdoor.city import build_city
 from placegraph.view import write_page
 from placegraph.view.city.page import SCRIPTS, TITLE, _cut, _json, part

@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image, ImageColor
 
+from placegraph.core.estimate import CityEstimate, Evidence, ObjectRef, Place, Status
 from placegraph.errors import OptionError
-from placegraph.estimate import CityEstimate, Evidence, ObjectRef, Place, Status
 from placegraph.outdoor.city import build_city
 from placegraph.view import draw_city, write_picture
 from placegraph.view.city.picture import length_words, round_length

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from placegraph.core.estimate import PoseEstimate, PoseMode, Refinement, Status
+from placegraph.core.geometry import Camera
 from placegraph.errors import OptionError
-from placegraph.estimate import PoseEstimate, PoseMode, Refinement, Status
-from placegraph.geometry import Camera
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.render import Rendering
 from placegraph.view import write_overlay

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image, ImageColor
 
+from placegraph.core.estimate import Evidence, ObjectRef, PassRecord, PoseEstimate, PoseMode, Status
+from placegraph.core.geometry import Camera, level_from_camera, pose_matrix
 from placegraph.errors import OptionError
-from placegraph.estimate import Evidence, ObjectRef, PassRecord, PoseEstimate, PoseMode, Status
-from placegraph.geometry import Camera, level_from_camera, pose_matrix
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.view import draw_scene, write_plan, write_plan_animation

@@ -7,8 +7,8 @@ import urllib.request
 import numpy as np
 import pytest
 
+from placegraph.core.estimate import PassRecord, PoseEstimate, PoseMode, Status
 from placegraph.errors import MissingExtraError, OptionError
-from placegraph.estimate import PassRecord, PoseEstimate, PoseMode, Status
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.view.viewer import viewer as showing

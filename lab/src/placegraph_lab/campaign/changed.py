@@ -48,7 +48,7 @@ def city(path: Path) -> Callable[[], Any]:
 
 def scene(path: Path) -> Callable[[], Any]:
     """A scene's map, and a window of frames in it."""
-    from placegraph.formats.capture.capture import open_capture
+    from placegraph.io.capture.capture import open_capture
     from placegraph.maps import open_scene
 
     found, frames = open_scene(path), open_capture(path.parent / "window")
@@ -73,7 +73,7 @@ def vectors(path: Path) -> Callable[[], Any]:
 
 def capture(path: Path) -> Callable[[], Any]:
     """A folder of frames, one of whose images is asked for."""
-    from placegraph.formats.capture.capture import open_capture
+    from placegraph.io.capture.capture import open_capture
 
     found = open_capture(path.parent.parent)
     return lambda: [frame.rgb() for frame in found]
@@ -81,7 +81,7 @@ def capture(path: Path) -> Callable[[], Any]:
 
 def bag(path: Path) -> Callable[[], Any]:
     """A bag whose images are asked for."""
-    from placegraph.formats.capture.capture import open_capture
+    from placegraph.io.capture.capture import open_capture
 
     found = open_capture(path)
     return lambda: [frame.rgb() for frame in found]
@@ -91,7 +91,7 @@ def weights(path: Path) -> Callable[[], Any]:
     """Weights of PyTorch, which are computed with."""
     import torch
 
-    from placegraph.networks import read_state
+    from placegraph.core.networks import read_state
 
     found = read_state(torch, path, "test")
     return lambda: float(sum(tensor.sum() for tensor in found.values()))
@@ -129,7 +129,7 @@ def used(what: str, how: str, folder: Path, seed: int) -> None:
 
 def served_anew(folder: Path) -> bool:
     """Whether a server's maps are opened anew where another takes a map's place, of any time."""
-    from placegraph.serve.places import Places
+    from placegraph_serve.places import Places
 
     places, path = Places([folder]), folder / "town.city"
     first: Any = places.city("town")

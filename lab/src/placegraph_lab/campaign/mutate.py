@@ -23,9 +23,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.random import Generator
 
+from placegraph.core.files import regular
+from placegraph.core.header import DIGEST, MAGIC
 from placegraph.errors import InputError
-from placegraph.files import regular
-from placegraph.header import DIGEST, MAGIC
 from placegraph_lab.campaign.mutate_bytes import flipped, remapped, remarked, reworded
 from placegraph_lab.campaign.mutate_json import changed
 from placegraph_lab.campaign.mutate_store import changed_column, restored

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
-from placegraph.header import DIGEST, MAGIC, PREFIX
-from placegraph.store import read_map
+from placegraph.core.header import DIGEST, MAGIC, PREFIX
+from placegraph.core.store import read_map
 from placegraph_lab.campaign.mutate_bytes import flipped
 from placegraph_lab.campaign.mutate_json import changed
 

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.estimate import PoseEstimate, Status
-from placegraph.formats.capture.capture import Capture, open_capture
-from placegraph.geometry import Camera
+from placegraph.core.estimate import PoseEstimate, Status
+from placegraph.core.geometry import Camera
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.scene_map import SceneMap
+from placegraph.io.capture.capture import Capture, open_capture
 from placegraph_lab.campaign import rooms
 from placegraph_lab.campaign.rooms import Motion
 from placegraph_lab.worlds.flat.flat import Flat

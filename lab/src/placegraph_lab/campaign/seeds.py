@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from PIL import Image
 
-from placegraph.formats.capture.frame import Frame
-from placegraph.formats.capture.frames import Capture
-from placegraph.formats.capture.tum import write_tum
-from placegraph.geometry import Camera
+from placegraph.core.geometry import Camera
+from placegraph.io.capture.frame import Frame
+from placegraph.io.capture.frames import Capture
+from placegraph.io.capture.tum import write_tum
 from placegraph_lab.worlds.bags import BagWriter, Layout, write_capture
 
 Draw = Callable[[Path, "Drawn"], None]

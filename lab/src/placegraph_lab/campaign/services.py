@@ -46,7 +46,6 @@ def services(inputs: Path, effort: Effort, seconds: float) -> Iterator[Row]:
 def milvus(inputs: Path, effort: Effort, seconds: float) -> Counter[str]:  # noqa: ARG001  # of its own
     """What becomes of searches while a server goes, and comes again with what it held."""
     from milvus import MilvusServer
-
     from placegraph.vectors import Origin, Vectors, load_store, open_store
 
     rng, counts = np.random.default_rng(effort.seed), Counter[str]()
@@ -77,8 +76,8 @@ def scheduler(inputs: Path, effort: Effort, seconds: float) -> Counter[str]:
     """What becomes of sentences while all workers are killed, and the scheduler goes and comes again."""
     from distributed import LocalCluster
 
-    from placegraph.world.build import BuildOptions, build_world
     from placegraph.world.world import open_world
+    from placegraph_scale.build.build import BuildOptions, build_world
 
     def started(port: int) -> LocalCluster:
         return LocalCluster(

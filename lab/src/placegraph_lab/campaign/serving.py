@@ -15,13 +15,13 @@ from urllib.parse import quote
 from numpy.random import Generator
 
 from placegraph.errors import PlacegraphError, RequestError
-from placegraph.serve.app import create_app
-from placegraph.serve.options import ServeOptions
-from placegraph.serve.places import Desk, Places
-from placegraph.serve.problem import problem
-from placegraph.serve.protocol import Patient
-from placegraph.serve.worker import VERBS, Answer, dumped
 from placegraph_lab.campaign.uses import Bench
+from placegraph_serve.app import create_app
+from placegraph_serve.options import ServeOptions
+from placegraph_serve.places import Desk, Places
+from placegraph_serve.problem import problem
+from placegraph_serve.protocol import Patient
+from placegraph_serve.worker import VERBS, Answer, dumped
 
 if TYPE_CHECKING:
     from starlette.testclient import TestClient
@@ -50,7 +50,7 @@ class Here:
         """Answer, or a problem of ours; another error is raised."""
         module, function = VERBS[verb].split(":")
         try:
-            made = getattr(import_module(f"placegraph.serve.{module}"), function)(self.desk, asked)
+            made = getattr(import_module(f"placegraph_serve.{module}"), function)(self.desk, asked)
         except PlacegraphError as error:
             return None, problem(error)
         return (made if isinstance(made, bytes) else dumped(made | {"seconds": 0.0})), None

@@ -19,7 +19,7 @@ from time import perf_counter, process_time
 
 import numpy as np
 
-from placegraph.threads import processors
+from placegraph.core.threads import processors
 from placegraph_lab.campaign.outages import Server
 from placegraph_lab.campaign.row import Effort, Row
 from placegraph_lab.campaign.writings import prepare
@@ -180,9 +180,9 @@ def localizations(inputs: Path, rng: np.random.Generator) -> Callable[[], object
     One in fifty is refined, one in ten more is looked for everywhere, and the others near where
     their first frame was found before.
     """
-    from placegraph.formats.capture.capture import open_capture
     from placegraph.indoor.options import FilterOptions
     from placegraph.indoor.pose.prior import Prior
+    from placegraph.io.capture.capture import open_capture
     from placegraph.maps import open_scene
 
     scene, film = open_scene(inputs / "flat.scene"), open_capture(inputs / "walk")
@@ -209,7 +209,7 @@ def frames(inputs: Path, rng: np.random.Generator) -> Callable[[], object]:
     """Frames to and fro along a film, in one tracker, with odometry that drifts."""
     from dataclasses import replace
 
-    from placegraph.formats.capture.capture import open_capture
+    from placegraph.io.capture.capture import open_capture
     from placegraph.maps import open_scene
 
     scene, film = open_scene(inputs / "flat.scene"), list(open_capture(inputs / "walk"))

@@ -59,8 +59,8 @@ def without_times(told: Any) -> Any:  # noqa: ANN401  # JSON
 def answers(folder: Path, *, threads: int | None, frames: int) -> dict[str, Any]:
     """Maps built of the demo's files, and what they answer."""
     import placegraph as pg
+    from placegraph.core.threads import limited, processors
     from placegraph.demo.world import FLAT, TOWN, unpack
-    from placegraph.threads import limited, processors
 
     world = unpack(folder)
     with limited(threads or processors()):
@@ -108,7 +108,7 @@ def main() -> None:
     if given.memory:
         resource.setrlimit(resource.RLIMIT_AS, (given.memory << 20, given.memory << 20))
     if given.compiled:
-        from placegraph import kept
+        from placegraph.core import kept
 
         kept.use_folder(given.compiled)
     with TemporaryDirectory() as folder:

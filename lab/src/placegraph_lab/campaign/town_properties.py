@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.estimate import CityEstimate, Status
+from placegraph.core.geometry import LocalPlane
 from placegraph.demo.world import TOWN, unpack
-from placegraph.estimate import CityEstimate, Status
-from placegraph.geometry import LocalPlane
 from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.language.description import Description
 from placegraph.outdoor.likelihood.match_kernels import SLACK

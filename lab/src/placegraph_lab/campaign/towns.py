@@ -10,7 +10,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.geometry import LocalPlane
+from placegraph.core.geometry import LocalPlane
 from placegraph.outdoor.city import CityMap, build_city
 from placegraph.outdoor.language.description import (
     SPEAKER,

@@ -15,12 +15,12 @@ from unittest.mock import patch
 
 from numpy.random import Generator
 
+from placegraph.core.files import regular
 from placegraph.errors import GeoPoseError, InputError, OptionError, PlacegraphError
-from placegraph.files import regular
-from placegraph.formats.capture.capture import open_capture
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.library import SceneLibrary
 from placegraph.indoor.scene_map import SceneMap
+from placegraph.io.capture.capture import open_capture
 from placegraph.maps import open_map
 from placegraph.outdoor.city import CityMap, build_city
 from placegraph_lab.campaign.seeds_maps import POSE, SMALL, Places
@@ -119,7 +119,7 @@ def osm(bench: Bench, path: Path, rng: Generator) -> None:
 
 def overture(bench: Bench, path: Path, rng: Generator) -> None:
     """Build a city of Overture's tables, of all or of a box."""
-    from placegraph.formats.place.overture import Box, Overture
+    from placegraph_io.overture.overture import Box, Overture
 
     box = Box(9.9, 49.9, 10.1, 50.1) if chance(rng, 0.7) else None
     use_city(bench, build_city(Overture((str(path),), box), bench.file("built.city")), rng)
@@ -165,7 +165,7 @@ def capture(bench: Bench, path: Path, rng: Generator) -> None:
 
 def stream(_bench: Bench, path: Path, _rng: Generator) -> None:
     """Take an MCAP as it comes through a pipe."""
-    from placegraph.formats.ros.files.mcap_stream import mcap_packets
+    from placegraph_io.ros.files.mcap_stream import mcap_packets
 
     file = next(iter(sorted(path.glob("*.mcap"))), path)
     try:
@@ -274,7 +274,7 @@ def nominatim(bench: Bench, path: Path, _rng: Generator) -> None:
     """Find a place by what Nominatim answers."""
     import osmnx as ox
 
-    from placegraph.formats.place.nominatim import find, rings
+    from placegraph.io.osm.nominatim import find, rings
     from placegraph_lab.campaign.answers import answering
 
     # osmnx waits a second before each question, as Nominatim asks of who asks it
@@ -289,7 +289,7 @@ def overpass(bench: Bench, path: Path, _rng: Generator) -> None:
     """Download an answer of Overpass, and write it as PBF."""
     import osmnx as ox
 
-    from placegraph.formats.place.overpass import copied, download
+    from placegraph.io.osm.overpass import copied, download
     from placegraph_lab.campaign.answers import answering
 
     answer = bench.file("answer.osm")

@@ -27,8 +27,8 @@ from time import perf_counter
 import numpy as np
 from numpy.random import Generator
 
+from placegraph.core.kept import listening
 from placegraph.errors import PlacegraphError
-from placegraph.kept import listening
 from placegraph_lab.campaign.targets import TARGETS, Target
 from placegraph_lab.campaign.uses import Bench
 

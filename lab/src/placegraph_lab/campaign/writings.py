@@ -72,15 +72,15 @@ class Writing:
 
 def prepare(folder: Path) -> Path:
     """Inputs of all commands: the demo's world, a city, a scene, a library and a bag of it."""
-    from placegraph.formats.capture.capture import open_capture
     from placegraph.indoor.build import build_scene
     from placegraph.indoor.library import SceneLibrary
+    from placegraph.io.capture.capture import open_capture
     from placegraph.outdoor.city import build_city
     from placegraph_lab.worlds.bags import BagWriter, Layout, write_capture
 
     unpack(folder)
     town = build_city(folder / f"{TOWN}.osm", folder / "town.city")
-    with patch("placegraph.store.PAGE", 1):  # as in the map of a large city
+    with patch("placegraph.core.store.PAGE", 1):  # as in the map of a large city
         town.save(folder / "indexed.city", index=True)
     scene = build_scene(folder / f"{FLAT}.glb", folder / "flat.scene")
     capture = open_capture(folder / "walk")

@@ -76,12 +76,12 @@ def train(
     """
     from time import perf_counter
 
+    from placegraph.core.store import writing
     from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.network.weights import Shape
-    from placegraph.store import writing
     from placegraph_lab.cli.city_train_shown import Shown, draw
-    from placegraph_lab.train.city.options import TrainOptions
-    from placegraph_lab.train.city.train import train as learn
+    from placegraph_learn.train.city.options import TrainOptions
+    from placegraph_learn.train.city.train import train as learn
 
     options = TrainOptions(
         epochs=epochs,

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from placegraph_lab.cli.training_shown import say_epoch
-from placegraph_lab.train.city.options import Progress as Told
-from placegraph_lab.train.city.options import TrainOptions
-from placegraph_lab.train.curves import draw_curves
-from placegraph_lab.train.training import rows_of
+from placegraph_learn.train.city.options import Progress as Told
+from placegraph_learn.train.city.options import TrainOptions
+from placegraph_learn.train.curves import draw_curves
+from placegraph_learn.train.training import rows_of
 
 if TYPE_CHECKING:
     from rich.progress import Progress

@@ -11,12 +11,12 @@ import click
 from placegraph.cli.command import Argument, Option
 from placegraph.cli.common import AsJson, Quiet
 from placegraph.errors import OptionError
-from placegraph.indoor.encode.scenegraphloc.widths import Widths
 from placegraph_lab.cli.training_shown import TrainingDevice, WorkFolder, training
+from placegraph_learn.scenegraphloc.widths import Widths
 
 if TYPE_CHECKING:
-    from placegraph.indoor.encode.scenegraphloc.weights import Weights
-    from placegraph_lab.train.scenegraphloc.lessons import Teacher, World
+    from placegraph_learn.scenegraphloc.weights import Weights
+    from placegraph_learn.train.scenegraphloc.lessons import Teacher, World
 
 
 def train(
@@ -87,8 +87,8 @@ def train(
     from time import perf_counter
 
     from placegraph_lab.cli.scene_train_shown import Shown, draw
-    from placegraph_lab.train.scenegraphloc.options import TrainOptions
-    from placegraph_lab.train.scenegraphloc.train import train as learn
+    from placegraph_learn.train.scenegraphloc.options import TrainOptions
+    from placegraph_learn.train.scenegraphloc.train import train as learn
 
     options = TrainOptions(
         epochs=epochs, batch=batch, others=others, points=points, rate=rate, seed=seed
@@ -121,7 +121,7 @@ def train(
 
 
 def _worlds(maps: Path | None, synthetic: int | None, frames: int, seed: int) -> list[World]:
-    from placegraph_lab.train.scenegraphloc.worlds import folder, homes
+    from placegraph_learn.train.scenegraphloc.worlds import folder, homes
 
     if (maps is None) == (synthetic is None):
         raise OptionError("Give a folder of scene maps, or --synthetic with a number: one of both.")
@@ -138,9 +138,9 @@ def _teacher(
     rotate: bool | None,
     device: str,
 ) -> tuple[Teacher, Widths]:
-    from placegraph.indoor.encode.scenegraphloc.features import features_named, read_attributes
-    from placegraph.indoor.encode.scenegraphloc.widths import Widths
-    from placegraph_lab.train.scenegraphloc.lessons import Teacher
+    from placegraph_learn.scenegraphloc.features import features_named, read_attributes
+    from placegraph_learn.scenegraphloc.widths import Widths
+    from placegraph_learn.train.scenegraphloc.lessons import Teacher
 
     words = () if attributes is None else read_attributes(attributes)
     found = features_named(features, weights=feature_weights, device=device)
@@ -155,7 +155,7 @@ def _teacher(
 def _facts(
     weights: Weights, out: Path, work: Path, picture: Path, seconds: float
 ) -> dict[str, object]:
-    from placegraph_lab.train.training import rows_of
+    from placegraph_learn.train.training import rows_of
 
     return {
         "weights": str(out),

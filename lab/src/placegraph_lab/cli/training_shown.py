@@ -15,7 +15,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 
 from placegraph.cli.command import Option
 from placegraph.cli.terminal import bare
-from placegraph_lab.train.training import rows_of
+from placegraph_learn.train.training import rows_of
 
 INTERRUPTED = 130
 """Exit code of shells for what Ctrl-C ended."""

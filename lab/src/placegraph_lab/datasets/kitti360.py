@@ -13,7 +13,7 @@ from math import asinh, cos, radians, tan
 import numpy as np
 from numpy.typing import ArrayLike
 
-from placegraph.geometry import Floats
+from placegraph.core.geometry import Floats
 
 RADIUS = 6_378_137.0
 """Of the sphere that is projected [m]."""

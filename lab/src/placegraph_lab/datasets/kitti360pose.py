@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.columns import pack
+from placegraph.core.columns import pack
+from placegraph.core.geometry import Floats
+from placegraph.core.store import MapFile, Write, pack_strings, read_map
 from placegraph.errors import MapError, OptionError
-from placegraph.geometry import Floats
-from placegraph.store import MapFile, Write, pack_strings, read_map
 
 KIND = "kitti360pose"
 VERSION = 1
@@ -173,7 +173,7 @@ class Kitti360Pose:
         return sum(len(pack(a)[2]) for a in _map_columns(self, cells, rows).values())
 
     def save(self, write: Write) -> None:
-        """Write through `placegraph.store.writing`; raises `OptionError` where it is made of OSM."""
+        """Write through `placegraph.core.store.writing`; raises `OptionError` where it is made of OSM."""
         if self.tags:
             raise OptionError(
                 f"{self.source} is made from its extract when it is needed; save the data without it."

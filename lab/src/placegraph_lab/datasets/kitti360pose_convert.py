@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.geometry import Floats
+from placegraph.core.store import writing
 from placegraph.errors import InputError
-from placegraph.geometry import Floats
-from placegraph.store import writing
 from placegraph_lab.datasets.kitti360pose import (
     DIRECTIONS,
     Cells,

@@ -1,4 +1,4 @@
-"""The list of what each command compiles (`placegraph.warm`), found by running them on real data."""
+"""The list of what each command compiles (`placegraph.core.warm`), found by running them on real data."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from pathlib import Path
 from types import FunctionType
 from typing import cast
 
-from placegraph.compiled import Kernel
+from placegraph.core.compiled import Kernel
 from placegraph.errors import InputError
 
 HEAD = """\
 # What each command compiles: the kernels that Python calls, and the types of their arguments; those
 # that take longest come first, those that share parts with these last. Written by
-# `placegraph-lab kernels`; read by `placegraph.warm`.
+# `placegraph-lab kernels`; read by `placegraph.core.warm`.
 """
 QUERIES = (
     "I'm at a fountain. The Casino de Monte-Carlo is south of me and the Hotel de Paris is to the southwest.",
@@ -72,8 +72,8 @@ import contextlib, json, sys
 from placegraph.cli import APP
 with contextlib.suppress(SystemExit):
     APP.main(sys.argv[2:], prog_name="placegraph", standalone_mode=False)
-from placegraph.compiled import Kernel
-from placegraph.warm import spelled
+from placegraph.core.compiled import Kernel
+from placegraph.core.warm import spelled
 names, calls = {}, {}
 for name, module in list(sys.modules.items()):
     for found in vars(module).values() if name.startswith("placegraph.") else ():

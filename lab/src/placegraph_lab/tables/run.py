@@ -26,7 +26,7 @@ from rich.console import Console
 from rich.progress import Progress, track
 
 from placegraph.cli.terminal import bare
-from placegraph.files import put
+from placegraph.core.files import put
 from placegraph_lab.tables import named
 from placegraph_lab.tables.journal import Journal
 

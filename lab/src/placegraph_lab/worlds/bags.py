@@ -9,11 +9,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.formats.capture.frames import Capture
-from placegraph.geometry import Camera
-from placegraph.ros import bag
-from placegraph.ros.image import info_fields
-from placegraph.ros.message import Message, header, pose, transform, xyz
+from placegraph.core.geometry import Camera
+from placegraph.io.capture.frames import Capture
+from placegraph_ros import bag
+from placegraph_ros.image import info_fields
+from placegraph_ros.message import Message, header, pose, transform, xyz
 
 OPTICAL = "camera_optical_frame"
 BASE_FROM_CAMERA = np.array(

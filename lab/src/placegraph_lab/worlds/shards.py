@@ -10,13 +10,13 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from placegraph.geometry import LocalPlane
+from placegraph.core.geometry import LocalPlane
+from placegraph.core.tiles import bounds, held, key_of, tile_of, tiles
 from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.map.index import REACH, STRIDE
 from placegraph.outdoor.map.objects import POINT, CityObjects
-from placegraph.tiles import bounds, held, key_of, tile_of, tiles
-from placegraph.world.shards import WorldFile, finish
-from placegraph.world.shards.table import Counted
+from placegraph_scale.shards import WorldFile, finish
+from placegraph_scale.shards.table import Counted
 
 SIDE = 8
 """Viewpoints are kept in squares of so many."""

@@ -12,8 +12,8 @@ from placegraph.cli.city.facts import facts
 from placegraph.cli.command import Argument, Option
 from placegraph.cli.common import AsJson, Quiet, numbers_of, progress_of
 from placegraph.errors import OptionError
-from placegraph.formats.place.overture import CONFIDENCE, Box, Overture, is_overture
-from placegraph.formats.place.urls import is_url
+from placegraph.io.osm.urls import is_url
+from placegraph_io.overture.overture import CONFIDENCE, Box, Overture, is_overture
 
 OVERTURE = "What of Overture is read"
 EDGES = "give west,south,east,north in degrees, such as 7.41,43.72,7.44,43.75."
@@ -71,7 +71,7 @@ def build(
 
     from placegraph.outdoor.city import build_city
     from placegraph.outdoor.language.vocabulary import Vocabulary
-    from placegraph.outdoor.map.split import is_large
+    from placegraph_scale.build.split import is_large
 
     if is_url(out):
         raise OptionError(
@@ -85,8 +85,8 @@ def build(
                 "--no-index is of one map; of an extract this large a world in shards is made, each with "
                 "its index. Leave it out."
             )
-        from placegraph.cli.world.build import made_of
-        from placegraph.world.build import BuildOptions
+        from placegraph_scale.build.build import BuildOptions
+        from placegraph_scale.cli.world_build import made_of
 
         options = BuildOptions(
             cell_size=cell_size, stride=stride, edge_distance=edge_distance, vocabulary=vocabulary
@@ -153,7 +153,7 @@ def fetch(
     """
     from dataclasses import asdict
 
-    from placegraph.formats.place.overpass import fetch_osm
+    from placegraph.io.osm.overpass import fetch_osm
     from placegraph.outdoor.map.extract import keys_read
 
     with progress_of(hidden=quiet or as_json) as tell:

@@ -31,7 +31,7 @@ from placegraph.cli.common import AsJson, console, table
 from placegraph.errors import OptionError
 
 if TYPE_CHECKING:
-    from placegraph.estimate import CityEstimate
+    from placegraph.core.estimate import CityEstimate
     from placegraph.outdoor.search.ask import Answer, Question
 
 

@@ -43,7 +43,7 @@ def embed(
     from time import perf_counter
 
     from placegraph.outdoor.city import CityMap
-    from placegraph.vectors.server import check_uri, shown
+    from placegraph_scale.milvus.server import check_uri, shown
 
     if (out is None) == (store is None):
         raise OptionError("Say where to: a file with --out, or a server with --store.")

@@ -17,7 +17,7 @@ from placegraph.errors import DescriptionError
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from placegraph.estimate import CityEstimate
+    from placegraph.core.estimate import CityEstimate
 
 PROMPT = "> "
 

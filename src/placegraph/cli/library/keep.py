@@ -41,8 +41,8 @@ def build(
     Example: placegraph library build encoded/ -o homes.library --encoder scenegraphloc
     --weights mine.safetensors
     """
+    from placegraph.core.store import writing
     from placegraph.indoor.library import SceneLibrary
-    from placegraph.store import writing
 
     paths = _named([path for given in maps for path in _maps(given)])
     with writing(out):

@@ -26,9 +26,9 @@ from placegraph.errors import InputError, OptionError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from placegraph.estimate import SceneEstimate
+    from placegraph.core.estimate import SceneEstimate
     from placegraph.indoor.library import SceneLibrary
-    from placegraph.indoor.library.shards import SceneShards
+    from placegraph_scale.library.shards import SceneShards
 
 _FILE = re.compile(r"\.[A-Za-z][A-Za-z0-9]{0,9}$")
 
@@ -60,7 +60,7 @@ def search(
     placegraph library search homes.library "a kitchen with two sinks";
     placegraph library search homes.library --text "a sofa and/or a bed"
     """
-    from placegraph.formats.capture.capture import open_capture
+    from placegraph.io.capture.capture import open_capture
 
     asked = _asked(query, text)
     if isinstance(asked, str) and frames is not None:
@@ -104,7 +104,7 @@ def localize(
 
     Example: placegraph library localize homes.library walk/ --frames :10
     """
-    from placegraph.formats.capture.capture import open_capture
+    from placegraph.io.capture.capture import open_capture
 
     chosen = chosen_frames(open_capture(capture), frames)
     with progress_of(hidden=quiet or as_json) as tell:
@@ -126,8 +126,8 @@ def _known(
 ) -> SceneLibrary | SceneShards:
     """Library of a file or a folder, or shards."""
     from placegraph.cli.encoders import encoders_of
-    from placegraph.indoor.library.shards import SceneShards
     from placegraph.maps import is_shards
+    from placegraph_scale.library.shards import SceneShards
 
     if is_shards(path):
         return SceneShards.open(path, encoders=encoders_of(names or [], weights) or None)

@@ -14,10 +14,10 @@ from placegraph.cli.command import Option
 from placegraph.cli.common import AsJson, Quiet, numbers_of, progress_of, table
 from placegraph.cli.scene.query import MapFile
 from placegraph.errors import OptionError
-from placegraph.formats.place.levels import levels_of
+from placegraph.io.osm.levels import levels_of
 
 if TYPE_CHECKING:
-    from placegraph.earth import Anchor
+    from placegraph.core.earth import Anchor
     from placegraph.indoor.pose.query import Progress
     from placegraph.indoor.scene_map import SceneMap
     from placegraph.world import Fitted
@@ -151,7 +151,7 @@ def _fitted(
     rough: bool,
 ) -> Fitted:
     """Anchors by pairs, a pose or fixes, whichever is given; else none."""
-    from placegraph.formats.capture.capture import open_capture
+    from placegraph.io.capture.capture import open_capture
     from placegraph.world import Fitted, fit_capture, fit_points
 
     if pair:
@@ -220,7 +220,7 @@ def _told(anchor: Anchor, floor: float, height: float | None, level: str, buildi
 def _posed(text: str, accuracy: str) -> Anchor:
     import numpy as np
 
-    from placegraph.earth import Anchor
+    from placegraph.core.earth import Anchor
 
     mend = "give longitude, latitude, height and heading_deg, as 7.42,43.73,50,90."
     lon, lat, height, heading = numbers_of(text, "--pose", {4}, mend)

@@ -13,9 +13,9 @@ from placegraph.cli.common import console, table
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from placegraph.estimate import PoseEstimate, PoseMode, Refinement
-    from placegraph.formats.capture.capture import Capture
+    from placegraph.core.estimate import PoseEstimate, PoseMode, Refinement
     from placegraph.indoor.scene_map import SceneMap
+    from placegraph.io.capture.capture import Capture
 
 MOST_OBJECTS = 6
 """Objects of the evidence that are printed."""
@@ -62,7 +62,7 @@ class Files:
 
 def write_tum_of(estimate: PoseEstimate, capture: Capture, path: Path) -> None:
     """Write the pose of every frame, and how it came about."""
-    from placegraph.formats.capture.tum import write_tum
+    from placegraph.io.capture.tum import write_tum
 
     stamp_of = {frame.index: frame.stamp for frame in capture}
     stamps = [stamp_of[row] for row in estimate.frames.tolist()]

@@ -25,7 +25,7 @@ from placegraph.errors import OptionError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from placegraph.geometry import Floats
+    from placegraph.core.geometry import Floats
     from placegraph.indoor.mapping.change.changes import SceneDiff
     from placegraph.indoor.mapping.change.options import DiffOptions
     from placegraph.indoor.scene_map import SceneMap
@@ -185,7 +185,7 @@ def compared(
         return diff_of(scene, open_scene(later), options=options)
     if options.b_from_a is not None:
         raise OptionError("--b-from-a belongs to a map; a capture's poses are found by localizing.")
-    from placegraph.formats.capture.capture import open_capture
+    from placegraph.io.capture.capture import open_capture
 
     capture = chosen_frames(open_capture(later), frames)
     estimate = scene.localize(capture, seed=options.seed, progress=tell)
@@ -230,7 +230,7 @@ def _motion(axes: str | None) -> Floats | None:
         return None
     import numpy as np
 
-    from placegraph.geometry import rotation_z
+    from placegraph.core.geometry import rotation_z
     from placegraph.indoor.mapping.change.register import rigid
 
     mend = "give x, y, z in metres and yaw in degrees, as 1.5,2,0,90."

@@ -21,9 +21,9 @@ from placegraph.errors import OptionError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from placegraph.formats.capture.capture import Capture
     from placegraph.indoor.encode import Encoder
     from placegraph.indoor.scene_map import SceneMap
+    from placegraph.io.capture.capture import Capture
 
 _BEYOND = 1.0  # how far outside a map's box its cameras may stand [m]
 
@@ -71,9 +71,9 @@ def encode(
     """
     from time import perf_counter
 
+    from placegraph.core.store import writing
     from placegraph.indoor.encode import vectors_of
     from placegraph.indoor.scene_map import SceneMap
-    from placegraph.store import writing
 
     shown = _given(encoder, captures or [], poses, frames)
     with writing(out):
@@ -126,7 +126,7 @@ def _given(
 
 def _opened(path: Path, poses: str | None, frames: str | None, scene: SceneMap) -> Capture:
     """A capture of the map; `OptionError` where it was taken elsewhere."""
-    from placegraph.formats.capture.capture import open_capture
+    from placegraph.io.capture.capture import open_capture
 
     true = (path / "trajectory.tum").is_file()
     by = poses if poses is not None else "trajectory" if true else None

@@ -85,7 +85,7 @@ def export(
 
 def camera_paths(files: list[Path] | None) -> dict[str, NDArray[np.float64]]:
     """Poses by name of each file's way; of files of one name the later are numbered."""
-    from placegraph.formats.capture.tum import read_camera_path
+    from placegraph.io.capture.tum import read_camera_path
 
     found: dict[str, NDArray[np.float64]] = {}
     for file in files or []:

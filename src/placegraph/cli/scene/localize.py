@@ -36,11 +36,11 @@ from placegraph.cli.scene.query import (
 from placegraph.errors import OptionError
 
 if TYPE_CHECKING:
-    from placegraph.formats.capture.capture import Capture
     from placegraph.indoor.options import FilterOptions
     from placegraph.indoor.pose.prior import Prior
     from placegraph.indoor.refine.matching import Matcher
     from placegraph.indoor.refine.options import RefineOptions
+    from placegraph.io.capture.capture import Capture
 
 
 def localize(
@@ -138,8 +138,8 @@ def localize(
 
     Example: placegraph scene localize house.scene walk/ --frames 10:20 --overlay look.png
     """
-    from placegraph.formats.capture.capture import open_capture
     from placegraph.indoor.refine.options import RefineOptions
+    from placegraph.io.capture.capture import open_capture
     from placegraph.maps import open_scene
 
     options = _options(

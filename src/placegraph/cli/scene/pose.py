@@ -12,8 +12,8 @@ from placegraph.errors import InputError, OptionError
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from placegraph.formats.capture.frame import Frame
-    from placegraph.geometry import Floats
+    from placegraph.core.geometry import Floats
+    from placegraph.io.capture.frame import Frame
 
 
 def map_from_camera_of(text: str, down: Floats | None = None) -> Floats:
@@ -22,7 +22,7 @@ def map_from_camera_of(text: str, down: Floats | None = None) -> Floats:
     The yaw is that of `geometry.split_pose`, as `scene localize` prints it. `down`: gravity (3,) in
     the camera's axes, for a text without pitch and roll; upright if not given. Raises `OptionError`.
     """
-    from placegraph.geometry import level_from_camera, pose_matrix
+    from placegraph.core.geometry import level_from_camera, pose_matrix
 
     mend = (
         "give x, y, z in metres and yaw in degrees, and pitch and roll if need be, as 1.5,2,1.6,90 or "
@@ -72,7 +72,7 @@ def read_estimate(path: Path) -> tuple[list[Floats], list[int], Floats]:
 
     Raises `InputError` where the file is no such JSON, or holds no pose.
     """
-    from placegraph.formats.capture.camera import read_json
+    from placegraph.io.capture.camera import read_json
 
     told = read_json(path)
     try:

@@ -9,8 +9,8 @@ from placegraph.cli.command import Argument, Option
 from placegraph.errors import OptionError
 
 if TYPE_CHECKING:
-    from placegraph.formats.capture.capture import Capture
     from placegraph.indoor.refine.matching import Matcher
+    from placegraph.io.capture.capture import Capture
 
 KNOWN = "What is known"
 USED = "What is used of the frames"

@@ -33,7 +33,7 @@ from placegraph.cli.scene.query import (
 from placegraph.errors import OptionError
 
 if TYPE_CHECKING:
-    from placegraph.formats.capture.capture import Capture
+    from placegraph.io.capture.capture import Capture
 
 
 def refine(
@@ -74,8 +74,8 @@ def refine(
 
     Example: placegraph scene refine house.scene walk/ --estimate est.json --overlay look.png
     """
-    from placegraph.formats.capture.capture import open_capture
     from placegraph.indoor.refine import RefineOptions
+    from placegraph.io.capture.capture import open_capture
     from placegraph.maps import open_scene
 
     if (pose is None) == (estimate is None):

@@ -13,15 +13,15 @@ import numpy as np
 from placegraph.cli.command import Argument, Option
 from placegraph.cli.common import AsJson, Quiet
 from placegraph.cli.scene.pose import map_from_camera_of, pose_of_estimate, read_estimate
+from placegraph.core.files import put
 from placegraph.errors import InputError, OptionError
-from placegraph.files import put
 
 if TYPE_CHECKING:
-    from placegraph.formats.capture.capture import Capture
-    from placegraph.formats.capture.frame import Frame
-    from placegraph.geometry import Camera, Floats
+    from placegraph.core.geometry import Camera, Floats
     from placegraph.indoor.render import Rendering
     from placegraph.indoor.scene_map import SceneMap
+    from placegraph.io.capture.capture import Capture
+    from placegraph.io.capture.frame import Frame
 
 _UNITS = 1000.0
 """Of a depth picture in a metre."""
@@ -135,11 +135,11 @@ def _check(source: Source, *, camera: Path | None, capture: Path | None, frame: 
 
 def _camera(camera: Path | None, capture: Path | None) -> tuple[Capture | None, Camera]:
     if capture is not None:
-        from placegraph.formats.capture.capture import open_capture
+        from placegraph.io.capture.capture import open_capture
 
         clip = open_capture(capture)
         return clip, clip.camera
-    from placegraph.formats.capture.camera import read_camera
+    from placegraph.io.capture.camera import read_camera
 
     assert camera is not None  # noqa: S101  # `_check` saw to it
     return None, read_camera(camera).camera
@@ -169,7 +169,7 @@ def _pose(source: Source, frame: Frame | None, *, asked: bool) -> Floats:
 
 
 def _pose_of_tum(path: Path, row: int | None, frame: Frame | None) -> Floats:
-    from placegraph.formats.capture.tum import read_tum
+    from placegraph.io.capture.tum import read_tum
 
     track = read_tum(path)
     if row is None and frame is not None:

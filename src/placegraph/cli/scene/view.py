@@ -22,7 +22,7 @@ from placegraph.cli.scene.query import (
 from placegraph.errors import OptionError
 
 if TYPE_CHECKING:
-    from placegraph.estimate import PoseEstimate
+    from placegraph.core.estimate import PoseEstimate
     from placegraph.indoor.scene_map import SceneMap
 
 
@@ -86,8 +86,8 @@ def wait() -> None:
 def _localized(
     scene: SceneMap, folder: Path, frames: str | None, *, seed: int, device: str, quiet: bool
 ) -> PoseEstimate:
-    from placegraph.formats.capture.capture import open_capture
     from placegraph.indoor.options import FilterOptions
+    from placegraph.io.capture.capture import open_capture
 
     chosen = chosen_frames(open_capture(folder), frames)
     with progress_of(hidden=quiet) as tell:

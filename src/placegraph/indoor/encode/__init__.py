@@ -20,17 +20,17 @@ import ast
 import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from typing import Any, Protocol, cast, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.geometry import Camera
+from placegraph.core.plugins import load_module
 from placegraph.errors import MapError, OptionError
-from placegraph.formats.capture.capture import Capture
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Camera
 from placegraph.indoor.map.scene import Scene
+from placegraph.io.capture.capture import Capture
+from placegraph.io.capture.frame import Frame
 
 __all__ = ["ENCODERS", "Encoder", "MapEncoder", "Patches", "bound", "encoder", "for_map", "spoken"]
 
@@ -38,10 +38,10 @@ TEMPERATURE = 0.05
 """Cosine that counts one nat, of encoders whose vectors agree or do not."""
 
 _HOME = {
-    "labels": ("labels", "LabelsEncoder"),
-    "appearance": ("appearance", "AppearanceEncoder"),
-    "features": ("features", "FeaturesEncoder"),
-    "scenegraphloc": ("scenegraphloc", "SceneGraphLocEncoder"),
+    "labels": ("placegraph.indoor.encode.labels", "LabelsEncoder"),
+    "appearance": ("placegraph.indoor.encode.appearance", "AppearanceEncoder"),
+    "features": ("placegraph_learn.features", "FeaturesEncoder"),
+    "scenegraphloc": ("placegraph_learn.scenegraphloc", "SceneGraphLocEncoder"),
 }
 ENCODERS = tuple(_HOME)
 """Names that `encoder` knows."""
@@ -135,7 +135,7 @@ def encoder(name: str, **options: Any) -> Encoder:  # noqa: ANN401  # of the enc
     if name not in _HOME:
         raise OptionError(f"encoder is {name!r}; it is one of {', '.join(ENCODERS)}.")
     module, kind = _HOME[name]
-    made = getattr(import_module(f"{__name__}.{module}"), kind)
+    made = getattr(load_module(module, "learn"), kind)
     try:
         return cast("Encoder", made(**(said | options)))
     except TypeError as error:  # an option that the class does not have

@@ -16,15 +16,15 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.formats.capture.capture import Capture
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Camera, Floats
+from placegraph.core.geometry import Camera, Floats
 from placegraph.indoor.encode.grid import GRID
 from placegraph.indoor.likelihood.visibility import VisibilityTable
 from placegraph.indoor.map.panoramas import HIGHEST
 from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, ELEVATIONS, NOTHING, STEP
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.options import STANDING, FilterOptions
+from placegraph.io.capture.capture import Capture
+from placegraph.io.capture.frame import Frame
 
 DIMENSION = 64
 TEMPERATURE = 0.12

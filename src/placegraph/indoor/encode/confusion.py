@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from placegraph.core.files import put, regular
 from placegraph.errors import InputError, OptionError
-from placegraph.files import put, regular
-from placegraph.formats.capture.camera import read_json
-from placegraph.formats.capture.capture import Capture
-from placegraph.formats.capture.frame import Frame
 from placegraph.indoor.encode.words import spelled
 from placegraph.indoor.map.scene import Scene
+from placegraph.io.capture.camera import read_json
+from placegraph.io.capture.capture import Capture
+from placegraph.io.capture.frame import Frame
 
 STEP = 8
 """Pixels between those whose labels are compared with the map."""

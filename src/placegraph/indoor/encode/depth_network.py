@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import InputError, OptionError
-from placegraph.formats.capture.camera import read_json
-from placegraph.formats.capture.capture import Capture
 from placegraph.indoor.encode.network import ImageNetwork, answered
+from placegraph.io.capture.camera import read_json
+from placegraph.io.capture.capture import Capture
 
 SLOPE = 0.1
 """`Likelihood.depth_slope` for networks: they err by a tenth of the depth, a frame's readings alike."""

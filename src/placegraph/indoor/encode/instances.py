@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from placegraph.formats.capture.frame import Frame
 from placegraph.indoor.encode import Patches
 from placegraph.indoor.encode.grid import GRID, checked, looked_up, majority
 from placegraph.indoor.map.scene import Scene
+from placegraph.io.capture.frame import Frame
 
 _FOREIGN = 0.2
 """Share of the ids of frames that a map may lack: things come and go."""

@@ -7,15 +7,15 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from placegraph.core.geometry import Camera
 from placegraph.errors import OptionError
-from placegraph.formats.capture.capture import Capture
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Camera
 from placegraph.indoor.encode.confusion import Confusion
 from placegraph.indoor.encode.grid import GRID, cells, checked, looked_up, majority
 from placegraph.indoor.encode.segmenter import Segmenter
 from placegraph.indoor.encode.words import DIMENSION, digest, vector
 from placegraph.indoor.map.scene import Scene
+from placegraph.io.capture.capture import Capture
+from placegraph.io.capture.frame import Frame
 
 TEMPERATURE = 0.1
 """Cosine that counts one nat: found on windows of the house, by its own words and by others."""

@@ -12,10 +12,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.files import regular
 from placegraph.errors import InputError, MissingExtraError
-from placegraph.files import regular
-from placegraph.formats.capture.capture import Capture
-from placegraph.formats.capture.frame import Images
+from placegraph.io.capture.capture import Capture
+from placegraph.io.capture.frame import Images
 
 Answer = Callable[["NDArray[np.uint8]"], "NDArray[Any]"]
 """What a network says (h, w) of an image (H, W, 3) sRGB."""

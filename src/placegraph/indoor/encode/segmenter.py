@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import InputError, OptionError
-from placegraph.formats.capture.camera import read_json
-from placegraph.formats.capture.capture import Capture
 from placegraph.indoor.encode.network import ImageNetwork, answered
+from placegraph.io.capture.camera import read_json
+from placegraph.io.capture.capture import Capture
 
 PASCAL = (
     "", "aeroplane", "bicycle", "bird", "boat", "bottle", "bus", "car", "cat", "chair", "cow",

@@ -10,8 +10,8 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.graph import SceneGraph
 from placegraph.errors import OptionError
-from placegraph.graph import SceneGraph
 from placegraph.indoor.language.seen import COLUMNS, room_seen, seen
 from placegraph.indoor.map.relations import NEXT_TO, SAME_ROOM
 from placegraph.indoor.map.relations.words import canonical

@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from placegraph.estimate import Evidence, ObjectRef
+from placegraph.core.estimate import Evidence, ObjectRef
 from placegraph.indoor.language.referents import Referents
 from placegraph.indoor.language.sentence import Sentence, Statement
 from placegraph.indoor.language.sight import Sight

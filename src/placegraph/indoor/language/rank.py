@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.estimate import Evidence, ObjectRef
+from placegraph.core.graph import SceneGraph
 from placegraph.errors import OptionError
-from placegraph.estimate import Evidence, ObjectRef
-from placegraph.graph import SceneGraph
 from placegraph.indoor.language.colours import with_colours
 from placegraph.indoor.language.described import Described, units
 from placegraph.indoor.language.index import Columns, columns_of

@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.graph import SceneGraph
+from placegraph.core.graph import SceneGraph
 from placegraph.indoor.language.colours import from_words
 from placegraph.indoor.language.looks import COLOURS, looks
 from placegraph.indoor.map.floor import is_floor, label_words

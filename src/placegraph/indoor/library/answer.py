@@ -11,11 +11,9 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.earth import EarthPose
+from placegraph.core.earth import EarthPose
+from placegraph.core.estimate import Evidence, ObjectRef, SceneEstimate, SceneMode, Status
 from placegraph.errors import OptionError
-from placegraph.estimate import Evidence, ObjectRef, SceneEstimate, SceneMode, Status
-from placegraph.formats.capture.capture import Capture
-from placegraph.formats.capture.frame import Frame
 from placegraph.indoor.encode import Encoder
 from placegraph.indoor.language import Sentence, read, score
 from placegraph.indoor.library.options import SearchOptions
@@ -23,6 +21,8 @@ from placegraph.indoor.library.query import Query, encode
 from placegraph.indoor.library.search import Scores, patch_weights, ratio
 from placegraph.indoor.likelihood.observe import spread
 from placegraph.indoor.pose.query import chosen_frames
+from placegraph.io.capture.capture import Capture
+from placegraph.io.capture.frame import Frame
 
 if TYPE_CHECKING:
     from placegraph.indoor.library.scenes import Scenes

@@ -7,13 +7,13 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
-from placegraph.earth import EarthPose
+from placegraph.core.earth import EarthPose
+from placegraph.core.estimate import PoseEstimate, SceneEstimate
+from placegraph.core.files import real_path
+from placegraph.core.geometry import Camera
+from placegraph.core.notebook import Shown
+from placegraph.core.store import MapFile, pack_strings, read_map, sound, write_map
 from placegraph.errors import InputError, MapError, MissingExtraError, OptionError
-from placegraph.estimate import PoseEstimate, SceneEstimate
-from placegraph.files import real_path
-from placegraph.formats.capture.capture import Capture
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Camera
 from placegraph.indoor.encode import ENCODERS, Encoder, encoder
 from placegraph.indoor.library.answer import Many, search
 from placegraph.indoor.library.localize import localize
@@ -22,8 +22,8 @@ from placegraph.indoor.library.scenes import Entry, Scenes
 from placegraph.indoor.library.signature_file import GRAIN, KIND, VERSION, columns, signatures_in
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.indoor.track.live import LiveTracker
-from placegraph.notebook import Shown
-from placegraph.store import MapFile, pack_strings, read_map, sound, write_map
+from placegraph.io.capture.capture import Capture
+from placegraph.io.capture.frame import Frame
 
 Progress = Callable[[str, int, int], None]
 

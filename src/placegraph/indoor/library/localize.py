@@ -14,11 +14,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from placegraph.core.estimate import PoseEstimate, PoseMode, SceneEstimate, Status
+from placegraph.core.geometry import split_pose
 from placegraph.errors import OptionError
-from placegraph.estimate import PoseEstimate, PoseMode, SceneEstimate, Status
-from placegraph.formats.capture.capture import Capture
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import split_pose
 from placegraph.indoor.encode import Encoder
 from placegraph.indoor.encode import encoder as encoder_named
 from placegraph.indoor.language import Sentence, read
@@ -32,6 +30,8 @@ from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.pose.query import chosen_frames
 from placegraph.indoor.pose.trust import SURE as RIGHT
 from placegraph.indoor.pose.trust import TRUST, log_odds
+from placegraph.io.capture.capture import Capture
+from placegraph.io.capture.frame import Frame
 
 if TYPE_CHECKING:
     from placegraph.indoor.library.scenes import Scenes

@@ -9,15 +9,15 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.geometry import Camera, Floats, between, level_from_camera
+from placegraph.core.threads import product
 from placegraph.errors import OptionError
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Camera, Floats, between, level_from_camera
 from placegraph.indoor.encode import Encoder, patches_of
 from placegraph.indoor.library.index import distinct
 from placegraph.indoor.library.search_kernels import beside, sums_of
 from placegraph.indoor.library.signature import BANDS, REACH, TURNS
 from placegraph.indoor.pose.query import leveled
-from placegraph.threads import product
+from placegraph.io.capture.frame import Frame
 
 WORDS = 128
 """Vectors that the patches of one query are told apart by, where they are not fewer; of T frames

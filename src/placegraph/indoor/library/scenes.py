@@ -13,11 +13,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.earth import EarthPose
+from placegraph.core.earth import EarthPose
+from placegraph.core.estimate import Evidence
+from placegraph.core.files import regular
 from placegraph.errors import InputError, MapError, OptionError
-from placegraph.estimate import Evidence
-from placegraph.files import regular
-from placegraph.formats.capture.capture import Capture
 from placegraph.indoor.encode import Encoder, encoder
 from placegraph.indoor.language import Sentence, TextIndex
 from placegraph.indoor.language.index import Columns
@@ -30,6 +29,7 @@ from placegraph.indoor.library.signature_file import decoys
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.pose.placed import whereabouts
 from placegraph.indoor.scene_map import SceneMap
+from placegraph.io.capture.capture import Capture
 
 if TYPE_CHECKING:
     from placegraph.indoor.library.query import Query

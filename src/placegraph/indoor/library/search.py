@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.threads import product
 from placegraph.indoor.library.options import SearchOptions
 from placegraph.indoor.library.search_kernels import (
     add_told,
@@ -25,7 +26,6 @@ from placegraph.indoor.library.search_kernels import (
     mixtures,
 )
 from placegraph.indoor.library.signature import BANDS, TURNS
-from placegraph.threads import product
 
 if TYPE_CHECKING:
     from placegraph.indoor.library.index import Index, Vocabulary

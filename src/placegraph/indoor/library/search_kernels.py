@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from placegraph.compiled import kernel
-from placegraph.threads import share as in_threads
+from placegraph.core.compiled import kernel
+from placegraph.core.threads import share as in_threads
 
 NEIGHBOURS = 4
 """Places that a camera near one of them may be nearer to, in what it sees: behind a wall is another

@@ -14,9 +14,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.graph import SceneGraph
 from placegraph.errors import OptionError
-from placegraph.formats.capture.capture import Capture
-from placegraph.graph import SceneGraph
 from placegraph.indoor.encode import Encoder, vectors_of
 from placegraph.indoor.language.colours import with_colours
 from placegraph.indoor.language.described import Described, units
@@ -25,6 +24,7 @@ from placegraph.indoor.map.panoramas import HIGHEST
 from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, ELEVATIONS
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.options import STANDING, FilterOptions
+from placegraph.io.capture.capture import Capture
 
 PLACES = 160
 """Panoramas of a scene, or of a merged map's part, at most,"""

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.graph import SceneGraph
+from placegraph.core.graph import SceneGraph
+from placegraph.core.store import MapFile, pack_strings, read_map
 from placegraph.indoor.encode import Encoder
 from placegraph.indoor.library.index import distinct
 from placegraph.indoor.library.signature import BANDS, TURNS, Signature
 from placegraph.indoor.map.eight_bits import from_8_bits, in_8_bits
-from placegraph.store import MapFile, pack_strings, read_map
 
 KIND = "library"
 VERSION = 1

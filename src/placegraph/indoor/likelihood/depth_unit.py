@@ -12,12 +12,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.geometry import Floats
 from placegraph.errors import InputError, OptionError
-from placegraph.formats.capture.frame import Frame
-from placegraph.formats.capture.frame_files import LazyImages
-from placegraph.geometry import Floats
 from placegraph.indoor.likelihood.observe import Sighting
 from placegraph.indoor.likelihood.view import Background, View
+from placegraph.io.capture.frame import Frame
+from placegraph.io.capture.frame_files import LazyImages
 
 FACTORS = (1000.0, 100.0, 39.37, 10.0, 5.0, 3.281)
 """What units are mistaken by: mm, cm, inches, 0.1 mm for mm, TUM's 1/5000 m for mm, feet."""

@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.geometry import Floats
+from placegraph.core.geometry import Floats
 from placegraph.indoor.likelihood.calibrated import Calibrated
 from placegraph.indoor.likelihood.paper import Paper
 from placegraph.indoor.likelihood.view import Background, Noise, View

@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.geometry import Camera, Floats, level_from_camera
+from placegraph.core.geometry import Camera, Floats, level_from_camera
 from placegraph.indoor.likelihood.view import Background, View
 
 if TYPE_CHECKING:
-    from placegraph.formats.capture.frame import Frame
     from placegraph.indoor.encode import MapEncoder, Patches
     from placegraph.indoor.likelihood.model import Model
     from placegraph.indoor.options import FilterOptions
+    from placegraph.io.capture.frame import Frame
 
 COARSE = 40.0
 """Stride of what is looked up in the table and of the first round of the polish [px]."""

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.geometry import Floats
+from placegraph.core.geometry import Floats
 from placegraph.indoor.likelihood.score_kernels import TONE
 from placegraph.indoor.likelihood.view import Background, Noise, View
 from placegraph.indoor.options import Likelihood

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.geometry import Floats, compose
 from placegraph.errors import OptionError
-from placegraph.geometry import Floats, compose
 from placegraph.indoor.likelihood.model import model_of
 from placegraph.indoor.likelihood.score_kernels import score_poses
 from placegraph.indoor.likelihood.view import View

@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from placegraph.compiled import kernel
+from placegraph.core.compiled import kernel
+from placegraph.core.threads import share
 from placegraph.indoor.map.surface_kernels import colour_at, opponent
 from placegraph.indoor.rays.layout import DIRECTION, FAR, LANES, ORIGIN, TRIANGLE, U, V
 from placegraph.indoor.rays.packets_kernels import new_packet, trace16
-from placegraph.threads import share
 
 SEMANTIC, DEPTH, COLOUR, TONE = range(4)
 """Columns of scores: of images their steps of colour and, beside depth, their tones."""

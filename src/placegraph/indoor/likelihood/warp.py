@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.geometry import Floats
+from placegraph.core.geometry import Floats
 from placegraph.indoor.likelihood.view import Noise, View
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.rays.layout import LANES

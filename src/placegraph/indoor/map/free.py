@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.geometry import Floats
+from placegraph.core.geometry import Floats
 from placegraph.indoor.map.floor import storeys
 from placegraph.indoor.map.panoramas import DIRECTIONS, range_of
 from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, ELEVATIONS, NOTHING, Panoramas

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from placegraph.core.portable import Portable
+from placegraph.core.store import MapFile
 from placegraph.errors import OptionError
-from placegraph.portable import Portable
-from placegraph.store import MapFile
 
 MOST = 20_000
 """Landmarks of a scene."""

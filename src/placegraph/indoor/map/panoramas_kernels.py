@@ -8,11 +8,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.compiled import kernel
+from placegraph.core.compiled import kernel
+from placegraph.core.threads import share
 from placegraph.indoor.map.surface_kernels import colour_at, opponent
 from placegraph.indoor.rays.layout import DIRECTION, FAR, LANES, ORIGIN, TRIANGLE, U, V
 from placegraph.indoor.rays.packets_kernels import new_packet, trace16
-from placegraph.threads import share
 
 AZIMUTHS = 72
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from placegraph.evidence import ObjectRef
+from placegraph.core.evidence import ObjectRef
 from placegraph.indoor.map.scene import Scene
 
 

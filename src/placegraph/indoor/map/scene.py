@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from placegraph.earth import Anchor, ranked
+from placegraph.core.earth import Anchor, ranked
+from placegraph.core.graph import SceneGraph
+from placegraph.core.portable import Portable, made_again
 from placegraph.errors import OptionError
-from placegraph.graph import SceneGraph
 from placegraph.indoor.map import textures
 from placegraph.indoor.map.eight_bits import from_8_bits, in_8_bits
 from placegraph.indoor.map.landmarks import Landmarks
 from placegraph.indoor.map.mesh import WHITE, Mesh
 from placegraph.indoor.map.mesh_order import ordered
-from placegraph.portable import Portable, made_again
 
 if TYPE_CHECKING:
     from placegraph.indoor.map.surface import Surface

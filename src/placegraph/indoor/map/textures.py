@@ -17,14 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import InputError, MapError
-from placegraph.formats.capture.images import FREE_PIXELS, PIXELS_A_BYTE, opened, rgb_of
 from placegraph.indoor.map.detail import Detail
 from placegraph.indoor.map.mesh import Mesh
+from placegraph.io.capture.images import FREE_PIXELS, PIXELS_A_BYTE, opened, rgb_of
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-    from placegraph.formats.mesh.model import Picture
+    from placegraph.io.mesh.model import Picture
 
 QUALITY = 90
 """WebP quality of textures for which none is asked."""

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import InputError
-from placegraph.formats.mesh.glb import Z_UP
-from placegraph.formats.mesh.model import Model, Picture, Thing
 from placegraph.indoor.map.floor import is_floor
 from placegraph.indoor.map.mesh import GRAIN, Mesh, portions
+from placegraph.io.mesh.glb import Z_UP
+from placegraph.io.mesh.model import Model, Picture, Thing
 
 TALLEST = 60.0
 """What is higher than this is not in metres, unless a scale is given [m]."""

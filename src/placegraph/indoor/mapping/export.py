@@ -13,19 +13,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.files import write_file
 from placegraph.errors import OptionError
-from placegraph.files import write_file
-from placegraph.formats.mesh.glb import OWN
-from placegraph.formats.mesh.glb_write import Material, Part, Surface, encode_glb
-from placegraph.formats.mesh.ply_write import write_ply
-from placegraph.formats.mesh.spark_dsg_write import MOST_PATHS, encode_spark_dsg
-from placegraph.formats.place.indoor_osm_write import OSMAG_ENDINGS, encode_rooms
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.map.textures import linear_from_srgb
 from placegraph.indoor.mapping.camera_paths import Paths, checked, path_lines
 from placegraph.indoor.mapping.osm.export import shapes_of
 from placegraph.indoor.mapping.paint import painted
+from placegraph.io.mesh.glb import OWN
+from placegraph.io.mesh.glb_write import Material, Part, Surface, encode_glb
+from placegraph.io.mesh.ply_write import write_ply
+from placegraph.io.osm.indoor_osm_write import OSMAG_ENDINGS, encode_rooms
+from placegraph_io.graphs.spark_dsg_write import MOST_PATHS, encode_spark_dsg
 
 ENDINGS = (".glb", ".ply", ".json", ".osm", *OSMAG_ENDINGS)
 MARK = "placegraph scene export"

@@ -12,15 +12,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.earth import Anchor
+from placegraph.core.earth import Anchor
 from placegraph.errors import InputError, OptionError
-from placegraph.formats.capture.capture import Capture, format_of
-from placegraph.formats.mesh.model import Model, Picture, Thing
 from placegraph.indoor.encode.segmenter import Segmenter
 from placegraph.indoor.map.floor import floor_height
 from placegraph.indoor.map.landmarks import Landmarks
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.scene_file import VIEWPOINTS
+from placegraph.io.capture.capture import Capture, format_of
+from placegraph.io.mesh.model import Model, Picture, Thing
 
 if TYPE_CHECKING:
     from placegraph.indoor.mapping.atlas import ColourOf

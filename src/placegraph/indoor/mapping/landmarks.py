@@ -14,12 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Floats
+from placegraph.core.geometry import Floats
+from placegraph.core.threads import processors
 from placegraph.indoor.likelihood.observe import spread
 from placegraph.indoor.map.landmarks import MOST, WIDTH, Landmarks
 from placegraph.indoor.refine.landmarks import LARGEST, features_of, finder
-from placegraph.threads import processors
+from placegraph.io.capture.frame import Frame
 
 FRAMES = 300
 """Most frames that are looked at, spread over the capture."""

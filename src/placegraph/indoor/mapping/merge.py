@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.graph import SceneGraph
 from placegraph.errors import OptionError
-from placegraph.graph import SceneGraph
 from placegraph.indoor.map.landmarks import Landmarks
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.scene import S, Scene

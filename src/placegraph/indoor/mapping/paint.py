@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.formats.mesh.model import Model, Picture, Thing
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.scene import Scene
+from placegraph.io.mesh.model import Model, Picture, Thing
 
 _SAMPLES = np.array(
     [(0.90, 0.05), (0.70, 0.25), (0.70, 0.05), (0.50, 0.40), (0.50, 0.10), (0.40, 0.30)]

@@ -8,13 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from placegraph.formats.mesh.model import Picture
 from placegraph.indoor.map import textures
 from placegraph.indoor.map.detail import Detail
 from placegraph.indoor.map.mesh import UV_GRAIN, Mesh
 from placegraph.indoor.mapping.atlas import ColourOf
 from placegraph.indoor.mapping.clean import snapped
 from placegraph.indoor.mapping.simplify.simplify import simplify
+from placegraph.io.mesh.model import Picture
 
 VIVID = 0.1
 """Colours of two ends of an edge that differ by more than this share of the range are a pattern."""

@@ -14,10 +14,6 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from placegraph.errors import InputError, OptionError
-from placegraph.formats.capture.capture import FORMATS, is_capture
-from placegraph.formats.capture.labels import Entry, label_table
-from placegraph.formats.mesh.model import Model, Thing
-from placegraph.formats.place.indoor_osm import is_indoor_osm
 from placegraph.indoor.mapping.from_capture import (
     UNKNOWN,
     FromCapture,
@@ -27,6 +23,10 @@ from placegraph.indoor.mapping.from_capture import (
     things_of,
 )
 from placegraph.indoor.mapping.osm import rooms_source
+from placegraph.io.capture.capture import FORMATS, is_capture
+from placegraph.io.capture.labels import Entry, label_table
+from placegraph.io.mesh.model import Model, Thing
+from placegraph.io.osm.indoor_osm import is_indoor_osm
 
 Up = Literal["auto", "y", "z"]
 
@@ -37,7 +37,7 @@ class SourceKind(NamedTuple):
     holds: str
     """What it is told by, for the user."""
     module: str
-    """Of `placegraph.formats`, with `read_X`, and `is_X` where no ending tells."""
+    """Of `placegraph.io`, with `read_X`, and `is_X` where no ending tells."""
     verb: str
     ending: str = ""
     takes: tuple[str, ...] = ()
@@ -62,40 +62,42 @@ class SourceKind(NamedTuple):
         return model
 
     def _module(self) -> Any:  # noqa: ANN401  # a module
-        return import_module(f"placegraph.formats.{self.module}")
+        return import_module(self.module)
 
 
 KINDS = (
-    SourceKind(".glb", "mesh.glb", "glb", ".glb", ("up",)),
-    SourceKind(".gltf", "mesh.glb", "glb", ".gltf", ("up",)),
-    SourceKind(".obj", "mesh.obj", "obj", ".obj", ("up", "table"), own=("groups",)),
+    SourceKind(".glb", "placegraph.io.mesh.glb", "glb", ".glb", ("up",)),
+    SourceKind(".gltf", "placegraph.io.mesh.glb", "glb", ".gltf", ("up",)),
+    SourceKind(".obj", "placegraph.io.mesh.obj", "obj", ".obj", ("up", "table"), own=("groups",)),
     SourceKind(
         "a 3RScan scan's folder",
-        "dataset.scan3r",
+        "placegraph_io.dataset.scan3r",
         "scan3r",
         own=("reference_frame", "undo_moves", "rooms", "annotations"),
     ),
     SourceKind(
         "a ScanNet scan's folder",
-        "dataset.scannet",
+        "placegraph_io.dataset.scannet",
         "scannet",
         own=("label_table", "label_column", "align"),
     ),
     SourceKind(
         "what SceneGraphFusion predicted",
-        "dataset.scenegraphfusion",
+        "placegraph_io.dataset.scenegraphfusion",
         "scenegraphfusion",
         own=("mesh",),
     ),
-    SourceKind("Spark-DSG's .json, or Hydra's log folder", "mesh.spark_dsg", "spark_dsg"),
+    SourceKind(
+        "Spark-DSG's .json, or Hydra's log folder", "placegraph_io.graphs.spark_dsg", "spark_dsg"
+    ),
     SourceKind(
         "ConceptGraphs' obj_json_*.json, or its folder",
-        "mesh.conceptgraphs",
+        "placegraph_io.graphs.conceptgraphs",
         "conceptgraphs",
         takes=("up",),
         own=("mesh",),
     ),
-    SourceKind(".ply", "mesh.ply", "ply", ".ply", ("up", "table", "object_property")),
+    SourceKind(".ply", "placegraph.io.mesh.ply", "ply", ".ply", ("up", "table", "object_property")),
 )
 """In the order in which they are asked: what is told by little comes last."""
 

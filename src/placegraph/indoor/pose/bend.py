@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.random import Generator
 
-from placegraph.geometry import Floats, between
+from placegraph.core.geometry import Floats, between
 from placegraph.indoor.likelihood.observe import FINE
 from placegraph.indoor.likelihood.score import Scorer
 from placegraph.indoor.likelihood.view import View

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.geometry import Floats, between, compose, wrap
+from placegraph.core.geometry import Floats, between, compose, wrap
 from placegraph.indoor.options import MotionNoise
 from placegraph.indoor.pose.motion import deviations
 

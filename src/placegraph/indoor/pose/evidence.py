@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.estimate import Evidence
-from placegraph.geometry import Floats, compose
+from placegraph.core.estimate import Evidence
+from placegraph.core.geometry import Floats, compose
 from placegraph.indoor.likelihood.calibrated import reading_ratio
 from placegraph.indoor.likelihood.score import Scorer
 from placegraph.indoor.likelihood.score_kernels import COLOUR, DEPTH, SEMANTIC, TONE, look

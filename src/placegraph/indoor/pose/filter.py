@@ -10,7 +10,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from placegraph.geometry import compose
+from placegraph.core.geometry import compose
 from placegraph.indoor.likelihood.view import View
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.pose.motion import propagate

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from placegraph.geometry import compose, level_from_camera, wrap
+from placegraph.core.geometry import compose, level_from_camera, wrap
 from placegraph.indoor.options import MotionNoise
 
 

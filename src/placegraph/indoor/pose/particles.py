@@ -8,7 +8,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from placegraph.geometry import wrap
+from placegraph.core.geometry import wrap
 from placegraph.indoor.options import FilterOptions
 
 BIN = np.array([0.2, 0.2, 0.2, np.deg2rad(10.0)])

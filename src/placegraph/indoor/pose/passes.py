@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.random import Generator
 
-from placegraph.estimate import PassRecord
-from placegraph.geometry import Floats, between, compose
+from placegraph.core.estimate import PassRecord
+from placegraph.core.geometry import Floats, between, compose
 from placegraph.indoor.likelihood.observe import COARSE
 from placegraph.indoor.options import STANDING, Pass
 from placegraph.indoor.pose.filter import ParticleFilter, run_pass

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from placegraph.geometry import Floats, between, compose, wrap
+from placegraph.core.geometry import Floats, between, compose, wrap
 from placegraph.indoor.likelihood.observe import COARSE, FINE, recent
 from placegraph.indoor.likelihood.score import Scorer
 from placegraph.indoor.likelihood.score_kernels import DEPTH

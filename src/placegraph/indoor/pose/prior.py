@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from placegraph.core.estimate import Evidence
+from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
-from placegraph.estimate import Evidence
-from placegraph.geometry import Floats
 from placegraph.indoor.likelihood.visibility import VisibilityTable
 from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, STEP
 from placegraph.indoor.map.scene import Scene

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
-from placegraph.formats.capture.capture import Capture
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Floats
 from placegraph.indoor.encode import Encoder, MapEncoder, for_map
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.pose.motion import keyframes, level_poses
+from placegraph.io.capture.capture import Capture
+from placegraph.io.capture.frame import Frame
 
 if TYPE_CHECKING:
     from placegraph.indoor.language import Sentence

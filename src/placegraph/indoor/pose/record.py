@@ -1,6 +1,6 @@
 """A recorded run: an estimate with the particles of every pass and frame, as a small file.
 
-The layout is that of map files (`placegraph.store`), of kind ``run``: `docs/formats.md`.
+The layout is that of map files (`placegraph.core.store`), of kind ``run``: `docs/formats.md`.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.estimate import PassRecord, PoseEstimate, PoseMode, Status
-from placegraph.geometry import Floats
-from placegraph.store import MapFile, read_map, sound, write_map
+from placegraph.core.estimate import PassRecord, PoseEstimate, PoseMode, Status
+from placegraph.core.geometry import Floats
+from placegraph.core.store import MapFile, read_map, sound, write_map
 
 KIND = "run"
 VERSION = 1

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from placegraph.core.geometry import Floats, between, compose
 from placegraph.errors import OptionError
-from placegraph.geometry import Floats, between, compose
 from placegraph.indoor.likelihood.observe import COARSE, spread
 from placegraph.indoor.likelihood.view import Noise, View
 from placegraph.indoor.likelihood.visibility import VisibilityTable, floor_under

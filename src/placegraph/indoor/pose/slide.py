@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.random import Generator
 
-from placegraph.geometry import Floats, between
+from placegraph.core.geometry import Floats, between
 from placegraph.indoor.likelihood.observe import COARSE, FINE
 from placegraph.indoor.pose.chain import Chain
 from placegraph.indoor.pose.polish import (

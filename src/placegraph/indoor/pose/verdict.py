@@ -8,8 +8,8 @@ from functools import partial
 
 import numpy as np
 
-from placegraph.estimate import Evidence, PoseEstimate, PoseMode, Status
-from placegraph.geometry import Floats, between, pose_matrix
+from placegraph.core.estimate import Evidence, PoseEstimate, PoseMode, Status
+from placegraph.core.geometry import Floats, between, pose_matrix
 from placegraph.indoor.likelihood.depth_unit import hint
 from placegraph.indoor.likelihood.observe import FINE
 from placegraph.indoor.map.scene import Scene

@@ -12,9 +12,8 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Floats
 from placegraph.indoor.encode import MapEncoder, bound
 from placegraph.indoor.encode.instances import InstancesEncoder
 from placegraph.indoor.encode.labels import LabelsEncoder
@@ -28,6 +27,7 @@ from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.pose.chain import Chain
 from placegraph.indoor.pose.prior import Leaning
 from placegraph.indoor.pose.query import PoseQuery, leveled
+from placegraph.io.capture.frame import Frame
 
 T = TypeVar("T")
 

@@ -9,11 +9,11 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from placegraph.core.threads import processors
 from placegraph.errors import OptionError
 from placegraph.indoor.rays import bvh, embree
 from placegraph.indoor.rays.layout import LANES, NONE
 from placegraph.indoor.rays.packets_kernels import Tracer, cast_rays
-from placegraph.threads import processors
 
 Backend = Literal["auto", "embree", "bvh"]
 

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.threads import processors
 from placegraph.errors import MissingExtraError, PlacegraphError
 from placegraph.indoor.rays.layout import (
     DIRECTION,
@@ -33,7 +34,6 @@ from placegraph.indoor.rays.layout import (
     V,
 )
 from placegraph.indoor.rays.packets_kernels import Tracer
-from placegraph.threads import processors
 
 WHEEL = "4.4."
 """Versions of ``embreex`` that start so are known."""

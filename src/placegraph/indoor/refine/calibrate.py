@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from placegraph.geometry import Floats, cross_matrix, rotation_from_vector
+from placegraph.core.geometry import Floats, cross_matrix, rotation_from_vector
+from placegraph.core.threads import product
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.refine.equations import POINTS, READINGS
 from placegraph.indoor.refine.lag import twists, usual_lag
 from placegraph.indoor.refine.solve import Problem, add_beliefs, leaning
-from placegraph.threads import product
 
 if TYPE_CHECKING:
     from placegraph.indoor.refine.depth import Readings

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.estimate import PoseEstimate, Status
-from placegraph.geometry import Floats, between, compose, pose_matrix
+from placegraph.core.estimate import PoseEstimate, Status
+from placegraph.core.geometry import Floats, between, compose, pose_matrix
 from placegraph.indoor.likelihood.observe import spread
 from placegraph.indoor.pose.window import Window
 from placegraph.indoor.refine.calibrate import (

@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Camera, Floats
+from placegraph.core.geometry import Camera, Floats
 from placegraph.indoor.rays.layout import LANES
 from placegraph.indoor.refine.depth import Readings, Surfaces, distances
 from placegraph.indoor.refine.fit_kernels import correlations
@@ -22,6 +21,7 @@ from placegraph.indoor.refine.match import smaller
 from placegraph.indoor.refine.matching.guided import lightness, resized
 from placegraph.indoor.render import Renderer
 from placegraph.indoor.render.render_kernels import TILE
+from placegraph.io.capture.frame import Frame
 
 NEAR = 0.1
 """Readings farther from the map's surface [m] are of something that it does not show."""

@@ -13,12 +13,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Floats
+from placegraph.core.geometry import Floats
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.rays.packets_kernels import Tracer
 from placegraph.indoor.refine.fit_kernels import plane_distances, read
 from placegraph.indoor.render import camera_rays
+from placegraph.io.capture.frame import Frame
 
 _TILE = 4
 _REACH = 3  # pixels from a reading to the points that its normal is made of

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from placegraph.geometry import Floats
+from placegraph.core.geometry import Floats
 from placegraph.indoor.refine.depth import Kernel
 from placegraph.indoor.refine.fit_kernels import depth_system, pixel_system
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from placegraph.geometry import Floats, vector_from_rotation
+from placegraph.core.geometry import Floats, vector_from_rotation
 from placegraph.indoor.pose.window import timed
 from placegraph.indoor.refine.camera import DULL, OFF, SUSPECT, scale_off
 from placegraph.indoor.refine.check import Evidence, depth_evidence, image_evidence, surely

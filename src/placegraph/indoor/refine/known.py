@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from placegraph.estimate import PoseEstimate, PoseMode, Status
-from placegraph.geometry import Floats, between, compose, pose_matrix, split_pose, wrap
+from placegraph.core.estimate import PoseEstimate, PoseMode, Status
+from placegraph.core.geometry import Floats, between, compose, pose_matrix, split_pose, wrap
 from placegraph.indoor.likelihood.observe import COARSE, FINE
 from placegraph.indoor.pose import polish
 from placegraph.indoor.pose.chain import Chain

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.geometry import Floats, rotation_from_vector, vector_from_rotation
+from placegraph.core.geometry import Floats, rotation_from_vector, vector_from_rotation
 
 USUAL = (0.03, 0.3)
 """Standard deviation of a lag: in the unit of the stamps [s], or this share of the time between two

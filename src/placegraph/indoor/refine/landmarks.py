@@ -17,9 +17,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.geometry import Floats, split_pose, vector_from_rotation
 from placegraph.errors import MissingExtraError
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Floats, split_pose, vector_from_rotation
 from placegraph.indoor.likelihood.observe import spread
 from placegraph.indoor.map.landmarks import WIDTH, Landmarks
 from placegraph.indoor.pose.window import Window, timed
@@ -28,6 +27,7 @@ from placegraph.indoor.refine.match import Consensus, Sights, smaller, solve_rig
 from placegraph.indoor.refine.matching.guided import resized
 from placegraph.indoor.refine.matching.sift import SiftMatcher
 from placegraph.indoor.refine.options import RefineOptions
+from placegraph.io.capture.frame import Frame
 
 if TYPE_CHECKING:
     from placegraph.indoor.refine.matching.features import Features

@@ -10,20 +10,20 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from placegraph.errors import MissingExtraError, OptionError
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import (
+from placegraph.core.geometry import (
     Camera,
     Floats,
     rotation_from_vector,
     rotation_z,
     vector_from_rotation,
 )
+from placegraph.errors import MissingExtraError, OptionError
 from placegraph.indoor.likelihood.observe import REFERENCE
 from placegraph.indoor.refine.matching import Matcher, Matches
 from placegraph.indoor.refine.matching.guided import resized
 from placegraph.indoor.refine.options import RefineOptions
 from placegraph.indoor.render import Renderer, Rendering
+from placegraph.io.capture.frame import Frame
 
 MOST = 5000
 """Matches of a view that are used, the surest."""

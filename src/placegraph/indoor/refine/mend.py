@@ -8,10 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.estimate import Calibration, PoseEstimate, Status
-from placegraph.formats.capture.frame import Frame, Images
-from placegraph.formats.capture.frame_files import LazyImages
-from placegraph.geometry import Camera, Floats
+from placegraph.core.estimate import Calibration, PoseEstimate, Status
+from placegraph.core.geometry import Camera, Floats
 from placegraph.indoor.pose.query import PoseQuery
 from placegraph.indoor.refine.calibrate import (
     COUNT,
@@ -23,6 +21,8 @@ from placegraph.indoor.refine.calibrate import (
     depth_from_camera,
     turned_gravity,
 )
+from placegraph.io.capture.frame import Frame, Images
+from placegraph.io.capture.frame_files import LazyImages
 
 _SAME = 1e-3  # of an image's width: intrinsics of one view
 _ALIKE = 0.01  # focal lengths that are off by one factor

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from placegraph.core.estimate import PoseEstimate, PoseMode, Refinement, Status
+from placegraph.core.geometry import Floats, split_pose
 from placegraph.errors import MissingExtraError, OptionError, ServiceError
-from placegraph.estimate import PoseEstimate, PoseMode, Refinement, Status
-from placegraph.geometry import Floats, split_pose
 from placegraph.indoor.pose.verdict import evidence_at
 from placegraph.indoor.pose.window import Window
 from placegraph.indoor.refine.judge import BENT, Judgement, judged

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Floats
+from placegraph.core.geometry import Floats
+from placegraph.core.threads import processors
 from placegraph.indoor.likelihood.observe import spread
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.pose.query import Progress
@@ -29,7 +29,7 @@ from placegraph.indoor.refine.solve import Problem, Solution, drift_of, solve
 from placegraph.indoor.refine.stages import LANDMARKS, Stage, stages_of
 from placegraph.indoor.refine.worth import covariance
 from placegraph.indoor.render import Renderer
-from placegraph.threads import processors
+from placegraph.io.capture.frame import Frame
 
 if TYPE_CHECKING:
     from placegraph.indoor.refine.matching import Matcher

@@ -15,8 +15,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.core.geometry import (
+    Floats,
+    cross_matrix,
+    rotation_from_vector,
+    vector_from_rotation,
+)
 from placegraph.errors import InputError
-from placegraph.geometry import Floats, cross_matrix, rotation_from_vector, vector_from_rotation
 from placegraph.indoor.refine.equations import ASTRAY, Says, depth_says, matches_say, usual_errors
 from placegraph.indoor.refine.lag import MOST, Lags, clear, in_map_axes, later, twists, usual_lag
 from placegraph.indoor.refine.options import RefineOptions

@@ -14,13 +14,13 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from placegraph.core.geometry import Camera, Floats
+from placegraph.core.threads import share
 from placegraph.errors import OptionError
-from placegraph.geometry import Camera, Floats
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.rays import RayCaster
 from placegraph.indoor.render.render_kernels import TILE, Eye, Picture, World, draw, smooth
-from placegraph.threads import share
 
 SAMPLES = (1, 2, 4, 8, 16)
 """Rays a pixel at edges may get."""

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from placegraph.estimate import PoseEstimate, Status
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Floats, vector_from_rotation
+from placegraph.core.estimate import PoseEstimate, Status
+from placegraph.core.geometry import Floats, vector_from_rotation
+from placegraph.io.capture.frame import Frame
 
 NEAR, TURNED = 0.3, 0.17
 """Two poses are of one place where they are no further apart [m, rad]."""

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from placegraph.estimate import PoseEstimate, Status
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Floats
+from placegraph.core.estimate import PoseEstimate, Status
+from placegraph.core.geometry import Floats
 from placegraph.indoor.options import MotionNoise
 from placegraph.indoor.track.follower import Placed, Said
 from placegraph.indoor.track.live_pose import Anchor, LivePose, predicted
 from placegraph.indoor.track.odometry import AHEAD, JUMP, KEPT, TWITCH, Odometry, Sample
+from placegraph.io.capture.frame import Frame
 
 BROKEN = np.diag([0.25, 0.25, 0.01, 0.0, 0.0, 0.25])
 """Covariance that is added where odometry begins anew: half a metre, half a radian."""

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.random import Generator
 
+from placegraph.core.geometry import Floats, split_pose
 from placegraph.errors import OptionError
-from placegraph.geometry import Floats, split_pose
 from placegraph.indoor.likelihood.depth_unit import check_unit
 from placegraph.indoor.likelihood.observe import sight
 from placegraph.indoor.likelihood.score import Scorer
@@ -25,10 +25,10 @@ from placegraph.indoor.pose.verdict import verdict
 from placegraph.indoor.pose.window import Window, own_encoder, shows_something
 
 if TYPE_CHECKING:
-    from placegraph.estimate import PoseEstimate
-    from placegraph.formats.capture.frame import Frame
+    from placegraph.core.estimate import PoseEstimate
     from placegraph.indoor.library.library import SceneLibrary
     from placegraph.indoor.scene_map import SceneMap
+    from placegraph.io.capture.frame import Frame
 
 HEIGHT = 0.15
 """A told height with a larger standard deviation [m] is none: on a map of RViz there is no height."""

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.random import Generator
 
+from placegraph.core.estimate import PoseEstimate, Status
+from placegraph.core.geometry import Camera, Floats
 from placegraph.errors import PlacegraphError
-from placegraph.estimate import PoseEstimate, Status
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Camera, Floats
 from placegraph.indoor.track.again import Again
 from placegraph.indoor.track.finder import Finder, prior_of
 from placegraph.indoor.track.tracker import KEPT, PATIENCE, WAIT, Tracker, apart
+from placegraph.io.capture.frame import Frame
 
 STRAYED = 2
 """Frames in a row that are not sure of a followed pose, before another place is believed instead."""

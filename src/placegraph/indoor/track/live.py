@@ -21,11 +21,11 @@ from placegraph.indoor.track.worker import Worker
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    from placegraph.formats.capture.frame import Frame
-    from placegraph.geometry import Camera
+    from placegraph.core.geometry import Camera
     from placegraph.indoor.library.library import SceneLibrary
     from placegraph.indoor.scene_map import SceneMap
     from placegraph.indoor.track.live_pose import LivePose
+    from placegraph.io.capture.frame import Frame
 
 
 class LiveTracker:

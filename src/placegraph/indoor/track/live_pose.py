@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from placegraph.estimate import PoseEstimate, Status
-from placegraph.geometry import Floats, cross_matrix
+from placegraph.core.estimate import PoseEstimate, Status
+from placegraph.core.geometry import Floats, cross_matrix
 from placegraph.indoor.options import MotionNoise
 from placegraph.indoor.pose.slide import least_known
 from placegraph.indoor.pose.verdict import LOOSE

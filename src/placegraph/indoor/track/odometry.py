@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from placegraph.core.geometry import Floats, rotation_from_vector, vector_from_rotation
 from placegraph.errors import OptionError
-from placegraph.geometry import Floats, rotation_from_vector, vector_from_rotation
 
 KEPT = 10.0
 """Seconds remembered: an image that is later than that is of no use."""

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
+from placegraph.core.geometry import Floats
+from placegraph.core.store import read_map, write_map
 from placegraph.errors import InputError, MapError, OptionError
-from placegraph.geometry import Floats
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.track.odometry import checked_covariance, checked_odometry, checked_pose
-from placegraph.store import read_map, write_map
 
 KIND = "track"
 VERSION = 1

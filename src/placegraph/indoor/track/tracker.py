@@ -8,10 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from placegraph.errors import OptionError
-from placegraph.estimate import PoseEstimate, Status
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import (
+from placegraph.core.estimate import PoseEstimate, Status
+from placegraph.core.geometry import (
     Camera,
     Floats,
     between,
@@ -21,6 +19,7 @@ from placegraph.geometry import (
     split_pose,
     wrap,
 )
+from placegraph.errors import OptionError
 from placegraph.indoor.likelihood.observe import FINE, Cut, Sighting, sight
 from placegraph.indoor.likelihood.score import Scorer
 from placegraph.indoor.pose.chain import Chain
@@ -33,6 +32,7 @@ from placegraph.indoor.pose.verdict import LOOSE, verdict
 from placegraph.indoor.pose.window import Window, own_encoder, shows_something
 from placegraph.indoor.track.again import Again
 from placegraph.indoor.track.finder import look_up
+from placegraph.io.capture.frame import Frame
 
 KEPT = 10
 """Keyframes remembered: what a search after the camera was lost has to go by."""

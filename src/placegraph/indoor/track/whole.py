@@ -8,11 +8,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.core.estimate import PoseEstimate, Status
+from placegraph.core.geometry import (
+    Floats,
+    between,
+    compose,
+    level_from_camera,
+    pose_matrix,
+    split_pose,
+)
 from placegraph.errors import OptionError
-from placegraph.estimate import PoseEstimate, Status
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Floats, between, compose, level_from_camera, pose_matrix, split_pose
 from placegraph.indoor.pose.query import leveled
+from placegraph.io.capture.frame import Frame
 
 if TYPE_CHECKING:
     from placegraph.indoor.track.tracker import Tracker

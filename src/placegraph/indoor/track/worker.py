@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from placegraph.core.threads import limited, processors
 from placegraph.errors import OptionError
-from placegraph.formats.capture.frame import Frame
 from placegraph.indoor.track.odometry import JUMP
-from placegraph.threads import limited, processors
+from placegraph.io.capture.frame import Frame
 
 if TYPE_CHECKING:
     from threading import Condition

@@ -12,7 +12,7 @@ from enum import StrEnum
 from math import pi, radians
 from typing import TYPE_CHECKING, Any
 
-from placegraph.geometry import angle_between
+from placegraph.core.geometry import angle_between
 
 if TYPE_CHECKING:
     from placegraph.language.check import Ignored

@@ -9,13 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.geometry import LocalPlane
+from placegraph.core.graph import SceneGraph
+from placegraph.core.portable import Portable
 from placegraph.errors import OptionError
-from placegraph.geometry import LocalPlane
-from placegraph.graph import SceneGraph
 from placegraph.outdoor.map.objects import CityObjects
 from placegraph.outdoor.map.raster import Grid, Sightings, sightings
 from placegraph.outdoor.map.raster_kernels import nearest_on_parts
-from placegraph.portable import Portable
 
 LINE, AREA = 1, 2
 NEAR = 10.0
@@ -221,7 +221,7 @@ def cell_graph(objects: CityObjects, cells: Cells, cell: str) -> SceneGraph:
     pairs closer than 10 m are also `near`, what stands in an area is `inside` it, and what stands
     at a line is `along` it.
     """
-    from placegraph.graph import SceneGraph
+    from placegraph.core.graph import SceneGraph
 
     center = cells.center(cell)
     grid = Grid(float(center[0]), float(center[1]), cells.grid.stride, 1, 1)

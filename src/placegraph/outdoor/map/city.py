@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from placegraph.columns import starts
-from placegraph.geometry import LocalPlane
+from placegraph.core.columns import starts
+from placegraph.core.geometry import LocalPlane
+from placegraph.core.portable import Portable
+from placegraph.core.store import pack_strings, read_map, sound, write_map
 from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.map.blocks import Blocks
 from placegraph.outdoor.map.cells import Cells, cell_graph, occupied_cells
@@ -30,15 +32,13 @@ from placegraph.outdoor.map.objects import (
     of_name,
 )
 from placegraph.outdoor.map.raster import Grid, Sightings
-from placegraph.portable import Portable
-from placegraph.store import pack_strings, read_map, sound, write_map
 
 if TYPE_CHECKING:
     from os import PathLike
 
     from numpy.typing import NDArray
 
-    from placegraph.graph import SceneGraph
+    from placegraph.core.graph import SceneGraph
 
 KIND = "city"
 VERSION = 2

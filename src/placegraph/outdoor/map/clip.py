@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.tiles import Box
 from placegraph.outdoor.map.objects import AREA
-from placegraph.tiles import Box
 
 Points = NDArray[np.float64]
 

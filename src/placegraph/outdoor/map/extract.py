@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.columns import spans, starts
+from placegraph.core.columns import spans, starts
+from placegraph.core.geometry import LocalPlane
 from placegraph.errors import InputError
-from placegraph.formats.place.osm import LINE, POINT, LeftOut, OsmColumns, OsmElement, read_columns
-from placegraph.formats.place.overture import Overture, read_overture
-from placegraph.geometry import LocalPlane
+from placegraph.io.osm.osm import LINE, POINT, LeftOut, OsmColumns, OsmElement, read_columns
 from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.map.index import STRIDE
 from placegraph.outdoor.map.objects import GRAIN, CityObjects, centers, simplify
 from placegraph.outdoor.map.raster import EACH, MOST
 from placegraph.outdoor.map.simplify_kernels import along_curve
 from placegraph.outdoor.map.things import Thing, Things, text_of, words_of
+from placegraph_io.overture.overture import Overture, read_overture
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterable, Iterator, Mapping

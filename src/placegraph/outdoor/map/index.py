@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from placegraph.files import Watch
+    from placegraph.core.files import Watch
     from placegraph.outdoor.map.index_build import Core, Seen
     from placegraph.outdoor.map.objects import CityObjects
 

@@ -7,8 +7,8 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from placegraph.core.store import MapFile
 from placegraph.outdoor.map.index import ViewIndex
-from placegraph.store import MapFile
 
 WORTH = 10_000
 """Maps of fewer objects are stored without one: it is several times as large as they are, and derived

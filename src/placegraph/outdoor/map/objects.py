@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from placegraph.core.portable import Portable
 from placegraph.outdoor.map.simplify_kernels import _boxes, _centers, _keep
-from placegraph.portable import Portable
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

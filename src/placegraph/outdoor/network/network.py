@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.threads import product
 from placegraph.errors import MapError
 from placegraph.outdoor.network import network_kernels as kernels
 from placegraph.outdoor.network.batches import (
@@ -28,7 +29,6 @@ from placegraph.outdoor.network.batches import (
 from placegraph.outdoor.network.graphs import PlaceGraphs, TextGraphs
 from placegraph.outdoor.network.labels import Bags, WordVectors
 from placegraph.outdoor.network.weights import MEANING, Shape, read_weights, shipped, sizes
-from placegraph.threads import product
 
 BLOCK = 1024
 """Places embedded at once."""

@@ -8,8 +8,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.estimate import CityEstimate, Evidence, Place, Status
-from placegraph.geometry import angle_between
+from placegraph.core.estimate import CityEstimate, Evidence, Place, Status
+from placegraph.core.geometry import angle_between
 from placegraph.outdoor.language.description import LISTENER, SPEAKER, Description, Statement
 from placegraph.outdoor.likelihood.query import Query
 from placegraph.outdoor.likelihood.statements import ends

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.estimate import CityEstimate, Status
 from placegraph.errors import OptionError
-from placegraph.estimate import CityEstimate, Status
 from placegraph.language.check import Ignored
 from placegraph.outdoor.language.description import (
     LISTENER,

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from placegraph.estimate import Status
+from placegraph.core.estimate import Status
 from placegraph.outdoor.language.description import LISTENER, SPEAKER, Description, Relation
 from placegraph.outdoor.likelihood.query import Query
 from placegraph.outdoor.likelihood.statements import ends

@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from placegraph.core.graph import SceneGraph
 from placegraph.errors import MissingExtraError, OptionError
-from placegraph.graph import SceneGraph
 from placegraph.outdoor.language.description import Description
 from placegraph.outdoor.search.edit_bound import Problem, bound, reduced
 from placegraph.outdoor.search.edit_graphs import BEARINGS, LabelledGraph, Node, fit

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from placegraph.core.graph import SceneGraph
 from placegraph.errors import DescriptionError, OptionError
-from placegraph.graph import SceneGraph
 from placegraph.outdoor.language.description import (
     LISTENER,
     SPEAKER,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.estimate import Evidence, ObjectRef
-from placegraph.geometry import angle_between, bearing
+from placegraph.core.estimate import Evidence, ObjectRef
+from placegraph.core.geometry import angle_between, bearing
 from placegraph.outdoor.language.description import LISTENER, SPEAKER, Relation, Statement
 from placegraph.outdoor.likelihood.query import Query
 from placegraph.outdoor.likelihood.score_kernels import distant, look_again

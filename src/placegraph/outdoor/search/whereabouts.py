@@ -10,8 +10,8 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.geometry import angle_between, bearing
 from placegraph.errors import OptionError
-from placegraph.geometry import angle_between, bearing
 from placegraph.outdoor.map.city import City
 from placegraph.outdoor.map.index import REACH, STRIDE, ViewIndex
 

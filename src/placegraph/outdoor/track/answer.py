@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 
-from placegraph.estimate import CityEstimate, Evidence, Place, Status
-from placegraph.geometry import Floats
+from placegraph.core.estimate import CityEstimate, Evidence, Place, Status
+from placegraph.core.geometry import Floats
 from placegraph.outdoor.likelihood.query import Query
 from placegraph.outdoor.map.city import City
 from placegraph.outdoor.search.answer import CONTRADICTS, MOST_SUPPORT, contradicted, place, support

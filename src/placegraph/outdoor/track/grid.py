@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.geometry import Floats
+from placegraph.core.geometry import Floats
 from placegraph.outdoor.map.index import STRIDE, ViewIndex
 from placegraph.outdoor.search.posterior import ELSEWHERE
 from placegraph.outdoor.track.grid_kernels import background, scatter

@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.estimate import Evidence
-from placegraph.geometry import Floats
+from placegraph.core.estimate import Evidence
+from placegraph.core.geometry import Floats
 from placegraph.language.check import LONGEST_TEXT
 from placegraph.outdoor.language.description import Description
 from placegraph.outdoor.likelihood.match_kernels import HOPELESS

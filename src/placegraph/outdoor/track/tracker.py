@@ -13,8 +13,8 @@ from math import atan2, hypot, pi
 
 import numpy as np
 
+from placegraph.core.estimate import CityEstimate, Status
 from placegraph.errors import OptionError
-from placegraph.estimate import CityEstimate, Status
 from placegraph.language.check import check
 from placegraph.outdoor.language.description import Description
 from placegraph.outdoor.likelihood.query import compile_query, read

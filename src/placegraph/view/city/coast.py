@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.geometry import Floats
+from placegraph.core.geometry import Floats
 from placegraph.outdoor.map.objects import CityObjects
 from placegraph.view.draw.clip import clip_line, clip_ring
 from placegraph.view.draw.style import POINT

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.estimate import CityEstimate, ObjectRef, Place
-from placegraph.geometry import Floats
+from placegraph.core.estimate import CityEstimate, ObjectRef, Place
+from placegraph.core.geometry import Floats
 from placegraph.outdoor.map.objects import CityObjects
 from placegraph.outdoor.map.raster_kernels import nearest_on_parts
 from placegraph.view.city.items import common_name

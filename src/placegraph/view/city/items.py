@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.geometry import Floats
+from placegraph.core.geometry import Floats
 from placegraph.outdoor.map.objects import CityObjects
 from placegraph.view.city.coast import sea
 from placegraph.view.draw.canvas import Area, Bounds, Dot, Line, MapItem

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from placegraph.estimate import CityEstimate
-from placegraph.files import put
+from placegraph.core.estimate import CityEstimate
+from placegraph.core.files import put
 from placegraph.view.city.estimate_items import place_of, rivals
 from placegraph.view.city.tiles import CityTiles, Tile
 from placegraph.view.draw.style import clean, style_sheet

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.core.estimate import CityEstimate, Evidence, Place, Status
+from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
-from placegraph.estimate import CityEstimate, Evidence, Place, Status
-from placegraph.geometry import Floats
 from placegraph.view.city.estimate_items import (
     ellipse,
     evidence_marks,

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.geometry import Floats
+from placegraph.core.geometry import Floats
 from placegraph.outdoor.map.objects import simplify
 from placegraph.view.city.coast import sea
 from placegraph.view.city.examples import examples

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.geometry import Floats
+from placegraph.core.geometry import Floats
 
 if TYPE_CHECKING:
     from placegraph.view.draw.canvas import Bounds, Points

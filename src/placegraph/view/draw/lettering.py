@@ -12,7 +12,7 @@ from math import atan2, ceil, floor, hypot, pi
 
 import numpy as np
 
-from placegraph.geometry import Floats
+from placegraph.core.geometry import Floats
 from placegraph.outdoor.map.objects import CityObjects
 from placegraph.view.draw.canvas import Area, Dot, Line, MapItem, Points, Text
 from placegraph.view.draw.fonts import Face

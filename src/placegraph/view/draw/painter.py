@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageChops, ImageColor, ImageDraw
 
-from placegraph.geometry import Floats
+from placegraph.core.geometry import Floats
 from placegraph.view.draw.canvas import (
     Area,
     Disc,

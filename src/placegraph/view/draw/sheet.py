@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from PIL import Image, ImageColor, ImageDraw
 
+from placegraph.core.files import put
+from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
-from placegraph.files import put
-from placegraph.geometry import Floats
 from placegraph.view.draw.fonts import face_for
 from placegraph.view.draw.painter import SUPERSAMPLE, heat, likely
 from placegraph.view.draw.style import PALETTE

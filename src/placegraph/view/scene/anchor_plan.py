@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.earth import Anchor, unplaced
-from placegraph.geometry import Floats
+from placegraph.core.earth import Anchor, unplaced
+from placegraph.core.geometry import Floats
 from placegraph.view.draw.canvas import Bounds, Disc, Frame, Item, Stroke
 from placegraph.view.draw.lettering import Taken
 from placegraph.view.draw.painter import paint_picture

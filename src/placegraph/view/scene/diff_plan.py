@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.geometry import Floats
+from placegraph.core.geometry import Floats
 from placegraph.view.draw.canvas import Disc, Frame, Item, Mark, Stroke, Text
 from placegraph.view.draw.lettering import Taken
 from placegraph.view.draw.painter import paint_picture

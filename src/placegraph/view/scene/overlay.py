@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
+from placegraph.core.estimate import PoseEstimate
+from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
-from placegraph.estimate import PoseEstimate
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Floats
+from placegraph.io.capture.frame import Frame
 from placegraph.view.draw.fonts import face_for
 from placegraph.view.draw.sheet import write_image
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.estimate import PassRecord, PoseEstimate
-from placegraph.geometry import Camera, Floats
+from placegraph.core.estimate import PassRecord, PoseEstimate
+from placegraph.core.geometry import Camera, Floats
 from placegraph.view.city.picture import STATUS_COLOR, length_words, round_length
 from placegraph.view.draw.canvas import Frame, Item, Picture
 from placegraph.view.draw.fonts import face_for

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.estimate import PoseEstimate, PoseMode, Status
-from placegraph.geometry import Camera, Floats
+from placegraph.core.estimate import PoseEstimate, PoseMode, Status
+from placegraph.core.geometry import Camera, Floats
 from placegraph.view.city.estimate_items import SIGMAS
 from placegraph.view.draw.canvas import Bounds, Disc, Item, Mark, Stroke, Swarm, Text
 from placegraph.view.scene.plan_layout import evenly

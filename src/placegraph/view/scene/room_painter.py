@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageColor, ImageDraw, ImageFilter
 
-from placegraph.geometry import Floats
+from placegraph.core.geometry import Floats
 from placegraph.view.draw.canvas import Frame, Picture
 from placegraph.view.draw.painter import SUPERSAMPLE
 from placegraph.view.draw.style import PALETTE

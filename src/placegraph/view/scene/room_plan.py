@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.geometry import Floats
+from placegraph.core.geometry import Floats
 from placegraph.indoor.map.floor import is_floor
 from placegraph.view.draw.canvas import Bounds, Frame, Text
 from placegraph.view.draw.fonts import Face

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageColor
 
+from placegraph.core.estimate import PoseEstimate
+from placegraph.core.geometry import Camera, Floats
 from placegraph.errors import OptionError
-from placegraph.estimate import PoseEstimate
-from placegraph.geometry import Camera, Floats
 from placegraph.view.draw.canvas import Frame, Item
 from placegraph.view.draw.lettering import Taken
 from placegraph.view.draw.painter import likely, paint_picture

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.geometry import Floats
+from placegraph.core.geometry import Floats
 from placegraph.view.scene.top_view_kernels import _draw
 
 if TYPE_CHECKING:

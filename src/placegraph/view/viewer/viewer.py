@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.estimate import PoseEstimate
+from placegraph.core.geometry import quaternion_from_rotation
 from placegraph.errors import MissingExtraError, OptionError
-from placegraph.estimate import PoseEstimate
-from placegraph.geometry import quaternion_from_rotation
 from placegraph.view.draw.painter import likely
 from placegraph.view.scene.pose_items import OPENING, levels
 from placegraph.view.viewer.viewer_scene import SceneView

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.formats.mesh.glb_write import Material, Part, Surface, encode_glb
 from placegraph.indoor.mapping.camera_paths import path_lines
 from placegraph.indoor.mapping.export import materials, object_surfaces
+from placegraph.io.mesh.glb_write import Material, Part, Surface, encode_glb
 from placegraph.view.scene.room_style import ROOM_PAINTS, room_paint
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph.graph import SceneGraph
+from placegraph.core.graph import SceneGraph
 from placegraph.indoor.map.relations import RELATIONS
 from placegraph.indoor.map.relations.words import (
     CANONICAL,

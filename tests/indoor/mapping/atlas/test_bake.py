@@ -3,12 +3,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from placegraph.core.geometry import Camera
+from placegraph.core.threads import limited
 from placegraph.errors import OptionError
-from placegraph.geometry import Camera
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.mapping.atlas import bake
 from placegraph.indoor.scene_map import SceneMap
-from placegraph.threads import limited
 
 CAMERA = Camera(160, 120, 120.0, 120.0, 80.0, 60.0)
 

@@ -4,13 +4,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from placegraph.core.geometry import Camera
 from placegraph.errors import OptionError
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Camera
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.mapping.atlas import frame_colours
 from placegraph.indoor.mapping.atlas.views import keyframes, sharpness
 from placegraph.indoor.rays import RayCaster
+from placegraph.io.capture.frame import Frame
 
 CAMERA = Camera(120, 90, 100.0, 100.0, 60.0, 45.0)
 DOWN = np.array([[1.0, 0, 0], [0, -1.0, 0], [0, 0, -1.0]])

@@ -6,13 +6,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from placegraph.core.estimate import PoseEstimate, Status
+from placegraph.core.geometry import Camera, level_from_camera, pose_matrix, rotation_z
 from placegraph.errors import InputError, OptionError
-from placegraph.estimate import PoseEstimate, Status
-from placegraph.formats.capture.capture import Capture, open_capture
-from placegraph.geometry import Camera, level_from_camera, pose_matrix, rotation_z
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.mapping.change.diff import DiffOptions, diff_capture
 from placegraph.indoor.mapping.change.register import moved
+from placegraph.io.capture.capture import Capture, open_capture
 from placegraph_lab.worlds.flat.walks import Walk, write_walk
 
 CAMERA = Camera(256, 144, 150.0, 150.0, 128.0, 72.0)

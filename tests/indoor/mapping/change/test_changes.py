@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from placegraph.core.geometry import rotation_z
 from placegraph.errors import InputError, OptionError
-from placegraph.geometry import rotation_z
 from placegraph.indoor.mapping.change.changes import Change, Piece, SceneDiff, read_diff
 from placegraph.indoor.mapping.change.register import rigid
 

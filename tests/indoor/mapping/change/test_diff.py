@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from placegraph.core.geometry import rotation_z
 from placegraph.errors import OptionError
-from placegraph.geometry import rotation_z
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.map.structure import structure
 from placegraph.indoor.mapping.change.diff import DiffOptions, diff

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph.geometry import rotation_from_vector, rotation_z
+from placegraph.core.geometry import rotation_from_vector, rotation_z
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.mapping.change.register import (
     about,

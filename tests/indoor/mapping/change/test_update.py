@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from placegraph.earth import Anchor
+from placegraph.core.earth import Anchor
+from placegraph.core.geometry import rotation_z
 from placegraph.errors import MapError, OptionError
-from placegraph.geometry import rotation_z
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.map.structure import structure
 from placegraph.indoor.mapping.change.changes import Change, Piece, SceneDiff

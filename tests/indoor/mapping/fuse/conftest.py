@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Camera, level_from_camera, pose_matrix
+from placegraph.core.geometry import Camera, level_from_camera, pose_matrix
+from placegraph.io.capture.frame import Frame
 
 CAMERA = Camera(120, 90, 90.0, 90.0, 60.0, 45.0)
 ROOM = np.array([[-2.0, -1.5, 0.0], [2.0, 1.5, 2.4]])

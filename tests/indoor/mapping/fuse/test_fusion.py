@@ -8,12 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from placegraph.core.geometry import rotation_z
+from placegraph.core.threads import limited
 from placegraph.errors import InputError, OptionError
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import rotation_z
 from placegraph.indoor.mapping.fuse import FuseOptions, fuse
 from placegraph.indoor.rays import RayCaster
-from placegraph.threads import limited
+from placegraph.io.capture.frame import Frame
 
 PLAIN = FuseOptions(gains=False)
 

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Camera
+from placegraph.core.geometry import Camera
 from placegraph.indoor.mapping.fuse import fuse
 from placegraph.indoor.mapping.fuse.views import good_poses, undistorted, view_of
+from placegraph.io.capture.frame import Frame
 
 WIDE = (-0.28, 0.09, 0.0, 0.0, -0.015)
 

@@ -5,9 +5,9 @@ import pytest
 
 import placegraph as pg
 from placegraph.errors import GeoPoseError, InputError, OptionError
-from placegraph.formats.place.indoor_osm import IndoorShape, read_indoor_osm
-from placegraph.formats.place.indoor_osm_write import encode_rooms
 from placegraph.indoor.mapping.osm.rooms import length_of
+from placegraph.io.osm.indoor_osm import IndoorShape, read_indoor_osm
+from placegraph.io.osm.indoor_osm_write import encode_rooms
 
 EAST, NORTH = 1.0 / 66_400.0, 1.0 / 111_300.0
 """Degrees of a metre at 53.5 degrees, roughly."""

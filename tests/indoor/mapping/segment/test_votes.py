@@ -5,11 +5,11 @@ from collections import Counter
 import numpy as np
 import pytest
 
+from placegraph.core.geometry import Camera
 from placegraph.errors import OptionError
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Camera
 from placegraph.indoor.mapping.segment import segment
 from placegraph.indoor.rays import RayCaster
+from placegraph.io.capture.frame import Frame
 
 CAMERA = Camera(160, 120, 110.0, 110.0, 80.0, 60.0)
 WORDS = {0: "floor", 1: "chair", 2: "window", 3: "lamp", 4: "rug"}

@@ -5,11 +5,11 @@ import sys
 import numpy as np
 import pytest
 
+from placegraph.core.geometry import Camera, level_from_camera, pose_matrix
 from placegraph.errors import MissingExtraError, OptionError
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Camera, level_from_camera, pose_matrix
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.scene_map import SceneMap
+from placegraph.io.capture.frame import Frame
 from placegraph_lab.tables.indoor.gicp import align, sequence_cloud, visible_cloud
 from placegraph_lab.tables.indoor.metrics import position_error, rotation_error
 from placegraph_lab.tables.indoor.starts import disturbed

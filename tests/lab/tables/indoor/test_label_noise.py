@@ -5,11 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from placegraph.core.geometry import Camera
 from placegraph.errors import OptionError
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Camera
 from placegraph.indoor.encode import Encoder, MapEncoder, Patches
 from placegraph.indoor.encode.labels import LabelsEncoder
+from placegraph.io.capture.frame import Frame
 from placegraph_lab.tables.indoor.label_noise import NoisyEncoder, NoisyLabels, mislabel
 
 CAMERA = Camera(32, 18, 20.0, 20.0, 16.0, 9.0)

@@ -8,13 +8,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from placegraph.core.geometry import Camera, level_from_camera, pose_matrix
 from placegraph.errors import MissingExtraError
-from placegraph.formats.capture.capture import Capture
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Camera, level_from_camera, pose_matrix
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.refine.matching import Matches
 from placegraph.indoor.scene_map import SceneMap
+from placegraph.io.capture.capture import Capture
+from placegraph.io.capture.frame import Frame
 from placegraph_lab.tables.indoor.matches import (
     KINDS,
     PIXELS,

@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph.errors import OptionError
-from placegraph.geometry import (
+from placegraph.core.geometry import (
     level_from_camera,
     pose_matrix,
     rotation_from_quaternion,
     rotation_from_vector,
 )
+from placegraph.errors import OptionError
 from placegraph_lab.tables.indoor.metrics import (
     NEAR,
     THRESHOLDS,

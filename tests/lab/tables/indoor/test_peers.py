@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Camera
+from placegraph.core.geometry import Camera
 from placegraph.indoor.refine.matching.features import Features
+from placegraph.io.capture.frame import Frame
 from placegraph_lab.tables.indoor.peers import View, peer, vlad
 from placegraph_lab.tables.named.indoor_colmap import Answer, Row, report
 

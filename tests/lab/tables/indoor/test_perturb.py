@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Camera, pose_matrix
+from placegraph.core.geometry import Camera, pose_matrix
+from placegraph.io.capture.frame import Frame
 from placegraph_lab.tables.indoor import perturb, perturb_images
 from placegraph_lab.tables.indoor.cases import RENDERED, SPOILED
 from placegraph_lab.tables.indoor.perturb import Recording, Shot

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from placegraph.estimate import PoseEstimate, PoseMode, Refinement, Status
-from placegraph.formats.capture.capture import Capture
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Camera, level_from_camera, pose_matrix, split_pose
+from placegraph.core.estimate import PoseEstimate, PoseMode, Refinement, Status
+from placegraph.core.geometry import Camera, level_from_camera, pose_matrix, split_pose
 from placegraph.indoor.refine.options import RefineOptions
+from placegraph.io.capture.capture import Capture
+from placegraph.io.capture.frame import Frame
 from placegraph_lab.tables.indoor.metrics import position_error, rotation_error
 from placegraph_lab.tables.indoor.refine import GICP, MATCHERS, QUICK, ask, refine_jobs
 from placegraph_lab.tables.indoor.starts import disturbed

@@ -6,17 +6,17 @@ import math
 import numpy as np
 import pytest
 
-from placegraph.errors import OptionError
-from placegraph.estimate import PoseEstimate, PoseMode, Refinement, Status
-from placegraph.formats.capture.capture import Capture
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import (
+from placegraph.core.estimate import PoseEstimate, PoseMode, Refinement, Status
+from placegraph.core.geometry import (
     Camera,
     level_from_camera,
     pose_matrix,
     rotation_from_vector,
     split_pose,
 )
+from placegraph.errors import OptionError
+from placegraph.io.capture.capture import Capture
+from placegraph.io.capture.frame import Frame
 from placegraph_lab.tables.indoor.metrics import dumps
 from placegraph_lab.tables.indoor.refine_metrics import (
     EDGES,

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from placegraph.formats.capture.capture import open_capture
-from placegraph.geometry import Camera
+from placegraph.core.geometry import Camera
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.encode.words import vector
+from placegraph.io.capture.capture import open_capture
 from placegraph_lab.tables.indoor.metrics import Answer
 from placegraph_lab.tables.indoor.semantics import (
     BARE,

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph.formats.capture.capture import Capture
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Camera, level_from_camera, pose_matrix
+from placegraph.core.geometry import Camera, level_from_camera, pose_matrix
+from placegraph.io.capture.capture import Capture
+from placegraph.io.capture.frame import Frame
 from placegraph_lab.tables.indoor.metrics import pose_error, position_error, rotation_error
 from placegraph_lab.tables.indoor.starts import (
     LEAN,

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from placegraph.core.geometry import Camera, level_from_camera, pose_matrix
 from placegraph.errors import InputError
-from placegraph.formats.capture.capture import Capture
-from placegraph.formats.capture.frame import Frame
-from placegraph.formats.capture.tum import write_tum
-from placegraph.geometry import Camera, level_from_camera, pose_matrix
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.scene_map import SceneMap
+from placegraph.io.capture.capture import Capture
+from placegraph.io.capture.frame import Frame
+from placegraph.io.capture.tum import write_tum
 from placegraph_lab.tables.indoor.windows import (
     HALVES,
     Window,

@@ -9,8 +9,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from placegraph.core.graph import SceneGraph
 from placegraph.errors import OptionError
-from placegraph.graph import SceneGraph
 from placegraph.outdoor.language.description import (
     SPEAKER,
     Description,

@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Camera, between, pose_matrix, split_pose
+from placegraph.core.geometry import Camera, between, pose_matrix, split_pose
+from placegraph.io.capture.frame import Frame
 from placegraph_lab.tables.indoor.perturb import Recording
 from placegraph_lab.tables.live.paced import Clock, play
 from placegraph_lab.tables.live.walks import PERIOD, Row, Seen, longest, looped, recoveries, walks

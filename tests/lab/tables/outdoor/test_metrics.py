@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
+from placegraph.core.estimate import CityEstimate, Place, Status
 from placegraph.errors import OptionError
-from placegraph.estimate import CityEstimate, Place, Status
 from placegraph_lab.tables.outdoor.metrics import Answer, distances, measure, score
 from placegraph_lab.tables.outdoor.report import OURS, Protocol, Row, of_answers, report
 from placegraph_lab.tables.tables import markdown, number, share, shares

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from placegraph.core.geometry import LocalPlane
 from placegraph.errors import InputError
-from placegraph.geometry import LocalPlane
 from placegraph_lab.tables.outdoor.raw import AREA, KEYS, LINE, POINT, is_area, read_raw, tag_label
 
 

@@ -5,8 +5,8 @@ import re
 import numpy as np
 import pytest
 
+from placegraph.core.geometry import angle_between, bearing
 from placegraph.errors import OptionError
-from placegraph.geometry import angle_between, bearing
 from placegraph.outdoor.track.motion import Leg, ways
 from placegraph_lab.tables.named.outdoor_track import (
     FARTHEST,

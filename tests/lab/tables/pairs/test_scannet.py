@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from placegraph.core.geometry import rotation_z
 from placegraph.errors import InputError, OptionError
-from placegraph.formats.dataset.sens import read_sens
-from placegraph.geometry import rotation_z
+from placegraph_io.dataset.sens import read_sens
 from placegraph_lab.tables.indoor.windows import drifting_windows, sampled
 from placegraph_lab.tables.pairs.scannet import (
     ScanPair,

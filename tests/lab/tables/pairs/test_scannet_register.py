@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from placegraph.formats.mesh.model import Model, Picture, Thing
-from placegraph.geometry import rotation_z
+from placegraph.core.geometry import rotation_z
 from placegraph.indoor.build import build_scene, scene_of_model
+from placegraph.io.mesh.model import Model, Picture, Thing
 from placegraph_lab.tables.pairs.scannet_register import register_scans
 from placegraph_lab.worlds.flat.flat import Flat
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph.geometry import Camera
+from placegraph.core.geometry import Camera
 from placegraph.indoor.encode import Patches
 from placegraph.indoor.options import FilterOptions
 from placegraph_lab.tables.named.patch_accuracy import (

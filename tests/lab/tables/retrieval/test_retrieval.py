@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from placegraph.core.geometry import Camera
 from placegraph.errors import OptionError
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Camera
 from placegraph.indoor.encode.labels import LabelsEncoder
 from placegraph.indoor.library import SearchOptions
 from placegraph.indoor.map.rooms import rooms_of
+from placegraph.io.capture.frame import Frame
 from placegraph_lab.tables.journal import Journal
 from placegraph_lab.tables.retrieval import retrieval
 from placegraph_lab.tables.retrieval.retrieval import (

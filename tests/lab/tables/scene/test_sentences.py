@@ -7,9 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from placegraph.estimate import PoseEstimate, Status
-from placegraph.geometry import level_from_camera, pose_matrix
-from placegraph.graph import SceneGraph
+from placegraph.core.estimate import PoseEstimate, Status
+from placegraph.core.geometry import level_from_camera, pose_matrix
+from placegraph.core.graph import SceneGraph
 from placegraph.indoor.language import Kind, read, score
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor import spoken_poses

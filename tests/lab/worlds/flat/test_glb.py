@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from placegraph.formats.mesh.glb import read_glb
 from placegraph.indoor.build import build_scene
+from placegraph.io.mesh.glb import read_glb
 from placegraph.maps import open_map
 from placegraph_lab.worlds.flat.flat import Flat
 

@@ -6,10 +6,17 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from placegraph.core.geometry import (
+    Camera,
+    between,
+    level_from_camera,
+    pose_matrix,
+    split_pose,
+    wrap,
+)
 from placegraph.errors import OptionError
-from placegraph.formats.capture.capture import open_capture
-from placegraph.formats.capture.tum import read_tum
-from placegraph.geometry import Camera, between, level_from_camera, pose_matrix, split_pose, wrap
+from placegraph.io.capture.capture import open_capture
+from placegraph.io.capture.tum import read_tum
 from placegraph_lab.worlds.flat.flat import Flat
 from placegraph_lab.worlds.flat.paths import BODY, FloorPlan
 from placegraph_lab.worlds.flat.render import Stage

@@ -14,10 +14,10 @@ from typing import Any, Literal
 
 import numpy as np
 
+from placegraph.core.geometry import Floats
 from placegraph.errors import MissingExtraError, OptionError
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Floats
 from placegraph.indoor.scene_map import SceneMap
+from placegraph.io.capture.frame import Frame
 
 Kind = Literal["PLANE_ICP", "GICP"]
 

@@ -16,12 +16,12 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.geometry import Camera
 from placegraph.errors import OptionError
-from placegraph.formats.capture.capture import Capture
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Camera
 from placegraph.indoor.encode import MapEncoder, Patches
 from placegraph.indoor.map.scene import Scene
+from placegraph.io.capture.capture import Capture
+from placegraph.io.capture.frame import Frame
 
 if TYPE_CHECKING:
     from placegraph.indoor.encode.labels import LabelsEncoder

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from placegraph.formats.capture.capture import open_capture
-from placegraph.formats.mesh.ply_write import write_ply
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.mapping.fuse import fuse
 from placegraph.indoor.mapping.simplify.simplify import simplify
 from placegraph.indoor.scene_map import SceneMap
+from placegraph.io.capture.capture import open_capture
+from placegraph.io.mesh.ply_write import write_ply
 from placegraph_lab.tables.indoor.decimate import coarse
 from placegraph_lab.tables.indoor.windows import HALVES, true_poses
 from placegraph_lab.tables.journal import INDOOR, fingerprint

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.geometry import Camera, Floats, rotation_z
 from placegraph.errors import MissingExtraError
-from placegraph.geometry import Camera, Floats, rotation_z
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor.metrics import position_error, rotation_error
 

@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from placegraph.core.geometry import Camera, Floats
 from placegraph.errors import MissingExtraError
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Camera, Floats
 from placegraph.indoor.mapping.landmarks import depth_at
 from placegraph.indoor.refine.matching.features import Features, mutual
-from placegraph.indoor.refine.matching.xfeat import XFeatMatcher
+from placegraph.io.capture.frame import Frame
+from placegraph_learn.xfeat import XFeatMatcher
 
 WORDS = 64
 """Of VLAD."""

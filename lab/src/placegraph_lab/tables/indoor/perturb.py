@@ -14,9 +14,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from placegraph.formats.capture.frame import ArrayImages, Frame
-from placegraph.formats.capture.frame_files import quarter_turn, turned_camera
-from placegraph.geometry import (
+from placegraph.core.geometry import (
     Camera,
     Floats,
     between,
@@ -27,6 +25,8 @@ from placegraph.geometry import (
     vector_from_rotation,
 )
 from placegraph.indoor.scene_map import SceneMap
+from placegraph.io.capture.frame import ArrayImages, Frame
+from placegraph.io.capture.frame_files import quarter_turn, turned_camera
 
 WIDE = 640
 """Width of the image that shifts in pixels are meant for."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.random import Generator
 
 from placegraph.errors import OptionError
-from placegraph.formats.capture.frame import ArrayImages, Frame
+from placegraph.io.capture.frame import ArrayImages, Frame
 from placegraph_lab.tables.indoor.perturb import Recording, Shot, seen
 
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from placegraph.core.estimate import PoseEstimate, PoseMode
+from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
-from placegraph.estimate import PoseEstimate, PoseMode
-from placegraph.geometry import Floats
 from placegraph_lab.tables.indoor.metrics import (
     AXES,
     WITHIN_95,

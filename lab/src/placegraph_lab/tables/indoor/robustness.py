@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from placegraph.core.geometry import Floats
 from placegraph.errors import PlacegraphError
-from placegraph.formats.capture.capture import open_capture
-from placegraph.geometry import Floats
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.mapping.from_capture import FromCapture
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.scene_map import SceneMap
+from placegraph.io.capture.capture import open_capture
 from placegraph_lab.tables.indoor.maps import place
 from placegraph_lab.tables.indoor.metrics import NEAR, position_error, rotation_error, rounded
 from placegraph_lab.tables.indoor.perturb import Recording, Shot

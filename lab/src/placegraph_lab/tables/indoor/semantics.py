@@ -12,14 +12,14 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 from placegraph.errors import InputError, MissingExtraError
-from placegraph.formats.capture.capture import Capture
-from placegraph.formats.mesh.ply_write import write_ply
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.encode import MapEncoder, bound, encoder
 from placegraph.indoor.encode.instances import ClassesOfInstances, InstancesEncoder
 from placegraph.indoor.encode.labels import LabelsEncoder
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.scene_map import SceneMap
+from placegraph.io.capture.capture import Capture
+from placegraph.io.mesh.ply_write import write_ply
 from placegraph_lab.tables.indoor.bench import Bench
 from placegraph_lab.tables.indoor.jobs import answered
 from placegraph_lab.tables.indoor.label_noise import NoisyEncoder, NoisyLabels

@@ -14,9 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from placegraph.core.geometry import Floats, level_from_camera, rotation_z, split_pose
 from placegraph.errors import PlacegraphError
-from placegraph.formats.capture.capture import open_capture
-from placegraph.geometry import Floats, level_from_camera, rotation_z, split_pose
 from placegraph.indoor.encode.instances import InstancesEncoder
 from placegraph.indoor.likelihood.model import model_of
 from placegraph.indoor.likelihood.observe import sight, views
@@ -27,6 +26,7 @@ from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.rays import RayCaster
 from placegraph.indoor.rays.warp import WarpCaster, open_device
 from placegraph.indoor.scene_map import SceneMap
+from placegraph.io.capture.capture import open_capture
 from placegraph_lab.tables.apart import peak
 from placegraph_lab.tables.indoor.decimate import coarse, decimate, fine
 from placegraph_lab.tables.indoor.maps import with_mesh

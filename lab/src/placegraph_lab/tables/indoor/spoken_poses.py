@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.random import Generator
 
-from placegraph.geometry import Floats, split_pose
+from placegraph.core.geometry import Floats, split_pose
 from placegraph.indoor.map.floor import label_words
 from placegraph.indoor.map.structure import WORDS, nameless
 from placegraph.indoor.options import FilterOptions

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from placegraph.formats.capture.capture import Capture
-from placegraph.formats.capture.frame import Images
-from placegraph.geometry import Floats, rotation_from_vector
+from placegraph.core.geometry import Floats, rotation_from_vector
+from placegraph.io.capture.capture import Capture
+from placegraph.io.capture.frame import Images
 
 if TYPE_CHECKING:
     from placegraph_lab.tables.indoor.windows import Window

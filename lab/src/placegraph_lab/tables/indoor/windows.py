@@ -13,11 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
+from placegraph.core.geometry import Floats
 from placegraph.errors import InputError, OptionError
-from placegraph.formats.capture.capture import Capture, open_capture
-from placegraph.formats.capture.tum import read_tum
-from placegraph.geometry import Floats
 from placegraph.indoor.scene_map import SceneMap
+from placegraph.io.capture.capture import Capture, open_capture
+from placegraph.io.capture.tum import read_tum
 from placegraph_lab.worlds.flat.walks import drifted
 
 LENGTHS = (5, 10, 25)

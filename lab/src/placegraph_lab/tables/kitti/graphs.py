@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from placegraph.graph import SceneGraph
+from placegraph.core.graph import SceneGraph
 from placegraph.outdoor.language.description import (
     LISTENER,
     SPEAKER,

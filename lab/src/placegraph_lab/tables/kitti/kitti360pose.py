@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.geometry import Floats
+from placegraph.core.graph import SceneGraph
 from placegraph.errors import OptionError
-from placegraph.geometry import Floats
-from placegraph.graph import SceneGraph
 from placegraph.outdoor.language.description import Description
 from placegraph_lab.datasets.kitti360pose import Kitti360Pose
 from placegraph_lab.tables.kitti.graphs import (

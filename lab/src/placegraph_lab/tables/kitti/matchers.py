@@ -11,8 +11,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.geometry import Floats
-from placegraph.graph import SceneGraph
+from placegraph.core.geometry import Floats
+from placegraph.core.graph import SceneGraph
 from placegraph.outdoor.language.description import SPEAKER, Description, Relation
 from placegraph.outdoor.map.objects import of_name
 from placegraph.outdoor.network.graphs import PlaceGraphs

@@ -15,8 +15,8 @@ from os import PathLike
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.geometry import Floats
 from placegraph.errors import InputError, OptionError
-from placegraph.geometry import Floats
 from placegraph.outdoor.map.objects import of_name
 from placegraph_lab.datasets.kitti360 import WORLD
 from placegraph_lab.datasets.kitti360pose import (

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from placegraph.errors import DescriptionError, InputError
-from placegraph.formats.place.descriptions import Told, read_descriptions
-from placegraph.formats.place.osm import SUFFIXES
+from placegraph.io.osm.descriptions import Told, read_descriptions
+from placegraph.io.osm.osm import SUFFIXES
 from placegraph_lab.tables.outdoor.metrics import RADII, RANKS, Answer, Score, measure, score
 from placegraph_lab.tables.tables import markdown, number, share, shares
 

@@ -15,7 +15,7 @@ from math import cos, sin
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.geometry import Floats
+from placegraph.core.geometry import Floats
 from placegraph.outdoor.language.description import (
     SPEAKER,
     Description,

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from placegraph.formats.capture.frame import ArrayImages, Frame
-from placegraph.geometry import Floats
+from placegraph.core.geometry import Floats
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.indoor.track.odometry import Odometry
+from placegraph.io.capture.frame import ArrayImages, Frame
 from placegraph_lab.tables.indoor.robustness import Places
 from placegraph_lab.tables.live.walks import SENSES, looped
 

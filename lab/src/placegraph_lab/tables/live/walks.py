@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.random import Generator
 
-from placegraph.estimate import Status
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Floats, between, compose, pose_matrix, split_pose
+from placegraph.core.estimate import Status
+from placegraph.core.geometry import Floats, between, compose, pose_matrix, split_pose
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.indoor.track.odometry import Odometry
+from placegraph.io.capture.frame import Frame
 from placegraph_lab.tables.indoor.metrics import NEAR, near
 from placegraph_lab.tables.indoor.perturb import Recording, Shot, drift
 

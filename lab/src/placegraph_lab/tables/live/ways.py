@@ -11,8 +11,8 @@ from time import perf_counter, process_time
 from typing import Any
 from urllib.request import Request, urlopen
 
-from placegraph.formats.capture.capture import open_capture
 from placegraph.indoor.scene_map import SceneMap
+from placegraph.io.capture.capture import open_capture
 from placegraph_lab.tables.live.paced import quantiles
 from placegraph_lab.tables.live.walks import SENSES
 from placegraph_lab.tables.serve.load import Served, served

@@ -21,14 +21,14 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from placegraph.formats.capture.capture import open_capture
-from placegraph.formats.capture.frame import Frame
-from placegraph.formats.capture.frames import Capture
-from placegraph.geometry import Camera
-from placegraph.ros.bag import Container
+from placegraph.core.geometry import Camera
+from placegraph.io.capture.capture import open_capture
+from placegraph.io.capture.frame import Frame
+from placegraph.io.capture.frames import Capture
 from placegraph_lab.tables.run import Quick, Run, option, table
 from placegraph_lab.tables.tables import markdown, number
 from placegraph_lab.worlds.bags import BagWriter, Layout, write_capture
+from placegraph_ros.bag import Container
 
 IMAGES = ("/camera/color/image_raw", "/camera/aligned_depth_to_color/image_raw")
 AIM = 1.3
@@ -146,7 +146,7 @@ def opened(frames: int, folder: Path, rounds: int) -> float:
 
 def ours(path: Path) -> int:
     """Open a bag as a capture, and decode the messages of its images; their bytes."""
-    from placegraph.formats.ros.decode import decoded
+    from placegraph_io.ros.decode import decoded
 
     total = 0
     for frame in open_capture(path):

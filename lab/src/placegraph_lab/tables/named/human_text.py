@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
+from placegraph.core.geometry import Floats
 from placegraph.errors import PlacegraphError
-from placegraph.geometry import Floats
 from placegraph_lab.tables.calibration import reliability
 from placegraph_lab.tables.outdoor.human_text import (
     Baselines,

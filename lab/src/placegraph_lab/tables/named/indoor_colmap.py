@@ -17,15 +17,15 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from placegraph.estimate import Status
-from placegraph.formats.capture.capture import open_capture
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Floats
+from placegraph.core.estimate import Status
+from placegraph.core.geometry import Floats
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.map.scene_file import bytes_of
 from placegraph.indoor.mapping.from_capture import FromCapture
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.scene_map import SceneMap
+from placegraph.io.capture.capture import open_capture
+from placegraph.io.capture.frame import Frame
 from placegraph_lab.tables.indoor.maps import place
 from placegraph_lab.tables.indoor.metrics import NEAR, near, position_error, rotation_error
 from placegraph_lab.tables.indoor.peers import Peer, colmap_peer, xfeat_peer

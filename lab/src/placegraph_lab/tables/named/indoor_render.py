@@ -16,13 +16,13 @@ from typing import Annotated, Any
 import numba
 import numpy as np
 
-from placegraph.formats.capture.camera import read_camera
-from placegraph.geometry import Camera, Floats
+from placegraph.core.geometry import Camera, Floats
+from placegraph.core.threads import processors
 from placegraph.indoor.rays import RayCaster
 from placegraph.indoor.rays.caster import Backend
 from placegraph.indoor.render import Renderer, camera_rays
 from placegraph.indoor.scene_map import SceneMap
-from placegraph.threads import processors
+from placegraph.io.capture.camera import read_camera
 from placegraph_lab.tables.indoor import maps as indoor_maps
 from placegraph_lab.tables.indoor.speed import no_cuda
 from placegraph_lab.tables.indoor.windows import HALVES, true_poses

@@ -17,7 +17,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from placegraph.geometry import Floats
+from placegraph.core.geometry import Floats
 from placegraph.indoor.pose.trust import SURE, Trust, features
 from placegraph.indoor.pose.verdict import ALONE
 from placegraph_lab.tables.indoor.cases import Case, all_cases

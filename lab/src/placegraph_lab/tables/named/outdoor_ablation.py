@@ -39,8 +39,8 @@ from placegraph_lab.tables.outdoor.extracts import (
 from placegraph_lab.tables.outdoor.queries import load
 from placegraph_lab.tables.run import Device, Quick, Run, Seed, known, option, parts, table
 from placegraph_lab.tables.tables import markdown, number, share, shares
-from placegraph_lab.train.city.options import TrainOptions
-from placegraph_lab.train.city.train import train
+from placegraph_learn.train.city.options import TrainOptions
+from placegraph_learn.train.city.train import train
 
 OURS, SHIPPED, LITERAL = "ours", "shipped", "statements taken literally"
 PAPER = ("eq17", "eq18")

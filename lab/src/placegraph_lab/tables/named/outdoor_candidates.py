@@ -15,7 +15,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from placegraph.geometry import Floats
+from placegraph.core.geometry import Floats
 from placegraph.outdoor.city import CityMap
 from placegraph_lab.tables.apart import peak
 from placegraph_lab.tables.outdoor.city_sizes import busiest_tile, crop, tile

@@ -15,8 +15,8 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from numpy.random import Generator
 
-from placegraph.estimate import CityEstimate
-from placegraph.geometry import Floats
+from placegraph.core.estimate import CityEstimate
+from placegraph.core.geometry import Floats
 from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.search.ask import (
     NO,

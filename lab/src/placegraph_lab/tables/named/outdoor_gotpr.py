@@ -17,13 +17,13 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
+from placegraph.core.networks import read_state
 from placegraph.errors import InputError
-from placegraph.networks import read_state
 from placegraph_lab.datasets.gotpr import Graph, Graphs, file_of, read_graphs
 from placegraph_lab.tables.kitti.kitti360pose import PAPER, RANKS
 from placegraph_lab.tables.run import Quick, Run, option, table
 from placegraph_lab.tables.tables import markdown, share
-from placegraph_lab.train.training import torch_or_what_installs_it
+from placegraph_learn.train.training import torch_or_what_installs_it
 
 Floats = NDArray[np.float32]
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
-from placegraph.geometry import Floats
+from placegraph.core.geometry import Floats
 from placegraph.outdoor.city import CityMap
 from placegraph_lab.tables.outdoor.baselines import Bag, Words
 from placegraph_lab.tables.outdoor.ceiling import ceiling, oracle

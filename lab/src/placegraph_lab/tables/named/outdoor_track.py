@@ -16,9 +16,9 @@ from typing import Annotated, Any, Literal, get_args
 import numpy as np
 from numpy.random import Generator
 
+from placegraph.core.estimate import CityEstimate
+from placegraph.core.geometry import Floats, bearing
 from placegraph.errors import OptionError
-from placegraph.estimate import CityEstimate
-from placegraph.geometry import Floats, bearing
 from placegraph.outdoor.city import CityMap
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, names_of, open_city
 from placegraph_lab.tables.outdoor.metrics import Answer, Score, measure, score

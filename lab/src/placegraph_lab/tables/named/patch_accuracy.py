@@ -17,11 +17,11 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.formats.capture.capture import Frame
-from placegraph.geometry import Camera, Floats
+from placegraph.core.geometry import Camera, Floats
 from placegraph.indoor.encode import Encoder, MapEncoder, bound, encoder
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.scene_map import SceneMap
+from placegraph.io.capture.capture import Frame
 from placegraph_lab.tables.retrieval.patch_places import HOMES, places
 from placegraph_lab.tables.run import Quick, Run, option, parts, table
 from placegraph_lab.tables.tables import markdown, number, share

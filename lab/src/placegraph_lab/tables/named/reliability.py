@@ -24,7 +24,7 @@ from typing import Annotated
 
 from typer import BadParameter
 
-from placegraph.files import put
+from placegraph.core.files import put
 from placegraph_lab.campaign.row import FAULTS, OUTCOMES, PARTS, Effort, Row, mend, merged, total
 from placegraph_lab.tables.run import LAB, Quick, Run, Seed, known, option, parts, table
 from placegraph_lab.tables.tables import markdown, number

@@ -19,16 +19,16 @@ from typing import Any
 
 import numpy as np
 
-from placegraph.estimate import Status
-from placegraph.formats.capture.capture import Capture, open_capture
-from placegraph.formats.capture.tum import read_tum
-from placegraph.geometry import Floats
+from placegraph.core.estimate import Status
+from placegraph.core.geometry import Floats
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.mapping.change.capture.looks import look
 from placegraph.indoor.mapping.change.changes import Change
 from placegraph.indoor.mapping.change.diff import DiffOptions, diff_capture
 from placegraph.indoor.mapping.change.register import moved
 from placegraph.indoor.scene_map import SceneMap
+from placegraph.io.capture.capture import Capture, open_capture
+from placegraph.io.capture.tum import read_tum
 from placegraph_lab.tables.indoor.metrics import rotation_error
 from placegraph_lab.tables.journal import INDOOR, fingerprint
 from placegraph_lab.tables.run import Fresh, Quick, Run, Seed, table

@@ -19,8 +19,8 @@ from typing import Any
 import numba
 import numpy as np
 
-from placegraph.formats.capture.capture import open_capture
 from placegraph.indoor.mapping.fuse import FuseOptions, fuse
+from placegraph.io.capture.capture import open_capture
 from placegraph_lab.tables.apart import apart, peak
 from placegraph_lab.tables.indoor.windows import true_poses
 from placegraph_lab.tables.run import Quick, Run, table

@@ -20,8 +20,8 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from placegraph.demo.world import FLAT, unpack
-from placegraph.formats.capture.capture import open_capture
 from placegraph.indoor.build import build_scene
+from placegraph.io.capture.capture import open_capture
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, open_city
 from placegraph_lab.tables.outdoor.queries import make_queries
 from placegraph_lab.tables.run import Quick, Run, Seed, option, table

@@ -22,14 +22,14 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from placegraph.earth import Anchor
-from placegraph.estimate import Status
-from placegraph.formats.capture.capture import Capture
-from placegraph.geometry import Camera, LocalPlane, vector_from_rotation
+from placegraph.core.earth import Anchor
+from placegraph.core.estimate import Status
+from placegraph.core.geometry import Camera, LocalPlane, vector_from_rotation
 from placegraph.indoor.map.floor import label_words
 from placegraph.indoor.map.rooms.naming import room_at
 from placegraph.indoor.map.structure import structure
 from placegraph.indoor.scene_map import SceneMap
+from placegraph.io.capture.capture import Capture
 from placegraph.outdoor.city import build_city
 from placegraph.world import World
 from placegraph_lab.tables.run import Quick, Run, Seed, option, table

@@ -214,7 +214,7 @@ def equal(row: dict[str, Any]) -> list[str]:
 
 def sizes(folder: Path) -> dict[str, float]:
     """What a world holds, and what it takes on disk."""
-    from placegraph.world.shards import WorldFile
+    from placegraph_scale.shards import WorldFile
 
     shards = WorldFile.read(folder).shards
     return {

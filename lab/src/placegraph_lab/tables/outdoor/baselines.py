@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.geometry import Floats, LocalPlane
+from placegraph.core.geometry import Floats, LocalPlane
 from placegraph_lab.tables.outdoor.nearby import Around, Bins, Position
 from placegraph_lab.tables.outdoor.queries import Query
 from placegraph_lab.tables.outdoor.raw import Ints

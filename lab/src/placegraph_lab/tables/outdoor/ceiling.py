@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from placegraph.geometry import Floats
+from placegraph.core.geometry import Floats
 from placegraph_lab.tables.outdoor.ceiling_kernels import _likeliest, _rank
 from placegraph_lab.tables.outdoor.contest import Contest
 from placegraph_lab.tables.outdoor.queries import CELL, NOISE

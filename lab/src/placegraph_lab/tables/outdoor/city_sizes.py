@@ -9,14 +9,14 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
 
+from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
-from placegraph.geometry import Floats
 from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.map.cells import cell_sightings
 from placegraph.outdoor.map.objects import CityObjects
 from placegraph.outdoor.map.raster import Sightings
 from placegraph_lab.tables.outdoor.matchers import cell_centers
-from placegraph_lab.train.city.sample import TILE, held_out
+from placegraph_learn.train.city.sample import TILE, held_out
 
 Rows = NDArray[np.int64]
 Starts = NDArray[np.signedinteger[Any]]

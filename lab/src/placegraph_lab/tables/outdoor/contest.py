@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.geometry import Floats
+from placegraph.core.geometry import Floats
 from placegraph_lab.tables.outdoor.baselines import Words, spoken, words_around
 from placegraph_lab.tables.outdoor.nearby import Bins, Position
 from placegraph_lab.tables.outdoor.queries import SIGHT, Query

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from placegraph.geometry import Floats
+from placegraph.core.geometry import Floats
 from placegraph_lab.tables.outdoor.tiling import GAP, Extract, Tags, shifts_of, shuffled
 
 VERSIONS = 2

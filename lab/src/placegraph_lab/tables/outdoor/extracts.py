@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
-from placegraph.geometry import Floats
 from placegraph.outdoor.city import CityMap, build_city
 from placegraph_lab.tables.outdoor.queries import JITTER, Query, Setting, make_queries
-from placegraph_lab.train.city.sample import evaluated
+from placegraph_learn.train.city.sample import evaluated
 
 Where = Callable[[Floats], NDArray[np.bool_]]
 

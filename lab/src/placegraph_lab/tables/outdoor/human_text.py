@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
+from placegraph.core.geometry import Floats, LocalPlane
 from placegraph.errors import InputError
-from placegraph.geometry import Floats, LocalPlane
 from placegraph_lab.tables.outdoor.raw import Ints
 
 APART = 100.0

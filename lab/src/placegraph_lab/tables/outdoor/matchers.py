@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from placegraph.geometry import Floats
+from placegraph.core.geometry import Floats
 from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.likelihood.query import read
 from placegraph.outdoor.search.cells import retrieve

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from placegraph.core.estimate import CityEstimate
+from placegraph.core.geometry import Floats, LocalPlane
 from placegraph.errors import OptionError
-from placegraph.estimate import CityEstimate
-from placegraph.geometry import Floats, LocalPlane
 from placegraph_lab.tables.calibration import Reliability, reliability
 
 RANKS = (1, 3, 5)

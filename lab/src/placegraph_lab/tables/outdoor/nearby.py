@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
-from placegraph.geometry import Floats
 from placegraph_lab.tables.outdoor.nearby_kernels import (
     BIN,
     _centers_around,

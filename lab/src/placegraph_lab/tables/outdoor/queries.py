@@ -17,8 +17,8 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
-from placegraph.geometry import Floats
 from placegraph_lab.tables.outdoor.nearby import Bins, Position
 from placegraph_lab.tables.outdoor.raw import KEYS, RawCity, read_raw
 from placegraph_lab.tables.outdoor.triples import DIRECTIONS, Triples, relations

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.geometry import Floats, LocalPlane
 from placegraph.errors import InputError
-from placegraph.geometry import Floats, LocalPlane
 
 Ints = NDArray[np.int64]
 

@@ -23,7 +23,7 @@ WORKED = [
 
 def crew(world: Path, texts: list[str]) -> dict[str, Any]:
     """One process, one worker, two, and two of which one is killed; whether all answer alike."""
-    from placegraph.world.shards import WorldFile
+    from placegraph_scale.shards import WorldFile
 
     found = {f"{n} workers" if n else ALONE: apart(together, world, texts, n) for n in (0, 1, 2)}
     found["2 workers, one killed"] = apart(_killed, world, texts)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.random import Generator
 
-from placegraph.geometry import Floats
+from placegraph.core.geometry import Floats
 from placegraph_lab.tables.outdoor.raw import read_raw, tag_label
 
 GAP = 0.005

@@ -8,8 +8,8 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.geometry import Floats
 from placegraph.errors import PlacegraphError
-from placegraph.geometry import Floats
 from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.locate import Hints, understand
 from placegraph.outdoor.search.confidence import (

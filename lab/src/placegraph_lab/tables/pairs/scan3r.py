@@ -20,12 +20,12 @@ from typing import Literal, cast
 import numpy as np
 from numpy.random import Generator
 
+from placegraph.core.geometry import Floats
 from placegraph.errors import InputError, OptionError
-from placegraph.formats.capture.capture import Capture
-from placegraph.formats.dataset.scan3r_rooms import Room, Rooms, Scan
-from placegraph.formats.dataset.scan3r_sequence import read_scan3r_sequence
-from placegraph.formats.dataset.scannet_files import read_text
-from placegraph.geometry import Floats
+from placegraph.io.capture.capture import Capture
+from placegraph_io.dataset.scan3r_rooms import Room, Rooms, Scan
+from placegraph_io.dataset.scan3r_sequence import read_scan3r_sequence
+from placegraph_io.dataset.scannet_files import read_text
 from placegraph_lab.tables.indoor.windows import sampled
 
 Split = Literal["train", "validation", "test"]

@@ -23,10 +23,10 @@ from typing import Literal
 
 import numpy as np
 
+from placegraph.core.geometry import Floats
 from placegraph.errors import InputError, OptionError
-from placegraph.formats.capture.capture import Capture, open_capture
-from placegraph.formats.dataset.scannet_files import axis_alignment, is_rigid, read_text
-from placegraph.geometry import Floats
+from placegraph.io.capture.capture import Capture, open_capture
+from placegraph_io.dataset.scannet_files import axis_alignment, is_rigid, read_text
 from placegraph_lab.tables.indoor.windows import sampled
 
 EVERY = 25

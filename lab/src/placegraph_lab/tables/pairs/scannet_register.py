@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.random import Generator
 
-from placegraph.geometry import Floats
+from placegraph.core.geometry import Floats
 from placegraph.indoor.mapping.change.register import Registration, about, register, sample
 from placegraph.indoor.scene_map import SceneMap
 

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from placegraph.formats.capture.capture import Capture, Frame, open_capture
-from placegraph.geometry import Floats
+from placegraph.core.geometry import Floats
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.mapping.from_capture import FromCapture
 from placegraph.indoor.scene_map import SceneMap
+from placegraph.io.capture.capture import Capture, Frame, open_capture
 from placegraph_lab.tables.indoor.maps import place
 from placegraph_lab.tables.indoor.windows import HALVES, true_poses
 from placegraph_lab.worlds.home.home import home, record, scene_of, visit

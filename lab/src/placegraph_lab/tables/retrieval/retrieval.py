@@ -17,7 +17,6 @@ from zlib import crc32
 
 import numpy as np
 
-from placegraph.formats.capture.capture import Capture
 from placegraph.indoor.encode import Encoder, vectors_of
 from placegraph.indoor.library import SceneLibrary
 from placegraph.indoor.library.index import Index
@@ -26,6 +25,7 @@ from placegraph.indoor.library.query import encode
 from placegraph.indoor.library.scenes import Entry
 from placegraph.indoor.library.search import scores
 from placegraph.indoor.library.signature import Signature, signature_of
+from placegraph.io.capture.capture import Capture
 
 if TYPE_CHECKING:
     from placegraph_lab.tables.retrieval.retrieval_places import Place, Walk

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from placegraph.formats.capture.frame import Frame
+from placegraph.io.capture.frame import Frame
 from placegraph_lab.tables.indoor.label_noise import SHARE, NoisyLabels
 
 if TYPE_CHECKING:

@@ -15,13 +15,13 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.formats.capture.capture import Capture, open_capture
-from placegraph.formats.capture.frame import Frame
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.rooms import Rooms, rooms_of
 from placegraph.indoor.mapping.from_capture import FromCapture
 from placegraph.indoor.scene_map import SceneMap
+from placegraph.io.capture.capture import Capture, open_capture
+from placegraph.io.capture.frame import Frame
 from placegraph_lab.tables.indoor.maps import house, place
 from placegraph_lab.tables.indoor.windows import HALVES, true_poses
 from placegraph_lab.tables.journal import fingerprint

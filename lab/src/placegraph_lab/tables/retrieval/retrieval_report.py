@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from placegraph.estimate import Status
+from placegraph.core.estimate import Status
 from placegraph_lab.tables.calibration import reliability
 from placegraph_lab.tables.retrieval.retrieval import ABSENT, LENGTHS, METHODS, Answer, hit, recall
 from placegraph_lab.tables.retrieval.retrieval_scale import Scale

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.geometry import rotation_z
+from placegraph.core.geometry import rotation_z
 from placegraph.indoor.encode import Encoder
 from placegraph.indoor.library.options import SearchOptions
 from placegraph.indoor.library.signature import TURNS, Signature

@@ -15,14 +15,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.geometry import Camera
 from placegraph.errors import OptionError
-from placegraph.formats.capture.capture import Capture
-from placegraph.formats.capture.frame import Frame, Images
-from placegraph.geometry import Camera
 from placegraph.indoor.encode import Encoder
 from placegraph.indoor.encode import encoder as encoder_named
 from placegraph.indoor.encode.labels import LabelsEncoder
 from placegraph.indoor.map.scene import Scene
+from placegraph.io.capture.capture import Capture
+from placegraph.io.capture.frame import Frame, Images
 from placegraph_lab.tables.indoor.label_noise import NoisyLabels
 from placegraph_lab.tables.journal import fingerprint
 from placegraph_lab.tables.retrieval.retrieval_noise import NoisyThings

@@ -12,13 +12,13 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from placegraph.earth import Anchor
+from placegraph.core.earth import Anchor
+from placegraph.core.geometry import Camera, Floats, wrap
 from placegraph.errors import PlacegraphError
-from placegraph.formats.capture.capture import Capture
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Camera, Floats, wrap
 from placegraph.indoor.mapping.osm.outlines import rings_of_cells
 from placegraph.indoor.scene_map import SceneMap
+from placegraph.io.capture.capture import Capture
+from placegraph.io.capture.frame import Frame
 from placegraph.world import Fitted, fit_building, fit_capture
 from placegraph_lab.tables.calibration import reliability
 from placegraph_lab.tables.tables import markdown

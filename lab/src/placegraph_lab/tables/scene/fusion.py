@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.formats.capture.capture import open_capture
-from placegraph.formats.capture.frame import Frame
-from placegraph.formats.mesh.glb import read_glb
-from placegraph.geometry import Camera, Floats
+from placegraph.core.geometry import Camera, Floats
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.mapping.fuse import FuseOptions, fuse
 from placegraph.indoor.rays import RayCaster
+from placegraph.io.capture.capture import open_capture
+from placegraph.io.capture.frame import Frame
+from placegraph.io.mesh.glb import read_glb
 from placegraph_lab.tables.indoor.windows import true_poses
 from placegraph_lab.tables.scene.maps_surface import distances, spread
 

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.random import Generator
 
-from placegraph.graph import SceneGraph
+from placegraph.core.graph import SceneGraph
 from placegraph.indoor.language import TextIndex, read
 from placegraph.indoor.map.floor import label_words
 from placegraph.indoor.map.relations import SAME_ROOM

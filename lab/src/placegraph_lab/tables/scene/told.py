@@ -18,7 +18,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from placegraph.graph import SceneGraph
+from placegraph.core.graph import SceneGraph
 from placegraph.indoor.language import TextIndex, read
 from placegraph.indoor.map.floor import label_words
 from placegraph.indoor.map.mesh import Mesh

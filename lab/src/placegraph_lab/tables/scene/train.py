@@ -11,12 +11,12 @@ import numpy as np
 import torch
 
 from placegraph_lab.tables.tables import markdown, share
-from placegraph_lab.train.scenegraphloc.lessons import Lesson, read_lesson, split
-from placegraph_lab.train.scenegraphloc.options import Progress, TrainOptions
-from placegraph_lab.train.scenegraphloc.train import train
-from placegraph_lab.train.scenegraphloc.trainer import Judged, Trainer, judge
-from placegraph_lab.train.scenegraphloc.worlds import homes
-from placegraph_lab.train.training import rows_of
+from placegraph_learn.train.scenegraphloc.lessons import Lesson, read_lesson, split
+from placegraph_learn.train.scenegraphloc.options import Progress, TrainOptions
+from placegraph_learn.train.scenegraphloc.train import train
+from placegraph_learn.train.scenegraphloc.trainer import Judged, Trainer, judge
+from placegraph_learn.train.scenegraphloc.worlds import homes
+from placegraph_learn.train.training import rows_of
 
 if TYPE_CHECKING:
     from placegraph_lab.tables.run import Run

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from placegraph.estimate import PoseEstimate
+from placegraph.core.estimate import PoseEstimate
 from placegraph.indoor.encode import BoundEncoder, Encoder, MapEncoder, encoder, vectors_of
 from placegraph.indoor.encode.instances import InstancesEncoder
 from placegraph.indoor.encode.labels import LabelsEncoder

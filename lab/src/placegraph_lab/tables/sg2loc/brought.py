@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.errors import InputError
-from placegraph.formats.dataset.scan3r_rooms import read_rooms
-from placegraph.formats.dataset.scannet_files import axis_alignment
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.scene_map import SceneMap
+from placegraph_io.dataset.scan3r_rooms import read_rooms
+from placegraph_io.dataset.scannet_files import axis_alignment
 from placegraph_lab.tables.indoor.maps import place
 from placegraph_lab.tables.journal import INDOOR, fingerprint
 from placegraph_lab.tables.pairs import scan3r, scannet

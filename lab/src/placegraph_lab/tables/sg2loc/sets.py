@@ -9,9 +9,9 @@ from zlib import crc32
 
 import numpy as np
 
-from placegraph.formats.capture.capture import Capture
-from placegraph.geometry import Floats
+from placegraph.core.geometry import Floats
 from placegraph.indoor.scene_map import SceneMap
+from placegraph.io.capture.capture import Capture
 from placegraph_lab.tables.indoor.windows import DRIFT, Window, drifting_windows
 
 LAYOUT = """DIR/3RScan has 3RScan.json and a folder a scan (or scenes/SCAN), with its mesh, semseg.v2.json

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.geometry import rotation_z
 from placegraph.errors import InputError, OptionError
-from placegraph.geometry import rotation_z
 from placegraph.indoor.map.mesh import Mesh
 from placegraph_lab.worlds.flat.flat import SOLID, Blot, Flat
 from placegraph_lab.worlds.flat.furniture import MODELS, Body

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.geometry import Camera
+from placegraph.core.geometry import Camera
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.textures import linear_from_srgb
 from placegraph.indoor.rays import RayCaster

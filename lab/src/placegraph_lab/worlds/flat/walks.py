@@ -15,9 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from placegraph.errors import OptionError
-from placegraph.formats.capture.tum import write_tum
-from placegraph.geometry import (
+from placegraph.core.geometry import (
     Camera,
     between,
     compose,
@@ -26,6 +24,8 @@ from placegraph.geometry import (
     split_pose,
     wrap,
 )
+from placegraph.errors import OptionError
+from placegraph.io.capture.tum import write_tum
 from placegraph_lab.worlds.flat.flat import Flat
 from placegraph_lab.worlds.flat.interior import Interior
 from placegraph_lab.worlds.flat.paths import FloorPlan

@@ -12,8 +12,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.geometry import rotation_z
 from placegraph.errors import OptionError
-from placegraph.geometry import rotation_z
 from placegraph_lab.worlds.flat.furniture import MODELS, Body
 from placegraph_lab.worlds.flat.interior import Interior, Surface, Thing
 from placegraph_lab.worlds.flat.legend import look

@@ -8,10 +8,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.geometry import Camera
 from placegraph.errors import OptionError
-from placegraph.formats.capture.capture import Capture
-from placegraph.formats.capture.frame import Frame, LabelKind
-from placegraph.geometry import Camera
+from placegraph.io.capture.capture import Capture
+from placegraph.io.capture.frame import Frame, LabelKind
 from placegraph_lab.worlds.flat.interior import Interior
 from placegraph_lab.worlds.flat.render import Stage
 from placegraph_lab.worlds.flat.sensors import develop, measured

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.geometry import level_from_camera, pose_matrix, split_pose, wrap
+from placegraph.core.geometry import level_from_camera, pose_matrix, split_pose, wrap
 from placegraph_lab.worlds.flat.flat import HEADROOM, Flat
 from placegraph_lab.worlds.flat.interior import Interior
 from placegraph_lab.worlds.flat.legend import DOOR, WINDOW

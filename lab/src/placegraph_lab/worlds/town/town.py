@@ -49,8 +49,8 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Self
 
+from placegraph.core.geometry import LocalPlane
 from placegraph.errors import InputError
-from placegraph.geometry import LocalPlane
 from placegraph_lab.worlds.drawing import Drawing, legend_line, load, page, sections
 from placegraph_lab.worlds.drawing import shipped as drawings
 from placegraph_lab.worlds.trace import DIAGONAL, EAST, NORTH, ORTHOGONAL, SOUTH, WEST, Cell, blots

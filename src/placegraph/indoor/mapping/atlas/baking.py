@@ -8,12 +8,12 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.threads import share
 from placegraph.errors import OptionError
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.mapping.atlas.baking_kernels import SEEN, UNSEEN, choose, cover, draw
 from placegraph.indoor.mapping.atlas.charts import Charts, charts_of, neighbours_of
 from placegraph.indoor.mapping.atlas.pages import Sheets, assembled
-from placegraph.threads import share
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.threads import share
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.mapping.atlas.chart_kernels import absorb, grow, overlapping, turns
-from placegraph.threads import share
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from placegraph.core.threads import share
 from placegraph.errors import OptionError
-from placegraph.formats.capture.frame import Frame
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.surface import Surface
 from placegraph.indoor.mapping.atlas.surface_kernels import colours_of, nearest, sorted_cells
@@ -22,7 +22,7 @@ from placegraph.indoor.mapping.atlas.view_kernels import (
 )
 from placegraph.indoor.mapping.atlas.views import keyframes, looked
 from placegraph.indoor.rays import RayCaster
-from placegraph.threads import share
+from placegraph.io.capture.frame import Frame
 
 if TYPE_CHECKING:
     from placegraph.indoor.mapping.atlas.baking import ColourOf

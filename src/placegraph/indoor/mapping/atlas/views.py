@@ -10,11 +10,11 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Camera
+from placegraph.core.geometry import Camera
+from placegraph.core.threads import processors
 from placegraph.indoor.mapping.atlas.view_kernels import Keyframes, around, resampled
 from placegraph.indoor.rays import RayCaster
-from placegraph.threads import processors
+from placegraph.io.capture.frame import Frame
 
 Floats = NDArray[np.float64]
 Bytes = NDArray[np.uint8]

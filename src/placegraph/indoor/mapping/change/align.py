@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.geometry import Floats, rotation_z
 from placegraph.errors import OptionError
-from placegraph.geometry import Floats, rotation_z
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.map.structure import structure
 from placegraph.indoor.mapping.change.options import DiffOptions

@@ -13,10 +13,10 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.files import put
+from placegraph.core.geometry import Floats, vector_from_rotation
 from placegraph.errors import InputError, OptionError
-from placegraph.files import put
-from placegraph.formats.capture.camera import read_json
-from placegraph.geometry import Floats, vector_from_rotation
+from placegraph.io.capture.camera import read_json
 
 Kind = Literal["moved", "appeared", "vanished", "relabelled"]
 KINDS: tuple[Kind, ...] = get_args(Kind)

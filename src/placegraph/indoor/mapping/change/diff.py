@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from placegraph.geometry import Floats
+from placegraph.core.geometry import Floats
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.map.structure import same_label
 from placegraph.indoor.mapping.change.align import align

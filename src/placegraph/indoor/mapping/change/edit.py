@@ -9,8 +9,8 @@ from typing import Any, Generic
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
-from placegraph.geometry import Floats
 from placegraph.indoor.map import textures
 from placegraph.indoor.map.mesh import WHITE, Mesh
 from placegraph.indoor.map.mesh_order import ordered

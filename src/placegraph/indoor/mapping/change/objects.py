@@ -9,8 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.random import Generator
 
-from placegraph.formats.mesh.nearest import nearest
-from placegraph.geometry import Floats, vector_from_rotation
+from placegraph.core.geometry import Floats, vector_from_rotation
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.map.structure import nameless, same_label, structure
 from placegraph.indoor.mapping.change.options import DiffOptions
@@ -24,6 +23,7 @@ from placegraph.indoor.mapping.change.register import (
     touching,
 )
 from placegraph.indoor.rays import RayCaster
+from placegraph.io.mesh.nearest import nearest
 
 _DENSITY = 400.0  # most points a square metre of an object
 _AROUND = 0.75

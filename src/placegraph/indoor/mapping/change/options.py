@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
-from placegraph.geometry import Floats
 from placegraph.indoor.options import check_numbers, check_positive, check_whole
 
 

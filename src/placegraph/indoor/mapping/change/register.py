@@ -8,10 +8,10 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from placegraph.formats.mesh.nearest import nearest
-from placegraph.geometry import Floats, rotation_from_vector, rotation_z
+from placegraph.core.geometry import Floats, rotation_from_vector, rotation_z
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.rays import RayCaster
+from placegraph.io.mesh.nearest import nearest
 
 _ROUNDS = 30
 _STILL = 1e-5

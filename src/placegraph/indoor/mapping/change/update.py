@@ -7,8 +7,8 @@ from collections.abc import Collection
 from os import PathLike
 from pathlib import Path
 
+from placegraph.core.files import write_file
 from placegraph.errors import InputError, OptionError
-from placegraph.files import write_file
 from placegraph.indoor.map.scene import S, Scene
 from placegraph.indoor.map.scene_file import open_scene, save_scene
 from placegraph.indoor.mapping.change.changes import KINDS, Change, SceneDiff

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from placegraph.compiled import kernel
+from placegraph.core.compiled import kernel
+from placegraph.core.threads import share
 from placegraph.indoor.mapping.fuse.volume_kernels import NEAR
-from placegraph.threads import share
 
 FLAT = 0.1
 """Least cosine of the angle at which a reading's surface is looked at."""

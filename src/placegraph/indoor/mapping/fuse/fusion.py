@@ -10,15 +10,15 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from placegraph.core.geometry import Floats
 from placegraph.errors import InputError, OptionError
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Floats
 from placegraph.indoor.mapping.fuse.depth_kernels import facets_of
 from placegraph.indoor.mapping.fuse.surface import surface_of
 from placegraph.indoor.mapping.fuse.views import Shot, checked_poses, good_poses, views_of
 from placegraph.indoor.mapping.fuse.volume import FullError, Volume
 from placegraph.indoor.mapping.fuse.volume_kernels import SIZE
 from placegraph.indoor.options import check_numbers, check_positive
+from placegraph.io.capture.frame import Frame
 
 VOXEL = 0.03
 """Edge of a voxel [m]."""

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.geometry import Floats
+from placegraph.core.geometry import Floats
 from placegraph.indoor.mapping.fuse import surface_kernels as kernels
 
 if TYPE_CHECKING:

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from placegraph.compiled import kernel
+from placegraph.core.compiled import kernel
+from placegraph.core.threads import share
 from placegraph.indoor.mapping.fuse.volume_kernels import SIDE, SIZE, row_of
-from placegraph.threads import share
 
 _WIDE = SIDE + 1
 

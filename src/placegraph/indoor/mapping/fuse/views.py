@@ -11,9 +11,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from placegraph.core.geometry import Camera, Floats
 from placegraph.errors import OptionError
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Camera, Floats
+from placegraph.io.capture.frame import Frame
 
 FARTHEST = 1e4
 """Cameras farther from the map's origin than this are damage [m]."""

@@ -9,12 +9,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.geometry import Floats
+from placegraph.core.geometry import Floats
+from placegraph.core.threads import share
 from placegraph.indoor.mapping.fuse import volume_kernels as kernels
 from placegraph.indoor.mapping.fuse.depth_kernels import farthest, visible
 from placegraph.indoor.mapping.fuse.views import Shot
 from placegraph.indoor.mapping.fuse.volume_kernels import SIDE, SIZE
-from placegraph.threads import share
 
 FIRST = 4096
 """Blocks that there is room for at first."""

@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
-from placegraph.formats.mesh.model import Model, Picture, Thing
-from placegraph.formats.place.indoor_osm import read_indoor_osm
-from placegraph.formats.place.levels import levels_of
-from placegraph.geometry import Floats
 from placegraph.indoor.mapping.from_capture import Source
 from placegraph.indoor.mapping.osm.outlines import triangulated
 from placegraph.indoor.mapping.osm.rooms import Door, Level, Room, level_of
 from placegraph.indoor.mapping.osm.walls import REACH, THICK, Wall, distances, walls_of
+from placegraph.io.mesh.model import Model, Picture, Thing
+from placegraph.io.osm.indoor_osm import read_indoor_osm
+from placegraph.io.osm.levels import levels_of
 
 
 def rooms_source(path: Path, options: Mapping[str, Any], left_out: Counter[str]) -> Source:

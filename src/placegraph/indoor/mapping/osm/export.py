@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.earth import Anchor
+from placegraph.core.earth import Anchor
+from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
-from placegraph.formats.place.indoor_osm import ROOMS, IndoorShape
-from placegraph.geometry import Floats
 from placegraph.indoor.map.floor import LEVEL, is_floor, label_words
 from placegraph.indoor.map.rooms import rooms_of
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.mapping.osm.outlines import LEAST_AREA, area, outlines_of, rings_of_cells
+from placegraph.io.osm.indoor_osm import ROOMS, IndoorShape
 
 _DOORS = frozenset({"door", "doorway", "doors"})
 _SAID = ("indoor", "ref", "amenity", "shop", "office", "highway", "stairs", "access")

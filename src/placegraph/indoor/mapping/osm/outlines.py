@@ -9,8 +9,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.features import nested, wound
-from placegraph.geometry import Floats
+from placegraph.core.features import nested, wound
+from placegraph.core.geometry import Floats
 
 LEAST_AREA = 0.05
 """Of a ring that is kept [m2]."""

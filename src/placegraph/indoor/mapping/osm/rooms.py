@@ -8,13 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from placegraph.earth import Anchor
+from placegraph.core.earth import Anchor
+from placegraph.core.features import inside
+from placegraph.core.geometry import Floats
 from placegraph.errors import InputError, OptionError
-from placegraph.features import inside
-from placegraph.formats.place.indoor_osm import ROOMS, IndoorOsm, IndoorShape, room_names
-from placegraph.formats.place.levels import level_text, levels_of
-from placegraph.geometry import Floats
 from placegraph.indoor.mapping.osm.outlines import polygons
+from placegraph.io.osm.indoor_osm import ROOMS, IndoorOsm, IndoorShape, room_names
+from placegraph.io.osm.levels import level_text, levels_of
 
 HEIGHT = 2.8
 """Of rooms, where nobody said [m]."""

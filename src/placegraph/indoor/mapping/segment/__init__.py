@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from placegraph.errors import OptionError
-from placegraph.formats.capture.frame import Frame
 from placegraph.indoor.mapping.segment.faces import Faces
 from placegraph.indoor.mapping.segment.geometry import Cut, cut_by_geometry
 from placegraph.indoor.mapping.segment.instances import Named, cut_by_labels
 from placegraph.indoor.mapping.segment.segments import SegmentOptions, Segments, as_segments
 from placegraph.indoor.mapping.segment.votes import Votes, collect
+from placegraph.io.capture.frame import Frame
 
 Progress = Callable[[str, int, int], None]
 

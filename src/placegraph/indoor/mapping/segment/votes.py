@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.geometry import Camera
 from placegraph.errors import OptionError
-from placegraph.formats.capture.frame import Frame, LabelKind
-from placegraph.geometry import Camera
 from placegraph.indoor.map.structure import nameless
 from placegraph.indoor.mapping.segment.segment_kernels import elect
 from placegraph.indoor.rays import RayCaster
+from placegraph.io.capture.frame import Frame, LabelKind
 
 if TYPE_CHECKING:
     from placegraph.indoor.mapping.segment.faces import Faces

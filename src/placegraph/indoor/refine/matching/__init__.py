@@ -8,21 +8,21 @@ Choosing another is one word. Points have pixel centres at +0.5 everywhere.
 from __future__ import annotations
 
 import inspect
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from placegraph.core.plugins import load_module
 from placegraph.errors import OptionError
 from placegraph.indoor.refine.matching.matches import Matcher, Matches
 
 __all__ = ["MATCHERS", "Matcher", "Matches", "matcher"]
 
 MATCHERS = {
-    "guided": "guided.GuidedMatcher",
-    "sift": "sift.SiftMatcher",
-    "xfeat": "xfeat.XFeatMatcher",
-    "roma": "roma.RomaMatcher",
-    "romav2": "roma.RomaV2Matcher",
+    "guided": "placegraph.indoor.refine.matching.guided.GuidedMatcher",
+    "sift": "placegraph.indoor.refine.matching.sift.SiftMatcher",
+    "xfeat": "placegraph_learn.xfeat.XFeatMatcher",
+    "roma": "placegraph_learn.roma.RomaMatcher",
+    "romav2": "placegraph_learn.roma.RomaV2Matcher",
 }
 """Module and class of each matcher, imported when it is asked for. Options are keywords of the class;
 it has `weights` and `device` where it runs a network."""
@@ -62,8 +62,8 @@ def matcher(
     """
     if name not in MATCHERS:
         raise OptionError(f"matcher is {name!r}; there are {', '.join(map(repr, MATCHERS))}.")
-    module, made = MATCHERS[name].split(".")
-    make = getattr(import_module(f"{__name__}.{module}"), made)
+    module, _, made = MATCHERS[name].rpartition(".")
+    make = getattr(load_module(module, "learn"), made)
     known = inspect.signature(make).parameters
     if weights is not None:
         options["weights"] = weights

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.geometry import Floats
+from placegraph.core.geometry import Floats
 from placegraph.indoor.refine.matching.matches import Matches, inside
 
 

@@ -9,8 +9,8 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
-from placegraph.geometry import Floats
 
 BLANK = 2.0
 """An image whose grey values deviate less from their mean shows nothing: black, or burnt out."""

@@ -10,8 +10,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from placegraph.core.kept import kept
 from placegraph.errors import InputError
-from placegraph.kept import kept
 
 if TYPE_CHECKING:
     from importlib.resources.abc import Traversable

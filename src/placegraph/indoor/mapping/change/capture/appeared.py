@@ -8,15 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.geometry import Floats
 from placegraph.errors import InputError, OptionError
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Floats
 from placegraph.indoor.mapping.change.capture.capture_kernels import BITS, connected
 from placegraph.indoor.mapping.change.capture.looks import project
 from placegraph.indoor.mapping.change.capture.tally import Rest, tolerance
 from placegraph.indoor.mapping.change.changes import Change, Piece
 from placegraph.indoor.mapping.change.register import moved
 from placegraph.indoor.mapping.fuse import Fused
+from placegraph.io.capture.frame import Frame
 
 _MARGIN = 0.12
 """What lies this near to a thing that moved belongs to it [m]."""

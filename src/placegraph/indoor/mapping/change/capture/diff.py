@@ -13,11 +13,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from placegraph.core.estimate import PoseEstimate, Status
+from placegraph.core.geometry import Floats
 from placegraph.errors import InputError, OptionError
-from placegraph.estimate import PoseEstimate, Status
-from placegraph.formats.capture.capture import Capture
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Floats
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.map.structure import structure
 from placegraph.indoor.mapping.change.capture.appeared import Clump, appeared, gather
@@ -37,6 +35,8 @@ from placegraph.indoor.mapping.change.changes import Change, SceneDiff
 from placegraph.indoor.mapping.change.options import DiffOptions
 from placegraph.indoor.mapping.change.register import inverse
 from placegraph.indoor.render import checked_pose
+from placegraph.io.capture.capture import Capture
+from placegraph.io.capture.frame import Frame
 
 SUSPECT, SUSPECT_BY_COLOUR = 0.2, 0.35
 """Share of an object's pixels that have to speak for being gone before a motion is looked for."""

@@ -12,11 +12,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.formats.capture.frame import Frame
-from placegraph.geometry import Camera, Floats
+from placegraph.core.geometry import Camera, Floats
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.mapping.change.capture.capture_kernels import paint
 from placegraph.indoor.render import camera_rays
+from placegraph.io.capture.frame import Frame
 
 WIDTH = 320
 """Pictures are compared at most this wide [px]."""

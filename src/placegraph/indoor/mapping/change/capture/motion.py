@@ -13,7 +13,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from placegraph.geometry import Floats
+from placegraph.core.geometry import Floats
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.mapping.change.capture.looks import project, window
 from placegraph.indoor.mapping.change.capture.tally import Rest, tolerance

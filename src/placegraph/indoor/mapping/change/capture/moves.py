@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.geometry import Floats, vector_from_rotation
+from placegraph.core.geometry import Floats, vector_from_rotation
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.mapping.change.capture.appeared import Clump
 from placegraph.indoor.mapping.change.capture.looks import Look, project

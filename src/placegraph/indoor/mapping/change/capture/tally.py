@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.geometry import Floats
+from placegraph.core.geometry import Floats
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.mapping.change.capture.looks import Look
 from placegraph.indoor.mapping.change.options import DiffOptions

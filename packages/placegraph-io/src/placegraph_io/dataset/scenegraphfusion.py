@@ -1,0 +1,243 @@
+"""Reader of scene graphs that SceneGraphFusion predicts (Wu et al., 2021): surfels, nodes, edges.
+
+Its program writes `predictions.json`, the graph of its segments, beside `inseg.ply` and
+`node_semantic.ply`, whose points are surfels with the number of their segment as `label`. There is
+no mesh: surfels become small squares, or give their labels to a mesh of the same place. Segments
+that a *same part* edge joins are one thing, as they are there, which bears the smallest number.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass, replace
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from placegraph.errors import InputError
+from placegraph.io.capture.camera import read_json
+from placegraph.io.capture.labels import Entry
+from placegraph.io.mesh.model import Model
+from placegraph.io.mesh.ply import things_of_ids
+from placegraph_io.dataset.scenegraphfusion_surfels import (
+    SURFELS,
+    lent,
+    read_surfels,
+    squares,
+)
+
+Rows = NDArray[np.int64]
+Floats = NDArray[np.float64]
+
+
+PREDICTIONS = ("predictions.json", "prediction.json")
+_SAME, _NONE = "same part", "none"
+
+
+def is_scenegraphfusion(path: Path) -> bool:
+    """Whether a path is a folder that SceneGraphFusion wrote to, or its `predictions.json`."""
+    try:
+        folder = path.parent if path.name in PREDICTIONS else path
+        return all(
+            any((folder / name).is_file() for name in names) for names in (PREDICTIONS, SURFELS)
+        )
+    except (OSError, ValueError):
+        return False
+
+
+def read_scenegraphfusion(
+    path: str | PathLike[str], *, mesh: str | PathLike[str] | None = None
+) -> Model:
+    """Read what SceneGraphFusion predicted of a scan.
+
+    A thing's label is the likeliest class of its segments, said in its attribute `probability`;
+    relations are the likeliest of each edge, without *none*. Surfels of segments of which nothing
+    was predicted, for they were small, are one thing "unknown".
+
+    Parameters
+    ----------
+    path
+        Folder, or its `predictions.json`.
+    mesh
+        Mesh (PLY or OBJ, z up) in the axes of the recording's poses, such as ScanNet's
+        `_vh_clean_2.ply`: its surface and colours are used, with the surfels' labels.
+
+    Raises
+    ------
+    InputError
+        A file is missing or damaged; graph and surfels share no segment; the mesh lies elsewhere.
+
+    """
+    folder = Path(path)
+    folder = folder.parent if folder.name in PREDICTIONS else folder
+    graph = _graph(_found(folder, PREDICTIONS), folder)
+    left_out: Counter[str] = Counter()
+    surfels = read_surfels(_found(folder, SURFELS), left_out)
+    ids = graph.thing_of(surfels.segments)
+    if not (ids >= 0).any():
+        raise InputError(
+            f"{surfels.path} and {graph.path} share no segment; take both from one run."
+        )
+    if mesh is None:
+        model = squares(surfels, ids)
+        of = model.thing_of
+    else:
+        model, of = lent(Path(mesh), surfels, ids, left_out)
+    things, thing_of, missing = things_of_ids(of, len(model.triangles), graph.table())
+    row = {thing.id: i for i, thing in enumerate(things)}
+    relations = {(row.get(str(a)), name, row.get(str(b))) for a, name, b in graph.relations()}
+    return replace(
+        model,
+        path=folder,
+        things=things,
+        thing_of=thing_of,
+        relations=tuple(
+            sorted((a, n, b) for a, n, b in relations if a is not None and b is not None)
+        ),
+        left_out=left_out + model.left_out + missing,
+    )
+
+
+def _found(folder: Path, names: tuple[str, ...]) -> Path:
+    found = next((folder / name for name in names if (folder / name).is_file()), None)
+    if found is None:
+        raise InputError(
+            f"{folder} has no {' or '.join(names)}; give the folder that SceneGraphFusion wrote to "
+            "(its --pth_out)."
+        )
+    return found
+
+
+# ---------------------------------------------------------------------------------------- graph
+
+
+@dataclass(frozen=True, slots=True)
+class _Graph:
+    path: Path
+    labels: dict[int, tuple[str, float]]
+    """Likeliest class of a segment, and how likely it is."""
+    edges: dict[tuple[int, int], str]
+    """Likeliest relation."""
+    owner: dict[int, int]
+    """Smallest segment of the thing that a segment is part of."""
+
+    def thing_of(self, segments: Rows) -> Rows:
+        """Number of the thing of each segment, -1: nothing was predicted of it."""
+        known = np.array(sorted(self.owner), np.int64)
+        things = np.array([self.owner[i] for i in known.tolist()], np.int64)
+        at = np.minimum(np.searchsorted(known, segments), max(len(known) - 1, 0))
+        return np.where(known[at] == segments, things[at], -1) if len(known) else segments * 0 - 1
+
+    def table(self) -> dict[str, Entry]:
+        """Names of things, by their numbers."""
+        parts: dict[int, list[float]] = {}
+        for segment, thing in self.owner.items():
+            parts.setdefault(thing, []).append(self.labels[segment][1])
+        return {
+            str(thing): Entry(self.labels[thing][0], "", {"probability": f"{sum(p) / len(p):.3f}"})
+            for thing, p in sorted(parts.items())
+        }
+
+    def relations(self) -> set[tuple[int, str, int]]:
+        """Relations between things."""
+        found = {
+            (self.owner[a], name, self.owner[b])
+            for (a, b), name in self.edges.items()
+            if name not in {_SAME, _NONE} and a in self.owner and b in self.owner
+        }
+        return {relation for relation in found if relation[0] != relation[2]}
+
+
+def _graph(path: Path, folder: Path) -> _Graph:
+    nodes, edges = (_object(path, _of_scan(path, folder), key) for key in ("nodes", "edges"))
+    labels: dict[int, tuple[str, float]] = {}
+    for key, said in nodes.items():
+        if _number(key) is None:
+            raise InputError(f"{path}: {key[:40]!r} is no number of a segment; run it again.")
+        label, probability = _likeliest(path, said)
+        if label:
+            labels[int(key)] = label, probability
+    joined: dict[tuple[int, int], str] = {}
+    for key, said in edges.items():
+        a, _, b = key.partition("_")
+        one, other = _number(a), _number(b)
+        if one is None or other is None:
+            raise InputError(f"{path}: {key[:40]!r} is no edge `from_to`; run it again.")
+        joined[one, other] = _likeliest(path, said)[0]
+    return _Graph(path, labels, joined, _merged(labels, joined))
+
+
+def _of_scan(path: Path, folder: Path) -> dict[str, Any]:
+    """The graph, alone or under the name of its scan."""
+    content = read_json(path)
+    if not isinstance(content, dict):
+        raise InputError(f"{path} is no graph of SceneGraphFusion: it must be a JSON object.")
+    if "nodes" in content:
+        return content
+    graphs = {k: v for k, v in content.items() if isinstance(v, dict) and "nodes" in v}
+    names = (folder.absolute().name, folder.absolute().parent.name)
+    found = [graphs[name] for name in names if name in graphs] or list(graphs.values())
+    if not found or (len(graphs) > 1 and not set(names) & graphs.keys()):
+        what = "holds the graphs of several scans" if graphs else "holds no `nodes`"
+        raise InputError(f"{path} {what}; give the one of {folder.absolute().name}.")
+    graph: dict[str, Any] = found[0]
+    return graph
+
+
+def _object(path: Path, graph: dict[str, Any], key: str) -> dict[str, Any]:
+    found = graph.get(key, {})
+    if not isinstance(found, dict):
+        raise InputError(f"{path}: `{key}` must be an object by the numbers of segments.")
+    return found
+
+
+def _number(text: str) -> int | None:
+    return int(text) if text.isascii() and text.isdigit() and len(text) < 10 else None
+
+
+def _likeliest(path: Path, said: object) -> tuple[str, float]:
+    """Likeliest name, and how likely it is, of a name, a list of names, or log-probabilities.
+
+    The program writes 0 for the logarithm of a probability of 0. So what the others leave of 1 is
+    what a 0 has, if it is alone; ("", 0) where that cannot be told.
+    """
+    if isinstance(said, list) and said:
+        said = said[0]
+    if isinstance(said, str):
+        return said, 1.0
+    if not isinstance(said, dict) or not said:
+        raise InputError(f"{path}: {str(said)[:60]} is neither a name nor names with numbers.")
+    if not all(type(v) in {int, float} and abs(v) < 1e300 for v in said.values()):
+        raise InputError(f"{path}: {str(said)[:60]} holds what is no number; run it again.")
+    shares = {name: math.exp(min(v, 0.0)) for name, v in said.items() if v != 0}
+    zeros = [name for name, v in said.items() if v == 0]
+    rest = 1.0 - sum(shares.values())
+    if len(zeros) == 1 and rest > 0:
+        shares[zeros[0]] = rest
+    elif rest > max(shares.values(), default=0.0):
+        return "", 0.0
+    best = max(shares, key=lambda name: shares[name])
+    return best, shares[best]
+
+
+def _merged(
+    labels: dict[int, tuple[str, float]], edges: dict[tuple[int, int], str]
+) -> dict[int, int]:
+    """Smallest segment of those that are the same part, of one label, for each segment."""
+    owner = {segment: segment for segment in labels}
+
+    def root(segment: int) -> int:
+        while owner[segment] != segment:
+            owner[segment] = owner[owner[segment]]
+            segment = owner[segment]
+        return segment
+
+    for (a, b), name in edges.items():
+        if name == _SAME and a in owner and b in owner and labels[a][0] == labels[b][0]:
+            one, other = sorted((root(a), root(b)))
+            owner[other] = one
+    return {segment: root(segment) for segment in owner}

@@ -1,0 +1,200 @@
+"""`transforms.json`, as NeRFCapture, Spectacular AI and nerfstudio write it for radiance fields.
+
+`frames`: `file_path`, `transform_matrix` (4 x 4, world_from_camera, camera axes as OpenGL's), perhaps
+`depth_file_path` or `depth_path` (PNG of 16 bits), `timestamp`; `fl_x fl_y cx cy w h` and distortion
+`k1 k2 p1 p2` of all frames or of each. Units of depth are millimetres, or `integer_depth_scale` metres.
+Worlds of ARKit have y up (NeRFCapture, nerfstudio of Record3D), others z (Spectacular AI, nerfstudio of
+Polycam); the file does not say which, but who wrote it does, or how the cameras were held.
+(DatasetWriter.swift and nerfcapture_dataset.py of jc211/NeRFCapture, replay_to_nerf.py of
+SpectacularAI/sdk-examples, polycam_utils.py and record3d_utils.py of nerfstudio.)
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from placegraph.core.geometry import Camera
+from placegraph.errors import InputError, OptionError
+from placegraph.io.capture.camera import read_json
+from placegraph.io.capture.frame_files import DepthUnit, LazyImages, colour_file, depth_file
+from placegraph.io.capture.frames import Capture
+from placegraph.io.capture.images import ENDINGS, image_size
+from placegraph.io.capture.level import upright
+from placegraph.io.capture.posed import (
+    ARKIT_FROM_OPENCV,
+    Shot,
+    camera_of,
+    capture_of,
+    exact_pose,
+    number,
+    smaller_view,
+)
+
+_FILE = "transforms.json"
+_BENT = {"opencv": ("k1", "k2", "p1", "p2"), "fisheye": ("k1", "k2", "k3", "k4")}
+_LENSES = {"OPENCV": "opencv", "PINHOLE": "opencv", "OPENCV_FISHEYE": "fisheye"}
+_SURE = 0.15  # by how much y or z must be more nearly one direction of the images than the other
+_UNSCALED = {"colmap_im_id", "sharpness"}
+"""Keys of frames whose poses COLMAP found, which knows no metres."""
+
+
+def is_transforms(path: Path) -> bool:
+    """Whether a folder has a `transforms.json`."""
+    return (path / _FILE).is_file()
+
+
+def read_transforms(
+    path: Path, *, scale: float | None = None, up: ArrayLike | None = None
+) -> Capture:
+    """Read a folder; frames whose depth image is missing have none.
+
+    `scale` is metres in a unit of the poses, 1 if not given; `up` a direction (3,) in their world, y
+    or z if not given, by how the cameras were held. Raises `InputError` where files are missing or
+    broken, where poses are COLMAP's and `scale` is not given, or where neither is plainly up.
+    """
+    file = path / _FILE
+    content = read_json(file)
+    frames = content.get("frames") if isinstance(content, dict) else None
+    if not isinstance(frames, list) or not frames or not all(isinstance(f, dict) for f in frames):
+        raise InputError(f"{file}: frames is not a list of objects; export the capture again.")
+    if scale is not None and not (np.isfinite(scale) and scale > 0):
+        raise OptionError(f"scale is {scale}; it must be greater than 0.")
+    if scale is None and _UNSCALED & set(frames[0]):
+        raise InputError(
+            f"{file} has poses of COLMAP, which are not in metres; open COLMAP's own model, or give scale."
+        )
+    poses = [_pose(file, frame, i) for i, frame in enumerate(frames)]
+    map_from_world, note = _upright(np.stack(poses), up, _written_by(content), file)
+    left_out: Counter[str] = Counter()
+    shots = []
+    for i, (frame, pose) in enumerate(zip(frames, poses, strict=True)):
+        image = _image(path, frame, i)
+        if image is None:
+            left_out["no colour image"] += 1
+            continue
+        moved = pose.copy()
+        moved[:3, 3] *= scale or 1.0
+        shots.append(_shot(path, content, i, image, map_from_world @ moved @ ARKIT_FROM_OPENCV))
+    return capture_of(path, shots, left_out=left_out, notes=(note,))
+
+
+def _pose(file: Path, frame: dict[str, Any], i: int) -> NDArray[np.float64]:
+    name = f"{file}: frames[{i}].transform_matrix"
+    try:
+        rows = np.array(frame.get("transform_matrix"), np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"{name} is not 4 x 4 numbers; export the capture again.") from error
+    if rows.shape not in {(4, 4), (3, 4)}:
+        raise InputError(f"{name} has shape {rows.shape}; 4 x 4 numbers belong.")
+    return exact_pose(rows, name)
+
+
+def _written_by(content: dict[str, Any]) -> int | None:
+    """The axis that is up (1: y, 2: z) for whoever writes such a file; None: it does not tell."""
+    if {"depth_integer_scale", "integer_depth_scale"} & set(content):
+        return 1  # NeRFCapture
+    if "orientation_override" in content or {"aabb_scale", "k1"} <= set(content):
+        return 2  # nerfstudio of Polycam; Spectacular AI
+    return None
+
+
+def _upright(
+    poses: NDArray[np.float64], up: ArrayLike | None, axis: int | None, file: Path
+) -> tuple[NDArray[np.float64], str]:
+    """Transform (4, 4) to z up, and how up was found: as given, as written, or by the cameras.
+
+    Who turns around keeps up in one direction of the images, whatever way a telephone is held, and
+    level directions in none.
+    """
+    how = "as whoever wrote such a file has it"
+    y, z = (float(np.linalg.norm(poses[:, i, :2].mean(axis=0))) for i in (1, 2))
+    if up is not None:
+        direction = np.asarray(up, np.float64)
+        if direction.shape != (3,) or not 0 < np.linalg.norm(direction) < np.inf:
+            raise OptionError(f"up is {up!r}; it is a direction, three numbers.")
+        how = "as given"
+    elif axis is not None:
+        direction = np.eye(3)[axis]
+    elif abs(y - z) >= _SURE:
+        direction, how = np.eye(3)[1 if y > z else 2], "which lies in one direction of the images"
+    else:
+        raise InputError(
+            f"{file} does not say which way is up, nor do its poses; give up=(0, 1, 0), as ARKit has it, "
+            "or up=(0, 0, 1)."
+        )
+    move = np.eye(4)
+    move[:3, :3] = upright(direction / np.linalg.norm(direction), np.eye(3)[0])
+    return move, f"Up is {' '.join(f'{v:g}' for v in direction)}, {how}."
+
+
+def _image(path: Path, frame: dict[str, Any], i: int) -> Path | None:
+    """Colour image of a frame, whose ending need not be said."""
+    said = frame.get("file_path")
+    if not isinstance(said, str) or not said:
+        raise InputError(f"{path / _FILE}: frames[{i}].file_path is not the name of an image.")
+    file = _inside(path, said, i)
+    tried = [file, *(file.with_name(file.name + ending) for ending in ENDINGS)]
+    return next((f for f in tried if f.is_file()), None)
+
+
+def _inside(path: Path, name: str, i: int) -> Path:
+    """File by its name, which must not lead out of the folder."""
+    file = path / name
+    try:
+        file.exists()  # a name may be longer than any
+        inside = file.resolve().is_relative_to(path.resolve())
+    except (OSError, ValueError, RuntimeError):
+        inside = False
+    if not inside:
+        raise InputError(
+            f"{path / _FILE}: frames[{i}] names {name[:80]!r}, which is not in the folder."
+        )
+    return file
+
+
+def _shot(
+    path: Path, content: dict[str, Any], i: int, image: Path, pose: NDArray[np.float64]
+) -> Shot:
+    file, frame = path / _FILE, content["frames"][i]
+    camera = _camera(file, content | frame, i)
+    depth_camera = metres = None
+    named = frame.get("depth_file_path") or frame.get("depth_path")
+    per_metre = 1000.0
+    if content.get("integer_depth_scale"):
+        step = number(file, content, "integer_depth_scale")
+        if not 1e-6 <= step <= 1.0:
+            raise InputError(f"{file}: integer_depth_scale is {step:g}; it is metres in a unit.")
+        per_metre = 1.0 / step
+    if isinstance(named, str) and (depth := _inside(path, named, i)).is_file():
+        depth_camera = smaller_view(camera, image_size(depth), depth)
+        metres = depth_file(depth, depth_camera, per_metre)
+    unit = DepthUnit(f"the depth images that {file} names", per_metre)
+    return Shot(
+        name=f"{file}: frames[{i}].transform_matrix",
+        stamp=number(file, frame, "timestamp") if "timestamp" in frame else float(i),
+        pose=pose,
+        camera=camera,
+        images=LazyImages(colour_file(image, camera), metres, unit=unit),
+        depth_camera=depth_camera,
+    )
+
+
+def _camera(file: Path, said: dict[str, Any], i: int) -> Camera:
+    lens = _LENSES.get(str(said.get("camera_model", "OPENCV")))
+    if lens is None:
+        raise InputError(
+            f"{file}: camera_model is {str(said['camera_model'])[:40]!r}; {', '.join(_LENSES)} are read. "
+            "Undistort the images."
+        )
+    width, height = (number(file, said, field) for field in ("w", "h"))
+    if not (1 <= width < 1 << 16 and 1 <= height < 1 << 16):
+        raise InputError(f"{file}: frames[{i}]: w and h are {width} and {height}; export again.")
+    intrinsics = [number(file, said, field) for field in ("fl_x", "fl_y", "cx", "cy")]
+    bent = [number(file, said, field) if field in said else 0.0 for field in _BENT[lens]]
+    bent = bent if any(bent) or lens == "fisheye" else []
+    return camera_of(f"{file}: frames[{i}]", (int(width), int(height)), intrinsics, bent, lens)

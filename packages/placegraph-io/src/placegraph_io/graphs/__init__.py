@@ -1,0 +1,1 @@
+"""Scene graphs that other programs wrote: Hydra's, ConceptGraphs'."""

@@ -1,0 +1,158 @@
+"""Captures from bags of ROS 1 and ROS 2; nothing of ROS needs to be installed.
+
+`walk.mcap`, `walk.db3`, `walk.bag`, or a folder of rosbag2. `walk.mcap.json` beside it may say what
+the bag does not (`wishes`). Poses are those of the camera's optical frame, whose axes are OpenCV's
+(REP 103), in `odom`, whose z points up (REP 105).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from placegraph.core.geometry import Camera
+from placegraph.errors import InputError
+from placegraph.io.capture.frame_files import DepthUnit, LazyImages, check_shape
+from placegraph.io.capture.frames import Capture
+from placegraph.io.capture.posed import SAME_MOMENT, Shot, capture_of, nearest_stamps
+from placegraph.io.capture.tum import read_tum
+from placegraph_io.ros.decode import decoded
+from placegraph_io.ros.files.bag import looks_like_bag, open_bag
+from placegraph_io.ros.files.storage import Message, Topic
+from placegraph_io.ros.pixels import colours, depths
+from placegraph_io.ros.plan import Plan, plan_of, wishes_of
+from placegraph_io.ros.poses import Placing
+from placegraph_io.ros.register import Registration
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path bears the name of a bag."""
+    return looks_like_bag(path)
+
+
+def read_bag(
+    path: Path, *, poses: Path | None = None, topics: Mapping[str, Any] | None = None
+) -> Capture:
+    """Read a bag: its index, stamps and transforms; images when they are asked for.
+
+    `poses` is a trajectory of the same clock, instead of transforms and odometry; `topics` is what
+    `BAG.json` may say. Raises `InputError` where the bag is damaged or lacks what a capture needs,
+    `OptionError` for `topics` that are none, `MissingExtraError` where `rosbags` is not installed.
+    """
+    return capture_from(plan_of(open_bag(path), wishes_of(path, topics)), poses)
+
+
+def capture_from(plan: Plan, poses: Path | None = None) -> Capture:
+    """Capture of what was found in a bag; `poses` and errors as of `read_bag`."""
+    for role in ("colour", "camera", "depth") if poses else ("colour", "camera", "poses", "depth"):
+        if role in plan.lacks:
+            raise InputError(plan.lacks[role])
+    placing = plan.placing
+    assert placing is not None  # noqa: S101  # else there would be no colour
+    if poses is None:
+        missing = f"no transform from {placing.colour.frame} to {placing.frame}"
+        shots = _shots(plan, placing, placing.poses(), missing)
+    else:
+        shots = _shots(plan, placing, _given(poses, placing), f"no pose in {poses.name}")
+    return capture_of(plan.bag.path, shots, left_out=placing.left_out, notes=plan.notes)
+
+
+def _given(poses: Path, placing: Placing) -> NDArray[np.float64]:
+    """Poses (T, 4, 4) of the images by a trajectory's rows, or stamps; NaN where it has none."""
+    trajectory, stamps = read_tum(poses), placing.stamps[placing.rows]
+    row_of = np.arange(len(stamps))
+    if len(trajectory) != len(stamps):
+        row_of = nearest_stamps(trajectory.stamps, stamps, SAME_MOMENT)
+    return np.where((row_of >= 0)[:, None, None], trajectory.poses[row_of], np.nan)
+
+
+def _shots(plan: Plan, placing: Placing, poses: NDArray[np.float64], missing: str) -> list[Shot]:
+    """A shot a colour image that has a pose, and depth where there is any."""
+    colour, depth, camera = placing.colour, placing.depth, plan.camera
+    assert camera is not None  # noqa: S101  # else it would lack
+    stamps = placing.stamps[placing.rows]
+    lost = np.full(len(stamps), "", object)
+    depth_of, moved = np.full(len(stamps), -1), None
+    if depth is not None:
+        depth_of = nearest_stamps(placing.depth_stamps, stamps, SAME_MOMENT)
+        lost[depth_of < 0] = f"no depth within {SAME_MOMENT * 1000:.0f} ms"
+        if plan.registration is not None:
+            moved = placing.tree.between(colour.frame, depth.frame, stamps)
+            assert moved is not None  # noqa: S101  # else depth would lack
+            lost[np.isnan(moved[:, 0, 0])] = f"no transform from {depth.frame} to {colour.frame}"
+    lost[np.isnan(poses[:, 0, 0])] = missing
+    lost[np.setdiff1d(np.arange(len(stamps)), np.unique(stamps, return_index=True)[1])] = (
+        "its stamp twice"
+    )
+    placing.left_out.update(why for why in lost if why)
+    unit, source = unit_of(plan), Source.of(colour.topic)
+    shots = []
+    for i in np.flatnonzero(lost == "").tolist():
+        row, metres = int(placing.rows[i]), None
+        if depth is not None:
+            metres = partial(
+                metres_of, depth.topic[int(depth_of[i])], Source.of(depth.topic), depth.size,
+                plan.wishes.depth_scale, plan.registration, None if moved is None else moved[i],
+            )  # fmt: skip
+        images = LazyImages(partial(picture, colour.topic[row], source, camera), metres, unit=unit)
+        name = f"{plan.bag.path}, {colour.topic.name}, message {row}"
+        shots.append(Shot(name, float(stamps[i]), poses[i], camera, images, plan.depth_camera))
+    return shots
+
+
+def unit_of(plan: Plan) -> DepthUnit | None:
+    """Where the unit of its depth is said; None: it has none."""
+    if plan.depth is None:
+        return None
+    if plan.wishes.depth_scale:
+        return DepthUnit(f'"depth_scale" in {plan.bag.path}.json', plan.wishes.depth_scale)
+    metres = plan.depth.encoding.startswith("32F")
+    said = f"the encoding {plan.depth.encoding} of {plan.depth.topic.name}"
+    return DepthUnit(said, 1.0 if metres else 1000.0)
+
+
+class Source(NamedTuple):
+    """Of a message: enough to read it anywhere."""
+
+    topic: str
+    type: str
+    encoding: str
+
+    @classmethod
+    def of(cls, topic: Topic) -> Source:
+        """Of a topic's messages."""
+        return cls(topic.name, topic.type, topic.encoding)
+
+
+def picture(message: Message, source: Source, camera: Camera) -> NDArray[np.uint8]:
+    """Colours (H, W, 3) of a message; `InputError` where they are none of that camera."""
+    name = f"{message.place.path}, {source.topic}"
+    image = colours(decoded(message, *source), name)
+    check_shape(image, camera, name)
+    return image
+
+
+def metres_of(
+    message: Message,
+    source: Source,
+    size: tuple[int, int],
+    per_metre: float | None,
+    registration: Registration | None,
+    colour_from_depth: NDArray[np.float64] | None,
+) -> NDArray[np.float32]:
+    """Depth (h, w) [m] of a message, brought to the colour camera; `InputError` where it is none."""
+    name = f"{message.place.path}, {source.topic}"
+    image = depths(decoded(message, *source), per_metre, name)
+    if image.shape != size[::-1]:
+        raise InputError(
+            f"{name} has {image.shape[1]} x {image.shape[0]} pixels, but its first image has "
+            f"{size[0]} x {size[1]}; record depth of one size."
+        )
+    if registration is not None and colour_from_depth is not None:
+        return registration(image, colour_from_depth)
+    return image

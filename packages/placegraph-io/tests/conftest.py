@@ -1,0 +1,3 @@
+"""Files of recorders."""
+
+from tests.io.conftest import *  # noqa: F403  # fixtures

@@ -1,0 +1,336 @@
+"""ScanNet's annotated meshes: objects of segments, classes of vertices, and files that do not fit."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from placegraph.errors import InputError, OptionError
+from placegraph.indoor.build import scene_of_model
+from placegraph_io.dataset.scannet import is_scannet, patches, read_scannet
+from placegraph_io.dataset.scannet_files import axis_alignment, read_label_map
+
+SEGMENTS = "_vh_clean_2.0.010000.segs.json"
+
+
+@pytest.fixture
+def scan(scannet_world, tmp_path):
+    return scannet_world.Scan(tmp_path / "scans" / scannet_world.NAME)
+
+
+def letters(model, scan):
+    """Label of the thing of each triangle, and the letter drawn there."""
+    drawn = [scan.mesh.letters[a] for a in scan.mesh.triangles[:, 0]]
+    return [(model.things[i].label, d) for i, d in zip(model.thing_of, drawn, strict=True)]
+
+
+def test_objects_are_those_of_the_annotation_in_the_map_s_axes(scan):
+    model = read_scannet(scan.folder)
+    np.testing.assert_allclose(model.vertices, scan.mesh.points, atol=5e-6)
+    np.testing.assert_array_equal(model.triangles, scan.mesh.triangles)
+    np.testing.assert_array_equal(model.colours, scan.mesh.colours)
+    assert set(letters(model, scan)) == {
+        ("floor", "f"), ("dining table", "t"), ("office chair", "c"), ("unknown", "w"),
+    }  # fmt: skip
+    assert [t.id for t in model.things] == ["0", "4", "2", "unknown"]
+    assert model.left_out == {"vertices of no object": scan.mesh.letters.count("w")}
+    assert model.path == scan.folder
+
+
+def test_a_scan_becomes_a_map(scan):
+    scene = scene_of_model(read_scannet(scan.folder))
+    assert scene.scenes == (scan.name,)
+    assert scene.floors[0] == pytest.approx(0.0, abs=1e-3)
+    at = dict(zip(scene.graph.labels, scene.graph.positions.tolist(), strict=True))
+    np.testing.assert_allclose(at["dining table"], [1.75, 1.0, 0.7], atol=1e-3)
+    np.testing.assert_allclose(at["office chair"], [3.25, 1.25, 0.45], atol=1e-3)
+
+
+def test_alignment_is_an_option_and_absent_in_test_scans(scan):
+    np.testing.assert_allclose(
+        read_scannet(scan.folder, align=False).vertices, scan.points, atol=1e-6
+    )
+    scan.text(".txt", "sceneType = Office\n")
+    np.testing.assert_allclose(read_scannet(scan.folder).vertices, scan.points, atol=1e-6)
+    scan.file(".txt").unlink()
+    np.testing.assert_array_equal(axis_alignment(scan.folder), np.eye(4))
+
+
+@pytest.mark.parametrize(
+    "said", ["1 2 3", "a " * 16, "2 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1", "nan " * 16, "1 " * 16]
+)
+def test_an_alignment_that_is_no_motion_is_refused(scan, said):
+    scan.text(".txt", f"axisAlignment = {said}\n")
+    with pytest.raises(InputError, match=r"scene0000_00\.txt: axisAlignment is no rigid"):
+        read_scannet(scan.folder)
+
+
+def test_the_hi_res_mesh_serves_where_the_decimated_one_is_missing(scan):
+    scan.write_mesh("_vh_clean.ply")
+    scan.write_segments("_vh_clean.segs.json", [s + 1 for s in scan.mesh.segments])
+    renamed = [g | {"segments": [s + 1 for s in g["segments"]]} for g in scan.groups]
+    scan.write_groups("_vh_clean.aggregation.json", renamed)
+    given_ = read_scannet(scan.file("_vh_clean.ply"))
+    scan.file("_vh_clean_2.ply").unlink()
+    for model in (given_, read_scannet(scan.folder)):
+        assert ("dining table", "t") in letters(model, scan)
+
+
+def test_the_mesh_itself_may_be_named(scan):
+    assert is_scannet(scan.file("_vh_clean_2.ply"))
+    assert len(read_scannet(scan.file("_vh_clean_2.ply")).things) == 4
+
+
+# ------------------------------------------------------------------------------------------ labels
+
+
+def test_labels_come_from_a_column_of_the_table(scan):
+    scan.write_table()
+    scan.write_groups(".aggregation.json", [*scan.groups[1:], scan.groups[0] | {"label": "object"}])
+    model = read_scannet(scan.folder, label_column="category")
+    said = {t.id: (t.label, t.attributes.get("raw_category")) for t in model.things}
+    assert said["4"] == ("table", "dining table")
+    assert said["2"] == ("chair", "office chair")
+    assert said["0"] == ("object", "object")  # an empty cell leaves the raw label
+    assert model.left_out["labels that the table does not map"] == 1
+
+
+def test_a_table_may_be_given_and_is_missed(scan, tmp_path):
+    with pytest.raises(InputError, match=r"scannetv2-labels\.combined\.tsv"):
+        read_scannet(scan.folder, label_column="nyu40class")
+    table = scan.write_table().rename(tmp_path / "own.tsv")
+    model = read_scannet(scan.folder, label_column="nyu40class", label_table=table)
+    assert {t.label for t in model.things} == {"floor", "table", "chair", "unknown"}
+    with pytest.raises(OptionError, match=r"label_column is 'wordnet'; .*nyu40id, nyu40class"):
+        read_scannet(scan.folder, label_column="wordnet", label_table=table)
+
+
+@pytest.mark.parametrize("text", ["", "a,b\n", "id\traw_category\nx\tchair\n"])
+def test_a_table_that_is_none_is_refused(tmp_path, text):
+    (tmp_path / "labels.tsv").write_text(text)
+    with pytest.raises(InputError, match=r"labels\.tsv"):
+        read_label_map(tmp_path / "labels.tsv")
+
+
+def test_short_rows_of_the_table_are_empty_cells(scan):
+    table = scan.write_table(["7\tlamp", "", "8\tbed\tbed\t1\t4\tbed"])
+    labels = read_label_map(table, "nyu40class")
+    assert labels.of_raw == {"bed": "bed"}
+    assert labels.of_id == {7: "lamp", 8: "bed"}
+
+
+# ------------------------------------------------------------------------------ files that do not fit
+
+
+@pytest.mark.parametrize(
+    ("gone", "message"),
+    [
+        ("_vh_clean_2.ply", r"has no scene0000_00_vh_clean_2\.ply; labels alone make no map"),
+        (
+            ".aggregation.json",
+            r"has no scene0000_00\.aggregation\.json; download it, or give .*_2\.ply",
+        ),
+        (SEGMENTS, r"has no scene0000_00_vh_clean_2\.0\.010000\.segs\.json; download"),
+    ],
+)
+def test_a_missing_file_is_named_with_a_mend(scan, gone, message):
+    scan.file(gone).unlink()
+    assert is_scannet(scan.folder)
+    assert not is_scannet(scan.file("_vh_clean_2.ply"))  # a mesh like any other
+    with pytest.raises(InputError, match=message):
+        read_scannet(scan.folder)
+
+
+def test_segments_of_another_mesh_are_refused(scan):
+    scan.write_segments(SEGMENTS, scan.mesh.segments[:-1])
+    count = len(scan.mesh.segments)
+    with pytest.raises(InputError, match=f"segments of {count - 1} vertices, but .* has {count};"):
+        read_scannet(scan.folder)
+
+
+@pytest.mark.parametrize(
+    "segments", [None, "1 2", [1.5] * 9, ["a"], [[1], [2, 3]], [1e400], [None]]
+)
+def test_segments_that_are_no_numbers_are_refused(scan, segments):
+    scan.json(SEGMENTS, {"segIndices": segments})
+    with pytest.raises(InputError, match=r"has no list `segIndices` of numbers"):
+        read_scannet(scan.folder)
+
+
+@pytest.mark.parametrize(
+    "groups",
+    [
+        None, {}, [3], [{"objectId": 1, "label": "x"}], [{"label": "x", "segments": [1]}],
+        [{"objectId": 1, "label": "x", "segments": [1.0]}],
+        [{"objectId": "1", "label": "x", "segments": [1]}],
+        [{"objectId": 1, "label": 5, "segments": [1]}],
+        [{"objectId": 1, "label": "x", "segments": []}, {"objectId": 1, "label": "y", "segments": []}],
+    ],
+)  # fmt: skip
+def test_an_aggregation_that_is_none_is_refused(scan, groups):
+    scan.json(".aggregation.json", {"segGroups": groups})
+    with pytest.raises(InputError, match=r"scene0000_00\.aggregation\.json"):
+        read_scannet(scan.folder)
+
+
+def test_absent_segments_are_counted_and_all_absent_refused(scan):
+    groups = [g | {"segments": [*g["segments"], 7, 8]} for g in scan.groups[:1]] + scan.groups[1:]
+    scan.write_groups(".aggregation.json", groups)
+    assert read_scannet(scan.folder).left_out["segments that the mesh does not have"] == 2
+    scan.write_groups(".aggregation.json", [g | {"segments": [7]} for g in scan.groups[:1]])
+    with pytest.raises(InputError, match="names no segment that"):
+        read_scannet(scan.folder)
+
+
+def test_a_segment_of_two_objects_is_the_last_one_s(scan):
+    chair = next(g for g in scan.groups if g["label"] == "office chair")
+    table = next(g for g in scan.groups if g["label"] == "dining table")
+    chair["segments"] = chair["segments"] + table["segments"]
+    scan.write_groups(".aggregation.json")
+    model = read_scannet(scan.folder)
+    assert ("office chair", "t") in letters(model, scan)
+    count = len(table["segments"])
+    assert model.left_out["segments that several objects name"] == count
+
+
+def test_a_scan_without_objects_is_one_unknown(scan):
+    scan.write_groups(".aggregation.json", [])
+    model = read_scannet(scan.folder)
+    assert [t.label for t in model.things] == ["unknown"]
+    assert not model.thing_of.any()
+
+
+def test_a_folder_of_several_scans_is_refused(scannet_world, tmp_path):
+    for name in ("scene0001_00", "scene0001_01"):
+        scannet_world.Scan(tmp_path / "all", name=name)
+    with pytest.raises(InputError, match="holds several scans"):
+        read_scannet(tmp_path / "all")
+    assert read_scannet(tmp_path / "all" / "scene0001_01_vh_clean_2.ply").path.suffix == ".ply"
+
+
+def test_what_is_no_scan_is_told(tmp_path):
+    (tmp_path / "mesh.ply").write_bytes(b"ply")
+    for path in (tmp_path, tmp_path / "mesh.ply", tmp_path / "none", tmp_path / "a\0b"):
+        assert not is_scannet(path)
+    for path in (tmp_path / "mesh.ply", tmp_path / "none"):
+        with pytest.raises(InputError, match="folder of a ScanNet scan"):
+            read_scannet(path)
+
+
+# ------------------------------------------------------------------------------------- classes alone
+
+WIDE = """
+wwwwwwwwwwww
+ffffffffffff
+fttttffttttf
+fttttfctttcf
+fttttffttttf
+fttttffttttf
+ffffffffffff
+"""
+
+
+@pytest.fixture
+def wide(scannet_world, tmp_path):
+    """Two tables, each a patch of more than 20 vertices, and two chairs of fewer."""
+    scan = scannet_world.Scan(tmp_path / scannet_world.NAME, scannet_world.Mesh(WIDE))
+    scan.file(".aggregation.json").unlink()
+    scan.write_labels()
+    return scan
+
+
+def test_without_objects_connected_patches_of_a_class_are_objects(wide):
+    model = read_scannet(wide.folder)
+    assert [(t.id, t.label) for t in model.things] == [
+        ("1", "wall"), ("2", "floor"), ("3", "table"), ("4", "table"), ("unknown", "unknown"),
+    ]  # fmt: skip
+    tables = [np.unique(model.thing_of[np.array([d == "t" for _, d in letters(model, wide)])])]
+    assert np.concatenate(tables).tolist() == [2, 3]
+    assert {d for label, d in letters(model, wide) if label == "unknown"} == {"c"}
+    assert model.left_out["patches of fewer than 20 vertices"] == 2
+    np.testing.assert_array_equal(model.colours, wide.mesh.colours)
+    np.testing.assert_allclose(model.vertices, wide.mesh.points, atol=5e-6)
+
+
+def test_colours_of_a_legend_are_none(wide):
+    wide.file("_vh_clean_2.ply").unlink()
+    model = read_scannet(wide.folder)
+    assert (model.colours == 255).all()
+    assert model.left_out["colours that tell classes"] == len(model.vertices)
+
+
+def test_a_labels_mesh_without_labels_is_refused(wide):
+    wide.write_mesh("_vh_clean_2.labels.ply")
+    with pytest.raises(InputError, match=r"labels\.ply has no vertices with a `label`"):
+        read_scannet(wide.folder)
+
+
+@given(st.data())
+def test_patches_are_what_walking_finds(data):
+    count = data.draw(st.integers(1, 12))
+    corner = st.integers(0, count - 1)
+    triangles = np.array(
+        data.draw(st.lists(st.tuples(corner, corner, corner), max_size=12)), np.int64
+    ).reshape(-1, 3)
+    label = np.array(data.draw(st.lists(st.integers(0, 2), min_size=count, max_size=count)))
+    expected = np.arange(count)
+    for _ in range(count):
+        for triangle in triangles:
+            for a in triangle:
+                for b in triangle:
+                    if label[a] == label[b]:
+                        expected[a] = expected[b] = min(expected[a], expected[b])
+    np.testing.assert_array_equal(patches(triangles, label), expected)
+
+
+# ------------------------------------------------------------------------------------------- damage
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
+@given(st.data())
+def test_damage_is_an_input_error(scan, data):
+    ending = data.draw(st.sampled_from(["_vh_clean_2.ply", SEGMENTS, ".aggregation.json", ".txt"]))
+    whole = scan.file(ending).read_bytes()
+    at = data.draw(st.integers(0, len(whole) - 1))
+    broken = (
+        whole[:at]
+        + data.draw(st.binary(max_size=8))
+        + data.draw(st.sampled_from([b"", whole[at + 1 :]]))
+    )
+    scan.file(ending).write_bytes(broken)
+    try:
+        model = read_scannet(scan.folder)
+    except InputError as error:
+        assert str(scan.folder) in str(error)  # noqa: PT017
+    else:
+        assert len(model.thing_of) == len(model.triangles)
+        assert not len(model.thing_of) or model.thing_of.max() < len(model.things)
+    finally:
+        scan.file(ending).write_bytes(whole)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
+@given(
+    st.recursive(
+        st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=4),
+        lambda inner: (
+            st.lists(inner, max_size=3)
+            | st.dictionaries(
+                st.sampled_from(["segGroups", "segIndices", "objectId", "label"]), inner
+            )
+        ),
+        max_leaves=8,
+    )
+)
+def test_json_of_any_kind_is_read_or_refused(scan, content):
+    for ending in (SEGMENTS, ".aggregation.json"):
+        whole = scan.file(ending).read_text()
+        scan.text(ending, json.dumps(content))
+        try:
+            read_scannet(scan.folder)
+        except InputError as error:
+            assert scan.name in str(error)  # noqa: PT017
+        finally:
+            scan.text(ending, whole)

@@ -1,0 +1,274 @@
+"""Graphs of SceneGraphFusion, tiny and in its layout: segments merged, relations, squares, meshes."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from placegraph.errors import InputError
+from placegraph_io.dataset.scenegraphfusion import is_scenegraphfusion, read_scenegraphfusion
+from placegraph_io.dataset.scenegraphfusion_surfels import GRID
+
+HEADER = """\
+ply
+format {} 1.0
+element vertex {}
+property float x
+property float y
+property float z
+property ushort label
+{}property float nx
+property float ny
+property float nz
+property float curvature
+property uchar red
+property uchar green
+property uchar blue
+property uchar alpha
+property float quality
+property float radius
+end_header
+"""
+EXTRA = "property ushort semantic\nproperty ushort instance\n"
+
+
+def patch(x, y, z, normal=(0, 0, 1), side=1.0, step=0.02):
+    """Surfels of a level or upright square."""
+    across = np.arange(0, side, step) + step / 2
+    a, b = (v.ravel() for v in np.meshgrid(across, across))
+    zero = np.zeros_like(a)
+    local = np.stack([a, b, zero] if normal[2] else [zero, a, b], axis=1)
+    return local + (x, y, z)  # noqa: RUF005
+
+
+SEGMENTS = {
+    3: (patch(0, 0, 0), (0, 0, 1), (90, 60, 30)),
+    7: (patch(1, 0, 0), (0, 0, 1), (90, 60, 30)),
+    5: (patch(0, 0, 0.1, normal=(1, 0, 0)), (1, 0, 0), (200, 200, 200)),
+    8: (patch(0.4, 0.4, 0.5, side=0.2), (0, 0, 1), (0, 0, 255)),
+    9: (patch(1.5, 0.5, 0.3, side=0.06), (0, 0, 1), (9, 9, 9)),  # too small for a prediction
+}
+
+
+def logs(**shares):
+    """Log-probabilities as the program writes them: 0 for a probability of 0."""
+    return {k: math.log(p) if p else 0 for k, p in shares.items()}
+
+
+def graph():
+    return {
+        "nodes": {
+            "3": logs(floor=0.9, wall=0.1, chair=0),
+            "7": logs(floor=0.7, wall=0.2, chair=0.1),
+            "5": {"floor": 0, "wall": 0, "chair": 0} | logs(wall=0.999),
+            "8": {"floor": -30.0, "wall": -30.0, "chair": 0},  # a probability of 1 is 0, too
+        },
+        "edges": {
+            "3_7": {"same part": -0.1, "none": -2.35, "standing on": 0},
+            "5_3": {"same part": -0.1, "none": -2.35, "standing on": 0},  # of another label: no
+            "5_7": {"same part": -5.0, "none": -3.0, "attached to": -0.06},
+            "8_7": {"standing on": -0.2, "none": -1.7, "same part": 0},
+            "7_8": {"standing on": -3, "none": -0.05, "same part": 0},
+        },
+        "kfs": {},
+    }
+
+
+class Output:
+    """<scan>/scene_graph_fusion/ as SceneGraphFusion writes it."""
+
+    def __init__(self, root, every=1):
+        self.path = root / "scene0000_00" / "scene_graph_fusion"
+        self.path.mkdir(parents=True, exist_ok=True)
+        self.write_surfels(every=every)
+        self.write_graph({"scene0000_00": graph()})
+
+    def write_graph(self, content, name="predictions.json"):
+        (self.path / name).write_text(json.dumps(content))
+
+    def write_surfels(self, name="inseg.ply", binary=False, every=1):
+        extra = name != "inseg.ply"
+        kinds = [(n, "<f4") for n in "xyz"] + [("label", "<u2")]
+        kinds += [(n, "<u2") for n in ("semantic", "instance")] if extra else []
+        kinds += [(n, "<f4") for n in ("nx", "ny", "nz", "curvature")]
+        kinds += [(n, "u1") for n in ("red", "green", "blue", "alpha")]
+        kinds += [(n, "<f4") for n in ("quality", "radius")]
+        parts = []
+        for segment, (dense, normal, colour) in SEGMENTS.items():
+            points = dense[::every]
+            rows = np.zeros(len(points), kinds)
+            for names, values in (("xyz", points.T), (("nx", "ny", "nz"), normal)):
+                for n, value in zip(names, values, strict=True):
+                    rows[n] = value
+            rows["label"] = segment
+            for n, value in zip(("red", "green", "blue"), colour, strict=True):
+                rows[n] = value
+            parts.append(rows)
+        table = np.concatenate(parts)
+        form = "binary_little_endian" if binary else "ascii"
+        head = HEADER.format(form, len(table), EXTRA if extra else "").encode()
+        text = "\n".join(" ".join(map(str, row)) for row in table.tolist()).encode() + b"\n"
+        (self.path / name).write_bytes(head + (table.tobytes() if binary else text))
+
+
+@pytest.fixture
+def output(tmp_path):
+    return Output(tmp_path)
+
+
+def things(model):
+    return {t.id: t for t in model.things}
+
+
+@pytest.mark.parametrize("binary", [False, True])
+def test_segments_become_things(output, binary):
+    output.write_surfels(binary=binary)
+    assert is_scenegraphfusion(output.path)
+    model = read_scenegraphfusion(output.path)
+    found = things(model)
+    assert {i: t.label for i, t in found.items()} == {
+        "3": "floor", "5": "wall", "8": "chair", "unknown": "unknown",
+    }  # fmt: skip
+    assert found["3"].attributes == {"probability": "0.800"}
+    assert found["5"].attributes == {"probability": "0.999"}
+    assert found["8"].attributes == {"probability": "1.000"}
+    row = {t.id: i for i, t in enumerate(model.things)}
+    assert set(model.relations) == {
+        (row["8"], "standing on", row["3"]),
+        (row["5"], "attached to", row["3"]),
+    }
+
+
+def test_squares_lie_on_the_surface(output):
+    model = read_scenegraphfusion(output.path)
+    row = {t.id: i for i, t in enumerate(model.things)}
+    corners = model.vertices[model.triangles]
+    floor, wall = (corners[model.thing_of == row[i]] for i in "35")
+    assert np.allclose(floor[..., 2], 0)
+    assert np.allclose(wall[..., 0], 0)
+    low, high = floor.min(axis=(0, 1)), floor.max(axis=(0, 1))
+    assert np.allclose(low[:2], 0, atol=GRID)
+    assert np.allclose(high[:2], (2, 1), atol=GRID)
+    normals = np.cross(floor[:, 1] - floor[:, 0], floor[:, 2] - floor[:, 0])
+    assert (normals[:, 2] > 0).all()
+    area = np.linalg.norm(normals, axis=1).sum() / 2
+    assert 2.0 < area < 3.2  # they overlap a little, so that there are no holes
+    chair = model.triangles[model.thing_of == row["8"]]
+    assert (model.colours[chair] == (0, 0, 255)).all()
+
+
+def test_labels_on_a_mesh(output, tmp_path):
+    mesh = tmp_path / "scene0000_00" / "scene0000_00_vh_clean_2.obj"
+    mesh.write_text(
+        "v 0 0 0.02\nv .9 0 0.02\nv 0 .9 0.02\nv 0 .1 .2\nv 0 .9 .2\nv 0 .5 .9\nv 5 5 5\nv 6 5 5\nv 5 6 5\n"
+        "f 1 2 3\nf 4 5 6\nf 7 8 9\n"
+    )
+    model = read_scenegraphfusion(output.path / "predictions.json", mesh=mesh)
+    assert [model.things[i].label for i in model.thing_of] == ["floor", "wall", "unknown"]
+    assert len(model.triangles) == 3
+    assert model.left_out["vertices of the mesh without a surfel within 0.1 m"] == 3
+    assert model.left_out["labels of objects that are not there"] == 1  # the chair
+    (relation,) = model.relations
+    assert [model.things[i].label for i in relation[::2]] == ["wall", "floor"]
+    mesh.write_text("v 9 9 9\nv 8 9 9\nv 9 8 9\nf 1 2 3\n")
+    with pytest.raises(InputError, match="has no vertex within"):
+        read_scenegraphfusion(output.path, mesh=mesh)
+
+
+def test_names_alone(output):
+    """What the program writes without full_prop."""
+    output.write_graph({
+        "nodes": {"3": "floor", "7": "floor", "8": "chair"},
+        "edges": {"3_7": ["same part"], "8_3": ["standing on"]},
+        "kfs": {},
+    })  # fmt: skip
+    model = read_scenegraphfusion(output.path)
+    assert sorted(things(model)) == ["3", "8", "unknown"]
+    assert [name for _, name, _ in model.relations] == ["standing on"]
+
+
+def test_colours_of_labels_are_none(output):
+    (output.path / "inseg.ply").unlink()
+    output.write_surfels("node_semantic.ply")
+    model = read_scenegraphfusion(output.path)
+    assert (model.colours == 255).all()
+    assert model.left_out["colours, which inseg.ply would have"] == 1
+
+
+def test_a_likelihood_that_cannot_be_told(output):
+    """Several zeros, and the others leave most of 1: one of the zeros is the label, nobody knows."""
+    content = graph()
+    content["nodes"]["8"] = {"floor": -9.0, "wall": 0, "chair": 0}
+    output.write_graph(content)
+    assert "8" not in things(read_scenegraphfusion(output.path))
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ([], "must be a JSON object"),
+        ({}, "holds no `nodes`"),
+        ({"a": {"nodes": {}}, "b": {"nodes": {}}}, "several scans"),
+        ({"nodes": []}, "`nodes` must be an object"),
+        ({"nodes": {"x": "chair"}}, "'x' is no number of a segment"),
+        ({"nodes": {"3": {}}}, "neither a name nor names"),
+        ({"nodes": {"3": {"floor": 10**400}}}, "no number"),
+        ({"nodes": {"3": {"a": None}}}, "no number"),
+        ({"nodes": {"3": "a"}, "edges": {"3-4": "b"}}, "no edge"),
+        ({"nodes": {"4": "a"}}, "share no segment"),
+    ],
+)
+def test_graphs_that_are_none(output, content, message):
+    output.write_graph(content)
+    with pytest.raises(InputError, match=message):
+        read_scenegraphfusion(output.path)
+
+
+def test_files_that_are_missing(output):
+    (output.path / "inseg.ply").rename(output.path / "other.ply")
+    assert not is_scenegraphfusion(output.path)
+    with pytest.raises(InputError, match=r"has no inseg\.ply or node_semantic\.ply"):
+        read_scenegraphfusion(output.path)
+    (output.path / "inseg.ply").write_text(
+        "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n0\n"
+    )
+    with pytest.raises(InputError, match="lacks label, nx, ny, nz, y, z"):
+        read_scenegraphfusion(output.path)
+    with pytest.raises(InputError, match=r"has no predictions\.json"):
+        read_scenegraphfusion(output.path.parent)
+
+
+def test_surfels_in_another_unit(output):
+    text = (output.path / "inseg.ply").read_text().splitlines()
+    text[-1] = " ".join(["1e15", "-1e15", "1e15", *text[-1].split()[3:]])
+    (output.path / "inseg.ply").write_text("\n".join(text))
+    with pytest.raises(InputError, match="must be in metres"):
+        read_scenegraphfusion(output.path)
+    text[-1] = " ".join(["nan", "0", "0", *text[-1].split()[3:]])
+    (output.path / "inseg.ply").write_text("\n".join(text))
+    assert read_scenegraphfusion(output.path).left_out["surfels that are no numbers"] == 1
+
+
+@given(
+    name=st.sampled_from(["inseg.ply", "predictions.json"]), data=st.data(), binary=st.booleans()
+)
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_only_input_errors_of_spoilt_files(tmp_path, name, data, binary):
+    output = Output(tmp_path, every=400)
+    output.write_surfels(binary=binary, every=400)
+    path = output.path / name
+    content = bytearray(path.read_bytes())
+    at = data.draw(st.integers(0, min(len(content) - 1, 3000)))
+    if data.draw(st.booleans()):
+        content[at] = data.draw(st.integers(0, 255))
+    else:
+        content = content[:at]
+    path.write_bytes(content)
+    try:
+        model = read_scenegraphfusion(output.path)
+    except InputError:
+        return
+    assert len(model.thing_of) == len(model.triangles) > 0

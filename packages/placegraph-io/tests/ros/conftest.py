@@ -1,0 +1,38 @@
+"""A walk through a drawn room, written as bags."""
+
+import numpy as np
+import pytest
+
+from placegraph.io.capture.frame import Frame
+from placegraph.io.capture.frames import Capture
+from placegraph_lab.worlds.bags import BagWriter, Layout, write_capture
+
+
+@pytest.fixture
+def clip(recorded):
+    """Frames in memory of the room's walk, all of whose depth is true."""
+    world = recorded()
+    return Capture.from_frames(
+        Frame.from_arrays(
+            world.rgb[i], world.cameras[i], depth=np.where(world.sure[i], world.metres[i], 0),
+            depth_camera=world.depth_cameras[i], odometry=world.poses[i], stamp=world.stamps[i],
+        )
+        for i in range(len(world))
+    )  # fmt: skip
+
+
+@pytest.fixture
+def bag(tmp_path, clip):
+    """Writes a bag of the walk; `more` adds to it, before or after what it holds already."""
+
+    def write(container="mcap", layout=None, *, packed=False, before=None, more=None, name="walk"):
+        path = tmp_path / (f"{name}.bag" if container == "rosbag1" else name)
+        with BagWriter(path, container, packed=packed) as writer:
+            if before:
+                before(writer)
+            write_capture(writer, clip, layout or Layout())
+            if more:
+                more(writer)
+        return path
+
+    return write

@@ -1,0 +1,240 @@
+"""Frames of messages as they come: of a bag, of a pipe, of a robot that is listened to."""
+
+import io
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import placegraph as pg
+from placegraph.core.geometry import quaternion_from_rotation, rotation_from_vector
+from placegraph.errors import InputError
+from placegraph.io.capture.frame import Frame
+from placegraph_io.ros.assembly import SILENT, Assembly, Move
+from placegraph_io.ros.discovery import Discovery
+from placegraph_io.ros.files.bag import open_bag
+from placegraph_io.ros.files.mcap_stream import mcap_packets
+from placegraph_io.ros.packets import Fault, packets_of
+from placegraph_io.ros.plan import Wishes, plan_of
+from placegraph_io.ros.transforms import Tree
+from placegraph_lab.worlds.bags import BASE_FROM_CAMERA, OPTICAL, BagWriter, Layout, write_capture
+from placegraph_ros.message import pose
+from placegraph_ros.pose import based
+
+START = Layout().start
+
+
+def assembled(assembly, packets):
+    """Frames and moves of the packets."""
+    out = []
+    for packet in packets:
+        if not isinstance(packet, Fault):
+            out += assembly.take(packet)
+    return out + list(assembly.rest())
+
+
+def of_bag(path):
+    """Assembly of a bag, and its packets."""
+    assembly = Assembly(plan_of(open_bag(path), Wishes()))
+    return assembly, list(packets_of(assembly.plan.bag, assembly.topics))
+
+
+def bytes_of(path):
+    """What reads the bytes of a bag's file."""
+    return io.BytesIO(next(path.glob("*.mcap")).read_bytes()).read
+
+
+def same(frames, capture):
+    assert len(frames) == len(capture)
+    for got, wanted in zip(frames, capture, strict=True):
+        assert got.stamp == pytest.approx(wanted.stamp, abs=1e-6)
+        assert (got.camera, got.depth_camera) == (wanted.camera, wanted.depth_camera)
+        np.testing.assert_allclose(got.odometry, wanted.odometry, atol=1e-6)
+        np.testing.assert_allclose(got.gravity, wanted.gravity, atol=1e-6)
+        np.testing.assert_array_equal(got.rgb(), wanted.rgb())
+        if wanted.depth_camera is not None:
+            np.testing.assert_array_equal(got.depth(), wanted.depth())
+
+
+@pytest.mark.parametrize(
+    "layout", [Layout(), Layout(images="packed", poses="odometry", depth=False)]
+)
+@pytest.mark.parametrize("container", ["mcap", "rosbag1"])
+def test_frames_of_a_stream_are_those_of_its_capture(container, layout, bag):
+    path = bag(container, layout)
+    assembly, packets = of_bag(path)
+    said = assembled(assembly, packets)
+    same([f for f in said if isinstance(f, Frame)], pg.open_capture(path))
+    assert (assembly.odometry, assembly.base, assembly.camera) == ("odom", "base_link", OPTICAL)
+    np.testing.assert_allclose(assembly.base_from_camera(), BASE_FROM_CAMERA, atol=1e-9)
+    assert not assembly.left_out
+
+
+def test_a_pipe_is_heard_until_it_is_known_what_comes(bag):
+    """What was heard before is not lost."""
+    path = bag()
+    data = next(path.glob("*.mcap")).read_bytes()
+    listening = Discovery(Path("stdin"), Wishes())
+    packets = list(mcap_packets(io.BytesIO(data).read, "stdin"))
+    assert not any(isinstance(p, Fault) for p in packets)
+    coming = iter(packets)
+    plan = next(filter(None, map(listening.take, coming)), None) or listening.found()
+    said = assembled(Assembly(plan), [*listening.heard(), *coming])
+    same([f for f in said if isinstance(f, Frame)], pg.open_capture(path))
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_a_pipe_that_is_cut_off_is_read_as_far_as_it_goes(packed, bag):
+    path = bag(packed=packed)
+    data = next(path.glob("*.mcap")).read_bytes()
+    whole = list(mcap_packets(io.BytesIO(data).read, "stdin"))
+    for cut in (9, len(data) // 3, len(data) // 2):
+        *packets, fault = mcap_packets(io.BytesIO(data[:cut]).read, "stdin")
+        assert isinstance(fault, Fault)
+        assert "stdin was cut off" in fault.reason
+        assert packets == whole[: len(packets)]
+        assert packets or packed or cut == 9, "of a chunk that is cut off what is there"
+    with pytest.raises(InputError, match="stdin is no MCAP stream"):
+        list(mcap_packets(io.BytesIO(b"{}").read, "stdin"))
+
+
+def test_a_damaged_chunk_of_a_pipe_is_named(bag):
+    data = bytearray(next(bag(packed=True).glob("*.mcap")).read_bytes())
+    chunk = data.index(b"\x04\x00\x00\x00zstd")
+    data[chunk + 40 : chunk + 60] = bytes(20)
+    faults = [
+        p for p in mcap_packets(io.BytesIO(bytes(data)).read, "stdin") if isinstance(p, Fault)
+    ]
+    assert "stdin, a chunk" in faults[0].reason
+
+
+@pytest.mark.parametrize(
+    ("layout", "words"),
+    [
+        (Layout(infos=False), "holds no CameraInfo of /camera/color/image_raw"),
+        (Layout(poses="none"), "no transform leads"),
+        (Layout(images="none"), "holds no colour images"),
+    ],
+)
+def test_what_lacks_is_named_until_it_comes(layout, words, bag):
+    """Nothing is chosen while something lacks; when it comes, all is well."""
+    lacking = list(mcap_packets(bytes_of(bag("mcap", layout)), "robot"))
+    listening = Discovery(Path("robot"), Wishes())
+    assert not any(listening.take(p) for p in lacking)
+    assert listening.found() is None
+    assert words in listening.lacks[0]
+    whole = mcap_packets(bytes_of(bag(name="whole")), "robot")
+    for packet in whole:
+        listening.take(packet)
+    assert listening.found() is not None
+    assert not listening.lacks
+
+
+def test_odometry_between_images_is_told(tmp_path, clip):
+    """At 50 Hz, in the camera's axes; frames are placed between, as the capture's are."""
+    stamps = np.linspace(-0.05, clip.stamps[-1] - clip.stamps[0] + 0.05, 200)
+    camera_from_base = np.linalg.inv(BASE_FROM_CAMERA)
+
+    def turning(writer):
+        first = START + clip.frames[0].stamp
+        writer.transform("base_link", OPTICAL, BASE_FROM_CAMERA, first, "/tf_static")
+        for t in stamps:
+            pose = clip.frames[0].odometry.copy()
+            pose[0, 3] += t
+            writer.odometry("/odom", first + t, pose @ camera_from_base)
+
+    with BagWriter(tmp_path / "more") as writer:
+        turning(writer)
+        write_capture(writer, clip, Layout(poses="none"))
+    assembly, packets = of_bag(tmp_path / "more")
+    said = assembled(assembly, packets)
+    moves = [m for m in said if isinstance(m, Move)]
+    assert isinstance(said[0], Move), "odometry is told before the first frame"
+    assert len(moves) > 150
+    assert all(b.stamp > a.stamp for a, b in itertools.pairwise(moves))
+    along = moves[-1].odometry_from_camera[0, 3] - clip.frames[0].odometry[0, 3]
+    assert along == pytest.approx(stamps[-1], abs=1e-6)
+    same([f for f in said if isinstance(f, Frame)], pg.open_capture(tmp_path / "more"))
+
+
+def test_what_odometry_says_of_its_errors_is_the_cameras(bag, clip, rng):
+    """Led to the camera, and back to the base by `based`: the same."""
+    root = rng.normal(size=(6, 6))
+    told = root @ root.T
+    poses = [frame.odometry @ np.linalg.inv(BASE_FROM_CAMERA) for frame in clip]
+
+    def wheels(writer):
+        writer.transform("base_link", OPTICAL, BASE_FROM_CAMERA, START, "/tf_static")
+        for frame, matrix in zip(clip, poses, strict=True):
+            writer.send(
+                "/odom", "nav_msgs/msg/Odometry", START + frame.stamp, "odom",
+                child_frame_id="base_link", pose={"pose": pose(matrix), "covariance": told.ravel()},
+            )  # fmt: skip
+
+    assembly, packets = of_bag(bag(layout=Layout(poses="none"), more=wheels))
+    moves = [m for m in assembled(assembly, packets) if isinstance(m, Move)]
+    assert moves
+    for move in moves:
+        _, spread = based(move.odometry_from_camera, move.covariance, BASE_FROM_CAMERA)
+        np.testing.assert_allclose(spread, told, atol=1e-9)
+
+
+def test_clocks_that_jump_and_gaps(clip, bag):
+    """A jump is told, and what comes after is used; frames without transforms are left out, and counted."""
+
+    last = START + clip.stamps[-1]
+
+    def alone(writer):
+        for stamp in (last + 90.0, last + 91.0):
+            writer.image("/camera/color/image_raw", stamp, clip[0].rgb(), "rgb8")
+
+    assembly, packets = of_bag(bag(more=alone))
+    _, again = of_bag(bag("mcap", Layout(start=START - 100.0), name="again"))
+    said = assembled(assembly, [*packets, *(p._replace(time=p.time + 300.0) for p in again)])
+    assert assembly.jumps == 1
+    frames = [f for f in said if isinstance(f, Frame)]
+    assert len(frames) == 2 * len(clip)
+    assert dict(assembly.left_out) == {f"no transform from {OPTICAL} to odom": 2}
+
+
+def test_where_depth_falls_silent_colours_go_on(clip, bag):
+    """A frame without its depth is left out; where none comes any more, frames come without."""
+
+    def more(writer):
+        for i in range(1, 31):
+            stamp = START + clip.stamps[-1] + 0.1 * i
+            writer.transform("odom", "base_link", np.eye(4), stamp)
+            writer.image("/camera/color/image_raw", stamp, clip[0].rgb(), "rgb8")
+
+    assembly, packets = of_bag(bag(more=more))
+    frames = [f for f in assembled(assembly, packets) if isinstance(f, Frame)]
+    assert [f.depth() is not None for f in frames[: len(clip)]] == [True] * len(clip)
+    late = [f.stamp - START - clip.stamps[-1] for f in frames[len(clip) :]]
+    assert min(late) == pytest.approx(SILENT, abs=0.11)
+    assert all(f.depth() is None for f in frames[len(clip) :])
+    assert assembly.left_out == {"no depth within 20 ms": 30 - len(late)}
+
+
+def test_transforms_of_a_stream_are_those_of_all_their_samples(rng):
+    """One by one, some late, some broken; what is older is forgotten, and a clock set back begins anew."""
+    key, count = ("odom", "base_link"), 200
+    turns = np.cumsum(rng.normal(size=(count, 3)) * 0.1, axis=0)
+    xyzw = np.array([quaternion_from_rotation(rotation_from_vector(t)) for t in turns])
+    xyzw *= np.where(rng.random(count) < 0.5, -1.0, 1.0)[:, None]  # both mean the same turn
+    rows = np.c_[np.arange(count) * 0.02, rng.normal(size=(count, 3)), xyzw]
+    whole, live = Tree(), Tree()
+    whole.add({key: [rows]})
+    order = np.arange(count)
+    order[50:52] = 51, 50  # late
+    for i in order:
+        live.extend(key, rows[i : i + 1], keep=2.0)
+        live.extend(key, np.full((1, 8), np.nan), keep=2.0)
+    stamps = np.linspace(2.0, 3.9, 77)
+    np.testing.assert_allclose(live.between(*key, stamps), whole.between(*key, stamps), atol=1e-12)
+    assert np.isnan(live.between(*key, np.array([1.0]))).any(), "forgotten"
+    assert live.broken == count
+    live.extend(key, rows[:1] - [10.0, *[0.0] * 7], keep=2.0)
+    assert len(live.edges[key].stamps) == 1
+    assert np.isfinite(live.between(*key, np.array([-10.0]))).all()
+    assert np.isnan(live.between(*key, np.array([-9.0]))).any()

@@ -1,0 +1,1 @@
+"""Networks that need PyTorch: SceneGraphLoc, backbones, RoMa, XFeat, and trainings."""

@@ -1,0 +1,50 @@
+"""A tiny network, and captures of the drawn room whose poses are in its map."""
+
+import numpy as np
+import pytest
+
+from placegraph_learn.scenegraphloc.features import ColourFeatures
+from placegraph_learn.train.scenegraphloc.worlds import placed
+
+
+@pytest.fixture(autouse=True)
+def one_torch_thread():
+    """So small are these networks."""
+    torch = pytest.importorskip("torch", reason="PyTorch is not installed (extra learn)")
+    pytest.importorskip("safetensors", reason="safetensors is not installed (extra learn)")
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.fixture(scope="session")
+def survey(walk, truth):
+    """The walk through the room as one of the map: its odometry is map_from_camera."""
+    return placed(walk, truth(walk))
+
+
+@pytest.fixture(scope="session")
+def tiny_weights(tmp_path_factory):
+    """Random weights of a small network on features of colour, as a file."""
+    torch = pytest.importorskip("torch", reason="PyTorch is not installed (extra learn)")
+    pytest.importorskip("safetensors", reason="safetensors is not installed (extra learn)")
+    from placegraph_learn.scenegraphloc.network import SceneGraphLoc
+    from placegraph_learn.scenegraphloc.weights import write_weights
+    from placegraph_learn.scenegraphloc.widths import Widths
+
+    path = tmp_path_factory.mktemp("weights") / "tiny.safetensors"
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(11)
+        network = SceneGraphLoc(Widths.small(ColourFeatures.dimension))
+    write_weights(path, network, {"features": ColourFeatures.key, "temperature": "0.07"})
+    return path
+
+
+@pytest.fixture
+def picture(rng):
+    """Random image (90, 160, 3) whose left half is red and whose right half is blue."""
+    image = rng.integers(0, 40, (90, 160, 3), np.uint8)
+    image[:, :80, 0] += 200
+    image[:, 80:, 2] += 200
+    return image

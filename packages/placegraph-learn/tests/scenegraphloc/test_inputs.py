@@ -1,0 +1,245 @@
+"""The five modalities of a map: points, structure, relations, attributes, views."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from placegraph.errors import InputError, OptionError
+from placegraph.indoor.map.mesh import Mesh
+from placegraph.indoor.mapping.merge import merge_scenes
+from placegraph.indoor.scene_map import SceneMap
+from placegraph_learn.scenegraphloc.features import (
+    RELATIONS,
+    read_attributes,
+    relation_row,
+)
+from placegraph_learn.scenegraphloc.inputs import (
+    barycentre,
+    complete,
+    farthest,
+    rooms_of,
+    together,
+)
+from placegraph_learn.scenegraphloc.views import Views
+from placegraph_learn.train.scenegraphloc.elastic import distorted
+
+
+def _unseen(count, width=4):
+    blank = np.zeros((count, width), np.float32)
+    return Views(np.arange(count), blank, np.tile(np.eye(4), (count, 1, 1)))
+
+
+def _boxes(*boxes, **more):
+    corners, faces = [], []
+    for k, (low, high) in enumerate(boxes):
+        corners += [np.where([i >> 2 & 1, i >> 1 & 1, i & 1], high, low) for i in range(8)]
+        faces += [[8 * k + i for i in face] for face in
+                  ((0, 3, 2), (0, 1, 3), (4, 7, 5), (4, 6, 7), (0, 5, 1), (0, 4, 5),
+                   (2, 7, 6), (2, 3, 7), (0, 6, 4), (0, 2, 6), (1, 7, 3), (1, 5, 7))]  # fmt: skip
+    mesh = Mesh.plain(
+        np.array(corners, float), np.array(faces), np.repeat(np.arange(len(boxes)), 12)
+    )
+    names = [chr(ord("a") + k) for k in range(len(boxes))]
+    return SceneMap.create(mesh, names, more.pop("labels", names), floor=0.0, **more)
+
+
+THREE = (((0, 0, 0), (1, 1, 1)), ((2, 0, 0), (3, 2, 4)), ((0, 5, 0), (4, 5.5, 2)))
+
+
+@pytest.fixture
+def scene():
+    relations = [(1, "standing on", 0), (2, "next to", 0), (1, "above", 2), (0, "same room", 1)]
+    said = [{"color": "red, White", "state": "open"}, {}, {"shape": "red"}]
+    return _boxes(*THREE, relations=relations, attributes=said)
+
+
+def _room(scene, **more):
+    (rows, room), = rooms_of(
+        scene, _unseen(len(scene)), rng=np.random.default_rng(1), **more
+    )  # fmt: skip
+    assert rows.tolist() == list(range(len(scene)))
+    return room
+
+
+def test_points_lie_on_the_surface_less_the_rooms_mean(scene):
+    room = _room(scene)
+    assert room.points.shape == (3, 512, 3)
+    # every point lies on a face of its box, whose size is known
+    shifted = room.points - room.points.min(axis=1, keepdims=True)
+    sides = np.array([np.subtract(high, low) for low, high in THREE])[:, None]
+    near = np.minimum(np.abs(shifted), np.abs(shifted - sides)).min(axis=2)
+    assert near.max() < 0.02
+    areas = np.array([6.0, 2 * (2 + 4 + 8), 2 * (2 + 8 + 1)])
+    middles = room.points.mean(axis=1)
+    assert np.abs(np.average(middles, axis=0, weights=areas)).max() < 0.05
+
+
+def test_vertices_are_taken_as_they_are_where_asked(scene):
+    room = _room(scene, source="vertices")
+    mean = np.concatenate([scene.mesh.vertices]).mean(axis=0)
+    corners = {tuple(p) for p in np.round(room.points[1] + mean, 3).tolist()}
+    assert len(corners) == 8
+    assert corners == {(x, y, z) for x in (2, 3) for y in (0, 2) for z in (0, 4)}
+
+
+def test_offsets_lead_to_the_object_of_most_relations(scene):
+    room = _room(scene)
+    middles = np.array([np.add(low, high) / 2 for low, high in THREE])
+    # next to, above, standing on: each object is in two pairs, the first wins
+    assert np.allclose(room.offsets, middles[0] - middles, atol=1e-3)
+
+
+def test_relations_are_counted_by_3dssgs_words(scene):
+    room = _room(scene)
+    word = {name: k for k, name in enumerate(RELATIONS)}
+    assert room.edges[:3].tolist() == [[1, 0], [2, 0], [1, 2]]
+    assert {tuple(e) for e in room.edges.tolist()} == {
+        (a, b) for a in range(3) for b in range(3) if a != b
+    }
+    assert room.relations.shape == (3, 41)
+    assert room.relations.sum(axis=1).tolist() == [2, 2, 2]
+    assert room.relations[1, [word["standing on"], word["higher than"]]].tolist() == [1, 1]
+    assert room.relations[2, [word["close by"], word["none"]]].tolist() == [1, 1]
+    assert room.relations[0, word["none"]] == 2
+
+
+def test_words_shift_where_a_pair_has_two_relations():
+    """As the published data do: the k-th edge has the word of the k-th triple."""
+    edges, words = complete(3, [(0, 5, 1), (0, 6, 1), (2, 7, 1)])
+    assert edges[:2].tolist() == [[0, 1], [2, 1]]
+    assert words.tolist() == [5, 6, 7, 0, 0, 0]
+    assert len(edges) == 6
+
+
+def test_attributes_are_counted_by_the_words_given(scene):
+    assert not _room(scene, count=164).attributes.any()
+    assert _room(scene, count=164).attributes.shape == (3, 164)
+    room = _room(scene, attributes=("white", "red", "open", "closed"))
+    assert room.attributes.tolist() == [[1, 1, 1, 0], [0, 0, 0, 0], [0, 1, 0, 0]]
+
+
+def test_a_scene_without_relations_is_a_graph_all_the_same():
+    room = _room(_boxes(*THREE))
+    assert room.relations[:, 0].tolist() == [2, 2, 2]
+    assert not room.offsets[0].any()
+
+
+def test_one_object_alone_has_no_edges():
+    room = _room(_boxes(THREE[0]))
+    assert room.edges.shape == (0, 2)
+    assert not room.relations.any()
+
+
+def test_merged_scenes_are_rooms_of_their_own(scene):
+    other = _boxes(*THREE[:2], scene="other", source="other")
+    merged = merge_scenes({"first": scene, "second": other})
+    views = _unseen(len(merged))
+    found = rooms_of(merged, views, rng=np.random.default_rng(1))
+    assert [len(room) for _, room in found] == [3, 2]
+    alone = _room(scene)
+    merged_room = found[0][1]
+    assert np.allclose(merged_room.points, alone.points, atol=2e-3)
+    assert np.allclose(merged_room.offsets, alone.offsets, atol=2e-3)
+    assert np.array_equal(merged_room.relations, alone.relations)
+
+
+def test_rooms_become_tensors_in_their_order(scene):
+    torch = pytest.importorskip("torch", reason="PyTorch is not installed (extra learn)")
+    room = _room(scene)
+    objects = together([room, room])
+    assert objects.sizes == (3, 3)
+    assert objects.owner.tolist() == [0, 1, 2, 3, 4, 5]
+    assert objects.poses[4].tolist() == [0, 0, 0, 1, 0, 0, 0]
+    assert objects.points.dtype == torch.float32
+
+
+def test_wrong_sources_and_rooms_beyond_reason_are_refused(scene, monkeypatch):
+    with pytest.raises(OptionError, match="'surface' or 'vertices'"):
+        _room(scene, source="edges")
+    monkeypatch.setattr("placegraph_learn.scenegraphloc.inputs._MOST", 2)
+    with pytest.raises(OptionError, match="3 objects in one room"):
+        _room(scene)
+
+
+# ------------------------------------------------------------------------------------ geometry
+
+
+def test_a_barycentre_is_that_of_the_hulls_corners(rng):
+    box = np.array([[x, y, z] for x in (0, 2) for y in (0, 3) for z in (0, 1)], float)
+    inside = rng.uniform((0.1, 0.1, 0.1), (1.9, 2.9, 0.9), (500, 3))
+    repeated = np.concatenate([box, box[:2], box[:1], inside])
+    assert np.allclose(barycentre(repeated), (1, 1.5, 0.5))
+    assert np.allclose(barycentre(box[:4]), box[:4].mean(axis=0))  # a plane
+    assert np.allclose(barycentre(box[:1]), box[0])
+
+
+@settings(max_examples=30)
+@given(arrays(np.int64, (9, 3), elements=st.integers(-5, 5)))
+def test_a_barycentre_lies_among_its_points(points):
+    found = barycentre(points)
+    assert (found >= points.min(axis=0) - 1e-9).all()
+    assert (found <= points.max(axis=0) + 1e-9).all()
+    assert np.allclose(found, barycentre(np.concatenate([points[::-1], points])))
+
+
+def test_the_farthest_points_cover_a_line(rng):
+    line = np.zeros((2000, 3), np.float32)
+    line[:, 0] = np.linspace(0, 1, 2000)
+    chosen = np.sort(farthest(line, 17, rng)[:, 0])
+    assert np.diff(chosen).min() > 0.02
+    few = farthest(line[:3], 8, rng)
+    assert set(few[:, 0].tolist()) <= set(line[:3, 0].astype(float).tolist())
+
+
+def test_distortion_is_smooth_and_of_its_size(rng):
+    points = rng.uniform(0, (4, 3, 2.5), (3000, 3)).astype(np.float32)
+    near = points + np.float32(0.004)
+    both = np.concatenate([points, near])
+    moved = [distorted(both, np.random.default_rng(k)) - both for k in range(5)]
+    sizes = [float(np.abs(m).mean()) for m in moved]
+    assert 0.02 < np.median(sizes) < 0.5
+    pulls = np.array(moved)
+    apart = np.abs(pulls[:, :3000] - pulls[:, 3000:]).mean()
+    assert apart < 0.1 * np.abs(pulls).mean()
+
+
+def test_some_clouds_are_left_as_they_are_and_any_shape_is_taken():
+    points = np.random.default_rng(0).uniform(size=(2, 7, 3)).astype(np.float32)
+    same = [np.array_equal(distorted(points, np.random.default_rng(k)), points) for k in range(24)]
+    assert 0 < sum(same) < 8
+    flat = np.zeros((5, 3), np.float32)
+    assert np.isfinite(distorted(flat, np.random.default_rng(0))).all()
+    wide = np.array([[0, 0, 0], [900, 900, 900]], np.float32)
+    assert np.isfinite(distorted(wide, np.random.default_rng(0))).all()
+
+
+# --------------------------------------------------------------------------------------- words
+
+
+def test_relations_have_their_rows():
+    assert len(RELATIONS) == len(set(RELATIONS)) == 41
+    assert relation_row("Standing On ") == 15
+    assert relation_row("next to") == RELATIONS.index("close by")
+    assert relation_row("same room") is None
+    assert RELATIONS[26] == "hanging in"
+    assert RELATIONS[40] == "more comfortable than"
+
+
+def test_attribute_words_come_as_text_or_json(tmp_path):
+    (tmp_path / "a.txt").write_text("Red\n\nwhite \nopen\n", encoding="utf-8")
+    (tmp_path / "a.json").write_text(json.dumps(["red", "white", "open"]), encoding="utf-8")
+    assert read_attributes(tmp_path / "a.txt") == ("red", "white", "open")
+    assert read_attributes(tmp_path / "a.json") == ("red", "white", "open")
+
+
+@pytest.mark.parametrize("content", [b"", b"red\nred\n", b'["red", 3]', b'["red"', b"\xff\xfe\x00"])
+def test_wrong_lists_of_attributes_are_refused(tmp_path, content):
+    (tmp_path / "a.txt").write_bytes(content)
+    with pytest.raises(InputError, match=r"a\.txt"):
+        read_attributes(tmp_path / "a.txt")
+    with pytest.raises(InputError):
+        read_attributes(tmp_path / "none.txt")

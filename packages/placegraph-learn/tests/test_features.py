@@ -1,0 +1,214 @@
+import pickle
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from placegraph.core.geometry import Camera
+from placegraph.errors import InputError, MapError, MissingExtraError, OptionError, ServiceError
+from placegraph.indoor.encode import Encoder, bound, encoder
+from placegraph.io.capture.frame import Frame
+from placegraph_learn.features import covered
+
+NETWORKS = {"test_vit": 16, "test_resnet": 32, "test_convnext": 32}
+"""Small ones that timm has for tests, and the sides of their patches [px]."""
+
+
+def made(model="test_vit", **options):
+    return encoder("features", model=model, **{"pretrained": False, "device": "cpu"} | options)
+
+
+def frame_of(shape, rng):
+    camera = Camera(shape[1], shape[0], 100.0, 100.0, shape[1] / 2, shape[0] / 2)
+    return Frame.from_arrays(rng.integers(0, 256, (*shape, 3), np.uint8), camera)
+
+
+@pytest.fixture(scope="module")
+def vit(timm):  # noqa: ARG001
+    return made()
+
+
+@pytest.fixture(scope="module")
+def posed(walk, truth):
+    """The walk through the room as images of the map: with its true poses."""
+    frames = (replace(f, odometry=p) for f, p in zip(walk, truth(walk), strict=True))
+    return replace(walk, frames=tuple(frames))
+
+
+@pytest.fixture(scope="module")
+def vectors(vit, room, posed):
+    return vit.objects(room, [posed])
+
+
+@pytest.mark.parametrize("model", NETWORKS)
+def test_any_backbone_gives_a_grid(timm, model, rng):  # noqa: ARG001
+    one = made(model)
+    assert isinstance(one, Encoder)
+    for shape, grid in (((90, 160), (9, 16)), ((160, 90), (16, 9)), ((61, 87), (11, 16))):
+        patches = one.patches(frame_of(shape, rng))
+        assert patches.shape == (*grid, one.dimension)
+        assert np.linalg.norm(patches, axis=-1) == pytest.approx(1.0, abs=1e-4)
+    assert one._backbone.cell == NETWORKS[model]
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 700), (2000, 3001)])
+def test_images_of_odd_sizes(vit, shape, rng):
+    rows, columns, _ = vit.patches(frame_of(shape, rng)).shape
+    assert columns == 16
+    assert rows == max(1, round(16 * shape[0] / shape[1]))
+
+
+def test_size_and_layer_decide_the_grid_and_the_key(vit, rng):
+    larger, earlier = made(size=400), made(layer=0)
+    assert larger.patches(frame_of((90, 160), rng)).shape[:2] == (14, 25)
+    assert len({vit.key, larger.key, earlier.key}) == 3
+    assert vit.key.startswith("features test_vit ")
+
+
+def test_the_same_weights_have_the_same_key(vit, rng):
+    again, image = made(), frame_of((90, 160), rng)
+    assert again.key == vit.key
+    assert again.patches(image) == pytest.approx(vit.patches(image), abs=1e-5)
+
+
+@pytest.mark.parametrize("ending", ["pt", "safetensors"])
+def test_weights_from_a_file(timm, vit, tmp_path, ending, rng):
+    import torch
+    from safetensors.torch import save_file
+
+    torch.manual_seed(5)
+    state = timm.create_model("test_vit").state_dict()  # with a head, which nobody wants
+    path = tmp_path / f"weights.{ending}"
+    (torch.save if ending == "pt" else save_file)(state, path)
+    one = made(weights=path, pretrained=True)
+    assert one.key != vit.key
+    image = frame_of((90, 160), rng)
+    assert np.abs(one.patches(image) - vit.patches(image)).max() > 0.1
+    assert one.key == made(weights=str(path)).key
+
+
+def test_weights_of_another_image_size(timm, tmp_path):
+    import torch
+
+    path = tmp_path / "larger.pt"
+    torch.save(timm.create_model("test_vit", img_size=320, num_classes=0).state_dict(), path)
+    assert made(weights=path).dimension == 64
+
+
+class Evil:
+    def __reduce__(self):
+        return (pytest.fail, ("a pickle was run",))
+
+
+@pytest.mark.parametrize("ending", ["pt", "safetensors"])
+@pytest.mark.parametrize("what", ["missing", "cut short", "text", "another network", "pickle"])
+def test_bad_weights(timm, tmp_path, what, ending):
+    import torch
+    from safetensors.torch import save_file
+
+    path = tmp_path / f"weights.{ending}"
+    state = timm.create_model("test_resnet" if what == "another network" else "test_vit")
+    (torch.save if ending == "pt" else save_file)(state.state_dict(), path)
+    if what == "missing":
+        path.unlink()
+    elif what == "cut short":
+        path.write_bytes(path.read_bytes()[:5000])
+    elif what == "text":
+        path.write_text("weights")
+    elif what == "pickle":
+        path.write_bytes(pickle.dumps({"a": Evil()}))
+    with pytest.raises(InputError, match=r"weights\."):
+        made(weights=path)
+
+
+def test_weights_that_are_no_numbers(timm, tmp_path):
+    import torch
+
+    state = timm.create_model("test_vit", num_classes=0).state_dict()
+    state["norm.weight"] = state["norm.weight"] * float("nan")
+    torch.save(state, tmp_path / "w.pt")
+    with pytest.raises(InputError, match="not finite"):
+        made(weights=tmp_path / "w.pt")
+
+
+def test_weights_that_cannot_be_fetched(timm, monkeypatch):
+    def offline(*_args, **_options):
+        raise OSError("no route to host")
+
+    monkeypatch.setattr(timm, "create_model", offline)
+    with pytest.raises(ServiceError, match="give weights=FILE"):
+        encoder("features")
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"model": "vit_of_nobody"}, "knows no model"),
+        ({"layer": 77}, "layer 77"),
+        ({"size": 8}, "size is 8"),
+        ({"temperature": 0.0}, "temperature"),
+        ({"device": "abacus"}, "device"),
+        ({"colour": "red"}, "colour"),
+    ],
+)
+def test_bad_options(timm, options, words):  # noqa: ARG001
+    with pytest.raises(OptionError, match=words):
+        made(**options)
+
+
+def test_without_timm(monkeypatch):
+    monkeypatch.setitem(sys.modules, "timm", None)
+    with pytest.raises(MissingExtraError, match=r"placegraph\[learn\]"):
+        made()
+
+
+def test_patches_cover_what_label_images_say(room, posed):
+    for frame in posed[:3]:
+        patch, row, share = covered(room, frame, (9, 16))
+        assert np.bincount(patch, share, 144).max() <= 1.0
+        ids = frame.labels()
+        h, w = ids.shape
+        most = share > 0.8
+        agree = [
+            str(ids[int((p // 16 + 0.5) * h / 9), int((p % 16 + 0.5) * w / 16)])
+            == room.graph.ids[r]
+            for p, r in zip(patch[most].tolist(), row[most].tolist(), strict=True)
+        ]
+        assert len(agree) > 40
+        assert np.mean(agree) > 0.97
+
+
+def test_what_stands_before_the_map_is_not_the_map(room, posed):
+    frame = posed[0]
+    near = np.full((90, 160), 0.2, np.float32)
+    near[:, 80:] = np.nan
+    hidden = Frame.from_arrays(frame.rgb(), frame.camera, depth=near, odometry=frame.odometry)
+    patch, _, _ = covered(room, hidden, (9, 16))
+    assert patch.size
+    assert (patch % 16 >= 8).all()
+
+
+def test_objects_are_what_saw_them(room, posed, vectors, vit):
+    seen = np.unique(np.concatenate([covered(room, f, (9, 16))[1] for f in posed]))
+    lengths = np.linalg.norm(vectors, axis=1)
+    assert lengths[seen] == pytest.approx(1.0, abs=1e-4)
+    assert not np.delete(lengths, seen).any()
+    ranks = []
+    for frame in posed:
+        patch, row, share = covered(room, frame, (9, 16))
+        cosines = vit.patches(frame).reshape(144, -1) @ vectors[seen].T
+        for p, r in zip(patch[share > 0.8], row[share > 0.8], strict=True):
+            ranks.append((cosines[p] < cosines[p, seen == r]).mean())
+    assert np.mean(ranks) > 0.6  # even weights of no meaning know the same from the other
+
+
+def test_objects_need_images(vit, room, posed, vectors):
+    with pytest.raises(OptionError, match="captures"):
+        vit.objects(room)
+    with pytest.raises(MapError, match="encode both alike"):
+        bound(vit, room.with_embeddings(np.eye(len(room)), encoder="labels"))
+    kept = bound(vit, room.with_embeddings(vectors, encoder=vit.key)).encode(posed[0])
+    made_now = bound(vit, room, [posed]).encode(posed[0])
+    assert kept.grid == made_now.grid == (9, 16)
+    assert kept.table == pytest.approx(made_now.table, abs=0.05)

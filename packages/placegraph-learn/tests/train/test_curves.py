@@ -1,0 +1,74 @@
+"""Curves of a training as a picture."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from PIL import Image, ImageColor
+
+from placegraph.view.draw.style import PALETTE
+from placegraph_learn.train.curves import COLORS, HEIGHT, WIDTH, apart, draw_curves, ticks
+
+ROWS = [
+    {
+        "epoch": i,
+        "match": 3.0 / i,
+        "similarity": 2.0 / i,
+        "embedding": 4.0 / i,
+        "relational": 0.4,
+        "network": 0.2 + 0.02 * i,
+        "dense": 0.25,
+        "fused": 0.4 + 0.01 * i,
+    }
+    for i in range(1, 7)
+]
+
+
+def pixels_of(path, color):
+    with Image.open(path) as picture:
+        assert picture.size == (WIDTH, HEIGHT)
+        pixels = np.asarray(picture.convert("RGB")).astype(int)
+    near = np.abs(pixels - ImageColor.getrgb(PALETTE[color][0])[:3]).max(axis=2) < 12
+    return np.stack(np.nonzero(near), axis=1)  # rows, columns
+
+
+def test_losses_stand_left_and_recall_right(tmp_path):
+    path = draw_curves(ROWS, tmp_path / "curves.png")
+    for name in ("match", "similarity", "embedding"):
+        found = pixels_of(path, COLORS[name])
+        left = found[found[:, 1] < 445]
+        assert len(left) > 300
+        # a falling loss runs from the upper left to the lower right
+        assert np.corrcoef(left[:, 1], left[:, 0])[0, 1] > 0.6
+    found = pixels_of(path, COLORS["fused"])
+    right = found[(found[:, 1] > 650) & (found[:, 1] < 1020)]
+    assert len(right) > 300
+    assert np.corrcoef(right[:, 1], right[:, 0])[0, 1] < -0.6  # it rises
+
+
+@pytest.mark.parametrize("rows", [[], ROWS[:1], [{"epoch": 1, "match": 0.0}], [{"epoch": 3}]])
+def test_few_epochs_and_few_figures_are_drawn(rows, tmp_path):
+    path = draw_curves(rows, tmp_path / "curves.png")
+    with Image.open(path) as picture:
+        assert len(picture.getcolors(1 << 20)) > 10
+
+
+@given(st.floats(-1e6, 1e6), st.floats(0.0, 1e6))
+def test_ticks_span_what_they_label(low, span):
+    high = low + span
+    found = ticks(low, high)
+    slack = 1e-6 * max(1.0, abs(low), abs(high))
+    assert found[0] <= low + slack
+    assert found[-1] >= high - slack
+    assert 2 <= len(found) <= 9
+    assert (np.diff(found) > 0).all()
+
+
+@given(st.lists(st.floats(0.0, 400.0), max_size=8))
+def test_labels_keep_apart_and_in_order(heights):
+    moved = apart(heights, 17.0)
+    assert len(moved) == len(heights)
+    order = np.argsort(heights, kind="stable")
+    assert (np.diff(np.array(moved)[order]) >= 17.0 - 1e-6).all()
+    if len(heights) == 1 or (len(heights) and np.diff(np.sort(heights)).min() >= 17.0):
+        assert moved == pytest.approx(heights)

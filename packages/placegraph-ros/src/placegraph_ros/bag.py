@@ -1,0 +1,146 @@
+"""Bags of messages: MCAP, folders of rosbag2, bags of ROS 1."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from os import PathLike
+from pathlib import Path
+from typing import Any, Literal, Self
+
+from placegraph.errors import OptionError
+from placegraph_ros.encode import encoded, known, known_type
+from placegraph_ros.message import Message, nanoseconds
+from placegraph_ros.unfinished import Unfinished, check_free, writing
+
+Container = Literal["mcap", "sqlite3", "rosbag1"]
+_ENDINGS: dict[str, Container] = {".mcap": "mcap", ".db3": "sqlite3", ".bag": "rosbag1"}
+
+
+class BagWriter:
+    """Writes messages; a context, and the bag has its name when it ends without an error.
+
+    Until then a hidden folder beside it holds what was written, which is removed where an error ends
+    the context.
+
+    Parameters
+    ----------
+    path
+        A file NAME.mcap, NAME.db3 (rosbag2's SQLite) or NAME.bag (ROS 1); any other name becomes a
+        folder of rosbag2. It must not be there yet.
+    container
+        What the folder holds; of a file its ending says it.
+    packed
+        Chunks are compressed, by zstd or bz2; of SQLite, messages.
+
+    Raises
+    ------
+    OptionError
+        Something is at `path` already.
+    MapError
+        Nothing can be written there.
+    MissingExtraError
+        `rosbags` is not installed.
+
+    """
+
+    def __init__(
+        self, path: str | PathLike[str], container: Container | None = None, *, packed: bool = False
+    ) -> None:
+        self.path = Path(path)
+        ending = _ENDINGS.get(self.path.suffix.lower())
+        self._container: Container = ending or container or "mcap"
+        self._one = ending is not None
+        self._encoding = "ros1" if self._container == "rosbag1" else "cdr"
+        self._store = known(self._encoding)
+        check_free(self.path)
+        self._packed = packed
+        self._topics: dict[tuple[str, str], Any] = {}
+        self._place: Unfinished | None = None
+        self._writer: Any = None
+
+    def __enter__(self) -> Self:
+        self._place = Unfinished(self.path)
+        try:
+            with writing(self.path):
+                self._writer = self._opened(self._place.folder / self.path.stem)
+        except BaseException:
+            self._place.drop()
+            raise
+        return self
+
+    def __exit__(self, kind: object, *error: object) -> None:
+        assert self._place is not None  # noqa: S101  entered
+        bag = self._place.folder / self.path.stem
+        try:
+            if kind is not None:
+                with suppress(Exception):  # the first error counts
+                    self._writer.close()
+                return
+            with writing(self.path):
+                self._writer.close()
+            one = bag.is_dir() and self._one
+            self._place.finish(bag / f"{bag.name}{self.path.suffix.lower()}" if one else bag)
+        finally:
+            self._place.drop()
+            self._place = self._writer = None
+
+    def write(self, message: Message) -> None:
+        """Write a message at its stamp.
+
+        Raises `OptionError` where its type is unknown, a field is not what the type says, or its
+        stamp is none that ROS can say; `MapError` where the disk is full.
+        """
+        data = encoded(message, self._encoding)
+        self.write_bytes(message.topic, message.type, message.stamp, data, latched=message.latched)
+
+    def write_bytes(
+        self, topic: str, kind: str, stamp: float, data: bytes, *, latched: bool = False
+    ) -> None:
+        """Write the bytes of a message of a type such as `sensor_msgs/msg/Image`, at a stamp [s]."""
+        if self._writer is None:
+            raise OptionError("The bag is not open: write inside of `with BagWriter(path) as bag`.")
+        name, at = "/" + topic.lstrip("/"), nanoseconds(stamp)
+        if (name, kind) not in self._topics:
+            self._topics[name, kind] = self._connection(name, kind, latched=latched)
+        with writing(self.path):
+            self._writer.write(self._topics[name, kind], at, data)
+
+    def _opened(self, bag: Path) -> Any:  # noqa: ANN401  # of rosbags
+        from rosbags import rosbag1, rosbag2
+
+        if self._container == "rosbag1":
+            writer: Any = rosbag1.Writer(bag)
+            if self._packed:
+                writer.set_compression(rosbag1.Writer.CompressionFormat.BZ2)
+        else:
+            plugin = rosbag2.StoragePlugin[self._container.upper()]
+            writer = rosbag2.Writer(bag, version=8, storage_plugin=plugin)
+            if self._packed:
+                modes = rosbag2.CompressionMode
+                mode = modes.STORAGE if self._container == "mcap" else modes.MESSAGE
+                writer.set_compression(mode, rosbag2.CompressionFormat.ZSTD)
+        writer.open()
+        return writer
+
+    def _connection(self, topic: str, kind: str, *, latched: bool) -> Any:  # noqa: ANN401
+        name = known_type(kind, self._store)
+        if self._encoding == "ros1":
+            return self._writer.add_connection(
+                topic, name, typestore=self._store, latching=1 if latched else None
+            )
+        offered = (_kept(),) if latched else ()
+        return self._writer.add_connection(
+            topic, name, typestore=self._store, offered_qos_profiles=offered
+        )
+
+
+def _kept() -> Any:  # noqa: ANN401  # of rosbags
+    """Quality of service of what is kept for those who come later: reliable, transient local."""
+    from rosbags import interfaces
+
+    zero = interfaces.QosTime(0, 0)
+    return interfaces.Qos(
+        interfaces.QosHistory.KEEP_LAST, 1, interfaces.QosReliability.RELIABLE,
+        interfaces.QosDurability.TRANSIENT_LOCAL, zero, zero,
+        interfaces.QosLiveliness.SYSTEM_DEFAULT, zero, avoid_ros_namespace_conventions=False,
+    )  # fmt: skip

@@ -1,0 +1,132 @@
+"""Messages to Foxglove by a WebSocket: the same bytes as in a bag, and its buttons for pause and speed."""
+
+from __future__ import annotations
+
+import re
+from typing import Any, Self
+
+from placegraph.errors import MissingExtraError, OptionError, ServiceError
+from placegraph_ros.encode import cdr, definition
+from placegraph_ros.message import Message, nanoseconds
+from placegraph_ros.pace import Pace
+
+DEFAULT = "ws://127.0.0.1:8765"
+_ADDRESS = re.compile(r"ws://(\[[0-9a-fA-F:]+\]|[^:/\[\]]+)(?::(\d{1,5}))?/?")
+
+
+class FoxgloveServer:
+    """Serves messages to Foxglove; a context.
+
+    Parameters
+    ----------
+    address
+        Where viewers find it, as ``ws://127.0.0.1:8765``; port 0 is any that is free.
+    pace
+        What the viewer's buttons for pause and speed work on.
+    span
+        First and last time of what is played [s]; without it there are no such buttons.
+
+    Raises
+    ------
+    OptionError
+        The address is none.
+    ServiceError
+        Nobody can listen there.
+    MissingExtraError
+        `foxglove-sdk` is not installed.
+
+    """
+
+    def __init__(
+        self,
+        address: str = DEFAULT,
+        pace: Pace | None = None,
+        span: tuple[float, float] | None = None,
+    ) -> None:
+        found = _ADDRESS.fullmatch(address)
+        if found is None or int(found[2] or 8765) > 65535:
+            raise OptionError(f"foxglove: {address!r} is no address; it is as {DEFAULT}.")
+        try:
+            import foxglove
+        except ImportError as error:
+            raise MissingExtraError(
+                'Foxglove needs the extra `foxglove`: pip install "placegraph[foxglove]".'
+            ) from error
+        self._foxglove, self._context = foxglove, foxglove.Context()
+        self._host = found[1]
+        self._channels: dict[str, Any] = {}
+        self._kept: dict[str, tuple[bytes, int]] = {}
+        player = None if pace is None or span is None else (pace, span)
+        times = None if span is None else (nanoseconds(span[0]), nanoseconds(span[1]))
+        listener: Any = _Listener(self, player)
+        try:
+            self.server = foxglove.start_server(
+                name="placegraph", host=found[1].strip("[]"), port=int(found[2] or 8765),
+                context=self._context, server_listener=listener,
+                playback_time_range=times if player else None,
+            )  # fmt: skip
+        except (OSError, RuntimeError) as error:
+            raise ServiceError(
+                f"Nobody can listen at {address}: {error}; name another port."
+            ) from error
+
+    @property
+    def address(self) -> str:
+        """Where viewers find it."""
+        return f"ws://{self._host}:{self.server.port}"
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.server.stop()
+
+    def write(self, message: Message) -> None:
+        """Send a message; one that is latched is sent again to whoever comes later.
+
+        Raises `OptionError` as `encode.cdr` does.
+        """
+        topic, data, stamp = "/" + message.topic, cdr(message), nanoseconds(message.stamp)
+        if topic not in self._channels:
+            schema = self._foxglove.Schema(
+                name=message.type, encoding="ros2msg", data=definition(message.type).encode()
+            )
+            self._channels[topic] = self._foxglove.Channel(
+                topic, schema=schema, message_encoding="cdr", context=self._context
+            )
+        if message.latched:
+            self._kept[topic] = data, stamp
+        self._channels[topic].log(data, log_time=stamp)
+
+    def again(self, topic: str) -> None:
+        """Send what is kept of a topic once more."""
+        if topic in self._kept:
+            data, stamp = self._kept[topic]
+            self._channels[topic].log(data, log_time=stamp)
+
+
+class _Listener:
+    """What viewers ask for (`foxglove.websocket.ServerListener`)."""
+
+    def __init__(
+        self, server: FoxgloveServer, player: tuple[Pace, tuple[float, float]] | None
+    ) -> None:
+        self._server, self._player = server, player
+
+    def on_subscribe(self, client: Any, channel: Any) -> None:  # noqa: ANN401, ARG002  # foxglove's
+        """A viewer has come: tell what is kept."""
+        self._server.again(channel.topic)
+
+    def on_playback_control_request(self, asked: Any) -> Any:  # noqa: ANN401  # foxglove's
+        """Pause, go on, or change the speed; what was is not played again."""
+        from foxglove.websocket import PlaybackCommand, PlaybackState, PlaybackStatus
+
+        if self._player is None:
+            return None
+        pace, _ = self._player
+        paused = asked.playback_command == PlaybackCommand.Pause
+        pace.set(speed=asked.playback_speed if asked.playback_speed > 0 else None, paused=paused)
+        status = PlaybackStatus.Paused if paused else PlaybackStatus.Playing
+        return PlaybackState(
+            status, nanoseconds(pace.now), pace.speed, did_seek=False, request_id=asked.request_id
+        )

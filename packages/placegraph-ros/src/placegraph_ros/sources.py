@@ -1,0 +1,177 @@
+"""Where messages and frames come from, as if live: bags, what is being recorded, pipes, folders that fill."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Event
+from time import monotonic
+from typing import BinaryIO
+
+from placegraph.errors import InputError, OptionError
+from placegraph.io.capture.capture import open_capture
+from placegraph.io.capture.frame import Frame
+from placegraph_io.ros.capture import is_bag
+from placegraph_io.ros.files.bag import open_bag
+from placegraph_io.ros.files.mcap import is_whole
+from placegraph_io.ros.files.mcap_stream import mcap_packets
+from placegraph_io.ros.packets import Fault, Packet, packets_of
+from placegraph_io.ros.plan import Plan, Wishes, plan_of, wishes_of
+
+Happening = Packet | Fault | Frame | None
+
+
+STDIN = Path("stdin")
+"""What standard input is called in messages; `stdin.json` says what it does not."""
+_LOOK = 0.2  # seconds between two looks at what may have grown
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Source:
+    """What happens, in order; None: nothing has, for a while."""
+
+    path: Path
+    happenings: Iterator[Happening]
+    plan: Plan | None = None
+    """What frames are made of, where it is known before."""
+    wishes: Wishes | None = None
+    frames: int | None = None
+    """How many there are, where it is known."""
+    span: tuple[float, float] | None = None
+    """First and last time [s], where they are known."""
+
+
+class Patience:
+    """Waits for more, until nothing has come for some seconds, or `over` is set.
+
+    `pause` waits so many seconds, or less.
+    """
+
+    def __init__(self, seconds: float, pause: Callable[[float], object] | None = None) -> None:
+        if not seconds >= 0:
+            raise OptionError(f"wait is {seconds}; it is seconds, 0 or more.")
+        self.over = Event()
+        self._seconds, self._pause = seconds, pause or self.over.wait
+        self._since = monotonic()
+
+    def more(self, *, came: bool) -> bool:
+        """Whether to look again, after a while; `came`: there was something now."""
+        if came:
+            self._since = monotonic()
+        elif not self.over.is_set() and monotonic() - self._since < self._seconds:
+            self._pause(_LOOK)
+        else:
+            return False
+        return not self.over.is_set()
+
+
+def open_source(path: Path, patience: Patience, stdin: BinaryIO | None = None) -> Source:
+    """What happens in a bag, in a recording that goes on, in a folder that fills, or (``-``) in a pipe.
+
+    A bag that is whole is read by its index. An MCAP without its end is read as it grows, and a folder
+    of images as it fills, until `patience` ends; standard input is an MCAP, read until it ends.
+
+    Raises
+    ------
+    InputError
+        It is nothing of that, or lacks what frames are made of; later, where nothing usable came.
+    MissingExtraError
+        `rosbags` is not installed.
+
+    """
+    if str(path) == "-":
+        read = (stdin or sys.stdin.buffer).read
+        return Source(STDIN, mcap_packets(read, STDIN.name), wishes=wishes_of(STDIN, None))
+    if not path.exists():
+        raise InputError(f"{path} does not exist; name a bag, a folder of images, or - for a pipe.")
+    if not is_bag(path):
+        return Source(path, _filling(path, patience if path.is_dir() else Patience(0.0)))
+    if path.suffix.lower() == ".mcap" and not path.is_dir() and not is_whole(path):
+        return Source(path, _growing(path, patience), wishes=wishes_of(path, None))
+    return bag_source(path)
+
+
+def bag_source(path: Path) -> Source:
+    """A bag that is whole, or as far as it goes.
+
+    Raises `InputError` where it is none, or lacks what frames are made of.
+    """
+    if not is_bag(path):
+        raise InputError(f"{path} is no bag: .mcap, .db3, .bag, or a folder of rosbag2.")
+    wishes = wishes_of(path, None)
+    plan = plan_of(open_bag(path), wishes)
+    if plan.lacks:
+        raise InputError(next(iter(plan.lacks.values())))
+    assert plan.placing is not None and plan.colour is not None  # noqa: S101, PT018  # nothing lacks
+    used = [plan.colour.topic, plan.placing.odometry, *plan.placing.moves]
+    used += [plan.depth.topic if plan.depth is not None else None]
+    topics = [topic for topic in used if topic is not None]
+    first = min(float(t.times[0]) for t in topics) * 1e-9
+    last = max(float(t.times[-1]) for t in topics) * 1e-9
+    return Source(
+        path, packets_of(plan.bag, {t.name for t in topics}), plan, wishes,
+        len(plan.colour.topic), (first, last),
+    )  # fmt: skip
+
+
+def time_of(event: Happening) -> float | None:
+    """When something happened [s]; None: at no time of its own."""
+    if isinstance(event, Frame):
+        return event.stamp
+    return event.time if isinstance(event, Packet) else None
+
+
+def _filling(path: Path, patience: Patience) -> Iterator[Frame | None]:
+    """Frames of a folder, and those that come into it: it is opened again whenever it has changed.
+
+    While it cannot be read it is waited for, as a row may come before its image.
+    """
+    last, seen = -float("inf"), -1
+    error: InputError | None = None
+    more = True
+    while more:
+        state, came = _state(path), False
+        if state != seen:
+            seen, error = state, None
+            try:
+                frames = [f for f in open_capture(path) if f.stamp > last]
+            except InputError as now:
+                frames, error = [], now
+            for frame in frames:
+                yield frame
+                last, came = frame.stamp, True
+        more = patience.more(came=came)
+        yield None
+    if error is not None:
+        raise error
+
+
+def _state(path: Path) -> int:
+    """A number that differs where files of a folder, or of folders in it, have."""
+    parts = [path] if path.is_file() else [path, *path.glob("*"), *path.glob("*/*")]
+    facts = []
+    for part in parts:
+        try:
+            said = part.stat()
+        except OSError:
+            continue  # gone since
+        facts.append((str(part), said.st_mtime_ns, said.st_size))
+    return hash(tuple(sorted(facts)))
+
+
+def _growing(path: Path, patience: Patience) -> Iterator[Packet | Fault]:
+    """Messages of an MCAP that is being written."""
+    with path.open("rb") as file:
+
+        def read(count: int) -> bytes:
+            data = b""
+            while len(data) < count:
+                part = file.read(count - len(data))
+                data += part
+                if not patience.more(came=bool(part)):
+                    break
+            return data
+
+        yield from mcap_packets(read, str(path))

@@ -1,0 +1,78 @@
+"""Foxglove's server, seen by a client of its protocol."""
+
+import json
+import struct
+from types import SimpleNamespace
+
+import pytest
+from websockets.sync.client import connect
+
+from placegraph.errors import OptionError, ServiceError
+from placegraph_io.ros.decode import typestore
+from placegraph_ros.encode import cdr
+from placegraph_ros.foxglove import FoxgloveServer, _Listener
+from placegraph_ros.message import Message
+from placegraph_ros.pace import Pace
+
+foxglove = pytest.importorskip("foxglove")
+KIND = "std_msgs/msg/String"
+
+
+def told(client, wanted):
+    """Messages (topic, bytes) of all channels, as many as are wanted."""
+    channels, out = {}, []
+    while len(out) < wanted:
+        said = client.recv(timeout=20)
+        if isinstance(said, bytes):
+            (number,) = struct.unpack_from("<I", said, 1)
+            out.append((channels[number], said[13:]))
+            continue
+        content = json.loads(said)
+        for channel in content.get("channels", ()) if content["op"] == "advertise" else ():
+            assert (channel["encoding"], channel["schemaEncoding"]) == ("cdr", "ros2msg")
+            channels[channel["id"]] = channel["topic"]
+            subscriptions = [{"id": channel["id"], "channelId": channel["id"]}]
+            client.send(json.dumps({"op": "subscribe", "subscriptions": subscriptions}))
+    return out
+
+
+def test_what_is_latched_is_told_to_whoever_comes_and_the_rest_as_it_comes():
+    with FoxgloveServer("ws://127.0.0.1:0") as server:
+        kept = Message("localization/status", KIND, 5.0, {"data": "kept"}, latched=True)
+        server.write(kept)
+        server.write(Message("localization/other", KIND, 5.0, {"data": "gone"}))
+        for _ in range(2):
+            with connect(server.address, subprotocols=["foxglove.sdk.v1"]) as client:
+                ((topic, data),) = told(client, 1)
+        assert (topic, data) == ("/localization/status", cdr(kept))
+        assert typestore("cdr").deserialize_cdr(data, KIND).data == "kept"
+
+
+def test_its_buttons_pause_and_change_the_speed():
+    from foxglove.websocket import PlaybackCommand, PlaybackStatus
+
+    pace = Pace()
+    pace.now = 12.0
+    listener = _Listener(SimpleNamespace(), (pace, (10.0, 20.0)))
+    asked = SimpleNamespace(
+        playback_command=PlaybackCommand.Pause, playback_speed=3.0, seek_time=None, request_id="7"
+    )
+    state = listener.on_playback_control_request(asked)
+    assert (pace.paused, pace.speed) == (True, 3.0)
+    assert state.status == PlaybackStatus.Paused
+    assert (state.current_time, state.request_id) == (12_000_000_000, "7")
+    asked.playback_command, asked.playback_speed = PlaybackCommand.Play, 0.0
+    assert listener.on_playback_control_request(asked).playback_speed == 3.0
+    assert not pace.paused
+    with FoxgloveServer("ws://127.0.0.1:0", pace, (10.0, 20.0)) as server:
+        with connect(server.address, subprotocols=["foxglove.sdk.v1"]) as client:
+            info = json.loads(client.recv(timeout=20))
+        assert "playbackControl" in info["capabilities"]
+        with pytest.raises(ServiceError, match="Nobody can listen at"):
+            FoxgloveServer(server.address)
+
+
+@pytest.mark.parametrize("address", ["8765", "http://localhost", "ws://host:99999", "ws://a:b"])
+def test_addresses_that_are_none(address):
+    with pytest.raises(OptionError, match="is no address"):
+        FoxgloveServer(address)

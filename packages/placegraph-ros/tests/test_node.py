@@ -1,0 +1,294 @@
+"""The node of ROS 2, on a fake rclpy: what it subscribes to, tells, is asked, and does where it cannot."""
+
+import threading
+from pathlib import Path
+from types import SimpleNamespace
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+from ruamel.yaml import YAML
+
+from fake_rclpy import World
+from placegraph_io.ros.decode import typestore
+from placegraph_io.ros.packets import Packet, packets_of
+from placegraph_ros import node as ros_node
+from placegraph_ros.localizer import Localizer
+from placegraph_ros.node import PARAMETERS, LocalizerNode, Ros, main
+from placegraph_ros.node_services import NEWEST, Inbox
+from placegraph_ros.sources import bag_source
+from ros_world import FRAMES
+
+PACKAGE = Path(__file__).resolve().parents[3] / "ros" / "placegraph_ros"
+
+
+@pytest.fixture
+def recorded(room):
+    """Messages of the bag, and topics of a robot that has others as well."""
+    source = bag_source(room.bag)
+    topics = {t.name: (t.type,) for t in source.plan.bag.topics.values()}
+    packets = list(packets_of(source.plan.bag, topics))
+    return packets, topics | {"/battery": ("sensor_msgs/msg/BatteryState",)}
+
+
+@pytest.fixture
+def robot(room, recorded, monkeypatch):
+    """Makes a world with a node in it; it is closed in the end."""
+    nodes = []
+
+    def started(lacks=(), **parameters):
+        world = World({"map": str(room.map)} | parameters, recorded[1], lacks)
+        world.install(monkeypatch)
+        world.init()
+        shell = LocalizerNode(Ros.imported())
+        nodes.append(shell)
+        return world, shell
+
+    yield started
+    for shell in nodes:
+        shell.close()
+
+
+def settled(shell):
+    """Wait until the worker has taken everything that was sent."""
+    done = threading.Event()
+
+    def asked(localizer):
+        localizer.tracker.wait()
+        messages = localizer.take(None)
+        done.set()
+        return messages
+
+    shell.inbox.ask(asked)
+    assert done.wait(120)
+    after = threading.Event()  # and until what that said was published
+    shell.inbox.ask(lambda _: after.set() or [])
+    assert after.wait(120)
+
+
+def sent(world, shell, packets):
+    """Send messages one by one, as a robot does that is not faster than the node."""
+    world.tick()
+    for packet in packets:
+        world.send(packet)
+        settled(shell)
+    world.tick()
+
+
+def test_it_listens_chooses_and_tells_the_pose(robot, recorded):
+    """As the bag: topics by type; then those alone that are needed; bytes in, bytes out."""
+    packets, _ = recorded
+    world, shell = robot()
+    world.tick()
+    names = {s.topic for s in world.node.subscriptions}
+    assert "/battery" not in names
+    assert {"/camera/color/image_raw", "/camera/color/camera_info", "/odom", "/tf_static"} < names
+    sent(world, shell, packets)
+    assert {s.topic for s in world.node.subscriptions if s.raw} == {
+        "/camera/color/image_raw", "/camera/aligned_depth_to_color/image_raw", "/odom", "/tf_static",
+    }  # fmt: skip
+    told = world.node.told
+    assert len(told["/localization/pose"]) > 0.4 * FRAMES
+    assert told["/localization/odometry"][-1].child_frame_id == "base_link"
+    (edge,) = told["/tf"][-1].transforms
+    assert (edge.header.frame_id, edge.child_frame_id) == ("map", "odom")
+    ahead = edge.header.stamp.sec + edge.header.stamp.nanosec * 1e-9
+    assert ahead - packets[-1].stamp == pytest.approx(0.1, abs=0.11)
+    assert told["/localization/particle_cloud"][-1].particles
+    assert told["/localization/status"][-1].message.startswith("OK")
+    assert told["/diagnostics"][-1].status[0].message.startswith("OK")
+    assert "/localization/image" not in told, "the robot has its images"
+    assert any(said.startswith("OK") for level, said in world.logger.said if level == "info")
+    kept = {p.topic_name: p.qos_profile for p in world.node.publishers}
+    assert kept["/localization/pose"].durability == "transient_local"
+    assert kept["/localization/status"].durability == "transient_local"
+    assert kept["/localization/particle_cloud"].reliability == "best_effort"
+    qos = {s.topic: s.qos_profile for s in world.node.subscriptions}
+    assert qos["/camera/color/image_raw"].reliability == "best_effort"
+    assert qos["/tf_static"].durability == "transient_local"
+
+
+def test_what_it_is_asked(robot, recorded, room, scene, tmp_path):
+    """Services answer at once; another map is opened; what is no map is said in nav2's numbers."""
+    packets, _ = recorded
+    world, shell = robot(publish_tf=False, transform_tolerance=1)
+    sent(world, shell, packets[: len(packets) // 2])
+    assert "/tf" not in world.node.told
+    world.node.call("reinitialize_global_localization")
+    settled(shell)
+    assert "asked to forget" in world.node.told["/localization/status"][-1].message
+    world.node.call("request_nomotion_update")
+    assert world.node.call("load_map", map_url="/nowhere.scene").result == 1
+    assert world.node.call("load_map", map_url=str(room.bag)).result == 2
+    assert world.node.services["load_map"].group is not None
+    scene.save(tmp_path / "other map.scene")
+    url = (tmp_path / "other map.scene").as_uri()
+    assert world.node.call("load_map", map_url=url).result == 0
+    settled(shell)
+    assert len(shell.localizer.tracker.maps) == len(scene)
+
+
+def initial(frame="map", length=1.0):
+    store = typestore("cdr")
+
+    def made(kind, **fields):
+        return store.types[kind](**fields)
+
+    stamp = made("builtin_interfaces/msg/Time", sec=0, nanosec=0)
+    header = made("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
+    at = made("geometry_msgs/msg/Point", x=1.0, y=2.0, z=0.0)
+    turn = made("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=length)
+    pose = made("geometry_msgs/msg/Pose", position=at, orientation=turn)
+    covariance = np.diag([0.25, 0.25, 0, 0, 0, 0.07]).ravel()
+    told = made("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=covariance)
+    kind = "geometry_msgs/msg/PoseWithCovarianceStamped"
+    message = made(kind, header=header, pose=told)
+    return message, bytes(store.serialize_cdr(message, kind)), kind
+
+
+def test_initial_poses(robot, recorded):
+    packets, _ = recorded
+    world, shell = robot()
+    sent(world, shell, packets[: len(packets) // 2])
+    _, data, kind = initial()
+    world.send(Packet("/initialpose", kind, packets[0].time, data))
+    settled(shell)
+    assert "told where the camera is" in world.node.told["/localization/status"][-1].message
+    message, *_ = initial("odom")
+    world.node.call("set_initial_pose", pose=message)
+    message, *_ = initial(length=0.0)
+    world.node.call("set_initial_pose", pose=message)
+    errors = [said for level, said in world.logger.said if level == "error"]
+    assert "tell it in 'map'" in errors[0]
+    assert "the quaternion has length 0" in errors[1]
+
+
+def test_without_nav2(robot, recorded):
+    """The pose is told; what needs nav2's messages is passed over, and that is said once."""
+    packets, _ = recorded
+    world, shell = robot(lacks=("nav2_msgs", "foxglove_msgs"))
+    sent(world, shell, packets)
+    assert world.node.told["/localization/pose"]
+    assert "/localization/particle_cloud" not in world.node.told
+    assert set(world.node.services) == {
+        "reinitialize_global_localization", "request_nomotion_update",
+    }  # fmt: skip
+    warned = [said for level, said in world.logger.said if level == "warning"]
+    assert len(warned) == 3
+    assert "apt install ros-$ROS_DISTRO-nav2-msgs" in warned[0]
+
+
+def test_what_is_missing_is_the_status(robot, recorded):
+    packets, _ = recorded
+    world, shell = robot()
+    sent(world, shell, [p for p in packets if "camera_info" not in p.topic])
+    said = world.node.told["/localization/status"][-1].message
+    assert said.startswith("LOST: placegraph_localizer holds no CameraInfo")
+    assert "placegraph_localizer.json" in said
+
+
+def test_images_wait_in_no_queue():
+    """Of each topic the newest are kept; transforms are not lost for them."""
+    inbox, kind = Inbox(), "sensor_msgs/msg/CompressedImage"
+    for i in range(3 * NEWEST):
+        inbox.put(Packet("/a", kind, float(i), b""))
+        inbox.put(Packet("/tf", "tf2_msgs/msg/TFMessage", float(i), b""))
+    inbox.ask(len)
+    events = iter(inbox)
+    held = [next(events) for _ in range(4 * NEWEST + 1)]
+    assert [p.time for p in held[:-1] if p.topic == "/a"] == [8.0, 9.0, 10.0, 11.0]
+    assert held[-1] is len
+    assert inbox.dropped == 2 * NEWEST
+    assert next(events) is None, "time has gone by"
+    inbox.close()
+    assert list(events) == []
+
+
+def test_main(room, recorded, monkeypatch, capsys):
+    """Ctrl-C ends it with 0, an error with its number; without rclpy it says what to install."""
+    assert main() == 8
+    assert "source /opt/ros/jazzy/setup.bash" in capsys.readouterr().err
+
+    def interrupted():
+        raise KeyboardInterrupt
+
+    world = World({"map": str(room.map)}, recorded[1])
+    world.install(monkeypatch)
+    world.spin = interrupted
+    assert main() == 0
+    assert world.node.destroyed
+    assert not world.running
+    assert world.logger.said[-1] == ("info", "0 frames, 0 dropped; none left out")
+    for parameters, code, words in (
+        ({}, 7, "no map is given"),
+        ({"map": "nowhere.scene"}, 3, "nowhere.scene"),
+        ({"map": str(room.map), "mode": "twice"}, 7, "mode is 'twice'"),
+        ({"map": str(room.map), "transform_tolerance": "soon"}, 7, "transform_tolerance is 'soon'"),
+    ):
+        world = World(parameters, recorded[1])
+        world.install(monkeypatch)
+        assert main() == code
+        assert words in world.logger.said[-1][1]
+
+
+def test_a_worker_that_dies_ends_the_node(robot):
+    world, shell = robot()
+    shell.inbox.ask(lambda _: 1 / 0)
+    shell._worker.join(60)
+    assert not world.running
+    with pytest.raises(ZeroDivisionError):
+        shell.close()
+    shell._error = None
+
+
+def test_ctrl_c_in_the_middle(robot, recorded):
+    """ROS is shut down before the node hears of it: what it says then has nowhere to go."""
+    world, shell = robot()
+    sent(world, shell, recorded[0][: len(recorded[0]) // 2])
+    told = len(world.node.told["/localization/status"])
+    world.try_shutdown()
+    shell.inbox.ask(Localizer.relocalize)
+    shell.inbox.ask(lambda _: shell.inbox.close() or [])
+    shell._worker.join(60)
+    shell.close()
+    assert len(world.node.told["/localization/status"]) == told
+
+
+def test_the_package():
+    """Its entry, its parameters and its files are those of the node."""
+    described = ET.parse(PACKAGE / "package.xml").getroot()  # noqa: S314  # our own
+    assert described.findtext("name") == "placegraph_ros"
+    assert "rclpy" in {e.text for e in described.findall("exec_depend")}
+    setup = (PACKAGE / "setup.py").read_text("utf-8")
+    assert f"localizer = {ros_node.__name__}:main" in setup
+    assert (PACKAGE / "resource" / "placegraph_ros").is_file()
+    written = YAML(typ="safe").load((PACKAGE / "config" / "localizer.yaml").read_text("utf-8"))
+    # whatever namespace and name the node is given
+    assert written["/**"]["ros__parameters"] == PARAMETERS
+
+
+def test_the_launch_file(monkeypatch):
+    """It starts the node under nav2's names."""
+    made = SimpleNamespace(nodes=[])
+
+    def module(name, **content):
+        monkeypatch.setitem(__import__("sys").modules, name, SimpleNamespace(**content))
+
+    module("launch", LaunchDescription=list)
+    module(
+        "launch.actions",
+        DeclareLaunchArgument=lambda name, default_value=None, description="": name,  # noqa: ARG005
+    )
+    module("launch.substitutions", LaunchConfiguration=lambda name: f"${name}")
+    module("launch_ros.actions", Node=lambda **given: made.nodes.append(given) or given)
+    module("launch_ros")
+    module("ament_index_python")
+    module("ament_index_python.packages", get_package_share_directory=lambda name: f"/share/{name}")
+    content = {}
+    file = PACKAGE / "launch" / "localizer.launch.py"
+    exec(compile(file.read_text("utf-8"), str(file), "exec"), content)  # noqa: S102  # our own
+    content["generate_launch_description"]()
+    (node,) = made.nodes
+    assert (node["package"], node["executable"]) == ("placegraph_ros", "localizer")
+    assert ("localization/pose", "amcl_pose") in node["remappings"]
+    assert node["parameters"][0] == "$params"

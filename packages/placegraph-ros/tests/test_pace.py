@@ -1,0 +1,58 @@
+"""Recordings at their pace, paused, faster; no test waits."""
+
+import itertools
+
+import pytest
+
+from placegraph.errors import OptionError
+from placegraph_ros.cli.live import pressed
+from placegraph_ros.pace import Pace
+from placegraph_ros.sources import Patience
+
+
+def clock(step):
+    """A clock that goes on by so much each time it is read."""
+    return itertools.count(0.0, step).__next__
+
+
+def waits(pace, times):
+    """How often news may be looked for before each event."""
+    out, count = [], 0
+    for event in pace.paced(times, lambda time: time):
+        if event is None:
+            count += 1
+        else:
+            out.append(count)
+            count = 0
+    return out
+
+
+def test_events_come_when_they_are_due():
+    slow, fast = (waits(Pace(speed, clock(0.05)), [5.0, 5.0, 6.0]) for speed in (1.0, 4.0))
+    assert slow[0] == fast[0] == 0
+    assert slow[2] > 2 * fast[2] > 0
+    assert waits(Pace(float("inf")), [5.0, 6.0, 7.0]) == [0, 0, 0]
+    assert waits(Pace(1.0, clock(0.0)), [5.0, 500.0, 5.0]) == [0, 0, 0], "gaps and jumps"
+    with pytest.raises(OptionError, match="speed is 0"):
+        Pace(0.0)
+
+
+def test_pause_speed_and_end():
+    pace, patience = Pace(1.0, clock(0.01)), Patience(0.0)
+    came = []
+    for event in pace.paced([1.0, 1.01, 1.02, 1.03], lambda time: time):
+        if event is None and pace.paused:
+            assert came == [1.0, 1.01]
+            pressed(" ", pace, patience)
+        elif event is not None:
+            came.append(event)
+            if event == 1.01:
+                pressed(" ", pace, patience)
+                assert pace.paused
+            if event == 1.02:
+                pressed("+", pace, patience)
+                assert pace.speed == 2.0
+                pressed("-", pace, patience)
+                pressed("q", pace, patience)
+    assert came == [1.0, 1.01, 1.02]
+    assert (pace.speed, pace.stopped, patience.over.is_set()) == (1.0, True, True)

@@ -1,0 +1,96 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from placegraph.core.geometry import (
+    level_from_camera,
+    pose_matrix,
+    rotation_from_quaternion,
+    rotation_from_vector,
+    rotation_z,
+    vector_from_rotation,
+)
+from placegraph_ros.message import FrameIds
+from placegraph_ros.pose import UPRIGHT_BASE, based, pose_messages, rig_message
+
+VECTORS = st.lists(st.floats(-3, 3), min_size=3, max_size=3)
+
+
+def rigid(turn, move):
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = rotation_from_vector(turn), move
+    return matrix
+
+
+def moved(matrix, delta):
+    """A pose (4, 4), shifted by delta[:3] and turned about the map's axes by delta[3:]."""
+    out = matrix.copy()
+    out[:3, 3] += delta[:3]
+    out[:3, :3] = rotation_from_vector(delta[3:]) @ matrix[:3, :3]
+    return out
+
+
+@given(VECTORS, VECTORS, VECTORS, VECTORS, st.integers(0, 99))
+def test_the_covariance_is_that_of_the_base(turn, move, mount_turn, mount_move, seed):
+    map_from_camera, base_from_camera = rigid(turn, move), rigid(mount_turn, mount_move)
+    root = np.random.default_rng(seed).normal(size=(6, 6)) * 1e-6
+    center, covariance = based(map_from_camera, root @ root.T, base_from_camera)
+    steps = []
+    for delta in root.T:  # every column is one deviation
+        there = moved(map_from_camera, delta) @ np.linalg.inv(base_from_camera)
+        turned = vector_from_rotation(there[:3, :3] @ center[:3, :3].T)
+        steps.append([*(there[:3, 3] - center[:3, 3]), *turned])
+    np.testing.assert_allclose(covariance, np.transpose(steps) @ steps, atol=1e-15)
+
+
+def test_ros_order_of_a_robot_that_looks_along_y():
+    """Only the yaw is unknown; the camera sits 0.5 m ahead, so the base swings across, along x."""
+    map_from_camera = pose_matrix([1.0, 2.0, 1.6, np.pi / 2], level_from_camera([0, 1, 0]))
+    mount = UPRIGHT_BASE.copy()
+    mount[0, 3] = 0.5
+    unsure = np.diag([0, 0, 0, 0, 0, 0.01])
+    told, ridden, moving = pose_messages(
+        map_from_camera, unsure, 5.0, base_from_camera=mount, map_from_odom=rigid([0, 0, 1], [1, 2, 3])
+    )  # fmt: skip
+    assert told.type.endswith("PoseWithCovarianceStamped")
+    place = told.fields["pose"]["pose"]["position"]
+    np.testing.assert_allclose([*place.values()], [1.0, 1.5, 1.6], atol=1e-12)
+    covariance = told.fields["pose"]["covariance"]
+    x, yaw = 0, 5
+    expected = np.zeros((6, 6))
+    expected[yaw, yaw], expected[x, x] = 0.01, 0.01 * 0.5**2
+    expected[x, yaw] = expected[yaw, x] = 0.01 * 0.5
+    np.testing.assert_allclose(covariance, expected.ravel(), atol=1e-15)
+    assert ridden.fields["pose"] == told.fields["pose"]
+    assert (ridden.fields["header"]["frame_id"], ridden.fields["child_frame_id"]) == (
+        "map",
+        "base_link",
+    )
+    (tf,) = moving.fields["transforms"]
+    assert (moving.topic, tf["header"]["frame_id"], tf["child_frame_id"]) == ("tf", "map", "odom")
+    turned = rotation_from_quaternion([*tf["transform"]["rotation"].values()])
+    np.testing.assert_allclose(turned, rotation_z(1.0), atol=1e-12)
+
+
+@given(VECTORS, VECTORS)
+def test_the_tree_leads_from_the_map_to_the_camera(turn, move):
+    """Map -> odom -> base -> camera by the messages alone is where the camera is."""
+    map_from_camera, odom_from_camera = rigid(turn, move), rigid(move, turn)
+    names = FrameIds(camera="optical")
+    map_from_odom = map_from_camera @ np.linalg.inv(odom_from_camera)
+    messages = pose_messages(map_from_camera, np.eye(6), 1.0, names, map_from_odom=map_from_odom)
+    tree = [*messages[-1].fields["transforms"], *rig_message(None, 1.0, names).fields["transforms"]]
+    links = {}
+    for link in tree:
+        matrix = np.eye(4)
+        quaternion = [*link["transform"]["rotation"].values()]
+        assert quaternion[3] >= 0
+        assert np.linalg.norm(quaternion) == pytest.approx(1.0)
+        matrix[:3, :3] = rotation_from_quaternion(quaternion)
+        matrix[:3, 3] = [*link["transform"]["translation"].values()]
+        links[link["header"]["frame_id"], link["child_frame_id"]] = matrix
+    odom_from_base = odom_from_camera @ np.linalg.inv(UPRIGHT_BASE)
+    there = links["map", "odom"] @ odom_from_base @ links["base_link", "optical"]
+    np.testing.assert_allclose(there, map_from_camera, atol=1e-9)
+    np.testing.assert_allclose(UPRIGHT_BASE[:3, :3] @ [0, 0, 1], [1, 0, 0])  # looks ahead

@@ -1,0 +1,1 @@
+"""Worlds in shards, builds in bounded memory, Dask and Milvus."""

@@ -1,0 +1,1 @@
+"""Building worlds in shards in bounded memory."""

@@ -1,0 +1,1 @@
+"""Scene libraries in shards."""

@@ -1,0 +1,297 @@
+"""What is done in one shard: the stages of a city's search, in the words and the prior of the world."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from typing import TYPE_CHECKING, NamedTuple
+from uuid import uuid4
+
+import numpy as np
+from numpy.typing import NDArray
+
+from placegraph.core.geometry import LocalPlane
+from placegraph.core.tiles import held
+from placegraph.outdoor.likelihood.statements import Far, MentionTokens
+from placegraph.outdoor.map.index import REACH, STRIDE
+from placegraph.outdoor.search.candidates import Candidates, candidates
+from placegraph.outdoor.search.evidence import evidence_at
+from placegraph.outdoor.search.request import Request
+from placegraph.outdoor.search.viewpoints import ALL, look_around
+from placegraph.outdoor.search.viewpoints import score as score_of
+from placegraph.outdoor.search.whereabouts import Whereabouts
+from placegraph.world.buildings import Buildings
+from placegraph_scale.shards.lexicon import Thing, joined
+
+if TYPE_CHECKING:
+    from placegraph.core.estimate import CityEstimate
+    from placegraph.core.evidence import Evidence
+    from placegraph.outdoor.city import CityMap
+    from placegraph.outdoor.likelihood.query import Query
+    from placegraph.outdoor.map.city import City
+    from placegraph.outdoor.map.index import ViewIndex
+    from placegraph.outdoor.search.ask import Question
+    from placegraph.world.buildings import Judged
+
+
+class Fix(NamedTuple):
+    """Where the speaker is known to be near."""
+
+    longitude: float
+    latitude: float
+    radius: float
+    """[m]"""
+    norm: float = 0.0
+    """Log of what all viewpoints of the world weigh together, before it is known how far off it is."""
+
+
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """A query against the whole world, as every shard gets it."""
+
+    query: Query
+    """Its tokens are those of the world, its rare objects rows of `things`."""
+    words: tuple[str, ...]
+    """What each of its tokens reads (`WordTable.reads`)."""
+    things: tuple[Thing, ...]
+    viewpoints: int
+    """Of the world."""
+    fix: Fix | None
+    key: str = field(default_factory=lambda: uuid4().hex)
+    """Tells it from other questions."""
+
+
+class Proposed(NamedTuple):
+    """Candidates of a shard, the most promising first."""
+
+    rows: NDArray[np.int32]
+    """(K,) viewpoints of the shard."""
+    bounds: NDArray[np.float64]
+    """(K,) on the likelihood ratio, times the prior against `highest`."""
+    far: NDArray[np.float32]
+    """(K, S) what things out of sight add; (K, 0) where it is nothing."""
+    log_prior: NDArray[np.float64]
+    """(K,)"""
+    stands: NDArray[np.float64]
+    """(K,) as of `Candidates`."""
+    highest: float
+    """Largest log prior of the shard."""
+    origin: tuple[float, float]
+    """Of the shard's plane [deg]."""
+    least: float
+    """Log of what a bound times the prior must be at least to count."""
+    scored: tuple[NDArray[np.int64], Compared] | None = None
+    """Which of them (J,) were compared already, and what came of it."""
+
+    def part(self, kept: NDArray[np.int64]) -> Proposed:
+        """Some of the candidates."""
+        return self._replace(
+            rows=self.rows[kept], bounds=self.bounds[kept], far=self.far[kept],
+            log_prior=self.log_prior[kept], stands=self.stands[kept], scored=None,
+        )  # fmt: skip
+
+    def candidates(self, statements: int) -> Candidates:
+        """As those of a city, each for itself."""
+        far = self.far if self.far.shape[1] else np.zeros((len(self.rows), statements), np.float32)
+        return Candidates(self.rows, self.bounds, far, np.zeros(len(self.rows)))
+
+
+class Compared(NamedTuple):
+    """Scores of candidates."""
+
+    scores: NDArray[np.float64]
+    """(K,) log-likelihood ratios."""
+    positions: NDArray[np.float64]
+    """(K, 2) east, north in the shard's plane [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Shard:
+    """A shard that is open."""
+
+    key: str
+    city: CityMap
+    requests: dict[str, Request] = field(default_factory=dict)
+    """What it made of the question that it was asked last, by its key: other steps begin with that."""
+
+    @cached_property
+    def inside(self) -> NDArray[np.bool_]:
+        """Which viewpoints (W,) lie in the core."""
+        places = self.city.plane.to_lonlat(self.city.views.positions.astype(np.float64))
+        return held(places, self.key)
+
+    @cached_property
+    def tokens(self) -> dict[str, int]:
+        """Tokens by what they read, as of `WordTable.reads`."""
+        o = self.city.objects
+        return {word: i for i, word in enumerate([*o.labels, *(f"~{name}" for name in o.names)])}
+
+    @property
+    def origin(self) -> tuple[float, float]:
+        """Of its plane [deg]."""
+        return self.city.plane.longitude, self.city.plane.latitude
+
+
+@dataclass(frozen=True, eq=False)
+class _Within(Whereabouts):
+    """A prior that is known of every viewpoint: the world's, and none outside the core."""
+
+    given: NDArray[np.float64] | None = None
+    """(W,)"""
+
+    @property
+    def informative(self) -> bool:
+        """It always is: viewpoints outside the core are not meant."""
+        return True
+
+    def log_of_views(self, views: ViewIndex) -> NDArray[np.float64]:
+        """Log prior (W,) of the shard's viewpoints among all of the world."""
+        del views
+        assert self.given is not None  # noqa: S101  # it is made with one
+        return self.given
+
+
+def gathered(shard: Shard, words: tuple[str, ...]) -> list[Thing]:
+    """Things that bear any of these words and have their centre in the core."""
+    city, tokens = shard.city, [shard.tokens[w] for w in words if w in shard.tokens]
+    rows = np.unique(np.concatenate([np.zeros(0, np.int64), *city.bearers(np.array(tokens, int))]))
+    centers = city.plane.to_lonlat(city.objects.center[rows].astype(np.float64))
+    starts, values, _ = city.tokens
+    known = [*city.objects.labels, *(f"~{name}" for name in city.objects.names)]
+    o = city.objects
+    return [
+        Thing(
+            int(o.osm_type[i]), int(o.osm_id[i]), int(o.kind[i]), o.label(i), o.name(i),
+            tuple(known[t] for t in values[starts[i] : starts[i + 1]]),
+            tuple(city.plane.to_lonlat(part.astype(np.float64)) for part in o.parts(i)), center,
+            min(1000.0, float(np.hypot(*(np.concatenate(o.parts(i)) - o.center[i]).T).max())),
+        )
+        for i, center in zip(rows.tolist(), centers, strict=True)
+        if held(center[None], shard.key)[0]
+    ]  # fmt: skip
+
+
+def weighed(shard: Shard, fix: Fix) -> tuple[float, float, bool]:
+    """Largest and total log weight of a fix over the core, and whether it reaches any viewpoint."""
+    off = _off(shard, fix)
+    if not len(off):
+        return -np.inf, -np.inf, False
+    east_north = shard.city.plane.to_plane((fix.longitude, fix.latitude))
+    delta = np.abs(shard.city.views.positions[shard.inside] - east_north).max(axis=1)
+    reached = bool((delta <= 4.0 * fix.radius + REACH).any())
+    return float(off.max()), float(np.logaddexp.reduce(off)), reached
+
+
+def _off(shard: Shard, fix: Fix) -> NDArray[np.float64]:
+    """Log weight (V,) of a fix at the viewpoints of the core, as `Whereabouts.log` has it."""
+    near = shard.city.plane.to_plane((fix.longitude, fix.latitude))
+    sigma = np.hypot(fix.radius / 1.1774, STRIDE / 2)
+    positions = shard.city.views.positions[shard.inside].astype(np.float64)
+    return np.asarray(-0.5 * (((positions - near) / sigma) ** 2).sum(axis=1))
+
+
+def requested(shard: Shard, asked: Asked) -> Request:
+    """The query in the tokens and rows of a shard, and the prior of its viewpoints."""
+    if asked.key not in shard.requests:
+        shard.requests.clear()
+        shard.requests[asked.key] = _requested(shard, asked)
+    return shard.requests[asked.key]
+
+
+def _requested(shard: Shard, asked: Asked) -> Request:
+    prior = np.full(len(shard.inside), -np.inf)
+    if asked.fix is None:
+        prior[shard.inside] = -np.log(asked.viewpoints)
+    else:
+        prior[shard.inside] = _off(shard, asked.fix) - asked.fix.norm
+    inside = partial(_holds, shard.city.plane, shard.key)  # not the shard, which holds this
+    city, query = _translated(shard, asked)
+    return Request(city, query, _Within(inside=inside, given=prior))
+
+
+def _holds(plane: LocalPlane, key: str, positions: NDArray[np.float64]) -> NDArray[np.bool_]:
+    return held(plane.to_lonlat(positions), key)
+
+
+def _translated(shard: Shard, asked: Asked) -> tuple[City, Query]:
+    """City and query with one another's tokens and objects."""
+    query = asked.query
+    rows = np.array([shard.tokens.get(word, -1) for word in asked.words], np.int32)
+    known = rows >= 0
+    before = np.concatenate(([0], np.cumsum(known))).astype(np.int64)
+    mentions = MentionTokens(
+        before[query.mentions.starts], rows[known], query.mentions.weights[known]
+    )
+    far = query.far
+    city: City = shard.city
+    if far is not None:
+        reach = 4.0 * float(far.scale.max(initial=0.0))
+        city, at = joined(city, asked.things, shard.key, reach)
+        there = at[far.objects] >= 0
+        before = np.concatenate(([0], np.cumsum(there))).astype(np.int64)
+        anchors = at[far.anchors]
+        far = Far(
+            before[far.starts], at[far.objects][there], far.fits[there], far.scale, far.share,
+            anchors[anchors >= 0],
+        )  # fmt: skip
+    return city, replace(query, mentions=mentions, far=far)
+
+
+def proposed(shard: Shard, asked: Asked, least: float, drawn: int) -> Proposed:
+    """The most promising viewpoints of the core; `least` is the log of what is to count.
+
+    `drawn` stand for all others.
+    """
+    request = requested(shard, asked)
+    prior = request.log_prior
+    highest, n = float(prior.max(initial=-np.inf)), len(asked.query.used)
+    none = np.zeros(0)
+    found = Candidates(none.astype(np.int32), none, np.zeros((0, n), np.float32), none)
+    if highest > -np.inf:
+        found = candidates(request, drawn, float(np.exp(min(least - highest, 690.0))))
+    rows, far = found.rows, found.far
+    if asked.query.far is None:
+        far = far[:, :0]
+    return Proposed(
+        rows, found.bounds, far, prior[rows], found.stands, highest, shard.origin, least
+    )
+
+
+def compared(shard: Shard, asked: Asked, chosen: Proposed) -> Compared:
+    """Scores of candidates."""
+    some = chosen.candidates(len(asked.query.used))
+    scores = score_of(requested(shard, asked), some, ALL).scores.astype(np.float64)
+    return Compared(scores, shard.city.views.positions[chosen.rows].astype(np.float64))
+
+
+def looked(
+    shard: Shard, asked: Asked, chosen: Proposed
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """A closer look around candidates; as `look_around`."""
+    some = chosen.candidates(len(asked.query.used))
+    return look_around(requested(shard, asked), some.rows, some.far)
+
+
+def explained(
+    shard: Shard, asked: Asked, lonlats: list[tuple[float, float]]
+) -> list[tuple[Evidence, ...]]:
+    """What speaks for and against places [deg]."""
+    request = requested(shard, asked)
+    places = map(shard.city.plane.to_plane, lonlats)
+    return [evidence_at(at, request.city, request.query) for at in places]
+
+
+def judged(shard: Shard, asked: Asked, buildings: list[NDArray[np.float64]]) -> list[Judged | None]:
+    """What was said of buildings, by their corners (4, 2) [deg]; None of what is off the map."""
+    held = Buildings(shard.city, requested(shard, asked))
+    return [held.around(corners) for corners in buildings]
+
+
+def asked_back(shard: Shard, found: CityEstimate) -> Question | None:
+    """Question that tells the modes of an estimate apart."""
+    return shard.city.ask(found)
+
+
+def named(shard: Shard, lonlats: list[tuple[float, float]]) -> list[str]:
+    """Cells that places [deg] lie in."""
+    return [shard.city.cells.nearest(shard.city.plane.to_plane(at)) for at in lonlats]

@@ -1,0 +1,3 @@
+"""Fixtures of worlds in shards."""
+
+from tests.world.conftest import *  # noqa: F403  # fixtures

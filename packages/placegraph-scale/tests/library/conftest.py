@@ -1,0 +1,3 @@
+"""Rooms."""
+
+from tests.indoor.library.conftest import *  # noqa: F403  # fixtures

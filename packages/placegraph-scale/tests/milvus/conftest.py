@@ -1,0 +1,3 @@
+"""Milvus, real and not."""
+
+from tests.vectors.conftest import *  # noqa: F403  # fixtures

@@ -1,0 +1,90 @@
+"""A real Milvus server: the same candidates as the embedded store, and a load through a crash."""
+
+import numpy as np
+import pytest
+
+from placegraph.errors import IncompleteStoreError, ServiceError
+from placegraph.vectors import (
+    EmbeddedStore,
+    Origin,
+    Region,
+    Vectors,
+    drop_store,
+    list_stores,
+    load_store,
+    open_store,
+)
+from placegraph_scale.milvus import milvus_load
+
+COUNT, DIMENSION = 2_500, 64
+
+
+@pytest.fixture(autouse=True)
+def small_batches(monkeypatch):
+    monkeypatch.setattr(milvus_load, "BATCH", 1_000)
+
+
+@pytest.fixture(scope="module")
+def columns(cloud):
+    return cloud(np.random.default_rng(4), COUNT, DIMENSION)
+
+
+@pytest.fixture(scope="module")
+def queries():
+    return np.random.default_rng(5).standard_normal((30, DIMENSION))
+
+
+def finds_the_same(store, columns, queries):
+    near = EmbeddedStore.of(*columns, bits=32)
+    for region in (None, Region(7.41, 43.73, 7.43, 43.75)):
+        a, b = store.search(queries, 10, region), near.search(queries, 10, region)
+        np.testing.assert_array_equal(a.ids, b.ids)
+        np.testing.assert_allclose(a.similarity, b.similarity, atol=2e-6)
+    nowhere = Region(1.0, 1.0, 2.0, 2.0)
+    assert (store.search(queries[:1], 3, nowhere).ids == -1).all()
+
+
+def test_both_back_ends_find_the_same(milvus, columns, queries):
+    origin = Origin("a map", "a model")
+    with load_store(milvus.uri, Vectors.of(*columns), name="Fürst, 2025", origin=origin) as store:
+        finds_the_same(store, columns, queries)
+    with open_store(milvus.uri, origin=origin) as store:
+        assert (len(store), store.dimension, store.origin) == (COUNT, DIMENSION, origin)
+        finds_the_same(store, columns, queries)
+    (info,) = list_stores(milvus.uri)
+    assert info.collection == f"placegraph_Furst_2025_{origin.version}"
+    assert (info.name, info.rows, info.complete) == ("Fürst, 2025", COUNT, True)
+
+
+def test_a_load_survives_the_server(milvus, columns, queries, capfd):
+    origin = Origin("another map", "a model")
+    steps = []
+
+    def dies_between_two_batches(step, done, _total):
+        steps.append((step, done))
+        if (step, done) == ("loading", 2_000):
+            milvus.kill()
+
+    def again(**options):
+        return load_store(milvus.uri, Vectors.of(*columns), name="town", origin=origin, **options)
+
+    with pytest.raises(ServiceError, match=f"at {milvus.uri} failed to insert"):
+        again(progress=dies_between_two_batches, timeout=2.0)
+    assert steps[-1] == ("loading", 2_000)
+    with pytest.raises(ServiceError, match="failed to connect"):
+        open_store(milvus.uri, origin=origin, timeout=0.5)
+    milvus.start()
+    with pytest.raises(IncompleteStoreError, match="not loaded completely"):
+        open_store(milvus.uri, name="town", origin=origin)
+    with pytest.raises(IncompleteStoreError, match="was not finished"):
+        again()
+    sent = []
+    with again(resume=True, progress=lambda step, done, _: sent.append((step, done))) as store:
+        finds_the_same(store, columns, queries)
+    # What the dying server had taken is not sent again.
+    assert [done for step, done in sent if step == "loading"] == [2_000]
+    # The error is the sentence; nothing is printed beside it.
+    assert "Traceback" not in capfd.readouterr().err
+    found = {s.name: s.collection for s in list_stores(milvus.uri)}
+    assert drop_store(milvus.uri, found["town"]).origin == origin
+    assert "town" not in {s.name for s in list_stores(milvus.uri)}

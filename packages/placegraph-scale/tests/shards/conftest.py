@@ -1,0 +1,3 @@
+"""A town in shards."""
+
+from shards_world import *  # noqa: F403  # fixtures

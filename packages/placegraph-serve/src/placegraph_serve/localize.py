@@ -1,0 +1,218 @@
+"""Images: what `POST /v1/localize` answers."""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from importlib import import_module
+from math import radians
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+from placegraph.core.estimate import PoseEstimate, Status
+from placegraph.errors import OptionError, PlacegraphError, RequestError
+from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.pose.prior import Prior
+from placegraph.io.capture.frame import Frame
+from placegraph_serve.asked import Hints, Images, images_of
+from placegraph_serve.locate import on_earth
+from placegraph_serve.options import ServeOptions
+from placegraph_serve.photo import read_depth, read_photo
+from placegraph_serve.unpack import capture_in
+
+if TYPE_CHECKING:
+    from placegraph_serve.places import Desk, Places
+
+MOST_ALONE = 8
+"""Images at most that no odometry joins."""
+
+
+def warm(_desk: Desk, _asked: None) -> dict[str, Any]:
+    """Load what every image needs; a scene is opened when it is asked for."""
+    import_module("placegraph.indoor.localize")
+    return {}
+
+
+def plan(desk: Desk, asked: dict[str, Any]) -> bytes:
+    """Plan of a scene as PNG."""
+    from placegraph.view import draw_scene
+
+    scene = desk.places.scene(asked["map"])
+    with TemporaryDirectory(prefix="placegraph-") as folder:
+        return Path(draw_scene(scene, Path(folder) / "plan.png")).read_bytes()
+
+
+def localize(desk: Desk, asked: dict[str, Any]) -> dict[str, Any]:
+    """Where images were taken; `asked`: `folder` of the files, their names, and `request`."""
+    places, folder = desk.places, Path(asked["folder"])
+    try:
+        images, hints = read(folder, asked, desk.options)
+        record = "animation" in asked["request"]["pictures"]
+        estimate, frames = found(places, images, hints, record=record)
+        pose, where = pose_estimate(estimate), scene_name(places, hints, estimate)
+        pictures = {
+            name: picture(places, pose, where, frames, folder / f"{name}.png")
+            for name in asked["request"]["pictures"]
+        }
+    except PlacegraphError as error:
+        if str(folder) not in str(error):
+            raise
+        raise type(error)(str(error).replace(f"{folder}/", "")) from error  # nobody's business
+    return {
+        "map": where,
+        "estimate": estimate.to_dict(),
+        "geopose": on_earth(estimate.geopose),
+        "geojson": on_earth(estimate.geojson),
+        "pictures": pictures,
+        "notes": notes(places, hints, estimate),
+    }
+
+
+def read(folder: Path, asked: dict[str, Any], options: ServeOptions) -> tuple[Images, Hints]:
+    """Frames and hints of what was sent."""
+    known = asked["request"]
+    near = known["near"]
+    if asked["capture"]:
+        (folder / "capture").mkdir()
+        capture = capture_in(folder / asked["capture"], folder / "capture", options)
+        images = Images(tuple(capture), moved=True, leveled=True)
+    else:
+        photos = [
+            read_photo((folder / name).read_bytes(), f"images[{i}]", options)
+            for i, name in enumerate(asked["images"])
+        ]
+        depths = [
+            read_depth((folder / name).read_bytes(), f"depth[{i}]", known["depth_scale"], options)
+            for i, name in enumerate(asked["depth"])
+        ]
+        images = images_of(photos, depths, known)
+        near = near or next((photo.fix[:2] for photo in photos if photo.fix), None)
+    if not images.moved and len(images.frames) > MOST_ALONE:
+        raise OptionError(
+            f"odometry: {len(images.frames)} images without it are {MOST_ALONE} at most; tell how the "
+            "camera moved, or send fewer."
+        )
+    heading, prior = known["heading_deg"], known["prior"]
+    return images, Hints(
+        map=known["map"], description=known["description"] or None, near=near,
+        radius=known["radius"], seed=known["seed"],
+        heading=None if heading is None else radians(heading),
+        prior=None if prior is None else Prior(**in_radians(prior)),
+    )  # fmt: skip
+
+
+def in_radians(given: dict[str, float | None]) -> dict[str, float]:
+    """What was given of some fields, those in degrees in radians and without the ending of their names."""
+    return {
+        name.removesuffix("_deg"): radians(value) if name.endswith("_deg") else value
+        for name, value in given.items()
+        if value is not None
+    }
+
+
+def found(
+    places: Places, images: Images, hints: Hints, *, record: bool = False
+) -> tuple[Any, list[Frame]]:
+    """The best of the answers to what may be tried, and the frames that it is of."""
+    best: tuple[Any, list[Frame]] | None = None
+    trials = images.trials()
+    for i, frames in enumerate(trials):
+        try:
+            estimate = answer(places, frames, hints, record=record)
+        except OptionError:
+            if best is None and i == len(trials) - 1:
+                raise
+            continue
+        if best is None or worth(estimate) > worth(best[0]):
+            best = estimate, frames
+        if worth(estimate) >= (1, 0.0):
+            break
+    assert best is not None  # noqa: S101  # the last trial raises
+    return best
+
+
+def answer(places: Places, frames: list[Frame], hints: Hints, *, record: bool) -> Any:  # noqa: ANN401
+    """Estimate of frames that belong together, in the map asked or in all of them."""
+    name = hints.map or places.only
+    kind = "world" if name is None else places.entry(name).kind
+    if kind == "scene" and name is not None:
+        scene = places.scene(name)
+        prior = hints.prior_in(scene.anchors)
+        if hints.prior is None and len(frames) > 30:  # those are tracked, from no prior
+            prior = None
+        return scene.localize(
+            frames, prior=prior, description=hints.description, seed=hints.seed,
+            options=FilterOptions(record=record),
+        )  # fmt: skip
+    if kind == "library" and name is not None:
+        found_in: Any = places.open(name)
+        return found_in.localize(frames, description=hints.description, seed=hints.seed)
+    if kind == "city":
+        raise RequestError(
+            f"Map {name!r} is a city, and images are found in scenes; name one, or none.",
+            status=422, code="map_kind",
+        )  # fmt: skip
+    return places.world(name).locate(
+        hints.description, frames, near=hints.near, radius=hints.radius, heading=hints.heading,
+        seed=hints.seed,
+    )  # fmt: skip
+
+
+def worth(estimate: Any) -> tuple[int, float]:  # noqa: ANN401
+    """What one answer is worth against those to other tilts and images: settled, and how well it fits."""
+    pose = pose_estimate(estimate)
+    refined = pose is not None and pose.refinement is not None and pose.refinement.accepted
+    settled = estimate.status is Status.OK or refined
+    ratio = pose.stats.get("trust", {}).get("ratio") if pose is not None else None
+    return int(settled), ratio or 0.0
+
+
+def pose_estimate(estimate: Any) -> PoseEstimate | None:  # noqa: ANN401
+    """What was found in the best mode's scene."""
+    if isinstance(estimate, PoseEstimate):
+        return estimate
+    if estimate.best is None:
+        return None
+    found_in: PoseEstimate | None = estimate.poses.get(estimate.best.scene)
+    return found_in
+
+
+def scene_name(places: Places, hints: Hints, estimate: Any) -> str | None:  # noqa: ANN401
+    """Name of the map that the answer is in."""
+    if isinstance(estimate, PoseEstimate) or estimate.best is None:
+        return hints.map or places.only
+    return estimate.best.scene or None
+
+
+def notes(places: Places, hints: Hints, estimate: Any) -> list[str]:  # noqa: ANN401
+    """What of a question could not be used, and why."""
+    name = hints.map or places.only
+    if name is None or places.entry(name).kind != "scene":
+        return list(getattr(estimate, "notes", ()))
+    return hints.notes(name, places.scene(name).anchors)
+
+
+def picture(
+    places: Places,
+    estimate: PoseEstimate | None,
+    where: str | None,
+    frames: list[Frame],
+    path: Path,
+) -> str | None:
+    """A picture, named by the stem of the path, as a data URL; None where there is nothing to draw."""
+    from placegraph import view
+
+    scenes = {entry.name for entry in places.entries() if entry.kind == "scene"}
+    if estimate is None or not estimate.modes or where not in scenes:
+        return None
+    scene, camera = places.scene(where), frames[-1].camera
+    if path.stem == "plan":
+        view.write_plan(scene, estimate, path, camera=camera)
+    elif path.stem == "overlay":
+        view.write_overlay(scene, estimate, frames, path)
+    elif any(record.steps for record in estimate.history):
+        path = path.with_suffix(".gif")
+        view.write_plan_animation(scene, estimate, path, camera=camera)
+    else:
+        return None
+    return f"data:image/{path.suffix[1:]};base64,{b64encode(path.read_bytes()).decode()}"

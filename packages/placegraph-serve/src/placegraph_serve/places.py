@@ -1,0 +1,240 @@
+"""The maps of a server by name: opened when asked for, and again when their file is replaced."""
+
+from __future__ import annotations
+
+import itertools
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from placegraph.core import store
+from placegraph.core.geometry import LocalPlane
+from placegraph.errors import OptionError, PlacegraphError, RequestError
+from placegraph.indoor.library import SceneLibrary
+from placegraph.indoor.scene_map import SceneMap
+from placegraph.maps import SHARDS, WORLD, checked, find, is_world
+from placegraph.world import World, open_world
+from placegraph.world.world import opened
+from placegraph_scale.shards.folder import WorldFile
+from placegraph_serve.options import ServeOptions
+
+if TYPE_CHECKING:
+    from placegraph.outdoor.city import CityMap
+
+ANCHOR = ("longitude", "latitude", "building", "osm", "level", "scene", "probability")
+"""What is listed of where a scene stands."""
+
+State = tuple[int, int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """A map of a server, by its file."""
+
+    name: str
+    kind: str
+    """``city``, ``scene`` or ``library``; ``shards`` of one in shards, a folder;
+    ``world`` of one of cities in shards, a folder, too."""
+    path: Path
+
+
+class Places:
+    """Maps by name.
+
+    Parameters
+    ----------
+    paths
+        Map files, and folders of them, which are looked into anew when they are listed; worlds in
+        shards, with what else lies in their folders.
+    scheduler
+        Address of a Dask scheduler whose workers search worlds in shards; this process if not given.
+
+    Raises
+    ------
+    InputError
+        A path does not exist, or there is no map.
+    MapError
+        A file is no map.
+    OptionError
+        A scheduler is given, and there is no world in shards.
+
+    """
+
+    def __init__(self, paths: Sequence[str | PathLike[str]], scheduler: str | None = None) -> None:
+        self.paths = tuple(Path(path) for path in paths)
+        self.scheduler = scheduler
+        self._held: dict[Path, tuple[State, Any]] = {}
+        self._worlds: dict[str | None, tuple[dict[Path, State], World]] = {}
+        if not checked(self.paths).paths["world"] and scheduler is not None:
+            raise OptionError(
+                "scheduler: its workers search worlds in shards, and here is none; leave it out, or name "
+                "one that `placegraph world build` wrote."
+            )
+        self._entries = self._found()
+
+    def entries(self) -> tuple[Entry, ...]:
+        """All maps that are there now."""
+        self._entries = self._found()
+        return tuple(self._entries.values())
+
+    def entry(self, name: str) -> Entry:
+        """Map of a name; `RequestError` (404) where there is none."""
+        entries = self._entries  # others may replace it meanwhile
+        if name not in entries:
+            entries = self._entries = self._found()
+        if name not in entries:
+            known = ", ".join(entries) or "none"
+            raise RequestError(
+                f"There is no map {name[:80]!r}; known are: {known}.",
+                status=404,
+                code="map_unknown",
+            )
+        return entries[name]
+
+    def open(self, name: str) -> CityMap | SceneMap | SceneLibrary:
+        """A map, as its file is now; raises as `open_map`, and `RequestError` where it is gone."""
+        opened: CityMap | SceneMap | SceneLibrary = self._opened(self.entry(name).path)
+        return opened
+
+    def _opened(self, path: Path) -> Any:  # noqa: ANN401  # any map
+        state = state_of(path)
+        held = self._held.get(path)
+        if held is None or held[0] != state:
+            try:
+                held = self._held[path] = state, opened(path, self.scheduler)
+            except PlacegraphError as error:
+                raise type(error)(without_folder(error, path)) from error
+        return held[1]
+
+    def city(self, name: str) -> CityMap:
+        """A map that must be a city; `RequestError` where it is none."""
+        found: CityMap = self._of_kind(name, "city", "sentences about streets")
+        return found
+
+    def scene(self, name: str) -> SceneMap:
+        """A map that must be a scene; `RequestError` where it is none."""
+        found: SceneMap = self._of_kind(name, "scene", "images")
+        return found
+
+    def _of_kind(self, name: str, kind: str, what: str) -> Any:  # noqa: ANN401  # of that kind
+        entry = self.entry(name)
+        if entry.kind != kind:
+            named = [e.name for e in self._entries.values() if e.kind == kind]
+            raise RequestError(
+                f"Map {name!r} is a {entry.kind}, and {what} need a {kind}; name one of: "
+                f"{', '.join(named) or 'none here'}.",
+                status=422,
+                code="map_kind",
+            )
+        return self.open(name)
+
+    @property
+    def only(self) -> str | None:
+        """Name of the only map that is there now; None where there are several."""
+        there = self.entries()
+        return there[0].name if len(there) == 1 else None
+
+    def world(self, name: str | None = None) -> World:
+        """All maps as one world, or one of them alone; made anew where a file was replaced.
+
+        A world in shards is it with what else lies in its folder.
+        """
+        entries = self.entries() if name is None else (self.entry(name),)
+        kinds = find([entry.path for entry in entries]).paths.values()
+        states = {path: state_of(path) for paths in kinds for path in paths.values()}
+        held = self._worlds.get(name)
+        if held is None or held[0] != states:
+            held = self._worlds[name] = states, open_world(list(states), opener=self._opened)
+        return held[1]
+
+    def listed(self) -> list[dict[str, Any]]:
+        """What `GET /v1/maps` says of each; of a map that cannot be opened the reason."""
+        return [self._facts(entry) for entry in self.entries()]
+
+    def _facts(self, entry: Entry) -> dict[str, Any]:
+        facts: dict[str, Any] = {
+            "name": entry.name, "kind": entry.kind, "objects": 0, "bounds": None,
+            "anchored": entry.kind in ("city", "world"), "bytes": 0,
+        }  # fmt: skip
+        if entry.kind == "world":
+            return facts | _of_shards(entry.path)
+        file = entry.path / SHARDS if entry.kind == "shards" else entry.path
+        try:
+            header = store.read_header(file)
+        except PlacegraphError as error:
+            return facts | {"problem": without_folder(error, entry.path)}
+        facts["bytes"] = header.file_size
+        rows = {block.name: block.shape[0] for block in header.blocks}
+        if entry.kind == "shards":
+            size = sum(f.stat().st_size for f in entry.path.glob("*.shard"))
+            count = sum(int(s["scenes"]) for s in header.meta["shards"])
+            return facts | {"objects": count, "bytes": size}
+        if entry.kind == "library":
+            return facts | {"objects": len(header.meta["digests"])}
+        if entry.kind == "city":
+            return facts | {"objects": rows["kind"], "bounds": bounds_of(header.meta)}
+        anchors = header.meta.get("anchors", [])
+        return facts | {
+            "objects": rows["positions"],
+            "anchored": bool(anchors),
+            "anchors": [{key: anchor.get(key) for key in ANCHOR} for anchor in anchors],
+        }
+
+    def _found(self) -> dict[str, Entry]:
+        """Entries by name, which is the stem of the file, or all of its name where two share one."""
+        found = find(self.paths).paths
+        stems = Counter(itertools.chain.from_iterable(found.values()))
+        named = (
+            Entry(name if stems[name] == 1 else path.resolve().name, kind, path)
+            for kind, paths in found.items()
+            for name, path in paths.items()
+        )
+        return {entry.name: entry for entry in named}
+
+
+def _of_shards(folder: Path) -> dict[str, Any]:
+    """What is listed of a world in shards; the reason where it cannot be opened."""
+    try:
+        shards = WorldFile.read(folder).shards
+    except PlacegraphError as error:
+        return {"problem": without_folder(error, folder / WORLD)}
+    return {"objects": sum(s.objects for s in shards), "bytes": sum(s.bytes for s in shards)}
+
+
+def without_folder(error: PlacegraphError, path: Path) -> str:
+    """What an error says; where the file lies is no client's business."""
+    return str(error).replace(f"{path.parent}/", "")
+
+
+def state_of(path: Path) -> State:
+    """What changes when a file is replaced; `RequestError` where it is gone."""
+    try:
+        stat = (path / WORLD if is_world(path) else path).stat()
+    except OSError:
+        raise RequestError(
+            f"The file of map {path.stem!r} is gone from the server; ask another map, or put it back.",
+            status=503,
+            code="map_gone",
+        ) from None
+    return stat.st_mtime_ns, stat.st_size, stat.st_ino
+
+
+def bounds_of(meta: dict[str, Any]) -> list[float]:
+    """West, south, east, north [deg] of the cells of a city, by the metadata of its file."""
+    east, north, stride, columns, rows = meta["grid"]
+    corners = [[east, north], [east + stride * columns, north + stride * rows]]
+    bounds: list[float] = LocalPlane(*meta["origin"]).to_lonlat(corners).ravel().tolist()
+    return bounds
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Desk:
+    """Maps, limits, and the trackers of the sessions that this process holds."""
+
+    places: Places
+    options: ServeOptions
+    trackers: dict[str, Any] = field(default_factory=dict)
+    """`CityTracker` or `Tracker` by session, with the name of its map: ``(name, tracker)``."""

@@ -1,0 +1,266 @@
+"""The routes, one function each; what they do stands in the modules that they ask."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from html import escape
+from typing import Annotated, Any
+
+from fastapi import FastAPI, Query, Request, Response, WebSocket
+from fastapi.responses import HTMLResponse, JSONResponse, PlainTextResponse
+from starlette.routing import WebSocketRoute
+from starlette.websockets import WebSocketDisconnect, WebSocketState
+
+from placegraph.errors import PlacegraphError, RequestError
+from placegraph_serve import metrics
+from placegraph_serve.lanes import Lane
+from placegraph_serve.oscp import version_of
+from placegraph_serve.problem import problem
+from placegraph_serve.schema import Begin, Live, Localize, Locate, Step
+from placegraph_serve.server import Server, response_of
+from placegraph_serve.uploads import uploaded
+from placegraph_serve.worker import dumped
+
+_FORM = {
+    "requestBody": {
+        "required": True,
+        "content": {
+            "multipart/form-data": {
+                "schema": {
+                    "type": "object",
+                    "properties": {
+                        name: {"type": "array", "items": {"type": "string", "format": "binary"}}
+                        for name in ("images", "depth")
+                    }
+                    | {
+                        "capture": {"type": "string", "format": "binary"},
+                        "request": Localize.model_json_schema(),
+                    },
+                }
+            }
+        },
+    }
+}
+_OSCP = {
+    "requestBody": {
+        "required": True,
+        "content": {
+            f"application/vnd.oscp+json; version={v}": {"schema": {"type": "object"}}
+            for v in ("1.0", "2.0")
+        },
+    }
+}
+
+
+def add_routes(app: FastAPI, server: Server) -> None:
+    """Add all routes but the page's."""
+    _add_state(app, server)
+    _add_questions(app, server)
+    _add_sessions(app, server)
+
+
+def _add_state(app: FastAPI, server: Server) -> None:
+    @app.get("/healthz")
+    async def healthz() -> Response:
+        """Whether all that is asked can be answered yet."""
+        ready = all(lane.ready for lane in server.lanes)
+        return JSONResponse({"status": "ok" if ready else "starting"}, 200 if ready else 503)
+
+    @app.get("/docs", include_in_schema=False)
+    async def docs() -> Response:
+        return listing(app)
+
+    @app.get("/metrics")
+    async def counts() -> Response:
+        """Counts for Prometheus."""
+        text = server.metrics.text(server.now())
+        return PlainTextResponse(text, media_type=metrics.MEDIA_TYPE)
+
+    @app.get("/v1/maps")
+    def maps() -> dict[str, Any]:
+        """All maps."""
+        return {"maps": server.places.listed()}
+
+    @app.get("/v1/maps/{name}/plan.png")
+    async def plan(name: str) -> Response:
+        """Plan of a scene, with names."""
+        body, trouble = await server.captures.ask("plan", {"map": name})
+        return (
+            Response(body, media_type="image/png")
+            if trouble is None
+            else response_of(None, trouble)
+        )
+
+
+def _add_questions(app: FastAPI, server: Server) -> None:
+    @app.post("/v1/locate")
+    async def locate(asked: Locate) -> Response:
+        """Where a sentence was said: estimate, next question, GeoJSON."""
+        return await server.ask(server.sentences, "locate", asked.model_dump())
+
+    @app.get("/api")
+    async def search(
+        q: Annotated[str, Query(max_length=500)],
+        lat: Annotated[float | None, Query(ge=-90, le=90)] = None,
+        lon: Annotated[float | None, Query(ge=-180, le=180)] = None,
+        limit: Annotated[int, Query(ge=1, le=50)] = 15,
+    ) -> Response:
+        """Names, kinds of things, or a sentence, as a search box asks; answered as Photon does."""
+        asked = {"q": q, "lat": lat, "lon": lon, "limit": limit}
+        return await server.ask(server.sentences, "search", asked)
+
+    @app.post("/v1/localize", openapi_extra=_FORM)
+    async def localize(request: Request) -> Response:
+        """Where images, or a capture as a ZIP, were taken."""
+        async with uploaded(request, server.options) as asked:
+            return await server.ask(server.captures, "localize", asked)
+
+    @app.post("/geopose", openapi_extra=_OSCP)
+    async def geopose(request: Request) -> Response:
+        """The Open AR Cloud's GeoPose protocol, versions 1 and 2."""
+        version = version_of(request.headers.get("accept", ""))
+        asked = {"body": await request.body(), "version": version}
+        answer = await server.ask(server.captures, "geopose", asked)
+        if answer.status_code == 200 and version is not None:
+            answer.headers["content-type"] = f"application/vnd.oscp+json; version={version}.0"
+        return answer
+
+    @app.websocket("/v1/live")
+    async def while_typing(socket: WebSocket) -> None:
+        """The posterior while one types: messages as bodies of /v1/locate, each with an `id`."""
+        await live(socket, server.sentences)
+
+
+def _add_sessions(app: FastAPI, server: Server) -> None:
+    sessions = server.sessions
+
+    @app.post("/v1/sessions", status_code=201)
+    async def begin(asked: Begin) -> Response:
+        """Begin to follow somebody who walks and speaks, or a camera."""
+        told, trouble = await sessions.begin(asked)
+        return JSONResponse(told, 201) if trouble is None else response_of(None, trouble)
+
+    @app.post("/v1/sessions/{session}")
+    async def step(session: str, asked: Step) -> Response:
+        """One step: what was said or walked, or a frame."""
+        return response_of(*await sessions.step(session, asked))
+
+    @app.delete("/v1/sessions/{session}", status_code=204)
+    async def end(session: str) -> None:
+        """End a session."""
+        await sessions.end(session)
+
+    @app.websocket("/v1/sessions/{session}")
+    async def follow(socket: WebSocket, session: str) -> None:
+        """The steps of a session: messages as bodies of POST, answered one after the other."""
+        await sessions.follow(socket, session)
+
+
+_HEAD = """<!doctype html><html lang="en"><meta charset="utf-8">
+<meta name="viewport" content="width=device-width"><title>placegraph: what can be asked</title>
+<style>:root{color-scheme:light dark}body{font:16px/1.5 system-ui,sans-serif;max-width:60rem;
+margin:2rem auto;padding:0 1rem}table{border-collapse:collapse}td,th{text-align:left;vertical-align:top;
+padding:.2rem 1rem .2rem 0;border-bottom:1px solid #8884}code{font-size:.9em}</style>
+<h1>What can be asked</h1><p>The same for programs: <a href="openapi.json">openapi.json</a>. Errors are
+<code>application/problem+json</code> (RFC 9457) with <code>detail</code>, <code>mend</code> and
+<code>code</code>. Where the server has keys, send <code>Authorization: Bearer KEY</code>.</p>
+"""
+_HEADERS = {
+    "Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'; base-uri 'none'; "
+    "form-action 'none'; frame-ancestors 'none'",
+}
+
+
+def listing(app: FastAPI) -> HTMLResponse:
+    """The page, of the routes that the application has."""
+    told = app.openapi()
+    schemas = told.get("components", {}).get("schemas", {})
+    parts = [_HEAD]
+    for path, methods in told["paths"].items():
+        for method, what in methods.items():
+            parts += [f"<h2><code>{method.upper()} {escape(path)}</code></h2>"]
+            parts += [f"<p>{escape(what.get('description') or what.get('summary', ''))}</p>"]
+            parts += _fields(what, schemas)
+    for route in app.routes:
+        if isinstance(route, WebSocketRoute):
+            said = (route.endpoint.__doc__ or "").strip()
+            parts += [f"<h2><code>WS {escape(route.path)}</code></h2><p>{escape(said)}</p>"]
+    return HTMLResponse("".join(parts), headers=_HEADERS)
+
+
+def _fields(what: dict[str, Any], schemas: dict[str, Any]) -> list[str]:
+    """Tables of the parameters, and of the body by its type."""
+    rows = {
+        p["name"]: p["schema"] | {"description": p.get("description", "")}
+        for p in what.get("parameters", [])
+    }
+    out = [_table(f"in the {what['parameters'][0]['in']}", rows)] if rows else []
+    for kind, content in what.get("requestBody", {}).get("content", {}).items():
+        schema = _resolved(content["schema"], schemas)
+        out.append(_table(f"body, {kind}", schema.get("properties", {})))
+        form = schema.get("properties", {}).get("request", {}).get("properties")
+        out += [_table("its field request, JSON", form)] if form else []
+    return out
+
+
+def _table(title: str, fields: dict[str, Any]) -> str:
+    rows = "".join(
+        f"<tr><td><code>{escape(name)}</code></td><td>{escape(_kind(schema))}</td>"
+        f"<td>{escape(schema.get('description', ''))}</td></tr>"
+        for name, schema in fields.items()
+    )
+    return f"<table><tr><th>{escape(title)}</th><th>type</th><th></th></tr>{rows}</table>"
+
+
+def _kind(schema: dict[str, Any]) -> str:
+    some = schema.get("anyOf") or [schema]
+    kinds = (s.get("type") or s.get("$ref", "").rpartition("/")[2] for s in some)
+    return " or ".join(kind for kind in kinds if kind != "null")
+
+
+def _resolved(schema: dict[str, Any], schemas: dict[str, Any]) -> dict[str, Any]:
+    name = schema.get("$ref", "").rpartition("/")[2]
+    found: dict[str, Any] = schemas.get(name, schema)
+    return found
+
+
+LONGEST = 1 << 16
+"""Characters of a message."""
+
+
+async def live(socket: WebSocket, lane: Lane) -> None:
+    """Answer what is typed until the socket is closed."""
+    await socket.accept()
+    running: asyncio.Task[None] | None = None
+    try:
+        while True:
+            text = await socket.receive_text()
+            if running is not None:
+                running.cancel()
+            running = asyncio.create_task(_answer(socket, lane, text))
+    except (WebSocketDisconnect, KeyError):  # gone, or bytes, which nothing here sends
+        pass
+    finally:
+        if running is not None:
+            running.cancel()
+
+
+async def _answer(socket: WebSocket, lane: Lane, text: str) -> None:
+    number: int | str | None = None
+    try:
+        asked = _asked(text)
+        number = asked.id
+        body, trouble = await lane.ask("locate", asked.model_dump(exclude={"id"}))
+    except PlacegraphError as error:
+        body, trouble = None, problem(error)
+    head = json.dumps(number)
+    told = f'"result":{body.decode()}' if body else f'"problem":{dumped(trouble).decode()}'
+    if socket.client_state is WebSocketState.CONNECTED:
+        await socket.send_text(f'{{"id":{head},{told}}}')
+
+
+def _asked(text: str) -> Live:
+    if len(text) > LONGEST:
+        raise RequestError(f"message: {len(text)} characters; send at most {LONGEST}.", status=413)
+    return Live.read(text, "message")

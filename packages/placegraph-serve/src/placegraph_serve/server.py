@@ -1,0 +1,152 @@
+"""What the routes of a server share: maps, limits, lanes, sessions, counts."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import secrets
+from typing import Any
+
+from starlette.responses import JSONResponse, Response
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from placegraph.core import kept
+from placegraph.errors import PlacegraphError, RequestError
+from placegraph_serve.lanes import Lane
+from placegraph_serve.limits import check_depth
+from placegraph_serve.metrics import Metrics
+from placegraph_serve.options import ServeOptions
+from placegraph_serve.places import Places
+from placegraph_serve.problem import MEDIA_TYPE, problem
+from placegraph_serve.schema import Begin, Step
+from placegraph_serve.worker import Answer, Setting, dumped
+
+
+class Server:
+    """Maps, limits, lanes, sessions, counts."""
+
+    def __init__(self, places: Places, options: ServeOptions) -> None:
+        self.places, self.options = places, options
+        self.metrics = Metrics()
+        folder = kept.FOLDERS.chosen
+        words = Setting(places.paths, options, "warm", folder)
+        frames = Setting(places.paths, options, "look", folder)
+        seconds = options.sentence_seconds, options.capture_seconds
+        self.sentences = Lane("sentences", options.sentence_workers, seconds[0], words)
+        self.captures = Lane("captures", options.capture_workers, seconds[1], frames)
+        self.steps = Lane("steps", 1, seconds[1], frames)
+        self.sessions = Sessions(self.steps, options)
+
+    @property
+    def lanes(self) -> tuple[Lane, ...]:
+        """All lanes."""
+        return self.sentences, self.captures, self.steps
+
+    async def ask(self, lane: Lane, verb: str, asked: dict[str, Any]) -> Response:
+        """Answer of a lane as a response."""
+        return response_of(*await lane.ask(verb, asked))
+
+    def now(self) -> dict[str, float]:
+        """What is so at this moment, for `Metrics.text`."""
+        told: dict[str, float] = {"sessions": len(self.sessions)}
+        for lane in self.lanes:
+            kind = f'{{lane="{lane.name}"}}'
+            told |= {f"waiting{kind}": lane.waiting, f"running{kind}": lane.running}
+            told[f"answered_total{kind}"] = lane.answered
+            told[f"workers_replaced_total{kind}"] = lane.replaced
+        return told
+
+
+def response_of(body: bytes | None, trouble: dict[str, Any] | None) -> Response:
+    """A body, or a problem, as a response."""
+    if trouble is None:
+        return Response(body, media_type="application/json")
+    headers = {"Retry-After": str(trouble["retry_after"])} if "retry_after" in trouble else {}
+    return JSONResponse(trouble, trouble["status"], headers, media_type=MEDIA_TYPE)
+
+
+class Sessions:
+    """Sessions by id; their trackers stand in the lane's one process."""
+
+    def __init__(self, lane: Lane, options: ServeOptions) -> None:
+        self._lane, self._options = lane, options
+        self._ends: dict[str, asyncio.TimerHandle] = {}
+        self._steps: dict[str, int] = {}
+        self._ending: set[asyncio.Task[Answer]] = set()
+
+    def __len__(self) -> int:
+        return len(self._ends)
+
+    async def begin(self, asked: Begin) -> tuple[dict[str, Any] | None, dict[str, Any] | None]:
+        """Begin a session: its id and seconds to live, or a problem."""
+        if len(self) >= self._options.sessions:
+            raise RequestError(
+                "Too many sessions are open; end one, or come again later.",
+                status=503, code="busy", retry_after=30,
+            )  # fmt: skip
+        session = secrets.token_urlsafe(16)
+        self._alive(session)
+        body, trouble = await self._lane.ask("begin", asked.model_dump() | {"session": session})
+        if trouble is not None:
+            self._forget(session)
+            return None, trouble
+        self._alive(session)
+        told = {"session": session, "expires_s": self._options.session_seconds}
+        return told | json.loads(body or b"{}"), None
+
+    async def step(self, session: str, asked: Step) -> Answer:
+        """One step; `RequestError` (404) where there is no such session."""
+        self._check(session)
+        self._alive(session)
+        self._steps[session] += 1
+        given = asked.model_dump() | {"session": session, "number": self._steps[session]}
+        told = await self._lane.ask("step", given)
+        if told[1] is not None and told[1]["code"] in {"session_over", "worker_died", "too_long"}:
+            self._forget(session)
+        return told
+
+    async def end(self, session: str) -> None:
+        """End a session; `RequestError` (404) where there is none."""
+        self._check(session)
+        self._over(session)
+
+    async def follow(self, socket: WebSocket, session: str) -> None:
+        """Answer steps that come over a WebSocket, one after the other."""
+        await socket.accept()
+        try:
+            while True:
+                text = await socket.receive_text()
+                try:
+                    check_depth(text.encode(), self._options.depth)
+                    body, trouble = await self.step(session, Step.read(text, "message"))
+                except PlacegraphError as error:
+                    body, trouble = None, problem(error)
+                await socket.send_text((body or dumped(trouble)).decode())
+        except (WebSocketDisconnect, KeyError):
+            pass
+
+    def _check(self, session: str) -> None:
+        if session not in self._ends:
+            raise RequestError(
+                "There is no such session, or it is over; begin a new one.",
+                status=404, code="session_unknown",
+            )  # fmt: skip
+
+    def _alive(self, session: str) -> None:
+        """Let a session live for its time from now on."""
+        if session in self._ends:
+            self._ends[session].cancel()
+        later = asyncio.get_running_loop().call_later
+        self._ends[session] = later(self._options.session_seconds, self._over, session)
+        self._steps.setdefault(session, -1)
+
+    def _over(self, session: str) -> None:
+        self._forget(session)
+        ending = asyncio.ensure_future(self._lane.ask("end", {"session": session}))
+        self._ending.add(ending)
+        ending.add_done_callback(self._ending.discard)
+
+    def _forget(self, session: str) -> None:
+        self._steps.pop(session, None)
+        if (timer := self._ends.pop(session, None)) is not None:
+            timer.cancel()

@@ -1,0 +1,3 @@
+"""Fixtures of the server."""
+
+from serve_world import *  # noqa: F403  # fixtures

@@ -1,0 +1,104 @@
+"""Processes that die, take too long, or are all taken."""
+
+import concurrent.futures
+import os
+import signal
+
+import pytest
+from starlette.responses import PlainTextResponse
+from starlette.testclient import TestClient
+
+from placegraph_serve.limits import Guard, Keys
+from placegraph_serve.metrics import Metrics
+from placegraph_serve.options import ServeOptions
+from serve_world import ready, serving
+
+SAID = {"text": "A bakery is north of me. The church is east of the bakery."}
+
+
+def processes(client):
+    (worker,) = client.app.state.server.sentences._workers
+    return worker.process
+
+
+def replaced(client):
+    return client.app.state.server.sentences.replaced
+
+
+@pytest.fixture(scope="module")
+def bounded(town):
+    """A client of one process, with a tiny limit of seconds and a queue of one."""
+    with serving(town, sentence_workers=1, queue=1, sentence_seconds=4.0) as client:
+        yield client
+
+
+@pytest.fixture
+def stopped(bounded):
+    """The same, while its process is stopped."""
+    ready(lambda: bounded.get("/healthz"))
+    os.kill(processes(bounded).pid, signal.SIGSTOP)
+    return bounded
+
+
+@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGBUS], ids=["killed", "map cut short"])
+def test_a_dead_process_is_told_and_replaced(stopped, end):
+    process, before = processes(stopped), replaced(stopped)
+    with concurrent.futures.ThreadPoolExecutor(1) as pool:
+        asked = pool.submit(stopped.post, "/v1/locate", json=SAID)
+        while not stopped.app.state.server.sentences.running:
+            pass
+        os.kill(process.pid, end)
+        os.kill(process.pid, signal.SIGCONT)
+        told = asked.result()
+    assert (told.status_code, told.json()["code"]) == (500, "worker_died")
+    assert "ask again" in told.json()["detail"]
+    assert replaced(stopped) == before + 1
+    ready(lambda: stopped.get("/healthz"))
+    assert stopped.post("/v1/locate", json=SAID).status_code == 200
+
+
+def test_what_takes_too_long_ends_and_who_waits_is_sent_away(stopped):
+    with concurrent.futures.ThreadPoolExecutor(3) as pool:
+        asked = [pool.submit(stopped.post, "/v1/locate", json=SAID) for _ in range(3)]
+        told = [a.result() for a in asked]
+    codes = sorted(t.status_code for t in told)
+    assert codes[-1] == 504
+    assert 503 in codes
+    for busy in (t for t in told if t.status_code == 503):
+        assert (busy.json()["code"], int(busy.headers["retry-after"]) > 0) == ("busy", True)
+    (late,) = (t for t in told if t.status_code == 504)
+    assert late.json()["code"] == "too_long"
+    ready(lambda: stopped.get("/healthz"))
+    assert stopped.post("/v1/locate", json=SAID).status_code == 200
+
+
+def test_a_session_whose_process_died_is_over(client):
+    lane = client.app.state.server.steps
+    at = f"/v1/sessions/{client.post('/v1/sessions', json={}).json()['session']}"
+    (worker,) = lane._workers
+    os.kill(worker.process.pid, signal.SIGKILL)
+    assert client.post(at, json=SAID).json()["code"] == "worker_died"
+    assert client.post(at, json=SAID).json()["code"] == "session_unknown"
+    assert len(client.app.state.server.sessions) == 0
+    ready(lambda: client.get("/healthz"))
+
+
+def test_an_answer_that_is_no_json_is_a_problem(monkeypatch):
+    from placegraph_serve import locate, worker
+
+    monkeypatch.setattr(locate, "locate", lambda *_: {"text": "\ud800"})
+    body, trouble = worker.answer(None, "locate", {})
+    assert (body, trouble["code"]) == (None, "failed")
+
+
+def test_all_bodies_together_are_bounded():
+    async def app(scope, receive, send):
+        await receive()
+        await PlainTextResponse("read")(scope, receive, send)
+
+    guard = Guard(app, ServeOptions(held_bytes=50), Keys(()), Metrics())
+    client = TestClient(guard, base_url="http://127.0.0.1")
+    full = client.post("/v1/locate", json=SAID)
+    assert (full.status_code, full.json()["code"]) == (503, "busy")
+    for _ in range(2):  # what was answered is held no more
+        assert client.post("/v1/locate", json={"text": "A bakery is near."}).text == "read"

@@ -1,0 +1,1 @@
+"""Ground floor: estimates, geometry, files of maps, compiled code."""

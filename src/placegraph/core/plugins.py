@@ -1,0 +1,59 @@
+"""Plugins: distributions of placegraph, and of others, that join by entry points.
+
+Each group is one kind of thing that a plugin adds, each entry point one thing by its name.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib import import_module
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+from placegraph.errors import MissingExtraError
+
+COMMANDS = "placegraph.commands"
+"""Commands by their place in the command line, such as ``city.train``."""
+CAPTURES = "placegraph.captures"
+"""Tuples of `placegraph.io.capture.capture.Format`."""
+SOURCES = "placegraph.sources"
+"""Tuples of `placegraph.indoor.mapping.sources.SourceKind`."""
+ENCODERS = "placegraph.encoders"
+"""Classes of encoders by the name that `placegraph.encoder` takes."""
+MATCHERS = "placegraph.matchers"
+"""Classes of matchers by the name that `placegraph.matcher` takes."""
+
+
+@cache
+def plugins(group: str) -> dict[str, EntryPoint]:
+    """Return the entry points of a group by name, sorted."""
+    return {point.name: point for point in sorted(entry_points(group=group))}
+
+
+def load_plugin(group: str, name: str, extra: str) -> Any:  # noqa: ANN401  # what the plugin brings
+    """Return what an entry point names.
+
+    Raises `MissingExtraError`, naming the extra that brings it, where it is not installed.
+    """
+    point = plugins(group).get(name)
+    if point is None:
+        raise missing(name, extra)
+    return point.load()
+
+
+def load_module(name: str, extra: str) -> Any:  # noqa: ANN401  # a module
+    """Return a module of a distribution of placegraph; raises as `load_plugin`."""
+    try:
+        return import_module(name)
+    except ModuleNotFoundError as error:
+        if error.name is not None and error.name.partition(".")[0] == name.partition(".")[0]:
+            raise missing(name, extra) from error
+        raise
+
+
+def missing(what: str, extra: str) -> MissingExtraError:
+    """Return the error that names the extra which brings something."""
+    return MissingExtraError(
+        f"{what} is part of placegraph-{extra}, which is not installed; "
+        f"`pip install 'placegraph[{extra}]'` brings it."
+    )

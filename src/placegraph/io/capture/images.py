@@ -1,0 +1,175 @@
+"""Images through Pillow: checked, converted to plain arrays, refused with a typed error."""
+
+from __future__ import annotations
+
+import os
+import re
+import struct
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from placegraph.core.files import regular
+from placegraph.errors import InputError
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+ENDINGS = (".png", ".jpg", ".jpeg")
+"""Endings of image files, in lower case."""
+
+MOST_PIXELS = 1 << 26
+"""Of a frame; four times those of a good telephone's."""
+FREE_PIXELS, PIXELS_A_BYTE = 1 << 24, 64
+"""Pixels that an image may have whatever its size, and for each of its bytes: Pillow takes memory for
+all that the head promises before it reads the first, and drawings take an eighth of that."""
+_STRIP = 1 << 20
+"""Pixels that are copied from Pillow at a time: it holds all of them in three forms for a moment."""
+
+WHOLE_MODES = ("L", "P", "I;16", "I;16B", "I;16L", "I")
+"""Pillow's modes of one whole number a pixel; P: the number is the palette's row."""
+
+_BROKEN = (
+    OSError, SyntaxError, ValueError, EOFError, TypeError, LookupError, MemoryError, OverflowError,
+    AttributeError, RuntimeError, struct.error, zlib.error,
+)  # fmt: skip
+"""What Pillow's decoders raise at damaged files (it names no root of its own)."""
+
+
+@contextmanager
+def opened(source: Path | IO[bytes], name: object, *, bounded: bool = False) -> Iterator[Image]:
+    """Open an image; whatever fails inside the block becomes an `InputError` about `name`.
+
+    So does one that says it has far more pixels than its bytes can hold, unless the caller says that
+    it has a bound of its own.
+    """
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with Image.open(regular(source) if isinstance(source, Path) else source) as image:
+            if not bounded and image.width * image.height > FREE_PIXELS:
+                _check_bytes(image, source, name)
+            yield image
+    except InputError:
+        raise
+    except FileNotFoundError as error:
+        raise InputError(
+            f"{name} does not exist; it was there when the folder was read."
+        ) from error
+    except (*_BROKEN, Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
+        why = " ".join(str(error).split()) or type(error).__name__
+        why = "of no known kind" if isinstance(error, UnidentifiedImageError) else why
+        raise InputError(
+            f"{name} cannot be read as an image ({why}); it may be truncated: copy it again."
+        ) from error
+
+
+def images_of(folder: Path, endings: tuple[str, ...] = ENDINGS) -> dict[str, Path]:
+    """Files of a folder with these endings by stem, in natural order: 2 comes before 10.
+
+    A folder that does not exist has none. `InputError` where two bear one name.
+    """
+    if not folder.is_dir():
+        return {}
+    try:
+        files = [p for p in folder.iterdir() if p.suffix.lower() in endings and p.name[0] != "."]
+    except OSError as error:
+        raise InputError(f"{folder} cannot be read: {error.strerror}.") from error
+    found: dict[str, Path] = {}
+    for file in sorted(files, key=lambda p: (natural(p.stem), p.name)):
+        if file.stem in found:
+            raise InputError(f"{file} and {found[file.stem].name} bear one name; keep one of them.")
+        found[file.stem] = file
+    return found
+
+
+def natural(stem: str) -> list[tuple[int, int, str]]:
+    """Key that sorts names with their numbers by value."""
+    return [
+        (0, int(part), part) if part.isascii() and part.isdigit() else (1, 0, part)
+        for part in re.split(r"([0-9]{1,4000})", stem)
+    ]
+
+
+def image_size(path: Path) -> tuple[int, int]:
+    """Width and height [px] from the head of an image file."""
+    with opened(path, path) as image:
+        return image.size
+
+
+def read_rgb(
+    path: Path, size: tuple[int, int], source: IO[bytes] | None = None
+) -> NDArray[np.uint8]:
+    """Colours (H, W, 3) uint8 of an image that must be of this width and height [px].
+
+    Pixels are taken as they are stored; if only as a telephone would show them (EXIF's orientation)
+    they have that size, as they are shown. `source` is where its bytes are, if they are not in a
+    file of that name.
+    """
+    with opened(source or path, path) as image:
+        if image.size != size and image.size[::-1] == size:
+            from PIL import ImageOps
+
+            ImageOps.exif_transpose(image, in_place=True)
+        _check_size(image, path, size)
+        return rgb_of(image)
+
+
+def read_whole(path: Path, size: tuple[int, int], modes: tuple[str, ...]) -> NDArray[np.int32]:
+    """Whole numbers (H, W) int32 of an image of one channel, in one of these Pillow modes."""
+    with opened(path, path) as image:
+        _check_size(image, path, size)
+        if image.mode not in modes:
+            raise InputError(
+                f"{path} has pixels of mode {image.mode!r}; it must be a PNG with one whole number "
+                f"a pixel ({'16 bits' if 'L' not in modes else '8 or 16 bits'})."
+            )
+        return _pixels(image, image.mode, np.empty((size[1], size[0]), np.int32))
+
+
+def rgb_of(image: Image) -> NDArray[np.uint8]:
+    """Colours (H, W, 3) of an image, read-only."""
+    out = _pixels(image, "RGB", np.empty((image.height, image.width, 3), np.uint8))
+    out.flags.writeable = False
+    return out
+
+
+def _pixels(image: Image, mode: str, out: NDArray[Any]) -> NDArray[Any]:
+    """Pixels of an image in one of Pillow's modes, copied strip by strip."""
+    rows = max(1, _STRIP // image.width)
+    for top in range(0, image.height, rows):
+        part = image.crop((0, top, image.width, min(top + rows, image.height)))
+        out[top : top + rows] = np.asarray(part if part.mode == mode else part.convert(mode))
+    return out
+
+
+def _check_bytes(image: Image, source: Path | IO[bytes], name: object) -> None:
+    if isinstance(source, Path):
+        held = source.stat().st_size
+    else:
+        at = source.tell()  # from where Pillow reads on
+        held = source.seek(0, os.SEEK_END)
+        source.seek(at)
+    if image.width * image.height > FREE_PIXELS + PIXELS_A_BYTE * held:
+        raise InputError(
+            f"{name} says that it has {image.width} x {image.height} pixels, in {held:,} bytes; it "
+            "is damaged, or so large and empty that it is to be made smaller."
+        )
+
+
+def _check_size(image: Image, path: Path, size: tuple[int, int]) -> None:
+    if image.width * image.height > MOST_PIXELS:  # before any is read: black ones take no bytes
+        raise InputError(
+            f"{path} has {image.width} x {image.height} pixels; frames of at most "
+            f"{MOST_PIXELS >> 20} million are read: make the images smaller, and their intrinsics."
+        )
+    if image.size != size:
+        raise InputError(
+            f"{path} has {image.width} x {image.height} pixels, but its camera says "
+            f"{size[0]} x {size[1]}; give the intrinsics of the images as they are."
+        )

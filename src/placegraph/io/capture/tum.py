@@ -1,0 +1,196 @@
+"""Trajectories in TUM's text format, and other tables of numbers with a stamp a row.
+
+A row is `stamp tx ty tz qx qy qz qw`, metres and a unit quaternion xyzw; `#` begins a comment. What
+the pose leads from and to (`odometry_from_camera`, `map_from_camera`) is for the caller to know.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from placegraph.core.files import put, regular
+from placegraph.core.geometry import quaternion_from_rotation, rotation_from_quaternion
+from placegraph.errors import InputError, OptionError
+from placegraph.io.capture.camera import read_json
+
+POSE_COLUMNS = ("stamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
+UNIT_TOLERANCE = 1e-3
+"""A quaternion whose length is off by less was rounded, and is normalised; others are refused."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trajectory:
+    """Poses of a camera over time; arrays are read-only."""
+
+    stamps: NDArray[np.float64]
+    """(T,) strictly ascending: seconds, or frame numbers."""
+    poses: NDArray[np.float64]
+    """(T, 4, 4) rigid transforms [m]."""
+
+    def __len__(self) -> int:
+        return len(self.stamps)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Table:
+    """Rows of a text file of numbers, and where they stand."""
+
+    path: Path
+    values: NDArray[np.float64]
+    """(T, C), finite; column 0 is the stamp."""
+    lines: tuple[int, ...]
+    """(T,) line of each row, from 1."""
+
+    def error(self, row: int, what: str) -> InputError:
+        """Error that names the file and the line of a row."""
+        return InputError(f"{self.path}, line {self.lines[row]}: {what}")
+
+
+def read_tum(path: str | PathLike[str]) -> Trajectory:
+    """Read a trajectory.
+
+    Raises
+    ------
+    InputError
+        The file is missing, unreadable or without a row; a row has not eight finite numbers, a
+        stamp does not ascend, a quaternion is not of unit length (to 1e-3; below that it is
+        normalised). The message names file and line.
+
+    """
+    table = read_table(path, POSE_COLUMNS)
+    quaternions = table.values[:, 4:]
+    with np.errstate(over="ignore"):
+        lengths = np.linalg.norm(quaternions, axis=1)
+    wrong = np.flatnonzero(~(np.abs(lengths - 1.0) <= UNIT_TOLERANCE))
+    if wrong.size:
+        row = int(wrong[0])
+        raise table.error(
+            row,
+            f"the quaternion has length {lengths[row]:.6g}, not 1; the columns are "
+            f"`{' '.join(POSE_COLUMNS)}`.",
+        )
+    poses = np.zeros((len(quaternions), 4, 4))
+    poses[:, :3, :3] = rotation_from_quaternion(quaternions)
+    poses[:, :3, 3] = table.values[:, 1:4]
+    poses[:, 3, 3] = 1.0
+    stamps = np.ascontiguousarray(table.values[:, 0])
+    stamps.flags.writeable = poses.flags.writeable = False
+    return Trajectory(stamps, poses)
+
+
+def read_camera_path(path: str | PathLike[str]) -> NDArray[np.float64]:
+    """Poses (T, 4, 4) map_from_camera of a TUM file, or of what `scene localize --json` printed.
+
+    Raises
+    ------
+    InputError
+        The file is missing or neither, or holds no pose.
+
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".json":
+        return read_tum(path).poses
+    content = read_json(path)
+    try:
+        poses = np.array(content["trajectory"], np.float64)
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(
+            f"{path} holds no trajectory; save what `placegraph scene localize --json` prints."
+        ) from error
+    if poses.ndim != 3 or poses.shape[1:] != (4, 4) or not len(poses):
+        raise InputError(f"{path}: its trajectory has shape {poses.shape}; (T, 4, 4) belongs.")
+    if not np.isfinite(poses).all():
+        raise InputError(f"{path}: a pose of its trajectory is not finite; localize again.")
+    return poses
+
+
+def write_tum(
+    path: str | PathLike[str], stamps: ArrayLike, poses: ArrayLike, *, comment: str = ""
+) -> None:
+    """Write poses (T, 4, 4) with stamps (T,) as TUM text, to a nanometre; `comment` heads the file.
+
+    Raises `OptionError` where the arrays do not fit or hold what `read_tum` would refuse, and
+    `InputError` where the file cannot be written.
+    """
+    times = np.asarray(stamps, np.float64)
+    matrices = np.asarray(poses, np.float64)
+    if times.ndim != 1 or matrices.shape != (times.size, 4, 4):
+        raise OptionError(
+            f"poses: shape {matrices.shape} for stamps of shape {times.shape}; "
+            "(T, 4, 4) belong to (T,)."
+        )
+    if not (np.isfinite(times).all() and np.isfinite(matrices).all()):
+        raise OptionError("poses: a stamp or a pose is not finite; leave such rows out.")
+    if np.any(np.diff(times) <= 0):
+        raise OptionError("stamps: they do not ascend; sort the rows and drop repeated ones.")
+    columns = np.hstack([matrices[:, :3, 3], quaternion_from_rotation(matrices[:, :3, :3])])
+    rows = [f"# {line}" for line in comment.splitlines()]
+    for stamp, row in zip(times.tolist(), columns.tolist(), strict=True):
+        rows.append(" ".join([repr(stamp).removesuffix(".0"), *(f"{v:.9f}" for v in row)]))
+    put(path, ("\n".join(rows) + "\n").encode())
+
+
+def read_table(
+    path: str | PathLike[str], columns: tuple[str, ...], *, unknown: tuple[str, ...] = ()
+) -> Table:
+    """Read rows of as many numbers as `columns` names, the first of which ascends strictly.
+
+    Of `unknown` columns a number may be NaN. Raises `InputError` as `read_tum` does.
+    """
+    path = Path(path)
+    names = " ".join(columns)
+    rows, lines = [], []
+    for number, line in enumerate(_text(path).splitlines(), 1):
+        words = line.partition("#")[0].split()
+        if not words:
+            continue
+        if len(words) != len(columns):
+            raise InputError(
+                f"{path}, line {number}: {len(words)} columns where {len(columns)} belong: `{names}`."
+            )
+        try:
+            rows.append([float(word) for word in words])
+        except ValueError as error:
+            raise InputError(f"{path}, line {number}: {error}; columns are `{names}`.") from error
+        lines.append(number)
+    if not rows:
+        raise InputError(f"{path} holds no row; a row is `{names}`.")
+    table = Table(path, np.array(rows), tuple(lines))
+    _check(table, columns, unknown)
+    return table
+
+
+def _check(table: Table, columns: tuple[str, ...], unknown: tuple[str, ...]) -> None:
+    finite = np.isfinite(table.values)
+    finite |= np.isnan(table.values) & np.isin(columns, unknown)
+    if not finite.all():
+        row, column = (int(i) for i in np.argwhere(~finite)[0])
+        raise table.error(
+            row, f"{columns[column]} is {table.values[row, column]}; drop the row and its image."
+        )
+    stamps = table.values[:, 0]
+    late = np.flatnonzero(np.diff(stamps) <= 0)
+    if late.size:
+        row = int(late[0]) + 1
+        how = "is repeated" if stamps[row] == stamps[row - 1] else "is earlier than the one before"
+        raise table.error(
+            row, f"the stamp {stamps[row]:.10g} {how}; stamps ascend from row to row."
+        )
+
+
+def _text(path: Path) -> str:
+    try:
+        return regular(path).read_text(encoding="utf-8-sig")
+    except FileNotFoundError as error:
+        raise InputError(f"{path} does not exist.") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path} is not text; expected rows of numbers.") from error
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"{path} cannot be read: {getattr(error, 'strerror', None) or error}."
+        ) from error

@@ -1,0 +1,46 @@
+# mypy: allow-untyped-defs, allow-incomplete-defs
+"""Compiled parts of `nearest`."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from placegraph.core.compiled import kernel
+
+
+@kernel
+def _key(x: NDArray[np.int64], y: NDArray[np.int64], z: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Number of a cell; cells that share it cost time, not truth."""
+    return (x * 73856093) ^ (y * 19349663) ^ (z * 83492791)
+
+
+@kernel
+def _search(
+    points: NDArray[np.float64],
+    among: NDArray[np.float64],
+    keys: NDArray[np.int64],
+    starts: NDArray[np.int64],
+    reach: float,
+) -> NDArray[np.int64]:
+    """Row of `among`, sorted by cell, that is nearest to each point, -1 beyond reach."""
+    rows = np.full(len(points), -1, np.int64)
+    for i in range(len(points)):
+        best = reach * reach
+        cell = np.floor(points[i] / reach).astype(np.int64)
+        for neighbour in range(27):
+            x = cell[0] + neighbour // 9 - 1
+            y = cell[1] + neighbour // 3 % 3 - 1
+            z = cell[2] + neighbour % 3 - 1
+            key = _key(x, y, z)
+            k = np.searchsorted(keys, key)
+            if k == len(keys) or keys[k] != key:
+                continue
+            for j in range(starts[k], starts[k + 1]):
+                dx = among[j, 0] - points[i, 0]
+                dy = among[j, 1] - points[i, 1]
+                dz = among[j, 2] - points[i, 2]
+                d2 = dx * dx + dy * dy + dz * dz
+                if d2 < best or (d2 == best and rows[i] < 0):
+                    best, rows[i] = d2, j
+    return rows

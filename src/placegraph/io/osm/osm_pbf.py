@@ -1,0 +1,300 @@
+"""Blocks of an `.osm.pbf` file as columns, read by compiled code that believes no length.
+
+A file is a row of blobs, each with a head; a blob holds a block of strings and of groups of nodes, ways
+or relations, compressed by zlib. `DamagedError` says what is wrong with one.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from placegraph.core.columns import starts
+from placegraph.io.osm import osm_pbf_kernels as kernels
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from typing import BinaryIO
+
+    from numpy.typing import NDArray
+
+    Numbers = NDArray[np.int64]
+
+HEAD_MOST, BLOB_MOST = 64 << 10, 32 << 20
+"""Bytes of a blob's head, and of what a blob holds, by the format's own rules."""
+KNOWN = {b"OsmSchema-V0.6", b"DenseNodes", b"HistoricalInformation"}
+"""Features without which a file cannot be understood."""
+FARTHEST = np.array([1_800_000_000, 900_000_000])
+"""Longitudes and latitudes reach so far, in steps of 1e-7 degrees."""
+AT_ONCE = 1 << 18
+"""Nodes of a block that is written, or of its ways, about."""
+MOST_FIELDS = 1 << 21
+"""Fields of one message: a block has thousands of strings, and 32 MiB room for 16 million."""
+NONE = np.zeros(0, np.int64)
+NODES, DENSE, WAYS, RELATIONS = 1, 2, 3, 4
+"""Fields of a group."""
+
+
+class DamagedError(ValueError):
+    """Bytes that are no PBF, and why."""
+
+
+class Blob(NamedTuple):
+    """Where a blob lies in its file."""
+
+    kind: bytes
+    begins: int
+    length: int
+
+
+class Rows(NamedTuple):
+    """Nodes, ways or relations of a block; `starts` (N + 1,) bound what each has of a list."""
+
+    ids: Numbers
+    versions: Numbers
+    tag_starts: Numbers
+    tags: Numbers
+    """Strings of keys and values by turns."""
+    lists: tuple[tuple[Numbers, Numbers], ...] = ()
+    """Starts and entries: of ways ids of nodes; of relations roles, ids and kinds of members."""
+    messages: Numbers = NONE.reshape(0, 2)
+    """(N, 2) where each message begins in the block, and how long it is."""
+    steps: Numbers = NONE.reshape(0, 2)
+    """(N, 2) of nodes longitude and latitude, in steps of 1e-7 degrees, wherever that is."""
+
+
+def blobs(file: BinaryIO) -> Iterator[Blob]:
+    """All blobs of a file; raises `DamagedError` where it ends within one."""
+    size, at = file.seek(0, 2), 0
+    while at < size:
+        file.seek(at)
+        head = file.read(4)
+        (length,) = struct.unpack(">I", head) if len(head) == 4 else (HEAD_MOST + 1,)
+        if length > HEAD_MOST:
+            raise DamagedError("no blob begins where one should")
+        said = np.frombuffer(file.read(length), np.uint8)
+        kind, blob = b"", -1
+        for number, value, begins in _fields(said):
+            if number == 1:
+                kind = said[begins : begins + value].tobytes()
+            elif number == -3:
+                blob = value
+        at += 4 + length + blob
+        if len(said) < length or not 0 <= blob <= BLOB_MOST or at > size:
+            raise DamagedError("it ends within a blob")
+        yield Blob(kind, at - blob, blob)
+
+
+def features(file: BinaryIO, blob: Blob) -> tuple[set[bytes], set[bytes]]:
+    """What the head of a file says it needs, and what else it says of itself."""
+    if blob.kind != b"OSMHeader":
+        raise DamagedError("it does not begin with a head")
+    data = inflated(file, blob)
+    said: tuple[set[bytes], set[bytes]] = set(), set()
+    for number, value, begins in _fields(data):
+        if number in (4, 5):
+            said[number - 4].add(data[begins : begins + value].tobytes())
+    if unknown := said[0] - KNOWN:
+        raise DamagedError(
+            f"it needs {min(unknown).decode(errors='replace')!r}, which is not known"
+        )
+    return said
+
+
+def inflated(file: BinaryIO, blob: Blob) -> NDArray[np.uint8]:
+    """Bytes of what a blob holds."""
+    file.seek(blob.begins)
+    data = np.frombuffer(file.read(blob.length), np.uint8)
+    parts, size = {}, -1
+    for number, value, begins in _fields(data):
+        if number == -2:
+            size = value
+        elif number > 0:
+            parts[number] = data[begins : begins + value]
+    if 1 in parts:
+        return parts[1]
+    if 3 not in parts:
+        raise DamagedError("it is compressed, and not by zlib; write it anew by `osmium cat`")
+    if not 0 <= size <= BLOB_MOST:
+        raise DamagedError(f"a blob says it holds {size} bytes")
+    unpacker = zlib.decompressobj()
+    try:
+        made = unpacker.decompress(parts[3].data, size + 1)
+    except zlib.error as error:
+        raise DamagedError(str(error)) from error
+    if len(made) != size or not unpacker.eof:
+        raise DamagedError("a blob does not hold what it says")
+    return np.frombuffer(made, np.uint8)
+
+
+def _fields(data: NDArray[np.uint8], at: int = 0, end: int | None = None) -> list[list[int]]:
+    found, good = kernels.fields(data, at, len(data) if end is None else end)
+    if not good or len(found) > MOST_FIELDS:
+        raise DamagedError(f"a message is cut off, or of more than {MOST_FIELDS} fields")
+    rows: list[list[int]] = found.tolist()
+    return rows
+
+
+class Block:
+    """What a blob of a file holds."""
+
+    def __init__(self, data: NDArray[np.uint8]) -> None:
+        self.data = data
+        self.granularity, self.south, self.west = 100, 0, 0
+        self.table = (0, 0)
+        """Where the table of strings begins, and ends."""
+        self.groups: list[tuple[int, int]] = []
+        for number, value, at in _fields(data):
+            if number == 1:
+                self.table = (at, at + value)
+            elif number == 2:
+                self.groups.append((at, at + value))
+            elif number == -17:
+                self.granularity = value
+            elif number == -19:
+                self.south = value
+            elif number == -20:
+                self.west = value
+
+    @cached_property
+    def strings(self) -> list[bytes]:
+        """Its table of strings."""
+        data = self.data.tobytes()
+        return [
+            data[at : at + n] for number, n, at in _fields(self.data, *self.table) if number == 1
+        ]
+
+    @cached_property
+    def holds(self) -> frozenset[int]:
+        """Fields of its groups: `NODES`, `DENSE` ones, `WAYS` or `RELATIONS`."""
+        kinds = [np.abs(kernels.fields(self.data, *group)[0][:, 0]) for group in self.groups]
+        return frozenset(np.unique(np.concatenate(kinds)).tolist()) if kinds else frozenset()
+
+    def nodes(self) -> Rows:
+        """Its nodes."""
+        made = [self._dense(at, at + n) for group in self.groups if DENSE in self.holds
+                for number, n, at in _fields(self.data, *group) if number == DENSE and n]  # fmt: skip
+        if NODES in self.holds:
+            rows, lists = self._elements(NODES)
+            (lat_starts, lat), (lon_starts, lon), _ = lists
+            if (np.diff(lat_starts) != 1).any() or (np.diff(lon_starts) != 1).any():
+                raise DamagedError("a node has no position")
+            ids = kernels.signed_of(rows.ids)
+            at = self._steps(kernels.signed_of(lon), kernels.signed_of(lat))
+            made.append(rows._replace(ids=ids, steps=at))
+        if len(made) < 2:
+            return made[0] if made else Rows(NONE, NONE, starts([]), NONE)
+        ids, versions, steps = (
+            np.concatenate([getattr(rows, name) for rows in made])
+            for name in ("ids", "versions", "steps")
+        )
+        counts = np.concatenate([np.diff(rows.tag_starts) for rows in made])
+        tags = np.concatenate([rows.tags for rows in made])
+        return Rows(ids, versions, starts(counts), tags, steps=steps)
+
+    def ways(self) -> Rows:
+        """Its ways, with the ids of their nodes."""
+        rows, lists = self._elements(WAYS)
+        starts, refs = lists[0]
+        return rows._replace(lists=((starts, kernels.summed(starts, refs)),))
+
+    def relations(self) -> Rows:
+        """Its relations, with roles, ids and kinds (as `NODE`, `WAY` and `RELATION`) of their members."""
+        rows, (roles, ids, kinds) = self._elements(RELATIONS)
+        if not (np.array_equal(roles[0], ids[0]) and np.array_equal(ids[0], kinds[0])):
+            raise DamagedError("members of a relation lack something")
+        if _outside(roles[1], len(self.strings)) or _outside(kinds[1], 3):
+            raise DamagedError("a member of a relation is none")
+        return rows._replace(lists=(roles, (ids[0], kernels.summed(*ids)), kinds))
+
+    def _dense(self, at: int, end: int) -> Rows:
+        ids, versions, lat, lon, tags, good = kernels.dense(self.data, at, end)
+        if good:
+            starts, pairs, good = kernels.tags_of(tags, len(ids), len(self.strings))
+        if not good:
+            raise DamagedError("dense nodes contradict each other")
+        return Rows(ids, versions, starts, pairs, steps=self._steps(lon, lat))
+
+    def _elements(self, kind: int) -> tuple[Rows, list[tuple[Numbers, Numbers]]]:
+        groups = np.array(self.groups, np.int64).reshape(-1, 2)
+        head, starts, entries, good = kernels.elements(self.data, groups, kind, len(self.strings))
+        if not good:
+            raise DamagedError(
+                f"{'ways' if kind == WAYS else 'elements'} of a block contradict each other"
+            )
+        bounds = np.ascontiguousarray(starts.T)
+        lists = [(bounds[k], entries[k, : bounds[k, -1]]) for k in range(4)]
+        return Rows(head[:, 0], head[:, 1], *lists[0], messages=head[:, 2:]), lists[1:]
+
+    def _steps(self, longitudes: Numbers, latitudes: Numbers) -> Numbers:
+        """Positions in steps of 1e-7 degrees, cut off as osmium cuts them."""
+        found = np.stack([longitudes, latitudes], 1)
+        if (self.granularity, self.south, self.west) == (100, 0, 0):
+            return found
+        fine = found * self.granularity + (self.west, self.south)
+        made: Numbers = np.where(fine < 0, -(-fine // 100), fine // 100)
+        return made
+
+
+def _outside(values: Numbers, end: int) -> bool:
+    return bool(len(values)) and not 0 <= values.min() <= values.max() < end
+
+
+def written(
+    ids: Numbers, starts: Numbers, steps: NDArray[np.int32], known: NDArray[np.bool_],
+    block: Block, messages: Numbers,
+) -> bytes:  # fmt: skip
+    """A file of ways, the known ones of their points as nodes of their own, and relations of a block."""
+    blobs, numbers = [], 1 + np.arange(len(steps))
+    for at in range(0, len(steps), AT_ONCE):
+        rows = at + np.flatnonzero(known[at : at + AT_ONCE])
+        lon, lat = (differences(steps[rows, axis].astype(np.int64)) for axis in (0, 1))
+        dense = text(1, differences(numbers[rows])) + text(8, lat) + text(9, lon)
+        blobs.append(text(1, text(1, b"")) + text(2, text(2, dense)))
+    ways: list[bytes] = []
+    first = 0
+    for identity, a, b in zip(ids.tolist(), starts[:-1].tolist(), starts[1:].tolist(), strict=True):
+        refs = differences(numbers[a : min(a + 1, b)]) + b"\2" * (b - a - 1)
+        ways.append(text(3, b"\x08" + number(identity % 2**64) + text(8, refs)))
+        if b - first + len(ways) >= AT_ONCE:
+            blobs.append(text(1, text(1, b"")) + text(2, b"".join(ways)))
+            ways, first = [], b
+    blobs.append(text(1, text(1, b"")) + text(2, b"".join(ways)))
+    data = block.data.tobytes()
+    relations = b"".join(text(4, data[at : at + n]) for at, n in messages.tolist())
+    blobs.append(text(1, data[slice(*block.table)]) + text(2, relations))
+    head = text(4, b"OsmSchema-V0.6") + text(4, b"DenseNodes")
+    return blob_of(b"OSMHeader", head) + b"".join(blob_of(b"OSMData", b) for b in blobs)
+
+
+def blob_of(kind: bytes, data: bytes) -> bytes:
+    """A blob as it stands in a file, not compressed."""
+    blob = text(1, data)
+    head = text(1, kind) + b"\x18" + number(len(blob))
+    return struct.pack(">I", len(head)) + head + blob
+
+
+def text(field: int, data: bytes) -> bytes:
+    """A field of so many bytes."""
+    return number(field << 3 | 2) + number(len(data)) + data
+
+
+def number(value: int) -> bytes:
+    """A whole number from 0 on."""
+    made = bytearray()
+    while value > 0x7F:
+        made.append(value & 0x7F | 0x80)
+        value >>= 7
+    made.append(value)
+    return bytes(made)
+
+
+def differences(values: Numbers) -> bytes:
+    """Whole numbers as differences (zigzag), packed."""
+    steps = np.diff(values, prepend=0)
+    made: bytes = kernels.varints((steps << 1) ^ (steps >> 63)).tobytes()
+    return made

@@ -1,0 +1,270 @@
+# mypy: allow-untyped-defs, allow-incomplete-defs
+"""Compiled parts of `osm_pbf`: what a block of protocol buffers holds, as columns.
+
+Bytes are believed by nobody: each length is compared with what is left, and whoever finds something
+wrong returns -1 for the place where it is.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from placegraph.core.compiled import kernel
+
+VARINT, EIGHT, BYTES, FOUR = 0, 1, 2, 5
+"""How the value of a field is written."""
+
+
+@kernel(inline="always")
+def varint(data, at, end):
+    """A whole number of up to 64 bits, and where the next byte is; -1 where it is cut off or longer."""
+    value, shift = np.int64(0), np.int64(0)
+    while at < end and shift < 70:
+        byte = np.int64(data[at])
+        at += 1
+        if shift < 64:
+            value |= (byte & 0x7F) << shift
+        if byte < 0x80:
+            return value, at
+        shift += 7
+    return value, np.int64(-1)
+
+
+@kernel(inline="always")
+def signed(value):
+    """A number whose sign is its lowest bit (zigzag)."""
+    return ((value >> 1) & 0x7FFFFFFFFFFFFFFF) ^ -(value & 1)
+
+
+@kernel
+def field(data, at, end):
+    """Next field of a message: its number, its value or the length of its bytes, where it and the next begin.
+
+    The last is -1 where it reaches beyond the end; numbers of plain values are negative.
+    """
+    key, at = varint(data, at, end)
+    wire, number, value = key & 7, key >> 3, np.int64(0)
+    if at < 0 or number < 1:
+        return number, value, at, np.int64(-1)
+    if wire == VARINT:
+        value, after = varint(data, at, end)
+        return -number, value, at, after
+    if wire == BYTES:
+        value, at = varint(data, at, end)
+    elif wire in (EIGHT, FOUR):
+        number, value = np.int64(1) << 40, np.int64(8 if wire == EIGHT else 4)  # nothing of ours
+    else:
+        return number, value, at, np.int64(-1)
+    if at < 0 or value < 0 or value > end - at:
+        return number, value, at, np.int64(-1)
+    return number, value, at, at + value
+
+
+@kernel
+def fields(data, at, end):
+    """All fields of a message (F, 3): number (negative: a value), value or length, and where it begins.
+
+    And whether the message is sound.
+    """
+    found, n = np.empty((16, 3), np.int64), 0
+    while at < end:
+        number, value, begins, at = field(data, at, end)
+        if at < 0:
+            return found[:0], False
+        if n == len(found):
+            found = np.concatenate((found, np.empty_like(found)))
+        found[n, 0], found[n, 1], found[n, 2] = number, value, begins
+        n += 1
+    return found[:n], True
+
+
+@kernel(inline="always")
+def numbers(data, number, value, at, out, used):
+    """A field's numbers, packed or one alone, put behind the `used` ones; how many there are then, or -1."""
+    if number < 0:
+        out[used] = value
+        return used + 1
+    end = at + value
+    while at < end:
+        out[used], at = varint(data, at, end)
+        if at < 0:
+            return -1
+        used += 1
+    return used
+
+
+@kernel(inline="always")
+def version(data, at, end):
+    """Version in an element's `Info`; -1 where that is damaged."""
+    found = np.int64(0)
+    while at < end:
+        number, value, _, at = field(data, at, end)
+        if at < 0 or (number == -1 and value < 0):
+            return np.int64(-1)
+        if number == -1:
+            found = value
+    return found
+
+
+@kernel
+def dense(data, at, end):
+    """Dense nodes: ids, versions, latitudes, longitudes, their tags as they follow, and if all is sound.
+
+    Ids and positions are differences no more.
+    """
+    room = end - at
+    ids, lat, lon = np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room, np.int64)
+    tags, versions = np.empty(room, np.int64), np.empty(room, np.int64)
+    n = n_lat = n_lon = n_tags = n_versions = 0
+    while at < end:
+        number, value, begins, at = field(data, at, end)
+        if at < 0:
+            n = -1
+        elif abs(number) == 1:
+            n = numbers(data, number, value, begins, ids, n)
+        elif abs(number) == 8:
+            n_lat = numbers(data, number, value, begins, lat, n_lat)
+        elif abs(number) == 9:
+            n_lon = numbers(data, number, value, begins, lon, n_lon)
+        elif abs(number) == 10:
+            n_tags = numbers(data, number, value, begins, tags, n_tags)
+        elif number == 5:
+            within, stop = begins, begins + value
+            while within < stop and n_versions >= 0:
+                inner, size, begins, within = field(data, within, stop)
+                if within < 0:
+                    n_versions, within = -1, stop
+                elif abs(inner) == 1:
+                    n_versions = numbers(data, inner, size, begins, versions, n_versions)
+        if min(n, n_lat, n_lon, n_tags, n_versions) < 0:
+            return ids[:0], ids[:0], lat[:0], lon[:0], tags[:0], False
+    good = n == n_lat == n_lon and (n_versions == n or n_versions == 0)
+    if n_versions == 0:
+        versions[:n] = 0
+    identity = y = x = np.int64(0)
+    for i in range(n if good else 0):
+        identity += signed(ids[i])
+        y += signed(lat[i])
+        x += signed(lon[i])
+        ids[i], lat[i], lon[i] = identity, y, x
+    return ids[:n], versions[:n], lat[:n_lat], lon[:n_lon], tags[:n_tags], good
+
+
+@kernel
+def tags_of(tags, nodes, n_strings):
+    """Tags of dense nodes as CSR: starts, and keys and values by turns; and whether they are sound."""
+    starts, pairs, used, row = np.zeros(nodes + 1, np.int64), np.empty(len(tags), np.int64), 0, 0
+    at = 0
+    while at < len(tags):
+        if tags[at] == 0:
+            row += 1
+            if row > nodes:
+                return starts, pairs[:0], False
+            starts[row] = used
+            at += 1
+            continue
+        if at + 1 == len(tags) or row == nodes:
+            return starts, pairs[:0], False
+        key, value = tags[at], tags[at + 1]
+        if not (0 < key < n_strings and 0 <= value < n_strings):
+            return starts, pairs[:0], False
+        pairs[used], pairs[used + 1] = key, value
+        used += 2
+        at += 2
+    return starts, pairs[:used], row == nodes or len(tags) == 0
+
+
+@kernel
+def elements(data, groups, wanted, n_strings):
+    """Nodes, ways or relations of one kind, each a message of its own, of groups (G, 2) from where to where.
+
+    `wanted` is the field of a group that holds them. Returns, a row each: id as it is written, version,
+    where its message begins and how long it is; then starts and entries of its tags (keys and values by
+    turns) and of its fields 8, 9 and 10; and whether all is sound.
+    """
+    room = 0
+    for g in range(len(groups)):
+        room += groups[g, 1] - groups[g, 0]
+    head, n = np.empty((256, 4), np.int64), 0
+    starts = np.zeros((256, 4), np.int64)
+    entries = np.empty((4, room), np.int64)
+    keys, values = np.empty(room, np.int64), np.empty(room, np.int64)
+    used = np.zeros(4, np.int64)
+    for g in range(len(groups)):
+        at, end = groups[g]
+        while at < end:
+            number, size, within, at = field(data, at, end)
+            if at < 0:
+                return head[:0], starts[:1], entries, False
+            if number != wanted:
+                continue
+            if n + 2 > len(head):
+                head = np.concatenate((head, np.empty_like(head)))
+                starts = np.concatenate((starts, np.zeros_like(starts)))
+            head[n, 0], head[n, 1], head[n, 2], head[n, 3] = 0, 0, within, size
+            n_keys = n_values = 0
+            stop, named = within + size, False
+            while within < stop:
+                inner, value, begins, within = field(data, within, stop)
+                if within < 0:
+                    return head[:0], starts[:1], entries, False
+                if inner == -1:
+                    head[n, 0], named = value, True
+                elif abs(inner) == 2:
+                    n_keys = numbers(data, inner, value, begins, keys, n_keys)
+                elif abs(inner) == 3:
+                    n_values = numbers(data, inner, value, begins, values, n_values)
+                elif inner == 4:
+                    head[n, 1] = version(data, begins, begins + value)
+                elif 8 <= abs(inner) <= 10:
+                    k = abs(inner) - 7
+                    used[k] = numbers(data, inner, value, begins, entries[k], used[k])
+                if min(n_keys, n_values, head[n, 1], used.min()) < 0:
+                    return head[:0], starts[:1], entries, False
+            if not named or n_keys != n_values:
+                return head[:0], starts[:1], entries, False
+            for i in range(n_keys):
+                if not (0 <= keys[i] < n_strings and 0 <= values[i] < n_strings):
+                    return head[:0], starts[:1], entries, False
+                entries[0, used[0]], entries[0, used[0] + 1] = keys[i], values[i]
+                used[0] += 2
+            n += 1
+            for k in range(4):
+                starts[n, k] = used[k]
+    return head[:n], starts[: n + 1], entries, True
+
+
+@kernel
+def signed_of(values):
+    """Numbers whose signs are their lowest bits."""
+    out = np.empty(len(values), np.int64)
+    for i in range(len(values)):
+        out[i] = signed(values[i])
+    return out
+
+
+@kernel
+def summed(starts, values):
+    """Values of each row of a CSR that were written as differences (zigzag), made whole."""
+    out = np.empty(len(values), np.int64)
+    for row in range(len(starts) - 1):
+        total = np.int64(0)
+        for i in range(starts[row], starts[row + 1]):
+            total += signed(values[i])
+            out[i] = total
+    return out
+
+
+@kernel
+def varints(values):
+    """Bytes of whole numbers, one after the other."""
+    out, at = np.empty(10 * len(values), np.uint8), 0
+    for i in range(len(values)):
+        value = values[i]
+        while value < 0 or value > 0x7F:
+            out[at] = (value & 0x7F) | 0x80
+            value = (value >> 7) & 0x01FFFFFFFFFFFFFF
+            at += 1
+        out[at] = value
+        at += 1
+    return out[:at]

@@ -1,0 +1,69 @@
+"""Files of a ZIP: as the standard library reads them, and refused where they are spoilt."""
+
+import zipfile
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from placegraph.errors import InputError
+from placegraph.io.capture.archive import Archive
+
+FILES = {"a/one.txt": b"one" * 50, "b/two.bin": bytes(range(256)), "empty": b""}
+
+
+def zipped(path, compression=zipfile.ZIP_DEFLATED):
+    with zipfile.ZipFile(path, "w", compression) as archive:
+        archive.mkdir("a")
+        for name, data in FILES.items():
+            archive.writestr(name, data)
+    return path
+
+
+@pytest.mark.parametrize("compression", [zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED])
+def test_files_by_name(compression, tmp_path):
+    path = zipped(tmp_path / "a.zip", compression)
+    archive = Archive(path)
+    assert archive.names == FILES.keys()
+    assert {name: archive.read(name) for name in archive.names} == FILES
+    flat = Archive(path, flat=True)
+    assert flat.names == {"one.txt", "two.bin", "empty"}
+    assert flat.read("two.bin") == FILES["b/two.bin"]
+    with pytest.raises(InputError, match=r"a\.zip holds no one\.txt"):
+        archive.read("one.txt")
+
+
+def test_what_is_too_large_is_refused(tmp_path, monkeypatch):
+    archive = Archive(zipped(tmp_path / "a.zip"))
+    monkeypatch.setattr("placegraph.io.capture.archive._MOST", 200)
+    assert archive.read("a/one.txt") == FILES["a/one.txt"]
+    with pytest.raises(InputError, match="would have 256 bytes"):
+        archive.read("b/two.bin")
+
+
+@settings(
+    max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(data=st.data())
+def test_spoilt_archives(data, tmp_path):
+    path = zipped(tmp_path / "a.zip")
+    whole = bytearray(path.read_bytes())
+    at = data.draw(st.integers(0, len(whole) - 1))
+    if data.draw(st.booleans()):
+        del whole[at:]
+    else:
+        whole[at] ^= data.draw(st.integers(1, 255))
+    path.write_bytes(whole)
+    try:
+        archive = Archive(path)
+        for name in archive.names & FILES.keys():
+            assert archive.read(name) == FILES[name]
+    except InputError:
+        return
+
+
+def test_a_file_without_a_name_is_refused(tmp_path):
+    path = zipped(tmp_path / "a.zip")
+    path.write_bytes(path.read_bytes().replace(b"empty", b"\0mpty"))
+    with pytest.raises(InputError, match="readable ZIP"):
+        Archive(path)

@@ -1,0 +1,120 @@
+"""Which recorder, and whose poses."""
+
+import json
+
+import numpy as np
+import pytest
+
+import placegraph as pg
+from placegraph.errors import InputError, OptionError
+from placegraph.io.capture.capture import FORMATS, format_of, is_capture, open_capture
+from placegraph.io.capture.tum import read_tum, write_tum
+
+
+@pytest.fixture
+def walk(folder, recorded, save):
+    """Capture folder of a recorded walk: its odometry is false, `trajectory.tum` is true."""
+    world = recorded()
+    path = folder.path / "walk"
+    for i in range(len(world)):
+        save(path / "rgb" / f"{i}.png", world.rgb[i])
+        save(path / "depth" / f"{i}.png", world.units(i))
+    content = world.cameras[0].to_dict() | {"depth": world.depth_cameras[0].to_dict()}
+    (path / "camera.json").write_text(json.dumps(content))
+    false = world.poses.copy()
+    false[:, :3, 3] += np.arange(len(world))[:, None]
+    write_tum(path / "odometry.tum", world.stamps, false)
+    write_tum(path / "trajectory.tum", world.stamps, world.poses)
+    return path
+
+
+def test_odometry_unless_the_truth_is_asked_for(walk, recorded):
+    for poses in (None, "odometry"):
+        own = open_capture(walk, poses=poses).odometry
+        np.testing.assert_allclose(own[3, :3, 3] - recorded().poses[3, :3, 3], 3.0, atol=1e-6)
+    recorded().check(open_capture(walk, poses="trajectory"), sure=False)
+
+
+def test_the_truth_may_be_missing(walk):
+    (walk / "trajectory.tum").unlink()
+    open_capture(walk)
+    with pytest.raises(InputError, match=r"trajectory.tum does not exist"):
+        open_capture(walk, poses="trajectory")
+
+
+def test_a_file_of_poses(walk, recorded, tmp_path):
+    world = recorded()
+    rows = tmp_path / "rows.tum"
+    write_tum(rows, np.arange(4), world.poses)  # as many rows as images: stamps do not matter
+    world.check(open_capture(walk, poses=rows), sure=False)
+    write_tum(rows, world.stamps[1:] + 0.015, world.poses[1:])
+    capture = pg.open_capture(str(walk), poses=str(rows))
+    world.check(capture, [1, 2, 3], sure=False)
+    assert capture.left_out == {"no pose in rows.tum": 1}
+    write_tum(rows, world.stamps[1:] + 0.1, world.poses[1:])
+    with pytest.raises(InputError, match=r"rows.tum has 3 rows for 4 images, and no stamp.*20 ms"):
+        open_capture(walk, poses=rows)
+    with pytest.raises(InputError, match="does not exist"):
+        open_capture(walk, poses=tmp_path / "no.tum")
+
+
+def test_gravity_comes_with_the_poses(walk):
+    stamps = read_tum(walk / "odometry.tum").stamps
+    (walk / "gravity.txt").write_text("".join(f"{s} 0 0.6 0.8\n" for s in stamps))
+    np.testing.assert_allclose(open_capture(walk).gravity, [[0, 0.6, 0.8]] * 4)
+    capture = open_capture(walk, poses="trajectory")
+    np.testing.assert_allclose(capture.gravity, -capture.odometry[:, 2, :3], atol=1e-9)
+
+
+def test_poses_of_images_as_they_are_stored(recorded, save, tmp_path):
+    """A telephone's images are turned upright, whoever's poses they get."""
+    world = recorded(turns=1)
+    for i in range(len(world)):
+        c = world.cameras[i]
+        content = {"cameraPoseARFrame": np.eye(4).ravel().tolist(), "time": float(world.stamps[i]),
+                   "intrinsics": [c.fx, 0, c.cx, 0, c.fy, c.cy, 0, 0, 1]}  # fmt: skip
+        pose = world.arkit(i).copy()
+        pose[:3, 3] += 1.0
+        content["cameraPoseARFrame"] = pose.ravel().tolist()
+        (tmp_path / f"frame_{i:05d}.json").write_text(json.dumps(content))
+        save(tmp_path / f"frame_{i:05d}.jpg", world.rgb[i], quality=97)
+        save(tmp_path / f"depth_{i:05d}.png", world.units(i))
+        save(tmp_path / f"conf_{i:05d}.png", world.sure[i])
+    write_tum(tmp_path / "better.tum", world.stamps, world.poses)
+    world.check(open_capture(tmp_path, poses=tmp_path / "better.tum"))
+
+
+def test_what_is_known_is_listed(tmp_path):
+    with pytest.raises(InputError) as caught:
+        open_capture(tmp_path)
+    for known in FORMATS:
+        assert known.name in str(caught.value)
+    assert not is_capture(tmp_path)
+    assert not is_capture(tmp_path / "no")
+
+
+def test_formats_are_told_by_what_lies_there(walk, tmp_path):
+    (walk / "preview.mp4").touch()
+    assert format_of(walk).name == "capture folder"
+    assert is_capture(walk)
+    for name, files in {
+        "TUM RGB-D": ("rgb.txt", "depth.txt"), "Stray Scanner": ("odometry.csv", "camera_matrix.csv"),
+        "Polycam": ("keyframes/cameras/1.json",), "Record3D": ("metadata", "rgbd/0.jpg"),
+        "3D Scanner App": ("frame_00000.json",), "ARKitScenes": ("lowres_wide.traj",),
+        "MultiScan": ("x.jsonl", "x.mp4"), "ios_logger": ("Frames.txt", "ARposes.txt"),
+        "a video with a trajectory": ("x.mov", "camera.json"),
+        "NeRFCapture, Spectacular AI and nerfstudio": ("transforms.json",),
+        "COLMAP": ("sparse/0/cameras.bin", "sparse/0/images.bin"),
+    }.items():  # fmt: skip
+        for file in files:
+            (tmp_path / name / file).parent.mkdir(parents=True, exist_ok=True)
+            (tmp_path / name / file).touch()
+        assert format_of(tmp_path / name).name == name
+        with pytest.raises(InputError, match=str(tmp_path / name)):  # empty files, all of them
+            open_capture(tmp_path / name)
+
+
+def test_options_that_mean_nothing(walk):
+    for options in ({"scale": 2.0}, {"up": [0, 0, 1]}):
+        with pytest.raises(OptionError, match="not an option of capture folder"):
+            open_capture(walk, **options)

@@ -1,0 +1,167 @@
+"""TUM trajectories: read back as written, refused with file and line where they are wrong."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from placegraph.core.geometry import rotation_from_quaternion
+from placegraph.errors import InputError, OptionError
+from placegraph.io.capture.tum import read_table, read_tum, write_tum
+
+GOOD = "# stamp and pose\n\n0.0 1 2 3 0 0 0 1\n0.5 1 2 4 0 0 1 0  # turned\n"
+
+
+@pytest.fixture
+def write(tmp_path):
+    def written(text):
+        path = tmp_path / "a.tum"
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
+        return path
+
+    return written
+
+
+def test_rows_become_stamps_and_poses(write):
+    read = read_tum(write(GOOD))
+    assert read.stamps.tolist() == [0.0, 0.5]
+    assert len(read) == 2
+    np.testing.assert_array_equal(
+        read.poses[0], [[1, 0, 0, 1], [0, 1, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]]
+    )
+    np.testing.assert_allclose(read.poses[1, :3, :3], np.diag([-1.0, -1.0, 1.0]))
+    assert not read.poses.flags.writeable
+    assert not read.stamps.flags.writeable
+
+
+@pytest.mark.parametrize(
+    "text",
+    [GOOD.replace("\n", "\r\n"), GOOD.replace(" ", "\t"), "﻿" + GOOD, GOOD.rstrip("\n")],
+    ids=["windows", "tabs", "byte order mark", "no last newline"],
+)
+def test_the_same_text_in_other_clothes(text, write):
+    np.testing.assert_array_equal(read_tum(write(text)).poses, read_tum(write(GOOD)).poses)
+
+
+@pytest.mark.parametrize(
+    ("row", "says"),
+    [
+        ("0.5 1 2 3 0 0 0", "line 4: 7 columns where 8"),
+        ("0.5 1 2 3 0 0 0 1 9", "line 4: 9 columns"),
+        ("0.5 1 2 x 0 0 0 1", "line 4.*'x'"),
+        ("0.5 1 2 nan 0 0 0 1", "line 4: tz is nan"),
+        ("0.5 inf 2 3 0 0 0 1", "line 4: tx is inf"),
+        ("0.5 1 2 3 nan 0 0 1", "line 4: qx is nan"),
+        ("nan 1 2 3 0 0 0 1", "line 4: stamp is nan"),
+        ("0.0 1 2 3 0 0 0 1", "line 4: the stamp 0 is repeated"),
+        ("-0.5 1 2 3 0 0 0 1", "line 4: the stamp -0.5 is earlier"),
+        ("0.5 1 2 3 0 0 0 1.01", "line 4: the quaternion has length 1.01"),
+        ("0.5 1 2 3 0 0 0 0", "line 4: the quaternion has length 0"),
+        ("0.5 1 2 3 0 0 1e300 1", "line 4: the quaternion has length"),
+    ],
+)
+def test_a_wrong_row_is_named(row, says, write):
+    lines = GOOD.splitlines()
+    path = write("\n".join([*lines[:3], row]))
+    with pytest.raises(InputError, match=says) as caught:
+        read_tum(path)
+    assert str(path) in str(caught.value)
+
+
+def test_rounded_quaternions_are_normalised(write):
+    read = read_tum(write("0 0 0 0 0 0 0.7075 0.7075"))  # of length 1.0005
+    np.testing.assert_allclose(
+        read.poses[0, :3, :3] @ read.poses[0, :3, :3].T, np.eye(3), atol=1e-12
+    )
+
+
+@pytest.mark.parametrize("text", ["", "\n\n", "# only words\n"])
+def test_a_file_without_rows(text, write):
+    with pytest.raises(InputError, match="holds no row"):
+        read_tum(write(text))
+
+
+def test_what_cannot_be_read(tmp_path, write):
+    with pytest.raises(InputError, match="does not exist"):
+        read_tum(tmp_path / "no.tum")
+    with pytest.raises(InputError, match="cannot be read"):
+        read_tum(tmp_path)
+    with pytest.raises(InputError, match="not text"):
+        read_tum(write(b"\xff\xfe\x00\x01"))
+
+
+def test_tables_name_their_columns(write):
+    path = write("0 1 2\n1 3 4\n")
+    table = read_table(path, ("stamp", "gx", "gy"))
+    assert table.values.tolist() == [[0, 1, 2], [1, 3, 4]]
+    assert table.lines == (1, 2)
+    with pytest.raises(InputError, match="`stamp gx`"):
+        read_table(path, ("stamp", "gx"))
+
+
+# --- writing ---
+
+unit = st.lists(st.floats(-1, 1), min_size=4, max_size=4).filter(lambda q: np.linalg.norm(q) > 0.1)
+
+
+@given(
+    stamps=st.lists(st.floats(-1e9, 2e9), min_size=1, max_size=4, unique=True),
+    position=st.lists(st.floats(-1e4, 1e4), min_size=3, max_size=3),
+    quaternion=unit,
+)
+def test_what_is_written_is_read_back(stamps, position, quaternion, tmp_path_factory):
+    path = tmp_path_factory.mktemp("tum") / "a.tum"
+    poses = np.tile(np.eye(4), (len(stamps), 1, 1))
+    poses[:, :3, :3] = rotation_from_quaternion(quaternion)
+    poses[:, :3, 3] = position
+    write_tum(path, sorted(stamps), poses, comment="map_from_camera\nmetres")
+    read = read_tum(path)
+    assert read.stamps.tolist() == sorted(stamps)
+    np.testing.assert_allclose(read.poses, poses, atol=2e-8)
+
+
+def test_whole_stamps_stay_whole(tmp_path):
+    write_tum(tmp_path / "a.tum", [7, 8], np.tile(np.eye(4), (2, 1, 1)), comment="frames")
+    assert (tmp_path / "a.tum").read_text().splitlines()[:2] == [
+        "# frames",
+        "7 0.000000000 0.000000000 0.000000000 0.000000000 0.000000000 0.000000000 1.000000000",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("stamps", "poses", "says"),
+    [
+        ([0, 1], np.eye(4)[None], "shape"),
+        ([[0]], np.eye(4)[None], "shape"),
+        ([np.nan], np.eye(4)[None], "not finite"),
+        ([0], np.full((1, 4, 4), np.inf), "not finite"),
+        ([1, 1], np.tile(np.eye(4), (2, 1, 1)), "do not ascend"),
+    ],
+)
+def test_what_would_not_be_read_is_not_written(stamps, poses, says, tmp_path):
+    with pytest.raises(OptionError, match=says):
+        write_tum(tmp_path / "a.tum", stamps, poses)
+    assert not (tmp_path / "a.tum").exists()
+
+
+# --- damage ---
+
+
+@given(data=st.data())
+def test_damaged_files_give_one_kind_of_error(data, tmp_path_factory):
+    path = tmp_path_factory.mktemp("tum") / "a.tum"
+    text = bytearray(GOOD.encode())
+    for _ in range(data.draw(st.integers(1, 4))):
+        text[data.draw(st.integers(0, len(text) - 1))] = data.draw(st.integers(0, 255))
+    path.write_bytes(bytes(text[: data.draw(st.integers(0, len(text)))]))
+    try:
+        read = read_tum(path)
+    except InputError as error:
+        assert str(path) in str(error)  # noqa: PT017  # either is right
+    else:
+        assert np.isfinite(read.poses).all()
+
+
+def test_shared_trajectories(shared):
+    for name, rows in (("house/seq00/odometry.tum", 25), ("office/odometry.tum", 373)):
+        assert len(read_tum(shared / "data" / name)) == rows

@@ -1,0 +1,364 @@
+"""PLY meshes and label tables: text and binary alike, ids by vertex or face."""
+
+import json
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from placegraph.errors import InputError
+from placegraph.io.capture.labels import Entry, label_table
+from placegraph.io.mesh.ply import read_ply
+
+FORMS = ("ascii", "binary_little_endian", "binary_big_endian")
+CODES = {
+    "float": "f",
+    "double": "d",
+    "uchar": "B",
+    "int": "i",
+    "uint": "I",
+    "short": "h",
+    "ushort": "H",
+}
+SQUARE = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]
+
+
+def ply(form, *elements):
+    """Bytes of a file; an element is a name, its properties as {name: type} and its rows.
+
+    A type such as "uchar int" makes a list.
+    """
+    lines = ["ply", f"format {form} 1.0", "comment made by hand"]
+    body = b""
+    order = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}[form]
+    for name, properties, rows in elements:
+        lines.append(f"element {name} {len(rows)}")
+        for key, kind in properties.items():
+            lines.append(f"property {'list ' if ' ' in kind else ''}{kind} {key}")
+        for row in rows:
+            values = []
+            for kind, value in zip(properties.values(), row, strict=True):
+                if " " in kind:
+                    length, entry = kind.split()
+                    values += [(length, len(value)), *((entry, v) for v in value)]
+                else:
+                    values.append((kind, value))
+            if order:
+                body += b"".join(struct.pack(order + CODES[k], v) for k, v in values)
+            else:
+                body += " ".join(str(v) for _, v in values).encode() + b"\n"
+    return "\n".join([*lines, "end_header"]).encode() + b"\n" + body
+
+
+def vertices(points=SQUARE, **columns):
+    """Vertex element with further columns, each as a type and values."""
+    properties = {"x": "float", "y": "double", "z": "float"}
+    properties |= {name: kind for name, (kind, _) in columns.items()}
+    extra = [values for _, values in columns.values()]
+    return "vertex", properties, [(*p, *e) for p, *e in zip(points, *extra, strict=True)]
+
+
+def faces(*rows, name="vertex_indices", **columns):
+    properties = {name: "uchar int"} | {key: kind for key, (kind, _) in columns.items()}
+    extra = [values for _, values in columns.values()]
+    return "face", properties, [(r, *e) for r, *e in zip(rows, *extra, strict=True)]
+
+
+@pytest.fixture
+def write(tmp_path):
+    def written(*elements, form="ascii", name="a.ply"):
+        path = tmp_path / name
+        path.write_bytes(ply(form, *elements))
+        return path
+
+    return written
+
+
+def ids(model):
+    return [t.id for t in model.things]
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_the_same_mesh_in_every_form(form, write):
+    model = read_ply(
+        write(
+            vertices(red=("uchar", [1, 2, 3, 4]), green=("uchar", [5] * 4), blue=("uchar", [255] * 4),
+                     objectId=("short", [7, 7, 7, 9])),
+            faces([0, 1, 2], [0, 2, 3]),
+            form=form,
+        )
+    )  # fmt: skip
+    np.testing.assert_array_equal(model.vertices, SQUARE)
+    assert model.triangles.tolist() == [[0, 1, 2], [0, 2, 3]]
+    assert model.colours.tolist() == [[1, 5, 255], [2, 5, 255], [3, 5, 255], [4, 5, 255]]
+    assert ids(model) == ["7"]
+    assert model.thing_of.tolist() == [0, 0]
+    assert [t.label for t in model.things] == ["unknown"]
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_polygons_become_fans(form, write):
+    hexagon = [(np.cos(a), np.sin(a), 0.0) for a in np.arange(6)]
+    mixed = faces([0, 1, 2, 3], [0, 1], [], [5, 4, 3], [0, 1, 2, 3, 4], id=("int", [1, 2, 3, 4, 5]))
+    path = write(vertices(hexagon), mixed, ("other", {"a": "uchar"}, [(3,)]), form=form)
+    model = read_ply(path, object_property="ID")
+    assert model.triangles.tolist() == [
+        [0, 1, 2], [0, 2, 3], [5, 4, 3], [0, 1, 2], [0, 2, 3], [0, 3, 4],
+    ]  # fmt: skip
+    assert [ids(model)[i] for i in model.thing_of] == ["1", "1", "4", "5", "5", "5"]
+
+
+@pytest.mark.parametrize("name", ["objectId", "object_id", "OBJECT_ID", "label", "instance"])
+def test_known_names_of_ids(name, write):
+    model = read_ply(write(vertices(**{name: ("int", [3] * 4)}), faces([0, 1, 2])))
+    assert ids(model) == ["3"]
+
+
+def test_faces_know_better_than_vertices(write):
+    path = write(
+        vertices(objectId=("int", [3] * 4)),
+        faces([0, 1, 2], [0, 2, 3], object_id=("int", [1, 2]), name="vertex_index"),
+    )
+    model = read_ply(path)
+    assert ids(model) == ["1", "2"]
+    assert model.thing_of.tolist() == [0, 1]
+    assert ids(read_ply(path, object_property="objectId")) == ["3"]
+    with pytest.raises(
+        InputError, match=r"no property 'segment'; it has objectId, object_id, x, y, z"
+    ):
+        read_ply(path, object_property="segment")
+
+
+def test_the_majority_of_the_corners_decides(write):
+    path = write(
+        vertices(objectId=("int", [1, 2, 2, 3])), faces([0, 1, 2], [1, 2, 3], [0, 1, 3], [1, 3, 2])
+    )
+    model = read_ply(path)
+    assert [ids(model)[i] for i in model.thing_of] == ["2", "2", "1", "2"]
+
+
+@pytest.mark.parametrize(
+    ("kind", "nothing"),
+    [("int", -1), ("ushort", 65535), ("uchar", 255), ("float", "nan"), ("int", -9)],
+)
+def test_faces_without_an_object_are_one_unknown_object(kind, nothing, write):
+    model = read_ply(
+        write(
+            vertices(),
+            faces([0, 1, 2], [0, 2, 3], [0, 1, 3], object_id=(kind, [nothing, 4, nothing])),
+        )
+    )
+    assert {(t.id, t.label) for t in model.things} == {("unknown", "unknown"), ("4", "unknown")}
+    assert [ids(model)[i] for i in model.thing_of] == ["unknown", "4", "unknown"]
+
+
+def test_a_table_names_objects_and_leaves_the_rest_unknown(write):
+    path = write(vertices(), faces([0, 1, 2], [0, 2, 3], [0, 1, 3], object_id=("int", [0, 4, 9])))
+    table = {"4": Entry("chair", "Stool", {"colour": "red"}), "77": Entry("lamp")}
+    model = read_ply(path, table=table)
+    assert [(t.id, t.label, t.name) for t in model.things] == [
+        ("unknown", "unknown", ""), ("4", "chair", "Stool"),
+    ]  # fmt: skip
+    assert model.things[1].attributes == {"colour": "red"}
+    assert model.thing_of.tolist() == [0, 1, 0]
+    assert model.left_out == {"labels of objects that are not there": 1}
+
+
+def test_a_mesh_without_ids_is_one_object(write):
+    model = read_ply(write(vertices(), faces([0, 1, 2])))
+    assert [(t.id, t.label) for t in model.things] == [("0", "unknown")]
+
+
+def test_points_alone(write):
+    assert len(read_ply(write(vertices())).triangles) == 0
+    assert len(read_ply(write(vertices([]), faces())).vertices) == 0
+
+
+def test_up(write):
+    model = read_ply(write(vertices([(1, 2, 3)] * 3), faces([0, 1, 2])), up="y")
+    np.testing.assert_array_equal(model.vertices, [[1, -3, 2]] * 3)
+
+
+@pytest.mark.parametrize(
+    ("kind", "values", "expected"),
+    [
+        ("float", [0.0, 0.2, 1.0, 0.5], [0, 51, 255, 128]),
+        ("float", [0, 20, 255, 128], [0, 20, 255, 128]),
+        ("ushort", [0, 256, 65535, 32896], [0, 1, 255, 128]),
+    ],
+)
+def test_colours_of_other_types(kind, values, expected, write):
+    columns = dict.fromkeys(("diffuse_red", "diffuse_green", "diffuse_blue"), (kind, values))
+    model = read_ply(write(vertices(**columns), faces([0, 1, 2])))
+    assert model.colours[:, 0].tolist() == expected
+
+
+def test_colours_of_faces_belong_to_their_corners(write):
+    columns = {c: ("uchar", [10, 20]) for c in ("red", "green", "blue")}
+    model = read_ply(write(vertices(), faces([0, 1, 2], [0, 2, 3], **columns)))
+    assert model.triangles.tolist() == [[0, 1, 2], [3, 4, 5]]
+    assert model.colours[:, 1].tolist() == [10] * 3 + [20] * 3
+    np.testing.assert_array_equal(model.vertices[3:], np.array(SQUARE)[[0, 2, 3]])
+
+
+def test_windows_line_ends(tmp_path):
+    path = tmp_path / "a.ply"
+    path.write_bytes(ply("ascii", vertices(), faces([0, 1, 2])).replace(b"\n", b"\r\n"))
+    assert read_ply(path).triangles.tolist() == [[0, 1, 2]]
+
+
+def test_many_vertices_come_back_exactly(tmp_path, rng):
+    """A million numbers, both ways of writing them; nothing is lost on the way."""
+    points = rng.normal(size=(5000, 3)).astype(np.float32)
+    rows = rng.integers(0, 5000, (8000, 3))
+    triples = [tuple(float(v) for v in p) for p in points]
+    for form in FORMS:
+        path = tmp_path / f"{form}.ply"
+        path.write_bytes(ply(form, vertices(triples), faces(*rows.tolist())))
+        model = read_ply(path)
+        np.testing.assert_array_equal(model.vertices, points)
+        np.testing.assert_array_equal(model.triangles, rows)
+
+
+# --- what cannot be read ---
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (b"", "is empty"), (b"obj", "not a PLY file"), (b"ply\nformat ascii 1.0\n", "not a PLY file"),
+        (b"ply\nelement vertex 1\nend_header\n", "header is not understood"),
+        (b"ply\nformat zip 1.0\nend_header\n", "header is not understood"),
+        (b"ply\nformat ascii 1.0\nelement vertex many\nend_header\n", "header is not understood"),
+        (b"ply\nformat ascii 1.0\nelement vertex -1\nend_header\n", "header is not understood"),
+        (b"ply\nformat ascii 1.0\nelement vertex 9999999999\nend_header\n", "not understood"),
+        (b"ply\nformat ascii 1.0\nproperty int x\nend_header\n", "header is not understood"),
+        (b"ply\nformat ascii 1.0\nelement v 1\nproperty complex x\nend_header\n", "not understood"),
+        (b"ply\nformat ascii 1.0\nelement face 0\nend_header\n", "no vertices with x, y, z"),
+        (ply("ascii", ("vertex", {"x": "float"}, [(1,)])), "no vertices with x, y, z"),
+        (ply("ascii", vertices(), faces([0, 1, 4])), "vertex outside 0 to 3"),
+        (ply("ascii", vertices(), faces([0, 1, -1])), "vertex outside 0 to 3"),
+        (ply("ascii", vertices()).replace(b"vertex 4", b"vertex 5"), "4|5 vertex"),
+        (ply("ascii", vertices()) + b"zero", "what is no number"),
+        (ply("ascii", vertices())[:-3] + b"zero", "no number"),
+        (ply("ascii", vertices())[:-3] + b"z" * 100, "what is no number"),
+        (ply("ascii", vertices(objectId=("uchar", [999] * 4))), "nonsense among"),
+        (ply("ascii", vertices(), faces([0, 1, 2])).replace(b"3 0 1 2", b"1e999 0 1 2"), "nonsense among"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_read_says_why(content, says, tmp_path):
+    path = tmp_path / "a.ply"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=says) as caught:
+        read_ply(path)
+    assert str(path) in str(caught.value)
+
+
+def test_missing_files(tmp_path):
+    with pytest.raises(InputError, match="does not exist"):
+        read_ply(tmp_path / "no.ply")
+    with pytest.raises(InputError, match="cannot be read"):
+        read_ply(tmp_path)
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_every_truncation_is_noticed(form, tmp_path):
+    whole = ply(form, vertices(), faces([0, 1, 2], [0, 1, 2, 3]))
+    whole = whole.rstrip(b"\n") if form == "ascii" else whole
+    path = tmp_path / "a.ply"
+    last = len(whole) - (2 if form == "ascii" else 1)
+    for length in range(last):
+        path.write_bytes(whole[:length])
+        with pytest.raises(InputError, match=r"a\.ply"):
+            read_ply(path)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=300)
+@given(data=st.data())
+def test_damaged_files_give_one_kind_of_error(data, tmp_path):
+    columns = {"objectId": ("int", [1, 2, 2, 5]), "red": ("float", [0.5] * 4)}
+    columns |= {"green": ("float", [0.5] * 4), "blue": ("float", [0.5] * 4)}
+    form = data.draw(st.sampled_from(FORMS))
+    damaged = bytearray(ply(form, vertices(**columns), faces([0, 1, 2], [0, 1, 2, 3])))
+    for _ in range(data.draw(st.integers(1, 5))):
+        damaged[data.draw(st.integers(0, len(damaged) - 1))] ^= 1 << data.draw(st.integers(0, 7))
+    path = tmp_path / "a.ply"
+    path.write_bytes(bytes(damaged))
+    try:
+        model = read_ply(path)
+    except InputError as error:
+        assert str(path) in str(error)  # noqa: PT017  # either is right
+    else:
+        assert model.triangles.max(initial=-1) < len(model.vertices)
+        assert model.thing_of.max(initial=-1) < len(model.things)
+
+
+# --- label tables ---
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        {"3": "chair", "4": "table"},
+        [{"id": 3, "label": "chair"}, {"id": "4", "label": "table", "extra": 1}],
+        {"objects": [{"objectId": 3, "label": "chair"}, {"object_id": 4, "class": "table"}]},
+        {"segGroups": [{"objectId": 3, "label": "chair"}, {"objectId": 4, "label": "table"}]},
+        {
+            "scans": [
+                {
+                    "scan": "x",
+                    "objects": [{"id": "3", "label": "chair"}, {"id": "4", "label": "table"}],
+                }
+            ]
+        },
+    ],
+)
+def test_tables_in_every_shape(content, tmp_path):
+    path = tmp_path / "labels.json"
+    path.write_text(json.dumps(content))
+    for given_ in (path, str(path)):
+        assert {k: e.label for k, e in label_table(given_).items()} == {"3": "chair", "4": "table"}
+
+
+def test_tables_in_memory_and_attributes(tmp_path):
+    assert label_table({3: "chair"}) == {"3": Entry("chair")}
+    path = tmp_path / "objects.json"
+    entry = {
+        "id": 1,
+        "label": "sofa",
+        "name": "S",
+        "attributes": {"color": ["red", "blue"], "n": 2},
+    }
+    path.write_text(json.dumps([entry]))
+    assert label_table(path)["1"] == Entry("sofa", "S", {"color": "red, blue", "n": "2"})
+
+
+def test_the_right_scan_of_several(tmp_path):
+    path = tmp_path / "objects.json"
+    scans = [{"scan": s, "objects": [{"id": 1, "label": s}]} for s in ("a", "b")]
+    path.write_text(json.dumps({"scans": scans}))
+    assert label_table(path, scan="b")["1"].label == "b"
+    with pytest.raises(InputError, match="none of which is 'c'"):
+        label_table(path, scan="c")
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "not JSON"), ("5", "no label table"), ('{"3": 4}', "label of '3' is '4'"),
+        ('{"3": ""}', "not text"), ("[3]", "entry 0 is not an object"),
+        ('[{"id": 3}]', "entry 0 lacks"), ('[{"id": true, "label": "a"}]', "entry 0 lacks"),
+        ('[{"label": "a"}]', "entry 0 lacks"), ('{"scans": 3}', "several scans"),
+        ('{"objects": {}}', "no label table"),
+    ],
+)  # fmt: skip
+def test_wrong_tables(text, says, tmp_path):
+    path = tmp_path / "labels.json"
+    path.write_text(text)
+    with pytest.raises(InputError, match=says) as caught:
+        label_table(path)
+    assert str(path) in str(caught.value)
+    with pytest.raises(InputError, match="does not exist"):
+        label_table(tmp_path / "no.json")

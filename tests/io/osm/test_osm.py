@@ -1,0 +1,517 @@
+"""Reader of OpenStreetMap files: the same elements from every ending, or one typed error."""
+
+import bz2
+import gzip
+import os
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import osmium
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from placegraph.errors import InputError
+from placegraph.io.osm import osm_areas, osm_convert
+from placegraph.io.osm.osm import (
+    AREA,
+    LINE,
+    NODE,
+    POINT,
+    RELATION,
+    WAY,
+    LeftOut,
+    OsmElement,
+    is_area,
+    read_osm,
+)
+
+KEYS = ("amenity", "building", "highway", "landuse", "leisure", "name", "natural", "shop")
+ENDINGS = (".osm", ".osm.gz", ".osm.bz2", ".osm.pbf")
+
+WORLD = """<osm version="0.6">
+<node id="1" version="1" lat="50.0" lon="10.0"/>
+<node id="2" version="1" lat="50.0" lon="10.001"/>
+<node id="3" version="1" lat="50.001" lon="10.001"/>
+<node id="4" version="1" lat="50.001" lon="10.0"/>
+<node id="5" version="1" lat="50.0004" lon="10.0004"/>
+<node id="6" version="1" lat="50.0004" lon="10.0006"/>
+<node id="7" version="1" lat="50.0006" lon="10.0006"/>
+<node id="8" version="1" lat="50.0006" lon="10.0004"/>
+<node id="9" version="1" lat="50.0005" lon="10.0005">
+  <tag k="amenity" v="bench"/><tag k="name" v="Bänkle &amp; Söhne"/></node>
+<node id="10" version="1" lat="50.002" lon="10.002"><tag k="source" v="survey"/></node>
+<way id="11" version="1"><nd ref="1"/><nd ref="2"/><nd ref="3"/>
+  <tag k="highway" v="residential"/></way>
+<way id="12" version="1"><nd ref="1"/><nd ref="2"/><nd ref="3"/><nd ref="4"/><nd ref="1"/></way>
+<way id="13" version="1"><nd ref="5"/><nd ref="6"/><nd ref="7"/><nd ref="8"/><nd ref="5"/></way>
+<way id="14" version="1"><nd ref="1"/><nd ref="2"/><nd ref="3"/><nd ref="1"/>
+  <tag k="building" v="yes"/></way>
+<way id="15" version="1"><nd ref="2"/><nd ref="3"/><nd ref="4"/><nd ref="2"/>
+  <tag k="highway" v="residential"/></way>
+<relation id="16" version="1"><member type="way" ref="12" role="outer"/>
+  <member type="way" ref="13" role="inner"/>
+  <tag k="type" v="multipolygon"/><tag k="natural" v="water"/></relation>
+</osm>"""
+
+
+def write(path, text=WORLD):
+    """Write OpenStreetMap XML in the format that the ending of `path` asks for."""
+    plain = path.with_name(path.name.split(".", maxsplit=1)[0] + ".source.osm")
+    plain.write_text(text, encoding="utf-8")
+    with osmium.SimpleWriter(str(path), overwrite=True) as writer:
+        for thing in osmium.FileProcessor(str(plain)):
+            writer.add(thing)
+    return path
+
+
+def raw(path, text):
+    """Write text as it is, wrapped into <osm>."""
+    path.write_text(f'<osm version="0.6">{text}</osm>', encoding="utf-8")
+    return path
+
+
+def node(i, lon, lat, tags=""):
+    return f'<node id="{i}" version="1" lon="{lon}" lat="{lat}">{tags}</node>'
+
+
+def way(i, refs, tags=""):
+    members = "".join(f'<nd ref="{ref}"/>' for ref in refs)
+    return f'<way id="{i}" version="1">{members}{tags}</way>'
+
+
+def relation(i, members, tags=""):
+    listed = "".join(f'<member type="way" ref="{ref}" role="{role}"/>' for ref, role in members)
+    tag = '<tag k="type" v="multipolygon"/>'
+    return f'<relation id="{i}" version="1">{listed}{tag}{tags}</relation>'
+
+
+def tag(key, value):
+    return f'<tag k="{key}" v="{value}"/>'
+
+
+def read(path, keys=KEYS):
+    """Elements by type and id, and what was left out."""
+    left_out = LeftOut()
+    found = {(e.osm_type, e.osm_id): e for e in read_osm(path, keys, left_out)}
+    return found, left_out.counts
+
+
+@pytest.fixture(scope="module", params=ENDINGS)
+def world(request, tmp_path_factory):
+    return write(tmp_path_factory.mktemp("osm") / f"world{request.param}")
+
+
+# --- what is in a file ---
+
+
+def test_every_ending_gives_the_same_elements(world):
+    found, left_out = read(world)
+    assert not left_out
+    assert {key: e.kind for key, e in found.items()} == {
+        (NODE, 9): POINT,
+        (WAY, 11): LINE,
+        (WAY, 14): AREA,
+        (WAY, 15): LINE,
+        (RELATION, 16): AREA,
+    }
+    assert found[NODE, 9].tags == {"amenity": "bench", "name": "Bänkle & Söhne"}
+    np.testing.assert_allclose(found[NODE, 9].parts, [[[10.0005, 50.0005]]], atol=1e-9)
+    np.testing.assert_allclose(
+        found[WAY, 11].parts[0], [[10.0, 50.0], [10.001, 50.0], [10.001, 50.001]], atol=1e-9
+    )
+
+
+def test_xml_that_ends_osmium_ends_a_process_of_its_own(tmp_path, monkeypatch):
+    dies = tmp_path / "dies.py"
+    dies.write_text("import os, signal\nos.kill(os.getpid(), signal.SIGSEGV)\n")
+    monkeypatch.setattr(osm_convert, "__file__", str(dies))
+    path = tmp_path / "some.osm"
+    path.write_text('<osm version="0.6"/>')
+    with pytest.raises(InputError, match=r"some\.osm is damaged: .* by Segmentation fault"):
+        list(read_osm(path, ["shop"]))
+
+
+def test_where_no_process_can_be_had_xml_is_read_all_the_same(world, monkeypatch):
+    def none(*_args, **_options):
+        raise PermissionError("no process")
+
+    monkeypatch.setattr("subprocess.run", none)
+    monkeypatch.setattr("subprocess.Popen", none)
+    assert list(read_osm(world, ["shop", "building", "highway"]))
+
+
+def test_closed_ways_are_areas_or_loops_by_their_tags(world):
+    found, _ = read(world)
+    for key in ((WAY, 14), (WAY, 15)):
+        [ring] = found[key].parts
+        assert ring.shape == (4, 2)
+        np.testing.assert_array_equal(ring[0], ring[-1])
+
+
+def test_multipolygon_has_its_hole(world):
+    found, _ = read(world)
+    outer, inner = sorted(found[RELATION, 16].parts, key=lambda ring: ring[:, 0].min())
+    assert outer.shape == inner.shape == (5, 2)
+    for ring in (outer, inner):
+        np.testing.assert_array_equal(ring[0], ring[-1])
+    np.testing.assert_allclose(np.ptp(outer, axis=0), 1e-3, atol=1e-9)
+    np.testing.assert_allclose(np.ptp(inner, axis=0), 2e-4, atol=1e-9)
+    assert found[RELATION, 16].tags["natural"] == "water"
+
+
+def test_only_wanted_keys_are_read(world):
+    found, _ = read(world, ["highway"])
+    assert set(found) == {(WAY, 11), (WAY, 15)}
+    assert read(world, ["nothing"]) == ({}, Counter())
+
+
+def test_two_outer_rings(tmp_path):
+    nodes = "".join(
+        node(10 * k + i, 10 + k + dx, 50 + dy)
+        for k in range(2)
+        for i, (dx, dy) in enumerate([(0, 0), (0.1, 0), (0.1, 0.1)], 1)
+    )
+    ways = "".join(way(k + 1, [10 * k + i for i in (1, 2, 3, 1)]) for k in range(2))
+    path = raw(
+        tmp_path / "two.osm",
+        nodes + ways + relation(1, [(1, "outer"), (2, "outer")], tag("natural", "wood")),
+    )
+    found, left_out = read(path)
+    assert not left_out
+    assert [len(ring) for ring in found[RELATION, 1].parts] == [4, 4]
+
+
+def test_a_ring_may_be_made_of_several_ways(tmp_path):
+    nodes = "".join(
+        node(i, 10 + x, 50 + y)
+        for i, (x, y) in enumerate([(0, 0), (0.1, 0), (0.1, 0.1), (0, 0.1)], 1)
+    )
+    path = raw(
+        tmp_path / "parts.osm",
+        nodes
+        + way(1, [1, 2, 3])
+        + way(2, [3, 4, 1])
+        + relation(1, [(1, "outer"), (2, "outer")], tag("landuse", "forest")),
+    )
+    found, left_out = read(path)
+    assert not left_out
+    [ring] = found[RELATION, 1].parts
+    assert len(ring) == 5
+
+
+@pytest.mark.parametrize(
+    ("tags", "expected"),
+    [
+        ({"building": "yes"}, True),
+        ({"amenity": "parking"}, True),
+        ({"highway": "residential"}, False),
+        ({"highway": "pedestrian", "area": "yes"}, True),
+        ({"landuse": "grass", "area": "no"}, False),
+        ({"highway": "platform"}, True),
+        ({"railway": "station"}, True),
+        ({"barrier": "fence"}, False),
+        ({"barrier": "fence", "landuse": "garden"}, True),
+        ({"leisure": "track"}, True),
+        ({"leisure": "track", "highway": "path"}, False),
+        ({"waterway": "riverbank"}, True),
+        ({}, True),
+    ],
+)
+def test_is_area(tags, expected):
+    assert is_area(tags) is expected
+
+
+# --- clipped extracts ---
+
+
+def test_ways_are_cut_where_nodes_are_missing(tmp_path):
+    path = raw(
+        tmp_path / "clipped.osm",
+        node(1, 10, 50)
+        + node(2, 10.1, 50)
+        + way(1, [1, 2, 99], tag("highway", "residential"))
+        + way(2, [98, 1, 99], tag("highway", "residential"))
+        + way(3, [97, 98, 99], tag("highway", "residential"))
+        + way(4, [1, 1], tag("highway", "residential")),
+    )
+    found, left_out = read(path)
+    assert set(found) >= {(WAY, 1)}
+    np.testing.assert_allclose(found[WAY, 1].parts[0], [[10, 50], [10.1, 50]])
+    assert left_out["ways cut where members are missing"] >= 1
+    assert left_out["ways without positions"] >= 2
+    assert (WAY, 2) not in found
+    assert (WAY, 3) not in found
+
+
+def test_a_building_that_lost_its_corner_node_stays_closed_only_if_it_is(tmp_path):
+    nodes = "".join(
+        node(i, 10 + x, 50 + y)
+        for i, (x, y) in enumerate([(0, 0), (0.1, 0), (0.1, 0.1), (0, 0.1)], 1)
+    )
+    path = raw(
+        tmp_path / "building.osm",
+        nodes
+        + way(1, [1, 2, 99, 3, 1], tag("building", "yes"))
+        + way(2, [99, 1, 2, 3, 99], tag("building", "yes")),
+    )
+    found, left_out = read(path)
+    assert found[WAY, 1].kind == AREA
+    assert found[WAY, 2].kind == LINE
+    assert left_out == {"ways cut where members are missing": 2}
+
+
+def test_multipolygons_with_missing_or_crossing_members_are_counted(tmp_path):
+    nodes = "".join(
+        node(i, 10 + x, 50 + y)
+        for i, (x, y) in enumerate([(0, 0), (0.1, 0.1), (0.1, 0), (0, 0.1)], 1)
+    )
+    path = raw(
+        tmp_path / "clipped.osm",
+        nodes
+        + way(1, [1, 2, 3, 4, 1])  # crosses itself
+        + relation(1, [(1, "outer")], tag("natural", "water"))
+        + relation(2, [(77, "outer")], tag("natural", "water"))
+        + relation(3, [(78, "outer")]),  # nothing worth naming: not counted
+    )
+    found, left_out = read(path)
+    assert not found
+    assert left_out == {"multipolygons with missing or crossing members": 2}
+    assert "2 multipolygons" in str(LeftOut(left_out))
+
+
+def test_nodes_without_a_position_are_counted(tmp_path):
+    path = raw(
+        tmp_path / "nowhere.osm",
+        f'<node id="1" version="1">{tag("shop", "bakery")}</node>'
+        + node(2, 200, 95, tag("shop", "bakery"))
+        + node(3, 10, 50, tag("shop", "bakery")),
+    )
+    found, left_out = read(path)
+    assert set(found) == {(NODE, 3)}
+    assert left_out == {"nodes without a position": 2}
+
+
+def test_clipped_real_extract(shared):
+    elements, left_out = read(shared / "data/osm/monaco_2025.osm.pbf")
+    assert 5_000 < len(elements) < 50_000
+    assert all(0 <= n < 100 for n in left_out.values())
+    assert {e.kind for e in elements.values()} == {POINT, LINE, AREA}
+    assert any(e.osm_type == RELATION and len(e.parts) > 1 for e in elements.values())
+
+
+def test_left_out_says_nothing_where_nothing_is():
+    assert str(LeftOut()) == "nothing"
+
+
+# --- what cannot be read ---
+
+
+def refused(path):
+    with pytest.raises(InputError) as caught:
+        list(read_osm(path, KEYS))
+    message = str(caught.value)
+    assert str(path) in message
+    assert "\n" not in message
+    assert len(message) < 600
+    return message
+
+
+def read_or_refused(path):
+    """Read a file that may be damaged: elements, or None where it was refused as promised."""
+    try:
+        return list(read_osm(path, KEYS))
+    except InputError as error:
+        assert str(path) in str(error)  # noqa: PT017
+        return None
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_truncated_anywhere(ending, tmp_path):
+    whole = write(tmp_path / f"whole{ending}").read_bytes()
+    path = tmp_path / f"part{ending}"
+    refusals = 0
+    ends = sorted({*range(1, 40), *range(40, len(whole) - 2, max(1, len(whole) // 60))})
+    for end in ends:
+        path.write_bytes(whole[:end])
+        refusals += read_or_refused(path) is None
+    assert refusals == len(ends), "nothing short of the last line may pass"
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+@given(data=st.data())
+def test_flipped_bytes(ending, tmp_path_factory, data):
+    folder = tmp_path_factory.getbasetemp() / "flipped"
+    folder.mkdir(exist_ok=True)
+    whole = folder / f"whole{ending}"
+    content = bytearray((whole if whole.exists() else write(whole)).read_bytes())
+    for _ in range(data.draw(st.integers(1, 4))):
+        content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
+    path = folder / f"part{ending}"
+    path.write_bytes(content)
+    for element in read_or_refused(path) or ():
+        assert isinstance(element, OsmElement)
+        assert all(np.isfinite(part).all() for part in element.parts)
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+@given(content=st.binary(max_size=300))
+def test_any_bytes_are_refused(ending, tmp_path_factory, content):
+    path = tmp_path_factory.getbasetemp() / f"any{ending}"
+    path.write_bytes(content)
+    assert not read_or_refused(path)
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+@pytest.mark.parametrize("filler", [b"\0", b"\xff", None])
+def test_much_garbage(ending, filler, tmp_path, rng):
+    path = tmp_path / f"garbage{ending}"
+    path.write_bytes(rng.bytes(3_000_000) if filler is None else filler * 3_000_000)
+    refused(path)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "hello",
+        "<html><body>429 Too Many Requests</body></html>",
+        "<osm></osm>",
+        '<osm version="0.5"></osm>',
+        '<osm version="0.6"><node id="x" lat="1" lon="2"/></osm>',
+        '<osm version="0.6"><node id="99999999999999999999" lat="1" lon="2"/></osm>',
+        '<osm version="0.6"><node id="1" lat="abc" lon="2"/></osm>',
+        '<osm version="0.6"><node id="1" lat="1e3" lon="2"/></osm>',
+        '<osm version="0.6"><node id="1" lat="" lon="2"/></osm>',
+        '<osm version="0.6"><way id="1"><nd ref="north"/></way></osm>',
+        '<osm version="0.6"><relation id="1"><member type="x" ref="1" role=""/></relation></osm>',
+        '{"version": 0.6, "elements": []}',
+        '<!DOCTYPE a [<!ENTITY b "c">]><osm version="0.6"><node id="1" lat="&b;" lon="2"/></osm>',
+    ],
+)
+def test_other_texts_are_refused(text, tmp_path):
+    path = tmp_path / "other.osm"
+    path.write_text(text, encoding="utf-8")
+    refused(path)
+
+
+@pytest.mark.parametrize("ids", [(1 << 62, -(1 << 62)), (2**63 - 2, 5), (5, -(2**63 - 2))])
+def test_numbers_of_nodes_that_are_none(ids, tmp_path):
+    nodes = "".join(node(i, 10, 50) for i in ids)
+    path = write(tmp_path / "w.osm.pbf", f'<osm version="0.6">{nodes}{way(1, ids)}</osm>')
+    assert "no number of a node" in refused(path)
+
+
+def test_a_format_under_another_ending_is_refused(tmp_path):
+    pbf, xml = write(tmp_path / "a.osm.pbf"), write(tmp_path / "b.osm")
+    refused(pbf.rename(tmp_path / "c.osm"))
+    refused(xml.rename(tmp_path / "d.osm.pbf"))
+
+
+def test_wrong_ending_folder_missing_and_empty(tmp_path):
+    (tmp_path / "town.txt").write_text("town")
+    assert ".osm.pbf" in refused(tmp_path / "town.txt")
+    (tmp_path / "folder.osm").mkdir()
+    assert "folder" in refused(tmp_path / "folder.osm")
+    assert "does not exist" in refused(tmp_path / "missing.osm.pbf")
+    (tmp_path / "empty.osm.pbf").touch()
+    assert "empty" in refused(tmp_path / "empty.osm.pbf")
+
+
+def test_a_pipe_does_not_make_it_wait(tmp_path):
+    os.mkfifo(tmp_path / "pipe.osm")
+    refused(tmp_path / "pipe.osm")
+
+
+def test_compressed_files_may_come_in_several_streams(tmp_path, rng):
+    nodes = [node(i, 10, 50, tag("name", rng.bytes(16).hex())) for i in range(1, 2001)]
+    content = f'<osm version="0.6">{"".join(nodes)}</osm>'.encode()
+    middle = len(content) // 2
+    for ending, pack in ((".osm.gz", gzip.compress), (".osm.bz2", bz2.compress)):
+        path = tmp_path / f"streams{ending}"
+        path.write_bytes(pack(content[:middle]) + pack(content[middle:]))
+        assert len(read(path)[0]) == 2000
+
+
+@pytest.mark.parametrize("name", ["WORLD.OSM", "World.Osm.Gz", "world.OSM.PBF", "w.pbf", "w.xml"])
+def test_endings_in_any_case(name, tmp_path):
+    plain = name.lower()
+    source = write(tmp_path / (plain if plain.startswith("world.osm") else f"x.osm{plain[1:]}"))
+    path = source.rename(tmp_path / name)
+    assert len(read(path)[0]) == 5
+
+
+def test_a_reader_may_be_left_early(tmp_path):
+    elements = read_osm(write(tmp_path / "world.osm"), KEYS)
+    assert next(elements).osm_id == 9
+    elements.close()
+
+
+def test_names_of_strings_and_paths_alike(tmp_path):
+    path = write(tmp_path / "wörld with blanks.osm")
+    assert len(list(read_osm(str(path), KEYS))) == len(list(read_osm(path, KEYS))) == 5
+
+
+@pytest.mark.parametrize("signal", ["SIGSEGV", "SIGABRT"])
+def test_a_file_that_ends_its_reader_is_refused(tmp_path, monkeypatch, signal):
+    """Some damaged files end the process inside osmium, where areas are assembled."""
+    dying = tmp_path / "dying.py"
+    dying.write_text(f"import os, signal; os.kill(os.getpid(), signal.{signal})")
+    monkeypatch.setattr(osm_areas, "__file__", str(dying))
+    (tmp_path / "bad.osm").write_text(WORLD)
+    with pytest.raises(InputError, match=r"bad\.osm is damaged.*(fault|Abort).*again"):
+        list(read_osm(tmp_path / "bad.osm", KEYS))
+
+
+def test_where_no_process_can_be_started_files_are_read_as_they_are(tmp_path, monkeypatch):
+    (tmp_path / "good.osm").write_text(WORLD)
+    monkeypatch.setattr("sys.executable", str(tmp_path / "none"))
+    assert list(read_osm(tmp_path / "good.osm", KEYS))
+
+
+def test_the_file_that_ended_osmium_does_no_harm(shared):
+    """Its areas are assembled apart from what is wrong elsewhere in it."""
+    assert read_or_refused(shared / "repro" / "segv.osm.pbf")
+
+
+def test_tags_outside_of_their_table_end_another_process():
+    file = Path(__file__).with_name("data") / "tags_outside.osm.pbf"
+    read = (
+        "from placegraph.io.osm.osm import read_osm\n"
+        "from placegraph.outdoor.language.vocabulary import Vocabulary\n"
+        "from placegraph.outdoor.map.extract import keys_read\n"
+        f"list(read_osm({str(file)!r}, keys_read(Vocabulary.default())))"
+    )
+    ended = subprocess.run([sys.executable, "-c", read], check=False, capture_output=True)  # noqa: S603
+    assert ended.returncode >= 0
+
+
+def test_a_file_with_history_is_refused(tmp_path):
+    path = tmp_path / "history.osm.pbf"
+    header = osmium.io.Header()
+    header.has_multiple_object_versions = True
+    with osmium.SimpleWriter(str(path), header=header) as writer:
+        for version in (1, 2):
+            node = osmium.osm.mutable.Node(
+                id=1, version=version, location=(10.0, 50.0), tags={"amenity": "bench"}
+            )
+            writer.add_node(node)
+    with pytest.raises(InputError, match=r"holds history.*osmium time-filter"):
+        list(read_osm(path, KEYS))
+
+
+@pytest.mark.parametrize("on_disk", [False, True])
+def test_nodes_in_any_order_but_before_their_ways(on_disk, tmp_path):
+    index = tmp_path / "nodes.index" if on_disk else None
+    node = '<node id="{}" version="1" lat="50.{}" lon="10.0"><tag k="amenity" v="x"/></node>'
+    nodes = [node.format(i, i) for i in (3, 1, 2)]
+    way = '<way id="1" version="1"><nd ref="1"/><nd ref="3"/><tag k="highway" v="path"/></way>'
+    path = tmp_path / "mixed.osm"
+    path.write_text("\n".join(['<osm version="0.6">', *nodes, way, "</osm>"]))
+    found = [e for e in read_osm(path, KEYS, index=index) if e.osm_type == WAY]
+    assert found[0].parts[0].tolist() == [[10.0, 50.1], [10.0, 50.3]]
+    path.write_text("\n".join(['<osm version="0.6">', nodes[1], way, *nodes, "</osm>"]))
+    with pytest.raises(InputError, match=r"lists nodes behind the ways.*osmium sort"):
+        list(read_osm(path, KEYS, index=index))
