@@ -17,12 +17,12 @@ import pytest
 from numba import typeof
 from numba.core import config
 
-from placegraph.core import kept
-from placegraph.core.compiled import Kernel, kernel, uninterrupted
+from placegraph.core import cache as kept
 from placegraph.core.fingerprint import fingerprint
+from placegraph.core.jit import Kernel, kernel, uninterrupted
 
 CALLEE = """
-from placegraph.core.compiled import kernel
+from placegraph.core.jit import kernel
 FACTOR = {factor}
 
 @kernel{options}
@@ -31,7 +31,7 @@ def times(x):
     return FACTOR * x
 """
 CALLER = """
-from placegraph.core.compiled import kernel
+from placegraph.core.jit import kernel
 from compiled_callee import times
 
 @kernel
@@ -193,8 +193,8 @@ def _full(*_):
     "missing",
     [
         ("tempfile.gettempdir", _no_temporary),
-        ("placegraph.core.kept._write", _full),
-        ("placegraph.core.kept._writable", lambda _: False),
+        ("placegraph.core.cache._write", _full),
+        ("placegraph.core.cache._writable", lambda _: False),
     ],
 )
 def test_where_nothing_can_be_written_code_is_compiled_all_the_same(
@@ -319,7 +319,7 @@ def test_ctrl_c_where_llvm_asks_for_code_waits_until_it_has_it(total, tmp_path, 
 def test_signals_wait_and_none_is_lost(monkeypatch):
     told = []
     before = signal.signal(signal.SIGUSR1, lambda number, _: told.append(number))
-    monkeypatch.setattr("placegraph.core.compiled._HELD", ("SIGUSR1", "SIGUSR2", "SIGNONE"))
+    monkeypatch.setattr("placegraph.core.jit._HELD", ("SIGUSR1", "SIGUSR2", "SIGNONE"))
     try:
         with uninterrupted():
             with uninterrupted():

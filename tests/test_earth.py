@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph.core.earth import (
+from placegraph.core.geo import (
+    CAMERA_FROM_BODY,
     Anchor,
     ecef_from_enu,
     ecef_from_geodetic,
@@ -24,7 +25,6 @@ from placegraph.core.geometry import (
     rotation_from_vector,
     vector_from_rotation,
 )
-from placegraph.core.geopose import CAMERA_FROM_BODY
 from placegraph.errors import OptionError
 
 anchors = st.builds(

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from placegraph.core import files, locks
+from placegraph.core import files
+from placegraph.core import files as locks
 from placegraph.core.files import put, regular, write_file
 from placegraph.errors import InputError, MapError, MapLockedError
 from placegraph.indoor.encode.confusion import Confusion

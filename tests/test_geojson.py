@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from placegraph.core.earth import Anchor
 from placegraph.core.estimate import (
     CityEstimate,
     Evidence,
@@ -19,7 +18,7 @@ from placegraph.core.estimate import (
     SceneMode,
     Status,
 )  # fmt: skip
-from placegraph.core.geojson import SHARE
+from placegraph.core.geo import SHARE, Anchor
 from placegraph.core.geometry import LocalPlane, level_from_camera, pose_matrix
 from placegraph.errors import GeoPoseError
 

@@ -6,8 +6,8 @@ import sys
 import numpy as np
 import pytest
 
+from placegraph.core.mapfile import read_map, write_map
 from placegraph.core.networks import arrays_of, digest, halves, rounded
-from placegraph.core.store import read_map, write_map
 from placegraph.errors import MapError
 
 CUT = """

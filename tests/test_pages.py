@@ -3,8 +3,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from placegraph.core.pages import PAGE, STARTS, SUMS, Texts, open_pages, packed, with_sums
-from placegraph.core.store import write_map
+from placegraph.core.mapfile import (
+    PAGE,
+    STARTS,
+    SUMS,
+    Texts,
+    open_pages,
+    packed,
+    with_sums,
+    write_map,
+)
 from placegraph.errors import InputError, MapError
 
 TYPES = {"numbers": "<u8", "short": "<i4", "text": "|u1", "text_starts": STARTS}

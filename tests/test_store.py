@@ -18,8 +18,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as stnp
 
 from placegraph import open_map
-from placegraph.core import columns, store
-from placegraph.core.store import read_header, read_map, write_map, writing
+from placegraph.core import mapfile as columns
+from placegraph.core import mapfile as store
+from placegraph.core.mapfile import read_header, read_map, write_map, writing
 from placegraph.errors import InputError, MapError, MapLockedError, OptionError
 
 REFUSALS = (InputError, MapError)
@@ -270,7 +271,7 @@ def test_a_second_writer_is_refused_at_once(written):
 
 def test_a_lock_dies_with_its_process(path):
     holder = (
-        "import sys; from placegraph.core.store import writing\n"
+        "import sys; from placegraph.core.mapfile import writing\n"
         f"with writing({str(path)!r}): print('held', flush=True); sys.stdin.read()"
     )
     with subprocess.Popen(  # noqa: S603  # our own interpreter and code

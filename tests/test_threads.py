@@ -6,7 +6,7 @@ import threading
 import numpy as np
 import pytest
 
-from placegraph.core.compiled import kernel
+from placegraph.core.jit import kernel
 from placegraph.core.threads import limited, processors, share
 from placegraph.errors import OptionError
 

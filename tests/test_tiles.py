@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from placegraph.core.geo import bounds, check_zoom, held, key_at, key_of, reached, tile_of, tiles
 from placegraph.core.geometry import LocalPlane
-from placegraph.core.tiles import bounds, check_zoom, held, key_at, key_of, reached, tile_of, tiles
 from placegraph.errors import OptionError
 
 places = st.tuples(st.floats(-180.0, 179.999), st.floats(-89.9, 89.9))

@@ -12,7 +12,8 @@ from numba.core import types
 
 from placegraph import cli
 from placegraph.cli.compiling import Compiling
-from placegraph.core import kept, warm
+from placegraph.core import cache as kept
+from placegraph.core import warm
 from placegraph.errors import OptionError
 
 CALLS = list(dict.fromkeys(call for calls in warm.commands().values() for call in calls))

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 from placegraph import errors
 
 if TYPE_CHECKING:
-    from placegraph.core.earth import Anchor
     from placegraph.core.estimate import Estimate, Refinement, Status
+    from placegraph.core.geo import Anchor
     from placegraph.core.graph import SceneGraph
     from placegraph.indoor.build import build_scene
     from placegraph.indoor.encode import encoder
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOME = {
-    "Anchor": "placegraph.core.earth",
+    "Anchor": "placegraph.core.geo",
     "Capture": "placegraph.io.capture.capture",
     "CityMap": "placegraph.outdoor.city",
     "Estimate": "placegraph.core.estimate",

@@ -10,7 +10,7 @@ from os.path import realpath
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from placegraph.core import store
+from placegraph.core import mapfile as store
 from placegraph.errors import InputError, MapError, PlacegraphError
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from placegraph import __version__, open_map
-from placegraph.core.store import writing
+from placegraph.core.mapfile import writing
 from placegraph_lab.worlds.town.town import Town
 
 CLEAR = "I am on Speicherweg. The museum is south of me."

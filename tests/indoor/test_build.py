@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 import placegraph as pg
-from placegraph.core.store import writing
+from placegraph.core.mapfile import writing
 from placegraph.errors import InputError, MapLockedError, OptionError, PlacegraphError
 from placegraph.indoor.build import build_scene, scene_of_model
 from placegraph.indoor.map.detail import Detail

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from PIL import Image
 
 import placegraph as pg
-from placegraph.core.earth import Anchor
-from placegraph.core.store import read_header, write_map
+from placegraph.core.geo import Anchor
+from placegraph.core.mapfile import read_header, write_map
 from placegraph.errors import MapError, OptionError, PlacegraphError
 from placegraph.indoor.build import scene_of_model
 from placegraph.indoor.map import textures
@@ -239,7 +239,7 @@ def test_anchors_that_make_no_sense(anchors, forge):
 
 
 def test_attributes_and_textures_that_make_no_sense(forge):
-    from placegraph.core.store import pack_strings
+    from placegraph.core.mapfile import pack_strings
 
     for texts in (["[1]", "", ""], ["{", "", ""], ["5", "", ""], ["{}"]):
         with pytest.raises(MapError, match=r"f\.scene"):

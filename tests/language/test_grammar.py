@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from placegraph.core import kept
+from placegraph.core import cache as kept
 from placegraph.language import islands
 from placegraph.language.islands import END, Grammar, UnexpectedTokenError
 

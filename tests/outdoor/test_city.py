@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import placegraph as pg
-from placegraph.core.store import read_map, write_map
+from placegraph.core.mapfile import read_map, write_map
 from placegraph.errors import InputError, MapError, PlacegraphError, StoreError
 from placegraph.maps import open_map
 from placegraph.outdoor.city import CityMap

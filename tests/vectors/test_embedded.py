@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph.core.store import read_map, write_map
+from placegraph.core.mapfile import read_map, write_map
 from placegraph.errors import InputError, MapError, OptionError, StoreError
 from placegraph.maps import open_map
 from placegraph.vectors import EmbeddedStore, Origin, Region, embedded

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from tests.indoor.library.conftest import maps, rooms  # noqa: F401 - fixtures
 
-from placegraph.core.earth import Anchor
+from placegraph.core.geo import Anchor
 from placegraph.outdoor.city import build_city
 from placegraph.world import open_world
 from placegraph_lab.worlds.town.town import Town

@@ -162,7 +162,7 @@ def test_a_shard_that_cannot_be_read_is_named_and_the_rest_answers(damaged, faul
     elif fault == "another":
         shutil.copy(damaged / "all.shards" / "00002.shard", shard)
     elif fault == "newer":
-        from placegraph.core import store
+        from placegraph.core import mapfile as store
 
         file = store.read_map(shard, "shard", 1)
         store.write_map(shard, "shard", 2, file.meta, file.arrays)
@@ -214,7 +214,7 @@ def test_a_map_that_is_gone_is_named(maps_and_library, damaged, tmp_path):
     ],
 )
 def test_a_forged_column_is_refused(damaged, column):
-    from placegraph.core import store
+    from placegraph.core import mapfile as store
 
     shard = damaged / "all.shards" / "00001.shard"
     file = store.read_map(shard, "shard", 1)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from placegraph.core.earth import Anchor
+from placegraph.core.geo import Anchor
 from placegraph.errors import OptionError
 from placegraph.world.anchor_building import fit_building
 from placegraph.world.anchor_points import UNKNOWN_HEIGHT

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from placegraph.core.earth import Anchor
+from placegraph.core.geo import Anchor
 from placegraph.core.geometry import Camera, level_from_camera, pose_matrix
 from placegraph.errors import InputError, OptionError
 from placegraph.io.capture.capture import Capture

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from placegraph.core.earth import Anchor, ecef_from_geodetic
+from placegraph.core.geo import Anchor, ecef_from_geodetic
 from placegraph.errors import OptionError
 from placegraph.world.anchor_points import UNKNOWN_HEIGHT, fit_points
 

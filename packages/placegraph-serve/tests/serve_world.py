@@ -12,7 +12,7 @@ import pytest
 import uvicorn
 from starlette.testclient import TestClient
 
-from placegraph.core.earth import Anchor
+from placegraph.core.geo import Anchor
 from placegraph.demo.world import FLAT, TOWN, unpack
 from placegraph.indoor.build import build_scene
 from placegraph.maps import open_map

@@ -100,7 +100,7 @@ def test_where_a_damaged_map_lies_is_not_told(maps, tmp_path):
 
 
 def test_a_world_in_shards_is_asked_as_a_map(maps, tmp_path):
-    from placegraph.core.tiles import key_at
+    from placegraph.core.geo import key_at
     from placegraph_scale.shards import finish
 
     town = open_map(maps / "hafenstadt.city")

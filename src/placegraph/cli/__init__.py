@@ -17,7 +17,7 @@ from placegraph.cli.compiling import Compiling
 from placegraph.cli.extensions import extensions
 from placegraph.cli.interrupts import INTERRUPTED, interruptible
 from placegraph.cli.terminal import bare, guarded, harmless
-from placegraph.core.kept import listening, use_folder
+from placegraph.core.cache import listening, use_folder
 from placegraph.errors import InputError, PlacegraphError
 
 NAME = "placegraph"

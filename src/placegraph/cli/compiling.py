@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from placegraph.cli.common import Quiet, progress_of
-from placegraph.core import kept
+from placegraph.core import cache as kept
 from placegraph.errors import OptionError
 
 if TYPE_CHECKING:

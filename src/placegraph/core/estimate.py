@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.earth import EarthPose
 from placegraph.core.evidence import Evidence as Evidence  # noqa: PLC0414 - found here too
 from placegraph.core.evidence import Explained
 from placegraph.core.evidence import ObjectRef as ObjectRef  # noqa: PLC0414 - found here too
-from placegraph.core.geojson import OnEarth
-from placegraph.core.notebook import Shown
+from placegraph.core.geo import EarthPose, OnEarth
+from placegraph.core.html import Shown
 
 if TYPE_CHECKING:
     from placegraph.outdoor.city import CityMap

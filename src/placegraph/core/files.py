@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import stat
-from collections.abc import Iterable
-from contextlib import suppress
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 from weakref import finalize
 
-from placegraph.core import locks
-from placegraph.errors import InputError, MapError
+from placegraph.errors import InputError, MapError, MapLockedError
 
 if TYPE_CHECKING:
     Chunks = Iterable[bytes | memoryview]
@@ -34,7 +34,7 @@ def write_file(path: str | os.PathLike[str], chunks: Chunks) -> Path:
     target = real_path(path)
     check_plain(target)
     try:
-        with locks.exclusive(target):
+        with exclusive(target):
             replace_file(target, chunks)
     except OSError as error:
         raise cannot_write(target, error) from error
@@ -52,7 +52,7 @@ def put(path: str | os.PathLike[str], content: bytes) -> Path:
             given.write_bytes(content)
         else:
             target = Path(os.path.realpath(given))
-            with locks.exclusive(target):
+            with exclusive(target):
                 replace_file(target, [content])
     except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or error
@@ -142,3 +142,44 @@ class Watch:
 
     def __reduce__(self) -> tuple[type[None], tuple[()]]:
         return type(None), ()  # other processes get the columns themselves
+
+
+@contextmanager
+def exclusive(target: Path) -> Iterator[None]:
+    """Hold ``.NAME.lock`` next to `target`, and remove it afterwards.
+
+    Raises `MapLockedError` at once where another holds it, and `OSError` where it cannot be had.
+    """
+    path = target.with_name(f".{target.name}.lock")
+    descriptor = _acquire(path, target)
+    while not _same_file(path, descriptor):  # its last owner removed it before we had it
+        os.close(descriptor)
+        descriptor = _acquire(path, target)
+    try:
+        yield
+    finally:
+        with suppress(OSError):  # what stays is free for the next
+            path.unlink()
+        os.close(descriptor)
+
+
+def _acquire(path: Path, target: Path) -> int:
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(descriptor)
+        raise MapLockedError(
+            f"{target} is being written by someone else; wait for it, or write elsewhere."
+        ) from None
+    except OSError:
+        os.close(descriptor)
+        raise
+    return descriptor
+
+
+def _same_file(path: Path, descriptor: int) -> bool:
+    try:
+        return os.path.samestat(path.stat(), os.fstat(descriptor))
+    except FileNotFoundError:
+        return False

@@ -12,7 +12,7 @@ from math import cos, radians, sqrt
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from placegraph.core.lens import Camera as Camera  # noqa: PLC0414 - found here too
+from placegraph.core.camera_models import Camera as Camera  # noqa: PLC0414 - found here too
 
 Floats = NDArray[np.float64]
 

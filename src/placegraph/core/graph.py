@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from placegraph.core.portable import Portable
+from placegraph.core.pickling import Portable
 from placegraph.errors import MissingExtraError, OptionError
 
 if TYPE_CHECKING:

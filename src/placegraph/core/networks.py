@@ -15,7 +15,7 @@ from placegraph.core.files import regular
 from placegraph.errors import InputError, MissingExtraError, OptionError
 
 if TYPE_CHECKING:
-    from placegraph.core.store import MapFile
+    from placegraph.core.mapfile import MapFile
 
 
 def torch_for(name: str, extra: str) -> Any:  # noqa: ANN401  # the module

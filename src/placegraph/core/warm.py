@@ -22,11 +22,11 @@ from typing import TYPE_CHECKING, Any
 
 from numba.core import types
 
-from placegraph.core import kept
+from placegraph.core import cache as kept
 from placegraph.core.threads import end_with_parent, processors
 
 if TYPE_CHECKING:
-    from placegraph.core.compiled import Kernel
+    from placegraph.core.jit import Kernel
 
 _ROOT = "placegraph."
 _PLUGIN = "placegraph_"

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.earth import Anchor
 from placegraph.core.estimate import PoseEstimate
+from placegraph.core.geo import Anchor
 from placegraph.core.geometry import vector_from_rotation
 from placegraph.demo.town import say_evidence
 from placegraph.demo.world import FLAT, TOWN, TOWNS

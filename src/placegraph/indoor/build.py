@@ -116,7 +116,7 @@ def build_scene(
     for given in (source, labels):
         if isinstance(given, str | os.PathLike) and os.path.realpath(given) == str(target):
             raise OptionError(f"{given} would be overwritten by its map; name another file.")
-    from placegraph.core.store import writing
+    from placegraph.core.mapfile import writing
     from placegraph.indoor.map.scene_file import KIND, VERSION, columns
 
     with writing(out_path) as write:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
-from placegraph.core.notebook import Shown
+from placegraph.core.html import Shown
 from placegraph.errors import OptionError
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.map.scene_file import open_scene, save_scene
@@ -47,7 +47,7 @@ class SceneMap(Shown, Scene):
     """
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write the map file (atomically, with checksums); raises as `placegraph.core.store` does."""
+        """Write the map file (atomically, with checksums); raises as `placegraph.core.mapfile` does."""
         save_scene(self, path)
 
     @classmethod

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from hashlib import sha256
 from typing import Any, Generic, NamedTuple, TypeVar
 
-from placegraph.core.kept import kept
+from placegraph.core.cache import kept
 
 _BACK = 4
 """How many chunks are given up at most to make sense of those before them."""

@@ -12,7 +12,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from placegraph.core.store import MapFile, read_map, sound, write_map
+from placegraph.core.mapfile import MapFile, read_map, sound, write_map
 from placegraph.errors import OptionError, StoreError
 from placegraph.vectors.content import (
     GRAIN,

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from placegraph.core.compiled import kernel
+from placegraph.core.jit import kernel
 
 _FAST = {"reassoc", "contract", "nsz"}  # sums in any order; infinity keeps its meaning
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from placegraph.core.earth import Anchor
+from placegraph.core.geo import Anchor
 from placegraph.core.geometry import Floats, rotation_z, wrap
 from placegraph.errors import OptionError
 from placegraph.indoor.map.scene import Scene

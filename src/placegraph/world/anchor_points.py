@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from placegraph.core.earth import Anchor
+from placegraph.core.geo import Anchor
 from placegraph.core.geometry import Floats, rotation_z
 from placegraph.errors import OptionError
 from placegraph.world.footprints import Footprint

@@ -14,8 +14,8 @@ from placegraph.world.ask import question_of
 if TYPE_CHECKING:
     import numpy as np
 
-    from placegraph.core.earth import EarthPose
     from placegraph.core.estimate import CityEstimate, Place, PoseEstimate, PoseMode
+    from placegraph.core.geo import EarthPose
     from placegraph.outdoor.search.ask import Question
     from placegraph.world.split import Understood
     from placegraph.world.world import World

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.earth import Anchor, EarthPose
+from placegraph.core.geo import Anchor, EarthPose
 from placegraph.core.geometry import LocalPlane
 
 if TYPE_CHECKING:

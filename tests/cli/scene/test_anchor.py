@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 import placegraph as pg
-from placegraph.core.earth import Anchor
+from placegraph.core.geo import Anchor
 from placegraph.indoor.map.mesh import Mesh
 
 TRUE = Anchor(7.42, 43.73, 50.0, 1.1)

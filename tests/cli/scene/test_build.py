@@ -6,7 +6,7 @@ import resource
 import numpy as np
 import pytest
 
-from placegraph.core.store import writing
+from placegraph.core.mapfile import writing
 from placegraph.io.mesh.ply_write import write_ply
 
 CORNERS = np.array(

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from placegraph.core.store import writing
+from placegraph.core.mapfile import writing
 
 PLY = """ply
 format ascii 1.0

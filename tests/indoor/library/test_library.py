@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import placegraph as pg
-from placegraph.core.earth import Anchor
 from placegraph.core.estimate import PoseEstimate, PoseMode, SceneEstimate, SceneMode, Status
+from placegraph.core.geo import Anchor
 from placegraph.errors import InputError, MapError, OptionError, PlacegraphError
 from placegraph.indoor.library import SceneLibrary, library_of, localize
 from placegraph.indoor.mapping.merge import merge_scenes

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from placegraph.core.earth import Anchor
 from placegraph.core.estimate import PoseEstimate, PoseMode, Status
+from placegraph.core.geo import Anchor
 from placegraph.core.geometry import split_pose
-from placegraph.core.store import write_map
+from placegraph.core.mapfile import write_map
 from placegraph.errors import MapError
 from placegraph.indoor.build import scene_of_model
 from placegraph.indoor.likelihood.visibility import build_table

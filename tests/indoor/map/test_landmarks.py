@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from placegraph.core.store import write_map
+from placegraph.core.mapfile import write_map
 from placegraph.errors import MapError, OptionError
 from placegraph.indoor.map.landmarks import GRAIN, WIDTH, Landmarks
 from placegraph.indoor.map.scene_file import bytes_of, columns, open_scene, save_scene

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from placegraph.core import locks
+from placegraph.core import files as locks
 from placegraph.errors import MapError, MapLockedError, OptionError
 from placegraph.indoor.build import build_scene, scene_of_model
 from placegraph.indoor.map.mesh import GRAIN, Mesh

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import placegraph as pg
-from placegraph.core.earth import Anchor
+from placegraph.core.geo import Anchor
 from placegraph.errors import OptionError
 from placegraph.indoor.build import scene_of_model
 from placegraph.indoor.mapping.merge import GAP, merge_scenes

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from placegraph.core.earth import Anchor
+from placegraph.core.geo import Anchor
 from placegraph.indoor.map.rooms.naming import room_at
 from placegraph.indoor.mapping.merge import merge_scenes
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.core.estimate import PassRecord, PoseEstimate, PoseMode, Status
-from placegraph.core.store import read_map, write_map
+from placegraph.core.mapfile import read_map, write_map
 from placegraph.errors import InputError, MapError
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.pose.record import KIND, STEPS, VERSION, read_run, write_run

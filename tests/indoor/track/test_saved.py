@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from placegraph.core.estimate import Status
-from placegraph.core.store import read_map, write_map
+from placegraph.core.mapfile import read_map, write_map
 from placegraph.errors import InputError, MapError, OptionError
 from placegraph.indoor.track.live import LiveTracker
 from placegraph.indoor.track.saved import KIND, VERSION, Saved

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from placegraph.core.store import read_map, write_map
+from placegraph.core.mapfile import read_map, write_map
 from placegraph.errors import PlacegraphError
 from placegraph_lab.campaign.mutate import spoil, spoiled
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph.core.store import read_map, write_map, writing
+from placegraph.core.mapfile import read_map, write_map, writing
 from placegraph.errors import InputError, MapError, MapLockedError, OptionError
 from placegraph_lab.datasets.kitti360pose import DIRECTIONS, GRAIN, KIND, Kitti360Pose
 from placegraph_lab.datasets.kitti360pose_convert import (

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph.core.tiles import Box
+from placegraph.core.geo import Box
 from placegraph.outdoor.map.clip import clip
 from placegraph.outdoor.map.objects import AREA, LINE, POINT
 

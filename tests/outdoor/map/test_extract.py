@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph.core.store import read_header, writing
+from placegraph.core.mapfile import read_header, writing
 from placegraph.errors import InputError, MapError, MapLockedError, OptionError, PlacegraphError
 from placegraph.maps import open_map
 from placegraph.outdoor.city import build_city

@@ -8,7 +8,7 @@ import numpy as np
 import osmium
 import pytest
 
-from placegraph.core.tiles import bounds, key_at
+from placegraph.core.geo import bounds, key_at
 from placegraph.errors import InputError
 from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.map import extract

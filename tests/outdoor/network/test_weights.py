@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from placegraph.core.store import pack_strings, read_map, write_map
+from placegraph.core.mapfile import pack_strings, read_map, write_map
 from placegraph.errors import InputError, MapError, PlacegraphError
 from placegraph.outdoor.network import weights as module
 from placegraph.outdoor.network.labels import WordVectors

@@ -5,7 +5,7 @@ import pytest
 from PIL import Image, ImageColor
 from tests.view.scene.test_scene_plan import BOXES, scene_of
 
-from placegraph.core.earth import Anchor
+from placegraph.core.geo import Anchor
 from placegraph.errors import GeoPoseError
 from placegraph.view import draw_anchors
 from placegraph.view.draw.style import PALETTE

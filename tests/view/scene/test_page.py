@@ -8,7 +8,7 @@ import pytest
 from PIL import Image, ImageColor
 from tests.view.scene.test_scene_plan import BOXES, near, scene_of
 
-from placegraph.core.earth import Anchor
+from placegraph.core.geo import Anchor
 from placegraph.errors import OptionError
 from placegraph.view.draw.style import PALETTE
 from placegraph.view.scene.page import FINE, MOST, picture, plan_of, told

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.random import Generator
 
 from placegraph.core.files import regular
-from placegraph.core.header import DIGEST, MAGIC
+from placegraph.core.mapfile import DIGEST, MAGIC
 from placegraph.errors import InputError
 from placegraph_lab.campaign.mutate_bytes import flipped, remapped, remarked, reworded
 from placegraph_lab.campaign.mutate_json import changed

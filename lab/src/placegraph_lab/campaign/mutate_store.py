@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
-from placegraph.core.header import DIGEST, MAGIC, PREFIX
-from placegraph.core.store import read_map
+from placegraph.core.mapfile import DIGEST, MAGIC, PREFIX, read_map
 from placegraph_lab.campaign.mutate_bytes import flipped
 from placegraph_lab.campaign.mutate_json import changed
 

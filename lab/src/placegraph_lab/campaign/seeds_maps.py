@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from placegraph.core.earth import Anchor
+from placegraph.core.geo import Anchor
 from placegraph.core.geometry import Camera
 from placegraph.indoor.build import scene_of_model
 from placegraph.indoor.options import FilterOptions

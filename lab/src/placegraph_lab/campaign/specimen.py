@@ -108,7 +108,7 @@ def main() -> None:
     if given.memory:
         resource.setrlimit(resource.RLIMIT_AS, (given.memory << 20, given.memory << 20))
     if given.compiled:
-        from placegraph.core import kept
+        from placegraph.core import cache as kept
 
         kept.use_folder(given.compiled)
     with TemporaryDirectory() as folder:

@@ -23,7 +23,7 @@ LOADED = (
     "placegraph.outdoor.city", "placegraph.outdoor.network", "placegraph.view", "placegraph.indoor.library",
     "placegraph.indoor.build", "placegraph.indoor.localize", "placegraph.indoor.mapping.change.update",
     "placegraph.indoor.mapping.export", "placegraph.cli", "placegraph_scale.build.build",
-    "placegraph.core.compiled", "placegraph.maps",
+    "placegraph.core.jit", "placegraph.maps",
     "placegraph_ros.localizer", "osmium", "embreex.rtcore_scene", "PIL.Image",
 )  # fmt: skip
 """What is imported once, so that a trial is the command's own work; what is not there is passed over."""

@@ -27,7 +27,7 @@ from time import perf_counter
 import numpy as np
 from numpy.random import Generator
 
-from placegraph.core.kept import listening
+from placegraph.core.cache import listening
 from placegraph.errors import PlacegraphError
 from placegraph_lab.campaign.targets import TARGETS, Target
 from placegraph_lab.campaign.uses import Bench

@@ -76,7 +76,7 @@ def train(
     """
     from time import perf_counter
 
-    from placegraph.core.store import writing
+    from placegraph.core.mapfile import writing
     from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.network.weights import Shape
     from placegraph_lab.cli.city_train_shown import Shown, draw

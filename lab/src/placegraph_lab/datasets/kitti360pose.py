@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.columns import pack
 from placegraph.core.geometry import Floats
-from placegraph.core.store import MapFile, Write, pack_strings, read_map
+from placegraph.core.mapfile import MapFile, Write, pack, pack_strings, read_map
 from placegraph.errors import MapError, OptionError
 
 KIND = "kitti360pose"
@@ -173,7 +172,7 @@ class Kitti360Pose:
         return sum(len(pack(a)[2]) for a in _map_columns(self, cells, rows).values())
 
     def save(self, write: Write) -> None:
-        """Write through `placegraph.core.store.writing`; raises `OptionError` where it is made of OSM."""
+        """Write through `placegraph.core.mapfile.writing`; raises `OptionError` where it is made of OSM."""
         if self.tags:
             raise OptionError(
                 f"{self.source} is made from its extract when it is needed; save the data without it."

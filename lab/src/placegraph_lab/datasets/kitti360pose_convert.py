@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.geometry import Floats
-from placegraph.core.store import writing
+from placegraph.core.mapfile import writing
 from placegraph.errors import InputError
 from placegraph_lab.datasets.kitti360pose import (
     DIRECTIONS,

@@ -14,7 +14,7 @@ from pathlib import Path
 from types import FunctionType
 from typing import cast
 
-from placegraph.core.compiled import Kernel
+from placegraph.core.jit import Kernel
 from placegraph.errors import InputError
 
 HEAD = """\
@@ -72,7 +72,7 @@ import contextlib, json, sys
 from placegraph.cli import APP
 with contextlib.suppress(SystemExit):
     APP.main(sys.argv[2:], prog_name="placegraph", standalone_mode=False)
-from placegraph.core.compiled import Kernel
+from placegraph.core.jit import Kernel
 from placegraph.core.warm import spelled
 names, calls = {}, {}
 for name, module in list(sys.modules.items()):

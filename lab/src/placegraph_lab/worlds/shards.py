@@ -10,8 +10,8 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from placegraph.core.geo import bounds, held, key_of, tile_of, tiles
 from placegraph.core.geometry import LocalPlane
-from placegraph.core.tiles import bounds, held, key_of, tile_of, tiles
 from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.map.index import REACH, STRIDE
 from placegraph.outdoor.map.objects import POINT, CityObjects

@@ -9,8 +9,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from placegraph.core.files import cannot_write
-from placegraph.core.locks import exclusive
+from placegraph.core.files import cannot_write, exclusive
 from placegraph.errors import OptionError
 
 

@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 
-from placegraph.core.tiles import held
+from placegraph.core.geo import held
 from placegraph.errors import InputError, MapError, MissingExtraError, OptionError
 from placegraph.outdoor.city import CityMap
 from placegraph_scale.build import build as module

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from placegraph import SceneLibrary, SearchOptions
-from placegraph.core import store
+from placegraph.core import mapfile as store
 from placegraph.errors import InputError, MapError, OptionError
 from placegraph.indoor.language import read
 from placegraph.indoor.library import library_of
@@ -115,7 +115,7 @@ def test_nothing_to_write_and_nothing_asked(tmp_path, shards):
 
 def test_a_shard_that_is_cut_while_it_is_open_is_named(signatures, tmp_path, rooms, monkeypatch):
     monkeypatch.setattr(
-        "placegraph.core.store.PAGE", 1
+        "placegraph.core.mapfile.PAGE", 1
     )  # small columns are windows on the file, too
     shards, film = write_shards(tmp_path / "one", listed(signatures)[:9]), rooms["study"].film(3)
     row = shards.search("a study with two desks").stats["rows"][0]

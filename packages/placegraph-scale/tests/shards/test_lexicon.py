@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import placegraph as pg
-from placegraph.core.tiles import bounds
+from placegraph.core.geo import bounds
 from placegraph.outdoor.city import CityMap
 from placegraph_scale.shards.lexicon import Thing, joined
 

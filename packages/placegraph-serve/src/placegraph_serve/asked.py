@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from placegraph.core.earth import Anchor
+from placegraph.core.geo import Anchor
 from placegraph.core.geometry import Camera
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.pose.prior import Prior

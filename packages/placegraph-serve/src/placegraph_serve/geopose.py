@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.estimate import Status
-from placegraph.core.geojson import poses_of
+from placegraph.core.geo import EarthPose, poses_of
 from placegraph.core.geometry import Camera
-from placegraph.core.geopose import EarthPose
 from placegraph.errors import InputError, RequestError
 from placegraph.io.capture.frame import Frame
 from placegraph_io.dataset.colmap_files import model_camera

@@ -10,7 +10,7 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from placegraph.core import store
+from placegraph.core import mapfile as store
 from placegraph.core.geometry import LocalPlane
 from placegraph.errors import OptionError, PlacegraphError, RequestError
 from placegraph.indoor.library import SceneLibrary

@@ -10,7 +10,7 @@ from typing import Any
 from starlette.responses import JSONResponse, Response
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from placegraph.core import kept
+from placegraph.core import cache as kept
 from placegraph.errors import PlacegraphError, RequestError
 from placegraph_serve.lanes import Lane
 from placegraph_serve.limits import check_depth

@@ -82,7 +82,7 @@ def dumped(told: object) -> bytes:
 
 def run(connection: Connection, setting: Setting) -> None:
     """Answer until the other end is closed; a busy process is ended by its parent alone."""
-    from placegraph.core import kept
+    from placegraph.core import cache as kept
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent lets running answers end
     signal.signal(signal.SIGTERM, signal.SIG_IGN)

@@ -41,7 +41,7 @@ def build(
     Example: placegraph library build encoded/ -o homes.library --encoder scenegraphloc
     --weights mine.safetensors
     """
-    from placegraph.core.store import writing
+    from placegraph.core.mapfile import writing
     from placegraph.indoor.library import SceneLibrary
 
     paths = _named([path for given in maps for path in _maps(given)])

@@ -17,7 +17,7 @@ from placegraph.errors import OptionError
 from placegraph.io.osm.levels import levels_of
 
 if TYPE_CHECKING:
-    from placegraph.core.earth import Anchor
+    from placegraph.core.geo import Anchor
     from placegraph.indoor.pose.query import Progress
     from placegraph.indoor.scene_map import SceneMap
     from placegraph.world import Fitted
@@ -220,7 +220,7 @@ def _told(anchor: Anchor, floor: float, height: float | None, level: str, buildi
 def _posed(text: str, accuracy: str) -> Anchor:
     import numpy as np
 
-    from placegraph.core.earth import Anchor
+    from placegraph.core.geo import Anchor
 
     mend = "give longitude, latitude, height and heading_deg, as 7.42,43.73,50,90."
     lon, lat, height, heading = numbers_of(text, "--pose", {4}, mend)

@@ -71,7 +71,7 @@ def encode(
     """
     from time import perf_counter
 
-    from placegraph.core.store import writing
+    from placegraph.core.mapfile import writing
     from placegraph.indoor.encode import vectors_of
     from placegraph.indoor.scene_map import SceneMap
 

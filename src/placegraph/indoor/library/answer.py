@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.earth import EarthPose
 from placegraph.core.estimate import Evidence, ObjectRef, SceneEstimate, SceneMode, Status
+from placegraph.core.geo import EarthPose
 from placegraph.errors import OptionError
 from placegraph.indoor.encode import Encoder
 from placegraph.indoor.language import Sentence, read, score

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.earth import EarthPose
 from placegraph.core.estimate import Evidence
 from placegraph.core.files import regular
+from placegraph.core.geo import EarthPose
 from placegraph.errors import InputError, MapError, OptionError
 from placegraph.indoor.encode import Encoder, encoder
 from placegraph.indoor.language import Sentence, TextIndex

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.graph import SceneGraph
-from placegraph.core.store import MapFile, pack_strings, read_map
+from placegraph.core.mapfile import MapFile, pack_strings, read_map
 from placegraph.indoor.encode import Encoder
 from placegraph.indoor.library.index import distinct
 from placegraph.indoor.library.signature import BANDS, TURNS, Signature

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from placegraph.core.compiled import kernel
+from placegraph.core.jit import kernel
 from placegraph.core.threads import share
 from placegraph.indoor.map.surface_kernels import colour_at, opponent
 from placegraph.indoor.rays.layout import DIRECTION, FAR, LANES, ORIGIN, TRIANGLE, U, V

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from placegraph.core.earth import unplaced
 from placegraph.core.features import areas, collection, feature
+from placegraph.core.geo import unplaced
 from placegraph.indoor.map.scene import Scene
 
 _RING = np.array([(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)])

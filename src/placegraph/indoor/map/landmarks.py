@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from placegraph.core.portable import Portable
-from placegraph.core.store import MapFile
+from placegraph.core.mapfile import MapFile
+from placegraph.core.pickling import Portable
 from placegraph.errors import OptionError
 
 MOST = 20_000

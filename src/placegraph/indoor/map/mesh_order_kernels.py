@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from placegraph.core.compiled import kernel
+from placegraph.core.jit import kernel
 
 _LOOK = 64  # vertices of more triangles than this are walked around as the triangles lie
 

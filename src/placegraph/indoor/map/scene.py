@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from placegraph.core.earth import Anchor, ranked
+from placegraph.core.geo import Anchor, ranked
 from placegraph.core.graph import SceneGraph
-from placegraph.core.portable import Portable, made_again
+from placegraph.core.pickling import Portable, made_again
 from placegraph.errors import OptionError
 from placegraph.indoor.map import textures
 from placegraph.indoor.map.eight_bits import from_8_bits, in_8_bits

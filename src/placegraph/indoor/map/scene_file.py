@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.earth import Anchor
+from placegraph.core.geo import Anchor
 from placegraph.core.graph import SceneGraph
-from placegraph.core.store import MapFile, pack_strings, read_header, read_map, sound, write_map
+from placegraph.core.mapfile import MapFile, pack_strings, read_header, read_map, sound, write_map
 from placegraph.indoor.map import textures
 from placegraph.indoor.map.eight_bits import from_8_bits, in_8_bits
 from placegraph.indoor.map.landmarks import MOST, Landmarks
@@ -39,7 +39,7 @@ PARTS = {
 
 
 def save_scene(scene: Scene, path: str | PathLike[str]) -> None:
-    """Write a map file (atomically, with checksums); raises as `placegraph.core.store` does."""
+    """Write a map file (atomically, with checksums); raises as `placegraph.core.mapfile` does."""
     write_map(path, KIND, VERSION, *columns(scene))
 
 
@@ -118,7 +118,7 @@ def columns(scene: Scene) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
 def bytes_of(path: str | PathLike[str]) -> dict[str, int]:
     """Bytes of a map file's parts: graph, surface, colour, embeddings, landmarks.
 
-    Raises `InputError` and `MapError` as `placegraph.core.store.read_header` does.
+    Raises `InputError` and `MapError` as `placegraph.core.mapfile.read_header` does.
     """
     part_of = {column: part for part, columns in PARTS.items() for column in columns}
     header = read_header(path)

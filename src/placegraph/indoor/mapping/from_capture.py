@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.earth import Anchor
+from placegraph.core.geo import Anchor
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.encode.segmenter import Segmenter
 from placegraph.indoor.map.floor import floor_height

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from placegraph.core.earth import EarthPose
 from placegraph.core.estimate import PoseEstimate, PoseMode
+from placegraph.core.geo import EarthPose
 from placegraph.indoor.map.floor import storey_at
 from placegraph.indoor.map.rooms.naming import room_at
 from placegraph.indoor.map.scene import Scene

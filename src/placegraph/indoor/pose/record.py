@@ -1,6 +1,6 @@
 """A recorded run: an estimate with the particles of every pass and frame, as a small file.
 
-The layout is that of map files (`placegraph.core.store`), of kind ``run``: `docs/formats.md`.
+The layout is that of map files (`placegraph.core.mapfile`), of kind ``run``: `docs/formats.md`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from placegraph.core.estimate import PassRecord, PoseEstimate, PoseMode, Status
 from placegraph.core.geometry import Floats
-from placegraph.core.store import MapFile, read_map, sound, write_map
+from placegraph.core.mapfile import MapFile, read_map, sound, write_map
 
 KIND = "run"
 VERSION = 1

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from placegraph.core.compiled import kernel
+from placegraph.core.jit import kernel
 from placegraph.indoor.rays.bvh_kernels import STACK
 from placegraph.indoor.rays.layout import DIRECTION, FAR, GEOMETRY, LANES, NEAR, ORIGIN, TRIANGLE
 from placegraph.indoor.rays.layout import U as HIT_U

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from placegraph.core.compiled import kernel
+from placegraph.core.jit import kernel
 from placegraph.indoor.rays.layout import DIRECTION, FAR, LANES, ORIGIN, TRIANGLE
 from placegraph.indoor.rays.packets_kernels import new_packet, trace16
 

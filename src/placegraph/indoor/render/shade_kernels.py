@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from placegraph.core.compiled import kernel
+from placegraph.core.jit import kernel
 from placegraph.indoor.rays.layout import DIRECTION, FAR, LANES, TRIANGLE, U, V
 
 MOST_LOOKS = np.float32(8.0)

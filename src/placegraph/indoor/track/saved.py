@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from placegraph.core.geometry import Floats
-from placegraph.core.store import read_map, write_map
+from placegraph.core.mapfile import read_map, write_map
 from placegraph.errors import InputError, MapError, OptionError
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.track.odometry import checked_covariance, checked_odometry, checked_pose

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from placegraph.core.camera_models import MODELS
 from placegraph.core.files import regular
 from placegraph.core.geometry import Camera
-from placegraph.core.lens import MODELS
 from placegraph.errors import InputError, OptionError
 
 _INTRINSICS = ("fx", "fy", "cx", "cy")

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from placegraph.core.geometry import Camera
-from placegraph.core.portable import Portable
+from placegraph.core.pickling import Portable
 from placegraph.errors import OptionError
 
 LabelKind = Literal["labels", "instances"]

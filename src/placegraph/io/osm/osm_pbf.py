@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from placegraph.core.columns import starts
+from placegraph.core.mapfile import starts
 from placegraph.io.osm import osm_pbf_kernels as kernels
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from placegraph.core.compiled import kernel
+from placegraph.core.jit import kernel
 
 VARINT, EIGHT, BYTES, FOUR = 0, 1, 2, 5
 """How the value of a field is written."""

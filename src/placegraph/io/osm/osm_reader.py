@@ -13,8 +13,8 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.columns import spans
-from placegraph.core.columns import starts as starts_of
+from placegraph.core.mapfile import spans
+from placegraph.core.mapfile import starts as starts_of
 from placegraph.errors import InputError
 from placegraph.io.osm import osm_pbf as pbf
 from placegraph.io.osm.osm import (

@@ -16,7 +16,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
-from placegraph.core import locks
+from placegraph.core import files as locks
 from placegraph.core.files import cannot_write, write_file
 from placegraph.errors import (
     InputError,

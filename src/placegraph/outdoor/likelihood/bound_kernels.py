@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from placegraph.core.compiled import kernel
+from placegraph.core.jit import kernel
 from placegraph.outdoor.likelihood.fit_kernels import BETWEEN, DIRECTION, ME, TABLE
 from placegraph.outdoor.map.index_kernels import FINE, SLOTS, slot_of, unpack
 

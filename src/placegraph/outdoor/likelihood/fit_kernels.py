@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.compiled import kernel
+from placegraph.core.jit import kernel
 
 DIRECTION, NEAR, INSIDE, ALONG, ACROSS, BETWEEN, VISIBLE, SAME = range(8)
 """Operations, one for each `Relation`, in its order."""

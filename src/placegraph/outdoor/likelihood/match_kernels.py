@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.compiled import kernel
+from placegraph.core.jit import kernel
 from placegraph.outdoor.likelihood.coherence_kernels import MOST, assign, log_coherence
 from placegraph.outdoor.likelihood.fit_kernels import AREA, BETWEEN, DIRECTION, ME, me_fit, pair_fit
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from placegraph.core.geometry import LocalPlane
 from placegraph.core.graph import SceneGraph
-from placegraph.core.portable import Portable
+from placegraph.core.pickling import Portable
 from placegraph.errors import OptionError
 from placegraph.outdoor.map.objects import CityObjects
 from placegraph.outdoor.map.raster import Grid, Sightings, sightings

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from placegraph.core.columns import starts
 from placegraph.core.geometry import LocalPlane
-from placegraph.core.portable import Portable
-from placegraph.core.store import pack_strings, read_map, sound, write_map
+from placegraph.core.mapfile import pack_strings, read_map, sound, starts, write_map
+from placegraph.core.pickling import Portable
 from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.map.blocks import Blocks
 from placegraph.outdoor.map.cells import Cells, cell_graph, occupied_cells

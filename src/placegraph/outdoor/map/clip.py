@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.tiles import Box
+from placegraph.core.geo import Box
 from placegraph.outdoor.map.objects import AREA
 
 Points = NDArray[np.float64]

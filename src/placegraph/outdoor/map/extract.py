@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.core.columns import spans, starts
 from placegraph.core.geometry import LocalPlane
+from placegraph.core.mapfile import spans, starts
 from placegraph.errors import InputError
 from placegraph.io.osm.osm import LINE, POINT, LeftOut, OsmColumns, OsmElement, read_columns
 from placegraph.outdoor.language.vocabulary import Vocabulary

@@ -7,7 +7,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from placegraph.core.store import MapFile
+from placegraph.core.mapfile import MapFile
 from placegraph.outdoor.map.index import ViewIndex
 
 WORTH = 10_000

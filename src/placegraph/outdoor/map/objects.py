@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from placegraph.core.portable import Portable
+from placegraph.core.pickling import Portable
 from placegraph.outdoor.map.simplify_kernels import _boxes, _centers, _keep
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from placegraph.core.compiled import kernel
+from placegraph.core.jit import kernel
 from placegraph.outdoor.map.index_kernels import AREA, REACHED, SIDE, SLOTS, ones
 from placegraph.outdoor.map.raster_kernels import box_of, crossings
 

@@ -10,7 +10,7 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.columns import spans, starts
+from placegraph.core.mapfile import spans, starts
 
 STEPS = 1e7
 """Steps in a degree, in which OpenStreetMap has its coordinates."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from placegraph.core.compiled import kernel
+from placegraph.core.jit import kernel
 
 REACH = 34.0
 """Things nearer than this to its centre belong to a place: who stands 10 m aside sees them [m]."""

@@ -12,8 +12,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.mapfile import (
+    SENSELESS,
+    MapFile,
+    pack_strings,
+    read_header,
+    read_map,
+    write_map,
+)
 from placegraph.core.networks import arrays_of, digest, halves, rounded
-from placegraph.core.store import SENSELESS, MapFile, pack_strings, read_header, read_map, write_map
 from placegraph.errors import InputError, MapError
 from placegraph.outdoor.network.graphs_kernels import CHANNELS, MOST_THINGS, REACH
 from placegraph.outdoor.network.labels import WordVectors

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.core.earth import Anchor, unplaced
+from placegraph.core.geo import Anchor, unplaced
 from placegraph.core.geometry import Floats
 from placegraph.view.draw.canvas import Bounds, Disc, Frame, Item, Stroke
 from placegraph.view.draw.lettering import Taken

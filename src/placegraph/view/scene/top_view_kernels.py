@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.compiled import kernel
+from placegraph.core.jit import kernel
 
 STEEP = 0.02
 """Triangles whose footprint is narrower than this share of their length are drawn as lines."""

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from placegraph.core.earth import Anchor
+from placegraph.core.geo import Anchor
 from placegraph.core.geometry import rotation_z
 from placegraph.errors import MapError, OptionError
 from placegraph.indoor.build import build_scene

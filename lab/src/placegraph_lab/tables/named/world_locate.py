@@ -22,8 +22,8 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from placegraph.core.earth import Anchor
 from placegraph.core.estimate import Status
+from placegraph.core.geo import Anchor
 from placegraph.core.geometry import Camera, LocalPlane, vector_from_rotation
 from placegraph.indoor.map.floor import label_words
 from placegraph.indoor.map.rooms.naming import room_at

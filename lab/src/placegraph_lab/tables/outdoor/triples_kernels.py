@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.compiled import kernel
 from placegraph.core.geometry import Floats
+from placegraph.core.jit import kernel
 from placegraph_lab.tables.outdoor.raw import Ints
 
 NORTH, SOUTH, EAST, WEST = range(4)

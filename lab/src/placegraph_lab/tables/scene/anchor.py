@@ -12,7 +12,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from placegraph.core.earth import Anchor
+from placegraph.core.geo import Anchor
 from placegraph.core.geometry import Camera, Floats, wrap
 from placegraph.errors import PlacegraphError
 from placegraph.indoor.mapping.osm.outlines import rings_of_cells

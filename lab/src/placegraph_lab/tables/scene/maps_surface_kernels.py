@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.compiled import kernel
+from placegraph.core.jit import kernel
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -16,10 +16,10 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from placegraph.core import locks
+from placegraph.core import files as locks
 from placegraph.core.files import cannot_write, write_file
+from placegraph.core.geo import check_zoom
 from placegraph.core.threads import processors
-from placegraph.core.tiles import check_zoom
 from placegraph.errors import InputError, MapError, OptionError
 from placegraph.io.osm.osm import checked_osm
 from placegraph.io.osm.urls import all_on_disk, is_url, size_of

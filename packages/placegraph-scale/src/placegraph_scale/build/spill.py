@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from placegraph.core.columns import starts
+from placegraph.core.mapfile import starts
 from placegraph.errors import MapError
 from placegraph.outdoor.map.things import THING, Things
 

@@ -20,9 +20,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.columns import starts
 from placegraph.core.files import write_file
-from placegraph.core.tiles import bounds, key_of, reached
+from placegraph.core.geo import bounds, key_of, reached
+from placegraph.core.mapfile import starts
 from placegraph.errors import InputError
 from placegraph.io.osm.osm import LeftOut, read_columns
 from placegraph.io.osm.urls import is_url, size_of

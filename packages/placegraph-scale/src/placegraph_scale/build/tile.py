@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from placegraph.core.geo import bounds
 from placegraph.core.geometry import LocalPlane
-from placegraph.core.header import DIGEST
-from placegraph.core.tiles import bounds
+from placegraph.core.mapfile import DIGEST
 from placegraph.io.osm.osm import LeftOut
 from placegraph.outdoor.map.city import City
 from placegraph.outdoor.map.clip import clip
@@ -24,7 +24,7 @@ from placegraph_scale.build.spill import things_of
 from placegraph_scale.shards.table import counted, keep
 
 if TYPE_CHECKING:
-    from placegraph.core.tiles import Box
+    from placegraph.core.geo import Box
 
 SPARE = 0.01
 """What sticks out of a tile by less than this stays whole [deg]: squares, parks, long buildings."""

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.files import Watch
-from placegraph.core.store import read_header, read_map, sound
+from placegraph.core.mapfile import read_header, read_map, sound
 from placegraph.errors import MapError
 from placegraph.indoor.language.colours import with_colours
 from placegraph.indoor.language.index import Columns, Postings

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.earth import EarthPose
-from placegraph.core.store import write_map
+from placegraph.core.geo import EarthPose
+from placegraph.core.mapfile import write_map
 from placegraph.errors import MapError, OptionError
 from placegraph.indoor.encode import Encoder, encoder
 from placegraph.indoor.language.index import columns_of

@@ -21,10 +21,10 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.earth import EarthPose
 from placegraph.core.estimate import Evidence
 from placegraph.core.files import real_path
-from placegraph.core.store import read_map, sound
+from placegraph.core.geo import EarthPose
+from placegraph.core.mapfile import read_map, sound
 from placegraph.errors import InputError, MapError, OptionError, PlacegraphError
 from placegraph.indoor.encode import Encoder
 from placegraph.indoor.language import Sentence, score

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.core.tiles import check_zoom, tile_of
+from placegraph.core.geo import check_zoom, tile_of
 from placegraph.errors import InputError, MapError, OptionError
 from placegraph_scale.shards.folder import SHARDS, WORDS, ShardFile, WorldFile, digest_of
 from placegraph_scale.shards.table import counted, write

@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from placegraph.core import files
-from placegraph.core.header import DIGEST
-from placegraph.core.tiles import DEEPEST, bounds
+from placegraph.core.geo import DEEPEST, bounds
+from placegraph.core.mapfile import DIGEST
 from placegraph.errors import InputError, MapError
 from placegraph.maps import WORLD
 
 if TYPE_CHECKING:
-    from placegraph.core.tiles import Box
+    from placegraph.core.geo import Box
 
 
 NAME, WORDS, SHARDS = WORLD, "words.table", "shards"

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.tiles import bounds
+from placegraph.core.geo import bounds
 from placegraph.outdoor.map.blocks import Blocks
 from placegraph.outdoor.map.objects import CityObjects, columns_of
 

@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from placegraph.core.header import damaged
-from placegraph.core.pages import STARTS, Column, stretches
-from placegraph.core.pages import Texts as Lying
+from placegraph.core.mapfile import STARTS, Column, damaged, stretches
+from placegraph.core.mapfile import Texts as Lying
 from placegraph.outdoor.map.names import CROWDED, LONGEST, NameIndex, is_alphabetic, spoken, stems
 from placegraph_scale.shards.merge import AT_ONCE, Columns, Texts, by_key
 
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from placegraph.core.store import MapFile
+    from placegraph.core.mapfile import MapFile
 
 Found = TypeVar("Found")
 COLUMNS = {

@@ -10,8 +10,8 @@ from uuid import uuid4
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.geo import held
 from placegraph.core.geometry import LocalPlane
-from placegraph.core.tiles import held
 from placegraph.outdoor.likelihood.statements import Far, MentionTokens
 from placegraph.outdoor.map.index import REACH, STRIDE
 from placegraph.outdoor.search.candidates import Candidates, candidates

@@ -11,10 +11,19 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 import numpy as np
 
 from placegraph.core.files import cannot_write
-from placegraph.core.header import damaged
-from placegraph.core.pages import STARTS, SUMS, open_pages, stretches, with_sums
-from placegraph.core.store import pack_strings, read_map, sound, write_map
-from placegraph.core.tiles import bounds, held
+from placegraph.core.geo import bounds, held
+from placegraph.core.mapfile import (
+    STARTS,
+    SUMS,
+    damaged,
+    open_pages,
+    pack_strings,
+    read_map,
+    sound,
+    stretches,
+    with_sums,
+    write_map,
+)
 from placegraph.errors import PlacegraphError
 from placegraph.outdoor.map.index_build import Core
 from placegraph_scale.shards import names
@@ -28,7 +37,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.core.files import Watch
-    from placegraph.core.pages import Column
+    from placegraph.core.mapfile import Column
     from placegraph.outdoor.map.city import City
 
 KIND, VERSION = "words", 3

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from placegraph.core.compiled import kernel
+from placegraph.core.jit import kernel
 
 _MOST_SAMPLES = 512  # along an edge of a triangle
 

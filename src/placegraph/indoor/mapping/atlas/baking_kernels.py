@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from placegraph.core.compiled import kernel
+from placegraph.core.jit import kernel
 
 REACH = 1.5
 """Texels this far from a chart are coloured like its nearest point: bilinear looks touch them."""

@@ -7,7 +7,7 @@ from heapq import heappop, heappush
 
 import numpy as np
 
-from placegraph.core.compiled import kernel
+from placegraph.core.jit import kernel
 
 STRICT = 1e-3
 """Share of each corner that a texel's centre needs to lie inside a triangle beyond doubt."""

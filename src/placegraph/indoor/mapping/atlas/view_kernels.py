@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.compiled import kernel
+from placegraph.core.jit import kernel
 
 BEST = 5
 """Views of a texel that are compared; those that agree are mixed."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.earth import Anchor
+from placegraph.core.geo import Anchor
 from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
 from placegraph.indoor.map.floor import LEVEL, is_floor, label_words

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from placegraph.core.earth import Anchor
 from placegraph.core.features import inside
+from placegraph.core.geo import Anchor
 from placegraph.core.geometry import Floats
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.mapping.osm.outlines import polygons

@@ -13,7 +13,7 @@ import heapq
 
 import numpy as np
 
-from placegraph.core.compiled import kernel
+from placegraph.core.jit import kernel
 from placegraph.indoor.mapping.simplify.quadric_kernels import (
     face_normal,
     meeting_point,

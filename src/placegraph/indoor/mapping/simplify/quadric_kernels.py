@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from placegraph.core.compiled import kernel
+from placegraph.core.jit import kernel
 
 BORDER = 10.0
 """How much more a border edge's plane weighs than a face's: open sheets keep their outline."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from placegraph.core.compiled import kernel
+from placegraph.core.jit import kernel
 
 _TENSOR = 2  # half the side of the window of the structure tensor [px]
 _FLAT = np.float32(1e-5)  # variance per pixel below which a window shows nothing

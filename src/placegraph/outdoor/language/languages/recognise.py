@@ -10,7 +10,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import NamedTuple
 
-from placegraph.core.kept import kept
+from placegraph.core.cache import kept
 from placegraph.outdoor.language.languages.language import Language, english, language, tables
 from placegraph.outdoor.language.vocabulary.text import singular
 

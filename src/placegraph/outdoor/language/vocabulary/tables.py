@@ -10,7 +10,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from placegraph.core.kept import kept
+from placegraph.core.cache import kept
 from placegraph.errors import InputError
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from numpy.typing import NDArray
 
-from placegraph.core.store import pack_strings, read_map, write_map
+from placegraph.core.mapfile import pack_strings, read_map, write_map
 from placegraph.errors import InputError
 from placegraph.outdoor.network.batches import Fits
 from placegraph.outdoor.network.graphs import TextGraphs

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from placegraph.core.compiled import kernel
+from placegraph.core.jit import kernel
 from placegraph.outdoor.network.graphs_kernels import place_relations
 from placegraph.outdoor.network.network_kernels import CHANCE, LITERAL, background_of, literal_of
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.store import pack_strings, read_map, write_map
+from placegraph.core.mapfile import pack_strings, read_map, write_map
 from placegraph.errors import MapError, OptionError
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture
@@ -138,7 +138,7 @@ def kept_lesson(path: Path, make: Callable[[], Lesson]) -> Lesson:
 
 
 def write_lesson(path: Path, lesson: Lesson) -> None:
-    """Write a lesson in one go; raises as `placegraph.core.store` does."""
+    """Write a lesson in one go; raises as `placegraph.core.mapfile` does."""
     arrays: dict[str, NDArray[Any]] = {}
     for prefix, room in (("now", lesson.room), ("earlier", lesson.earlier)):
         if room is not None:
@@ -152,7 +152,7 @@ def write_lesson(path: Path, lesson: Lesson) -> None:
 
 
 def read_lesson(path: Path) -> Lesson:
-    """Read a lesson again; raises as `placegraph.core.store` does."""
+    """Read a lesson again; raises as `placegraph.core.mapfile` does."""
     file = read_map(path, KIND, VERSION)
     name = str(file.meta["name"])
 

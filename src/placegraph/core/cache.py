@@ -1,12 +1,4 @@
-# mypy: disable-error-code="attr-defined"
-"""What is made once and found again by the next process: compiled code, grammars, unpacked tables.
-
-Folders are looked through in this order, and what is new goes to the first that can be written:
-the one that was chosen (`use_folder`, or numba's own setting, ``NUMBA_CACHE_DIR``), and only where
-none was chosen the package's own (``__pycache__/kernels``), then the user's cache. Where none can
-be written, it is kept in a private temporary one, and where that cannot be either, nothing is
-kept; either with one warning.
-"""
+"""Cache of what is made once and found again by the next process: compiled code, grammars, tables."""
 
 from __future__ import annotations
 
@@ -20,6 +12,9 @@ from functools import cached_property
 from os import PathLike
 from pathlib import Path
 from typing import TypeVar
+
+# mypy: disable-error-code="attr-defined"
+
 
 T = TypeVar("T")
 
@@ -112,7 +107,7 @@ class _Folders:
         if config.CACHE_DIR:
             return [Path(config.CACHE_DIR)]
         user = AppDirs(appname="placegraph", appauthor=False).user_cache_dir
-        return [Path(__file__).parent / "__pycache__" / "kernels", Path(user) / "kernels"]
+        return [Path(__file__).parents[1] / "__pycache__" / "kernels", Path(user) / "kernels"]
 
     def _fallback(self) -> Path | None:
         """The private folder; None where it cannot be written, or was tried."""

@@ -1,4 +1,3 @@
-# mypy: disable-error-code="attr-defined, no-untyped-call, no-any-return"
 """Compiled kernels, whose machine code is kept for the next process.
 
 `kernel` stands where `numba.njit` would, and differs in what it keeps:
@@ -40,9 +39,12 @@ from numba.core.runtime import rtsys
 from numba.core.serialize import dumps
 from numba.core.types import unliteral
 
-from placegraph.core import kept
+from placegraph.core import cache as kept
+from placegraph.core.cache import folders, tell
 from placegraph.core.fingerprint import fingerprint
-from placegraph.core.kept import folders, tell
+
+# mypy: disable-error-code="attr-defined, no-untyped-call, no-any-return"
+
 
 _HELD = ("SIGINT", "SIGALRM", "SIGTERM", "SIGHUP", "SIGUSR1", "SIGUSR2")
 """Signals whose handlers in Python may raise."""

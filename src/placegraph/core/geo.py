@@ -1,0 +1,633 @@
+"""Positions on Earth: OGC GeoPose 1.0, anchors of maps, tiles, and estimates as GeoJSON."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
+from math import degrees, isfinite, sqrt
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from placegraph.core.evidence import Evidence
+from placegraph.core.features import collection, feature
+from placegraph.core.geometry import (
+    WGS84_A,
+    WGS84_E2,
+    Floats,
+    LocalPlane,
+    quaternion_from_rotation,
+    rotation_from_quaternion,
+    rotation_z,
+    split_pose,
+)
+from placegraph.errors import GeoPoseError, OptionError
+
+CAMERA_FROM_BODY = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+"""Axes of a GeoPose's body (x right, y forward, z up) in a camera's (x right, y down, z forward)."""
+
+
+@dataclass(frozen=True, eq=False)
+class EarthPose:
+    """A pose on Earth. What is not known of it is not a number (NaN), in the covariance too."""
+
+    longitude: float
+    latitude: float
+    """[deg, WGS84]."""
+    height: float
+    """Above the ellipsoid [m]."""
+    quaternion: Floats
+    """(4,) x, y, z, w: the body's axes (x right, y forward, z up) in east, north, up."""
+    covariance: Floats = field(repr=False)
+    """(6, 6) of east, north, up [m] and of a small turn about these axes [rad]."""
+    probability: float = 1.0
+    level: str = ""
+    """OpenStreetMap's level, such as ``1``."""
+    room: str = ""
+    building: str = ""
+    osm: str = ""
+    """Id of the building, such as ``way/123``."""
+
+    @classmethod
+    def of_place(
+        cls, longitude: float, latitude: float, covariance: ArrayLike, *, probability: float = 1.0
+    ) -> EarthPose:
+        """A place with covariance (2, 2) east-north [m^2], of which no height is known, no direction."""
+        whole = np.full((6, 6), np.nan)
+        whole[:2, :2] = covariance
+        return cls(longitude, latitude, np.nan, np.full(4, np.nan), whole, probability)
+
+    @classmethod
+    def from_dict(cls, plain: Mapping[str, Any]) -> EarthPose:
+        """Pose of `to_dict`; `KeyError`, `TypeError` or `ValueError` where it is none."""
+        numbers = {
+            name: float(np.nan if plain[name] is None else plain[name])
+            for name in ("longitude", "latitude", "height", "probability")
+        }
+        return cls(
+            numbers["longitude"], numbers["latitude"], numbers["height"],
+            np.array(plain["quaternion"], np.float64).reshape(4),
+            np.array(plain["covariance"], np.float64).reshape(6, 6), numbers["probability"],
+            *(str(plain[name]) for name in ("level", "room", "building", "osm")),
+        )  # fmt: skip
+
+    @property
+    def heading(self) -> float:
+        """Where it looks, clockwise from north [rad, 0 to 2 pi), as `geometry.split_pose` has it."""
+        if not np.isfinite(self.quaternion).all():
+            return np.nan
+        matrix = np.eye(4)
+        matrix[:3, :3] = rotation_from_quaternion(self.quaternion) @ CAMERA_FROM_BODY.T
+        if not np.isfinite(matrix).all():
+            return np.nan
+        return float((np.pi / 2.0 - split_pose(matrix)[0][3]) % (2.0 * np.pi))
+
+    @property
+    def unknown(self) -> tuple[str, ...]:
+        """Which of ``height`` and ``orientation`` are not known."""
+        pairs = (("height", self.height), ("orientation", self.quaternion))
+        return tuple(name for name, value in pairs if not np.isfinite(value).all())
+
+    @property
+    def accuracy(self) -> dict[str, float | None]:
+        """Standard deviations: ``position`` a mean axis of what is known [m], ``orientation`` [deg].
+
+        None: not known.
+        """
+        variances = np.diag(self.covariance)
+        height, turned = np.isfinite(self.height), np.isfinite(self.quaternion).all()
+        metres = sqrt(float(variances[: 3 if height else 2].mean()))
+        degrees = float(np.degrees(np.sqrt(variances[3:].mean()))) if turned else None
+        return {"position": metres, "orientation": degrees}
+
+    def geopose(self) -> dict[str, Any]:
+        """OGC GeoPose 1.0, Basic-Quaternion, with ``accuracy``, ``probability`` and ``unknown`` beside.
+
+        The frame is east, north, up at the position; the body's axes are x right, y forward, z up.
+        What ``unknown`` names (``height``, ``orientation``) is written as 0 and as the identity,
+        since the standard asks for numbers.
+        """
+        quaternion = self.quaternion if "orientation" not in self.unknown else np.eye(4)[3]
+        x, y, z, w = (float(v) for v in quaternion)
+        height = 0.0 if "height" in self.unknown else self.height
+        return {
+            "position": {"lat": self.latitude, "lon": self.longitude, "h": height},
+            "quaternion": {"x": x, "y": y, "z": z, "w": w},
+            "accuracy": self.accuracy,
+            "probability": self.probability,
+            "unknown": list(self.unknown),
+        }
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers and strings; None where nothing is known."""
+        heading = np.degrees(self.heading)
+        covariance = self.covariance
+        return {
+            "longitude": self.longitude,
+            "latitude": self.latitude,
+            "height": self.height if np.isfinite(self.height) else None,
+            "heading_deg": float(heading) if np.isfinite(heading) else None,
+            "quaternion": _known(self.quaternion),
+            "covariance": [_known(row) for row in covariance],
+            "probability": self.probability,
+            "level": self.level,
+            "room": self.room,
+            "building": self.building,
+            "osm": self.osm,
+        }
+
+
+def _known(numbers: Floats) -> list[float | None]:
+    """Numbers as JSON takes them."""
+    return [value if np.isfinite(value) else None for value in numbers.tolist()]
+
+
+_AXIS = WGS84_A * sqrt(1.0 - WGS84_E2)  # semi-minor axis [m]
+
+
+def ecef_from_geodetic(lonlath: ArrayLike) -> Floats:
+    """Earth-centred points (..., 3) [m] of longitude, latitude [deg] and height [m] (..., 3)."""
+    lon, lat, height = np.moveaxis(np.asarray(lonlath, np.float64), -1, 0)
+    lon, lat = np.radians(lon), np.radians(lat)
+    prime_vertical = WGS84_A / np.sqrt(1.0 - WGS84_E2 * np.sin(lat) ** 2)
+    across = (prime_vertical + height) * np.cos(lat)
+    up = (prime_vertical * (1.0 - WGS84_E2) + height) * np.sin(lat)
+    return np.stack([across * np.cos(lon), across * np.sin(lon), up], axis=-1)
+
+
+def geodetic_from_ecef(points: ArrayLike) -> Floats:
+    """Longitude, latitude [deg] and height [m] (..., 3) of Earth-centred points (..., 3) [m].
+
+    Bowring's iteration: to 1e-9 m within 100 km of the ellipsoid. At a pole longitude is 0.
+    """
+    x, y, z = np.moveaxis(np.asarray(points, np.float64), -1, 0)
+    across, squash = np.hypot(x, y), sqrt(1.0 - WGS84_E2)
+    reduced = np.arctan2(z, across * squash)
+    for _ in range(4):
+        lat = np.arctan2(
+            z + WGS84_E2 / (1.0 - WGS84_E2) * _AXIS * np.sin(reduced) ** 3,
+            across - WGS84_E2 * WGS84_A * np.cos(reduced) ** 3,
+        )
+        reduced = np.arctan2(squash * np.sin(lat), np.cos(lat))
+    surface = WGS84_A * np.sqrt(1.0 - WGS84_E2 * np.sin(lat) ** 2)
+    height = across * np.cos(lat) + z * np.sin(lat) - surface
+    return np.stack([np.degrees(np.arctan2(y, x)), np.degrees(lat), height], axis=-1)
+
+
+def ecef_from_enu(longitude: float, latitude: float) -> Floats:
+    """Rotation (3, 3): the axes east, north, up of a place [deg] in the Earth-centred frame."""
+    lon, lat = np.radians(longitude), np.radians(latitude)
+    sl, cl, sp, cp = np.sin(lon), np.cos(lon), np.sin(lat), np.cos(lat)
+    return np.array([[-sl, -sp * cl, cp * cl], [cl, -sp * sl, cp * sl], [0.0, cp, sp]])
+
+
+HIGHEST = 1e5
+"""Of a map above or below the ellipsoid [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Anchor:
+    """Where a scene map stands on Earth: one candidate, upright as the map is.
+
+    Raises `OptionError` where a number is out of its range.
+    """
+
+    longitude: float
+    latitude: float
+    """Of the map's origin (0, 0, 0) [deg, WGS84]."""
+    height: float
+    """Of the map's z = 0 above the ellipsoid [m]."""
+    heading: float
+    """Where the map's y axis points, clockwise from north [rad, 0 to 2 pi); 0: x east, y north."""
+    covariance: Floats = field(default_factory=lambda: np.zeros((4, 4)), repr=False)
+    """(4, 4) float64 of east, north, up [m] and heading [rad]; all zero: nobody
+    said, and it counts as exact."""
+    building: str = ""
+    """Name of the building."""
+    osm: str = ""
+    """Its id, such as ``way/123``."""
+    level: str = ""
+    """OpenStreetMap's level of the map's floor, such as ``1``."""
+    probability: float = 1.0
+    """That the map stands here and not where another candidate says."""
+    method: str = ""
+    """How it was found."""
+    residuals: tuple[float, ...] = field(default=(), repr=False)
+    """What is left between each thing that was fitted and where it should be [m]."""
+    scene: str = ""
+    """Which of the merged scenes of a map it is of; empty: of the whole map."""
+
+    def __post_init__(self) -> None:
+        for name, most in (("longitude", 180.0), ("latitude", 90.0), ("height", HIGHEST)):
+            value = float(getattr(self, name))
+            if not abs(value) <= most:
+                raise OptionError(
+                    f"anchor: {name} is {value:g}; it is between {-most:g} and {most:g}."
+                )
+            object.__setattr__(self, name, value)
+        heading, probability = float(self.heading), float(self.probability)
+        if not np.isfinite(heading):
+            raise OptionError(f"anchor: heading is {heading}; it is an angle in radians.")
+        if not 0.0 < probability <= 1.0:
+            raise OptionError(f"anchor: probability is {probability:g}; it is above 0, at most 1.")
+        residuals = tuple(float(r) for r in self.residuals)
+        if not all(np.isfinite(r) and r >= 0 for r in residuals):
+            raise OptionError("anchor: residuals are lengths in metres; some are none.")
+        covariance = np.array(self.covariance, np.float64)
+        if covariance.shape != (4, 4) or not np.isfinite(covariance).all():
+            raise OptionError(
+                f"anchor: covariance {covariance.shape}; (4, 4) finite numbers belong."
+            )
+        covariance = (covariance + covariance.T) / 2.0
+        values = np.linalg.eigvalsh(covariance)
+        if values[0] < -1e-9 * max(1.0, float(values[-1])):
+            raise OptionError("anchor: covariance is none; one of its variances is negative.")
+        covariance.flags.writeable = False
+        heading %= 2.0 * np.pi
+        object.__setattr__(self, "heading", heading if heading < 2.0 * np.pi else 0.0)
+        object.__setattr__(self, "probability", probability)
+        object.__setattr__(self, "residuals", residuals)
+        object.__setattr__(self, "covariance", covariance)
+
+    @property
+    def known(self) -> bool:
+        """Whether anybody said how far off it may be; `check` of a map asks."""
+        return bool(self.covariance.any())
+
+    @property
+    def enu_from_map(self) -> Floats:
+        """(4, 4): the map in the axes east, north, up at its origin [m]."""
+        matrix = np.eye(4)
+        matrix[:3, :3] = rotation_z(-self.heading)
+        return matrix
+
+    @property
+    def ecef_from_map(self) -> Floats:
+        """(4, 4): the map in the Earth-centred frame [m]."""
+        matrix = np.eye(4)
+        matrix[:3, :3] = ecef_from_enu(self.longitude, self.latitude) @ self.enu_from_map[:3, :3]
+        matrix[:3, 3] = ecef_from_geodetic((self.longitude, self.latitude, self.height))
+        return matrix
+
+    def to_earth(self, points: ArrayLike) -> Floats:
+        """Longitude, latitude [deg] and height [m] (..., 3) of the map's points (..., 3) [m]."""
+        matrix = self.ecef_from_map
+        return geodetic_from_ecef(np.asarray(points, np.float64) @ matrix[:3, :3].T + matrix[:3, 3])
+
+    def to_map(self, lonlath: ArrayLike) -> Floats:
+        """Points (..., 3) [m] of the map of longitude, latitude [deg] and height [m] (..., 3)."""
+        matrix = self.ecef_from_map
+        return np.asarray((ecef_from_geodetic(lonlath) - matrix[:3, 3]) @ matrix[:3, :3])
+
+    def shifted(self, shift: ArrayLike, *, scene: str = "") -> Anchor:
+        """Anchor of the same map once its points were shifted by (3,) [m], as one of merged scenes."""
+        back = -np.asarray(shift, np.float64)
+        lon, lat, height = self.to_earth(back).tolist()
+        turned = ecef_from_enu(lon, lat).T @ self.ecef_from_map[:3, :3]  # (3, 3) ENU there from map
+        jacobian = np.eye(4)
+        jacobian[:3, 3] = np.cross((0.0, 0.0, -1.0), self.enu_from_map[:3, :3] @ back)
+        return replace(
+            self, longitude=lon, latitude=lat, height=height, scene=scene,
+            heading=float(np.arctan2(turned[0, 1], turned[1, 1])),
+            covariance=jacobian @ self.covariance @ jacobian.T,
+        )  # fmt: skip
+
+    def pose(
+        self,
+        map_from_camera: ArrayLike,
+        covariance: ArrayLike | None = None,
+        *,
+        probability: float = 1.0,
+        room: str = "",
+        storey: int = 0,
+    ) -> EarthPose:
+        """Pose on Earth of a camera in the map.
+
+        Parameters
+        ----------
+        map_from_camera
+            (4, 4) [m].
+        covariance
+            (6, 6) of its x, y, z [m] and of a turn about the map's axes [rad], as of a `PoseMode`;
+            None: it is exact. What is not known of the anchor is added to it.
+        probability
+            Of the pose in the map; the anchor's is multiplied.
+        room, storey
+            Where it is; how many storeys above the map's floor, which counts for a level that is a
+            number.
+
+        """
+        pose = np.asarray(map_from_camera, np.float64)
+        ecef_from_camera = self.ecef_from_map @ pose
+        lon, lat, height = geodetic_from_ecef(ecef_from_camera[:3, 3]).tolist()
+        there = ecef_from_enu(lon, lat).T
+        enu_from_map = there @ self.ecef_from_map[:3, :3]
+        # a turn of the anchor (clockwise) moves the camera about the map's origin, and turns it
+        by_anchor = np.zeros((6, 4))
+        by_anchor[:3, :3] = there @ ecef_from_enu(self.longitude, self.latitude)
+        axis = by_anchor[:3, :3] @ (0.0, 0.0, -1.0)
+        by_anchor[:3, 3] = np.cross(axis, enu_from_map @ pose[:3, 3])
+        by_anchor[3:, 3] = axis
+        by_pose = np.kron(np.eye(2), enu_from_map)
+        total = by_anchor @ self.covariance @ by_anchor.T
+        if covariance is not None:
+            total = total + by_pose @ np.asarray(covariance, np.float64) @ by_pose.T
+        body = there @ ecef_from_camera[:3, :3] @ CAMERA_FROM_BODY
+        return EarthPose(
+            lon, lat, height, quaternion_from_rotation(body), total,
+            self.probability * probability, _raised(self.level, storey), room, self.building,
+            self.osm,
+        )  # fmt: skip
+
+    def somewhere(self, box: ArrayLike, *, probability: float = 1.0) -> EarthPose:
+        """Place on Earth of somebody anywhere in a box (2, 3) of the map [m], who looks anywhere."""
+        low, high = np.asarray(box, np.float64)
+        middle, spread = np.eye(4), np.zeros((6, 6))
+        middle[:3, 3] = (low + high) / 2.0
+        np.fill_diagonal(spread[:3, :3], (high - low) ** 2 / 12.0)
+        there = self.pose(middle, spread, probability=probability)
+        covariance = there.covariance.copy()
+        covariance[3:] = covariance[:, 3:] = np.nan
+        return replace(there, quaternion=np.full(4, np.nan), covariance=covariance)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers and strings, as the map file holds them."""
+        return asdict(self) | {
+            "covariance": self.covariance.tolist(),
+            "residuals": list(self.residuals),
+        }
+
+    @classmethod
+    def from_dict(cls, plain: Mapping[str, Any]) -> Self:
+        """Anchor of `to_dict`; `OptionError`, `TypeError` or `ValueError` where it is none."""
+        texts = {"building", "osm", "level", "method", "scene"}
+        given = {f.name: plain[f.name] for f in fields(cls) if f.name in plain}
+        if wrong := [name for name in texts & given.keys() if not isinstance(given[name], str)]:
+            raise OptionError(f"anchor: {wrong[0]} is no text.")
+        return cls(**given)
+
+
+def unplaced(scene: str) -> GeoPoseError:
+    """What is raised where a scene map is asked for its place, and nobody has said it."""
+    return GeoPoseError(
+        f"The scene map {scene!r} has no place on Earth; give it one with `placegraph scene anchor`."
+    )
+
+
+def _raised(level: str, storeys: int) -> str:
+    """OpenStreetMap's level so many storeys up; as it is where it is no number."""
+    try:
+        number = float(level)
+    except ValueError:
+        return level
+    return f"{number + storeys:g}" if storeys and np.isfinite(number) else level
+
+
+def ranked(anchors: Iterable[Anchor], scenes: Sequence[str]) -> tuple[Anchor, ...]:
+    """Anchors of a map of these merged scenes, best first; raises `OptionError` where they are none."""
+    found = tuple(sorted(anchors, key=lambda anchor: -anchor.probability))
+    for scene in scenes:
+        total = sum(a.probability for a in found if a.scene in {"", scene})
+        if total > 1.0 + 1e-6:
+            raise OptionError(
+                f"anchors: the probabilities of {scene!r}'s candidates add up to {total:.2f}; "
+                "at most 1 belongs."
+            )
+    if strange := [a.scene for a in found if a.scene not in {"", *scenes}]:
+        raise OptionError(f"anchors: {strange[0]!r} is no scene of the map.")
+    return found
+
+
+DEEPEST = 16
+"""Levels at most: tiles of 600 m at the equator."""
+NORTHMOST = 85.0511287
+"""The projection ends here [deg]; the last rows reach to the poles."""
+EQUATOR = 40_075_016.7
+"""Once around the Earth [m]."""
+
+
+class Box(NamedTuple):
+    """Longitudes and latitudes [deg], or metres, from edge to edge."""
+
+    west: float
+    south: float
+    east: float
+    north: float
+
+    @property
+    def center(self) -> tuple[float, float]:
+        """Its middle."""
+        return (self.west + self.east) / 2.0, (self.south + self.north) / 2.0
+
+    def widened(self, metres: float) -> Box:
+        """Box of longitudes and latitudes with a margin; its west may lie beyond the date line."""
+        middle, latitude = self.center
+        across, along = metres / np.array(LocalPlane(middle, latitude).metres_per_degree)
+        return Box(self.west - across, self.south - along, self.east + across, self.north + along)
+
+
+def columns_rows(lonlat: NDArray[np.float64], zoom: int) -> NDArray[np.float64]:
+    """Where positions (N, 2) [deg] lie, in columns and rows (N, 2) with fractions."""
+    sine = np.sin(np.radians(np.clip(lonlat[:, 1], -NORTHMOST, NORTHMOST)))
+    rows = 0.5 - np.arctanh(sine) / (2.0 * np.pi)
+    found: NDArray[np.float64] = np.stack([lonlat[:, 0] / 360.0 + 0.5, rows], 1) * 2.0**zoom
+    return found
+
+
+def reached(
+    low: NDArray[np.float64], high: NDArray[np.float64], zoom: int, margin: float
+) -> NDArray[np.int64]:
+    """First column, first row, last column and last row (N, 4) that boxes and a margin [m] touch.
+
+    `low` and `high` are their south-western and north-eastern corners (N, 2) [deg]. Columns go
+    beyond the grid at the date line: take them modulo 2^zoom.
+    """
+    farthest = np.minimum(np.maximum(np.abs(low[:, 1]), np.abs(high[:, 1])), NORTHMOST)
+    wide = margin * 1.01 * 2.0**zoom / (EQUATOR * np.cos(np.radians(farthest)))
+    west, east = columns_rows(low, zoom), columns_rows(high, zoom)
+    ends = np.stack([west[:, 0] - wide, east[:, 1] - wide, east[:, 0] + wide, west[:, 1] + wide], 1)
+    found = np.floor(ends).astype(np.int64)
+    found[:, 1::2] = np.clip(found[:, 1::2], 0, 2**zoom - 1)
+    return found
+
+
+def tiles(lonlat: NDArray[np.float64], zoom: int) -> NDArray[np.int64]:
+    """Column and row (N, 2) of the tiles that hold positions (N, 2) [deg]."""
+    found = np.floor(columns_rows(lonlat, zoom)).astype(np.int64)
+    found[:, 0] %= 1 << zoom
+    found[:, 1] = np.clip(found[:, 1], 0, (1 << zoom) - 1)
+    return found
+
+
+def held(lonlat: NDArray[np.float64], key: str) -> NDArray[np.bool_]:
+    """Which positions (N, 2) [deg] lie in a tile: each in one tile of a zoom."""
+    column, row, zoom = tile_of(key)
+    found: NDArray[np.bool_] = (tiles(lonlat, zoom) == (column, row)).all(axis=1)
+    return found
+
+
+def key_of(column: int, row: int, zoom: int) -> str:
+    """Key of a tile; the column may lie around the Earth."""
+    column %= 1 << zoom
+    bits = range(zoom - 1, -1, -1)
+    return "".join(str((column >> bit & 1) + 2 * (row >> bit & 1)) for bit in bits)
+
+
+def key_at(longitude: float, latitude: float, zoom: int) -> str:
+    """Key of the tile at a position [deg]."""
+    column, row = tiles(np.array([[longitude, latitude]]), zoom)[0].tolist()
+    return key_of(column, row, zoom)
+
+
+def tile_of(key: str) -> tuple[int, int, int]:
+    """Column, row and zoom of a key; raises `OptionError` where it is none."""
+    if not set(key) <= set("0123") or len(key) > DEEPEST:
+        raise OptionError(f"{key!r} is no tile; its key has up to {DEEPEST} digits of 0 to 3.")
+    digits = [int(digit) for digit in key]
+    column = sum((digit & 1) << bit for bit, digit in enumerate(reversed(digits)))
+    row = sum((digit >> 1) << bit for bit, digit in enumerate(reversed(digits)))
+    return column, row, len(key)
+
+
+def bounds(key: str) -> Box:
+    """Longitudes and latitudes of a tile [deg]: the core of a shard of this key."""
+    column, row, zoom = tile_of(key)
+    n = 1 << zoom
+    edges = np.array([row + 1, row]) / n
+    south, north = np.degrees(np.arctan(np.sinh(np.pi * (1.0 - 2.0 * edges)))).tolist()
+    south = -90.0 if row == n - 1 else south
+    north = 90.0 if row == 0 else north
+    return Box(column / n * 360.0 - 180.0, south, (column + 1) / n * 360.0 - 180.0, north)
+
+
+def check_zoom(zoom: int) -> None:
+    """Raise `OptionError` where tiles of a zoom are none."""
+    if isinstance(zoom, bool) or not isinstance(zoom, int) or not 1 <= zoom <= DEEPEST:
+        raise OptionError(f"zoom is {zoom!r}; choose a whole number from 1 to {DEEPEST}.")
+
+
+DIGITS = 7
+"""Of a degree of the corners of an ellipse: 1 cm."""
+SHARE = 0.95
+"""Probability that an ellipse holds, were its mode the right one."""
+_TURN = np.linspace(0.0, 2.0 * np.pi, 49)
+_CIRCLE = np.stack([np.cos(_TURN), np.sin(_TURN)], axis=1)
+_SCALE = float(np.sqrt(-2.0 * np.log(1.0 - SHARE)))  # of a Gaussian in the plane
+
+
+class OnEarth:
+    """What an estimate says in the words of geography; mixed into `Estimate`."""
+
+    status: Any
+    modes: Sequence[Any]
+    reason: str
+
+    def geopose(self) -> dict[str, Any]:
+        """OGC GeoPose 1.0 (Basic-Quaternion) of the best mode, with what it is worth beside it.
+
+        ``position`` (lat, lon [deg], h above the ellipsoid [m]) and ``quaternion`` (x, y, z, w: the
+        body's axes, x right, y forward, z up, in east, north, up) are the standard's. ``unknown``
+        names what of them nobody knows: of a sentence the height and the orientation, written as 0
+        and as the identity. ``accuracy`` (position [m], orientation [deg]), ``probability``,
+        ``status`` and ``reason`` are this library's.
+
+        Raises
+        ------
+        GeoPoseError
+            Nothing was found, or in a scene map that nobody has placed on Earth.
+
+        """
+        if not self.modes:
+            raise GeoPoseError(f"There is no pose: {self.reason}")
+        poses = poses_of(self.modes[0])
+        if not poses:
+            raise unplaced(getattr(self.modes[0], "scene", ""))
+        return poses[0].geopose() | {"status": self.status.name, "reason": self.reason}
+
+    def geojson(self) -> dict[str, Any]:
+        """FeatureCollection of points, ellipses and evidence, told apart by the property ``kind``.
+
+        ``mode``: a point of each mode, and of each candidate of its map's anchor; ``ellipse``: the
+        polygon that holds it with 95 %; ``evidence``: each object that a statement named, a point
+        where its place is known, else without geometry. ``mode`` counts from 1. ``status`` and
+        ``reason`` stand beside the features. Without modes there are none.
+
+        Raises
+        ------
+        GeoPoseError
+            All was found in scene maps that nobody has placed on Earth.
+
+        """
+        features = list(_features(self.modes))
+        if self.modes and not features:
+            raise unplaced(getattr(self.modes[0], "scene", ""))
+        return collection(features) | {"status": self.status.name, "reason": self.reason}
+
+
+def poses_of(mode: Any) -> tuple[EarthPose, ...]:  # noqa: ANN401  # of any wing
+    """Where a mode is on Earth, the likeliest first; empty where its map is not placed there.
+
+    A mode says so in `earth`, or by its longitude, latitude and covariance (2, 2).
+    """
+    earth = getattr(mode, "earth", None)
+    if earth:
+        return (earth,) if isinstance(earth, EarthPose) else tuple(earth)
+    if getattr(mode, "longitude", None) is not None:
+        given = mode.longitude, mode.latitude, mode.covariance
+        return (EarthPose.of_place(*given, probability=mode.probability),)
+    return ()
+
+
+def _features(modes: Sequence[Any]) -> Iterator[dict[str, Any]]:
+    for rank, mode in enumerate(modes, 1):
+        poses = poses_of(mode)
+        for candidate, pose in enumerate(poses, 1):
+            known = {"mode": rank, "candidate": candidate} | _properties(mode, pose)
+            place = [pose.longitude, pose.latitude]
+            where = [*place, pose.height] if isfinite(pose.height) else place
+            yield feature({"type": "Point", "coordinates": where}, {"kind": "mode"} | known)
+            ring = _ellipse(pose)
+            if ring:
+                held = {"kind": "ellipse", "share": SHARE} | known
+                yield feature({"type": "Polygon", "coordinates": [ring]}, held)
+        if poses:
+            yield from _told(rank, mode.evidence)
+
+
+def _properties(mode: Any, pose: EarthPose) -> dict[str, Any]:  # noqa: ANN401
+    heading = pose.heading
+    known: dict[str, Any] = {
+        "probability": pose.probability,
+        "height": pose.height if isfinite(pose.height) else None,
+        "heading_deg": degrees(heading) if isfinite(heading) else None,
+    }
+    known |= {name: getattr(pose, name) for name in ("level", "room", "building", "osm")}
+    known |= {name: getattr(mode, name, None) for name in ("scene", "cell")}
+    return {name: value for name, value in known.items() if value not in (None, "")}
+
+
+def _ellipse(pose: EarthPose) -> list[list[float]]:
+    """Ring of corners [deg] that holds the pose with `SHARE`; empty where it is a point."""
+    values, axes = np.linalg.eigh(pose.covariance[:2, :2])
+    if not values[-1] > 0:
+        return []
+    # counter-clockwise, as RFC 7946 wants outer rings
+    axes[:, 0] *= np.sign(axes[0, 0] * axes[1, 1] - axes[0, 1] * axes[1, 0])
+    corners = _CIRCLE * (_SCALE * np.sqrt(np.maximum(values, 0.0))) @ axes.T
+    ring = LocalPlane(pose.longitude, pose.latitude).to_lonlat(corners)
+    ring[:, 0] += 360.0 * np.round((pose.longitude - ring[:, 0]) / 360.0)  # across the date line
+    ring[-1] = ring[0]
+    corners_deg: list[list[float]] = np.round(ring, DIGITS).tolist()
+    return corners_deg
+
+
+def _told(rank: int, evidence: Sequence[Evidence]) -> Iterator[dict[str, Any]]:
+    for said in evidence:
+        plain = said.to_dict()
+        known = {"kind": "evidence", "mode": rank}
+        known |= {name: plain[name] for name in ("statement", "verdict", "weight", "note")}
+        for thing in plain["objects"] or [{}]:
+            at = [thing[k] for k in ("longitude", "latitude") if k in thing]
+            names = {name: thing[name] for name in ("id", "label", "name") if name in thing}
+            yield feature({"type": "Point", "coordinates": at} if at else None, known | names)
