@@ -526,15 +526,15 @@ def _encode(
     mapped: Collection[str], quick: bool,
 ) -> tuple[bytes, list[bytes | memoryview]]:  # fmt: skip
     """Prefix and header, and the blocks. zlib and lzma work outside the interpreter's lock."""
-    plain = {name: plain(name, a) for name, a in arrays.items()}
-    large = {name for name, a in plain.items() if name in mapped and a.nbytes >= ALIGNMENT}
+    columns = {name: plain(name, a) for name, a in arrays.items()}
+    large = {name for name, a in columns.items() if name in mapped and a.nbytes >= ALIGNMENT}
     # the widest words first: none then begins within a word
-    plain = dict(sorted(plain.items(), key=lambda c: -c[1].itemsize if c[0] in large else 0))
+    columns = dict(sorted(columns.items(), key=lambda c: -c[1].itemsize if c[0] in large else 0))
     with ThreadPoolExecutor(2) as pool:
         compress = partial(pack, quick=quick)
-        packed = list(pool.map(lambda c: compress(c[1], as_it_is=c[0] in large), plain.items()))
+        packed = list(pool.map(lambda c: compress(c[1], as_it_is=c[0] in large), columns.items()))
     table, offset = [], 0
-    for (name, array), (codec, filter_, block) in zip(plain.items(), packed, strict=True):
+    for (name, array), (codec, filter_, block) in zip(columns.items(), packed, strict=True):
         crc = zlib.crc32(block)
         entry = Block(name, array.dtype.str, array.shape, codec, filter_, offset, len(block), crc)
         table.append(asdict(entry))
