@@ -549,7 +549,7 @@ def _encode(
     text += b" " * (-(PREFIX.size + len(text)) % _WORD if large else 0)
     prefix = PREFIX.pack(MAGIC, CONTAINER_VERSION, len(text), zlib.crc32(text))
     blocks = [block for _, _, block in packed]
-    if len(text) > MOST or not plausible(sum(a.nbytes for a in plain.values()), offset):
+    if len(text) > MOST or not plausible(sum(a.nbytes for a in columns.values()), offset):
         raise OptionError("A map's metadata, or its arrays, are larger than a reader accepts.")
     return prefix + text, blocks
 
