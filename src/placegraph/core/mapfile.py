@@ -613,14 +613,14 @@ def with_sums(
     arrays: Mapping[str, NDArray[Any]], paged: Collection[str]
 ) -> dict[str, NDArray[Any]]:
     """Arrays of a map file, with the checksums of those that are to be read in pages."""
-    plain = {name: plain(name, a) for name, a in arrays.items()}
+    columns = {name: plain(name, a) for name, a in arrays.items()}
     sums = [
         crc32(block[at : at + PAGE])
         for name in sorted(paged)
-        for block in (plain[name].reshape(-1).view(np.uint8).data,)
+        for block in (columns[name].reshape(-1).view(np.uint8).data,)
         for at in range(0, len(block), PAGE)
     ]
-    return {**plain, SUMS: np.array(sums, np.uint32)}
+    return {**columns, SUMS: np.array(sums, np.uint32)}
 
 
 @dataclass(frozen=True, eq=False)
