@@ -113,7 +113,7 @@ def test_options_can_be_given(row):
 
 @pytest.mark.parametrize("row", ROWS, ids=ITEMS)
 def test_tables_can_be_printed(row):
-    run = pytest.importorskip("placegraph_lab.tables.run")
+    run = pytest.importorskip("placegraph_lab.tables.runner")
     _, item, *_, table = row
     tables = re.findall(r"`([^`]+)`", table)
     assert set(tables) <= set(run.names())

@@ -8,7 +8,7 @@ import pytest
 
 from placegraph_lab.campaign.row import OUTCOMES, Effort, Row, mend, merged, total
 from placegraph_lab.tables.named import reliability as module
-from placegraph_lab.tables.run import LAB, Run
+from placegraph_lab.tables.runner import LAB, Run
 
 FOUND = {"accepted": 3, "typed": 4, "hang": 1}
 

@@ -6,7 +6,7 @@ from osmium.osm.mutable import Node, Relation, Way
 from typer.testing import CliRunner
 
 from placegraph.core.geometry import LocalPlane
-from placegraph_lab.tables.run import load
+from placegraph_lab.tables.runner import load
 from placegraph_lab.worlds.town.town import Town
 
 PLANE = LocalPlane(10.0, 50.0)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from placegraph.errors import OptionError
-from placegraph_lab.tables.bootstrap import paired_interval
+from placegraph_lab.tables.statistics import paired_interval
 
 
 def test_equal_methods_differ_by_nothing():

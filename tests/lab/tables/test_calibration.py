@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.errors import OptionError
-from placegraph_lab.tables.calibration import reliability
+from placegraph_lab.tables.statistics import reliability
 
 
 def test_sure_and_right_or_sure_and_wrong():

@@ -2,8 +2,8 @@
 
 import pytest
 
-from placegraph_lab.tables import journal
-from placegraph_lab.tables.journal import Journal, fingerprint
+from placegraph_lab.tables import runner as journal
+from placegraph_lab.tables.runner import Journal, fingerprint
 
 
 def test_rows_are_found_again(tmp_path):

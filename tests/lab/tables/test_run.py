@@ -8,7 +8,7 @@ import typer
 from typer.testing import CliRunner
 
 from placegraph_lab.cli.lab import app
-from placegraph_lab.tables.run import Run, known, load, names
+from placegraph_lab.tables.runner import Run, known, load, names
 from placegraph_lab.tables.scene import told
 from placegraph_lab.worlds.town.town import Town
 
@@ -79,7 +79,7 @@ def test_drawn_homes(measure, tmp_path, monkeypatch):
 
 
 def test_a_part_of_a_table_is_written_only_where_it_is_told(tmp_path, monkeypatch):
-    monkeypatch.setattr("placegraph_lab.tables.run.LAB", tmp_path)
+    monkeypatch.setattr("placegraph_lab.tables.runner.LAB", tmp_path)
     Run("some", tmp_path, tmp_path).save({"rows": []}, whole=False)
     Run("some", tmp_path, tmp_path, options={"quick": True}).save({"rows": []})
     assert not list(tmp_path.iterdir())

@@ -10,7 +10,7 @@ from placegraph.core.geometry import Camera
 from placegraph.errors import InputError
 from placegraph.indoor.likelihood import visibility
 from placegraph.indoor.scene_map import SceneMap
-from placegraph_lab.tables.run import Run, load, names
+from placegraph_lab.tables.runner import Run, load, names
 from placegraph_lab.tables.sg2loc.ask import Asking, How, recipes
 from placegraph_lab.tables.sg2loc.paper import figures
 from placegraph_lab.tables.sg2loc.sets import LAYOUT, Set, Walk

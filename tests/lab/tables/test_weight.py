@@ -1,7 +1,7 @@
 """The weight of the house: what is counted, and that it is counted right."""
 
 from placegraph_lab.tables.named.weight import Source, sources
-from placegraph_lab.tables.run import LAB
+from placegraph_lab.tables.runner import LAB
 
 CODE = """
 class Room:

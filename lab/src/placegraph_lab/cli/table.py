@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from placegraph_lab.tables.run import load, names
+from placegraph_lab.tables.runner import load, names
 
 
 class Tables(TyperGroup):

@@ -168,7 +168,7 @@ def test_graphs_and_weights_of_different_releases(gotpr_world, texts, cells):
 def test_the_table_runs_a_release(gotpr_world, folder, tmp_path, capsys):
     torch = pytest.importorskip("torch", reason="PyTorch is not installed (extra learn)")
     from placegraph_lab.tables.named.outdoor_gotpr import outdoor_gotpr
-    from placegraph_lab.tables.run import Run
+    from placegraph_lab.tables.runner import Run
 
     weights = folder / "model_checkpoints" / "model_osm.pt"
     weights.parent.mkdir(exist_ok=True)

@@ -10,7 +10,6 @@ from placegraph.outdoor.city import build_city
 from placegraph.outdoor.network.encoded import EncodedCity
 from placegraph.outdoor.network.network import GraphTransformer
 from placegraph.outdoor.network.weights import Shape
-from placegraph_lab.tables.journal import Journal
 from placegraph_lab.tables.named.outdoor_matchers import Asking
 from placegraph_lab.tables.outdoor.extracts import (
     EXTRACTS,
@@ -35,6 +34,7 @@ from placegraph_lab.tables.outdoor.matchers import (
 from placegraph_lab.tables.outdoor.metrics import score
 from placegraph_lab.tables.outdoor.queries import Query, load, make_queries
 from placegraph_lab.tables.outdoor.report import Protocol
+from placegraph_lab.tables.runner import Journal
 from placegraph_learn.train.city.sample import evaluated
 
 

@@ -9,7 +9,7 @@ from placegraph.core.estimate import CityEstimate, Place, Status
 from placegraph.errors import OptionError
 from placegraph_lab.tables.outdoor.metrics import Answer, distances, measure, score
 from placegraph_lab.tables.outdoor.report import OURS, Protocol, Row, of_answers, report
-from placegraph_lab.tables.tables import markdown, number, share, shares
+from placegraph_lab.tables.runner import markdown, number, share, shares
 
 
 def answer(*off, exact=(), seconds=0.001, status="OK", probability=0.9):

@@ -5,10 +5,10 @@ import tomllib
 import numpy as np
 import pytest
 
-from placegraph_lab.tables.calibration import reliability
 from placegraph_lab.tables.named.statuses import Verdict, diagrams, rates
 from placegraph_lab.tables.outdoor.text_sets import TRAPS, Filler
 from placegraph_lab.tables.outdoor.trust import logistic
+from placegraph_lab.tables.statistics import reliability
 
 
 def test_every_gap_is_filled_with_what_the_map_lacks(harbour):

@@ -11,7 +11,6 @@ from placegraph.indoor.encode.labels import LabelsEncoder
 from placegraph.indoor.library import SearchOptions
 from placegraph.indoor.map.rooms import rooms_of
 from placegraph.io.capture.frame import Frame
-from placegraph_lab.tables.journal import Journal
 from placegraph_lab.tables.retrieval import retrieval
 from placegraph_lab.tables.retrieval.retrieval import (
     ABSENT,
@@ -44,6 +43,7 @@ from placegraph_lab.tables.retrieval.retrieval_vectors import (
     replay,
 )
 from placegraph_lab.tables.retrieval.retrieval_walks import kept, read, said, write
+from placegraph_lab.tables.runner import Journal
 from placegraph_lab.worlds.flat.flat import Flat
 from placegraph_lab.worlds.home.home import home, record, scene_of, visit
 

@@ -13,8 +13,8 @@ from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor.metrics import Answer
 from placegraph_lab.tables.indoor.refine_metrics import Refined
 from placegraph_lab.tables.indoor.windows import Window
-from placegraph_lab.tables.journal import Journal
 from placegraph_lab.tables.named import scene_maps as script
+from placegraph_lab.tables.runner import Journal
 from placegraph_lab.tables.scene import maps as scene_maps
 from placegraph_lab.tables.scene import maps_recall as scene_maps_recall
 from placegraph_lab.tables.scene.maps import FULL, LABELLED, VERTICES, Maps, Place, Run, Size

@@ -17,7 +17,7 @@ from placegraph_lab.tables.indoor.windows import (
 )
 
 if TYPE_CHECKING:
-    from placegraph_lab.tables.run import Run
+    from placegraph_lab.tables.runner import Run
 
 
 class Asker:

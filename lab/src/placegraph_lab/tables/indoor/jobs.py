@@ -17,7 +17,7 @@ from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor.label_noise import NoisyEncoder
 from placegraph_lab.tables.indoor.metrics import Answer, measure
 from placegraph_lab.tables.indoor.windows import HALVES, Window
-from placegraph_lab.tables.journal import INDOOR
+from placegraph_lab.tables.runner import INDOOR
 
 Labels = Literal["instances", "classes", "none"]
 

@@ -18,7 +18,7 @@ from placegraph.io.capture.capture import open_capture
 from placegraph.io.mesh.ply_write import write_ply
 from placegraph_lab.tables.indoor.decimate import coarse
 from placegraph_lab.tables.indoor.windows import HALVES, true_poses
-from placegraph_lab.tables.journal import INDOOR, fingerprint
+from placegraph_lab.tables.runner import INDOOR, fingerprint
 
 MAKING = (*INDOOR, "placegraph_lab/tables/indoor/decimate.py")
 """Code that decides what the maps are."""

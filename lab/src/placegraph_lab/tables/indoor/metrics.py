@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from placegraph.core.estimate import PoseEstimate
 from placegraph.core.geometry import Floats, vector_from_rotation
 from placegraph.errors import OptionError
-from placegraph_lab.tables.calibration import Reliability, reliability
+from placegraph_lab.tables.statistics import Reliability, reliability
 
 THRESHOLDS = ((0.10, 5.0), (0.25, 2.0), (0.25, 10.0), (1.00, 10.0))
 """Position [m] and rotation [deg] that a recall allows."""

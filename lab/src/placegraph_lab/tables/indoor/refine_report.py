@@ -20,7 +20,7 @@ from placegraph_lab.tables.indoor.refine_metrics import (
 )
 from placegraph_lab.tables.indoor.report import errors
 from placegraph_lab.tables.indoor.windows import COVERED, HALVES
-from placegraph_lab.tables.tables import markdown, number, share, shares
+from placegraph_lab.tables.runner import markdown, number, share, shares
 
 NEAREST = LIMITS.index((0.10, 5.0))
 OFFICE = LIMITS.index((0.25, 5.0))

@@ -10,7 +10,7 @@ from typing import Any
 from placegraph_lab.tables.indoor.jobs import TITLES, Job
 from placegraph_lab.tables.indoor.metrics import AXES, THRESHOLDS, Answer, Score, score
 from placegraph_lab.tables.indoor.windows import COVERED, HALVES
-from placegraph_lab.tables.tables import markdown, number, share, shares
+from placegraph_lab.tables.runner import markdown, number, share, shares
 
 AIM = (0.25, 2.0)
 """Limits [m], [deg] of most aims."""

@@ -13,7 +13,7 @@ import numpy as np
 from placegraph_lab.tables.indoor.cases import Case
 from placegraph_lab.tables.indoor.metrics import NEAR, rounded
 from placegraph_lab.tables.indoor.robustness import THRESHOLDS, Told
-from placegraph_lab.tables.tables import markdown, number, share, shares
+from placegraph_lab.tables.runner import markdown, number, share, shares
 
 TITLES = {
     "spoiled": "Perturbations",

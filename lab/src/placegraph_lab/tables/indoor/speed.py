@@ -27,11 +27,11 @@ from placegraph.indoor.rays import RayCaster
 from placegraph.indoor.rays.warp import WarpCaster, open_device
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import open_capture
-from placegraph_lab.tables.apart import peak
 from placegraph_lab.tables.indoor.decimate import coarse, decimate, fine
 from placegraph_lab.tables.indoor.maps import with_mesh
 from placegraph_lab.tables.indoor.metrics import mean_particles
 from placegraph_lab.tables.indoor.windows import true_poses
+from placegraph_lab.tables.statistics import peak
 
 PARTICLES = (50, 200, 1000, 5000)
 STRIDES = (40.0, 20.0, 10.0, 5.0)

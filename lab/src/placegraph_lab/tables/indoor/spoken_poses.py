@@ -20,7 +20,7 @@ from placegraph.indoor.map.structure import WORDS, nameless
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor.metrics import NEAR, Answer, measure
-from placegraph_lab.tables.tables import markdown, share
+from placegraph_lab.tables.runner import markdown, share
 
 if TYPE_CHECKING:
     from placegraph_lab.tables.indoor.windows import Window

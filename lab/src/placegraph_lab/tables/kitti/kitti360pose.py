@@ -27,7 +27,7 @@ from placegraph_lab.tables.kitti.graphs import (
 )
 from placegraph_lab.tables.kitti.matchers import EditDistance, Matcher, Transformer, TripleBag
 from placegraph_lab.tables.kitti.relational import Relational
-from placegraph_lab.tables.tables import markdown, number, share, shares
+from placegraph_lab.tables.runner import markdown, number, share, shares
 
 RANKS = (1, 3, 5)
 """k of the retrieval recall."""

@@ -16,7 +16,7 @@ from placegraph.errors import DescriptionError, InputError
 from placegraph.io.osm.descriptions import Told, read_descriptions
 from placegraph.io.osm.osm import SUFFIXES
 from placegraph_lab.tables.outdoor.metrics import RADII, RANKS, Answer, Score, measure, score
-from placegraph_lab.tables.tables import markdown, number, share, shares
+from placegraph_lab.tables.runner import markdown, number, share, shares
 
 if TYPE_CHECKING:
     from placegraph.outdoor.city import CityMap

@@ -25,8 +25,7 @@ from placegraph.core.geometry import Camera
 from placegraph.io.capture.capture import open_capture
 from placegraph.io.capture.frame import Frame
 from placegraph.io.capture.frames import Capture
-from placegraph_lab.tables.run import Quick, Run, option, table
-from placegraph_lab.tables.tables import markdown, number
+from placegraph_lab.tables.runner import Quick, Run, markdown, number, option, table
 from placegraph_lab.worlds.bags import BagWriter, Layout, write_capture
 from placegraph_ros.bag import Container
 

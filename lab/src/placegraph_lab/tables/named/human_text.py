@@ -17,7 +17,6 @@ import numpy as np
 
 from placegraph.core.geometry import Floats
 from placegraph.errors import PlacegraphError
-from placegraph_lab.tables.calibration import reliability
 from placegraph_lab.tables.outdoor.human_text import (
     Baselines,
     Record,
@@ -26,8 +25,8 @@ from placegraph_lab.tables.outdoor.human_text import (
     write_osm,
 )
 from placegraph_lab.tables.outdoor.metrics import HIT, distances
-from placegraph_lab.tables.run import Quick, Run, option, table
-from placegraph_lab.tables.tables import markdown, number, share, shares
+from placegraph_lab.tables.runner import Quick, Run, markdown, number, option, share, shares, table
+from placegraph_lab.tables.statistics import reliability
 
 if TYPE_CHECKING:
     from placegraph.outdoor.city import CityMap

@@ -30,8 +30,18 @@ from placegraph_lab.tables.indoor.maps import place
 from placegraph_lab.tables.indoor.metrics import NEAR, near, position_error, rotation_error
 from placegraph_lab.tables.indoor.peers import Peer, colmap_peer, xfeat_peer
 from placegraph_lab.tables.indoor.windows import HALVES, true_poses
-from placegraph_lab.tables.run import Quick, Run, Seed, known, option, parts, table
-from placegraph_lab.tables.tables import markdown, number, share
+from placegraph_lab.tables.runner import (
+    Quick,
+    Run,
+    Seed,
+    known,
+    markdown,
+    number,
+    option,
+    parts,
+    share,
+    table,
+)
 
 LIMITS = (0.10, 5.0)
 """Position [m] and rotation [deg] that the recall allows."""

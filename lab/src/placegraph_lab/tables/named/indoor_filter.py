@@ -32,8 +32,7 @@ from placegraph_lab.tables.indoor.windows import (
     OFFICE_LENGTH,
     Window,
 )
-from placegraph_lab.tables.journal import fingerprint
-from placegraph_lab.tables.run import (
+from placegraph_lab.tables.runner import (
     Device,
     Every,
     Fresh,
@@ -41,6 +40,7 @@ from placegraph_lab.tables.run import (
     Quick,
     Run,
     Seed,
+    fingerprint,
     option,
     parts,
     table,

@@ -33,17 +33,19 @@ from placegraph_lab.tables.indoor.matches import (
 )
 from placegraph_lab.tables.indoor.report import errors
 from placegraph_lab.tables.indoor.windows import COVERED, HALVES
-from placegraph_lab.tables.run import (
+from placegraph_lab.tables.runner import (
     Device,
     OfficeEvery,
     Quick,
     Run,
     Seed,
+    markdown,
+    number,
     option,
     parts,
+    shares,
     table,
 )
-from placegraph_lab.tables.tables import markdown, number, shares
 
 PARTS: dict[str, Callable[[Found], object]] = {
     "house, unchanged": lambda f: f.changed is False,

@@ -20,8 +20,7 @@ from placegraph_lab.tables.indoor.refine import GICP, MATCHERS, QUICK, RefineJob
 from placegraph_lab.tables.indoor.refine_metrics import Refined
 from placegraph_lab.tables.indoor.refine_report import RefineRow, refine_report
 from placegraph_lab.tables.indoor.windows import EVERY, LENGTHS, OFFICE_EVERY, Window
-from placegraph_lab.tables.journal import fingerprint
-from placegraph_lab.tables.run import (
+from placegraph_lab.tables.runner import (
     Device,
     Every,
     Fresh,
@@ -29,6 +28,7 @@ from placegraph_lab.tables.run import (
     Quick,
     Run,
     Seed,
+    fingerprint,
     option,
     parts,
     table,

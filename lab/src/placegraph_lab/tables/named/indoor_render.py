@@ -26,8 +26,7 @@ from placegraph.io.capture.camera import read_camera
 from placegraph_lab.tables.indoor import maps as indoor_maps
 from placegraph_lab.tables.indoor.speed import no_cuda
 from placegraph_lab.tables.indoor.windows import HALVES, true_poses
-from placegraph_lab.tables.run import Quick, Run, option, table
-from placegraph_lab.tables.tables import markdown, number, share
+from placegraph_lab.tables.runner import Quick, Run, markdown, number, option, share, table
 
 TIMES = 5
 """Renderings of each pose, of which the median counts."""

@@ -25,9 +25,19 @@ from placegraph_lab.tables.indoor.cases import quick as few
 from placegraph_lab.tables.indoor.jobs import ANSWERING, chosen
 from placegraph_lab.tables.indoor.robustness import Asked, Places, Told, ask, spoiled, thinned
 from placegraph_lab.tables.indoor.robustness_report import HALVES, Row, report
-from placegraph_lab.tables.journal import fingerprint
-from placegraph_lab.tables.run import Device, Fresh, Quick, Run, Seed, option, parts, table
-from placegraph_lab.tables.tables import markdown, share
+from placegraph_lab.tables.runner import (
+    Device,
+    Fresh,
+    Quick,
+    Run,
+    Seed,
+    fingerprint,
+    markdown,
+    option,
+    parts,
+    share,
+    table,
+)
 
 _RIDGE = 0.01
 _UNRIVALLED = 0.8

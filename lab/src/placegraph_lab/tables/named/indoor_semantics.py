@@ -18,8 +18,7 @@ from placegraph_lab.tables.indoor.jobs import ANSWERING, QUICK_EVERY, chosen
 from placegraph_lab.tables.indoor.metrics import THRESHOLDS, Answer, Score, score
 from placegraph_lab.tables.indoor.semantics import NONE, Case, SemanticBench, ask, available, cases
 from placegraph_lab.tables.indoor.windows import EVERY, OFFICE_EVERY, Window
-from placegraph_lab.tables.journal import fingerprint
-from placegraph_lab.tables.run import (
+from placegraph_lab.tables.runner import (
     Device,
     Every,
     Fresh,
@@ -27,11 +26,14 @@ from placegraph_lab.tables.run import (
     Quick,
     Run,
     Seed,
+    fingerprint,
+    markdown,
+    number,
     option,
     parts,
+    share,
     table,
 )
-from placegraph_lab.tables.tables import markdown, number, share
 
 LIMITS = ((0.10, 5.0), (0.25, 10.0), (0.25, 2.0))
 """Recalls that are shown; the first two are the paper's."""

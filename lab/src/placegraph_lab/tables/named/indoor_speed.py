@@ -17,7 +17,6 @@ import numpy as np
 
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.scene_map import SceneMap
-from placegraph_lab.tables.apart import apart
 from placegraph_lab.tables.indoor import maps as indoor_maps
 from placegraph_lab.tables.indoor.speed import (
     BASE,
@@ -31,8 +30,18 @@ from placegraph_lab.tables.indoor.speed import (
     resized,
     tracking,
 )
-from placegraph_lab.tables.run import Quick, Run, known, option, parts, table
-from placegraph_lab.tables.tables import markdown, number, share
+from placegraph_lab.tables.runner import (
+    Quick,
+    Run,
+    known,
+    markdown,
+    number,
+    option,
+    parts,
+    share,
+    table,
+)
+from placegraph_lab.tables.statistics import apart
 
 PARTS = ("scoring", "engines", "localizing", "tracking", "start")
 MEGA = 1e-6

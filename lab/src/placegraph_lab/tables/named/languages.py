@@ -24,8 +24,7 @@ from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS
 from placegraph_lab.tables.outdoor.metrics import HIT, distances, positions
 from placegraph_lab.tables.outdoor.queries import Query, Teller, load, make_queries
-from placegraph_lab.tables.run import Quick, Run, Seed, option, parts, table
-from placegraph_lab.tables.tables import markdown, share
+from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, option, parts, share, table
 
 BEARINGS = {"north": "0", "east": "90", "south": "180", "west": "270"}
 _SLOT = re.compile(r"\{(?:(\w+):)?(\w+)\}")

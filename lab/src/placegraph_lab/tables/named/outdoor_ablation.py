@@ -19,8 +19,6 @@ import numpy as np
 
 from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.network.network import GraphTransformer
-from placegraph_lab.tables.bootstrap import paired_interval
-from placegraph_lab.tables.journal import Journal, fingerprint
 from placegraph_lab.tables.outdoor.ablation import (
     GIVEN,
     Hits,
@@ -37,8 +35,23 @@ from placegraph_lab.tables.outdoor.extracts import (
     unseen_queries,
 )
 from placegraph_lab.tables.outdoor.queries import load
-from placegraph_lab.tables.run import Device, Quick, Run, Seed, known, option, parts, table
-from placegraph_lab.tables.tables import markdown, number, share, shares
+from placegraph_lab.tables.runner import (
+    Device,
+    Journal,
+    Quick,
+    Run,
+    Seed,
+    fingerprint,
+    known,
+    markdown,
+    number,
+    option,
+    parts,
+    share,
+    shares,
+    table,
+)
+from placegraph_lab.tables.statistics import paired_interval
 from placegraph_learn.train.city.options import TrainOptions
 from placegraph_learn.train.city.train import train
 

@@ -17,15 +17,24 @@ import numpy as np
 
 from placegraph.core.geometry import Floats
 from placegraph.outdoor.city import CityMap
-from placegraph_lab.tables.apart import peak
 from placegraph_lab.tables.outdoor.city_sizes import busiest_tile, crop, tile
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, in_held_out_tiles, open_city
 from placegraph_lab.tables.outdoor.matchers import LocateMatcher, ask, cell_centers
 from placegraph_lab.tables.outdoor.metrics import score
 from placegraph_lab.tables.outdoor.queries import Query, make_queries
 from placegraph_lab.tables.outdoor.stages import STAGES, found_within, medians, run, slope
-from placegraph_lab.tables.run import Quick, Run, Seed, option, parts, table
-from placegraph_lab.tables.tables import markdown, number, share
+from placegraph_lab.tables.runner import (
+    Quick,
+    Run,
+    Seed,
+    markdown,
+    number,
+    option,
+    parts,
+    share,
+    table,
+)
+from placegraph_lab.tables.statistics import peak
 
 PAPER = {447: (1.06, 0.03), 1616: (3.34, 0.07), 3409: (6.67, 0.13), 5225: (10.71, 0.17)}
 """Table IV: seconds without and with candidates, by cells."""

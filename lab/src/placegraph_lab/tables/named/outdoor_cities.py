@@ -18,8 +18,7 @@ from placegraph.outdoor.city import CityMap
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, names_of, open_city, unseen_queries
 from placegraph_lab.tables.outdoor.matchers import LocateMatcher, Matcher, RetrieveMatcher, ask
 from placegraph_lab.tables.outdoor.metrics import RANKS, score
-from placegraph_lab.tables.run import Quick, Run, Seed, option, table
-from placegraph_lab.tables.tables import markdown, number, shares
+from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, number, option, shares, table
 
 PAPER = {
     "*paper: Karlsruhe*": (173.5, 1000, (0.28, 0.44, 0.52), 0.15, 15.44),

@@ -34,8 +34,7 @@ from placegraph_lab.tables.outdoor.nearby_kernels import holds
 from placegraph_lab.tables.outdoor.queries import Query, load, make_queries
 from placegraph_lab.tables.outdoor.raw import AREA, KEYS, RawCity
 from placegraph_lab.tables.outdoor.triples import DIRECTIONS, relations
-from placegraph_lab.tables.run import Quick, Run, Seed, option, table
-from placegraph_lab.tables.tables import markdown, share
+from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, option, share, table
 
 SIGHT = 35.0
 """The speaker sees things up to this far [m]."""

@@ -21,8 +21,7 @@ from placegraph.core.networks import read_state
 from placegraph.errors import InputError
 from placegraph_lab.datasets.gotpr import Graph, Graphs, file_of, read_graphs
 from placegraph_lab.tables.kitti.kitti360pose import PAPER, RANKS
-from placegraph_lab.tables.run import Quick, Run, option, table
-from placegraph_lab.tables.tables import markdown, share
+from placegraph_lab.tables.runner import Quick, Run, markdown, option, share, table
 from placegraph_learn.train.training import torch_or_what_installs_it
 
 Floats = NDArray[np.float32]

@@ -33,7 +33,7 @@ from placegraph_lab.tables.kitti.kitti360pose import (
 )
 from placegraph_lab.tables.kitti.osm import REACH, SIGHT, TOLD, Crop, on_osm
 from placegraph_lab.tables.kitti.relational import Relational
-from placegraph_lab.tables.run import Quick, Run, Seed, known, option, parts, table
+from placegraph_lab.tables.runner import Quick, Run, Seed, known, option, parts, table
 
 
 def opened(path: Path, run: Run) -> Kitti360Pose:

@@ -16,8 +16,7 @@ from placegraph.outdoor.city import CityMap
 from placegraph_lab.tables.kitti.kitti360pose import POINT_CLOUD, SCENE_GRAPH
 from placegraph_lab.tables.outdoor.city_sizes import busiest_tile, crop
 from placegraph_lab.tables.outdoor.extracts import names_of, open_city
-from placegraph_lab.tables.run import Quick, Run, option, table
-from placegraph_lab.tables.tables import markdown, number
+from placegraph_lab.tables.runner import Quick, Run, markdown, number, option, table
 
 MEGA = 1e-6
 

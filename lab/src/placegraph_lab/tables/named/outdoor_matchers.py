@@ -19,14 +19,23 @@ from typing import Annotated
 import numpy as np
 
 from placegraph.outdoor.city import CityMap
-from placegraph_lab.tables.journal import Journal, fingerprint
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, names_of, open_city, unseen_queries
 from placegraph_lab.tables.outdoor.matchers import MATCHERS, SLOW, ask, matcher
 from placegraph_lab.tables.outdoor.matchers_report import advantages, report, title
 from placegraph_lab.tables.outdoor.metrics import Answer
 from placegraph_lab.tables.outdoor.queries import SETTINGS, load
 from placegraph_lab.tables.outdoor.report import Protocol, Row, of_answers
-from placegraph_lab.tables.run import Quick, Run, Seed, known, option, parts, table
+from placegraph_lab.tables.runner import (
+    Journal,
+    Quick,
+    Run,
+    Seed,
+    fingerprint,
+    known,
+    option,
+    parts,
+    table,
+)
 
 CODE = (
     "placegraph/outdoor/**/*.py",

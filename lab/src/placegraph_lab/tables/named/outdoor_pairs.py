@@ -15,11 +15,10 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
-from placegraph_lab.tables.apart import apart
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, open_city, unseen_queries
 from placegraph_lab.tables.outdoor.pairs import Pairs, rate
-from placegraph_lab.tables.run import Quick, Run, Seed, option, table
-from placegraph_lab.tables.tables import markdown, number
+from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, number, option, table
+from placegraph_lab.tables.statistics import apart
 
 PAPER = {"rule-based": 11.05, "network-based, CPU": 80.44, "network-based, GPU": 152.96}
 """Table III: pairs a second on a Xeon Gold 6140 and a TITAN Xp."""

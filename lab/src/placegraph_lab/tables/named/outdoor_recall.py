@@ -44,7 +44,7 @@ from placegraph_lab.tables.outdoor.report import (
     of_answers,
     report,
 )
-from placegraph_lab.tables.run import Quick, Run, Seed, option, parts, table
+from placegraph_lab.tables.runner import Quick, Run, Seed, option, parts, table
 
 if TYPE_CHECKING:
     from rich.progress import Progress

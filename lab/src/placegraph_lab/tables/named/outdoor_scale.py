@@ -16,13 +16,12 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from placegraph_lab.tables.apart import apart, peak
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS
 from placegraph_lab.tables.outdoor.metrics import measure, score
 from placegraph_lab.tables.outdoor.queries import Query, make_queries
 from placegraph_lab.tables.outdoor.tiling import tile
-from placegraph_lab.tables.run import Quick, Run, Seed, option, table
-from placegraph_lab.tables.tables import markdown, number, share
+from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, number, option, share, table
+from placegraph_lab.tables.statistics import apart, peak
 
 
 def build(osm: Path, city: Path, small: Path) -> dict[str, float]:

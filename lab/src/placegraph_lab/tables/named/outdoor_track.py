@@ -32,8 +32,17 @@ from placegraph_lab.tables.outdoor.queries import (
     Teller,
     load,
 )
-from placegraph_lab.tables.run import Quick, Run, Seed, option, table
-from placegraph_lab.tables.tables import markdown, number, share, shares
+from placegraph_lab.tables.runner import (
+    Quick,
+    Run,
+    Seed,
+    markdown,
+    number,
+    option,
+    share,
+    shares,
+    table,
+)
 
 Shape = Literal["straight", "bent"]
 """On in the same direction, give or take `STRAIGHT`, or with turns to any side."""

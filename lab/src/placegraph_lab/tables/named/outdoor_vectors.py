@@ -20,8 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.vectors import EmbeddedStore
-from placegraph_lab.tables.run import Quick, Run, Seed, option, parts, table
-from placegraph_lab.tables.tables import markdown, number
+from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, number, option, parts, table
 
 Floats = NDArray[np.float32]
 Search = Callable[[Floats, int], NDArray[np.int64]]

@@ -23,8 +23,7 @@ from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Frame
 from placegraph_lab.tables.retrieval.patch_places import HOMES, places
-from placegraph_lab.tables.run import Quick, Run, option, parts, table
-from placegraph_lab.tables.tables import markdown, number, share
+from placegraph_lab.tables.runner import Quick, Run, markdown, number, option, parts, share, table
 
 RAYS = 6
 """Rays cast through a patch, across and down."""

@@ -26,8 +26,18 @@ from typer import BadParameter
 
 from placegraph.core.files import put
 from placegraph_lab.campaign.row import FAULTS, OUTCOMES, PARTS, Effort, Row, mend, merged, total
-from placegraph_lab.tables.run import LAB, Quick, Run, Seed, known, option, parts, table
-from placegraph_lab.tables.tables import markdown, number
+from placegraph_lab.tables.runner import (
+    LAB,
+    Quick,
+    Run,
+    Seed,
+    known,
+    markdown,
+    number,
+    option,
+    parts,
+    table,
+)
 
 PAGE = "docs/benchmarks/reliability.md"
 TABLE = re.compile(r"(?m)^\|\s+\|\s+\| +tried \|.*(?:\n\|.*)*")

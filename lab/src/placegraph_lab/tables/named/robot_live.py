@@ -24,14 +24,24 @@ from typing import Annotated, Any
 import numpy as np
 
 from placegraph.indoor.scene_map import SceneMap
-from placegraph_lab.tables.apart import apart
 from placegraph_lab.tables.indoor.perturb import Recording
 from placegraph_lab.tables.indoor.robustness import Places
 from placegraph_lab.tables.live.paced import paced, quantiles
 from placegraph_lab.tables.live.walks import SENSES, Row, Seen, followed, looked_at, looped, walks
 from placegraph_lab.tables.live.ways import bags, from_files, from_server
-from placegraph_lab.tables.run import Quick, Run, Seed, known, option, parts, table
-from placegraph_lab.tables.tables import markdown, number, share
+from placegraph_lab.tables.runner import (
+    Quick,
+    Run,
+    Seed,
+    known,
+    markdown,
+    number,
+    option,
+    parts,
+    share,
+    table,
+)
+from placegraph_lab.tables.statistics import apart
 
 DRIFT = 0.5
 """Of odometry [deg a frame]."""

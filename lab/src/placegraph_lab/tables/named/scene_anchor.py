@@ -15,7 +15,7 @@ import tempfile
 from pathlib import Path
 from typing import Annotated
 
-from placegraph_lab.tables.run import Quick, Run, Seed, option, table
+from placegraph_lab.tables.runner import Quick, Run, Seed, option, table
 from placegraph_lab.tables.scene.anchor import BUILDINGS, WALKS, ask, house, report
 
 

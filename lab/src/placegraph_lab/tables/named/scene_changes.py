@@ -30,9 +30,18 @@ from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture, open_capture
 from placegraph.io.capture.tum import read_tum
 from placegraph_lab.tables.indoor.metrics import rotation_error
-from placegraph_lab.tables.journal import INDOOR, fingerprint
-from placegraph_lab.tables.run import Fresh, Quick, Run, Seed, table
-from placegraph_lab.tables.tables import markdown, number, share
+from placegraph_lab.tables.runner import (
+    INDOOR,
+    Fresh,
+    Quick,
+    Run,
+    Seed,
+    fingerprint,
+    markdown,
+    number,
+    share,
+    table,
+)
 
 GONE = ("moved", "vanished")
 """Kinds that say that an object is not where the map has it."""

@@ -21,11 +21,10 @@ import numpy as np
 
 from placegraph.indoor.mapping.fuse import FuseOptions, fuse
 from placegraph.io.capture.capture import open_capture
-from placegraph_lab.tables.apart import apart, peak
 from placegraph_lab.tables.indoor.windows import true_poses
-from placegraph_lab.tables.run import Quick, Run, table
+from placegraph_lab.tables.runner import Quick, Run, markdown, number, table
 from placegraph_lab.tables.scene.fusion import House, Office, Way, open3d_volume, own
-from placegraph_lab.tables.tables import markdown, number
+from placegraph_lab.tables.statistics import apart, peak
 
 TIMES = 3
 """Runs, of which the quickest counts: what else the machine does only slows them."""

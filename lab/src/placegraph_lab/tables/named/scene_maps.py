@@ -17,7 +17,7 @@ from typing import Annotated
 
 from placegraph_lab.tables.indoor.jobs import chosen
 from placegraph_lab.tables.indoor.windows import EVERY, OFFICE_EVERY
-from placegraph_lab.tables.run import (
+from placegraph_lab.tables.runner import (
     Device,
     Every,
     Fresh,

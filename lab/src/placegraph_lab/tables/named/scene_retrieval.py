@@ -28,7 +28,7 @@ from placegraph_lab.tables.retrieval.retrieval_places import (
 from placegraph_lab.tables.retrieval.retrieval_report import PAPER, figures, report
 from placegraph_lab.tables.retrieval.retrieval_study import Study
 from placegraph_lab.tables.retrieval.retrieval_vectors import BOTH, ROWS
-from placegraph_lab.tables.run import Fresh, Quick, Run, known, option, parts, table
+from placegraph_lab.tables.runner import Fresh, Quick, Run, known, option, parts, table
 
 LARGE = BOTH
 """The row that is asked in the large library, too: what a library does by default."""

@@ -19,7 +19,7 @@ from placegraph.indoor.build import build_scene
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor import spoken_poses
 from placegraph_lab.tables.indoor.windows import house_windows
-from placegraph_lab.tables.run import Quick, Run, Seed, option, table
+from placegraph_lab.tables.runner import Quick, Run, Seed, option, table
 from placegraph_lab.tables.scene import told
 from placegraph_lab.tables.scene.sentences import (
     FACTS,

@@ -29,11 +29,20 @@ from placegraph.indoor.library.query import Query, Said, told_apart
 from placegraph.indoor.library.scenes import Entry
 from placegraph.indoor.library.search_kernels import beside
 from placegraph.indoor.library.signature import BANDS, TURNS, Signature, signature_of
-from placegraph_lab.tables.apart import apart, peak
 from placegraph_lab.tables.retrieval.retrieval_scale import Stock
-from placegraph_lab.tables.run import Fresh, Quick, Run, Seed, option, table
+from placegraph_lab.tables.runner import (
+    Fresh,
+    Quick,
+    Run,
+    Seed,
+    markdown,
+    number,
+    option,
+    share,
+    table,
+)
 from placegraph_lab.tables.scene.sentences import Scene, describe
-from placegraph_lab.tables.tables import markdown, number, share
+from placegraph_lab.tables.statistics import apart, peak
 from placegraph_lab.worlds.home.home import STYLES, home, scene_of
 from placegraph_scale.library.shard import HEAD
 from placegraph_scale.library.shard_write import SIZE, Listed, write_shards

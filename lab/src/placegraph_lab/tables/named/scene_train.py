@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from placegraph_lab.tables.run import Quick, Run, Seed, option, table
+from placegraph_lab.tables.runner import Quick, Run, Seed, option, table
 
 
 @table()

@@ -24,9 +24,8 @@ from placegraph.indoor.build import build_scene
 from placegraph.io.capture.capture import open_capture
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, open_city
 from placegraph_lab.tables.outdoor.queries import make_queries
-from placegraph_lab.tables.run import Quick, Run, Seed, option, table
+from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, number, option, table
 from placegraph_lab.tables.serve.load import Request, Served, idle, served
-from placegraph_lab.tables.tables import markdown, number
 
 CITY = "vancouver"
 EDGE = "----placegraph"

@@ -20,7 +20,17 @@ import typer
 
 from placegraph.errors import InputError
 from placegraph_lab.tables.pairs.scan3r import Split  # Typer reads it
-from placegraph_lab.tables.run import Device, Fresh, Quick, Run, Seed, Table, known, option, parts
+from placegraph_lab.tables.runner import (
+    Device,
+    Fresh,
+    Quick,
+    Run,
+    Seed,
+    Table,
+    known,
+    option,
+    parts,
+)
 from placegraph_lab.tables.sg2loc import at_hand, brought
 from placegraph_lab.tables.sg2loc.ask import IMAGES, Asking, How
 from placegraph_lab.tables.sg2loc.costs import retrieval, seconds, storage

@@ -18,7 +18,6 @@ from placegraph.errors import PlacegraphError
 from placegraph.outdoor.city import CityMap
 from placegraph.view.draw.canvas import Disc, Frame, Mark, Points, Stroke, Text
 from placegraph.view.draw.painter import paint_picture
-from placegraph_lab.tables.calibration import Reliability, reliability
 from placegraph_lab.tables.outdoor.human_text import landmarks, read_records, write_osm
 from placegraph_lab.tables.outdoor.metrics import HIT, distances, positions
 from placegraph_lab.tables.outdoor.text_sets import (
@@ -32,8 +31,8 @@ from placegraph_lab.tables.outdoor.text_sets import (
     text_sets,
 )
 from placegraph_lab.tables.outdoor.trust import fitted
-from placegraph_lab.tables.run import LAB, Quick, Run, Seed, option, table
-from placegraph_lab.tables.tables import markdown, share
+from placegraph_lab.tables.runner import LAB, Quick, Run, Seed, markdown, option, share, table
+from placegraph_lab.tables.statistics import Reliability, reliability
 
 if TYPE_CHECKING:
     from PIL.Image import Image

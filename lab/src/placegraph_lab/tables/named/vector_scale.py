@@ -25,13 +25,12 @@ from numpy.typing import NDArray
 from placegraph.vectors import EmbeddedStore, Origin, open_store
 from placegraph.vectors.content import Vectors
 from placegraph.vectors.stores import load_store
-from placegraph_lab.tables.apart import apart, peak
 from placegraph_lab.tables.named.outdoor_vectors import clustered
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, open_city
 from placegraph_lab.tables.outdoor.queries import make_queries
 from placegraph_lab.tables.outdoor.words_beside import AMONG, hybrid
-from placegraph_lab.tables.run import Quick, Run, Seed, option, parts, table
-from placegraph_lab.tables.tables import markdown, number
+from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, number, option, parts, table
+from placegraph_lab.tables.statistics import apart, peak
 
 Floats = NDArray[np.float32]
 Search = Callable[[Floats, int], Sequence[int]]

@@ -21,8 +21,7 @@ from statistics import median
 from time import perf_counter
 from typing import Annotated
 
-from placegraph_lab.tables.run import LAB, Run, option, table
-from placegraph_lab.tables.tables import markdown, number
+from placegraph_lab.tables.runner import LAB, Run, markdown, number, option, table
 
 FINDING = ("outdoor", "indoor", "language", "vectors")
 """Folders of the library where places and poses are found,"""

@@ -28,8 +28,7 @@ import numpy as np
 
 from placegraph_lab.tables.outdoor.country import country
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS
-from placegraph_lab.tables.run import Quick, Run, Seed, option, parts, table
-from placegraph_lab.tables.tables import markdown, number
+from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, number, option, parts, table
 
 CITIES = ("liechtenstein", "vancouver", "andorra", "ankara")
 AFTER = 1000

@@ -32,8 +32,7 @@ from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture
 from placegraph.outdoor.city import build_city
 from placegraph.world import World
-from placegraph_lab.tables.run import Quick, Run, Seed, option, table
-from placegraph_lab.tables.tables import markdown
+from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, option, table
 from placegraph_lab.worlds.home.home import home, scene_of
 from placegraph_lab.worlds.home.record import record
 from placegraph_lab.worlds.home.visit import visit

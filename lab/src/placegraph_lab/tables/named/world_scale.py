@@ -22,11 +22,10 @@ import numpy as np
 from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.search.posterior import Posterior
 from placegraph.outdoor.search.request import Request
-from placegraph_lab.tables.apart import apart, peak
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, open_city
 from placegraph_lab.tables.outdoor.queries import Query, load, make_queries
-from placegraph_lab.tables.run import Quick, Run, Seed, option, table
-from placegraph_lab.tables.tables import markdown, number
+from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, number, option, table
+from placegraph_lab.tables.statistics import apart, peak
 
 SAME = 40.0
 """Best places nearer than this are one [m]: as far apart as modes are at least."""

@@ -16,12 +16,21 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
-from placegraph_lab.tables.apart import apart, peak
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS
 from placegraph_lab.tables.outdoor.queries import make_queries
 from placegraph_lab.tables.outdoor.shard_crews import WORKED, crew, worked
-from placegraph_lab.tables.run import Quick, Run, Seed, option, parts, table
-from placegraph_lab.tables.tables import markdown, number, share
+from placegraph_lab.tables.runner import (
+    Quick,
+    Run,
+    Seed,
+    markdown,
+    number,
+    option,
+    parts,
+    share,
+    table,
+)
+from placegraph_lab.tables.statistics import apart, peak
 from placegraph_lab.worlds.shards import copies_of, finish_copies, write_copies, write_shards
 
 if TYPE_CHECKING:

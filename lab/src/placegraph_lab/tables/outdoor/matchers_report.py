@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
-from placegraph_lab.tables.bootstrap import Interval, paired_interval
 from placegraph_lab.tables.outdoor.matchers import (
     COSINE,
     DENSE,
@@ -24,7 +23,8 @@ from placegraph_lab.tables.outdoor.matchers import (
 )
 from placegraph_lab.tables.outdoor.metrics import RADII
 from placegraph_lab.tables.outdoor.report import Protocol, Row, mean_recall, of_answers
-from placegraph_lab.tables.tables import markdown, number, shares
+from placegraph_lab.tables.runner import markdown, number, shares
+from placegraph_lab.tables.statistics import Interval, paired_interval
 
 PAPER = {
     "*paper: Text2Loc, KITTI360Pose*": (0.28, 0.49, 0.58),

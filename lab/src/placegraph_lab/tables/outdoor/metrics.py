@@ -11,7 +11,7 @@ import numpy as np
 from placegraph.core.estimate import CityEstimate
 from placegraph.core.geometry import Floats, LocalPlane
 from placegraph.errors import OptionError
-from placegraph_lab.tables.calibration import Reliability, reliability
+from placegraph_lab.tables.statistics import Reliability, reliability
 
 RANKS = (1, 3, 5)
 RADII = (25.0, 50.0)

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from placegraph_lab.tables.calibration import reliability
 from placegraph_lab.tables.outdoor.metrics import HIT, RADII, RANKS, Answer, Score, score
-from placegraph_lab.tables.tables import markdown, number, share, shares
+from placegraph_lab.tables.runner import markdown, number, share, shares
+from placegraph_lab.tables.statistics import reliability
 
 if TYPE_CHECKING:
     from placegraph_lab.tables.outdoor.nearby import Position

@@ -8,8 +8,8 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from placegraph_lab.tables.apart import apart
-from placegraph_lab.tables.tables import number
+from placegraph_lab.tables.runner import number
+from placegraph_lab.tables.statistics import apart
 
 if TYPE_CHECKING:
     from placegraph.world.world import World

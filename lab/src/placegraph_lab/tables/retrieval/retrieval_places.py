@@ -24,8 +24,8 @@ from placegraph.io.capture.capture import Capture, open_capture
 from placegraph.io.capture.frame import Frame
 from placegraph_lab.tables.indoor.maps import house, place
 from placegraph_lab.tables.indoor.windows import HALVES, true_poses
-from placegraph_lab.tables.journal import fingerprint
 from placegraph_lab.tables.retrieval.retrieval_walks import RENDERING, filmed, kept
+from placegraph_lab.tables.runner import fingerprint
 from placegraph_lab.worlds.home.home import STYLES, home, scene_of
 
 _Number = TypeVar("_Number", bound=np.generic)

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from placegraph.core.estimate import Status
-from placegraph_lab.tables.calibration import reliability
 from placegraph_lab.tables.retrieval.retrieval import ABSENT, LENGTHS, METHODS, Answer, hit, recall
 from placegraph_lab.tables.retrieval.retrieval_scale import Scale
 from placegraph_lab.tables.retrieval.retrieval_study import WHOLE, Row
-from placegraph_lab.tables.tables import markdown, share, shares
+from placegraph_lab.tables.runner import markdown, share, shares
+from placegraph_lab.tables.statistics import reliability
 
 RANKS = (1, 3, 5)
 PAPER = {

@@ -10,7 +10,6 @@ import numpy as np
 
 from placegraph.indoor.encode import Encoder
 from placegraph.indoor.library import SceneLibrary
-from placegraph_lab.tables.journal import INDOOR, Journal, fingerprint
 from placegraph_lab.tables.retrieval.retrieval import (
     ABSENT,
     LENGTHS,
@@ -35,6 +34,7 @@ from placegraph_lab.tables.retrieval.retrieval_vectors import (
     replay,
 )
 from placegraph_lab.tables.retrieval.retrieval_walks import RENDERING
+from placegraph_lab.tables.runner import INDOOR, Journal, fingerprint
 
 SEARCHING = (*INDOOR, "placegraph_lab/tables/retrieval/*.py", *RENDERING)
 """Code that decides what answers are."""

@@ -24,10 +24,10 @@ from placegraph.indoor.map.scene import Scene
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame, Images
 from placegraph_lab.tables.indoor.label_noise import NoisyLabels
-from placegraph_lab.tables.journal import fingerprint
 from placegraph_lab.tables.retrieval.retrieval_noise import NoisyThings
 from placegraph_lab.tables.retrieval.retrieval_places import Walk
 from placegraph_lab.tables.retrieval.retrieval_walks import RENDERING
+from placegraph_lab.tables.runner import fingerprint
 
 NOISY = "labels, 30 % wrong"
 THINGS = "labels, 30 % of the things wrong"

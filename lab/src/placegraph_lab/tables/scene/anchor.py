@@ -20,8 +20,8 @@ from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
 from placegraph.world import Fitted, fit_building, fit_capture
-from placegraph_lab.tables.calibration import reliability
-from placegraph_lab.tables.tables import markdown
+from placegraph_lab.tables.runner import markdown
+from placegraph_lab.tables.statistics import reliability
 from placegraph_lab.worlds.flat.flat import OUTSIDE, Flat
 from placegraph_lab.worlds.flat.interior import Interior
 from placegraph_lab.worlds.flat.legend import DOOR

@@ -24,7 +24,7 @@ from placegraph.indoor.map.scene_file import bytes_of
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor.decimate import coarse
 from placegraph_lab.tables.indoor.maps import COARSE, with_mesh
-from placegraph_lab.tables.journal import INDOOR, Journal, fingerprint
+from placegraph_lab.tables.runner import INDOOR, Journal, fingerprint
 from placegraph_lab.tables.scene.maps_surface import Apart, compare
 
 MAKING = (

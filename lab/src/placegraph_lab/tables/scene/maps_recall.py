@@ -23,7 +23,7 @@ from placegraph_lab.tables.indoor.windows import (
     house_windows,
     office_windows,
 )
-from placegraph_lab.tables.journal import fingerprint
+from placegraph_lab.tables.runner import fingerprint
 from placegraph_lab.tables.scene.maps import FULL, Maps, Size
 
 ROWS = (

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from placegraph_lab.tables.runner import markdown, number, share, shares
 from placegraph_lab.tables.scene.maps import FULL, PLACES, SWEEP, Made
 from placegraph_lab.tables.scene.maps_recall import Paired, difference, recall_of
 from placegraph_lab.tables.scene.maps_surface import Apart
-from placegraph_lab.tables.tables import markdown, number, share, shares
 
 KILO, MEGA, MILLI = 1e-3, 1e-6, 1e3
 ROOM = 30

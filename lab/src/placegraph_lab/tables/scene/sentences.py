@@ -23,7 +23,7 @@ from placegraph.indoor.map.floor import label_words
 from placegraph.indoor.map.relations import SAME_ROOM
 from placegraph.indoor.map.structure import WORDS, nameless
 from placegraph.indoor.scene_map import SceneMap
-from placegraph_lab.tables.tables import markdown, shares
+from placegraph_lab.tables.runner import markdown, shares
 
 FACTS = (1, 2, 3, 4, 6)
 """Facts in a sentence."""

@@ -24,8 +24,8 @@ from placegraph.indoor.map.floor import label_words
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.relations import relate
 from placegraph.indoor.scene_map import SceneMap
-from placegraph_lab.tables.bootstrap import paired_interval
-from placegraph_lab.tables.tables import markdown
+from placegraph_lab.tables.runner import markdown
+from placegraph_lab.tables.statistics import paired_interval
 from placegraph_lab.worlds.flat.flat import Flat
 from placegraph_lab.worlds.home.home import STYLES, home, scene_of
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from placegraph_lab.tables.tables import markdown, share
+from placegraph_lab.tables.runner import markdown, share
 from placegraph_learn.train.scenegraphloc.lessons import Lesson, read_lesson, split
 from placegraph_learn.train.scenegraphloc.options import Progress, TrainOptions
 from placegraph_learn.train.scenegraphloc.train import train
@@ -19,7 +19,7 @@ from placegraph_learn.train.scenegraphloc.worlds import homes
 from placegraph_learn.train.training import rows_of
 
 if TYPE_CHECKING:
-    from placegraph_lab.tables.run import Run
+    from placegraph_lab.tables.runner import Run
 
 
 class Told(Progress):

@@ -21,12 +21,12 @@ from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor.label_noise import NoisyEncoder, NoisyLabels
 from placegraph_lab.tables.indoor.metrics import Answer, measure
 from placegraph_lab.tables.indoor.windows import DRIFT, Window
-from placegraph_lab.tables.journal import INDOOR, fingerprint
 from placegraph_lab.tables.retrieval.retrieval_walks import RENDERING
+from placegraph_lab.tables.runner import INDOOR, fingerprint
 from placegraph_lab.tables.sg2loc.sets import Set, Walk
 
 if TYPE_CHECKING:
-    from placegraph_lab.tables.run import Run
+    from placegraph_lab.tables.runner import Run
 
 ANSWERING = (
     *INDOOR, *RENDERING, "placegraph_lab/tables/indoor/*.py", "placegraph_lab/tables/pairs/*.py",

@@ -16,8 +16,8 @@ from placegraph.io.capture.capture import Capture, open_capture
 from placegraph_lab.tables.indoor import maps as indoor_maps
 from placegraph_lab.tables.indoor.maps import place
 from placegraph_lab.tables.indoor.windows import HALVES, OFFICE_STRIDE, is_changed, true_poses
-from placegraph_lab.tables.journal import fingerprint
 from placegraph_lab.tables.retrieval.retrieval_walks import RENDERING
+from placegraph_lab.tables.runner import fingerprint
 from placegraph_lab.tables.sg2loc.sets import Set, Walk, kept
 from placegraph_lab.worlds.flat.flat import Flat
 from placegraph_lab.worlds.flat.interior import Interior

@@ -15,13 +15,13 @@ from placegraph.indoor.scene_map import SceneMap
 from placegraph_io.dataset.scan3r_rooms import read_rooms
 from placegraph_io.dataset.scannet_files import axis_alignment
 from placegraph_lab.tables.indoor.maps import place
-from placegraph_lab.tables.journal import INDOOR, fingerprint
 from placegraph_lab.tables.pairs import scan3r, scannet
 from placegraph_lab.tables.pairs.scannet_register import register_scans
+from placegraph_lab.tables.runner import INDOOR, fingerprint
 from placegraph_lab.tables.sg2loc.sets import LAYOUT, Set, Walk, kept
 
 if TYPE_CHECKING:
-    from placegraph_lab.tables.run import Run
+    from placegraph_lab.tables.runner import Run
 
 
 def of_3rscan(run: Run, split: scan3r.Split) -> Set:

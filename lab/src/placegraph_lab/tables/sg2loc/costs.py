@@ -15,11 +15,11 @@ from placegraph_lab.tables.retrieval.retrieval_places import FIRST, HOMES, Place
 from placegraph_lab.tables.retrieval.retrieval_report import figures, main_table
 from placegraph_lab.tables.retrieval.retrieval_study import Study
 from placegraph_lab.tables.retrieval.retrieval_vectors import NOISY
+from placegraph_lab.tables.runner import markdown, number
 from placegraph_lab.tables.sg2loc.ask import Asking, recipes
 from placegraph_lab.tables.sg2loc.paper import figures as said
 from placegraph_lab.tables.sg2loc.sets import Set
 from placegraph_lab.tables.sg2loc.spec import Spec
-from placegraph_lab.tables.tables import markdown, number
 
 Made = tuple[str, list[Any]]
 

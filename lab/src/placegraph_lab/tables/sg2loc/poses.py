@@ -13,11 +13,11 @@ from placegraph_lab.tables.indoor.report import errors
 from placegraph_lab.tables.indoor.windows import DRIFT
 from placegraph_lab.tables.retrieval.retrieval import Cosines, Scenes
 from placegraph_lab.tables.retrieval.retrieval_places import Place
+from placegraph_lab.tables.runner import markdown, number, shares
 from placegraph_lab.tables.sg2loc.ask import Asking, Reply, group
 from placegraph_lab.tables.sg2loc.paper import figures as said
 from placegraph_lab.tables.sg2loc.sets import Set
 from placegraph_lab.tables.sg2loc.spec import SPECS, Spec
-from placegraph_lab.tables.tables import markdown, number, shares
 
 COLUMNS = {
     "R@1": 1, "mean": 2, "median": 2, "25 cm / 2° / both": 3, "25 cm 2°": 1,

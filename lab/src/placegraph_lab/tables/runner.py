@@ -1,13 +1,11 @@
-"""How a table is run: from `placegraph-lab table NAME` to Markdown on stdout and rows as JSON.
-
-A table is a function of a `Run` and of options of its own, decorated by `table`, in a module of its
-name in `placegraph_lab.tables.named`. Its first line says what it measures.
-"""
+"""Runner of the tables: options, progress, answers kept between runs, Markdown and JSON."""
 
 from __future__ import annotations
 
+import hashlib
 import inspect
 import json
+import math
 import os
 import pkgutil
 import platform
@@ -25,10 +23,141 @@ import typer
 from rich.console import Console
 from rich.progress import Progress, track
 
+import placegraph
+import placegraph_lab
 from placegraph.cli.terminal import bare
 from placegraph.core.files import put
 from placegraph_lab.tables import named
-from placegraph_lab.tables.journal import Journal
+
+SOURCES = tuple(Path(str(p.__file__)).parent for p in (placegraph, placegraph_lab))
+INDOOR = (
+    "placegraph/*.py", "placegraph/formats/**/*.py", "placegraph/indoor/**/*.py",
+    "placegraph/indoor/**/data/*",
+)  # fmt: skip
+"""Code of the library that decides what indoor answers and maps are."""
+
+
+def fingerprint(patterns: Iterable[str]) -> str:
+    """Sixteen hexadecimal digits of the files that match, by name and content.
+
+    `patterns` are globs that begin with a package: `placegraph/indoor/**/*.py`. `ValueError` where
+    one matches no file, so that code which has moved is not silently left out.
+    """
+    digest = hashlib.sha256()
+    found: dict[str, Path] = {}
+    for pattern in patterns:
+        package, _, below = pattern.partition("/")
+        root = next(path for path in SOURCES if path.name == package)
+        here = {p.relative_to(root.parent).as_posix(): p for p in root.glob(below) if p.is_file()}
+        if not here:
+            raise ValueError(f"{pattern} matches no file of {root}.")
+        found |= here
+    for name in sorted(found):
+        digest.update(name.encode() + b"\0")
+        digest.update(hashlib.sha256(found[name].read_bytes()).digest())
+    return digest.hexdigest()[:16]
+
+
+class Journal:
+    """Rows of JSON by key, one line each, appended as they come.
+
+    A line that was cut short by an interruption is passed over.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._rows: dict[str, Any] = {}
+        if not path.exists():
+            return
+        text = path.read_text(encoding="utf-8")
+        for line in text.splitlines():
+            try:
+                entry = json.loads(line)
+                self._rows[entry["key"]] = entry["row"]
+            except (ValueError, KeyError, TypeError):
+                continue
+        if text and not text.endswith("\n"):
+            with path.open("a", encoding="utf-8") as file:
+                file.write("\n")
+
+    def __contains__(self, key: str) -> bool:
+        return key in self._rows
+
+    def __getitem__(self, key: str) -> Any:  # noqa: ANN401  # what was put there
+        return self._rows[key]
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def missing(self, keys: Iterable[str]) -> list[int]:
+        """Places of the keys of which there is no row yet."""
+        return [i for i, key in enumerate(keys) if key not in self]
+
+    def filled(
+        self,
+        keys: Sequence[str],
+        ask: Callable[[int], Any],
+        *,
+        warm: Callable[[], object] = lambda: None,
+        tick: Callable[[], object] = lambda: None,
+    ) -> list[Any]:
+        """Rows of all keys; those that are missing are asked for by their place in `keys`.
+
+        Each is written down at once, and `tick` called. `warm` is called before the first, so that
+        what is timed is compiled.
+        """
+        for n, i in enumerate(self.missing(keys)):
+            if not n:
+                warm()
+            self.put(keys[i], ask(i))
+            tick()
+        return [self[key] for key in keys]
+
+    def put(self, key: str, row: Any) -> None:  # noqa: ANN401  # anything JSON holds
+        """Write a row down, now."""
+        line = json.dumps({"key": key, "row": row}, allow_nan=False)
+        with self.path.open("a", encoding="utf-8") as file:
+            file.write(line + "\n")
+        self._rows[key] = row
+
+
+def markdown(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Table with the first column to the left and all others to the right."""
+    cells = [list(header), *[list(row) for row in rows]]
+    if len({len(row) for row in cells}) != 1:
+        raise ValueError("The rows of a table have as many cells as its header.")
+    width = [max(3, *(len(row[i]) for row in cells)) for i in range(len(header))]
+    rule = ["-" * width[0], *["-" * (w - 1) + ":" for w in width[1:]]]
+    lines = []
+    for k, row in enumerate([cells[0], rule, *cells[1:]]):
+        text = [
+            cell.ljust(w) if i == 0 or k == 1 else cell.rjust(w)
+            for i, (cell, w) in enumerate(zip(row, width, strict=True))
+        ]
+        lines.append("| " + " | ".join(text) + " |")
+    return "\n".join(lines)
+
+
+def share(value: float | None) -> str:
+    """Write a share with two digits: ``.45``, ``1.00``; a dash where there is none."""
+    if value is None or math.isnan(value):
+        return "–"
+    return f"{value:.2f}".removeprefix("0")
+
+
+def shares(values: Iterable[float | None]) -> str:
+    """Shares set off by slashes: ``.45/.60/.67``."""
+    return "/".join(share(v) for v in values)
+
+
+def number(value: float | None, digits: int = 0, unit: str = "") -> str:
+    """Write a number with a unit: ``12 m``, ``∞ m``; a dash where there is none."""
+    if value is None or math.isnan(value):
+        return "–"
+    if math.isinf(value):
+        return "∞"
+    return f"{value:,.{digits}f}{' ' + unit if unit else ''}"
+
 
 PACKAGES = (
     "placegraph", "numpy", "numba", "osmium", "rapidfuzz", "lark", "embreex", "warp-lang",
