@@ -57,7 +57,7 @@ def test_nan_is_refused(tmp_path):
 
 def test_a_change_of_the_code_is_seen(tmp_path, monkeypatch):
     tmp_path /= "placegraph"
-    monkeypatch.setattr(journal, "PACKAGES", (tmp_path,))
+    monkeypatch.setattr(journal, "SOURCES", (tmp_path,))
     (tmp_path / "indoor").mkdir(parents=True)
     (tmp_path / "indoor/a.py").write_text("x = 1")
     (tmp_path / "other.py").write_text("y = 1")

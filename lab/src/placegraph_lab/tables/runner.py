@@ -11,7 +11,7 @@ import pkgutil
 import platform
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib import import_module
@@ -31,7 +31,7 @@ from placegraph_lab.tables import named
 
 SOURCES = tuple(Path(str(p.__file__)).parent for p in (placegraph, placegraph_lab))
 INDOOR = (
-    "placegraph/*.py", "placegraph/formats/**/*.py", "placegraph/indoor/**/*.py",
+    "placegraph/*.py", "placegraph/core/**/*.py", "placegraph/io/**/*.py", "placegraph/indoor/**/*.py",
     "placegraph/indoor/**/data/*",
 )  # fmt: skip
 """Code of the library that decides what indoor answers and maps are."""
@@ -122,7 +122,7 @@ class Journal:
 
 
 def markdown(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Table with the first column to the left and all others to the right."""
+    """Return a Markdown table with the first column to the left and all others to the right."""
     cells = [list(header), *[list(row) for row in rows]]
     if len({len(row) for row in cells}) != 1:
         raise ValueError("The rows of a table have as many cells as its header.")
@@ -138,15 +138,51 @@ def markdown(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     return "\n".join(lines)
 
 
+@dataclass(frozen=True)
+class Column:
+    """Column of a table: title, value of a row, and how the value is written.
+
+    `value` is a key of a mapping, a path of keys and attributes (`score.recall`), or a function of
+    the row. `write` is a function of the value or a number of decimals; missing values are dashes.
+    """
+
+    title: str
+    value: str | Callable[[Any], Any]
+    write: int | Callable[[Any], str] | None = None
+    unit: str = ""
+    scale: float = 1.0
+
+    def cell(self, row: Any) -> str:  # noqa: ANN401  # any kind of row
+        """Write the value of a row."""
+        found = self.value(row) if callable(self.value) else _lookup(row, self.value)
+        if callable(self.write):
+            return self.write(found)
+        if self.write is None:
+            return "–" if found is None else str(found)
+        return number(found if found is None else self.scale * found, self.write, self.unit)
+
+
+def _lookup(row: Any, path: str) -> Any:  # noqa: ANN401
+    for key in path.split("."):
+        row = row.get(key) if isinstance(row, Mapping) else getattr(row, key)
+        if row is None:
+            return None
+    return row
+
+
+def render(columns: Sequence[Column], rows: Iterable[Any]) -> str:
+    """Return rows as a Markdown table; a row of strings stands as it is."""
+    cells = (r if isinstance(r, list) else [c.cell(r) for c in columns] for r in rows)
+    return markdown([c.title for c in columns], cells)
+
+
 def share(value: float | None) -> str:
     """Write a share with two digits: ``.45``, ``1.00``; a dash where there is none."""
-    if value is None or math.isnan(value):
-        return "–"
-    return f"{value:.2f}".removeprefix("0")
+    return number(value, 2).removeprefix("0")
 
 
 def shares(values: Iterable[float | None]) -> str:
-    """Shares set off by slashes: ``.45/.60/.67``."""
+    """Write shares set off by slashes: ``.45/.60/.67``."""
     return "/".join(share(v) for v in values)
 
 
@@ -199,9 +235,9 @@ LAB = Path(__file__).parents[3]
 """Folder of the lab in the repository."""
 
 
-def option(text: str) -> Any:  # noqa: ANN401
-    """Option of a table, with its help."""
-    return typer.Option(help=text)
+def option(text: str, *flags: str) -> Any:  # noqa: ANN401
+    """Describe an option of a table."""
+    return typer.Option(*flags, help=text)
 
 
 Seed = Annotated[int, option("Of all that is drawn; the same seed, the same rows.")]

@@ -1,9 +1,10 @@
-"""How heavy is the house? Files, lines, functions, starts and sizes, beside what they were at 9cf6d59.
+"""How heavy is the house? Files and lines of every part, functions, prose, starts and sizes.
 
     placegraph-lab table weight
     placegraph-lab table weight --no-starts --no-install
 
-Before it was rebuilt everything was one package of 553 files. Prints Markdown, writes JSON.
+Counts the core, each package, the lab, tests and docs, beside their budgets and beside commit fa2f326,
+when everything was one package. Prints Markdown, writes JSON.
 """
 
 from __future__ import annotations
@@ -14,27 +15,50 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from statistics import median
+from statistics import mean, median
 from time import perf_counter
 from typing import Annotated
 
-from placegraph_lab.tables.runner import LAB, Run, markdown, number, option, table
+from placegraph_lab.tables.runner import LAB, Column, Run, number, option, render, table
 
-FINDING = ("outdoor", "indoor", "language", "vectors")
-"""Folders of the library where places and poses are found,"""
-MAKING = ("indoor/mapping", "outdoor/map")
-"""but for those where maps are made."""
-LONG, MANY = 60, 8
-"""Lines and parameters that a function has at most; options of commands and kernels do not count."""
+PACKAGES = {"io": 7_500, "serve": 4_000, "ros": 4_500, "scale": 6_000, "learn": 3_000}
+"""Budgets of the plugins in lines."""
+BUDGETS = {"core": 57_000, "packages together": 82_000, "lab": 26_000, "tests": 52_000}
+BEFORE = {"packages together": 105_769, "lab": 41_142, "tests": 74_967, "docs": 10_995}
+"""Lines at fa2f326, where the wheel was one package of 678 files."""
+LONG, MANY = 80, 8
+"""Most lines and parameters of a function; options of commands and kernels do not count."""
 SENTENCE = "A bench is north of me. A cafe is east of me. I am on a street."
+WEIGHTS = (
+    Column("part", "name"), Column("files", "files", 0), Column("lines", "lines", 0),
+    Column("budget", "budget", 0), Column("at fa2f326", "before", 0), Column("code", "code", 0),
+    Column("of it imports", "imports", 0), Column("docstrings", "docstrings", 0),
+    Column("comments", "comments", 0), Column("blank", "blank", 0),
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
-class Row:
-    """One figure: before (one package, at the commit named in `BEFORE`), now, and what was aimed at."""
+class Weight:
+    """Files and lines of one part of the house; imports count as code."""
+
+    name: str
+    files: int
+    lines: int
+    code: int | None
+    imports: int | None
+    docstrings: int | None
+    comments: int | None
+    blank: int
+    budget: int | None = None
+    before: int | None = None
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One figure: at commit 9cf6d59 (one package of 553 files), now, and what was aimed at."""
 
     name: str
     before: float | None
@@ -42,147 +66,155 @@ class Row:
     aim: float | None
     unit: str = ""
 
-    @property
-    def digits(self) -> int:
-        """Digits behind the point that mean something."""
-        return 1 if self.unit == "s" else 0
+    def cells(self) -> list[str]:
+        """Write the figure as a row."""
+        digits = 1 if self.unit == "s" else 0
+        return [
+            self.name,
+            *(number(x, digits, self.unit) for x in (self.before, self.now, self.aim)),
+        ]
 
 
-@dataclass(frozen=True)
-class Source:
-    """What one Python file weighs."""
-
-    path: Path
-    lines: int
-    functions: tuple[tuple[str, int, int], ...]
-    """Name, lines without the docstring, and parameters of each function."""
-
-    @classmethod
-    def read(cls, path: Path) -> Source:
-        """Weigh a file."""
-        text = path.read_text("utf-8")
-        functions = tuple(
-            (node.name, _weight(node, "cli" in path.parts), _parameters(node.args))
-            for node in ast.walk(ast.parse(text))
-            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
-        )
-        return cls(path, text.count("\n"), functions)
-
-    @property
-    def compiled(self) -> bool:
-        """Whether it holds kernels."""
-        return self.path.stem.endswith("_kernels")
+def weigh(name: str, files: Iterable[Path]) -> Weight:
+    """Count the lines of Python files by kind."""
+    counts = [_count(path.read_text("utf-8")) for path in files]
+    lines, imports, docstrings, comments, blank = (sum(c) for c in zip(*counts, strict=True))
+    code = lines - docstrings - comments - blank
+    budget, before = BUDGETS.get(name, PACKAGES.get(name)), BEFORE.get(name)
+    return Weight(
+        name, len(counts), lines, code, imports, docstrings, comments, blank, budget, before
+    )
 
 
-def sources(root: Path) -> list[Row]:
-    """Files, lines and functions of the library."""
-    package = root / "src/placegraph"
-    files = [Source.read(path) for path in sorted(package.rglob("*.py"))]
-    finding = [s for s in files if _finds(s.path.relative_to(package).as_posix())]
-    plain = [(s, f) for s in files if not s.compiled for f in s.functions]
-    apart = [f for s, f in plain if "cli" not in s.path.relative_to(package).parts]
-    entries = [len(_entries(p)) for p in (package, *package.rglob("*")) if _is_package(p)]
+def _count(text: str) -> tuple[int, int, int, int, int]:
+    """Return lines, imports, docstrings, comments and blank lines of a source text."""
+    lines = text.splitlines()
+    imports: set[int] = set()
+    docstrings: set[int] = set()
+    for node in ast.walk(ast.parse(text)):
+        rows = range(getattr(node, "lineno", 1) - 1, getattr(node, "end_lineno", 0))
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            imports.update(rows)
+        elif isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+            docstrings.update(rows if isinstance(node.value.value, str) else ())
+    others = [line.strip() for i, line in enumerate(lines) if i not in docstrings]
+    comments = sum(line.startswith("#") for line in others)
+    return len(lines), len(imports), len(docstrings), comments, others.count("")
+
+
+def weights(root: Path) -> list[Weight]:
+    """Weigh every part of a repository."""
+    folders = {"core": root / "src"}
+    folders |= {name: root / f"packages/placegraph-{name}/src" for name in PACKAGES}
+    files = {name: sorted(folder.rglob("*.py")) for name, folder in folders.items()}
+    tests = [*(root / "tests").rglob("*.py"), *root.glob("packages/*/tests/**/*.py")]
+    pages = [path.read_text("utf-8").splitlines() for path in (root / "docs").rglob("*.md")]
+    blank, lines = (sum(not line.strip() for page in pages for line in page), sum(map(len, pages)))
+    apart = [weigh(name, found) for name, found in files.items() if found]
     return [
-        Row("files of the wheel", 553, len(files), None),
-        Row("lines of the wheel", 90_851, sum(s.lines for s in files), 60_000),
-        Row("lines that find places and poses", None, sum(s.lines for s in finding), 30_000),
-        Row("files over 300 lines", 63, sum(s.lines > 300 for s in files), 0),
-        Row("longest file", 402, max(s.lines for s in files), 300, "lines"),
-        Row("longest function", 109, max(lines for _, (_, lines, _) in plain), LONG, "lines"),
-        Row("functions over 60 lines", 48, sum(f[1] > LONG for _, f in plain), 0),
-        Row("functions over 8 parameters", 70, sum(f[2] > MANY for f in apart), 0),
-        Row("most entries in one folder", 60, max(entries), 12),
-        Row("lines of the README", 491, _lines(root / "README.md"), 150),
+        *apart,
+        _together("packages together", apart),
+        weigh("lab", sorted((root / "lab/src").rglob("*.py"))),
+        weigh("tests", tests),
+        Weight("docs", len(pages), lines, None, None, None, None, blank, before=BEFORE["docs"]),
     ]
 
 
-def timed(extract: Path, house: Path, walk: Path, times: int = 3) -> list[Row]:
-    """Seconds from a command to its answer, by an empty and by a full cache of compiled code.
+def _together(name: str, parts: Sequence[Weight]) -> Weight:
+    sums = {
+        field: sum(getattr(part, field) for part in parts)
+        for field in ("files", "lines", "code", "imports", "docstrings", "comments", "blank")
+    }
+    return Weight(name, **sums, budget=BUDGETS[name], before=BEFORE[name])
+
+
+def functions(path: Path) -> Iterator[tuple[str, int, int]]:
+    """Yield name, lines without the docstring, and parameters of each function of a file."""
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            told = ast.get_docstring(node) is not None
+            first = node.body[min(int(told), len(node.body) - 1)].lineno
+            head = 1 if "cli" in path.parts else node.body[0].lineno - node.lineno
+            each = (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)
+            parameters = sum(argument.arg not in {"self", "cls"} for argument in each)
+            yield node.name, head + (node.end_lineno or 0) - first + 1, parameters
+
+
+def shape(root: Path) -> list[Figure]:
+    """Return the figures of files and functions of the core and the packages."""
+    files = sorted([*(root / "src").rglob("*.py"), *root.glob("packages/*/src/**/*.py")])
+    plain = [(p, f) for p in files if not p.stem.endswith("_kernels") for f in functions(p)]
+    lengths = [lines for _, (_, lines, _) in plain]
+    apart = [f for p, f in plain if "cli" not in p.parts]
+    longest = max(p.read_text("utf-8").count("\n") for p in files)
+    folders = {p.parent for p in files}
+    entries = max(sum(p.parent == folder for p in files) for folder in folders)
+    readme = (root / "README.md").read_text("utf-8").count("\n")
+    return [
+        Figure("longest file", 402, longest, 700, "lines"),
+        Figure("mean function", None, round(mean(lengths), 1), 18, "lines"),
+        Figure("longest function", 109, max(lengths), LONG, "lines"),
+        Figure(f"functions over {LONG} lines", None, sum(n > LONG for n in lengths), 0),
+        Figure(f"functions over {MANY} parameters", 70, sum(f[2] > MANY for f in apart), 0),
+        Figure("most files in one folder", 60, entries, None),
+        Figure("lines of the README", 491, readme, 150),
+    ]
+
+
+def time_commands(extract: Path, house: Path, walk: Path, times: int = 3) -> list[Figure]:
+    """Time commands until their answer, with nothing compiled and with everything compiled.
 
     `extract`: an .osm.pbf; `house`: a .glb; `walk`: a capture of the house.
     """
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        city, scene = folder / "a.city", folder / "a.scene"
+        city, scene, warm = folder / "a.city", folder / "a.scene", folder / "warm"
         build = ["scene", "build", str(house), "-o", str(scene)]
         locate = ["city", "locate", str(city), SENTENCE]
         localize = ["scene", "localize", str(scene), str(walk), "--frames", ":5"]
-        _run(["city", "build", str(extract), "-o", str(city)], folder / "warm")
-        _run(build, folder / "warm")
+        _run(["city", "build", str(extract), "-o", str(city)], warm)
+        _run(build, warm)
         rows = []
         commands = (("city locate", locate, 41.0, 15.0, 2.6, 1.0),
                     ("scene localize", localize, 52.0, 20.0, 4.3, 2.0),
                     ("scene build", build, 24.0, 12.0, None, None))  # fmt: skip
-        for title, command, cold, aim, warm, warm_aim in commands:
-            rows.append(
-                Row(f"{title}, nothing compiled", cold, _cold(command, folder, times), aim, "s")
-            )
-            _run(command, folder / "warm")
-            seconds = median(_run(command, folder / "warm") for _ in range(2 * times + 1))
-            rows.append(Row(f"{title}, all compiled", warm, seconds, warm_aim, "s"))
-        helped = median(_run(["--help"], folder / "warm") for _ in range(2 * times + 1))
-        return [*rows, Row("--help", None, helped, 0.2, "s")]
+        for title, command, before, aim, before_warm, aim_warm in commands:
+            cold = []
+            for i in range(times):
+                cold.append(_run(command, folder / f"cold{i}"))
+                shutil.rmtree(folder / f"cold{i}", ignore_errors=True)
+            rows.append(Figure(f"{title}, nothing compiled", before, median(cold), aim, "s"))
+            _run(command, warm)
+            seconds = median(_run(command, warm) for _ in range(2 * times + 1))
+            rows.append(Figure(f"{title}, all compiled", before_warm, seconds, aim_warm, "s"))
+        helped = median(_run(["--help"], warm) for _ in range(2 * times + 1))
+        return [*rows, Figure("--help", None, helped, 0.2, "s")]
 
 
-def installed(root: Path) -> list[Row]:
-    """Megabytes and seconds of installing the core in an empty environment."""
+def install(root: Path) -> list[Figure]:
+    """Install the core in an empty environment; megabytes and seconds."""
     with tempfile.TemporaryDirectory() as name:
         start = perf_counter()
         _call([sys.executable, "-m", "venv", name])
         _call([f"{name}/bin/python", "-m", "pip", "install", "--quiet", str(root)])
         size = sum(p.lstat().st_size for p in Path(name).rglob("*") if p.is_file()) / 1e6
         return [
-            Row("core and demo, installed", 2600.0, size, None, "MB"),
-            Row("core, installing", None, perf_counter() - start, None, "s"),
+            Figure("core and demo, installed", 2600.0, size, None, "MB"),
+            Figure("core, installing", None, perf_counter() - start, None, "s"),
         ]
 
 
-def _cold(command: Sequence[str], folder: Path, times: int) -> float:
-    def once() -> float:
-        shutil.rmtree(folder / "cold", ignore_errors=True)
-        return _run(command, folder / "cold")
-
-    return median(once() for _ in range(times))
-
-
-def _run(command: Sequence[str], cache: Path) -> float:
+def _run(command: Sequence[str], compiled: Path) -> float:
+    """Run a command of placegraph with a folder of compiled code; seconds."""
     start = perf_counter()
-    environment = os.environ | {"NUMBA_CACHE_DIR": str(cache)}
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(compiled)}
     _call([sys.executable, "-m", "placegraph", *command], environment)
     return perf_counter() - start
 
 
-def _call(command: Sequence[str], environment: dict[str, str] | None = None) -> None:
-    subprocess.run(command, check=True, capture_output=True, env=environment)  # noqa: S603  # ours
-
-
-def _finds(path: str) -> bool:
-    return path.startswith(FINDING) and not path.startswith(MAKING)
-
-
-def _is_package(path: Path) -> bool:
-    return path.is_dir() and (path / "__init__.py").exists()
-
-
-def _entries(folder: Path) -> list[Path]:
-    return [p for p in folder.iterdir() if p.name not in {"__pycache__", "__init__.py"}]
-
-
-def _lines(path: Path) -> int:
-    return path.read_text("utf-8").count("\n")
-
-
-def _weight(node: ast.FunctionDef | ast.AsyncFunctionDef, command: bool) -> int:
-    """Lines of a function without its docstring, of a command without its options."""
-    told = ast.get_docstring(node) is not None
-    first = node.body[min(int(told), len(node.body) - 1)].lineno
-    head = 1 if command else node.body[0].lineno - node.lineno
-    return head + (node.end_lineno or 0) - first + 1
-
-
-def _parameters(given: ast.arguments) -> int:
-    each = (*given.posonlyargs, *given.args, *given.kwonlyargs)
-    return sum(argument.arg not in {"self", "cls"} for argument in each)
+def _call(command: Sequence[str], environment: dict[str, str] | None = None) -> str:
+    done = subprocess.run(command, check=True, capture_output=True, env=environment)  # noqa: S603  # ours
+    return done.stdout.decode().strip()
 
 
 @table()
@@ -191,19 +223,29 @@ def weight(
     times: Annotated[int, option("Runs of each command with nothing compiled.")] = 3,
     *,
     starts: Annotated[bool, option("Time commands, with nothing compiled and all.")] = True,
-    install: Annotated[bool, option("Install the core in an empty environment.")] = True,
+    installs: Annotated[
+        bool, option("Install the core in an empty environment.", "--install/--no-install")
+    ] = True,
 ) -> None:
-    """How heavy is the house? Files, lines, starts and sizes, beside what they were."""
+    """How heavy is the house? Files and lines of every part, functions, prose, starts and sizes."""
     root = LAB.parent
-    rows = sources(root)
+    parts = weights(root)
+    print(f"{render(WEIGHTS, parts)}\n")
+    prose = run.shared / "tools/prose.py"
+    words = ""
+    if prose.exists():
+        words = _call(
+            [sys.executable, str(prose), *(str(root / d) for d in ("src", "packages", "lab"))]
+        )
+        print(f"Prose: {words}\n")
+    figures = shape(root)
     if starts:
         house = run.data / "house"
-        walk = house / "seq00"
-        rows += timed(run.osm / "vancouver_2015.osm.pbf", house / "map/house.glb", walk, times)
-    if install:
-        rows += installed(root)
-    cells = [
-        [r.name, *(number(x, r.digits, r.unit) for x in (r.before, r.now, r.aim))] for r in rows
-    ]
-    print(markdown(["", "before", "now", "aim"], cells))
-    run.save({"rows": [asdict(r) for r in rows]}, whole=starts and install)
+        extract = run.osm / "vancouver_2015.osm.pbf"
+        figures += time_commands(extract, house / "map/house.glb", house / "seq00", times)
+    if installs:
+        figures += install(root)
+    header = (Column(title, title) for title in ("", "at 9cf6d59", "now", "aim"))
+    print(render(tuple(header), (figure.cells() for figure in figures)))
+    rows = {"parts": [asdict(w) for w in parts], "figures": [asdict(f) for f in figures]}
+    run.save({**rows, "prose": words}, whole=starts and installs)
