@@ -8,16 +8,17 @@ from functools import partial
 
 import numpy as np
 
-from placegraph.core.estimate import CityEstimate, Status
+from placegraph.core.estimate import CityEstimate
 from placegraph.errors import OptionError
 from placegraph.outdoor.language.description import LISTENER, Description, Relation, Statement
-from placegraph.outdoor.likelihood.query import Query, compile_query, read, standing_at
+from placegraph.outdoor.likelihood.query import compile_query, read, standing_at
 from placegraph.outdoor.likelihood.statements import ends
 from placegraph.outdoor.map.city import City
-from placegraph.outdoor.search.answer import estimate
+from placegraph.outdoor.search.answer import answer, answer_nothing
 from placegraph.outdoor.search.ask import Answer
 from placegraph.outdoor.search.cells import search_cells
 from placegraph.outdoor.search.request import Matching, Request, is_count, within
+from placegraph.outdoor.search.status import find_obstacle
 from placegraph.outdoor.search.viewpoints import search
 from placegraph.outdoor.search.whereabouts import Way, Whereabouts, number, position, swapped
 
@@ -48,12 +49,11 @@ def locate(
     hints = hints or Hints()
     description, asked = understand(city, text, hints, matching or Matching())
     told = bool(asked.known.ways)
-    if reason := why_nothing(asked.query, description, on_the_way=told) or _off_the_map(
-        asked, hints
-    ):
-        return CityEstimate(Status.LOST, (), reason, description)
+    obstacle = find_obstacle(asked.query, description, way_told=told) or _off_the_map(asked, hints)
+    if obstacle:
+        return answer_nothing(obstacle, description)
     found = search_cells(asked) if asked.matching.of_cells else search(asked)
-    return estimate(asked, found, top, description)
+    return answer(asked, found, top, description)
 
 
 def understand(
@@ -66,12 +66,12 @@ def understand(
     heading = None if hints.heading is None else number(hints.heading)
     listener = None if hints.listener is None else position(city, hints.listener, "listener")
     description = read(city, text, heading=heading, language=hints.language)
-    for answer in hints.answers or ():
-        if not hasattr(answer, "added_to"):
+    for given in hints.answers or ():
+        if not hasattr(given, "added_to"):
             raise OptionError(
-                f"answers holds {answer!r}; answer questions by `question.answer(option)`."
+                f"answers holds {given!r}; answer questions by `question.answer(option)`."
             )
-        description = answer.added_to(description)
+        description = given.added_to(description)
     way, rest = _split(description, known=listener is not None)
     to_somebody = any(LISTENER in ends(s) for s in description.statements)
     query = compile_query(replace(description, statements=rest), city, on_a_way=to_somebody)
@@ -100,25 +100,6 @@ def _split(
                 continue
         rest.append(s)
     return tuple(way), tuple(rest)
-
-
-def why_nothing(query: Query, description: Description, *, on_the_way: bool = False) -> str:
-    """Why what was said does not do to find a place; an empty string where it does.
-
-    `on_the_way` tells whether the way to the place was told.
-    """
-    if on_the_way or any(not s.negated for s in query.used):
-        return ""
-    if query.used:
-        return "Only what is absent was said; say what is there as well."
-    reasons = {reason for _, reason in query.unused}
-    if reasons:
-        return "Nothing that was said can be looked for: " + "; ".join(sorted(reasons)) + "."
-    if description.ignored:
-        return "Nothing in the text could be understood; say what stands around you, and in which direction."
-    return (
-        "The text says nothing about a place; say what stands around you, and in which direction."
-    )
 
 
 def _off_the_map(asked: Request, hints: Hints) -> str:

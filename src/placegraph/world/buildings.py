@@ -13,8 +13,8 @@ from placegraph.core.features import inside
 from placegraph.outdoor.language.description import SPEAKER, WITHIN, Relation
 from placegraph.outdoor.map.objects import AREA, POINT
 from placegraph.outdoor.map.raster_kernels import nearest_on_parts
-from placegraph.outdoor.search.confidence import claim_of
 from placegraph.outdoor.search.evidence import looked_at
+from placegraph.outdoor.search.status import infer_claim
 from placegraph.world.streets import AROUND_IT, on_street, roads_called
 
 if TYPE_CHECKING:
@@ -96,7 +96,7 @@ class Buildings:
                 meant |= own
                 told = told if held else min(told, MISSED)
             weights.append(told)
-        slope = claim_of(self.asked.query.description).whole.slope
+        slope = infer_claim(self.asked.query.description).of_radius.slope
         return Judged(slope * sum(weights), meant, tuple(weights))
 
     def _of_street(self, i: int, footprint: NDArray[np.float64]) -> float:

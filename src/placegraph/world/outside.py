@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.outdoor.likelihood.lexicon import Known as Read
-from placegraph.outdoor.locate import Hints, understand, why_nothing
-from placegraph.outdoor.search.answer import estimate
-from placegraph.outdoor.search.confidence import claim_of
+from placegraph.outdoor.locate import Hints, understand
+from placegraph.outdoor.search.answer import answer
 from placegraph.outdoor.search.evidence import TELLING, evidence_at
 from placegraph.outdoor.search.posterior import ELSEWHERE
 from placegraph.outdoor.search.request import Matching
+from placegraph.outdoor.search.status import find_obstacle, infer_claim
 from placegraph.outdoor.search.viewpoints import search
 from placegraph.outdoor.search.whereabouts import Whereabouts, swapped
 from placegraph.world.buildings import Buildings
@@ -102,7 +102,7 @@ class Outside:
         """Log-likelihood ratio of this town, wherever in it, against anywhere else [nat]."""
         here, off = float(self.posterior.probabilities.sum()), self.posterior.elsewhere
         ratio = (here + 1e-9) / (off + 1e-9) * ELSEWHERE / (1.0 - ELSEWHERE)
-        return claim_of(self.query.description).whole.slope * float(np.log(ratio))
+        return infer_claim(self.query.description).of_radius.slope * float(np.log(ratio))
 
     @property
     def cost(self) -> str:
@@ -157,12 +157,12 @@ class OneCity:
         )
         description, asked = understand(city, said, hints, Matching())
         if not asked.positive:
-            return why_nothing(asked.query, description)
+            return find_obstacle(asked.query, description)
         near = asked.known.near
         if near is not None and not len(city.views.near(near, 4.0 * asked.known.radius)):
             return ""
         found = search(asked)
-        told = estimate(asked, found, known.top, description)
+        told = answer(asked, found, known.top, description)
         return InCity(asked.query, found, told, {self.name: told}, "", city, asked)
 
     def off(self, near: Sequence[float], radius: float) -> str | None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,6 +31,8 @@ PHRASES = {
     Relation.VISIBLE: "is in sight of",
     Relation.SAME: "is at",
 }
+Explain = Callable[[NDArray[np.float64]], tuple[Evidence, ...]]
+"""Makes the evidence at a position (2,) [m]."""
 WINDS = ("north", "northeast", "east", "southeast", "south", "southwest", "west", "northwest")
 
 

@@ -13,16 +13,18 @@ from math import atan2, hypot, pi
 
 import numpy as np
 
-from placegraph.core.estimate import CityEstimate, Status
+from placegraph.core.estimate import CityEstimate
 from placegraph.errors import OptionError
 from placegraph.language.check import check
 from placegraph.outdoor.language.description import Description
 from placegraph.outdoor.likelihood.query import compile_query, read
 from placegraph.outdoor.map.city import City
+from placegraph.outdoor.search.answer import answer_nothing
 from placegraph.outdoor.search.ask import Answer
 from placegraph.outdoor.search.request import is_count
+from placegraph.outdoor.search.status import explain_no_change
 from placegraph.outdoor.search.whereabouts import finite, positive, shares_around
-from placegraph.outdoor.track.answer import Waypoint, estimate, why_nothing
+from placegraph.outdoor.track.answer import Waypoint, estimate
 from placegraph.outdoor.track.grid import (
     COMPASS,
     FARTHEST,
@@ -94,9 +96,7 @@ class CityTracker:
         )
         self._understood = False
         self._history: tuple[Waypoint, ...] = ()
-        self._estimate = CityEstimate(
-            Status.LOST, (), "Nothing has been said yet; say what stands around you."
-        )
+        self._estimate = answer_nothing("Nothing has been said yet; say what stands around you.")
         return self._estimate
 
     @property
@@ -264,7 +264,7 @@ class CityTracker:
         after = stop.after(text, self.city, self._grid, self.heading)
         if after is None or after is stop:
             alone = compile_query(read(self.city, text, heading=self.heading), self.city)
-            return "" if alone.used else why_nothing(alone)
+            return "" if alone.used else explain_no_change(alone)
         gain = after.log_evidence - stop.log_evidence
         if stop.texts and gain < np.log(SURPRISED):
             anew = stop.unsure(self._grid).after(text, self.city, self._grid, self.heading)
@@ -286,7 +286,7 @@ class CityTracker:
         else:
             understood = self._stop.query.description if self._stop.query else None
             reason = why or "Nothing was said of a place yet; say what stands around you."
-            self._estimate = CityEstimate(Status.LOST, (), reason, understood)
+            self._estimate = answer_nothing(reason, understood)
         self._history += (Waypoint(said, self._estimate.status, self._estimate.best),)
         return self._estimate
 

@@ -198,9 +198,7 @@ def statuses(
     texts: Annotated[int, option("Texts a town and setting.")] = 100,
     seed: Seed = 0,
     *,
-    fit: Annotated[
-        bool, option("Fit the coefficients of confidence.py, and print only them.")
-    ] = False,
+    fit: Annotated[bool, option("Fit the coefficients of status.py, and print only them.")] = False,
     quick: Quick = False,
 ) -> None:
     """Is `OK` right, and said often enough? Templates, people's words, and traps."""

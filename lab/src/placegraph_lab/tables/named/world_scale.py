@@ -83,7 +83,7 @@ def equal(path: Path, texts: Mapping[str, Sequence[str]], most: int) -> dict[str
 
 def _compared(city: CityMap, texts: Sequence[str]) -> dict[str, float]:
     from placegraph.outdoor.locate import Hints, understand
-    from placegraph.outdoor.search.answer import estimate
+    from placegraph.outdoor.search.answer import answer
     from placegraph.outdoor.search.request import Matching
     from placegraph.outdoor.search.viewpoints import search
 
@@ -94,7 +94,7 @@ def _compared(city: CityMap, texts: Sequence[str]) -> dict[str, float]:
         if not asked.positive:
             continue
         some, every = (
-            estimate(asked, p, 5, description).modes for p in (search(asked), exhaustive(asked))
+            answer(asked, p, 5, description).modes for p in (search(asked), exhaustive(asked))
         )
         if not (some and every):
             missed += [1.0] if some or every else []

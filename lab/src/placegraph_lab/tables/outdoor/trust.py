@@ -1,4 +1,4 @@
-"""Fits what a share of the posterior is worth: the coefficients of `placegraph.outdoor.search.confidence`."""
+"""Fits what a share of the posterior is worth: the coefficients of `placegraph.outdoor.search.status`."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from placegraph.core.geometry import Floats
 from placegraph.errors import PlacegraphError
 from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.locate import Hints, understand
-from placegraph.outdoor.search.confidence import (
+from placegraph.outdoor.search.posterior import WITHIN, modes
+from placegraph.outdoor.search.request import Matching
+from placegraph.outdoor.search.status import (
     AT_A_PLACE,
     IN_SIGHT,
     LARGEST,
+    Calibration,
     Claim,
-    Trust,
-    claim_of,
+    infer_claim,
 )
-from placegraph.outdoor.search.posterior import WITHIN, modes
-from placegraph.outdoor.search.request import Matching
 from placegraph.outdoor.search.viewpoints import SPACING, search
 from placegraph_lab.tables.outdoor.text_sets import TUNED, TextSet, Told
 
 NAMES = {id(IN_SIGHT): "IN_SIGHT", id(AT_A_PLACE): "AT_A_PLACE"}
 
 
-def fitted(sets: Iterable[TextSet], maps: dict[str, CityMap]) -> dict[str, Trust]:
+def fitted(sets: Iterable[TextSet], maps: dict[str, CityMap]) -> dict[str, Calibration]:
     """Coefficients by what is claimed, over the texts of known places that may be tuned on."""
     drawn: dict[str, list[tuple[float, bool]]] = defaultdict(list)
     for asked in sets:
@@ -52,17 +52,17 @@ def shares(city: CityMap, told: Told) -> list[tuple[str, float, bool]]:
         return []
     if not peaks or told.goal is None:
         return []
-    claim: Claim = claim_of(understood)
+    claim: Claim = infer_claim(understood)
     at = peaks[0].position
     off = float(np.hypot(*(city.plane.to_plane(told.goal) - at)))
-    radii = {WITHIN: "near", claim.within: "whole"}
+    radii = {WITHIN: "of_place", claim.radius: "of_radius"}
     return [
         (f"{NAMES[id(claim)]}.{name}", found.within(at, radius), off <= radius)
         for radius, name in radii.items()
     ]
 
 
-def logistic(share: Floats, right: NDArray[np.bool_]) -> Trust:
+def logistic(share: Floats, right: NDArray[np.bool_]) -> Calibration:
     """Logistic regression (N,) of being right on log odds, by Newton's method."""
     share = np.clip(share, 1.0 - LARGEST, LARGEST)
     columns = np.stack([np.ones(len(share)), np.log(share / (1.0 - share))], axis=1)
@@ -71,4 +71,4 @@ def logistic(share: Floats, right: NDArray[np.bool_]) -> Trust:
         p = 1.0 / (1.0 + np.exp(-columns @ weights))
         curvature = (columns * (p * (1.0 - p))[:, None]).T @ columns + 1e-6 * np.eye(2)
         weights = weights + np.linalg.solve(curvature, columns.T @ (right - p))
-    return Trust(float(weights[0]), float(weights[1]))
+    return Calibration(float(weights[0]), float(weights[1]))

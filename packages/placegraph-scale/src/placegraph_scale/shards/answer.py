@@ -13,9 +13,15 @@ from numpy.typing import NDArray
 
 from placegraph.core.estimate import CityEstimate, Place, Status
 from placegraph.core.geometry import LocalPlane
-from placegraph.outdoor.search.answer import CONTRADICTS, MOST_SUPPORT, contradicted
-from placegraph.outdoor.search.confidence import believed, claim_of, doubts, status_of
+from placegraph.outdoor.search.answer import MOST_SUPPORT
 from placegraph.outdoor.search.posterior import Posterior, modes, posterior
+from placegraph.outdoor.search.status import (
+    decide,
+    diagnose,
+    find_contradiction,
+    infer_claim,
+    shrink,
+)
 from placegraph.outdoor.search.viewpoints import FINE, SPACING
 from placegraph.world.buildings import BESIDE
 from placegraph.world.outside import Outside, Told
@@ -168,13 +174,12 @@ def estimate(
     peaks = modes(weighed.posterior, top, SPACING)
     query = asked.query
     description = query.description
-    claim, doubt = claim_of(description), doubts(query)
-    status, reason = status_of(weighed.posterior, peaks, claim, doubt)
-    post, peaks = believed(weighed.posterior, peaks, claim, doubt)
+    diagnostics = diagnose(weighed.posterior, peaks, infer_claim(description), query)
+    post, peaks = shrink(weighed.posterior, peaks, diagnostics)
     weighed = replace(weighed, posterior=post)
     places = _places(search, asked, weighed, peaks)
-    if places and description.conflicts and contradicted(places[0][1], query):
-        status, reason = Status.LOST, CONTRADICTS.format(description.conflicts[0])
+    contradiction = find_contradiction(places[0][1] if places else None, query)
+    status, reason = decide(replace(diagnostics, contradiction=contradiction))
     parts = {}
     for row in dict.fromkeys(row for row, _ in places):
         mine = tuple(place for r, place in places if r == row)

@@ -15,8 +15,8 @@ from placegraph.errors import MapError
 from placegraph.outdoor.language.description import LISTENER
 from placegraph.outdoor.likelihood.query import compile_query
 from placegraph.outdoor.likelihood.statements import ends
-from placegraph.outdoor.locate import why_nothing
 from placegraph.outdoor.map.objects import LINE
+from placegraph.outdoor.search.status import find_obstacle
 from placegraph_scale.shards.answer import InShards, estimate, weigh
 from placegraph_scale.shards.folder import WORDS, WorldFile, same
 from placegraph_scale.shards.lexicon import Gathering, Things, Words, distance
@@ -103,7 +103,7 @@ class Planet:
         lexicon = Gathering(self.words, partial(self._gathered, search), things)
         on_a_way = any(LISTENER in ends(s) for s in description.statements)
         query = compile_query(description, lexicon, on_a_way=on_a_way)
-        if reason := why_nothing(query, description):
+        if reason := find_obstacle(query, description):
             return reason
         fix = (
             None

@@ -1,0 +1,260 @@
+"""Status of an outdoor estimate: `OK`, `AMBIGUOUS` or `LOST`, and why.
+
+The stages of a search fill a `Diagnostics`; `decide` alone turns it into a status and a reason.
+
+A posterior takes every statement as read correctly and as independent of the others. Neither holds, so
+its log odds are shrunk by coefficients that were fitted to texts whose places are known.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from placegraph.core.estimate import Place, Status
+from placegraph.core.geometry import angle_between
+from placegraph.outdoor.language.description import (
+    LISTENER,
+    SPEAKER,
+    Description,
+    Relation,
+    Statement,
+)
+from placegraph.outdoor.likelihood.query import Query
+from placegraph.outdoor.likelihood.statements import ends
+from placegraph.outdoor.map.city import City
+from placegraph.outdoor.map.objects import POINT
+from placegraph.outdoor.search.posterior import WITHIN, Mode, Posterior
+
+SURE = 0.85
+"""Calibrated probability of a claim from which an estimate is `OK`."""
+LARGEST = 1.0 - 1e-4
+"""Largest share of a posterior that is calibrated."""
+UNKNOWN = -2.0
+"""Added to the log odds where the text names something that the map should know and does not."""
+HERE = 1.0 / 3.0
+"""Share of the posterior that the best place of an `OK` estimate holds at least."""
+SHOWN = 3
+"""Unread words that a reason lists at most."""
+UNREAD = ("unknown word", "not understood")
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """Shrinkage of posterior shares: log odds become `level + slope * log odds`.
+
+    Coefficients by `placegraph-lab table statuses --fit`: logistic regression of being right on the
+    log odds of the posterior, over the texts that statuses may be tuned on.
+    """
+
+    level: float
+    slope: float
+
+    def apply(self, share: float, *, unknown_name: bool) -> float:
+        """Return the probability that a share of the posterior is worth, at most the share itself."""
+        share = min(share, LARGEST)
+        if share <= 0.0:
+            return 0.0
+        odds = self.level + self.slope * np.log(share / (1.0 - share)) + UNKNOWN * unknown_name
+        return float(min(share, 1.0 / (1.0 + np.exp(-odds))))
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """Radius and probability that an answer to a kind of text claims."""
+
+    radius: float
+    """An `OK` estimate claims that the truth lies within this distance of its best place [m]."""
+    of_radius: Calibration
+    """Of the share within `radius`."""
+    of_place: Calibration
+    """Of the share within `WITHIN`, which is a place's probability."""
+
+
+IN_SIGHT = Claim(WITHIN, Calibration(-0.27, 0.79), Calibration(-0.27, 0.79))
+"""Claim for a text about what the speaker sees."""
+AT_A_PLACE = Claim(250.0, Calibration(-0.03, 0.48), Calibration(-0.49, 0.43))
+"""Claim for a text that tells the way, or what the speaker stands at: people mean the block, and maps
+draw landmarks as points."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Diagnostics:
+    """Findings of all stages that decide on the status of an outdoor estimate."""
+
+    obstacle: str = ""
+    """Sentence that says why nothing was searched; empty where a posterior exists."""
+    contradiction: str = ""
+    """Conflict within the description that holds at the best place as well."""
+    cell_matcher: str = ""
+    """Name of the matcher where it ranks cells; empty for viewpoints."""
+    ranks_only: bool = False
+    """Whether the scores of the matcher are no probabilities."""
+    elsewhere: float = 0.0
+    """Posterior probability that the place is not on the map."""
+    best: float | None = None
+    """Posterior share within `WITHIN` of the best place; None without a place."""
+    near_best: float = 0.0
+    """Posterior share within the radius of `claim` of the best place."""
+    claim: Claim = IN_SIGHT
+    unknown_names: tuple[str, ...] = ()
+    """Names in the text that the map should know and does not."""
+    unread: tuple[str, ...] = ()
+    """Words of the text that were not understood."""
+    remark: str = ""
+    """Sentence appended to the reason."""
+
+
+def decide(found: Diagnostics) -> tuple[Status, str]:
+    """Return the status and the reason of an estimate."""
+    status, reason = _decide(found)
+    return status, f"{reason} {found.remark}".strip()
+
+
+def _decide(found: Diagnostics) -> tuple[Status, str]:
+    rankings = f"The {found.cell_matcher} matcher ranks places; how sure it is of the best it does not know."
+    if found.obstacle:
+        return Status.LOST, found.obstacle
+    if found.contradiction:
+        return Status.LOST, f"The description contradicts itself: {found.contradiction}"
+    if found.ranks_only and found.best is not None:
+        return Status.AMBIGUOUS, rankings
+    if found.elsewhere > 0.5:
+        return Status.LOST, "No place on the map fits the description better than chance."
+    if found.best is None:
+        return Status.LOST, "Nowhere are the things of any one statement in sight together."
+    names, claim = found.unknown_names, found.claim
+    sure = claim.of_radius.apply(found.near_best, unknown_name=bool(names))
+    if sure >= SURE and found.best >= HERE and not names:
+        if found.cell_matcher:
+            return Status.AMBIGUOUS, rankings
+        wide = f" within {claim.radius:.0f} m" if claim.radius > WITHIN else ""
+        return Status.OK, f"One place holds {sure:.0%} of the probability{wide}."
+    best = claim.of_place.apply(found.best, unknown_name=bool(names))
+    if names:
+        are = "are" if len(names) > 1 else "is"
+        why = f"{_quote(names)} {are} not on this map, so the place cannot be sure."
+    elif best < 0.05:
+        why = f"Too many places fit: the best holds only {best:.1%} of the probability."
+    else:
+        why = f"The best place holds only {best:.0%} of the probability; others fit as well."
+    unread = f" Not understood: {_quote(found.unread[:SHOWN])}." if found.unread else ""
+    return Status.AMBIGUOUS, why + unread
+
+
+def _quote(words: tuple[str, ...]) -> str:
+    """Join words as in a sentence: “King Street West” and “Rex”."""
+    quoted = [f"“{word}”" for word in words]
+    return " and ".join([", ".join(quoted[:-1]), quoted[-1]] if len(quoted) > 1 else quoted)
+
+
+def diagnose(
+    found: Posterior, peaks: list[Mode], claim: Claim, query: Query | None, city: City | None = None
+) -> Diagnostics:
+    """Return what a posterior, its modes and its query tell of the status.
+
+    Unknown names of a query count where statements are about them. They do not count on a `city` of
+    points alone: such a list of landmarks lacks most names.
+    """
+    names, unread = [], []
+    if query is not None:
+        said = query.description
+        spoken = {node for s in said.statements for node in (*ends(s), s.target2)}
+        if city is None or not (city.objects.kind == POINT).all():
+            names = [said.mentions[node].name for node in sorted(query.by_kind & spoken)]
+        unread = [i.text.strip() for i in said.ignored if i.reason in UNREAD]
+    return Diagnostics(
+        elsewhere=found.elsewhere,
+        best=peaks[0].probability if peaks else None,
+        near_best=found.within(peaks[0].position, claim.radius) if peaks else 0.0,
+        claim=claim,
+        unknown_names=tuple(dict.fromkeys(names)),
+        unread=tuple(dict.fromkeys(filter(None, unread))),
+    )
+
+
+def shrink(
+    found: Posterior, peaks: list[Mode], diagnostics: Diagnostics
+) -> tuple[Posterior, list[Mode]]:
+    """Calibrate a posterior and its modes by the best one; the rest of the probability lies elsewhere."""
+    best = diagnostics.best
+    if best is None or best <= 0.0:
+        return found, peaks
+    unknown = bool(diagnostics.unknown_names)
+    factor = diagnostics.claim.of_place.apply(best, unknown_name=unknown) / best
+    shares = factor * found.probabilities
+    lost = float(found.probabilities.sum() - shares.sum())
+    return (
+        replace(found, probabilities=shares, elsewhere=found.elsewhere + lost),
+        [replace(peak, probability=factor * peak.probability) for peak in peaks],
+    )
+
+
+def infer_claim(description: Description) -> Claim:
+    """Return what an answer to a text claims."""
+    at_a_place = any(
+        s.far
+        or LISTENER in ends(s)
+        or (s.relation is Relation.SAME and s.source == SPEAKER and not s.negated)
+        for s in description.statements
+    )
+    return AT_A_PLACE if at_a_place else IN_SIGHT
+
+
+def find_obstacle(query: Query, description: Description, *, way_told: bool = False) -> str:
+    """Return why a text does not suffice to find a place; empty where it does.
+
+    `way_told`: the text tells the way to the place.
+    """
+    if way_told or any(not s.negated for s in query.used):
+        return ""
+    if query.used:
+        return "Only what is absent was said; say what is there as well."
+    if query.unused:
+        return f"Nothing that was said can be looked for: {_reasons(query)}."
+    if description.ignored:
+        return "Nothing in the text could be understood; say what stands around you, and in which direction."
+    return (
+        "The text says nothing about a place; say what stands around you, and in which direction."
+    )
+
+
+def explain_no_change(query: Query) -> str:
+    """Return why one more text did not change an estimate."""
+    if query.unused:
+        return f"Nothing that was said last can be looked for: {_reasons(query)}."
+    return "Nothing of what was said last could be understood."
+
+
+def _reasons(query: Query) -> str:
+    return "; ".join(sorted({reason for _, reason in query.unused}))
+
+
+def find_contradiction(best: Place | None, query: Query | None) -> str:
+    """Return the conflict in a description that holds at its best place; empty where there is none.
+
+    Most of the statements must exclude each other there, with no further thing that serves them.
+    """
+    if best is None or query is None or not query.description.conflicts:
+        return ""
+    evidence = best.evidence[: len(query.used)]
+    torn: set[int] = set()
+    for i, a in enumerate(query.used):
+        things = sum(node not in (SPEAKER, LISTENER) for node in ends(a))
+        for j, b in enumerate(query.used[:i]):
+            pair = evidence[i], evidence[j]
+            if _are_opposed(a, b) and (
+                any(e.verdict == "against" for e in pair)
+                or len({o.id for e in pair for o in e.objects}) <= things
+            ):
+                torn |= {i, j}
+    return query.description.conflicts[0] if 2 * len(torn) > len(query.used) else ""
+
+
+def _are_opposed(a: Statement, b: Statement) -> bool:
+    """Whether two directions between the same mentions exclude each other."""
+    if a.bearing is None or b.bearing is None or set(ends(a)) != set(ends(b)):
+        return False
+    other = b.bearing if ends(a) == ends(b) else b.bearing + np.pi
+    return float(angle_between(a.bearing, other)) > 2.0

@@ -1,0 +1,149 @@
+"""What an answer claims, when it is sure, and what forbids that."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from placegraph.core.estimate import Status
+from placegraph.outdoor.language import describe
+from placegraph.outdoor.search.posterior import Posterior, modes
+from placegraph.outdoor.search.status import (
+    AT_A_PLACE,
+    HERE,
+    IN_SIGHT,
+    Diagnostics,
+    decide,
+    diagnose,
+    infer_claim,
+    shrink,
+)
+
+SPACING = 6.67
+FAR = 5000.0
+NO_NAME = "“King Street West” is not on this map, so the place cannot be sure."
+
+
+def make_posterior(*peaks, elsewhere=0.0):
+    """Posterior of (east [m], probability)."""
+    east = np.array([(x, 0.0) for x, _ in peaks]).reshape(-1, 2)
+    return Posterior(east, np.array([p for _, p in peaks]), elsewhere)
+
+
+def judge(found, claim=IN_SIGHT):
+    return decide(diagnose(found, modes(found, 5, SPACING), claim, None))
+
+
+@pytest.mark.parametrize("claim", [IN_SIGHT, AT_A_PLACE])
+def test_status(claim):
+    assert judge(make_posterior((0, 0.999)), claim)[0] is Status.OK
+    assert judge(make_posterior((0, 0.6), (FAR, 0.4)), claim)[0] is Status.AMBIGUOUS
+    assert judge(make_posterior((0, 0.01)), claim)[0] is Status.AMBIGUOUS
+    assert judge(make_posterior((0, 0.4), elsewhere=0.6), claim)[0] is Status.LOST
+    assert judge(make_posterior(elsewhere=0.1), claim)[0] is Status.LOST
+
+
+def test_a_block_is_enough_for_who_tells_the_way_but_a_small_map_is_not():
+    near = make_posterior((0, 0.6), (150, 0.395))
+    assert judge(near)[0] is Status.AMBIGUOUS
+    status, reason = judge(near, AT_A_PLACE)
+    assert status is Status.OK
+    assert "within 250 m" in reason
+    scattered = make_posterior(*((60.0 * i, 0.24) for i in range(4)))
+    assert judge(scattered, AT_A_PLACE)[0] is Status.AMBIGUOUS, f"the best holds less than {HERE}"
+
+
+@pytest.mark.parametrize(
+    ("findings", "status", "reason"),
+    [
+        ({}, Status.OK, "One place holds 100% of the probability."),
+        ({"unknown_names": ("King Street West",)}, Status.AMBIGUOUS, NO_NAME),
+        ({"unknown_names": ("A", "B")}, Status.AMBIGUOUS, "“A” and “B” are not on this map, so"),
+        ({"unknown_names": ("A",), "unread": ("flurble",)}, Status.AMBIGUOUS, "“flurble”."),
+        ({"cell_matcher": "transformer"}, Status.AMBIGUOUS, "The transformer matcher ranks places"),
+        ({"cell_matcher": "embedding", "ranks_only": True, "elsewhere": 0.6}, Status.AMBIGUOUS,
+         "The embedding matcher ranks places"),
+        ({"contradiction": "x"}, Status.LOST, "The description contradicts itself: x"),
+        ({"obstacle": "Off the map."}, Status.LOST, "Off the map."),
+        ({"remark": "The last text adds nothing."}, Status.OK, "The last text adds nothing."),
+    ],
+)  # fmt: skip
+def test_each_finding_decides(findings, status, reason):
+    found = decide(Diagnostics(**{"best": 0.9999, "near_best": 0.9999} | findings))
+    assert found[0] is status
+    assert reason in found[1]
+
+
+@given(st.floats(0.0, 1.0), st.sampled_from([IN_SIGHT, AT_A_PLACE]), st.booleans())
+def test_calibration_takes_and_never_gives(share, claim, unknown):
+    for trust in (claim.of_radius, claim.of_place):
+        assert 0.0 <= trust.apply(share, unknown_name=unknown) <= share
+        assert trust.apply(share, unknown_name=True) <= trust.apply(share, unknown=False)
+        assert trust.apply(0.5 * share, unknown_name=unknown) <= trust.apply(
+            share, unknown_name=unknown
+        )
+
+
+def test_what_is_not_believed_lies_elsewhere():
+    found = make_posterior((0, 0.7), (FAR, 0.2), elsewhere=0.1)
+    peaks = modes(found, 5, SPACING)
+    posterior, shrunk = shrink(found, peaks, diagnose(found, peaks, AT_A_PLACE, None))
+    assert shrunk[0].probability == AT_A_PLACE.of_place.apply(0.7, unknown_name=False) < 0.7
+    assert shrunk[1].probability / shrunk[0].probability == pytest.approx(2 / 7)
+    assert posterior.probabilities.sum() + posterior.elsewhere == pytest.approx(1.0)
+    nothing = make_posterior(elsewhere=1.0)
+    assert shrink(nothing, [], diagnose(nothing, [], IN_SIGHT, None)) == (nothing, [])
+
+
+@pytest.mark.parametrize(
+    ("text", "claim"),
+    [
+        ("A bench is north of me. The church is east of the bench.", IN_SIGHT),
+        ("There is a bakery to my left and a bank near me.", IN_SIGHT),
+        ("I'm at the bakery.", AT_A_PLACE),
+        ("Meet me northeast of you, by the church.", AT_A_PLACE),
+    ],
+)
+def test_what_is_claimed(text, claim):
+    assert infer_claim(describe(text)) is claim
+
+
+CLEAR = "I am on Speicherweg. The museum is south of me."
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        "",
+        " I am on King Street West.",
+        " Xyzal Motors is next to me.",
+        " The Golden Dragon Restaurant is west.",
+    ],
+)
+def test_what_the_map_lacks_is_named(harbour, more):
+    estimate = harbour.locate(CLEAR + more)
+    assert (estimate.status is Status.OK) == (not more)
+    assert ("not on this map" in estimate.reason) == bool(more)
+
+
+BARE = """
+[town]
+name = Bare
+center = 8.0 50.0
+metres = 10
+
+[drawing]
+.....................
+.A.................B.
+.....................
+
+[legend]
+A: amenity=bank name=Rexbank
+B: shop=bakery name=Kern
+"""
+
+
+@pytest.mark.parametrize("name", ["King Street West", "Xyzal Motors"])
+def test_it_is_no_wonder_that_a_list_of_landmarks_lacks_a_name(make_city, name):
+    estimate = make_city(BARE).locate(f"I am at {name}, next to the Rexbank.")
+    assert "not on this map" not in estimate.reason
