@@ -78,7 +78,7 @@ def test_each_finding_decides(findings, status, reason):
 def test_calibration_takes_and_never_gives(share, claim, unknown):
     for trust in (claim.of_radius, claim.of_place):
         assert 0.0 <= trust.apply(share, unknown_name=unknown) <= share
-        assert trust.apply(share, unknown_name=True) <= trust.apply(share, unknown=False)
+        assert trust.apply(share, unknown_name=True) <= trust.apply(share, unknown_name=False)
         assert trust.apply(0.5 * share, unknown_name=unknown) <= trust.apply(
             share, unknown_name=unknown
         )

@@ -35,8 +35,7 @@ def answer(asked: Request, found: Posterior, top: int, understood: Description) 
     peaks = (ranked if matching.ranks else modes)(found, top, spacing)
     diagnostics = diagnose(found, peaks, infer_claim(understood), query, city)
     if matching.of_cells:
-        cells = {"cell_matcher": matching.matcher, "ranks_only": matching.ranks}
-        diagnostics = replace(diagnostics, **cells)
+        diagnostics = replace(diagnostics, cell_matcher=matching.matcher, ranks_only=matching.ranks)
     else:
         found, peaks = shrink(found, peaks, diagnostics)
     places = make_places(peaks, city, partial(evidence_at, city=city, query=query))
@@ -56,14 +55,13 @@ def answer_nothing(obstacle: str, understood: Description | None = None) -> City
 
 def make_places(peaks: list[Mode], city: City, explain: Explain) -> tuple[Place, ...]:
     """Return modes in degrees; `explain` makes the evidence at a position (2,) [m] when it is needed."""
-    return tuple(
-        Place(
-            *map(float, city.plane.to_lonlat(mode.position)), mode.probability,
-            city.cells.nearest(mode.position), mode.covariance,
-            explain=partial(explain, mode.position),
-        )
-        for mode in peaks
-    )  # fmt: skip
+
+    def place(mode: Mode) -> Place:
+        longitude, latitude = city.plane.to_lonlat(mode.position).tolist()
+        cell, evidence = city.cells.nearest(mode.position), partial(explain, mode.position)
+        return Place(longitude, latitude, mode.probability, cell, mode.covariance, explain=evidence)
+
+    return tuple(map(place, peaks))
 
 
 def find_support(found: Posterior, city: City) -> NDArray[np.float64]:
