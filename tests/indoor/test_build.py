@@ -312,7 +312,7 @@ def test_a_flat_colour_is_one_texel(boxes):
     np.testing.assert_allclose(texture, [[[127.5, 255, 0]]], atol=0.5)
 
 
-def test_a_jpeg_of_the_right_size_is_kept_in_full_detail(boxes, rng):
+def test_a_jpeg_of_the_right_size_is_cached_in_full_detail(boxes, rng):
     data = encoded(rng.integers(0, 256, (64, 64, 3)), "JPEG")
     texture, blob = look(boxes, Picture(data), detail="full")
     assert blob == data

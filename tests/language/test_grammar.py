@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from placegraph.core import cache as kept
+from placegraph.core import cache
 from placegraph.language import islands
 from placegraph.language.islands import END, Grammar, UnexpectedTokenError
 
@@ -34,10 +34,10 @@ class Build:
 
 @pytest.fixture
 def folder(tmp_path):
-    before = kept.FOLDERS.chosen
-    kept.use_folder(tmp_path)
+    before = cache.FOLDERS.chosen
+    cache.FOLDERS.choose(tmp_path)
     yield tmp_path
-    kept.use_folder(before)
+    cache.FOLDERS.choose(before)
 
 
 @pytest.mark.usefixtures("folder")

@@ -50,7 +50,7 @@ def test_rows_that_are_none(which, value, words):
 
 
 @given(arrays(np.float32, (3, 5), elements=st.floats(-(2.0**60), 2.0**60, width=32)))
-def test_a_direction_is_kept_or_refused(rows):
+def test_a_direction_is_cached_or_refused(rows):
     lengths = np.sqrt((rows.astype(float) ** 2).sum(axis=1))
     if (lengths == 0.0).any():
         with pytest.raises(OptionError):

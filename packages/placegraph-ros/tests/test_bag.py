@@ -109,7 +109,7 @@ def test_a_database_alone_is_a_bag_too(tmp_path, everything):
     assert set(open_bag(tmp_path / "out.db3").topics) == {f"/{m.topic}" for m in everything}
 
 
-def test_what_is_kept_for_later_says_so(tmp_path, everything):
+def test_what_is_cached_for_later_says_so(tmp_path, everything):
     with BagWriter(tmp_path / "out.mcap") as bag:
         for message in everything:
             bag.write(message)

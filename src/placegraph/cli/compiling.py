@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from placegraph.cli.common import Quiet, progress_of
-from placegraph.core import cache as kept
+from placegraph.core import cache
 from placegraph.errors import OptionError
 
 if TYPE_CHECKING:
@@ -28,8 +28,8 @@ class Compiling:
         self._busy = False
 
     def __call__(self, name: str, done: bool) -> None:
-        """Take part: `kept.listening`."""
-        if done or self._busy or kept.FOLDERS.write is None:  # what others compile would be lost
+        """Take part: `cache.listening`."""
+        if done or self._busy or cache.FOLDERS.write is None:  # what others compile would be lost
             return
         from concurrent.futures import BrokenExecutor
 
@@ -70,7 +70,7 @@ def warm_up(quiet: Quiet = False) -> None:
     """
     from placegraph.core.warm import commands, missing
 
-    if kept.FOLDERS.write is None:
+    if cache.FOLDERS.write is None:
         raise OptionError("--compiled: name a folder that can be written; nothing is kept else.")
     start = perf_counter()
     _read_once()
@@ -83,7 +83,7 @@ def warm_up(quiet: Quiet = False) -> None:
         seconds = perf_counter() - start
         click.echo(
             f"{len(lacking) - len(failed)} of {len(calls)} functions compiled in {seconds:.0f} s; "
-            f"all are kept in {kept.FOLDERS.write}."
+            f"all are kept in {cache.FOLDERS.write}."
         )
     if failed:
         sys.exit(1)

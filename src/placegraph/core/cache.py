@@ -1,9 +1,10 @@
-"""Cache of what is made once and found again by the next process: compiled code, grammars, tables."""
+"""Cache folder of what is made once and found by the next process: compiled code, grammars, tables."""
+
+# mypy: disable-error-code="attr-defined"
 
 from __future__ import annotations
 
 import os
-import stat
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator
@@ -13,25 +14,84 @@ from os import PathLike
 from pathlib import Path
 from typing import TypeVar
 
-# mypy: disable-error-code="attr-defined"
-
-
 T = TypeVar("T")
+_PROBE = 1 << 16
+"""Bytes that a folder must take to be written to: a full disk still makes empty files."""
 
 
-def use_folder(folder: str | PathLike[str] | None) -> None:
-    """Keep compiled code in `folder`; None: where it would be kept unasked."""
-    FOLDERS.choose(Path(folder) if folder is not None else None)
+class CacheFolders:
+    """Folders of the cache; looked up when first needed, since the command line comes before."""
+
+    def __init__(self) -> None:
+        self.chosen: Path | None = None
+
+    def choose(self, folder: str | PathLike[str] | None) -> None:
+        """Keep everything in `folder`; None: in the default folders."""
+        self.chosen = Path(folder) if folder is not None else None
+        self.__dict__.pop("write", None)
+
+    @property
+    def read(self) -> list[Path]:
+        """Folders to look in, first to last: the chosen one, numba's, else the package's and the user's."""
+        if self.chosen is not None:
+            return [self.chosen]
+        from numba import config
+
+        if config.CACHE_DIR:
+            return [Path(config.CACHE_DIR)]
+        from platformdirs import user_cache_path
+
+        package = Path(__file__).parents[1] / "__pycache__" / "kernels"
+        return [package, user_cache_path("placegraph", appauthor=False) / "kernels"]
+
+    @cached_property
+    def write(self) -> Path | None:
+        """Folder to write to; None, after a warning, where none can be written."""
+        found = next(filter(_is_writable, self.read), None)
+        if found is None:
+            self._warn()
+        return found
+
+    def store(self, name: str, content: bytes) -> None:
+        """Write a file whole or not at all, so that no reader sees half of it."""
+        if self.write is None:
+            return
+        try:
+            _write(self.write / name, content)
+        except OSError:  # full by now, or gone
+            self.write = None
+            self._warn()
+
+    def _warn(self) -> None:
+        places = " nor in ".join(map(str, self.read))
+        warnings.warn(
+            f"Compiled code cannot be written in {places}; each process compiles anew. Choose a "
+            "folder that can be written (`placegraph --compiled FOLDER`).",
+            stacklevel=3,
+        )
 
 
-def folders() -> list[Path]:
-    """Folders that are looked through for compiled code, first to last."""
-    return FOLDERS.read
+FOLDERS = CacheFolders()
+_LISTENERS: list[Callable[[str, bool], None]] = []
+
+
+def cached(name: str, make: Callable[[], bytes], read: Callable[[bytes], T]) -> T:
+    """Return `read` of the bytes of a file of the cache, which `make` returns where there is none.
+
+    `name` tells all that goes into the bytes. Where `read` raises `ValueError` the file is damaged,
+    and made anew.
+    """
+    for folder in FOLDERS.read:
+        with suppress(OSError, ValueError):
+            return read((folder / name).read_bytes())
+    content = make()
+    FOLDERS.store(name, content)
+    return read(content)
 
 
 @contextmanager
 def listening(listener: Callable[[str, bool], None]) -> Iterator[None]:
-    """Call ``listener(name, done)`` when code is not found, and when it was compiled; in any thread.
+    """Call ``listener(name, done)`` before a kernel is compiled and after; in any thread.
 
     A listener that has it compiled elsewhere, before it returns, spares this process the work.
     """
@@ -42,99 +102,13 @@ def listening(listener: Callable[[str, bool], None]) -> Iterator[None]:
         _LISTENERS.remove(listener)
 
 
-def tell(name: str, *, done: bool) -> None:
-    """Tell who listens that a kernel is to be compiled, or was."""
+def notify(name: str, *, done: bool) -> None:
+    """Call the listeners."""
     for listener in _LISTENERS:
         listener(name, done)
 
 
-def kept(name: str, make: Callable[[], bytes], read: Callable[[bytes], T]) -> T:
-    """What `read` makes of the bytes that `make` returned once.
-
-    They are found by `name`, which tells all that goes into them. Where `read` raises `ValueError`
-    the file is damaged, and made anew.
-    """
-    for folder in folders():
-        with suppress(OSError, ValueError):
-            return read((folder / name).read_bytes())
-    made = make()
-    FOLDERS.keep(name, made)
-    return read(made)
-
-
-class _Folders:
-    """Where compiled code is kept; looked up when first needed, since options come before."""
-
-    def __init__(self) -> None:
-        self.chosen: Path | None = None
-        self._private: Path | None = None
-
-    def choose(self, folder: Path | None) -> None:
-        self.chosen = folder
-        self._private = None
-        self.__dict__.pop("write", None)
-
-    @property
-    def read(self) -> list[Path]:
-        private = [self._private] if self._private else []
-        return self._wanted + private
-
-    @cached_property
-    def write(self) -> Path | None:
-        """Where what is new goes; None: nowhere."""
-        return next(filter(_writable, self._wanted), None) or self._fallback()
-
-    def fell_back(self) -> bool:
-        """Whether the private folder is used, which is known once something must be written."""
-        return self.write is not None and self.write == self._private
-
-    def keep(self, name: str, code: bytes) -> None:
-        """Write whole or not at all, so that no reader sees half of it."""
-        while self.write is not None:
-            try:
-                return _write(self.write / name, code)
-            except OSError:  # full by now, or gone
-                self.write = self._fallback()
-        return None
-
-    @property
-    def _wanted(self) -> list[Path]:
-        if self.chosen is not None:
-            return [self.chosen]
-        from numba import config
-        from numba.misc.appdirs import AppDirs
-
-        if config.CACHE_DIR:
-            return [Path(config.CACHE_DIR)]
-        user = AppDirs(appname="placegraph", appauthor=False).user_cache_dir
-        return [Path(__file__).parents[1] / "__pycache__" / "kernels", Path(user) / "kernels"]
-
-    def _fallback(self) -> Path | None:
-        """The private folder; None where it cannot be written, or was tried."""
-        tried = self._private is not None
-        self._private = self._private or _private_folder()
-        private = None if tried else self._private
-        wanted = " nor ".join(str(folder) for folder in self._wanted)
-        instead = (
-            f"; it is kept in {private} for now"
-            if private
-            else " nor in a temporary one, so that each process compiles anew"
-        )
-        warnings.warn(
-            f"Compiled code cannot be kept in {wanted}{instead}. Choose a folder that can be "
-            "written (`placegraph --compiled FOLDER`), and the next start will be quick.",
-            stacklevel=2,
-        )
-        return private
-
-
-FOLDERS = _Folders()
-_LISTENERS: list[Callable[[str, bool], None]] = []
-_PROBE = 1 << 16
-"""Bytes that a folder must take to be written to: a full disk still makes empty files."""
-
-
-def _writable(folder: Path) -> bool:
+def _is_writable(folder: Path) -> bool:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder) as file:
@@ -144,32 +118,13 @@ def _writable(folder: Path) -> bool:
     return True
 
 
-def _private_folder() -> Path | None:
-    """One folder for each user, and nobody else's: code is run from it; None: none can be written."""
-    with suppress(OSError):
-        folder = Path(tempfile.gettempdir()) / f"placegraph-{os.getuid()}"
-        with suppress(OSError):
-            folder.mkdir(mode=0o700)
-        if not _is_ours(folder):
-            folder = Path(tempfile.mkdtemp(prefix="placegraph-"))
-        if _writable(folder):
-            return folder
-    return None
-
-
-def _is_ours(folder: Path) -> bool:
-    found = folder.lstat()
-    ours = stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid()
-    return ours and not found.st_mode & 0o077
-
-
-def _write(path: Path, code: bytes) -> None:
+def _write(path: Path, content: bytes) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     descriptor, name = tempfile.mkstemp(dir=path.parent)
     temporary = Path(name)
     try:
         with os.fdopen(descriptor, "wb") as file:
-            file.write(code)
+            file.write(content)
         temporary.chmod(0o644)
         temporary.replace(path)
     except BaseException:

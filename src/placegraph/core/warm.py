@@ -8,12 +8,12 @@ is missing is compiled where it is called.
 
 from __future__ import annotations
 
+import functools
 import signal
 import warnings
 from collections.abc import Callable, Collection, Iterable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import suppress
-from functools import cache
 from importlib import import_module
 from importlib.resources import files
 from multiprocessing import get_context
@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 from numba.core import types
 
-from placegraph.core import cache as kept
+from placegraph.core import cache
 from placegraph.core.threads import end_with_parent, processors
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def missing(calls: Iterable[str]) -> list[str]:
     lacking = []
     for call in dict.fromkeys(calls):
         with suppress(*_STALE):
-            if not _found(call).is_kept(_types_of(call, _words())):
+            if not _found(call).is_cached(_types_of(call, _words())):
                 lacking.append(call)
     return lacking
 
@@ -73,7 +73,9 @@ def warm(calls: list[str], told: Callable[[str], None]) -> list[str]:
     """
     failed = []
     workers = max(1, min(processors(), len(calls)))
-    with ProcessPoolExecutor(workers, get_context("spawn"), _begin, (kept.FOLDERS.chosen,)) as pool:
+    with ProcessPoolExecutor(
+        workers, get_context("spawn"), _begin, (cache.FOLDERS.chosen,)
+    ) as pool:
         jobs = {pool.submit(_compile, call): call for call in calls}
         try:
             for job in as_completed(jobs):
@@ -113,7 +115,7 @@ def _spelled(kind: types.Type, names: dict[str, str]) -> str:
     return str(kind)
 
 
-@cache
+@functools.cache
 def _lines() -> list[str]:
     text = files("placegraph").joinpath("kernels.txt").read_text("utf-8")
     return [line for line in text.splitlines() if line and not line.startswith("#")]
@@ -149,7 +151,7 @@ class _Words(dict[str, Any]):
         raise KeyError(name)
 
 
-@cache
+@functools.cache
 def _words() -> _Words:
     named = {name: kind for name, kind in vars(types).items() if isinstance(kind, types.Type)}
     return _Words(named, omitted=types.Omitted, readonly=lambda kind: kind.copy(readonly=True))
@@ -158,7 +160,7 @@ def _words() -> _Words:
 def _begin(folder: Path | None) -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C ends it at once, without a word
     warnings.simplefilter("ignore")  # the one who asked has been warned
-    kept.use_folder(folder)
+    cache.FOLDERS.choose(folder)
     end_with_parent()
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from hashlib import sha256
 from typing import Any, Generic, NamedTuple, TypeVar
 
-from placegraph.core.cache import kept
+from placegraph.core.cache import cached
 
 _BACK = 4
 """How many chunks are given up at most to make sense of those before them."""
@@ -156,7 +156,7 @@ class Grammar:
 
     def __init__(self, text: str, start: str, builder: object) -> None:
         digest = sha256(f"1 {start} {text}".encode()).hexdigest()[:16]
-        table = kept(f"grammar-{digest}.json", lambda: _table(text, start), json.loads)
+        table = cached(f"grammar-{digest}.json", lambda: _table(text, start), json.loads)
         self._states: list[dict[str, int]] = table["states"]
         self._first: int = table["start"]
         self._last: int = table["end"]

@@ -504,7 +504,7 @@ def test_matching_log_odds_are_shared_with_what_was_not_looked_at(harbour, encod
     assert every.support[:, 2].sum() == pytest.approx(0.97, abs=1e-3)
 
 
-def test_a_share_that_may_be_missing_is_kept_for_the_rest(harbour, text):
+def test_a_share_that_may_be_missing_is_cached_for_the_rest(harbour, text):
     query = compile_query(read(harbour, text), harbour)
     asked = Request(harbour, query, matching=Matching(by="all"))
     for reach in (1.0, 0.5, 0.1):

@@ -108,9 +108,9 @@ def main() -> None:
     if given.memory:
         resource.setrlimit(resource.RLIMIT_AS, (given.memory << 20, given.memory << 20))
     if given.compiled:
-        from placegraph.core import cache as kept
+        from placegraph.core import cache
 
-        kept.use_folder(given.compiled)
+        cache.FOLDERS.choose(given.compiled)
     with TemporaryDirectory() as folder:
         told = answers(Path(folder), threads=given.threads, frames=given.frames)
     sys.stdout.write(json.dumps(told, sort_keys=True) + "\n")

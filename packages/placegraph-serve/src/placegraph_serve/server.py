@@ -10,7 +10,7 @@ from typing import Any
 from starlette.responses import JSONResponse, Response
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from placegraph.core import cache as kept
+from placegraph.core import cache
 from placegraph.errors import PlacegraphError, RequestError
 from placegraph_serve.lanes import Lane
 from placegraph_serve.limits import check_depth
@@ -28,7 +28,7 @@ class Server:
     def __init__(self, places: Places, options: ServeOptions) -> None:
         self.places, self.options = places, options
         self.metrics = Metrics()
-        folder = kept.FOLDERS.chosen
+        folder = cache.FOLDERS.chosen
         words = Setting(places.paths, options, "warm", folder)
         frames = Setting(places.paths, options, "look", folder)
         seconds = options.sentence_seconds, options.capture_seconds

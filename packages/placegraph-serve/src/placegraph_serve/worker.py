@@ -82,12 +82,12 @@ def dumped(told: object) -> bytes:
 
 def run(connection: Connection, setting: Setting) -> None:
     """Answer until the other end is closed; a busy process is ended by its parent alone."""
-    from placegraph.core import cache as kept
+    from placegraph.core import cache
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent lets running answers end
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     warnings.simplefilter("ignore")
-    kept.use_folder(setting.compiled)
+    cache.FOLDERS.choose(setting.compiled)
     try:
         desk = Desk(Places(setting.paths, setting.options.scheduler), setting.options)
         answer(desk, setting.warm, None)

@@ -117,7 +117,7 @@ def test_one_wrong_view_is_outvoted(floor, rng):
     assert np.mean(off > 20) < 0.02
 
 
-def test_of_one_place_the_sharpest_frame_is_kept(floor, field, rng):
+def test_of_one_place_the_sharpest_frame_is_cached(floor, field, rng):
     near = np.array([above(1.0 + s, 1.0) for s in (0.0, 0.01, 0.02)])
     frames = [photograph(floor, field, p, blurred=i != 1) for i, p in enumerate(near)]
     assert np.argmax([sharpness(f.rgb()) for f in frames]) == 1

@@ -98,7 +98,7 @@ def test_nodes_that_are_missing_are_left_out(write_world):
     assert np.ptp(city.segments.reshape(-1, 2)[:, 0]) == pytest.approx(10.0, abs=0.02)
 
 
-def test_only_what_touches_the_bounds_is_kept(write_world):
+def test_only_what_touches_the_bounds_is_cached(write_world):
     nodes = [(0.0, 0.0, {"shop": "books"}), (900.0, 100.0, {"shop": "toys"}), (100.0, 900.0, {})]
     path = write_world(nodes, [([0, 2], {"highway": "path"}), ([1, 2], {"highway": "steps"})])
     plane = LocalPlane(10.0, 50.0)

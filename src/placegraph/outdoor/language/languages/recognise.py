@@ -10,7 +10,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import NamedTuple
 
-from placegraph.core.cache import kept
+from placegraph.core.cache import cached
 from placegraph.outdoor.language.languages.language import Language, english, language, tables
 from placegraph.outdoor.language.vocabulary.text import singular
 
@@ -88,7 +88,7 @@ def _signs(folder: Path | None) -> _Signs:
     """Words of all languages: found without parsing the tables, which takes longer, and kept."""
     texts = {code: table.read_text("utf-8") for code, table in tables(folder).items()}
     digest = sha256("\0".join((VERSION, *texts, *texts.values())).encode()).hexdigest()[:16]
-    made = kept(f"languages-{digest}.json", lambda: _made(texts), json.loads)
+    made = cached(f"languages-{digest}.json", lambda: _made(texts), json.loads)
     words, scripts, things, letters = (
         {word: tuple(codes) for word, codes in part.items()} for part in made
     )

@@ -10,7 +10,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from placegraph.core.cache import kept
+from placegraph.core.cache import cached
 from placegraph.errors import InputError
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ def read_text(table: Traversable | Path) -> str:
         data = table.read_bytes()
         if unpack is None:
             return _decode(data)
-        return kept(f"table-{sha256(data).hexdigest()[:16]}", lambda: unpack(data), _decode)
+        return cached(f"table-{sha256(data).hexdigest()[:16]}", lambda: unpack(data), _decode)
     except (OSError, EOFError, lzma.LZMAError) as error:
         raise InputError(f"{table}: cannot be read ({error}). Restore or delete it.") from error
     except UnicodeDecodeError as error:

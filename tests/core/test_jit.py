@@ -1,7 +1,6 @@
 """Compiled kernels are found again by what they are made of, and kept where they can be."""
 
 import importlib.util
-import os
 import resource
 import signal
 import subprocess
@@ -17,9 +16,8 @@ import pytest
 from numba import typeof
 from numba.core import config
 
-from placegraph.core import cache as kept
-from placegraph.core.fingerprint import fingerprint
-from placegraph.core.jit import Kernel, kernel, uninterrupted
+from placegraph.core import cache
+from placegraph.core.jit import Kernel, fingerprint, kernel, uninterrupted
 
 CALLEE = """
 from placegraph.core.jit import kernel
@@ -46,9 +44,8 @@ BOTH = ["compiled_caller.total", "compiled_callee.times"]
 
 @pytest.fixture(autouse=True)
 def _fresh(monkeypatch, tmp_path):
-    monkeypatch.setattr(kept, "FOLDERS", kept._Folders())
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    kept.use_folder(tmp_path / "kept")
+    monkeypatch.setattr(cache, "FOLDERS", cache.CacheFolders())
+    cache.FOLDERS.choose(tmp_path / "kept")
 
 
 @pytest.fixture
@@ -65,7 +62,7 @@ def total(monkeypatch, tmp_path):
             monkeypatch.setitem(sys.modules, path.stem, module)
             exec(compile(text, path, "exec"), module.__dict__)  # noqa: S102  # never from a .pyc
         told = []
-        with kept.listening(lambda name, done: told.append((name, done))):
+        with cache.listening(lambda name, done: told.append((name, done))):
             answer = module.total(values)
         begun = [name for name, done in told if not done]
         assert sorted(begun) == sorted(name for name, done in told if done)
@@ -150,41 +147,6 @@ def test_named_tuples_are_told_apart_by_home_and_fields():
     assert len({fingerprint(typeof(point)) for point in points}) == 3
 
 
-def test_a_folder_that_cannot_be_written_is_replaced_with_one_warning(total, tmp_path):
-    (tmp_path / "file").touch()
-    kept.use_folder(tmp_path / "file" / "below")
-    with pytest.warns(UserWarning, match="cannot be kept in .*below; it is kept in") as said:
-        assert total(np.arange(4.0)) == (18.0, BOTH)
-    assert len(said) == 1
-    assert total(np.arange(4.0)) == (18.0, [])
-    private = tmp_path / f"placegraph-{os.getuid()}"
-    assert private.stat().st_mode & 0o777 == 0o700
-    assert list(private.glob("*/*.nbc"))
-
-
-def test_the_next_process_finds_what_was_kept_in_the_private_folder(total, monkeypatch, tmp_path):
-    (tmp_path / "file").touch()
-    for expected in (BOTH, []):
-        monkeypatch.setattr(kept, "FOLDERS", kept._Folders())
-        kept.use_folder(tmp_path / "file" / "below")
-        with pytest.warns(UserWarning, match="cannot be kept in"):
-            assert total(np.arange(4.0)) == (18.0, expected)
-
-
-def test_a_folder_that_can_no_longer_be_written(total, tmp_path):
-    assert total(np.arange(4.0))[1] == BOTH
-    for file in tmp_path.glob("kept/*"):
-        file.rename(tmp_path / file.name)
-    (tmp_path / "kept").rmdir()
-    (tmp_path / "kept").touch()
-    with pytest.warns(UserWarning, match="cannot be kept in"):
-        assert total(np.arange(4.0)) == (18.0, BOTH)
-
-
-def _no_temporary():
-    raise FileNotFoundError("No usable temporary directory found")
-
-
 def _full(*_):
     raise OSError(28, "No space left on device")
 
@@ -192,56 +154,42 @@ def _full(*_):
 @pytest.mark.parametrize(
     "missing",
     [
-        ("tempfile.gettempdir", _no_temporary),
         ("placegraph.core.cache._write", _full),
-        ("placegraph.core.cache._writable", lambda _: False),
+        ("placegraph.core.cache._is_writable", lambda _: False),
     ],
 )
 def test_where_nothing_can_be_written_code_is_compiled_all_the_same(
     total, monkeypatch, tmp_path, missing
 ):
-    (tmp_path / "file").touch()
-    kept.use_folder(tmp_path / "file" / "below")
     monkeypatch.setattr(*missing)
     with warnings.catch_warnings(record=True, action="always") as said:
         assert total(np.arange(4.0)) == (18.0, BOTH)
         assert total(np.arange(4.0)) == (18.0, BOTH)
-        assert kept.kept("grammar", lambda: b"made", bytes.decode) == "made"
+        assert cache.cached("grammar", lambda: b"made", bytes.decode) == "made"
     told = [str(each.message) for each in said]
-    assert "so that each process compiles anew. Choose a folder" in told[-1]
-    assert len(told) == (2 if missing[1] is _full else 1)  # it fills up while it is written to
+    assert len(told) == 1
+    assert "each process compiles anew. Choose a folder" in told[0]
     assert not list(tmp_path.glob("**/*.nbc"))
 
 
 def test_a_full_disk_is_told_from_one_that_takes_files_of_nothing(tmp_path):
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    assert kept._writable(tmp_path)
+    assert cache._is_writable(tmp_path)
     resource.setrlimit(resource.RLIMIT_FSIZE, (4096, before[1]))
     try:
         (tmp_path / "empty").touch()
-        assert not kept._writable(tmp_path)
+        assert not cache._is_writable(tmp_path)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
-def test_code_is_never_run_from_a_folder_that_others_can_write(total, tmp_path):
-    (tmp_path / "file").touch()
-    kept.use_folder(tmp_path / "file" / "below")
-    open_to_all = tmp_path / f"placegraph-{os.getuid()}"
-    open_to_all.mkdir()
-    open_to_all.chmod(0o777)
-    with pytest.warns(UserWarning, match="cannot be kept in"):
-        total(np.arange(4.0))
-    assert not list(open_to_all.iterdir())
-
-
 def test_the_chosen_folder_comes_before_the_set_one_and_that_before_our_own(monkeypatch, tmp_path):
     monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path / "set"))
-    assert kept.folders() == [tmp_path / "kept"]
-    kept.use_folder(None)
-    assert kept.folders() == [tmp_path / "set"]
+    assert cache.FOLDERS.read == [tmp_path / "kept"]
+    cache.FOLDERS.choose(None)
+    assert cache.FOLDERS.read == [tmp_path / "set"]
     monkeypatch.setattr(config, "CACHE_DIR", "")
-    own, user = kept.folders()
+    own, user = cache.FOLDERS.read
     assert own.parts[-3:] == ("placegraph", "__pycache__", "kernels")
     assert user.name == "kernels"
 
@@ -251,9 +199,9 @@ def test_what_is_shipped_beside_the_package_is_read_and_the_rest_kept_elsewhere(
 ):
     total(np.arange(4.0))
     shipped, user = tmp_path / "kept", tmp_path / "user"
-    monkeypatch.setattr(kept._Folders, "_wanted", [shipped, user])
-    monkeypatch.setattr(kept, "_writable", lambda folder: folder != shipped)
-    kept.use_folder(None)
+    monkeypatch.setattr(cache.CacheFolders, "read", [shipped, user])
+    monkeypatch.setattr(cache, "_is_writable", lambda folder: folder != shipped)
+    cache.FOLDERS.choose(None)
     assert total(np.arange(4.0)) == (18.0, [])
     assert not user.exists()
     assert total(np.arange(4)) == (18.0, BOTH)
@@ -264,10 +212,10 @@ def test_two_processes_compile_nothing_twice(total, tmp_path):
     total(np.arange(4.0))  # writes both files
     program = (
         "import sys; sys.path.insert(0, sys.argv[1])\n"
-        "import numpy as np; from placegraph import kept; from compiled_caller import total\n"
-        "kept.use_folder(sys.argv[2])\n"
+        "import numpy as np; from placegraph.core import cache; from compiled_caller import total\n"
+        "cache.FOLDERS.choose(sys.argv[2])\n"
         "print('ready', flush=True); input()\n"
-        "with kept.listening(lambda name, done: print(name) if done else None):\n"
+        "with cache.listening(lambda name, done: print(name) if done else None):\n"
         "    total(np.arange(3.0))\n"
     )
     processes = [
@@ -290,9 +238,9 @@ def test_two_processes_compile_nothing_twice(total, tmp_path):
 PRESSED = """
 import signal, sys; sys.path.insert(0, sys.argv[1])
 signal.signal(signal.SIGINT, signal.default_int_handler)
-import numpy as np; from placegraph import kept; from compiled_caller import total
+import numpy as np; from placegraph.core import cache; from compiled_caller import total
 from numba.core.registry import cpu_target
-kept.use_folder(sys.argv[2])
+cache.FOLDERS.choose(sys.argv[2])
 llvm = cpu_target.target_context.codegen()._engine._ee
 asked = llvm._object_cache_getbuffer
 def pressed(module):
@@ -319,7 +267,7 @@ def test_ctrl_c_where_llvm_asks_for_code_waits_until_it_has_it(total, tmp_path, 
 def test_signals_wait_and_none_is_lost(monkeypatch):
     told = []
     before = signal.signal(signal.SIGUSR1, lambda number, _: told.append(number))
-    monkeypatch.setattr("placegraph.core.jit._HELD", ("SIGUSR1", "SIGUSR2", "SIGNONE"))
+    monkeypatch.setattr("placegraph.core.jit._SIGNALS", ("SIGUSR1", "SIGUSR2", "SIGNONE"))
     try:
         with uninterrupted():
             with uninterrupted():

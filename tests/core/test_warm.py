@@ -12,8 +12,7 @@ from numba.core import types
 
 from placegraph import cli
 from placegraph.cli.compiling import Compiling
-from placegraph.core import cache as kept
-from placegraph.core import warm
+from placegraph.core import cache, warm
 from placegraph.errors import OptionError
 
 CALLS = list(dict.fromkeys(call for calls in warm.commands().values() for call in calls))
@@ -26,8 +25,8 @@ def _name(call):
 
 @pytest.fixture(autouse=True)
 def _fresh(monkeypatch, tmp_path):
-    monkeypatch.setattr(kept, "FOLDERS", kept._Folders())
-    kept.use_folder(tmp_path / "kept")
+    monkeypatch.setattr(cache, "FOLDERS", cache.CacheFolders())
+    cache.FOLDERS.choose(tmp_path / "kept")
 
 
 @pytest.mark.parametrize("call", CALLS)
@@ -89,7 +88,7 @@ def test_the_command_compiles_what_is_missing(monkeypatch, capsys, tmp_path):
 def test_the_command_makes_what_sentences_are_read_by(tmp_path):
     """For a server that can write nowhere; in a process that has read nothing yet."""
     mine = tmp_path / "mine"
-    code = "from placegraph import cli, warm; warm.commands = dict; cli.main()"
+    code = "from placegraph import cli; from placegraph.core import warm; warm.commands = dict; cli.main()"
     subprocess.run([sys.executable, "-c", code, "--compiled", mine, "warm"], check=True)  # noqa: S603
     made = {path.name.partition("-")[0] for path in mine.iterdir()}
     assert made >= {"grammar", "languages", "table"}
@@ -122,7 +121,7 @@ def test_where_no_process_can_be_started_kernels_are_compiled_where_they_are_cal
 
 
 def test_nothing_is_compiled_elsewhere_where_nothing_can_be_kept(monkeypatch, capsys):
-    monkeypatch.setattr(kept, "_writable", lambda _: False)
+    monkeypatch.setattr(cache, "_is_writable", lambda _: False)
     monkeypatch.setattr(warm, "warm", None)
     build = warm.commands()["scene build"]
     with pytest.warns(UserWarning, match="each process compiles anew"):
