@@ -17,7 +17,8 @@ from placegraph.cli.compiling import Compiling
 from placegraph.cli.extensions import extensions
 from placegraph.cli.interrupts import INTERRUPTED, interruptible
 from placegraph.cli.terminal import bare, guarded, harmless
-from placegraph.core.cache import FOLDERS, listening
+from placegraph.core import cache
+from placegraph.core.cache import listening
 from placegraph.errors import InputError, PlacegraphError
 
 NAME = "placegraph"
@@ -144,7 +145,7 @@ def _version(context: click.Context, _param: click.Parameter, wanted: bool) -> N
 
 def _compiled(_context: click.Context, _param: click.Parameter, folder: Path | None) -> None:
     if folder is not None:
-        FOLDERS.choose(folder)
+        cache.FOLDERS.choose(folder)
 
 
 def _completion(context: click.Context, _param: click.Parameter, shell: str | None) -> None:
