@@ -15,7 +15,7 @@ from placegraph.errors import InputError, MapError, OptionError, PlacegraphError
 from placegraph.indoor.build import build_scene, scene_of_model
 from placegraph.indoor.map.relations import MOST_OBJECTS
 from placegraph.indoor.mapping.from_capture import FromCapture
-from placegraph.io.mesh.ply_write import write_ply
+from placegraph.io.mesh.ply import write_ply
 
 IDS = np.repeat([0, 1, 2], 12)
 

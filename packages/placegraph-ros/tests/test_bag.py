@@ -9,7 +9,7 @@ from rosbags.highlevel import AnyReader
 from placegraph.core.geometry import Camera
 from placegraph.errors import MapError, MapLockedError, OptionError
 from placegraph.io.capture.frame import Frame
-from placegraph.io.mesh.glb import read_glb
+from placegraph.io.mesh.gltf import read_glb
 from placegraph_ros.bag import BagWriter
 from placegraph_ros.image import image_messages
 from placegraph_ros.map import map_messages

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from placegraph.core.mapfile import writing
-from placegraph.io.mesh.ply_write import write_ply
+from placegraph.io.mesh.ply import write_ply
 
 CORNERS = np.array(
     [[0, 0, 0], [4, 0, 0], [4, 3, 0], [0, 3, 0], [1, 1, 0.7], [2, 1, 0.7], [2, 2, 0.7]]

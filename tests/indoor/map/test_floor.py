@@ -106,7 +106,7 @@ def test_what_is_called_floor():
 def test_the_shared_house(shared):
     from dataclasses import replace
 
-    from placegraph.io.mesh.glb import read_glb
+    from placegraph.io.mesh.gltf import read_glb
 
     model = read_glb(shared / "data" / "house" / "map" / "house.glb")
     nameless = replace(model, things=tuple(replace(t, label="thing") for t in model.things))

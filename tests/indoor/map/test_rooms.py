@@ -267,7 +267,7 @@ def test_half_a_triangle_in_each_room():
 
 def test_the_house_has_two_rooms_behind_its_folding_doors(shared):
     """Bedroom, study, and an open plan of living room, kitchen and balcony."""
-    from placegraph.io.mesh.glb import read_glb
+    from placegraph.io.mesh.gltf import read_glb
 
     model = read_glb(shared / "data/house/map/house.glb")
     found = rooms(model)

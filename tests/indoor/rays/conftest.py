@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from placegraph.indoor.rays import RayCaster, embree
-from placegraph.io.mesh.glb import read_glb
+from placegraph.io.mesh.gltf import read_glb
 
 BOX = np.array(
     [

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from placegraph.errors import InputError
-from placegraph.io.mesh.glb import read_glb
+from placegraph.io.mesh.gltf import read_glb
 from placegraph.io.mesh.model import Picture
 
 TRIANGLE = [[0, 0, 0], [1, 0, 0], [0, 2, 0]]

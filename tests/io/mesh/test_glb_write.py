@@ -12,9 +12,9 @@ from hypothesis.extra import numpy as hnp
 from PIL import Image
 
 from placegraph.errors import OptionError
-from placegraph.io.mesh import glb_write
-from placegraph.io.mesh.glb import read_glb
-from placegraph.io.mesh.glb_write import Material, Part, Surface, encode_glb
+from placegraph.io.mesh import gltf_write as glb_write
+from placegraph.io.mesh.gltf import read_glb
+from placegraph.io.mesh.gltf_write import Material, Part, Surface, encode_glb
 
 CORNERS = np.array([(0, 0, 0), (1, 0, 0), (0, 2, 0), (0, 0, 3)], np.float32)
 FACES = np.array([(0, 2, 1), (0, 1, 3)])

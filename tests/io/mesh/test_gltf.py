@@ -12,7 +12,7 @@ from PIL import Image
 
 from placegraph.errors import InputError
 from placegraph.indoor.build import build_scene
-from placegraph.io.mesh.glb import read_glb
+from placegraph.io.mesh.gltf import read_glb
 
 QUAD = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
 BASE64 = "data:application/octet-stream;base64,"

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from placegraph.io.mesh.nearest import nearest
+from placegraph.io.mesh.nearest_kernels import nearest
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(0, 40), st.integers(0, 40), st.floats(0.05, 3.0))

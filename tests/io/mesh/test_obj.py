@@ -12,7 +12,7 @@ from PIL import Image
 
 from placegraph.errors import InputError, OptionError
 from placegraph.io.capture.labels import Entry
-from placegraph.io.mesh import obj_lines
+from placegraph.io.mesh import obj as obj_lines
 from placegraph.io.mesh.obj import fans, is_obj, read_obj
 
 ROOM = """\

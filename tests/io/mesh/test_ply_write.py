@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from placegraph.errors import MapError, OptionError
-from placegraph.io.mesh.ply import read_ply
-from placegraph.io.mesh.ply_write import write_ply
+from placegraph.io.mesh.ply import read_ply, write_ply
 
 FACES = np.array([(0, 2, 1), (0, 1, 3), (3, 2, 1)])
 

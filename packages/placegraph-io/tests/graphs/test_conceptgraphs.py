@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from placegraph.core.geometry import rotation_z
 from placegraph.errors import InputError, PlacegraphError
 from placegraph.indoor.build import build_scene
-from placegraph.io.mesh.ply_write import write_ply
+from placegraph.io.mesh.ply import write_ply
 from placegraph.maps import open_map, open_scene
 from placegraph_io.graphs.conceptgraphs import is_conceptgraphs, read_conceptgraphs
 

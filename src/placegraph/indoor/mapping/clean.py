@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from placegraph.errors import InputError
 from placegraph.indoor.map.floor import is_floor
 from placegraph.indoor.map.mesh import GRAIN, Mesh, portions
-from placegraph.io.mesh.glb import Z_UP
+from placegraph.io.mesh.gltf import Z_UP
 from placegraph.io.mesh.model import Model, Picture, Thing
 
 TALLEST = 60.0

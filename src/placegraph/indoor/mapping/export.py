@@ -21,9 +21,9 @@ from placegraph.indoor.map.textures import linear_from_srgb
 from placegraph.indoor.mapping.camera_paths import Paths, checked, path_lines
 from placegraph.indoor.mapping.osm.export import shapes_of
 from placegraph.indoor.mapping.paint import painted
-from placegraph.io.mesh.glb import OWN
-from placegraph.io.mesh.glb_write import Material, Part, Surface, encode_glb
-from placegraph.io.mesh.ply_write import write_ply
+from placegraph.io.mesh.gltf import OWN
+from placegraph.io.mesh.gltf_write import Material, Part, Surface, encode_glb
+from placegraph.io.mesh.ply import write_ply
 from placegraph.io.osm.indoor_osm_write import OSMAG_ENDINGS, encode_rooms
 from placegraph_io.graphs.spark_dsg_write import MOST_PATHS, encode_spark_dsg
 

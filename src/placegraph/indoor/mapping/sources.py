@@ -66,8 +66,8 @@ class SourceKind(NamedTuple):
 
 
 KINDS = (
-    SourceKind(".glb", "placegraph.io.mesh.glb", "glb", ".glb", ("up",)),
-    SourceKind(".gltf", "placegraph.io.mesh.glb", "glb", ".gltf", ("up",)),
+    SourceKind(".glb", "placegraph.io.mesh.gltf", "glb", ".glb", ("up",)),
+    SourceKind(".gltf", "placegraph.io.mesh.gltf", "glb", ".gltf", ("up",)),
     SourceKind(".obj", "placegraph.io.mesh.obj", "obj", ".obj", ("up", "table"), own=("groups",)),
     SourceKind(
         "a 3RScan scan's folder",

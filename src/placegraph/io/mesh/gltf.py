@@ -1,22 +1,82 @@
-"""The container of glTF 2.0 files (.glb, or .gltf with files beside it): buffers, accessors, nodes.
-
-What the pieces mean for a map is `glb`'s; this module believes no number it has not checked.
-"""
+"""Reader of glTF 2.0 files (.glb, .gltf): one object a node, with its label, mesh and colours."""
 
 from __future__ import annotations
 
 import base64
 import binascii
+import json
+import re
+import struct
+from collections import Counter
 from dataclasses import dataclass, field
+from math import cos, sin
+from os import PathLike
 from pathlib import Path, PurePosixPath, PureWindowsPath
-from typing import Any
+from typing import Any, Literal
 from urllib.parse import unquote
 
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.files import regular
 from placegraph.errors import InputError
-from placegraph.io.mesh.gltf_file import MAGIC, Json, chunks_of, content_of, json_of
+from placegraph.io.mesh.model import Model, Picture, Thing
+
+Json = dict[str, Any]
+
+MAGIC = 0x46546C67
+_JSON, _BIN = 0x4E4F534A, 0x004E4942
+
+
+def chunks_of(path: Path, data: memoryview) -> tuple[Json, memoryview]:
+    """JSON and binary chunk of a .glb file; `InputError` where it is none."""
+    if not len(data):
+        raise InputError(f"{path} is empty; export it again.")
+    if len(data) < 20 or struct.unpack_from("<I", data)[0] != MAGIC:
+        if bytes(data[:1]) == b"{":
+            raise InputError(f"{path} is glTF as text; let its name end in .gltf.")
+        raise InputError(f"{path} is not glTF 2.0 binary; export it as one .glb file.")
+    version, total = struct.unpack_from("<II", data, 4)
+    if version != 2:
+        raise InputError(f"{path} is glTF {version}; export it as glTF 2.0.")
+    if total > len(data):
+        raise InputError(
+            f"{path} has {len(data)} of {total} bytes: it is truncated; copy it again."
+        )
+    parts: dict[int, memoryview] = {}
+    at = 12
+    while at + 8 <= total:
+        length, kind = struct.unpack_from("<II", data, at)
+        if at + 8 + length > total:
+            raise InputError(f"{path} ends within a chunk: it is damaged; copy it again.")
+        parts.setdefault(kind, data[at + 8 : at + 8 + length])
+        at += 8 + length + (-length % 4)
+    return json_of(path, bytes(parts.get(_JSON, b""))), parts.get(_BIN, memoryview(b""))
+
+
+def json_of(path: Path, data: bytes) -> Json:
+    """The object that JSON text is; `InputError` where it is none."""
+    try:
+        content = json.loads(data.decode("utf-8-sig"))
+    except (ValueError, RecursionError) as error:
+        raise InputError(
+            f"{path} has no JSON that can be read; copy or export it again."
+        ) from error
+    if not isinstance(content, dict):
+        raise InputError(f"{path}: its JSON is not an object; export it again.")
+    return content
+
+
+def content_of(path: Path) -> bytes:
+    """Bytes of a file; `InputError` where it cannot be read."""
+    try:
+        return regular(path).read_bytes()
+    except FileNotFoundError as error:
+        raise InputError(f"{path} does not exist.") from error
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise InputError(f"{path} cannot be read: {why}.") from error
+
 
 _DTYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
@@ -248,3 +308,360 @@ class Gltf:
         local[:3, :3] = rotation * self.floats(node, "scale", (1.0, 1.0, 1.0))
         local[:3, 3] = self.floats(node, "translation", (0.0, 0.0, 0.0))
         return local
+
+
+_CLAMP, _MIRROR = 33071, 33648
+_EDGE = 1e-4  # of a texture: within the outermost texel of any texture a map holds
+_SRGB_WRITERS = ("trimesh", "open3d")
+"""Generators that write COLOR_0 as sRGB, where the standard says linear."""
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """How a primitive is coloured."""
+
+    picture: int
+    """Row of the picture."""
+    texcoord: int = 0
+    """Which TEXCOORD."""
+    affine: NDArray[np.float64] | None = None
+    """(2, 3) to be applied to texture coordinates."""
+    clamped: tuple[bool, bool] = (False, False)
+    mirrored: tuple[bool, bool] = (False, False)
+
+    def place(self, uv: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Texture coordinates (V, 2) for a picture that is plainly repeated.
+
+        Coordinates beyond a clamped edge are clamped at the vertices, so inside a triangle that
+        reaches beyond it the texture is stretched a little.
+        """
+        if self.affine is not None:
+            uv = uv @ self.affine[:, :2].T + self.affine[:, 2]
+        for axis in (0, 1):
+            if self.clamped[axis]:
+                uv[:, axis] = np.clip(uv[:, axis], _EDGE, 1.0 - _EDGE)
+            if self.mirrored[axis]:
+                uv[:, axis] /= 2.0
+        return uv
+
+
+class Materials:
+    """Pictures of a file's materials, each made once."""
+
+    def __init__(self, gltf: Gltf) -> None:
+        self.gltf = gltf
+        self._looks: dict[int | None, Look] = {}
+        self._pictures: dict[Picture, int] = {}
+        self._images: dict[int, bytes] = {}
+
+    def pictures(self) -> tuple[Picture, ...]:
+        """All pictures that were asked for, one at least."""
+        return tuple(self._pictures) or (Picture(None),)
+
+    def look(self, row: Any) -> Look:  # noqa: ANN401  # whatever the file says
+        """Look of `materials[row]`; plain white where `row` is None."""
+        if row is None:
+            return Look(self._picture(Picture(None)))
+        material = self.gltf.item("materials", row)
+        if row not in self._looks:
+            self._looks[row] = self._make(material)
+        return self._looks[row]
+
+    def _picture(self, picture: Picture) -> int:
+        return self._pictures.setdefault(picture, len(self._pictures))
+
+    def _make(self, material: Json) -> Look:
+        gltf = self.gltf
+        base = gltf.object_of(material, "pbrMetallicRoughness")
+        keys = ("baseColorTexture", "baseColorFactor")
+        older = gltf.object_of(material, "extensions").get("KHR_materials_pbrSpecularGlossiness")
+        if isinstance(older, dict) and keys[0] not in base:
+            base, keys = older, ("diffuseTexture", "diffuseFactor")
+        r, g, b, _ = np.clip(gltf.floats(base, keys[1], (1.0,) * 4), 0.0, 1.0).tolist()
+        info = gltf.object_of(base, keys[0])
+        if not info:
+            return Look(self._picture(Picture(None, (r, g, b))))
+        texture = gltf.item("textures", info.get("index"))
+        wraps = [0, 0]
+        if "sampler" in texture:
+            sampler = gltf.item("samplers", texture["sampler"])
+            wraps = [gltf.whole(sampler, key) for key in ("wrapS", "wrapT")]
+        mirrored = (wraps[0] == _MIRROR, wraps[1] == _MIRROR)
+        data, name = self._image(texture)
+        moved = gltf.object_of(gltf.object_of(info, "extensions"), "KHR_texture_transform")
+        texcoord = moved if "texCoord" in moved else info
+        return Look(
+            picture=self._picture(Picture(data, (r, g, b), mirrored, name)),
+            texcoord=gltf.whole(texcoord, "texCoord"),
+            affine=self._affine(moved) if moved else None,
+            clamped=(wraps[0] == _CLAMP, wraps[1] == _CLAMP),
+            mirrored=mirrored,
+        )
+
+    def _image(self, texture: Json) -> tuple[bytes, str]:
+        source = texture.get("source")
+        webp = self.gltf.object_of(texture, "extensions").get("EXT_texture_webp")
+        if isinstance(webp, dict):
+            source = webp.get("source", source)
+        entry = self.gltf.item("images", source)
+        row = self.gltf.whole({"source": source}, "source")
+        if row not in self._images:
+            self._images[row] = self.gltf.image(row)
+        return self._images[row], f"{self.gltf.path}: images[{row}] {entry.get('name', '')}".strip()
+
+    def _affine(self, moved: Json) -> NDArray[np.float64]:
+        """KHR_texture_transform: scale, then rotation (counter-clockwise of v down), then offset."""
+        scale, offset = (
+            self.gltf.floats(moved, key, default)
+            for key, default in (("scale", (1.0, 1.0)), ("offset", (0.0, 0.0)))
+        )
+        (turn,) = self.gltf.floats({"rotation": [moved.get("rotation", 0.0)]}, "rotation", (0.0,))
+        c, s = cos(turn), sin(turn)
+        return np.column_stack([np.array([[c, s], [-s, c]]) * scale, offset])
+
+
+def vertex_colours(gltf: Gltf, values: NDArray[Any]) -> NDArray[np.uint8]:
+    """Vertex colours (V, 3) uint8, sRGB, of COLOR_0, which is linear by the standard."""
+    if values.shape[1] < 3:
+        raise gltf.error("a COLOR_0 has not three channels; export it again")
+    share = values[:, :3].astype(np.float64)
+    if values.dtype.kind == "u":  # integers that forgot to say that they are normalised
+        share /= np.iinfo(values.dtype).max
+    share = np.clip(np.nan_to_num(share), 0.0, 1.0)
+    generator = str(gltf.object_of(gltf.content, "asset").get("generator", "")).lower()
+    if not any(writer in generator for writer in _SRGB_WRITERS):
+        share = np.where(share <= 0.0031308, 12.92 * share, 1.055 * share ** (1 / 2.4) - 0.055)
+    return np.rint(255.0 * share).astype(np.uint8)
+
+
+OWN = "placegraph"
+"""Key of `extras` for what a node cannot say plainly: `attributes` whose names are taken, and the
+`name` "" of an object whose node is called by its label."""
+Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+"""Rotation from y-up to z-up."""
+_TRIANGLES, _STRIP, _FAN = 4, 5, 6
+
+
+def read_glb(path: str | PathLike[str], *, up: Literal["y", "z"] = "y") -> Model:
+    """Read a .glb file, or a .gltf with its buffers and images inside, beside it or below.
+
+    Parameters
+    ----------
+    up
+        Axis that points up in it: y by the standard; z for exporters that forgot to turn.
+
+    Raises
+    ------
+    InputError
+        The file is missing, truncated, damaged, not glTF 2.0, or needs what is not read: Draco or
+        meshopt compression, Basis textures, sparse accessors; a file it names is missing, or
+        outside its folder.
+
+    """
+    gltf = Gltf.read(Path(path))
+    try:
+        return _Reader(gltf).read(np.eye(3) if up == "z" else Z_UP)
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
+        raise gltf.error(f"it is not sound glTF ({error!r}); export it again") from error
+
+
+class _Reader:
+    """Collects things and triangles while walking over the nodes."""
+
+    def __init__(self, gltf: Gltf) -> None:
+        self.gltf = gltf
+        self.left_out: Counter[str] = Counter()
+        self.materials = Materials(gltf)
+        self.things: list[Thing] = []
+        self.thing_rows: dict[str, int] = {}
+        self.columns: dict[str, list[NDArray[Any]]] = {
+            name: []
+            for name in ("vertices", "triangles", "thing_of", "colours", "uv", "picture_of")
+        }
+        self.vertex_count = 0
+
+    def read(self, map_from_gltf: NDArray[np.float64]) -> Model:
+        nodes = self.gltf.walk()
+        meshed = [
+            (path, world) for path, world in nodes if "mesh" in self.gltf.item("nodes", path[-1])
+        ]
+        owners = [self._owner(path) for path, _ in meshed]
+        taken = {_id(_extras(self.gltf, row)) for row in owners}
+        free = (str(n) for n in range(len(owners) + len(taken)) if str(n) not in taken)
+        rows: dict[int, int] = {}
+        for owner, (path, world) in zip(owners, meshed, strict=True):
+            if owner not in rows:
+                rows[owner] = self._thing(owner, free)
+            turned = world.copy()
+            turned[:3] = map_from_gltf @ world[:3]
+            mesh = self.gltf.item("meshes", self.gltf.item("nodes", path[-1])["mesh"])
+            for primitive in self.gltf.list_of(mesh, "primitives"):
+                self._primitive(primitive, turned, rows[owner])
+        joined = {
+            name: np.concatenate([_EMPTY[name], *arrays]) for name, arrays in self.columns.items()
+        }
+        return Model(
+            path=self.gltf.path,
+            things=tuple(self.things),
+            pictures=self.materials.pictures(),
+            left_out=self.left_out,
+            relations=self._relations(),
+            floor=self._floor(),
+            **joined,
+        )
+
+    def _told(self) -> Json:
+        """`extras` of the scene, as `placegraph scene export` fills them."""
+        scenes = self.gltf.list_of(self.gltf.content, "scenes")
+        row = self.gltf.content.get("scene", 0)
+        extras = self.gltf.item("scenes", row).get("extras") if scenes else None
+        return extras if isinstance(extras, dict) else {}
+
+    def _floor(self) -> float | None:
+        """Height of the floor along the map's z, where the file tells it of a single scene."""
+        scenes = self._told().get("scenes")
+        if not isinstance(scenes, list) or len(scenes) != 1 or not isinstance(scenes[0], dict):
+            return None
+        floor = scenes[0].get("floor")
+        return float(floor) if isinstance(floor, int | float) and abs(floor) < 1e6 else None
+
+    def _relations(self) -> tuple[tuple[int, str, int], ...]:
+        """Relations between objects by their `extras.id`; such of objects that are gone are dropped."""
+        told = self._told().get("relations")
+        rows = [r for r in told if isinstance(r, list)] if isinstance(told, list) else []
+        return tuple(
+            (self.thing_rows[r[0]], r[1], self.thing_rows[r[2]])
+            for r in rows
+            if len(r) == 3
+            and all(isinstance(word, str) for word in r)
+            and {r[0], r[2]} <= self.thing_rows.keys()
+        )
+
+    def _owner(self, path: tuple[int, ...]) -> int:
+        for row in reversed(path):
+            if {"label", "id"} & _extras(self.gltf, row).keys():
+                return row
+        return path[-1]
+
+    def _thing(self, row: int, free: Any) -> int:  # noqa: ANN401  # an iterator of free ids
+        """Row of the thing of a node; nodes that share `extras.id` share their thing."""
+        node, extras = self.gltf.item("nodes", row), _extras(self.gltf, row)
+        name = str(node.get("name") or "")
+        label = str(extras.get("label") or "") or re.sub(r"\.\d{3,}$", "", name) or "unknown"
+        id_ = _id(extras) or next(free)
+        if id_ in self.thing_rows:
+            other = self.things[self.thing_rows[id_]]
+            if other.label != label:
+                raise self.gltf.error(
+                    f"nodes {other.name!r} and {name!r} share extras.id {id_!r} but not their label; "
+                    "give each object its own id"
+                )
+            return self.thing_rows[id_]
+        own = extras.get(OWN)
+        own = own if isinstance(own, dict) else {}
+        if own.get("name") == "" and re.sub(r"\.\d{3,}$", "", name) == label:
+            name = ""
+        plain = {k: v for k, v in extras.items() if k not in {"label", "id"}}
+        attributes = {
+            str(k): v if isinstance(v, str) else json.dumps(v)
+            for k, v in [*plain.items(), *self.gltf.object_of(own, "attributes").items()]
+            if isinstance(v, str | int | float)
+        }
+        self.thing_rows[id_] = len(self.things)
+        self.things.append(Thing(id_, label, name, attributes))
+        return len(self.things) - 1
+
+    def _primitive(self, primitive: Json, map_from_node: NDArray[np.float64], thing: int) -> None:
+        gltf = self.gltf
+        for name in MENDS.keys() & gltf.object_of(primitive, "extensions").keys():
+            raise gltf.error(f"it needs {name}; {MENDS[name]}")
+        attributes = gltf.object_of(primitive, "attributes")
+        mode = gltf.whole(primitive, "mode") if "mode" in primitive else _TRIANGLES
+        if mode not in {_TRIANGLES, _STRIP, _FAN} or "POSITION" not in attributes:
+            self.left_out["primitives that are no triangles"] += 1
+            return
+        points = gltf.accessor(attributes["POSITION"]).astype(np.float64)
+        if points.shape[1] != 3:
+            raise gltf.error("a POSITION has not three coordinates; export it again")
+        corners = self._corners(primitive, mode, len(points))
+        if np.linalg.det(map_from_node[:3, :3]) < 0:  # a mirrored part is turned inside out
+            corners = corners[:, ::-1]
+        look = self.materials.look(primitive.get("material"))
+        uv = np.zeros((len(points), 2))
+        coordinates = attributes.get(f"TEXCOORD_{look.texcoord}")
+        if coordinates is not None:
+            uv = look.place(self._column(coordinates, len(points))[:, :2].astype(np.float64))
+        colours = np.full(points.shape, 255, np.uint8)
+        if "COLOR_0" in attributes:
+            colours = vertex_colours(gltf, self._column(attributes["COLOR_0"], len(points)))
+        with np.errstate(over="ignore", invalid="ignore"):
+            placed = points @ map_from_node[:3, :3].T + map_from_node[:3, 3]
+        self._append(placed, corners, thing, colours, uv, look.picture)
+
+    def _append(
+        self,
+        vertices: NDArray[np.float64],
+        corners: NDArray[np.int64],
+        thing: int,
+        colours: NDArray[np.uint8],
+        uv: NDArray[np.float64],
+        picture: int,
+    ) -> None:
+        count = len(corners)
+        for name, array in (
+            ("vertices", vertices), ("triangles", corners + self.vertex_count),
+            ("thing_of", np.full(count, thing)), ("colours", colours), ("uv", uv),
+            ("picture_of", np.full(count, picture)),
+        ):  # fmt: skip
+            self.columns[name].append(array)
+        self.vertex_count += len(vertices)
+
+    def _column(self, accessor: object, count: int) -> NDArray[Any]:
+        column = self.gltf.accessor(accessor)
+        if len(column) != count or column.shape[1] < 2:
+            raise self.gltf.error(
+                f"accessors[{accessor}] has {column.shape} numbers for {count} vertices; export it again"
+            )
+        return column
+
+    def _corners(self, primitive: Json, mode: int, count: int) -> NDArray[np.int64]:
+        """Triangles (T, 3) of a primitive in rows of its vertices."""
+        if "indices" in primitive:
+            rows = self.gltf.accessor(primitive["indices"])
+            if rows.dtype.kind != "u" or rows.shape[1] != 1:
+                raise self.gltf.error("indices are not unsigned integers; export it again")
+            row = rows[:, 0].astype(np.int64)
+        else:
+            row = np.arange(count)
+        if row.size and row.max() >= count:
+            raise self.gltf.error(f"an index is {row.max()} of {count} vertices; export it again")
+        if mode == _TRIANGLES:
+            return row[: row.size // 3 * 3].reshape(-1, 3)
+        first = np.arange(max(row.size - 2, 0))
+        if mode == _FAN:
+            return np.stack([row[np.zeros_like(first)], row[first + 1], row[first + 2]], axis=1)
+        odd = first % 2  # of a strip every other triangle is wound the other way
+        return np.stack([row[first], row[first + 1 + odd], row[first + 2 - odd]], axis=1)
+
+
+_EMPTY: dict[str, Any] = {
+    "vertices": np.zeros((0, 3)),
+    "triangles": np.zeros((0, 3), np.int64),
+    "thing_of": np.zeros(0, np.int64),
+    "colours": np.zeros((0, 3), np.uint8),
+    "uv": np.zeros((0, 2)),
+    "picture_of": np.zeros(0, np.int64),
+}
+
+
+def _extras(gltf: Gltf, row: int) -> Json:
+    extras = gltf.item("nodes", row).get("extras")
+    return extras if isinstance(extras, dict) else {}
+
+
+def _id(extras: Json) -> str:
+    """`extras.id` as text; empty where there is none."""
+    value = extras.get("id")
+    if isinstance(value, float) and value.is_integer():
+        value = int(value)
+    return str(value) if isinstance(value, str | int | float) else ""

@@ -1,26 +1,462 @@
-"""Reader of Wavefront OBJ meshes with their materials: objects, groups or materials as things."""
+"""Reader of Wavefront OBJ meshes with their materials: objects, groups or materials as objects."""
 
 from __future__ import annotations
 
 import re
+import warnings
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.errors import OptionError
+from placegraph.core.files import regular
+from placegraph.errors import InputError, OptionError
 from placegraph.io.capture.labels import Entry
-from placegraph.io.mesh.glb import Z_UP
+from placegraph.io.mesh.gltf import Z_UP
 from placegraph.io.mesh.model import Model, Picture, Thing
-from placegraph.io.mesh.mtl import read_materials
-from placegraph.io.mesh.obj_text import NAMED, ObjText, read_obj_text
 from placegraph.io.mesh.ply import UNKNOWN
 
+_OPTION_VALUES = {
+    "-blendu": 1, "-blendv": 1, "-cc": 1, "-clamp": 1, "-imfchan": 1, "-texres": 1, "-boost": 1,
+    "-bm": 1, "-type": 1, "-colorspace": 1, "-mm": 2, "-o": 3, "-s": 3, "-t": 3,
+}  # fmt: skip
+"""How many values, at most, follow an option of a texture."""
+_MOVING = ("-o", "-s", "-t")
+
+
+@dataclass(slots=True)
+class _Material:
+    factor: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    """As the file says it, which is taken as sRGB: so do viewers show it."""
+    picture: Path | None = None
+
+
+def read_materials(
+    libraries: Iterable[Path], wanted: Iterable[str], left_out: Counter[str]
+) -> dict[str, Picture]:
+    """Pictures of the materials that are wanted, by name; what is missing is counted.
+
+    A texture that is missing leaves the material its `Kd`; a material that is missing is not in the
+    answer. `Kd 0 0 0` beside a texture means nothing, as some exporters have it. Raises
+    `InputError` where a library is there but cannot be read, or holds a colour that is no number.
+    """
+    materials: dict[str, _Material] = {}
+    for library in libraries:
+        if library.is_file():
+            for name, material in _read(library, left_out).items():
+                materials.setdefault(name, material)
+        else:
+            left_out["material files that are missing"] += 1
+    found: dict[str, Picture] = {}
+    for name in wanted:
+        if name in materials:
+            found[name] = _picture(materials[name], left_out)
+        else:
+            left_out["materials that no material file holds"] += 1
+    return found
+
+
+def _read(path: Path, left_out: Counter[str]) -> dict[str, _Material]:
+    try:
+        lines = regular(path).read_text(encoding="utf-8-sig", errors="replace").splitlines()
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror}.") from error
+    materials: dict[str, _Material] = {}
+    current = _Material()
+    for number, line in enumerate(lines, 1):
+        keyword, _, rest = line.strip().partition(" ")
+        rest = rest.strip()
+        if keyword == "newmtl":
+            current = materials.setdefault(rest, _Material())
+        elif keyword == "Kd":
+            current.factor = _colour(path, number, rest)
+        elif keyword == "map_Kd":
+            words = rest.split()
+            if any(option in words for option in _MOVING):
+                left_out["textures whose offset or scale was not applied"] += 1
+            name = _file_name(rest)
+            current.picture = _find(path.parent, name) if name else None
+    return materials
+
+
+def _colour(path: Path, number: int, rest: str) -> tuple[float, float, float]:
+    words = rest.partition("#")[0].split()
+    if words[:1] in (["spectral"], ["xyz"]):
+        return 1.0, 1.0, 1.0
+    try:
+        r, g, b = (min(max(float(w), 0.0), 1.0) for w in (words * 3 if len(words) == 1 else words))
+    except ValueError as error:
+        raise InputError(
+            f"{path}, line {number}: Kd is {rest[:40]!r}; it must be three numbers from 0 to 1."
+        ) from error
+    return r, g, b
+
+
+def _file_name(rest: str) -> str:
+    """What remains of `map_Kd` without its options; a file's name may hold blanks."""
+    while rest:
+        word, _, after = rest.partition(" ")
+        if word not in _OPTION_VALUES:
+            break
+        rest = after.strip()
+        for i in range(_OPTION_VALUES[word]):
+            value, _, after = rest.partition(" ")
+            if i and word in _MOVING and not _is_number(value):  # they have one to three numbers
+                break
+            rest = after.strip()
+    return rest
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _find(folder: Path, name: str) -> Path:
+    """Texture by its name; of a path from another machine the last part is tried beside the file."""
+    name = name.strip('"').replace("\\", "/")
+    try:
+        there = (folder / name).is_file()
+    except (OSError, ValueError):  # too long, or with a null byte
+        there = False
+    return folder / name if there else folder / name.rsplit("/", 1)[-1]
+
+
+def _picture(material: _Material, left_out: Counter[str]) -> Picture:
+    r, g, b = (_linear(channel) for channel in material.factor)
+    data = None
+    if material.picture is not None:
+        try:
+            data = regular(material.picture).read_bytes()
+        except (OSError, ValueError):
+            left_out["textures that are missing"] += 1
+    if data is None:
+        return Picture(None, (r, g, b))
+    if r == g == b == 0.0:
+        r = g = b = 1.0
+    return Picture(data, (r, g, b), name=str(material.picture))
+
+
+def _linear(channel: float) -> float:
+    """Linear intensity of an sRGB value (IEC 61966-2-1)."""
+    return channel / 12.92 if channel <= 0.04045 else float(((channel + 0.055) / 1.055) ** 2.4)
+
+
+Bytes = NDArray[np.uint8]
 Rows = NDArray[np.int64]
+
+
+BLOCK = 1 << 24
+_LONGEST_LINE = 1 << 22
+NEWLINE, SPACE, SLASH, _HASH = b"\n /#"
+
+
+class Lines(NamedTuple):
+    """Some lines of a block, one after the other."""
+
+    text: Bytes
+    """Without the keywords and comments."""
+    starts: Rows
+    rows: Rows
+    """Which lines of the block they are."""
+
+    def words(self) -> Rows:
+        """Where words begin."""
+        begins = (self.text != SPACE) & (self.text != NEWLINE)
+        begins[1:] &= ~begins[:-1]
+        return np.flatnonzero(begins)
+
+    def held(self, places: Rows) -> Rows:
+        """How many of these places (ascending) each line holds."""
+        ends = np.append(self.starts[1:], len(self.text))
+        return np.searchsorted(places, ends) - np.searchsorted(places, self.starts)
+
+
+def blocks(path: Path) -> Iterator[bytes]:
+    """Whole lines, some megabytes at a time; a line that ends with a backslash goes on."""
+    try:
+        with regular(path).open("rb") as file:
+            rest = file.read(3).removeprefix(b"\xef\xbb\xbf")
+            while block := file.read(BLOCK):
+                rest += block
+                cut = rest.rfind(b"\n") + 1
+                while cut and rest[:cut].rstrip(b"\r\n").endswith(b"\\"):
+                    cut = rest.rfind(b"\n", 0, cut - 1) + 1
+                if not cut and len(rest) > _LONGEST_LINE:
+                    break
+                yield rest[:cut]
+                rest = rest[cut:]
+    except FileNotFoundError as error:
+        raise InputError(f"{path} does not exist.") from error
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise InputError(f"{path} cannot be read: {why}.") from error
+    if len(rest) > _LONGEST_LINE:
+        raise InputError(f"{path} is not an OBJ file: it has no lines; export it again.")
+    yield rest
+
+
+def lines_of(
+    data: Bytes, starts: Rows, first: Rows, ends: Rows, wanted: NDArray[np.bool_], keyword: int
+) -> Lines:
+    """Lines of one kind; `first` is where their keywords of so many letters stand."""
+    rows = np.flatnonzero(wanted)
+    lengths = (ends - starts + 1)[rows]
+    text = data[: ends[-1] + 1 if len(ends) else 0][np.repeat(wanted, ends - starts + 1)].copy()
+    begin = np.cumsum(lengths) - lengths
+    for i in range(keyword):
+        text[begin + (first - starts)[rows] + i] = SPACE
+    if _HASH in text:
+        hashes = np.cumsum(text == _HASH)
+        before = np.where(begin > 0, hashes[begin - 1], 0)
+        text[(hashes > np.repeat(before, lengths)) & (text != NEWLINE)] = SPACE
+    return Lines(text, begin, rows)
+
+
+def following(numbers: NDArray[Any], at: Rows) -> NDArray[Any]:
+    """Numbers after these places, or any where there is none."""
+    after: NDArray[Any] = numbers[np.minimum(at + 1, max(len(numbers) - 1, 0))]
+    return after
+
+
+def resolved(numbers: Rows, count: Rows) -> Rows:
+    """Rows from 0 of numbers from 1, or of negative ones from the last; negative: none."""
+    return np.where(numbers > 0, numbers - 1, np.where(numbers < 0, count + numbers, -1))
+
+
+_SPACES = bytes.maketrans(b"\t\r\v\f\0", b"     ")
+NAMED = ("o", "g", "usemtl")
+"""Keywords that say what the faces after them belong to."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObjText:
+    """What an OBJ file says; rows count from 0."""
+
+    path: Path
+    vertices: NDArray[np.float64]
+    """(V, 3)"""
+    colours: NDArray[np.float32]
+    """(V, 3) as they stand after the coordinates, NaN where they do not."""
+    uv: NDArray[np.float64]
+    """(U, 2), v up."""
+    lengths: Rows
+    """(F,) corners of each face."""
+    corners: Rows
+    """(C,) rows of vertices, face after face."""
+    corner_uv: Rows
+    """(C,) rows of uv, -1: none."""
+    names: dict[str, tuple[str, ...]]
+    """Of `o`, `g` and `usemtl`: names in their order."""
+    name_of: dict[str, Rows]
+    """(F,) rows of names, -1: none."""
+    libraries: tuple[str, ...]
+    left_out: Counter[str]
+
+
+def read_obj_text(path: Path) -> ObjText:
+    """Read an OBJ file.
+
+    Raises `InputError` where it is missing, unreadable, without a vertex, or holds a vertex or a
+    face that is none; the message names the line.
+    """
+    text = _Text(path)
+    for block in blocks(path):
+        text.add(block)
+    return text.columns()
+
+
+@dataclass(slots=True)
+class _Text:
+    """Columns as they grow."""
+
+    path: Path
+    line: int = 0
+    vertex_count: int = 0
+    uv_count: int = 0
+    parts: dict[str, list[NDArray[Any]]] = field(
+        default_factory=lambda: {
+            name: []
+            for name in ("vertices", "colours", "uv", "lengths", "corners", "corner_uv", *NAMED)
+        }
+    )
+    names: dict[str, dict[str, int]] = field(default_factory=lambda: {k: {} for k in NAMED})
+    current: dict[str, int] = field(default_factory=lambda: dict.fromkeys(NAMED, -1))
+    libraries: list[str] = field(default_factory=list)
+    left_out: Counter[str] = field(default_factory=Counter)
+
+    def add(self, block: bytes) -> None:
+        if b"\\" in block:
+            block = block.replace(b"\\\r\n", b"  ").replace(b"\\\n", b" ")
+        block = block.translate(_SPACES)
+        data = np.frombuffer(block if block.endswith(b"\n") else block + b"\n  ", np.uint8)
+        ends = np.flatnonzero(data == NEWLINE)
+        starts = np.concatenate([[0], ends[:-1] + 1])
+        first = starts.copy()
+        for _ in range(64):  # indentation
+            blank = data[first] == SPACE
+            if not blank.any():
+                break
+            first += blank
+        last = len(data) - 1
+        a, b, c = (data[np.minimum(first + i, last)] for i in range(3))
+        is_vertex = (a == ord("v")) & (b == SPACE)
+        is_uv = (a == ord("v")) & (b == ord("t")) & (c == SPACE)
+        is_face = (a == ord("f")) & (b == SPACE)
+        lines = (data, starts, first, ends)
+        self._vertices(lines_of(*lines, is_vertex, 1))
+        self._uv(lines_of(*lines, is_uv, 2))
+        faces = lines_of(*lines, is_face, 1)
+        self._faces(faces, np.cumsum(is_vertex), np.cumsum(is_uv))
+        self._named(block, starts, ends, np.flatnonzero(np.isin(a, list(b"ogum"))), faces.rows)
+        flat = int((((a == ord("l")) | (a == ord("p"))) & (b == SPACE)).sum())
+        if flat:
+            self.left_out["lines and points, which have no surface"] += flat
+        self.line += len(starts)
+        self.vertex_count += int(is_vertex.sum())
+        self.uv_count += int(is_uv.sum())
+
+    def _vertices(self, lines: Lines) -> None:
+        words = lines.words()
+        counts, numbers = lines.held(words), self._numbers(lines, words, np.float64)
+        self._enough(lines, counts, 3, "a vertex has three coordinates")
+        at = (np.cumsum(counts) - counts)[:, None] + np.arange(3)
+        coloured = counts >= 6  # x y z r g b; x y z w is without colour
+        self.parts["vertices"].append(numbers[at])
+        colours = np.full(at.shape, np.nan, np.float32)
+        colours[coloured] = numbers[at[coloured] + (counts[coloured, None] - 3)]
+        self.parts["colours"].append(colours)
+
+    def _uv(self, lines: Lines) -> None:
+        words = lines.words()
+        counts, numbers = lines.held(words), self._numbers(lines, words, np.float64)
+        self._enough(lines, counts, 1, "a texture vertex has u and v")
+        at = np.cumsum(counts) - counts
+        v = np.where(counts > 1, following(numbers, at), 0.0)
+        self.parts["uv"].append(np.stack([numbers[at], v], axis=1))
+
+    def _faces(self, lines: Lines, vertices: Rows, uv: Rows) -> None:
+        """Corners `v`, `v/vt`, `v//vn` or `v/vt/vn`; negative ones count back from their line."""
+        text = np.frombuffer(lines.text.tobytes().replace(b"//", b"/0/"), np.uint8).copy()
+        ends = np.flatnonzero(text == NEWLINE)
+        lines = Lines(text, np.append(0, ends + 1)[: len(ends)], lines.rows)
+        corners, slashes = lines.words(), np.flatnonzero(text == SLASH)
+        more = np.diff(np.searchsorted(slashes, np.append(corners, len(text))))
+        text[slashes] = SPACE
+        words = lines.words()
+        numbers = self._numbers(lines, words, np.int64, int)
+        if len(words) != len(corners) + len(slashes):  # as of 1/ or /1
+            raise self._error(int(lines.rows[0]), "after it a corner lacks a number beside its /")
+        at = np.cumsum(1 + more) - (1 + more)
+        lengths = lines.held(corners)
+        row = np.repeat(lines.rows, lengths)
+        corner = resolved(numbers[at], self.vertex_count + vertices[row])
+        mapped = np.where(more > 0, following(numbers, at), 0)
+        corner_uv = np.where(mapped == 0, -1, resolved(mapped, self.uv_count + uv[row]))
+        wrong = (corner < 0) | ((corner_uv < 0) & (mapped != 0))
+        if wrong.any():
+            raise self._error(int(row[wrong][0]), "a face names a vertex that is not there")
+        self.parts["lengths"].append(lengths)
+        self.parts["corners"].append(corner)
+        self.parts["corner_uv"].append(corner_uv)
+
+    def _named(self, block: bytes, starts: Rows, ends: Rows, rows: Rows, faces: Rows) -> None:
+        """What the faces of a block belong to."""
+        events: dict[str, tuple[list[int], list[int]]] = {
+            k: ([-1], [self.current[k]]) for k in NAMED
+        }
+        for row in rows.tolist():
+            line = block[starts[row] : ends[row]].decode("utf-8", "replace").strip()
+            keyword, _, name = line.partition(" ")
+            name = name.strip()
+            if keyword == "mtllib":
+                self.libraries.append(name)
+            elif keyword in NAMED:
+                if keyword == "g":  # of several groups the first
+                    name = name.partition(" ")[0]
+                known = self.names[keyword]
+                number = known.setdefault(name, len(known)) if name else -1
+                events[keyword][0].append(row)
+                events[keyword][1].append(number)
+        for keyword, (lines, numbers) in events.items():
+            place = np.searchsorted(np.array(lines), faces, side="right") - 1
+            self.parts[keyword].append(np.array(numbers, np.int64)[place])
+            self.current[keyword] = numbers[-1]
+
+    def _numbers(self, lines: Lines, words: Rows, dtype: type, parse: type = float) -> NDArray[Any]:
+        """The number that begins at each of the words, which are all there are."""
+        if not len(words):
+            return np.zeros(0, dtype)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", DeprecationWarning)
+            try:
+                numbers: NDArray[Any] = np.fromstring(lines.text.tobytes(), dtype, sep=" ")
+            except (DeprecationWarning, ValueError):
+                raise self._nonsense(lines, parse) from None
+        if len(numbers) != len(words):
+            raise self._nonsense(lines, parse)
+        return numbers
+
+    def _nonsense(self, lines: Lines, parse: type = float) -> InputError:
+        """Error that names the first line among these that holds what is no number."""
+        ends = np.append(lines.starts[1:], len(lines.text))
+        for row, start, end in zip(lines.rows, lines.starts, ends, strict=True):
+            for word in lines.text[start:end].tobytes().split():
+                try:
+                    parse(word)
+                except ValueError:
+                    shown = word[:40].decode("utf-8", "replace")
+                    return self._error(int(row), f"{shown!r} is no number")
+        return InputError(f"{self.path} holds what is no number; export it again.")
+
+    def _enough(self, lines: Lines, counts: Rows, least: int, what: str) -> None:
+        short = np.flatnonzero(counts < least)
+        if short.size:
+            raise self._error(int(lines.rows[short[0]]), f"it is cut off: {what}")
+
+    def _error(self, row: int, what: str) -> InputError:
+        return InputError(f"{self.path}, line {self.line + row + 1}: {what}; export it again.")
+
+    def columns(self) -> ObjText:
+        shapes: dict[str, tuple[tuple[int, ...], type]] = {
+            "vertices": ((0, 3), np.float64),
+            "colours": ((0, 3), np.float32),
+            "uv": ((0, 2), np.float64),
+        }
+        joined = {}
+        for name, parts in self.parts.items():
+            shape, kind = shapes.get(name, ((0,), np.int64))
+            joined[name] = np.concatenate([np.zeros(shape, kind), *parts])
+            parts.clear()
+        if not len(joined["vertices"]):
+            raise InputError(f"{self.path} holds no vertex; export it as an OBJ mesh.")
+        for rows, count in (("corners", "vertices"), ("corner_uv", "uv")):
+            if joined[rows].size and int(joined[rows].max()) >= len(joined[count]):
+                raise InputError(
+                    f"{self.path}: a face names {count} {int(joined[rows].max()) + 1} of "
+                    f"{len(joined[count])}; it is truncated or damaged: export it again."
+                )
+        return ObjText(
+            path=self.path,
+            vertices=joined["vertices"],
+            colours=joined["colours"],
+            uv=joined["uv"],
+            lengths=joined["lengths"],
+            corners=joined["corners"],
+            corner_uv=joined["corner_uv"],
+            names={k: tuple(known) for k, known in self.names.items()},
+            name_of={k: joined[k] for k in NAMED},
+            libraries=tuple(self.libraries),
+            left_out=self.left_out,
+        )
 
 
 Groups = Literal["auto", "o", "g", "usemtl"]

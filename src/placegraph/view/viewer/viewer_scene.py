@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from placegraph.indoor.mapping.camera_paths import path_lines
 from placegraph.indoor.mapping.export import materials, object_surfaces
-from placegraph.io.mesh.glb_write import Material, Part, Surface, encode_glb
+from placegraph.io.mesh.gltf_write import Material, Part, Surface, encode_glb
 from placegraph.view.scene.room_style import ROOM_PAINTS, room_paint
 
 if TYPE_CHECKING:

@@ -291,7 +291,7 @@ def test_many_objects(count, boxes, rng):
 def test_the_house_as_one_would_say_it(shared):
     """What is where in the house, and what boxes alone get wrong there."""
     from placegraph.indoor.map.rooms import rooms_of
-    from placegraph.io.mesh.glb import read_glb
+    from placegraph.io.mesh.gltf import read_glb
 
     model = read_glb(shared / "data/house/map/house.glb")
     mesh = Mesh.plain(model.vertices, model.triangles, model.thing_of)

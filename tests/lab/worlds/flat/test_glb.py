@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from placegraph.indoor.build import build_scene
-from placegraph.io.mesh.glb import read_glb
+from placegraph.io.mesh.gltf import read_glb
 from placegraph.maps import open_map
 from placegraph_lab.worlds.flat.flat import Flat
 

@@ -19,7 +19,7 @@ from placegraph.indoor.encode.labels import LabelsEncoder
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture
-from placegraph.io.mesh.ply_write import write_ply
+from placegraph.io.mesh.ply import write_ply
 from placegraph_lab.tables.indoor.bench import Bench
 from placegraph_lab.tables.indoor.jobs import answered
 from placegraph_lab.tables.indoor.label_noise import NoisyEncoder, NoisyLabels

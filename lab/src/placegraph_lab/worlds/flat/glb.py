@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from placegraph.io.mesh.glb_write import Material, Part, Surface, encode_glb
+from placegraph.io.mesh.gltf_write import Material, Part, Surface, encode_glb
 from placegraph_lab.worlds.flat.interior import Interior
 
 QUALITY = 90

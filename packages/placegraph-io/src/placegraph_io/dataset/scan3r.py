@@ -18,10 +18,9 @@ from numpy.typing import NDArray
 
 from placegraph.errors import InputError, OptionError
 from placegraph.io.mesh.model import Model
-from placegraph.io.mesh.nearest import nearest
+from placegraph.io.mesh.nearest_kernels import nearest
 from placegraph.io.mesh.obj import read_obj
-from placegraph.io.mesh.ply import majority, read_ply, things_of_ids, whole
-from placegraph.io.mesh.ply_file import read_columns
+from placegraph.io.mesh.ply import majority, read_columns, read_ply, things_of_ids, whole
 from placegraph_io.dataset.scan3r_files import (
     GROUPS,
     LABELLED,

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from placegraph.errors import InputError
 from placegraph.io.capture.camera import read_json
 from placegraph.io.mesh.model import Model, Thing
-from placegraph.io.mesh.ply import UNKNOWN, majority, read_ply
-from placegraph.io.mesh.ply_file import read_columns
+from placegraph.io.mesh.ply import UNKNOWN, majority, read_columns, read_ply
 from placegraph_io.dataset.scannet_files import (
     TABLES,
     Group,

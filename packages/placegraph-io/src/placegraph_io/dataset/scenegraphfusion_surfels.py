@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from placegraph.errors import InputError
 from placegraph.io.mesh.model import Model, Picture
-from placegraph.io.mesh.nearest import nearest
-from placegraph.io.mesh.ply import majority, read_ply, whole
-from placegraph.io.mesh.ply_file import read_columns
+from placegraph.io.mesh.nearest_kernels import nearest
+from placegraph.io.mesh.ply import majority, read_columns, read_ply, whole
 
 Rows = NDArray[np.int64]
 Floats = NDArray[np.float64]

@@ -23,7 +23,7 @@ from placegraph.indoor.mapping.change.register import (
     touching,
 )
 from placegraph.indoor.rays import RayCaster
-from placegraph.io.mesh.nearest import nearest
+from placegraph.io.mesh.nearest_kernels import nearest
 
 _DENSITY = 400.0  # most points a square metre of an object
 _AROUND = 0.75

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from placegraph.core.geometry import Floats, rotation_from_vector, rotation_z
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.rays import RayCaster
-from placegraph.io.mesh.nearest import nearest
+from placegraph.io.mesh.nearest_kernels import nearest
 
 _ROUNDS = 30
 _STILL = 1e-5

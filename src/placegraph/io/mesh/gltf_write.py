@@ -1,6 +1,6 @@
 """Writer of glTF 2.0 binary files (.glb): one node a part, one primitive a material.
 
-The counterpart of `placegraph.io.mesh.glb`: what is written here is read there. glTF is y-up:
+The counterpart of `placegraph.io.mesh.gltf`: what is written here is read there. glTF is y-up:
 x, y, z of the map become x, z, -y.
 """
 
