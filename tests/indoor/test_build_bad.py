@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-import placegraph.indoor.mapping.simplify.simplify
+import placegraph.indoor.mapping.simplify
 from placegraph.errors import InputError, MapError, OptionError, PlacegraphError
 from placegraph.indoor.build import build_scene, scene_of_model
 from placegraph.indoor.map.relations import MOST_OBJECTS
@@ -198,7 +198,7 @@ def test_vast_objects_are_simplified_in_tiles(boxes, monkeypatch):
         uv=np.zeros((len(points), 2)), picture_of=np.zeros(len(triangles), int),
     )  # fmt: skip
     whole = scene_of_model(one)
-    monkeypatch.setattr(placegraph.indoor.mapping.simplify.simplify, "TILE", 400)
+    monkeypatch.setattr(placegraph.indoor.mapping.simplify, "TILE", 400)
     tiled = scene_of_model(one)
     assert len(tiled.mesh) == pytest.approx(len(whole.mesh), rel=0.2)
     np.testing.assert_allclose(tiled.bounds, whole.bounds, atol=1e-3)

@@ -20,9 +20,8 @@ from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.relations import MOST_OBJECTS, SAME_ROOM, relate
 from placegraph.indoor.map.rooms import with_rooms
 from placegraph.indoor.map.scene_file import near_box
-from placegraph.indoor.mapping.clean import check, cleaned, in_metres, upright
+from placegraph.indoor.mapping.clean import check, cleaned, in_metres, reduced, upright
 from placegraph.indoor.mapping.from_capture import FromCapture, Progress, Source
-from placegraph.indoor.mapping.reduce import reduced
 from placegraph.indoor.mapping.sources import Reading, Up, read_source
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.mesh.model import Model, Thing

@@ -23,8 +23,7 @@ if TYPE_CHECKING:
     from placegraph.indoor.encode import Encoder, MapEncoder
     from placegraph.indoor.language import Sentence
     from placegraph.indoor.likelihood.visibility import VisibilityTable
-    from placegraph.indoor.mapping.change.changes import SceneDiff
-    from placegraph.indoor.mapping.change.options import DiffOptions
+    from placegraph.indoor.mapping.change.changes import DiffOptions, SceneDiff
     from placegraph.indoor.mapping.check import Finding
     from placegraph.indoor.options import FilterOptions
     from placegraph.indoor.pose.prior import Prior
@@ -206,13 +205,13 @@ class SceneMap(Shown, Scene):
 
         Parameters, result and errors: `placegraph.indoor.mapping.change.diff.diff`, and of a
         capture, whose poses (T, 4, 4) are what `localize` said of it,
-        `placegraph.indoor.mapping.change.capture.diff.diff_capture`.
+        `placegraph.indoor.mapping.change.diff_capture.diff_capture`.
         """
         if isinstance(later, Scene):
             from placegraph.indoor.mapping.change.diff import diff
 
             return diff(self, later, options=options)
-        from placegraph.indoor.mapping.change.capture.diff import diff_capture
+        from placegraph.indoor.mapping.change.diff_capture import diff_capture
 
         if poses is None:
             raise OptionError("poses: a capture needs them; give what scene.localize said of it.")

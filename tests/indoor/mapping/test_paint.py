@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from placegraph.indoor.map.mesh import Mesh
-from placegraph.indoor.mapping.paint import painted
+from placegraph.indoor.mapping.export import painted
 from placegraph.indoor.scene_map import SceneMap
 
 

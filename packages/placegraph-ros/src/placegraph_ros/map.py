@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from placegraph.indoor.map.scene import Scene
-from placegraph.indoor.mapping.export import glb_of
-from placegraph.indoor.mapping.paint import painted
+from placegraph.indoor.mapping.export import glb_of, painted
 from placegraph_ros.message import Fields, FrameIds, Message, colour, header, points, time, xyz
 from placegraph_ros.objects import CUBE, MARKERS, TRIANGLES, extent, label, over
 from placegraph_ros.pose import scale

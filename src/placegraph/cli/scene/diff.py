@@ -26,8 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from placegraph.core.geometry import Floats
-    from placegraph.indoor.mapping.change.changes import SceneDiff
-    from placegraph.indoor.mapping.change.options import DiffOptions
+    from placegraph.indoor.mapping.change.changes import DiffOptions, SceneDiff
     from placegraph.indoor.scene_map import SceneMap
 
 MOST_IDS = 8
@@ -176,7 +175,7 @@ def compared(
 ) -> SceneDiff:
     """Diff of a map and a later look, which is a map file or a capture; raises as these do."""
     from placegraph.indoor.mapping.change.diff import diff as diff_of
-    from placegraph.indoor.mapping.change.diff import diff_capture
+    from placegraph.indoor.mapping.change.diff_capture import diff_capture
     from placegraph.maps import open_scene
 
     if later.suffix.lower() == MAP_ENDING:
@@ -217,7 +216,7 @@ def show(found: SceneDiff) -> None:
 def _options(
     axes: str | None, least_shift: float, *, depth: bool, colour: bool, seed: int
 ) -> DiffOptions:
-    from placegraph.indoor.mapping.change.options import DiffOptions
+    from placegraph.indoor.mapping.change.changes import DiffOptions
 
     return DiffOptions(
         b_from_a=_motion(axes), least_shift=least_shift, depth=depth, colour=colour, seed=seed
@@ -231,7 +230,7 @@ def _motion(axes: str | None) -> Floats | None:
     import numpy as np
 
     from placegraph.core.geometry import rotation_z
-    from placegraph.indoor.mapping.change.register import rigid
+    from placegraph.indoor.mapping.change.align import rigid
 
     mend = "give x, y, z in metres and yaw in degrees, as 1.5,2,0,90."
     numbers = numbers_of(axes, "--b-from-a", {4}, mend)

@@ -1,4 +1,4 @@
-"""A scene map as a file for other programs: GLB, PLY, or Spark-DSG's JSON."""
+"""A scene map as a file for other programs: GLB, PLY, OSM, or Spark-DSG's JSON."""
 
 from __future__ import annotations
 
@@ -6,26 +6,128 @@ import io
 import json
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from placegraph.core.files import write_file
 from placegraph.errors import OptionError
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.map.textures import linear_from_srgb
-from placegraph.indoor.mapping.camera_paths import Paths, checked, path_lines
-from placegraph.indoor.mapping.osm.export import shapes_of
-from placegraph.indoor.mapping.paint import painted
+from placegraph.indoor.mapping.osm_export import shapes_of
 from placegraph.io.mesh.gltf import OWN
 from placegraph.io.mesh.gltf_write import Material, Part, Surface, encode_glb
+from placegraph.io.mesh.model import Model, Picture, Thing
 from placegraph.io.mesh.ply import write_ply
 from placegraph.io.osm.indoor_osm_write import OSMAG_ENDINGS, encode_rooms
 from placegraph_io.graphs.spark_dsg_write import MOST_PATHS, encode_spark_dsg
+
+Paths = Mapping[str, ArrayLike]
+
+
+EYE = 0.12
+"""Length of the pyramid that shows a camera in a .glb [m]."""
+MOST_EYES = 60
+"""Pyramids along one path."""
+
+
+def path_lines(poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(L, 2, 3) segments [m] of a camera's way (T, 4, 4), with pyramids that look where it does."""
+    at = poses[:, :3, 3]
+    way = np.stack([at[:-1], at[1:]], axis=1)
+    corners = EYE * np.array([(-0.5, -0.4, 1), (0.5, -0.4, 1), (0.5, 0.4, 1), (-0.5, 0.4, 1)])
+    some = np.linspace(0, len(poses) - 1, min(len(poses), MOST_EYES)).round().astype(np.int64)
+    eyes = np.einsum("tij,cj->tci", poses[some, :3, :3], corners) + at[some, None]
+    rims = np.stack([eyes, np.roll(eyes, -1, axis=1)], axis=2)
+    rays = np.stack([np.broadcast_to(at[some, None], eyes.shape), eyes], axis=2)
+    return np.concatenate([way, rims.reshape(-1, 2, 3), rays.reshape(-1, 2, 3)])
+
+
+def checked(paths: Paths) -> dict[str, NDArray[np.float64]]:
+    """Ways (T, 4, 4) by name; raises `OptionError` where they are none."""
+    checked = {}
+    for name, values in paths.items():
+        poses = np.asarray(values, np.float64)
+        if poses.ndim != 3 or poses.shape[1:] != (4, 4) or not len(poses):
+            raise OptionError(
+                f"camera_paths: {name!r} has shape {poses.shape}; poses (T, 4, 4) belong."
+            )
+        if not np.isfinite(poses).all():
+            raise OptionError(f"camera_paths: {name!r} holds a pose that is not finite.")
+        checked[str(name)] = poses
+    return checked
+
+
+_SAMPLES = np.array(
+    [(0.90, 0.05), (0.70, 0.25), (0.70, 0.05), (0.50, 0.40), (0.50, 0.10), (0.40, 0.30)]
+)
+"""Shares of a corner and of the next one at points of the corner's part of a triangle."""
+
+
+def painted(scene: Scene) -> Model:
+    """The map as a model without textures, whose vertices belong to one object each.
+
+    A vertex has the mean colour of the texture around it, times its own colour: a wall of two
+    triangles becomes even, a finely cut or scanned surface looks as before.
+    """
+    mesh, graph = scene.mesh, scene.graph
+    # where textures or objects meet, each has its own vertex
+    codes = (mesh.object_of.astype(np.int64) * len(mesh.textures) + mesh.texture_of)[:, None]
+    keys = codes * len(mesh.vertices) + mesh.triangles
+    _, first, corner = np.unique(keys, return_index=True, return_inverse=True)
+    row = mesh.triangles.ravel()[first]
+    triangles = corner.reshape(-1, 3).astype(np.int64)
+    return Model(
+        path=Path(scene.source or "scene"),
+        things=tuple(
+            Thing(id_, label, name, dict(attributes))
+            for id_, label, name, attributes in zip(
+                graph.ids, graph.labels, graph.names, scene.attributes, strict=True
+            )
+        ),
+        vertices=mesh.vertices[row].astype(np.float64),
+        triangles=triangles,
+        thing_of=mesh.object_of.astype(np.int64),
+        colours=_tinted(mesh, triangles, mesh.colours[row]),
+        uv=np.zeros((len(row), 2)),
+        picture_of=np.zeros(len(triangles), np.int64),
+        pictures=(Picture(None),),
+        relations=tuple(
+            (int(s), relation, int(t))
+            for s, relation, t in zip(graph.sources, graph.relations, graph.targets, strict=True)
+        ),
+        floor=float(scene.floors[0]) if len(scene.floors) == 1 else None,
+    )
+
+
+def _tinted(
+    mesh: Mesh, triangles: NDArray[np.int64], colours: NDArray[np.uint8]
+) -> NDArray[np.uint8]:
+    """Colours (W, 3) of the vertices that triangles (T, 3) name, times the texture around them."""
+    white = replace(mesh, colours=np.full_like(mesh.colours, 255))
+    count = len(triangles)
+    areas = np.maximum(np.linalg.norm(mesh.normals(), axis=1), 1e-12)
+    sums, weights = np.zeros((len(colours), 3)), np.zeros(len(colours))
+    rows = np.repeat(np.arange(count, dtype=np.int32), len(_SAMPLES))
+    for k in range(3):
+        shares = np.zeros((len(_SAMPLES), 3))
+        shares[:, k], shares[:, (k + 1) % 3] = _SAMPLES.T
+        shares[:, (k + 2) % 3] = 1.0 - _SAMPLES.sum(axis=1)
+        u, v = np.tile(shares[:, 1:], (count, 1)).astype(np.float32).T
+        texels = white.colour_at(rows, u, v).reshape(count, -1, 3).mean(axis=1)
+        for channel in range(3):
+            sums[:, channel] += np.bincount(
+                triangles[:, k], areas * texels[:, channel], len(colours)
+            )
+        weights += np.bincount(triangles[:, k], areas, len(colours))
+    tint = sums / weights[:, None]
+    return np.rint(colours * tint / 255.0).astype(np.uint8)
+
 
 ENDINGS = (".glb", ".ply", ".json", ".osm", *OSMAG_ENDINGS)
 MARK = "placegraph scene export"

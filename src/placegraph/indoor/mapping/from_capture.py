@@ -23,7 +23,7 @@ from placegraph.io.capture.capture import Capture, format_of
 from placegraph.io.mesh.model import Model, Picture, Thing
 
 if TYPE_CHECKING:
-    from placegraph.indoor.mapping.atlas import ColourOf
+    from placegraph.indoor.mapping.atlas.bake import ColourOf
     from placegraph.indoor.mapping.fuse import Fused
     from placegraph.indoor.mapping.segment import Segments
 
@@ -86,7 +86,7 @@ def captured(
     `reader`: options of the recorder's own reader, such as `scale` and `up` of COLMAP. Raises
     `InputError` where the capture has no depth.
     """
-    from placegraph.indoor.mapping.atlas import frame_colours
+    from placegraph.indoor.mapping.atlas.colours import frame_colours
     from placegraph.indoor.mapping.landmarks import landmarks_of
     from placegraph.indoor.mapping.segment import segment
 

@@ -22,7 +22,7 @@ from placegraph.indoor.mapping.from_capture import (
     captured,
     things_of,
 )
-from placegraph.indoor.mapping.osm import rooms_source
+from placegraph.indoor.mapping.osm_rooms import rooms_source
 from placegraph.io.capture.capture import FORMATS, is_capture
 from placegraph.io.capture.labels import Entry, label_table
 from placegraph.io.mesh.model import Model, Thing

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.indoor.mapping.camera_paths import path_lines
-from placegraph.indoor.mapping.export import materials, object_surfaces
+from placegraph.indoor.mapping.export import materials, object_surfaces, path_lines
 from placegraph.io.mesh.gltf_write import Material, Part, Surface, encode_glb
 from placegraph.view.scene.room_style import ROOM_PAINTS, room_paint
 

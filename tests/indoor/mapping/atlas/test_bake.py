@@ -7,7 +7,7 @@ from placegraph.core.geometry import Camera
 from placegraph.core.threads import limited
 from placegraph.errors import OptionError
 from placegraph.indoor.map.mesh import Mesh
-from placegraph.indoor.mapping.atlas import bake
+from placegraph.indoor.mapping.atlas.bake import bake
 from placegraph.indoor.scene_map import SceneMap
 
 CAMERA = Camera(160, 120, 120.0, 120.0, 80.0, 60.0)

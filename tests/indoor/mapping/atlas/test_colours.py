@@ -7,8 +7,7 @@ import pytest
 from placegraph.core.geometry import Camera
 from placegraph.errors import OptionError
 from placegraph.indoor.map.mesh import Mesh
-from placegraph.indoor.mapping.atlas import frame_colours
-from placegraph.indoor.mapping.atlas.views import keyframes, sharpness
+from placegraph.indoor.mapping.atlas.colours import frame_colours, keyframes, sharpness
 from placegraph.indoor.rays import RayCaster
 from placegraph.io.capture.frame import Frame
 

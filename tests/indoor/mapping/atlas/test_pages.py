@@ -2,7 +2,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph.indoor.mapping.atlas.pages import filled, pack
+from placegraph.indoor.mapping.atlas.bake import filled, pack
 
 
 @given(st.lists(st.tuples(st.integers(1, 128), st.integers(1, 128)), min_size=1, max_size=60))

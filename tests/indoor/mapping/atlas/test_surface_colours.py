@@ -3,7 +3,8 @@ import pytest
 
 from placegraph.errors import OptionError
 from placegraph.indoor.map.mesh import Mesh
-from placegraph.indoor.mapping.atlas import bake, mesh_colours, surface_colours
+from placegraph.indoor.mapping.atlas.bake import bake
+from placegraph.indoor.mapping.atlas.colours import mesh_colours, surface_colours
 
 UP, DOWN = np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 0.0, -1.0]])
 NONE = np.zeros(1, np.int64)

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.errors import OptionError
-from placegraph.indoor.mapping.change.capture.appeared import clumps
+from placegraph.indoor.mapping.change.moves import clumps
 
 CELLS = st.lists(st.tuples(*[st.integers(-4, 4)] * 3), max_size=40)
 

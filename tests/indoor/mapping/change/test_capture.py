@@ -10,8 +10,9 @@ from placegraph.core.estimate import PoseEstimate, Status
 from placegraph.core.geometry import Camera, level_from_camera, pose_matrix, rotation_z
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.build import build_scene
-from placegraph.indoor.mapping.change.diff import DiffOptions, diff_capture
-from placegraph.indoor.mapping.change.register import moved
+from placegraph.indoor.mapping.change.align import moved
+from placegraph.indoor.mapping.change.changes import DiffOptions
+from placegraph.indoor.mapping.change.diff_capture import diff_capture
 from placegraph.io.capture.capture import Capture, open_capture
 from placegraph_lab.worlds.flat.walks import Walk, write_walk
 

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from placegraph.core.geometry import rotation_z
 from placegraph.errors import InputError, OptionError
+from placegraph.indoor.mapping.change.align import rigid
 from placegraph.indoor.mapping.change.changes import Change, Piece, SceneDiff, read_diff
-from placegraph.indoor.mapping.change.register import rigid
 
 
 @pytest.fixture

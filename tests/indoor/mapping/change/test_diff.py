@@ -10,8 +10,9 @@ from placegraph.core.geometry import rotation_z
 from placegraph.errors import OptionError
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.map.structure import structure
-from placegraph.indoor.mapping.change.diff import DiffOptions, diff
-from placegraph.indoor.mapping.change.register import moved, rigid
+from placegraph.indoor.mapping.change.align import moved, rigid
+from placegraph.indoor.mapping.change.changes import DiffOptions
+from placegraph.indoor.mapping.change.diff import diff
 from placegraph.indoor.mapping.change.update import update
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.worlds.flat.flat import Flat

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from placegraph.core.geometry import rotation_from_vector, rotation_z
 from placegraph.indoor.map.mesh import Mesh
-from placegraph.indoor.mapping.change.register import (
+from placegraph.indoor.mapping.change.align import (
     about,
     inverse,
     moved,

@@ -10,9 +10,9 @@ from placegraph.core.geometry import rotation_z
 from placegraph.errors import MapError, OptionError
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.map.structure import structure
+from placegraph.indoor.mapping.change.align import moved, rigid
 from placegraph.indoor.mapping.change.changes import Change, Piece, SceneDiff
 from placegraph.indoor.mapping.change.diff import diff
-from placegraph.indoor.mapping.change.register import moved, rigid
 from placegraph.indoor.mapping.change.update import update, update_file
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.worlds.flat.flat import Flat

@@ -4,8 +4,8 @@ from collections import Counter
 
 import numpy as np
 
-from placegraph.indoor.mapping.fuse.surface import loop_tables, without_specks
-from placegraph.indoor.mapping.fuse.surface_kernels import low_corner
+from placegraph.indoor.mapping.fuse import loop_tables, without_specks
+from placegraph.indoor.mapping.fuse_kernels import low_corner
 
 
 def crossed(case):

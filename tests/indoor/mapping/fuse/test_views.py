@@ -6,8 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.core.geometry import Camera
-from placegraph.indoor.mapping.fuse import fuse
-from placegraph.indoor.mapping.fuse.views import good_poses, undistorted, view_of
+from placegraph.indoor.mapping.fuse import fuse, good_poses, undistorted, view_of
 from placegraph.io.capture.frame import Frame
 
 WIDE = (-0.28, 0.09, 0.0, 0.0, -0.015)

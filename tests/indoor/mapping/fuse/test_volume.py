@@ -5,8 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from placegraph.indoor.mapping.fuse import volume_kernels as kernels
-from placegraph.indoor.mapping.fuse.depth_kernels import facets_of
+from placegraph.indoor.mapping import fuse_kernels as kernels
+from placegraph.indoor.mapping.fuse_kernels import facets_of
 
 EYE = np.array([90.0, 90.0, 60.0, 45.0])
 

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from placegraph.errors import OptionError
 from placegraph.indoor.map.mesh import Mesh
-from placegraph.indoor.mapping.simplify.simplify import simplify
+from placegraph.indoor.mapping.simplify import simplify
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]

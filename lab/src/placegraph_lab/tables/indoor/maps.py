@@ -12,7 +12,7 @@ import numpy as np
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.mapping.fuse import fuse
-from placegraph.indoor.mapping.simplify.simplify import simplify
+from placegraph.indoor.mapping.simplify import simplify
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import open_capture
 from placegraph.io.mesh.ply import write_ply

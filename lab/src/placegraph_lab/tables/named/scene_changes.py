@@ -22,10 +22,10 @@ import numpy as np
 from placegraph.core.estimate import Status
 from placegraph.core.geometry import Floats
 from placegraph.indoor.build import build_scene
-from placegraph.indoor.mapping.change.capture.looks import look
-from placegraph.indoor.mapping.change.changes import Change
-from placegraph.indoor.mapping.change.diff import DiffOptions, diff_capture
-from placegraph.indoor.mapping.change.register import moved
+from placegraph.indoor.mapping.change.align import moved
+from placegraph.indoor.mapping.change.changes import Change, DiffOptions
+from placegraph.indoor.mapping.change.diff_capture import diff_capture
+from placegraph.indoor.mapping.change.observe import look
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture, open_capture
 from placegraph.io.capture.tum import read_tum

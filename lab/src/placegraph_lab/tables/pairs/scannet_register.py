@@ -12,7 +12,7 @@ import numpy as np
 from numpy.random import Generator
 
 from placegraph.core.geometry import Floats
-from placegraph.indoor.mapping.change.register import Registration, about, register, sample
+from placegraph.indoor.mapping.change.align import Registration, about, register, sample
 from placegraph.indoor.scene_map import SceneMap
 
 WITHIN = 0.05

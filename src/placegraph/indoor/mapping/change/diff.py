@@ -1,37 +1,257 @@
-"""What changed between two scene maps of one place, and between a map and a capture in it.
-
-Maps are laid on each other first (`diff_align`). What has kept its surface stayed; the rest is
-matched one to one, by id where ids mean the same in both, else by label, shape, colour and nearness,
-and fitted (ICP): what fits elsewhere moved, what fits nowhere appeared, or vanished - if the other
-map covers the place at all.
-"""
+"""Objects of two maps beside each other: points on them, what lies on what, motions between them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+from numpy.random import Generator
 
-from placegraph.core.geometry import Floats
+from placegraph.core.geometry import Floats, vector_from_rotation
 from placegraph.indoor.map.scene import Scene
-from placegraph.indoor.map.structure import same_label
-from placegraph.indoor.mapping.change.align import align
-from placegraph.indoor.mapping.change.capture.diff import diff_capture
-from placegraph.indoor.mapping.change.changes import Change, Piece, SceneDiff
-from placegraph.indoor.mapping.change.objects import (
-    Body,
-    Cover,
-    Motion,
-    bodies,
-    by_id,
-    motion_between,
-    still_there,
+from placegraph.indoor.map.structure import nameless, same_label, structure
+from placegraph.indoor.mapping.change.align import (
+    Sampled,
+    about,
+    align,
+    inverse,
+    moved,
+    register,
+    sample,
+    touching,
 )
-from placegraph.indoor.mapping.change.options import DiffOptions
-from placegraph.indoor.mapping.change.register import inverse, moved
+from placegraph.indoor.mapping.change.changes import Change, DiffOptions, Piece, SceneDiff
+from placegraph.indoor.rays import RayCaster
+from placegraph.io.mesh.nearest_kernels import nearest
 
-__all__ = ["DiffOptions", "diff", "diff_capture"]
+_DENSITY = 400.0  # most points a square metre of an object
+_AROUND = 0.75
+"""What is around an object: surfaces of others this near to its box [m]."""
+_LEAST_AROUND = 20  # points that tell whether a place is covered
+_YAWS = 12
+_SIZES = 1.5
+"""By how much two objects' sizes may differ and still be one, seen in part."""
+_AGREE = 0.8
+"""Of what has one id in both maps, the share that has to be vouched for."""
+_LIES_ON = 0.3
+"""Share of an object's points that lie on another: without a label, that vouches for its id."""
+_BESIDE = 0.1
+"""What is in the other map under the same id, this near [m], is there still."""
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """One object of a map, in the axes of the first."""
+
+    row: int
+    id: str
+    name: str
+    label: str
+    built_in: bool
+    surface: Sampled
+    box: Floats
+    """(2, 3) [m]"""
+    corners: Floats
+    """(3 T, 3) of its triangles [m]."""
+
+    @property
+    def middle(self) -> Floats:
+        """(3,) of its box [m]."""
+        return np.asarray(self.box.mean(axis=0))
+
+    @cached_property
+    def sizes(self) -> Floats:
+        """(3,) how far its points spread in the plane, the wider first, and its height [m]."""
+        flat = self.surface.points[:, :2]
+        spread = np.linalg.eigvalsh(np.cov(flat.T)) if len(flat) > 1 else np.zeros(2)
+        widths = np.sqrt(np.maximum(spread[::-1], 0.0))
+        return np.array([*widths, 0.5 * np.ptp(self.box[:, 2])])
+
+    @cached_property
+    def caster(self) -> RayCaster:
+        """Casts rays at its triangles."""
+        from placegraph.indoor.rays import RayCaster
+
+        return RayCaster(self.corners, np.arange(len(self.corners)).reshape(-1, 3))
+
+    @cached_property
+    def colour(self) -> Floats:
+        """(3,) mean sRGB, 0 to 1."""
+        return np.asarray(self.surface.colours.mean(axis=0) / 255.0)
+
+    def may_be(self, other: Body) -> bool:
+        """Whether label and size let it be the same object."""
+        if other.built_in or not same_label(self.label, other.label):
+            return False
+        ratio = (self.sizes + 0.03) / (other.sizes + 0.03)
+        return bool(np.all((ratio < _SIZES) & (ratio > 1.0 / _SIZES)))
+
+
+def bodies(scene: Scene, motion: Floats, options: DiffOptions, rng: Generator) -> list[Body]:
+    """Objects of a map after a motion."""
+    mesh, graph, built_in = scene.mesh, scene.graph, structure(scene.graph.labels)
+    order = np.argsort(mesh.object_of, kind="stable")
+    starts = np.searchsorted(mesh.object_of[order], np.arange(len(scene) + 1))
+    found = []
+    for row in range(len(scene)):
+        triangles = order[starts[row] : starts[row + 1]]
+        count = options.points * (10 if built_in[row] else 1)
+        surface = sample(mesh, triangles, count, rng, _DENSITY).moved(motion)
+        flat = mesh.vertices[mesh.triangles[triangles]].reshape(-1, 3).astype(np.float64)
+        corners = moved(motion, flat)
+        found.append(
+            Body(
+                row=row,
+                id=graph.ids[row],
+                name=graph.names[row],
+                label=graph.labels[row],
+                built_in=bool(built_in[row]),
+                surface=surface,
+                box=np.stack([corners.min(axis=0), corners.max(axis=0)]),
+                corners=corners,
+            )
+        )
+    return found
+
+
+class Cover:
+    """Which points of some bodies lie on the surfaces of another map.
+
+    `motion` leads from the bodies' axes to that map's.
+    """
+
+    def __init__(
+        self, some: Sequence[Body], other: Scene, motion: Floats, options: DiffOptions
+    ) -> None:
+        self._built_in = [body.built_in for body in some]
+        self._boxes = np.stack([body.box for body in some])
+        self._points = np.concatenate([body.surface.points for body in some])
+        self._owner = np.repeat(np.arange(len(some)), [len(body.surface) for body in some])
+        normals = np.concatenate([body.surface.normals for body in some]) @ motion[:3, :3].T
+        rows = touching(moved(motion, self._points), normals, other.caster, options.within)
+        self._on = (rows[0] >= 0) | (rows[1] >= 0)
+        table = np.zeros((len(some), len(other)))
+        first, second = (np.where(r >= 0, other.mesh.object_of[np.maximum(r, 0)], -1) for r in rows)
+        for hit, twice in ((first, False), (second, True)):
+            new = (hit >= 0) & ((hit != first) if twice else True)
+            np.add.at(table, (self._owner[new], hit[new]), 1.0)
+        counts = np.maximum(np.bincount(self._owner, minlength=len(some)), 1)
+        self.share_on: Floats = table / counts[:, None]
+        """(N, M) share of each body's points that lie on each object of the other map."""
+
+    def around(self, row: int, lost: Sequence[int]) -> float:
+        """Share of what is around a body, of its own map, that the other map has too.
+
+        Other bodies that are `lost` say nothing, as long as there is anything else: furniture, that
+        is; the floor it stood on speaks where it is lost, too.
+        """
+        low, high = self._boxes[row]
+        others = self._owner != row
+        gone = [i for i in lost if not self._built_in[i]]
+        staying = others & ~np.isin(self._owner, gone)
+        for margin, near in ((_AROUND, staying), (2 * _AROUND, staying), (2 * _AROUND, others)):
+            inside = np.all((self._points > low - margin) & (self._points < high + margin), axis=1)
+            if np.count_nonzero(near & inside) >= _LEAST_AROUND:
+                return float(self._on[near & inside].mean())
+        return 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """A rigid motion from one body to another."""
+
+    after_from_before: Floats
+    """(4, 4)"""
+    fit: float
+    """Share of the points of both that lie on each other after it."""
+    colour: float
+    """From 1, of one colour, to 0, as different as can be."""
+
+    @property
+    def turn_deg(self) -> float:
+        """By how much it turns [deg]."""
+        vector = vector_from_rotation(self.after_from_before[:3, :3])
+        return float(np.degrees(np.linalg.norm(vector)))
+
+
+def motion_between(ours: Body, theirs: Body, options: DiffOptions, *, near: bool = False) -> Motion:
+    """The upright motion that lays one body on another best; of turns as good the smallest.
+
+    `near`: begin where the body is, and nowhere else.
+    """
+    yaws = np.zeros(1) if near else np.arange(_YAWS) * 2.0 * np.pi / _YAWS
+    start = ours.middle if near else theirs.middle
+    reach = max(0.15, 0.3 * float(np.ptp(ours.box, axis=0).max()))
+    best: tuple[float, Floats] | None = None
+    for yaw in sorted(yaws, key=lambda y: min(y, 2 * np.pi - y)):
+        guess = about(ours.middle, float(yaw), start)
+        there = register(
+            ours.surface.points, theirs.surface, guess, reach=reach, within=options.within
+        )
+        both = 0.5 * (
+            _lie_on(ours.surface, theirs, there.motion, options.within)
+            + _lie_on(theirs.surface, ours, inverse(there.motion), options.within)
+        )
+        if best is None or both > best[0] + 0.03:
+            best = both, there.motion
+    if best is None:
+        return Motion(np.eye(4), 0.0, 0.0)
+    colour = 1.0 - float(np.abs(ours.colour - theirs.colour).max())
+    return Motion(best[1], best[0], colour)
+
+
+def _lie_on(ours: Sampled, theirs: Body, motion: Floats, within: float) -> float:
+    """Share of points that lie on a body after a motion."""
+    there = ours.moved(motion)
+    one, other = touching(there.points, there.normals, theirs.caster, within)
+    return float(((one >= 0) | (other >= 0)).mean()) if len(ours) else 0.0
+
+
+def by_id(
+    ours: Sequence[Body], theirs: Sequence[Body], on_theirs: Floats, on_ours: Floats
+) -> dict[int, int]:
+    """Rows of the other map's objects by ours that have their ids; empty where ids say nothing.
+
+    They do where most are shared, with labels that agree. Numbers agree by chance: what has a
+    label is to be of one size as well, and what has none is to lie where its counterpart does.
+
+    Parameters
+    ----------
+    ours, theirs
+        N and M objects.
+    on_theirs, on_ours
+        (N, M) and (M, N) shares of their points that lie on each other.
+
+    """
+    row_of = {body.id: j for j, body in enumerate(theirs)}
+    shared = {i: row_of[body.id] for i, body in enumerate(ours) if body.id in row_of}
+    agree = {i: j for i, j in shared.items() if same_label(ours[i].label, theirs[j].label)}
+    if not agree or len(agree) < 0.5 * min(len(ours), len(theirs)):
+        return {}
+    vouched = []
+    for i, j in agree.items():
+        a, b = ours[i], theirs[j]
+        named = not (nameless(a.label) or nameless(b.label))
+        vouched.append(
+            (named and (a.built_in or a.may_be(b)))
+            or max(on_theirs[i, j], on_ours[j, i]) >= _LIES_ON
+        )
+    if np.mean(vouched) < _AGREE:
+        return {}
+    # a wall that was found and numbered is no sofa
+    return {i: j for i, j in shared.items() if i in agree or ours[i].built_in == theirs[j].built_in}
+
+
+def still_there(ours: Body, theirs: Body) -> bool:
+    """Whether half of one lies within centimetres of the other, of whichever more does."""
+    one, other = ours.surface.points, theirs.surface.points
+    if not (len(one) and len(other)):
+        return False
+    near = (nearest(one, other, _BESIDE) >= 0).mean(), (nearest(other, one, _BESIDE) >= 0).mean()
+    return bool(max(near) >= 0.5)
+
 
 STAYED = 0.6
 """Share of an object's points that lie on one object of the other map: that is it, and it stayed."""

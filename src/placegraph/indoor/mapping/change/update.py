@@ -1,18 +1,274 @@
-"""A map brought up to date: what a diff found is taken over into a new map."""
+"""Columns of a map while changes are taken over: meshes move along, rooms and relations are found anew."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Collection
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
+from typing import Any, Generic
+
+import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.core.files import write_file
+from placegraph.core.geometry import Floats
 from placegraph.errors import InputError, OptionError
-from placegraph.indoor.map.scene import S, Scene
+from placegraph.indoor.map import textures
+from placegraph.indoor.map.mesh import WHITE, Mesh
+from placegraph.indoor.map.mesh_order import ordered
+from placegraph.indoor.map.relations import ATTACHED_TO, SAME_ROOM, STANDING_ON, relate
+from placegraph.indoor.map.relations.words import BIGGER, PART, canonical
+from placegraph.indoor.map.rooms import rooms_of, with_rooms
+from placegraph.indoor.map.rooms.naming import most
+from placegraph.indoor.map.scene import S, Scene, graph_of
 from placegraph.indoor.map.scene_file import open_scene, save_scene
-from placegraph.indoor.mapping.change.changes import KINDS, Change, SceneDiff
-from placegraph.indoor.mapping.change.edit import Edit
+from placegraph.indoor.map.structure import structure
+from placegraph.indoor.mapping.change.align import moved
+from placegraph.indoor.mapping.change.changes import KINDS, Change, Piece, SceneDiff
+
+_COMPARED = frozenset({
+    "messier", "cleaner", "fuller", "emptier", "brighter", "darker", "more", "less", "older",
+    "newer", "heavier", "lighter", "softer", "harder",
+})  # fmt: skip
+"""First words of what 3DSSG compares, but for where things are: "higher than" is left out."""
+
+
+class Edit(Generic[S]):
+    """Columns of a map, while it changes."""
+
+    def __init__(self, scene: S) -> None:
+        self._before = scene
+        graph, count = scene.graph, len(scene)
+        self._ids, self._labels = list(graph.ids), list(graph.labels)
+        self._names = list(graph.names)
+        self._attributes = [dict(a) for a in scene.attributes]
+        self._kept = np.ones(count, np.bool_)
+        self._stirred: set[int] = set()
+        self._motions: dict[int, NDArray[np.float64]] = {}
+        self._pieces: list[tuple[int, Piece]] = []
+
+    def take(self, change: Change, row: int, when: str) -> None:
+        """Take one change over; `row`: of its object, -1 of what appeared."""
+        said = f"{when}: " if when else ""
+        if change.kind == "moved" and change.after_from_before is not None:
+            self._motions[row] = change.after_from_before
+            self._tell(
+                row, f"{said}moved by {change.shift_m:.2f} m and {change.turn_deg:.0f} degrees"
+            )
+        elif change.kind == "vanished":
+            self._kept[row] = False
+            thing = change.name or change.id
+            for base in self._bases(row):
+                self._tell(base, f"{said}{change.label} {thing!r} vanished from it")
+        elif change.kind == "appeared" and change.piece is not None:
+            row = len(self._ids)
+            self._ids.append(self._free_id(change.other))
+            self._labels.append(change.label)
+            self._names.append(change.name)
+            self._attributes.append({})
+            self._pieces.append((row, change.piece))
+            self._tell(row, f"{said}appeared")
+        if change.new_label and row >= 0 and change.kind in {"moved", "relabelled"}:
+            self._tell(row, f"{said}was labelled {self._labels[row]!r}")
+            self._labels[row] = change.new_label
+        self._stirred.add(row)
+
+    def scene(self) -> S:
+        """The new map."""
+        kept = np.concatenate([self._kept, np.ones(len(self._pieces), np.bool_)])
+        rows = np.flatnonzero(kept)
+        if not rows.size:
+            raise OptionError("diff: no object would be left; take over less of it.")
+        place = np.cumsum(kept) - 1
+        mesh, encoded = self._mesh()
+        mesh = replace(mesh, object_of=place[mesh.object_of].astype(np.int32))
+        mesh = ordered(mesh.snapped())
+        labels = [self._labels[i] for i in rows]
+        attributes = [self._attributes[i] for i in rows]
+        room_of = None
+        if len(self._before.scenes) == 1:  # of merged scenes rooms stay as they were
+            stirred = np.isin(rows, list(self._stirred))
+            floor = float(self._before.floors[0])
+            room_of, attributes = rooms_now(mesh, labels, floor, attributes, stirred)
+        edges = self._edges(relate(mesh, labels, room_of), rows, place)
+        ids, names = ([given[i] for i in rows] for given in (self._ids, self._names))
+        graph = graph_of(mesh, ids, labels, names, edges)
+        graph = replace(graph, embeddings=self._embeddings(rows))
+        return replace(
+            self._before,
+            graph=graph,
+            mesh=mesh,
+            attributes=tuple(attributes),
+            scene_of=self._scene_of(rows, graph.positions),
+            encoded=encoded,
+        )
+
+    def _scene_of(
+        self, rows: NDArray[np.int64], positions: NDArray[np.float64]
+    ) -> NDArray[np.int32]:
+        """Merged scene of each object; of what appeared, that in whose bounds it lies."""
+        before = self._before
+        found = [
+            before.scene_of[row] if row < len(before) else before.scene_at(at[:2])
+            for row, at in zip(rows.tolist(), positions, strict=True)
+        ]
+        return np.array(found, np.int32)
+
+    def _tell(self, row: int, what: str) -> None:
+        told = self._attributes[row].get("history")
+        self._attributes[row]["history"] = f"{told}; {what}" if told else what
+
+    def _bases(self, row: int) -> list[int]:
+        """Rows of what an object stands on or hangs at."""
+        graph = self._before.graph
+        edges = zip(graph.sources.tolist(), graph.relations, graph.targets.tolist(), strict=True)
+        return [t for s, r, t in edges if s == row and r in {STANDING_ON, ATTACHED_TO}]
+
+    def _free_id(self, wanted: str) -> str:
+        taken, number = set(self._ids), 1
+        if wanted and wanted not in taken:
+            return wanted
+        while f"new-{number}" in taken:
+            number += 1
+        return f"new-{number}"
+
+    def _mesh(self) -> tuple[Mesh, tuple[bytes, ...]]:
+        """What stays, where it is now, and what appeared; object rows as before. And its textures."""
+        old = self._before.mesh
+        keep = self._kept[old.object_of]
+        triangles, owner = old.triangles[keep].astype(np.int64), old.object_of[keep]
+        # vertices may be shared by objects: each thing that moves takes its own ones along
+        which, points = [np.arange(len(old.vertices))], [old.vertices.astype(np.float64)]
+        count = len(old.vertices)
+        for row, motion in self._motions.items():
+            own = owner == row
+            used, at = np.unique(triangles[own], return_inverse=True)
+            triangles[own] = count + at.reshape(-1, 3)
+            which.append(used)
+            points.append(moved(motion, points[0][used]))
+            count += len(used)
+        source = np.concatenate(which)
+        columns: dict[str, list[NDArray[Any]]] = {
+            "vertices": points,
+            "colours": [old.colours[source]],
+            "uv": [old.uv[source]],
+            "triangles": [triangles],
+            "object_of": [owner],
+            "texture_of": [old.texture_of[keep]],
+        }
+        for row, piece in self._pieces:
+            columns["vertices"].append(piece.vertices)
+            columns["colours"].append(piece.colours)
+            columns["uv"].append(np.zeros((len(piece.vertices), 2), np.float32))
+            columns["triangles"].append(piece.triangles + count)
+            columns["object_of"].append(np.full(len(piece.triangles), row))
+            columns["texture_of"].append(np.full(len(piece.triangles), len(old.textures)))
+            count += len(piece.vertices)
+        made = {name: np.concatenate(parts) for name, parts in columns.items()}
+        used, texture_of = np.unique(made["texture_of"], return_inverse=True)
+        pictures = (*old.textures, WHITE)
+        blobs = self._before.encoded
+        if self._pieces:
+            blobs = (*blobs, *textures.encode_arrays([WHITE]))
+        mesh = Mesh(
+            vertices=made["vertices"].astype(np.float32),
+            triangles=made["triangles"].astype(np.int32),
+            object_of=made["object_of"].astype(np.int32),
+            colours=made["colours"],
+            uv=made["uv"].astype(np.float32),
+            texture_of=texture_of.astype(np.int32),
+            textures=tuple(pictures[i] for i in used),
+        )
+        return mesh, tuple(blobs[i] for i in used)
+
+    def _edges(
+        self,
+        found: Sequence[tuple[int, str, int]],
+        rows: NDArray[np.int64],
+        place: NDArray[np.int64],
+    ) -> list[tuple[int, str, int]]:
+        """Relations between what stayed, and those that last, as they were; others as `found` now."""
+        graph = self._before.graph
+        stirred = np.isin(rows, list(self._stirred))
+        before = zip(graph.sources.tolist(), graph.relations, graph.targets.tolist(), strict=True)
+        edges = [
+            (int(place[s]), relation, int(place[t]))
+            for s, relation, t in before
+            if self._kept[s] and self._kept[t]
+            if lasting(relation) or not {s, t} & self._stirred
+            if relation != SAME_ROOM or len(self._before.scenes) > 1
+        ]
+        known = {(s, t) for s, relation, t in edges if not lasting(relation)}
+        edges += [
+            (s, relation, t)
+            for s, relation, t in found
+            if relation == SAME_ROOM
+            or ((stirred[s] or stirred[t] or self._loose(int(rows[s]))) and (s, t) not in known)
+        ]
+        return sorted(edges)
+
+    def _loose(self, row: int) -> bool:
+        """Whether an object stood on, or hung at, what is gone from there now."""
+        return row < len(self._kept) and any(base in self._stirred for base in self._bases(row))
+
+    def _embeddings(self, rows: NDArray[np.int64]) -> NDArray[np.float32] | None:
+        """Vectors of the objects; zeros of what appeared and of what has another label now."""
+        before = self._before.graph.embeddings
+        if before is None:
+            return None
+        out = np.zeros((len(rows), before.shape[1]), np.float32)
+        labels = self._before.graph.labels
+        for i, row in enumerate(rows.tolist()):
+            if row < len(before) and labels[row] == self._labels[row]:
+                out[i] = before[row]
+        return out
+
+
+def lasting(relation: str) -> bool:
+    """Whether a relation says nothing of place, so that it holds wherever the two things are."""
+    name = canonical(relation)[0]
+    if name in {BIGGER, PART}:
+        return True
+    words = name.split()
+    return bool(words) and name != SAME_ROOM and (words[0] == "same" or words[0] in _COMPARED)
+
+
+def rooms_now(
+    mesh: Mesh,
+    labels: Sequence[str],
+    floor: float,
+    attributes: Sequence[Mapping[str, str]],
+    stirred: NDArray[np.bool_],
+) -> tuple[NDArray[np.int32], list[dict[str, str]]]:
+    """Rooms (N,) and attributes that name them, as `with_rooms` does, after some things changed.
+
+    What did not change keeps the name of its room; what did, (N,) `stirred`, takes that of most
+    things in the room where it is now, or of the nearest thing where it is in no room that is found.
+    Where no attribute names a room, rooms are found.
+    """
+    if not any(a.get("room") for a in attributes):
+        return with_rooms(mesh, labels, floor, attributes)
+    told = [dict(a) for a in attributes]
+    if stirred.any():
+        now = rooms_of(mesh, labels, floor).room_of
+        boxes = mesh.object_bounds(len(labels))
+        told_by = ~stirred & ~structure(labels)
+        for row in np.flatnonzero(stirred).tolist():
+            among = told_by & (now == now[row]) if now[row] >= 0 else _nearest(boxes, row, told_by)
+            name = most([told[i].get("room", "") for i in np.flatnonzero(among).tolist()])
+            told[row].pop("room", None)
+            told[row] |= {"room": name} if name else {}
+    return with_rooms(mesh, labels, floor, told)
+
+
+def _nearest(boxes: Floats, row: int, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(N,) which of the chosen things is nearest to one, by their boxes (N, 2, 3) [m]."""
+    apart = np.maximum(boxes[:, 0] - boxes[row, 1], boxes[row, 0] - boxes[:, 1])
+    gap = np.where(chosen, np.linalg.norm(np.maximum(apart, 0.0), axis=1), np.inf)
+    return chosen & (np.arange(len(boxes)) == gap.argmin())
+
 
 LEAST = 0.5
 """Findings less sure than this are not taken over, unless that is asked for."""

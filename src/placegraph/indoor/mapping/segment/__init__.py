@@ -3,24 +3,159 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
 from placegraph.indoor.mapping.segment.faces import Faces
 from placegraph.indoor.mapping.segment.geometry import Cut, cut_by_geometry
-from placegraph.indoor.mapping.segment.instances import Named, cut_by_labels
-from placegraph.indoor.mapping.segment.segments import SegmentOptions, Segments, as_segments
-from placegraph.indoor.mapping.segment.votes import Votes, collect
+from placegraph.indoor.mapping.segment.labels import Named, Votes, collect, cut_by_labels
+from placegraph.indoor.mapping.segment.segment_kernels import nearest
+from placegraph.indoor.options import check_numbers, check_positive
 from placegraph.io.capture.frame import Frame
+
+Ints = NDArray[np.int64]
+
+
+UNKNOWN = "unknown"
+"""Label of what nothing is known of."""
+_FIRST = ("floor", "ceiling", "wall")
+
+
+@dataclass(frozen=True, slots=True)
+class SegmentOptions:
+    """Everything that can be set about cutting; defaults serve rooms scanned at 2 to 5 cm."""
+
+    flatness: float = 0.05
+    """How far a triangle of the floor or a wall may lie from its plane [m]."""
+    wall_area: float = 1.5
+    """Least area of a wall [m2] ..."""
+    wall_height: float = 1.2
+    """... and how far it reaches from its lowest to its highest point [m]."""
+    bend: float = 0.6
+    """Concave angle between neighbouring triangles that counts as a full step [rad]."""
+    contrast: float = 25.0
+    """Difference of colour between neighbours that counts as a full step [CIE76 Delta E]."""
+    patch: float = 0.02
+    """Area from which on a smooth patch resists being joined over half a step [m2]."""
+    gap: float = 0.03
+    """Parts that no edge joins touch if they are this close [m]."""
+    support: float = 0.12
+    """Level surfaces from this area on carry things, which are objects of their own [m2]."""
+    thin: float = 0.5
+    """Two parts that could stand alone stay apart where the length of their contact is less than
+    this share of the smaller one's size, the root of its area."""
+    mark: float = 0.05
+    """Least area of what hangs on a wall and differs from it by colour alone [m2] ..."""
+    carpet: float = 0.5
+    """... and of what lies on the floor."""
+    least: float = 0.02
+    """Area of the smallest object [m2]; what is smaller belongs to what it touches."""
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
+        check_positive(self, "flatness", "wall_area", "bend", "contrast", "patch", "gap", "support")
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Segments:
+    """N objects of a mesh of T triangles; every triangle belongs to one, every object has one."""
+
+    object_of: NDArray[np.int32]
+    """(T,) int32, rows of objects."""
+    labels: tuple[str, ...]
+    """(N,) "floor", "ceiling", "wall", what label images say, else "unknown"."""
+    names: tuple[str, ...]
+    """(N,) "floor", "wall 2", "object 3", "chair 1": no two alike."""
+    floor: float | None
+    """Height of the floor [m]; None where the mesh shows none."""
+    ids: tuple[str, ...]
+    """(N,) for the map: those of instance images, and numbers that are free for all else."""
+
+    def __len__(self) -> int:
+        return len(self.labels)
+
+    def __repr__(self) -> str:
+        return f"Segments({len(self)} objects, {len(self.object_of):,} triangles)"
+
+
+def as_segments(
+    faces: Faces,
+    vertices: Floats,
+    triangles: Ints,
+    group: Ints,
+    labels: Mapping[int, str],
+    floor: float | None,
+    ids: Mapping[int, int] | None = None,
+) -> Segments:
+    """Segments of groups (F,) of faces, and of the triangles that are no faces.
+
+    `labels` and `ids` of groups are those known. Floor, ceiling and walls come first, then the
+    largest.
+    """
+    groups, row = np.unique(group, return_inverse=True)
+    areas = np.bincount(row, faces.areas, len(groups))
+    words = [labels.get(g, UNKNOWN) for g in groups.tolist()]
+    rank = [_FIRST.index(word) if word in _FIRST else len(_FIRST) for word in words]
+    order = np.lexsort((groups, -areas, np.array(rank))) if len(groups) else np.zeros(0, np.int64)
+    place = np.empty(len(groups), np.int64)
+    place[order] = np.arange(len(groups))
+    object_of = _with_strays(faces, vertices, triangles, place[row])
+    listed = tuple(words[i] for i in order.tolist())
+    if not len(groups) and len(triangles):
+        listed = (UNKNOWN,)  # nothing but lines and points
+    known = [(ids or {}).get(g) for g in groups[order].tolist()] or [None] * len(listed)
+    return Segments(object_of.astype(np.int32), listed, _names(listed), floor, _ids(known))
+
+
+def _with_strays(faces: Faces, vertices: Floats, triangles: Ints, of_face: Ints) -> Ints:
+    """Object (T,) of each triangle: one without area belongs to the nearest face."""
+    out = np.zeros(len(triangles), np.int64)
+    known = faces.of_triangle >= 0
+    out[known] = of_face[faces.of_triangle[known]]
+    strays = np.flatnonzero(~known)
+    if len(of_face) and strays.size:
+        corners = vertices[triangles[strays]]
+        finite = np.isfinite(corners).all(axis=2, keepdims=True)
+        middle = np.where(finite, corners, 0.0).sum(axis=1) / np.maximum(finite.sum(axis=1), 1)
+        # by corners: a sliver may touch a face whose centre is far
+        own = np.repeat(of_face, 3)
+        spots, first = np.unique(faces.corners.ravel(), return_index=True)
+        out[strays] = own[first[nearest(middle, faces.points[spots])]]
+    return out
+
+
+def _names(labels: Sequence[str]) -> tuple[str, ...]:
+    """Names of objects: their label, and a number where there are several; "object" if unknown."""
+    words = ["object" if label == UNKNOWN else label for label in labels]
+    total = {word: words.count(word) for word in set(words)}
+    seen: dict[str, int] = {}
+    taken: set[str] = set()
+    names = []
+    for word in words:
+        name = word if total[word] == 1 and word != "object" else ""
+        while not name or name in taken:
+            seen[word] = seen.get(word, 0) + 1
+            name = f"{word} {seen[word]}"
+        taken.add(name)
+        names.append(name)
+    return tuple(names)
+
+
+def _ids(known: Sequence[int | None]) -> tuple[str, ...]:
+    """Ids of objects: those known, the lowest free numbers for the others."""
+    taken = {i for i in known if i is not None}
+    free = (i for i in range(len(known) + len(taken)) if i not in taken)
+    return tuple(str(next(free) if i is None else i) for i in known)
+
 
 Progress = Callable[[str, int, int], None]
 
-
-__all__ = ["SegmentOptions", "Segments", "segment"]
 
 _STAGES = ("faces", "planes", "patches", "objects")
 _VOTES = "votes"

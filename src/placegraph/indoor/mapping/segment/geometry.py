@@ -1,7 +1,8 @@
-"""A mesh cut by its geometry and colour alone: planes of the building, and the things between."""
+"""Walls: upright planes that are large and high enough, and no fronts of furniture."""
 
 from __future__ import annotations
 
+import heapq
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -9,20 +10,383 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.geometry import Floats
 from placegraph.indoor.map.floor import quantiles
-from placegraph.indoor.mapping.segment.objects import join_patches, settle
-from placegraph.indoor.mapping.segment.patches import PatchGraph, cut_patches, describe
+from placegraph.indoor.mapping.segment.faces import (
+    Faces,
+    PatchGraph,
+    Samples,
+    cut_patches,
+    describe,
+)
 from placegraph.indoor.mapping.segment.segment_kernels import connect, nearest
-from placegraph.indoor.mapping.segment.walls import find_walls, peak
 
 if TYPE_CHECKING:
-    from placegraph.indoor.mapping.segment.faces import Faces
-    from placegraph.indoor.mapping.segment.segments import SegmentOptions
+    from placegraph.indoor.mapping.segment import SegmentOptions
 
-
-Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Mask = NDArray[np.bool_]
+
+
+UPRIGHT = 0.35
+"""|z| of the normal of an upright face is below this."""
+_FACING = 0.85  # cosine between the normals of a face and of its plane
+_TURNS = 60  # directions of walls in half a turn
+_CELL = 0.1  # [m] of the grid in which parts of a plane are connected
+_DEEP = 0.9  # furniture is at most this deep: what stands this far before a wall [m]
+_PLANES = 400  # walls that are looked for at most
+_BIN = 0.04  # [m] of the heights and distances that planes are looked for in
+_REACH = 25_000  # of them on either side of the median: 1 km
+
+
+def find_walls(
+    faces: Faces, normals: Floats, free: Mask, floor: float | None, options: SegmentOptions
+) -> list[Mask]:
+    """Upright planes that are large and high enough, one mask (F,) a connected region."""
+    free = free & (np.abs(normals[:, 2]) < UPRIGHT)
+    angle = np.arctan2(normals[:, 1], normals[:, 0])
+    found: list[_Wall] = []
+    rows = np.flatnonzero(free)
+    for _ in range(_PLANES):
+        if not rows.size:
+            break
+        turn, distance = _upright_peak(faces, angle, rows, options.wall_area)
+        if distance is None:
+            break
+        way = np.array([np.cos(turn), np.sin(turn)])
+        for _ in range(2):
+            off, facing = _off(faces, normals, rows, way, distance)
+            near = rows[(off < options.flatness) & facing]
+            if near.size:
+                way, distance = _line(faces.centres[near, :2], faces.areas[near], way, distance)
+        off, facing = _off(faces, normals, rows, way, distance)
+        inside = (off < options.flatness) & facing
+        own = rows[inside]
+        if not own.size:  # a peak of faces that do not lie on its plane: they are left alone
+            off, _ = _off(faces, normals, rows, way, distance)
+            rows = rows[off >= _BIN] if (off < _BIN).any() else rows[:0]
+            continue
+        found += _regions(faces, own, way, distance, options)
+        rows = rows[~inside]
+    return _kept(faces, found, floor)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Wall:
+    """A region of an upright plane."""
+
+    rows: Ints
+    way: Floats
+    distance: float
+    low: float
+    high: float
+    span: tuple[float, float]
+    """From where to where it reaches along the plane [m]."""
+    area: float
+
+
+def _off(
+    faces: Faces, normals: Floats, rows: Ints, way: Floats, distance: float
+) -> tuple[Floats, Mask]:
+    """How far each face lies from an upright plane (R,) [m], and whether it runs along it (R,)."""
+    corners = faces.points[faces.corners[rows]]
+    off = np.abs(corners[:, :, 0] * way[0] + corners[:, :, 1] * way[1] - distance).max(axis=1)
+    facing = np.abs(normals[rows, 0] * way[0] + normals[rows, 1] * way[1]) > _FACING
+    return off, facing
+
+
+def _upright_peak(
+    faces: Faces, angle: Floats, rows: Ints, least: float
+) -> tuple[float, float | None]:
+    """Direction [rad] and distance [m] of the upright plane with most area; None: below `least`."""
+    turn = np.floor(angle[rows] / np.pi * _TURNS + 0.5).astype(np.int64) % _TURNS
+    turns = np.arange(_TURNS) / _TURNS * np.pi
+    spots = faces.centres[rows]
+    distance = spots[:, 0] * np.cos(turns[turn]) + spots[:, 1] * np.sin(turns[turn])
+    bins = bins_of(distance)
+    low = int(bins.min())
+    wide = int(bins.max()) - low + 3
+    counts = np.bincount(turn * wide + bins - low + 1, faces.areas[rows], _TURNS * wide)
+    table = counts.reshape(_TURNS, wide)
+    around = table.copy()
+    around[:, 1:-1] += table[:, :-2] + table[:, 2:]
+    best = int(np.argmax(around))
+    if around.flat[best] < least * 0.5:
+        return 0.0, None
+    return float(turns[best // wide]), (best % wide - 1 + low + 0.5) * _BIN
+
+
+def _line(spots: Floats, weights: Floats, way: Floats, distance: float) -> tuple[Floats, float]:
+    """Normal (2,) and distance of the line of least squares through points (N, 2)."""
+    whole = weights.sum()
+    middle = (spots * weights[:, None]).sum(axis=0) / whole
+    x, y = (spots - middle).T
+    xx, xy, yy = (weights * x * x).sum(), (weights * x * y).sum(), (weights * y * y).sum()
+    along = 0.5 * np.arctan2(2 * xy, xx - yy)
+    fresh = np.array([-np.sin(along), np.cos(along)])
+    if abs(float(fresh @ way)) < 0.98 or max(xx, yy) < 0.01 * whole:
+        return way, distance
+    fresh *= np.sign(float(fresh @ way))
+    return fresh, float(fresh @ middle)
+
+
+def _regions(
+    faces: Faces, own: Ints, way: Floats, distance: float, options: SegmentOptions
+) -> list[_Wall]:
+    """Parts of a plane that a grid connects, where they are large and high enough for a wall."""
+    spread = Samples.of(faces, own, _CELL)
+    along = spread.spots[:, 1] * way[0] - spread.spots[:, 0] * way[1]
+    z = spread.spots[:, 2]
+    column = np.floor(along / _CELL).astype(np.int64)
+    row = np.floor(z / _CELL).astype(np.int64)
+    column -= column.min() - 1
+    row -= row.min() - 1
+    tall = int(row.max()) + 3
+    cells, cell = np.unique(column * tall + row, return_inverse=True)
+    links = [np.stack([cell, cell], axis=1)[:0]]
+    for step in (1, tall, tall + 1, tall - 1, 2, 2 * tall):  # across gaps of one cell too
+        at = np.minimum(np.searchsorted(cells, cells + step), len(cells) - 1)
+        there = np.flatnonzero(cells[at] == cells + step)
+        links.append(np.stack([there, at[there]], axis=1))
+    # cells of one face hang together
+    first = np.flatnonzero(np.diff(spread.face, prepend=-1))
+    lead = np.repeat(cell[first], np.diff([*first, len(cell)]))
+    links.append(np.stack([lead, cell], axis=1))
+    part = connect(len(cells), np.concatenate(links))[cell[first]]
+    areas = np.bincount(part, faces.areas[own], len(cells))
+    out = []
+    big = [p for p in np.unique(part).tolist() if areas[p] >= options.wall_area]
+    face_part = part[np.searchsorted(first, np.arange(len(cell)), side="right") - 1]
+    for p in big:
+        mine = face_part == p
+        low, high = float(z[mine].min()), float(z[mine].max())
+        if high - low >= options.wall_height:
+            ends = float(along[mine].min()), float(along[mine].max())
+            wall = _Wall(own[part == p], way, distance, low, high, ends, float(areas[p]))
+            out.append(wall)
+    return out
+
+
+def _kept(faces: Faces, found: list[_Wall], floor: float | None) -> list[Mask]:
+    """Masks (F,) of the walls, without fronts of furniture: what stands before a higher wall."""
+    kept = []
+    for wall in found:
+        reach = wall.high - (floor if floor is not None else wall.low)
+        front = any(_stands_before(wall, other) for other in found if other is not wall)
+        if reach < 1.5 or front:
+            continue
+        mask = np.zeros(len(faces), np.bool_)
+        mask[wall.rows] = True
+        kept.append(mask)
+    return kept
+
+
+def _stands_before(wall: _Wall, other: _Wall) -> bool:
+    """Whether a plane is the front or the side of furniture at another one that is higher."""
+    if wall.high > other.high - 0.15 or other.area < 1.5 * wall.area:
+        return False
+    cosine = float(wall.way @ other.way)
+    if abs(cosine) > 0.95:
+        apart = abs(wall.distance - np.sign(cosine) * other.distance)
+        low, high = wall.span if cosine > 0 else (-wall.span[1], -wall.span[0])
+        shared = min(high, other.span[1]) - max(low, other.span[0])
+        return bool(apart < _DEEP and shared > 0.5 * (high - low))
+    # across: a side that starts at the wall and ends before the depth of furniture
+    return bool(wall.span[1] - wall.span[0] < _DEEP and abs(cosine) < 0.3)
+
+
+def peak(heights: Floats, areas: Floats) -> tuple[float, float]:
+    """Height and area of the level with most area: the median of what lies near its bin."""
+    bins = bins_of(heights)
+    low = int(bins.min())
+    table = np.bincount(bins - low + 1, areas, int(bins.max()) - low + 3)
+    around = table.copy()
+    around[1:-1] += table[:-2] + table[2:]
+    best = int(np.argmax(around)) - 1 + low
+    own = np.abs(bins - best) <= 1
+    (height,) = quantiles(heights[own], areas[own], (0.5,))
+    return height, float(areas[own].sum())
+
+
+def bins_of(values: Floats) -> Ints:
+    """Bin (N,) of each value; what is far from most shares the outermost."""
+    bins = np.floor(values / _BIN).astype(np.int64)
+    middle = int(np.median(bins))
+    return np.clip(bins, middle - _REACH, middle + _REACH)
+
+
+_LEVEL = 0.9
+_LOW = 0.2  # a surface that carries things is this far above the floor [m]
+_RESTS = 0.7  # share of a contact that is concave where something only stands on a surface
+_ALONE = 0.25  # area [m2] of what could stand alone, and
+_WIDE = 0.3  # its second largest extent [m]: it is no post and no rail
+
+
+def join_patches(patches: PatchGraph, floor: float | None, options: SegmentOptions) -> Ints:
+    """Object (N,) of each patch: its lowest patch; those of the structure's planes stay alone."""
+    free = patches.plane < 0
+    ends, kept = patches.ends, free[patches.ends].all(axis=1)
+    carried = _carried(patches, free, floor, options)
+    kept &= ~carried
+    return joined(patches, ends[kept], patches.lengths[kept], patches.concave[kept], options)
+
+
+def _carried(patches: PatchGraph, free: Mask, floor: float | None, options: SegmentOptions) -> Mask:
+    """Contacts (E,) of things with the level surfaces they stand on."""
+    ends, lengths = patches.ends, patches.lengths
+    base = patches.low[:, 2].min(initial=0.0) if floor is None else floor
+    level = free & (patches.normals[:, 2] > _LEVEL) & (patches.low[:, 2] > base + _LOW)
+    flat = level[ends].all(axis=1) & (patches.concave < 0.5)
+    surface = connect(len(patches), ends[flat])
+    wide = np.bincount(surface, patches.areas * level, len(patches))
+    tops = level & (wide[surface] >= options.support)
+    inner = free[ends].all(axis=1)
+    apart = inner & ~tops[ends].any(axis=1)
+    thing = connect(len(patches), ends[apart])
+    meets = np.flatnonzero(inner & tops[ends[:, 0]] & ~tops[ends[:, 1]])
+    key = surface[ends[meets, 0]] * (len(patches) + 1) + thing[ends[meets, 1]]
+    _, row = np.unique(key, return_inverse=True)
+    total = np.bincount(row, lengths[meets])
+    over = np.bincount(row, (lengths * patches.concave)[meets])
+    # what joins any surface from the side or from below is no thing on a surface
+    part = np.zeros(len(patches), np.bool_)
+    tied = over < _RESTS * total
+    part[thing[ends[meets[tied[row]], 1]]] = True
+    out = np.zeros(len(ends), np.bool_)
+    rests = meets[~part[thing[ends[meets, 1]]]]
+    pair = np.sort(ends, axis=1)
+    code = pair[:, 0] * (len(patches) + 1) + pair[:, 1]
+    out[np.isin(code, code[rests])] = True
+    return out
+
+
+@dataclass(slots=True)
+class _Part:
+    """Patches joined so far."""
+
+    area: float
+    low: Floats
+    high: Floats
+    contacts: dict[int, tuple[float, float]]
+    """Length and concave length of contact with each other part [m]."""
+
+    def alone(self) -> bool:
+        """Whether it is large enough to be a thing by itself."""
+        return self.area >= _ALONE and bool(np.partition(self.high - self.low, 1)[1] >= _WIDE)
+
+
+def joined(
+    patches: PatchGraph, ends: Ints, lengths: Floats, concave: Floats, options: SegmentOptions
+) -> Ints:
+    """Lowest patch (N,) of what each belongs to once contacts (E,) but the thin ones are closed."""
+    parts = [
+        _Part(float(a), low, high, {})
+        for a, low, high in zip(patches.areas, patches.low, patches.high, strict=True)
+    ]
+    for (a, b), length, share in zip(
+        ends.tolist(), lengths.tolist(), concave.tolist(), strict=True
+    ):
+        for one, two in ((a, b), (b, a)):  # both directions halve into one contact
+            total, inward = parts[one].contacts.get(two, (0.0, 0.0))
+            half = 0.5 * length
+            parts[one].contacts[two] = (total + half, inward + half * share)
+    root = np.arange(len(parts))
+    queue = [
+        (-_strength(parts, a, b), a, b)
+        for a, part in enumerate(parts)
+        for b in part.contacts
+        if a < b
+    ]
+    heapq.heapify(queue)
+    while queue:
+        value, a, b = heapq.heappop(queue)
+        if root[a] != a or root[b] != b or value != -_strength(parts, a, b):
+            continue  # an older state of one of them
+        if _thin(parts, a, b, options):
+            continue
+        root[b] = a
+        for other in _merge(parts, a, b):
+            low, high = min(a, other), max(a, other)
+            heapq.heappush(queue, (-_strength(parts, low, high), low, high))
+    for i in range(len(root)):
+        root[i] = root[root[i]]  # roots are lower, so theirs are settled
+    return root
+
+
+def _strength(parts: list[_Part], a: int, b: int) -> float:
+    """Length of a contact, the concave part of it at a third, over the size of the smaller part."""
+    length, inward = parts[a].contacts[b]
+    return (length - 0.67 * inward) / min(parts[a].area, parts[b].area) ** 0.5
+
+
+def _thin(parts: list[_Part], a: int, b: int, options: SegmentOptions) -> bool:
+    one, two = parts[a], parts[b]
+    length, inward = one.contacts[b]
+    if inward < 0.5 * length or not (one.alone() and two.alone()):
+        return False
+    return bool(length < options.thin * min(one.area, two.area) ** 0.5)
+
+
+def _merge(parts: list[_Part], a: int, b: int) -> list[int]:
+    """Put part b into part a; returns all that touch it now."""
+    one, two = parts[a], parts[b]
+    one.area += two.area
+    one.low, one.high = np.minimum(one.low, two.low), np.maximum(one.high, two.high)
+    del one.contacts[b]
+    for other, (length, inward) in two.contacts.items():
+        if other == a:
+            continue
+        total, before = one.contacts.get(other, (0.0, 0.0))
+        one.contacts[other] = parts[other].contacts[a] = (total + length, before + inward)
+        del parts[other].contacts[b]
+    two.contacts = {}
+    return list(one.contacts)
+
+
+def settle(
+    group: Ints, patches: PatchGraph, fixed: NDArray[np.bool_], options: SegmentOptions
+) -> Ints:
+    """Groups (N,) of patches, those that are too small put into what they touch most.
+
+    A group is named by one of its patches; those whose patch is `fixed` (N,) stay. So does what
+    touches nothing.
+    """
+    areas = np.bincount(group, patches.areas, len(patches))
+    contacts = _touched(group, patches)
+    root = np.arange(len(patches))
+    queue = [(float(areas[g]), int(g)) for g in np.unique(group) if not fixed[g]]
+    heapq.heapify(queue)
+    while queue:
+        area, g = heapq.heappop(queue)
+        if area >= options.least:
+            break
+        if root[g] != g or area != areas[g] or not contacts[g]:
+            continue
+        to = max(contacts[g].items(), key=lambda item: (item[1], -item[0]))[0]
+        root[g] = to
+        areas[to] += area
+        for other, length in contacts[g].items():
+            del contacts[other][g]
+            if other != to:
+                contacts[to][other] = contacts[to].get(other, 0.0) + length
+                contacts[other][to] = contacts[other].get(to, 0.0) + length
+        contacts[g] = {}
+        if not fixed[to]:
+            heapq.heappush(queue, (float(areas[to]), to))
+    while (root != root[root]).any():
+        root = root[root]
+    return root[group]
+
+
+def _touched(group: Ints, patches: PatchGraph) -> list[dict[int, float]]:
+    """Length of contact [m] of each group with others."""
+    contacts: list[dict[int, float]] = [{} for _ in range(len(patches))]
+    ends = group[patches.ends].tolist()
+    for (a, b), length in zip(ends, patches.lengths.tolist(), strict=True):
+        if a != b:
+            for one, two in ((a, b), (b, a)):
+                contacts[one][two] = contacts[one].get(two, 0.0) + 0.5 * length
+    return contacts
 
 
 ROUNDS = 3

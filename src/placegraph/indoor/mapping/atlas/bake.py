@@ -1,0 +1,592 @@
+"""Baking: the colours of a mesh, seen at every texel, become a small texture atlas."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from placegraph.core.geometry import Floats
+from placegraph.core.threads import share
+from placegraph.errors import OptionError
+from placegraph.indoor.map.mesh import Mesh
+from placegraph.indoor.mapping.atlas.bake_kernels import (
+    DARK,
+    FLAT,
+    SEEN,
+    UNSEEN,
+    absorb,
+    choose,
+    cover,
+    draw,
+    grow,
+    overlapping,
+    spread,
+    turns,
+)
+
+Ints = NDArray[np.int64]
+
+
+CONE = np.cos(np.radians(45.0))
+"""Normals of a chart lie within this of their mean as it grows."""
+STEEP = np.cos(np.radians(75.0))
+"""No triangle of a chart is steeper than this to its plane: it would get too few texels."""
+SMALL = 150.0
+"""Charts of a smaller area [texels] rather join a neighbour."""
+ROUNDS = 6
+_ANGLES = np.radians(np.arange(0.0, 90.0, 3.0))
+_GAIN = 0.1  # a rectangle that is not upright must be this much smaller
+
+
+@dataclass(frozen=True, eq=False)
+class Charts:
+    """C charts of T triangles."""
+
+    of: Ints
+    """(T,) chart of each triangle."""
+    corners: Floats
+    """(T, 3, 2) corners on the chart's plane, from the lowest corner of its rectangle [m]."""
+    sizes: Floats
+    """(C, 2) width and height of each chart's rectangle [m]."""
+
+    def grouped(self) -> tuple[Ints, Ints]:
+        """Triangles chart by chart, and where each chart starts (C + 1,)."""
+        return _grouped(self.of, len(self.sizes), None)
+
+
+def charts_of(mesh: Mesh, neighbours: Ints, texel: float, longest: int) -> Charts:
+    """Charts of a mesh: no two triangles of one overlap, and none is longer than `longest` texels.
+
+    A triangle that is longer than that by itself is a chart of its own. `neighbours` as from
+    `neighbours_of`; `texel` [m].
+    """
+    doubled = mesh.normals()
+    areas = 0.5 * np.linalg.norm(doubled, axis=1)
+    normals = doubled / np.maximum(2.0 * areas, 1e-30)[:, None]
+    points = mesh.vertices[mesh.triangles].astype(np.float64)
+    order = np.argsort(-areas, kind="stable")
+    of = np.full(len(mesh), -1, np.int64)
+    laid = _Laid(np.zeros((0, 2, 3)), np.zeros((0, 2)), np.zeros((0, 2)))
+    for round_ in range(ROUNDS):
+        first = len(laid.axes)
+        count = grow(normals, areas, neighbours, order, of, first, CONE)
+        if round_ == 0:
+            planes = _planes(doubled, of, count)
+            small = np.bincount(of, areas, count) < SMALL * texel**2
+            absorb(normals, neighbours, of, planes, small, STEEP)
+        laid = laid.with_new(points, doubled, of, texel * longest)
+        plane = np.cross(laid.axes[:, 0], laid.axes[:, 1])  # away from who looks at the surface
+        steep = -np.einsum("tk,tk->t", normals, plane[of]) < STEEP
+        bad = (of >= first) & ((steep & (areas > 0)) | _twice(laid, points, of, areas, texel))
+        if not bad.any():
+            break
+        of[bad] = -1
+    single = np.flatnonzero(of < 0)  # whatever cannot lie with others lies alone
+    if len(single):
+        of[single] = len(laid.axes) + np.arange(len(single))
+        laid = laid.with_new(points, doubled, of, np.inf)
+    used, of = np.unique(of, return_inverse=True)
+    laid = _Laid(laid.axes[used], laid.low[used], laid.sizes[used])
+    return Charts(of.reshape(-1), laid.corners(points, of.reshape(-1)), laid.sizes)
+
+
+def neighbours_of(mesh: Mesh) -> Ints:
+    """(T, 3) triangle across each side, of the same object, -1: none.
+
+    Vertices at one place count as one. Where more than two triangles share a side, two and two do.
+    """
+    places = np.ascontiguousarray(mesh.vertices + np.float32(0.0))  # no -0
+    _, welded = np.unique(places.view([("", "V12")]).ravel(), return_inverse=True)
+    corners = welded.reshape(-1)[mesh.triangles.astype(np.int64)]
+    ends = np.sort(corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    edge = ends[:, 0] * len(mesh.vertices) + ends[:, 1]
+    object_of = np.repeat(mesh.object_of, 3)
+    order = np.lexsort((object_of, edge))
+    edge, object_of = edge[order], object_of[order]
+    new = np.r_[True, (edge[1:] != edge[:-1]) | (object_of[1:] != object_of[:-1])]
+    first = np.maximum.accumulate(np.where(new, np.arange(len(edge)), 0))
+    odd = (np.arange(len(edge)) - first) % 2 == 1
+    second = np.flatnonzero(odd)
+    out = np.full(len(edge), -1, np.int64)
+    out[order[second]] = order[second - 1] // 3
+    out[order[second - 1]] = order[second] // 3
+    return out.reshape(-1, 3)
+
+
+@dataclass(frozen=True, eq=False)
+class _Laid:
+    """How C charts lie. It stays when a triangle is taken out, so that what was checked holds."""
+
+    axes: Floats
+    """(C, 2, 3) right and down, unit vectors."""
+    low: Floats
+    """(C, 2) where each chart's rectangle starts along them [m]."""
+    sizes: Floats
+    """(C, 2) [m]"""
+
+    def corners(self, points: Floats, of: Ints) -> Floats:
+        """Corners (T, 3, 2) on the charts' rectangles of triangles (T, 3, 3) [m]."""
+        return np.einsum("tkn,tan->tka", points, self.axes[of]) - self.low[of][:, None]
+
+    def with_new(self, points: Floats, doubled: Floats, of: Ints, limit: float) -> _Laid:
+        """These and the new charts, halved where they are longer than `limit` [m]; changes `of`."""
+        first = len(self.axes)
+        _compact(of, first)
+        fresh = np.flatnonzero(of >= first)
+        while True:
+            own = of[fresh] - first
+            made = _laid(points[fresh], doubled[fresh], own, int(own.max()) + 1)
+            middle = made.corners(points[fresh], own).mean(axis=1)  # (F, 2)
+            length, side = made.sizes.max(axis=1), made.sizes.argmax(axis=1)
+            along = np.take_along_axis(middle, side[own][:, None], axis=1)[:, 0]
+            beyond = (length[own] > limit) & (along > 0.5 * length[own])
+            # a chart whose triangles all lie on one side cannot be halved there
+            beyond &= (np.bincount(own, beyond) < np.bincount(own))[own]
+            if not beyond.any():
+                pairs = ((self.axes, made.axes), (self.low, made.low), (self.sizes, made.sizes))
+                return _Laid(*(np.concatenate(pair) for pair in pairs))
+            of[fresh[beyond]] += len(made.axes)
+            _compact(of, first)
+
+
+def _laid(points: Floats, doubled: Floats, of: Ints, count: int) -> _Laid:
+    """Charts on their mean planes, upright, or turned where that makes a smaller rectangle."""
+    upright = _axes(_planes(doubled, of, count))
+    rows, starts = _grouped(of, count, None)
+    corners = np.einsum("tkn,tan->tka", points, upright[of])
+    angle = turns(corners, rows, starts, _ANGLES, _GAIN)
+    cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    right, down = upright[:, 0], upright[:, 1]
+    axes = np.stack([cosine * right + sine * down, cosine * down - sine * right], axis=1)
+    corners = np.einsum("tkn,tan->tka", points, axes[of])[rows]
+    low = np.minimum.reduceat(corners.min(axis=1), starts[:-1])
+    return _Laid(axes, low, np.maximum.reduceat(corners.max(axis=1), starts[:-1]) - low)
+
+
+def _twice(laid: _Laid, points: Floats, of: Ints, areas: Floats, texel: float) -> NDArray[np.bool_]:
+    """Triangles (T,) that lie over a larger one of their chart, on the grid that will be coloured."""
+    rows, starts = _grouped(of, len(laid.axes), -areas)
+    extents = laid.sizes / texel
+    grids = np.maximum(np.ceil(extents - 1e-6), 1.0)
+    corners = laid.corners(points, of) / texel + (0.5 * (grids - extents))[of][:, None]
+    out = np.zeros(len(of), bool)
+    share(overlapping, len(grids), corners, rows, starts, grids, out)
+    return out
+
+
+def _compact(of: Ints, first: int) -> None:
+    """Renumber charts from `first` on so that none is empty, in place."""
+    fresh = of >= first
+    of[fresh] = np.unique(of[fresh], return_inverse=True)[1].reshape(-1) + first
+
+
+def _planes(doubled: Floats, of: Ints, count: int) -> Floats:
+    """Mean unit normals (C, 3); up where a chart has no area."""
+    total = np.stack([np.bincount(of, doubled[:, k], count) for k in range(3)], axis=1)
+    length = np.linalg.norm(total, axis=1, keepdims=True)
+    return np.where(length > 0, total / np.maximum(length, 1e-30), (0.0, 0.0, 1.0))
+
+
+def _axes(planes: Floats) -> Floats:
+    """Right and down (C, 2, 3) as seen by who looks at planes (C, 3): upright where these are."""
+    down = np.broadcast_to([0.0, 0.0, -1.0], planes.shape)
+    level = np.abs(planes[:, 2:]) > 0.95
+    down = np.where(level, (0.0, -1.0, 0.0), down)
+    down = down - planes * np.einsum("ck,ck->c", down, planes)[:, None]
+    down = down / np.linalg.norm(down, axis=1, keepdims=True)
+    return np.stack([np.cross(planes, down), down], axis=1)
+
+
+def _grouped(of: Ints, count: int, within: Floats | None) -> tuple[Ints, Ints]:
+    """As `Charts.grouped`; triangles of one chart ascend by `within` (T,)."""
+    rows = np.argsort(of, kind="stable") if within is None else np.lexsort((within, of))
+    starts = np.searchsorted(of[rows], np.arange(count + 1))
+    return rows, starts.astype(np.int64)
+
+
+Bytes = NDArray[np.uint8]
+
+
+SHADES = 4
+"""Charts of one colour share a texel with those that differ by less than this [of 255]."""
+_PATCH = 4  # texels a side of one shared colour: a block of chroma and its surrounding
+_SHEET = 16  # patches a side of a sheet of shared colours
+GRAIN = 2
+"""Rectangles lie on multiples of this: chroma of 2 x 2 texels is never that of two charts."""
+SIDE = 16
+"""A page's sides are multiples of this: its first four halves are exact, and JPEG's blocks whole."""
+
+
+@dataclass(eq=False)
+class Sheets:
+    """Images of C charts."""
+
+    step: Floats
+    """(C,) width of a texel of level 0 [m]."""
+    levels: NDArray[np.int32]
+    """(C,) halvings of the resolution; FLAT: one colour; DARK: nothing seen."""
+    means: Floats
+    """(C, 3) mean colours."""
+    sizes: Ints
+    """(C, 2) width and height of the images, margins included; 0 of charts of one colour."""
+    texels: list[Bytes]
+    """(h * w, 3) of each batch of charts."""
+    known: list[NDArray[np.bool_]]
+    sums: Floats
+    """(T, 3) of the colours seen on each triangle."""
+    counts: Floats
+    """(T,)"""
+
+    def light_up(self, charts: Charts, neighbours: Ints, object_of: NDArray[np.int32]) -> None:
+        """Give charts of which nothing is known their neighbours' colour, or their object's."""
+        dark = self.levels == DARK
+        if not dark.any():
+            return
+        known = self.counts > 0
+        colours = self.sums / np.maximum(self.counts, 1)[:, None]
+        of_object = _means(object_of, colours, known)
+        spread(neighbours, colours, known)
+        colours = np.where(known[:, None], colours, of_object[object_of])
+        every = np.ones(len(colours), bool)
+        self.means[dark] = _means(charts.of, colours, every, len(self.levels))[dark]
+        self.levels[dark] = FLAT
+
+
+def assembled(mesh: Mesh, charts: Charts, sheets: Sheets, margin: int, largest: int) -> Mesh:
+    """Mesh with all images on pages."""
+    flat = sheets.levels < 0
+    drawn = np.flatnonzero(~flat)
+    shades, shade_of = _shades(sheets.means[flat])
+    across = max(min(_SHEET, int(np.ceil(np.sqrt(len(shades))))), 1)  # patches side by side
+    each = across**2
+    cards = -(-len(shades) // each)
+    page, places, pages = pack(
+        np.concatenate([sheets.sizes[drawn], np.full((cards, 2), across * _PATCH, np.int64)]),
+        largest,
+        np.append(sheets.means[drawn].sum(axis=1), np.zeros(cards)),
+    )
+    canvases = [np.zeros((h, w, 3), np.uint8) for w, h in pages.tolist()]
+    masks = [np.zeros((h, w), bool) for w, h in pages.tolist()]
+    _paste(sheets, drawn, page, places, canvases, masks)
+    for card in range(cards):
+        k, (x, y) = int(page[len(drawn) + card]), places[len(drawn) + card]
+        for i, shade in enumerate(shades[card * each : (card + 1) * each]):
+            row, column = divmod(i, across)
+            area = np.s_[y + row * _PATCH :, x + column * _PATCH :]
+            canvases[k][area][:_PATCH, :_PATCH] = shade
+            masks[k][area][:_PATCH, :_PATCH] = True
+    # where each chart lies: its corner on the page, or the middle of its shade
+    count = len(sheets.levels)
+    page_of, origin = np.zeros(count, np.int64), np.zeros((count, 2))
+    page_of[drawn] = page[: len(drawn)]
+    card_of, at = np.divmod(shade_of, each)
+    page_of[flat] = page[len(drawn) + card_of]
+    cell = np.stack([at % across, at // across], axis=1)
+    origin[flat] = places[len(drawn) + card_of] + (cell + 0.5) * _PATCH
+    scale = np.where(flat, 0.0, 1.0 / (sheets.step * np.exp2(np.maximum(sheets.levels, 0))))
+    inner = sheets.sizes[drawn] - 2 * margin
+    centring = 0.5 * (inner - charts.sizes[drawn] * scale[drawn, None])
+    origin[drawn] = places[: len(drawn)] + margin + centring
+    key = np.arange(count)
+    key[flat] = count + shade_of  # charts of one shade share their vertices
+    uv = origin[charts.of][:, None] + charts.corners * scale[charts.of][:, None, None]
+    uv /= pages[page_of][charts.of][:, None]
+    return _split(mesh, key[charts.of], uv, page_of[charts.of], [
+        filled(canvas, mask) for canvas, mask in zip(canvases, masks, strict=True)
+    ])  # fmt: skip
+
+
+def _means(
+    of: NDArray[Any], colours: Floats, known: NDArray[np.bool_], count: int | None = None
+) -> Floats:
+    """Mean colours (N, 3) of what is known of each group; of everything where nothing is."""
+    count = int(of.max()) + 1 if count is None else count
+    number = np.bincount(of[known], minlength=count)
+    sums = np.stack([np.bincount(of[known], colours[known, k], count) for k in range(3)], axis=1)
+    overall = colours[known].mean(axis=0) if known.any() else np.full(3, 128.0)
+    return np.where(number[:, None] > 0, sums / np.maximum(number, 1)[:, None], overall)
+
+
+def _shades(means: Floats) -> tuple[Bytes, Ints]:
+    """Shared colours (S, 3), dark ones first, and which of them each mean colour (N, 3) is."""
+    cells, of = np.unique(np.rint(means / SHADES), axis=0, return_inverse=True)
+    of = of.reshape(-1)
+    number = np.maximum(np.bincount(of, minlength=len(cells)), 1)
+    sums = [np.bincount(of, means[:, k], len(cells)) for k in range(3)]
+    shades = np.rint(np.stack(sums, axis=1) / number[:, None]).astype(np.uint8)
+    order = np.argsort(shades.astype(np.int64).sum(axis=1), kind="stable")
+    rank = np.empty(len(order), np.int64)
+    rank[order] = np.arange(len(order))
+    return shades[order], rank[of]
+
+
+def _paste(
+    sheets: Sheets,
+    drawn: Ints,
+    page: Ints,
+    places: Ints,
+    canvases: list[Bytes],
+    masks: list[NDArray[np.bool_]],
+) -> None:
+    """Copy the images of the charts `drawn` to their places."""
+    texels, known = np.concatenate(sheets.texels), np.concatenate(sheets.known)
+    start = 0
+    for i, (w, h) in enumerate(sheets.sizes[drawn].tolist()):
+        x, y = places[i].tolist()
+        area, part = np.s_[y : y + h, x : x + w], np.s_[start : start + w * h]
+        canvases[int(page[i])][area] = texels[part].reshape(h, w, 3)
+        masks[int(page[i])][area] = known[part].reshape(h, w)
+        start += w * h
+
+
+def _split(mesh: Mesh, key: Ints, uv: Floats, page: Ints, pages: list[Bytes]) -> Mesh:
+    """Mesh whose vertices are doubled where triangles of different `key` (T,) meet."""
+    span = int(key.max()) + 1
+    corner = mesh.triangles.astype(np.int64) * span + key[:, None]
+    used, first, rows = np.unique(corner, return_index=True, return_inverse=True)
+    return Mesh(
+        vertices=mesh.vertices[used // span],
+        triangles=rows.reshape(-1, 3).astype(np.int32),
+        object_of=mesh.object_of,
+        colours=np.full((len(used), 3), 255, np.uint8),
+        uv=uv.reshape(-1, 2)[first].astype(np.float32),
+        texture_of=page.astype(np.int32),
+        textures=tuple(pages),
+    )
+
+
+def pack(sizes: Ints, largest: int, shade: NDArray[Any]) -> tuple[Ints, Ints, Ints]:
+    """Places of rectangles (R, 2) width, height on pages no longer than `largest`.
+
+    Of one height, those of like `shade` (R,) lie side by side: in a coarse copy of the page, whose
+    texels are wider than gutters, a chart then mixes with its like.
+
+    Returns
+    -------
+    page
+        (R,) page of each.
+    places
+        (R, 2) x, y of its first corner.
+    pages
+        (K, 2) width and height of the pages.
+
+    """
+    room = -(-sizes // GRAIN) * GRAIN
+    order = np.lexsort((shade, -room[:, 1]))
+    width = max(int(np.sqrt(1.05 * room.prod(axis=1).sum())), int(room[:, 0].max(initial=1)))
+    width = min(-(-width // SIDE) * SIDE, largest)
+    page, places = np.zeros(len(sizes), np.int64), np.zeros((len(sizes), 2), np.int64)
+    x = y = shelf = k = 0
+    heights = []
+    for row, (wide, high) in zip(order.tolist(), room[order].tolist(), strict=True):
+        if x + wide > width:  # a new shelf, as high as its first rectangle
+            x, y, shelf = 0, y + shelf, 0
+        if x == 0 and y + high > largest:
+            heights.append(y)
+            y, k = 0, k + 1
+        shelf = max(shelf, high)
+        page[row], places[row] = k, (x, y)
+        x += wide
+    heights.append(y + shelf)
+    pages = [(width, min(-(-max(h, 1) // SIDE) * SIDE, largest)) for h in heights]
+    return page, places, np.array(pages, np.int64)
+
+
+def filled(texels: NDArray[np.uint8], known: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """Page (h, w, 3) whose unknown texels are smooth between those that are known (h, w).
+
+    Means of known texels are taken over squares that double, then handed down: what lies next to a
+    chart has its colour, what is far from all costs next to nothing.
+    """
+    weights = [known.astype(np.float32)]
+    means = [texels * weights[0][:, :, None]]
+    while max(weights[-1].shape) > 1:
+        weight, mean = (_halved(a) for a in (weights[-1], means[-1]))
+        mean /= np.maximum(weight, 1e-6)[:, :, None]
+        weight = np.minimum(weight, 1.0)
+        weights.append(weight)
+        means.append(mean * weight[:, :, None])
+    below: NDArray[Any] = means[-1] / np.maximum(weights[-1], 1e-6)[:, :, None]
+    for weight, mean in zip(weights[-2::-1], means[-2::-1], strict=True):
+        wide = _doubled(below, weight.shape)
+        below = mean + (1.0 - weight[:, :, None]) * wide
+    out = np.clip(np.rint(below), 0, 255).astype(np.uint8)
+    out[known] = texels[known]
+    return out
+
+
+def _halved(array: NDArray[Any]) -> NDArray[Any]:
+    """Sums over squares of 2 x 2; what is missing at the edge is 0."""
+    h, w = array.shape[:2]
+    padded = np.pad(array, [(0, h % 2), (0, w % 2), *[(0, 0)] * (array.ndim - 2)])
+    rows = padded[::2] + padded[1::2]
+    out: NDArray[Any] = rows[:, ::2] + rows[:, 1::2]
+    return out
+
+
+def _doubled(array: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
+    """Array twice as large, cut to `shape`, smooth between the texels' centres."""
+    for axis in (0, 1):
+        before, after = (np.roll(array, s, axis) for s in (1, -1))
+        index: list[Any] = [slice(None)] * 3
+        index[axis] = slice(0, 1)
+        before[tuple(index)] = array[tuple(index)]
+        index[axis] = slice(-1, None)
+        after[tuple(index)] = array[tuple(index)]
+        pair = np.stack([0.75 * array + 0.25 * before, 0.75 * array + 0.25 * after], axis + 1)
+        new = list(array.shape)
+        new[axis] *= 2
+        array = pair.reshape(new)
+    return array[: shape[0], : shape[1]]
+
+
+ColourOf: TypeAlias = Callable[[Any, Any, Any], Any]
+"""`colour_of(points, normals, triangles)`: what colour the surface has.
+
+points (N, 3) float64 [m, map], their unit normals (N, 3) float64 and their triangles (N,) int64 to
+colours (N, 3) uint8 sRGB, or to a pair of them and (N,) bool: whether a colour is known.
+"""
+
+TOLERANCE = 5.0
+"""Of 255: what a smaller chart may differ from its samples (root mean square of 8 x 8 texels)."""
+LONGEST = 256
+"""Charts longer than this [texels] are cut, so that the dull part of a wall can be smaller."""
+_BATCH = 1 << 19  # texels a call of `colour_of`
+_LARGEST = 1 << 13
+
+
+def bake(
+    mesh: Mesh,
+    colour_of: ColourOf,
+    *,
+    texel: float = 0.01,
+    margin: int = 1,
+    largest: int = 2048,
+    tolerance: float = TOLERANCE,
+) -> Mesh:
+    """The same triangles with a texture atlas.
+
+    Charts of similar normal are laid flat, coloured by `colour_of` at every texel, made as coarse as
+    their content allows, and packed on pages. Charts of one colour take a few texels that many
+    share, so that blank walls cost nothing. What nobody saw looks like what is next to it.
+
+    Parameters
+    ----------
+    mesh
+        Triangles with shared vertices; its own colours and textures are not looked at. Triangles,
+        their order and their objects stay; vertices are doubled where charts meet.
+    colour_of
+        `surface_colours`, `mesh_colours`, `frame_colours`, or any function like them.
+    texel
+        Width of a texel [m].
+    margin
+        Texels around each chart, which bilinear looks touch.
+    largest
+        Longest side of a page [texels].
+    tolerance
+        What coarser charts may differ from the samples [of 255]; 0 keeps every texel.
+
+    Raises
+    ------
+    OptionError
+        An option is out of range, or `colour_of` returns something else.
+
+    """
+    _check(texel, margin, largest, tolerance)
+    if not len(mesh):
+        return mesh
+    neighbours = neighbours_of(mesh)
+    room = largest - 2 * margin - 2
+    charts = charts_of(mesh, neighbours, texel, min(room, LONGEST))
+    step = np.maximum(texel, charts.sizes.max(axis=1) / room)  # one triangle may be a whole hall
+    sheets = _painted(mesh, charts, colour_of, step, margin, tolerance)
+    sheets.light_up(charts, neighbours, mesh.object_of)
+    return assembled(mesh, charts, sheets, margin, largest)
+
+
+def _painted(
+    mesh: Mesh, charts: Charts, colour_of: ColourOf, step: Floats, margin: int, tolerance: float
+) -> Sheets:
+    """Ask for the colours of all texels, batch by batch, and keep what each chart needs."""
+    extents = charts.sizes / step[:, None]
+    grids = np.maximum(np.ceil(extents - 1e-6), 1).astype(np.int64) + 2 * margin
+    rows, starts = charts.grouped()
+    corners = charts.corners / step[charts.of][:, None, None]
+    count, ends = len(grids), np.cumsum(grids.prod(axis=1))
+    sheets = Sheets(
+        step, np.zeros(count, np.int32), np.zeros((count, 3)), np.zeros((count, 2), np.int64), [],
+        [], np.zeros((len(mesh), 3)), np.zeros(len(mesh)),
+    )  # fmt: skip
+    points, normals = mesh.vertices[mesh.triangles].astype(np.float64), mesh.normals()
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    first = 0
+    while first < count:
+        done = int(ends[first - 1]) if first else 0
+        last = max(int(np.searchsorted(ends, done + _BATCH, "right")), first + 1)
+        part = slice(first, last)
+        firsts = ends[part] - grids[part].prod(axis=1) - done
+        total = int(ends[last - 1]) - done
+        owner, shares = np.full(total, -1, np.int32), np.zeros((total, 2), np.float32)
+        share(
+            cover, last - first, corners, rows, starts[first : last + 1], grids[part],
+            extents[part], firsts, margin, owner, shares,
+        )  # fmt: skip
+        at = np.flatnonzero(owner >= 0)
+        own = owner[at].astype(np.int64)
+        u, v = (shares[at, k, None].astype(np.float64) for k in (0, 1))
+        a, b, c = np.moveaxis(points[own], 1, 0)
+        found, seen = asked(colour_of, a + u * (b - a) + v * (c - a), normals[own], own)
+        colours, state = np.zeros((total, 3), np.uint8), np.zeros(total, np.uint8)
+        colours[at], state[at] = found, np.where(seen, SEEN, UNSEEN)
+        np.add.at(sheets.counts, own[seen], 1)
+        for k in range(3):
+            sheets.sums[:, k] += np.bincount(own[seen], found[seen, k], len(mesh))
+        _keep(sheets, part, (colours, state, grids[part], extents[part], firsts, margin), tolerance)
+        first = last
+    return sheets
+
+
+def asked(
+    colour_of: ColourOf, points: Floats, normals: Floats, triangles: Ints
+) -> tuple[Bytes, NDArray[np.bool_]]:
+    """Colours (N, 3) uint8 and whether they are known (N,); `OptionError` where they are neither."""
+    answer = colour_of(points, normals, triangles)
+    colours, known = answer if isinstance(answer, tuple) else (answer, np.ones(len(points), bool))
+    if colours.dtype != np.uint8 or colours.shape != points.shape or known.shape != (len(points),):
+        raise OptionError(
+            f"colour_of returned {colours.dtype} {colours.shape} for {len(points)} points; it must "
+            "return colours (N, 3) uint8, or these and whether they are known, (N,) bool."
+        )
+    return colours, known.astype(bool, copy=False)
+
+
+def _keep(sheets: Sheets, part: slice, grids: tuple[Any, ...], tolerance: float) -> None:
+    """Take over a batch of charts at the coarsest levels that will do."""
+    extents, margin = grids[3], grids[5]
+    levels, means = sheets.levels[part], sheets.means[part]  # views
+    share(choose, len(levels), *grids, tolerance, levels, means)
+    scale = np.exp2(np.maximum(levels, 0))[:, None]
+    sizes = np.maximum(np.ceil(extents / scale - 1e-6), 1).astype(np.int64) + 2 * margin
+    sizes[levels < 0] = 0
+    sheets.sizes[part] = sizes
+    counts = sizes.prod(axis=1)
+    texels = np.zeros((int(counts.sum()), 3), np.uint8)
+    known = np.zeros(len(texels), bool)
+    share(draw, len(levels), *grids, levels, np.cumsum(counts) - counts, texels, known)
+    sheets.texels.append(texels)
+    sheets.known.append(known)
+
+
+def _check(texel: float, margin: int, largest: int, tolerance: float) -> None:
+    if not (np.isfinite(texel) and texel > 0):
+        raise OptionError(f"texel is {texel}; it must be a width in metres, as 0.01.")
+    if not 1 <= margin <= 16:
+        raise OptionError(f"margin is {margin}; it must be 1 to 16 texels.")
+    if not 64 <= largest <= _LARGEST:
+        raise OptionError(f"largest is {largest}; it must be 64 to {_LARGEST} texels.")
+    if not (np.isfinite(tolerance) and tolerance >= 0):
+        raise OptionError(f"tolerance is {tolerance}; it must be a number from 0 on.")

@@ -1,0 +1,707 @@
+"""What a capture shows that the map does not: what moved, and where to, and what appeared."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+
+from placegraph.core.geometry import Floats, vector_from_rotation
+from placegraph.errors import InputError, OptionError
+from placegraph.indoor.map.mesh import Mesh
+from placegraph.indoor.map.scene import Scene
+from placegraph.indoor.mapping.change.align import (
+    Sampled,
+    about,
+    inverse,
+    moved,
+    register,
+    rigid,
+    sample,
+)
+from placegraph.indoor.mapping.change.change_kernels import BITS, connected
+from placegraph.indoor.mapping.change.changes import Change, DiffOptions, Piece
+from placegraph.indoor.mapping.change.observe import (
+    Look,
+    Rest,
+    Tally,
+    project,
+    summed,
+    tolerance,
+    window,
+)
+from placegraph.indoor.mapping.fuse import Fused
+from placegraph.indoor.rays import RayCaster
+from placegraph.io.capture.frame import Frame
+
+_MARGIN = 0.12
+"""What lies this near to a thing that moved belongs to it [m]."""
+_SEEN_THROUGH = 0.5
+"""A cell that this share of the frames that look at it see through is not there (any more)."""
+_LEAST_TRIANGLES = 12  # of a surface that is one; a box has as many
+_FINE = 0.02
+"""Voxel of the surface of what appeared [m]."""
+_EMPTY = 2  # cells around all, so that a neighbour's number never wraps around
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Clump:
+    """Cells (V, 3) that touch, with a point and a colour each."""
+
+    points: Floats
+    """(V, 3) mean of the readings in each cell [m]."""
+    colours: NDArray[np.uint8]
+    """(V, 3)"""
+    cells: NDArray[np.int64]
+    """(V, 3)"""
+    frames: int
+    """That show some of it."""
+    pixels: int
+
+    @property
+    def low(self) -> Floats:
+        """(3,) of its box [m]."""
+        return np.asarray(self.points.min(axis=0))
+
+    @property
+    def high(self) -> Floats:
+        """(3,) of its box [m]."""
+        return np.asarray(self.points.max(axis=0))
+
+
+def gather(rest: Rest) -> list[Clump]:
+    """Clumps of unexplained readings, the largest first."""
+    points, colours = [np.zeros((0, 3))], [np.zeros((0, 3))]
+    frame = [np.zeros(0, np.int64)]
+    for t, (look, new) in enumerate(zip(rest.looks, rest.new, strict=True)):
+        points.append(look.points(new))
+        colours.append(np.nan_to_num(look.rgb[new]).astype(np.float64))
+        frame.append(np.full(len(points[-1]), t))
+    every, tints, frames = np.concatenate(points), np.concatenate(colours), np.concatenate(frame)
+    if not len(every):
+        return []
+    cells, at = np.unique(
+        np.floor(every / rest.options.voxel).astype(np.int64), axis=0, return_inverse=True
+    )
+    at = at.ravel()
+    count = np.bincount(at)
+    middle = np.stack([np.bincount(at, every[:, k]) for k in range(3)], axis=1) / count[:, None]
+    tint = np.stack([np.bincount(at, tints[:, k]) for k in range(3)], axis=1) / count[:, None]
+    views = np.bincount(np.unique(at * len(rest.looks) + frames) // len(rest.looks))
+    standing = (count >= 3) & ~_carved(rest, middle, views)
+    number = np.full(len(cells), -1)
+    number[standing] = clumps(cells[standing])
+    found = []
+    for k in range(number.max() + 1):
+        own = number == k
+        mine = own[at]
+        shown = len(np.unique(frames[mine]))
+        paint = np.rint(255.0 * tint[own]).astype(np.uint8)
+        found.append(Clump(middle[own], paint, cells[own], shown, int(mine.sum())))
+    return sorted(found, key=lambda c: -c.pixels)
+
+
+def clumps(cells: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Number (N,) of the clump of each cell (N, 3): cells that touch, also by a corner, share one.
+
+    Raises `OptionError` where cells are a million apart.
+    """
+    if not len(cells):
+        return np.zeros(0, np.int64)
+    at = cells - cells.min(axis=0) + _EMPTY
+    if int(at.max()) >= (1 << BITS) - _EMPTY:
+        raise OptionError(f"Points are {int(at.max()):,} cells apart; make the cells larger.")
+    keys = (at[:, 0] << 2 * BITS) + (at[:, 1] << BITS) + at[:, 2]
+    unique, rows = np.unique(keys, return_inverse=True)
+    return np.unique(connected(unique), return_inverse=True)[1][rows]
+
+
+def appeared(
+    rest: Rest,
+    found: Sequence[Clump],
+    used: Sequence[tuple[Floats, Floats, Floats]],
+    frames: Sequence[Frame],
+    poses: Sequence[Floats],
+) -> list[Change]:
+    """Changes for what of the clumps no moved object explains.
+
+    `used`: of each moved object its box before, and the motion back.
+    """
+    options = rest.options
+    least = min(options.least_frames, len(rest.looks))
+    kept: list[tuple[Clump, int]] = []
+    for clump in found:
+        part = _unused(clump, used)
+        pixels = clump.pixels * len(part.points) // len(clump.points)
+        if len(part.points) < max(4, 0.3 * len(clump.points)) or clump.frames < least:
+            continue
+        if pixels >= options.least_pixels and np.max(part.high - part.low) >= options.least_box:
+            kept.append((part, pixels))
+    fused = _fused(frames, poses) if kept else None
+    return [_change(part, pixels, _piece(part, fused, options.voxel)) for part, pixels in kept]
+
+
+def _unused(clump: Clump, used: Sequence[tuple[Floats, Floats, Floats]]) -> Clump:
+    """What of a clump does not belong to a thing that moved."""
+    free = np.ones(len(clump.points), np.bool_)
+    for low, high, back in used:
+        before = moved(back, clump.points)
+        free &= ~np.all((before > low - _MARGIN) & (before < high + _MARGIN), axis=1)
+    return replace(
+        clump, points=clump.points[free], colours=clump.colours[free], cells=clump.cells[free]
+    )
+
+
+def _change(clump: Clump, pixels: int, piece: Piece) -> Change:
+    box = np.stack([piece.vertices.min(axis=0), piece.vertices.max(axis=0)])
+    size = " x ".join(f"{v:.2f}" for v in np.ptp(box, axis=0))
+    shown = clump.frames
+    return Change(
+        kind="appeared",
+        label="unknown",
+        box=box,
+        piece=piece,
+        confidence=(shown + 0.5) / (shown + 1.0) * min(1.0, pixels / 400.0),
+        reason=f"{pixels:,} readings in {shown} frames end before the map, in a box of {size} m.",
+    )
+
+
+def _carved(rest: Rest, points: Floats, views: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which points (V, 3) are seen through so often that nothing stands there."""
+    through = np.zeros(len(points), np.int64)
+    for look in rest.looks:
+        if look.depth is None:
+            continue
+        rows, columns, depth = project(look, points)
+        reading = look.depth[np.maximum(rows, 0), np.maximum(columns, 0)]
+        with np.errstate(invalid="ignore"):
+            slack = tolerance(reading, rest.options) + rest.options.voxel
+            through += (rows >= 0) & (reading > depth + slack)
+    return np.asarray(through > _SEEN_THROUGH * (through + views))
+
+
+def _piece(clump: Clump, fused: Fused | None, voxel: float) -> Piece:
+    """What was fused in a clump's cells; a box where that is nothing."""
+    if fused is not None:
+        centres = np.floor(fused.vertices[fused.triangles].mean(axis=1) / voxel).astype(np.int64)
+        inside = _touching(centres, clump.cells)
+        if np.count_nonzero(inside) >= _LEAST_TRIANGLES:
+            rows, triangles = np.unique(fused.triangles[inside], return_inverse=True)
+            return Piece(fused.vertices[rows], triangles.reshape(-1, 3), fused.colours[rows])
+    points, half = clump.points, voxel / 4
+    colour = np.median(clump.colours, axis=0).astype(np.uint8)
+    return Piece.box(points.min(axis=0) - half, points.max(axis=0) + half, colour)
+
+
+def _fused(frames: Sequence[Frame], poses: Sequence[Floats]) -> Fused | None:
+    """Surface of all that the frames show; None where they show none."""
+    from placegraph.indoor.mapping.fuse import fuse
+
+    try:
+        return fuse(frames, np.array(poses), voxel=_FINE)
+    except InputError:
+        return None
+
+
+def _touching(cells: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which cells (N, 3) are one of others (M, 3), or touch one."""
+    steps = np.stack(np.meshgrid(*[(-1, 0, 1)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    grown = np.unique((others[:, None] + steps).reshape(-1, 3), axis=0)
+    low, high = grown.min(axis=0), grown.max(axis=0)
+    near = np.flatnonzero(((cells >= low) & (cells <= high)).all(axis=1))
+    mask = np.zeros(high - low + 1, np.bool_)
+    mask[tuple((grown - low).T)] = True
+    out = np.zeros(len(cells), np.bool_)
+    out[near] = mask[tuple((cells[near] - low).T)]
+    return out
+
+
+POINTS = 120
+"""On a thing, for the first round."""
+DENSE = 3000
+"""On a thing, for the fit."""
+YAWS = 18
+GRID = 0.1
+"""Step of positions tried [m]."""
+LOOKS = 6
+"""Frames that the first round asks."""
+_CHUNK = 200_000
+_LEAST_POINTS = 12  # that a fit takes
+_NUDGE = 0.15  # by how much a placement is turned to be fitted once more [rad]
+_LIFT = 0.08  # what moved up or down less than this is tried at its old height, too [m]
+_THROUGH = 2.0
+"""A reading behind the surface weighs this many on it."""
+_KEPT = 6
+"""Placements of the first round that are fitted."""
+LEAST_FIT = 0.75
+"""Share of the readings that have to end on the thing, of those that reach it."""
+LEAST_COVER = 0.5
+"""Share of the unexplained readings where it stands that it has to explain."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Placement:
+    """Where a thing may stand now."""
+
+    motion: Floats
+    """(4, 4) after_from_before"""
+    explained: int
+    """Readings that end on it and that nothing else explains."""
+    fit: float
+    """Share of the readings that end on it, of those that reach it."""
+    cover: float
+    """Share of the unexplained readings in its box that it explains."""
+    frames: int
+    """That speak for it."""
+    rivals: tuple[str, ...] = ()
+    """Ids of other things that are gone and fit the place nearly as well."""
+    share: float = 1.0
+    """How likely it is this thing, and none of those, by how far each would have come."""
+
+    @property
+    def good(self) -> bool:
+        """Whether it is taken for true."""
+        return self.fit >= LEAST_FIT and self.cover >= LEAST_COVER
+
+    @property
+    def worth(self) -> float:
+        """The larger, the better."""
+        return self.explained * self.fit * self.cover
+
+
+class Suspect:
+    """One object of the map that may have moved."""
+
+    def __init__(self, mesh: Mesh, row: int, rng: Generator) -> None:
+        triangles = np.flatnonzero(mesh.object_of == row)
+        self.row = row
+        self.few: Sampled = sample(mesh, triangles, POINTS, rng)
+        self.many: Sampled = sample(mesh, triangles, DENSE, rng)
+        corners = mesh.vertices[mesh.triangles[triangles]].reshape(-1, 3).astype(np.float64)
+        self.low, self.high = corners.min(axis=0), corners.max(axis=0)
+        used, rows = np.unique(mesh.triangles[triangles], return_inverse=True)
+        self.caster = RayCaster(mesh.vertices[used], rows.reshape(-1, 3))
+
+    @property
+    def middle(self) -> Floats:
+        """(3,) of its box [m]."""
+        return np.asarray((self.low + self.high) / 2.0)
+
+
+def placements(rest: Rest, thing: Suspect, clump: Floats, every: Floats) -> list[Placement]:
+    """Placements of a thing at a clump of unexplained points (N, 3), best first; may be empty.
+
+    `every`: (M, 3) all unexplained points; thin things come in several clumps.
+    """
+    chosen = _telling(rest, clump)
+    starts = _starts(thing, clump)
+    if not chosen or not len(starts):
+        return []
+    scores = np.concatenate(
+        [
+            _scores(rest, chosen, thing, starts[i : i + _CHUNK // POINTS])
+            for i in range(0, len(starts), _CHUNK // POINTS)
+        ]
+    )
+    found = []
+    for start in _distinct(starts, scores):
+        near = _within(thing, start, every, 0.15)
+        if np.count_nonzero(near) < _LEAST_POINTS:
+            continue
+        begin = inverse(about(thing.middle, start[3], start[:3]))
+        back = register(every[near], thing.many, begin, reach=0.15, within=0.03)
+        found.append(judge(rest, thing, inverse(back.motion)))
+    found.sort(key=lambda p: -p.worth)
+    return [_polished(rest, thing, every, found[0]), *found[1:]] if found else []
+
+
+def _polished(rest: Rest, thing: Suspect, every: Floats, placed: Placement) -> Placement:
+    """A placement, or what a fit from a little beside it finds, or that at its old height."""
+    best = placed
+    for turn in (-_NUDGE, 0.0, _NUDGE):
+        middle = moved(placed.motion, thing.middle[None])[0]
+        start = about(middle, turn, middle) @ placed.motion
+        back = moved(inverse(start), every)
+        near = np.all((back > thing.low - 0.08) & (back < thing.high + 0.08), axis=1)
+        if np.count_nonzero(near) < _LEAST_POINTS:
+            continue
+        fitted = register(every[near], thing.many, inverse(start), reach=0.08, within=0.03)
+        motion = inverse(fitted.motion)
+        tried = [motion]
+        if abs(motion[2, 3]) < _LIFT:  # what stood on the floor does so still
+            level = motion.copy()
+            level[2, 3] = 0.0
+            tried.append(level)
+        best = max([best, *(judge(rest, thing, m) for m in tried)], key=lambda p: p.worth)
+    return best
+
+
+def judge(rest: Rest, thing: Suspect, motion: Floats) -> Placement:
+    """How well a thing at a placement (4, 4) explains all frames, by rays at its mesh."""
+    back = inverse(motion)
+    low, high = thing.low - 0.05, thing.high + 0.05
+    ends = through = unexplained = frames = 0
+    for look, left, new in zip(rest.looks, rest.depths, rest.new, strict=True):
+        if look.depth is None:
+            continue
+        part = window(look, moved(motion, _corners(low, high)))
+        if part is None:
+            continue
+        rays = look.rays[part].reshape(-1, 3).astype(np.float64) @ back[:3, :3].T
+        origin = moved(back, look.map_from_camera[None, :3, 3])[0]
+        distance = thing.caster.cast(origin, rays).distance
+        reading, beyond = look.depth[part].ravel(), left[part].ravel()
+        slack = tolerance(reading, rest.options)
+        with np.errstate(invalid="ignore"):
+            shows = distance < beyond - slack
+            on = shows & (np.abs(reading - distance) <= slack)
+            behind = shows & (reading > distance + slack)
+        fresh = new[part].ravel()
+        points = origin + rays[fresh] * reading[fresh, None]
+        unexplained += int(np.all((points > low) & (points < high), axis=1).sum())
+        ends += int((on & fresh).sum())
+        through += int(behind.sum())
+        frames += int((on & fresh).sum() >= 5)
+    fit = ends / max(ends + through, 1)
+    return Placement(motion, ends, fit, min(ends / max(unexplained, 1), 1.0), frames)
+
+
+def _telling(rest: Rest, clump: Floats) -> list[int]:
+    """Frames that see most of a clump, a few."""
+    counts = []
+    for look, left in zip(rest.looks, rest.depths, strict=True):
+        rows, columns, depth = project(look, clump)
+        inside = rows >= 0
+        clear = depth[inside] < left[rows[inside], columns[inside]]
+        counts.append(int(clear.sum()) if look.depth is not None else 0)
+    order = np.argsort(-np.array(counts), kind="stable")[:LOOKS]
+    return [int(t) for t in order if counts[t] > 0.2 * counts[order[0]] and counts[t] > 5]
+
+
+def _starts(thing: Suspect, clump: Floats) -> Floats:
+    """Placements (S, 4) to try: middle of the thing [m] and its turn [rad], upright as it was."""
+    size = (thing.high - thing.low) / 2.0
+    low = np.percentile(clump, 2, axis=0) - 0.5 * size.max()
+    high = np.percentile(clump, 98, axis=0) + 0.5 * size.max()
+    x, y = (np.arange(low[k], high[k] + GRID, GRID) for k in (0, 1))
+    # what stood goes on standing at its height; what the clump's own height speaks for, too
+    lifts = {0.0}
+    bottom = float(np.percentile(clump[:, 2], 1)) - float(thing.low[2])
+    if abs(bottom) > 0.1:
+        lifts.add(bottom)
+    yaws = np.arange(YAWS) * 2.0 * np.pi / YAWS
+    grid = np.meshgrid(x, y, thing.middle[2] + np.array(sorted(lifts)), yaws, indexing="ij")
+    starts = np.stack([g.ravel() for g in grid], axis=1)
+    # a middle far from all points of the clump explains none of them
+    cells = np.unique(np.round(clump[:, :2] / 0.1).astype(np.int64), axis=0) * 0.1
+    spots, at = np.unique(starts[:, :2], axis=0, return_inverse=True)
+    far = np.full(len(spots), np.inf)
+    for chunk in np.array_split(cells, max(1, len(cells) // 500)):
+        gaps = np.linalg.norm(spots[:, None] - chunk[None], axis=2)
+        far = np.minimum(far, gaps.min(axis=1))
+    return np.asarray(starts[far[at] <= float(np.hypot(*size[:2]))])
+
+
+def _scores(rest: Rest, chosen: list[int], thing: Suspect, starts: Floats) -> Floats:
+    """(S,) readings on the thing, less those behind it, as a share of its points and frames."""
+    cos, sin = np.cos(starts[:, 3, None]), np.sin(starts[:, 3, None])
+    offset = thing.few.points - thing.middle
+    points = np.stack(
+        [
+            cos * offset[:, 0] - sin * offset[:, 1] + starts[:, 0, None],
+            sin * offset[:, 0] + cos * offset[:, 1] + starts[:, 1, None],
+            offset[:, 2] + starts[:, 2, None],
+        ],
+        axis=-1,
+    )
+    total = np.zeros(len(starts))
+    for t in chosen:
+        look, left, new = rest.looks[t], rest.depths[t], rest.new[t]
+        if look.depth is None:
+            continue
+        rows, columns, depth = project(look, points)
+        rows0, columns0 = np.maximum(rows, 0), np.maximum(columns, 0)
+        reading = look.depth[rows0, columns0]
+        slack = tolerance(reading, rest.options)
+        with np.errstate(invalid="ignore"):
+            there = (rows >= 0) & (depth < left[rows0, columns0] - slack)
+            on = there & (np.abs(reading - depth) <= slack) & new[rows0, columns0]
+            behind = there & (reading > depth + slack)
+        total += on.sum(axis=1) - _THROUGH * behind.sum(axis=1)
+    return total / (len(chosen) * len(offset))
+
+
+def _distinct(starts: Floats, scores: Floats) -> list[Floats]:
+    """The best placements that differ."""
+    kept: list[Floats] = []
+    for i in np.argsort(-scores, kind="stable")[:2000].tolist():
+        if scores[i] <= 0.0 or len(kept) == _KEPT:
+            break
+        turns = [abs((starts[i, 3] - k[3] + np.pi) % (2 * np.pi) - np.pi) for k in kept]
+        gaps = [float(np.linalg.norm(starts[i, :3] - k[:3])) for k in kept]
+        if all(g > 0.15 or t > 0.6 for g, t in zip(gaps, turns, strict=True)):
+            kept.append(starts[i])
+    return kept
+
+
+def _within(thing: Suspect, start: Floats, points: Floats, margin: float) -> NDArray[np.bool_]:
+    """Which points (N, 3) lie in the thing's box at a placement, and a margin."""
+    back = moved(inverse(about(thing.middle, start[3], start[:3])), points)
+    inside = (back > thing.low - margin) & (back < thing.high + margin)
+    return np.asarray(inside.all(axis=1))
+
+
+def _corners(low: Floats, high: Floats) -> Floats:
+    """(8, 3) corners of a box."""
+    return np.array([[(low, high)[i >> k & 1][k] for k in range(3)] for i in range(8)])
+
+
+_NEARNESS = 1.0
+"""Of things alike the nearest is meant: over this way [m] a fit's worth falls to a third."""
+_RIVAL = 0.7
+"""Another thing that is gone and fits a place this well, against the best, may be it as well."""
+_SHARED = 0.3
+"""Two things whose boxes share this much of the smaller stand at one place."""
+_MOVED_GAIN = 1.2
+"""By how much a motion has to explain the frames better than staying does."""
+
+
+def moves(
+    scene: Scene, left: Rest, clumps: Sequence[Clump], suspects: NDArray[np.int64], counts: Tally
+) -> dict[int, Placement]:
+    """Placement of each suspect that has one, no two at one place: the best fit first."""
+    rng = np.random.default_rng(left.options.seed)
+    bids: list[tuple[float, int, Placement]] = []
+    every = np.concatenate([np.zeros((0, 3)), *(clump.points for clump in clumps)])
+    for row in suspects.tolist():
+        thing = Suspect(scene.mesh, row, rng)
+        if counts.by_colour[row]:
+            found = slid(left, thing)
+            tried = [found] if found is not None else []
+        else:
+            stays = judge(left, thing, np.eye(4))
+            tried = [
+                placed
+                for clump in clumps
+                if _reaches(thing, clump, left.options)
+                for placed in placements(left, thing, clump.points, every)[:2]
+                if placed.good
+                and placed.explained >= left.options.least_pixels / 2
+                and placed.worth > _MOVED_GAIN * stays.worth
+            ]
+        for placed in tried:
+            shift = float(
+                np.linalg.norm(moved(placed.motion, thing.middle[None])[0] - thing.middle)
+            )
+            turn = np.degrees(np.linalg.norm(vector_from_rotation(placed.motion[:3, :3])))
+            stirred = shift >= left.options.least_shift or turn >= left.options.least_turn
+            if stirred and shift <= left.options.reach:
+                bids.append((placed.worth * np.exp(-shift / _NEARNESS), row, placed))
+    won: dict[int, Placement] = {}
+    places: list[tuple[Floats, Floats]] = []
+    for worth, row, placed in sorted(bids, key=lambda bid: -bid[0]):
+        box = box_of(scene, row, placed.motion)
+        if row in won or any(_common(*box, *other) > _SHARED for other in places):
+            continue
+        rivals = {
+            other: bid
+            for bid, other, too in reversed(bids)
+            if other != row
+            and too.worth > _RIVAL * placed.worth
+            and _common(*box, *box_of(scene, other, too.motion)) > _SHARED
+        }
+        share = worth / (worth + sum(rivals.values()))
+        names = tuple(scene.graph.ids[other] for other in rivals)
+        won[row] = replace(placed, rivals=names, share=share)
+        places.append(box)
+    return won
+
+
+def _reaches(thing: Suspect, clump: Clump, options: DiffOptions) -> bool:
+    """Whether a clump is near enough and large enough to be the thing, or part of it."""
+    gap = np.maximum(np.maximum(clump.low - thing.high, thing.low - clump.high), 0.0)
+    return bool(np.linalg.norm(gap) < options.reach)
+
+
+def box_of(scene: Scene, row: int, motion: Floats) -> tuple[Floats, Floats]:
+    """Corners of an object's box after a motion."""
+    corners = scene.mesh.vertices[scene.mesh.triangles[scene.mesh.object_of == row]]
+    points = moved(motion, corners.reshape(-1, 3).astype(np.float64))
+    return points.min(axis=0), points.max(axis=0)
+
+
+def _common(low: Floats, high: Floats, other_low: Floats, other_high: Floats) -> float:
+    """Share of the smaller of two boxes that the other holds."""
+    sides = np.maximum(np.minimum(high, other_high) - np.maximum(low, other_low), 0.0)
+    least = min(np.prod(high - low), np.prod(other_high - other_low))
+    return float(np.prod(sides) / max(least, 1e-9))
+
+
+ACROSS, UP = 1.6, 0.4
+"""How far along the wall and up and down it is looked for [m]."""
+COARSE, FINE = 0.04, 0.01
+"""Steps of the two rounds [m]."""
+ALIKE = 0.6
+"""Least correlation with the thing's colours."""
+BETTER = 0.15
+"""How much better than the map without it, and than 0.3 m beside, it has to fit."""
+_EVERY = 8  # of a thing's points one is compared
+_BLUR = 0.025  # its colours are averaged this far around it [m], about what three pixels cover
+_LOOKS = 8
+_SEEN = 0.6
+"""Share of the thing's face that a frame has to see to be asked."""
+
+
+def slid(rest: Rest, thing: Suspect) -> Placement | None:
+    """Placement of a flat thing along its wall, or None where nothing there looks like it."""
+    across = _across(thing)
+    face = _face(thing)
+    if across is None or float(np.ptp(face.colours, axis=0).max()) < 0.1:
+        return None  # of one colour: it looks like any patch of such a colour
+    looks = _asked(rest, thing, across)
+    shifts = _grid(np.zeros(2), (ACROSS, UP), COARSE)
+    scores, seen = _score_slides(rest, looks, face, across, shifts)
+    if not seen.any():
+        return None
+    best = int(np.where(seen, scores, -1.0).argmax())
+    fine = _grid(shifts[best], (COARSE, COARSE), FINE)
+    again, _ = _score_slides(rest, looks, face, across, fine)
+    shift, score = fine[int(again.argmax())], float(again.max())
+    apart = seen & (np.linalg.norm(shifts - shift, axis=1) > 0.3)
+    rival = float(scores[apart].max()) if apart.any() else 0.0
+    without, frames, pixels = _without(rest, looks, face, _moves(across, shift[None]))
+    if score < ALIKE or score < without + BETTER or score < rival + BETTER:
+        return None
+    motion = rigid(np.eye(3), _moves(across, shift[None])[0])
+    return Placement(motion, pixels, score, 1.0, frames)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Face:
+    """Points of a thing, with colours as blurred as a picture's."""
+
+    points: Floats
+    """(P, 3) [m]"""
+    normals: Floats
+    """(P, 3)"""
+    colours: Floats
+    """(P, 3) sRGB, 0 to 1."""
+
+    def faces(self, look: Look) -> NDArray[np.bool_]:
+        """(P,) whether a point's surface looks at a camera; the way there hardly turns it."""
+        towards = look.map_from_camera[:3, 3] - self.points
+        return np.asarray(np.einsum("nk,nk->n", self.normals, towards) > 0.0)
+
+    def front(self, look: Look) -> float:
+        """Share of the points that do."""
+        return max(float(self.faces(look).mean()), 0.2)
+
+
+def _face(thing: Suspect) -> _Face:
+    many = thing.many
+    points, normals = many.points[::_EVERY], many.normals[::_EVERY]
+    apart = np.linalg.norm(points[:, None] - many.points[None], axis=2)
+    near = (apart < _BLUR) & (normals @ many.normals.T > 0.7)
+    colours = near @ (many.colours / 255.0) / np.maximum(near.sum(axis=1, keepdims=True), 1)
+    return _Face(points, normals, colours)
+
+
+def _moves(across: Floats, shifts: Floats) -> Floats:
+    """(S, 3) of shifts (S, 2) along the wall and up [m]."""
+    return np.asarray(shifts[:, :1] * across + shifts[:, 1:] * np.array([0.0, 0.0, 1.0]))
+
+
+def _across(thing: Suspect) -> Floats | None:
+    """(3,) level direction along the wall a flat thing hangs on; None of what lies."""
+    spread = thing.many.normals.T @ thing.many.normals
+    facing = np.linalg.eigh(spread)[1][:, -1]
+    level = np.hypot(facing[0], facing[1])
+    return None if level < 0.8 else np.array([-facing[1], facing[0], 0.0]) / level
+
+
+def _asked(rest: Rest, thing: Suspect, across: Floats) -> list[int]:
+    """Frames that look at the wall from near by."""
+    worth = []
+    for look in rest.looks:
+        spots = thing.middle + np.linspace(-ACROSS, ACROSS, 9)[:, None] * across
+        rows, _, depth = project(look, spots)
+        worth.append(float(np.count_nonzero(rows >= 0) / (1.0 + np.abs(depth).min())))
+    order = np.argsort(-np.array(worth), kind="stable")[:_LOOKS]
+    return [int(t) for t in order if worth[t] > 0]
+
+
+def _score_slides(
+    rest: Rest, looks: Sequence[int], face: _Face, across: Floats, shifts: Floats
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """Correlation (S,) of the thing's colours with all frames at shifts (S, 2), and who saw it."""
+    moves = _moves(across, shifts)
+    total, weight = np.zeros((2, len(shifts)))
+    for t in looks:
+        look = rest.looks[t]
+        rows, columns, there = _visible(rest, look, face, moves)
+        shown = blurred(look.rgb)[np.maximum(rows, 0), np.maximum(columns, 0)]
+        seen = there.mean(axis=1)
+        worth = np.where(seen >= _SEEN * face.front(look), seen, 0.0)
+        total += worth * _correlation(face.colours[None], shown, there)
+        weight += worth
+    return np.where(weight > 0, total / np.maximum(weight, 1e-9), -1.0), weight > 0
+
+
+def _without(
+    rest: Rest, looks: Sequence[int], face: _Face, moves: Floats
+) -> tuple[float, int, int]:
+    """How well the map without the thing fits its colours there; frames and pixels that see it."""
+    values, frames, pixels = [], 0, 0
+    for t in looks:
+        look = rest.looks[t]
+        rows, columns, there = _visible(rest, look, face, moves)
+        if there.mean() < _SEEN * face.front(look):
+            continue
+        kept = (look.front.depth >= rest.depths[t] - 1e-3)[..., None]
+        left = blurred(np.where(kept, look.front.colour, look.behind.colour))
+        shown = left[np.maximum(rows, 0), np.maximum(columns, 0)]
+        values.append(float(_correlation(face.colours[None], shown, there)[0]))
+        frames += 1
+        pixels += len(np.unique(rows[there] * look.camera.width + columns[there]))
+    return (float(np.mean(values)) if values else -1.0), frames, pixels
+
+
+def _visible(
+    rest: Rest, look: Look, face: _Face, moves: Floats
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
+    """Pixel rows, columns (S, P) and whether a surface is seen there that may be the thing's."""
+    rows, columns, depth = project(look, face.points[None] + moves[:, None])
+    at = np.maximum(rows, 0), np.maximum(columns, 0)
+    there = (rows >= 0) & np.isfinite(look.rgb[*at, 0]) & face.faces(look)
+    if look.depth is not None:
+        reading = look.depth[at]
+        with np.errstate(invalid="ignore"):
+            there &= np.abs(reading - depth) <= tolerance(reading, rest.options)
+    return rows, columns, there
+
+
+def blurred(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Image (H, W, 3) averaged over three by three pixels."""
+    channels = [summed(image[..., k], 1) for k in range(3)]
+    return (np.stack(channels, axis=-1) / 9.0).astype(np.float32)
+
+
+def _correlation(wanted: Floats, shown: NDArray[np.float32], there: NDArray[np.bool_]) -> Floats:
+    """(S,) correlation over points and channels of colours (1 or S, P, 3) where they are seen."""
+    mask = there[..., None].astype(np.float64)
+    count = np.maximum(mask.sum(axis=1, keepdims=True), 1.0)
+    a = np.broadcast_to(wanted, shown.shape) * mask
+    b = np.nan_to_num(shown).astype(np.float64) * mask
+    a = (a - a.sum(axis=1, keepdims=True) / count) * mask
+    b = (b - b.sum(axis=1, keepdims=True) / count) * mask
+    norm = np.sqrt((a**2).sum(axis=(1, 2)) * (b**2).sum(axis=(1, 2)))
+    return np.asarray((a * b).sum(axis=(1, 2)) / np.maximum(norm, 1e-9))
+
+
+def _grid(middle: Floats, half: tuple[float, float], step: float) -> Floats:
+    """(S, 2) shifts around a middle [m]."""
+    x, y = (np.arange(-h, h + step / 2, step) + m for h, m in zip(half, middle, strict=True))
+    return np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)

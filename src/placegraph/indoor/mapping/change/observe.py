@@ -1,0 +1,409 @@
+"""What a frame of known pose shows, beside what the map says it should: pixel by pixel.
+
+Each pixel's ray is cast twice: at the first surface of the map, and at the first surface behind it
+of another object. What is seen can then be held against "it is still there" and "it is gone".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from placegraph.core.geometry import Camera, Floats
+from placegraph.indoor.map.scene import Scene
+from placegraph.indoor.mapping.change.change_kernels import paint
+from placegraph.indoor.mapping.change.changes import DiffOptions
+from placegraph.indoor.rays import RayCaster
+from placegraph.indoor.render import camera_rays
+from placegraph.io.capture.frame import Frame
+
+WIDTH = 320
+"""Pictures are compared at most this wide [px]."""
+_LAYERS = 12  # surfaces of one object behind each other that are looked through
+_STEP = 1e-4  # beyond a hit the next ray starts this far on [m]
+
+
+class Layer(NamedTuple):
+    """What rays hit. H rows, W columns."""
+
+    depth: NDArray[np.float32]
+    """(H, W) along the optical axis [m]; inf: nothing."""
+    objects: NDArray[np.int32]
+    """(H, W) rows of objects; -1: nothing."""
+    colour: NDArray[np.float32]
+    """(H, W, 3) sRGB, 0 to 1."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Look:
+    """One frame beside the map."""
+
+    index: int
+    """Of the frame."""
+    camera: Camera
+    map_from_camera: Floats
+    """(4, 4)"""
+    depth: NDArray[np.float32] | None
+    """(H, W) [m], NaN: no reading."""
+    rgb: NDArray[np.float32]
+    """(H, W, 3) sRGB, 0 to 1."""
+    front: Layer
+    """What the map has there."""
+    behind: Layer
+    """What the map has behind the object in front."""
+
+    @property
+    def rays(self) -> NDArray[np.float32]:
+        """(H, W, 3) in map axes; as long as the way along them for a metre of depth."""
+        flat = camera_rays(self.camera)
+        ahead = np.concatenate([flat, np.ones((*flat.shape[:2], 1), np.float32)], axis=-1)
+        turned: NDArray[np.float32] = ahead @ self.map_from_camera[:3, :3].T.astype(np.float32)
+        return turned
+
+    def points(self, mask: NDArray[np.bool_]) -> Floats:
+        """(N, 3) points [m, map] that the depth shows at the pixels of a mask."""
+        if self.depth is None:
+            return np.zeros((0, 3))
+        along = self.rays[mask].astype(np.float64) * self.depth[mask][:, None]
+        return np.asarray(along + self.map_from_camera[:3, 3])
+
+
+def look(scene: Scene, frame: Frame, map_from_camera: Floats) -> Look:
+    """Frame beside the map; raises `InputError` where an image is broken."""
+    depth = frame.depth()
+    camera = (frame.depth_camera or frame.camera) if depth is not None else frame.camera
+    if camera.width > WIDTH:
+        factor = -(-camera.width // WIDTH)
+        camera = camera.resized(-(-camera.width // factor), -(-camera.height // factor))
+        if depth is not None:
+            depth = _picked(depth, camera)
+    rgb = _colours(frame, camera)
+    return seen(scene, frame.index, camera, map_from_camera, depth, rgb)
+
+
+def seen(
+    scene: Scene,
+    index: int,
+    camera: Camera,
+    map_from_camera: Floats,
+    depth: NDArray[np.float32] | None,
+    rgb: NDArray[np.float32],
+) -> Look:
+    """Pictures beside the map."""
+    bare = Layer(np.zeros(0, np.float32), np.zeros(0, np.int32), np.zeros(0, np.float32))
+    empty = Look(index, camera, map_from_camera, depth, rgb, bare, bare)
+    rays = empty.rays.reshape(-1, 3)
+    origin = map_from_camera[:3, 3].astype(np.float32)
+    hits = scene.caster.cast(np.broadcast_to(origin, rays.shape), rays)
+    front = _layer(scene, camera, hits.triangle, hits.distance, hits.u, hits.v)
+    triangle, distance = hits.triangle.copy(), hits.distance.copy()
+    u, v = hits.u.copy(), hits.v.copy()
+    own = front.objects.ravel()
+    lengths = np.linalg.norm(rays, axis=1)
+    open_ = np.flatnonzero(own >= 0)
+    for _ in range(_LAYERS):
+        if not open_.size:
+            break
+        begin = distance[open_] + _STEP / lengths[open_]
+        again = scene.caster.cast(origin + rays[open_] * begin[:, None], rays[open_])
+        triangle[open_], distance[open_] = again.triangle, begin + again.distance
+        u[open_], v[open_] = again.u, again.v
+        same = scene.mesh.object_of[np.maximum(again.triangle, 0)] == own[open_]
+        open_ = open_[same & (again.triangle >= 0)]
+    triangle[open_] = -1  # deeper than we look: nothing is known to be behind
+    distance[open_] = np.inf
+    behind = _layer(scene, camera, triangle, distance, u, v)
+    return Look(index, camera, map_from_camera, depth, rgb, front, behind)
+
+
+def _layer(
+    scene: Scene,
+    camera: Camera,
+    triangle: NDArray[np.int32],
+    distance: NDArray[np.float32],
+    u: NDArray[np.float32],
+    v: NDArray[np.float32],
+) -> Layer:
+    shape = camera.height, camera.width
+    footprint = (distance / np.float32(camera.fx)).astype(np.float32)
+    colour = np.zeros((len(triangle), 3), np.float32)
+    paint(scene.surface, triangle, u, v, footprint, colour)
+    objects = np.where(triangle >= 0, scene.mesh.object_of[np.maximum(triangle, 0)], -1)
+    return Layer(
+        distance.reshape(shape), objects.astype(np.int32).reshape(shape), colour.reshape(*shape, 3)
+    )
+
+
+def _picked(depth: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
+    """Depth (h, w) at the centres of another camera's pixels: readings are never mixed."""
+    h, w = depth.shape
+    y = ((np.arange(camera.height) + 0.5) * h / camera.height).astype(int)
+    x = ((np.arange(camera.width) + 0.5) * w / camera.width).astype(int)
+    return depth[y[:, None], x]
+
+
+def _colours(frame: Frame, camera: Camera) -> NDArray[np.float32]:
+    """Image (H, W, 3), 0 to 1, as `camera` at the same place would take it."""
+    from PIL import Image
+
+    rgb, own = frame.rgb(), frame.camera
+    if own.resized(camera.width, camera.height) == camera:
+        size = camera.width, camera.height
+        picture = Image.fromarray(rgb).resize(size, Image.Resampling.BOX)
+        return np.asarray(picture, np.float32) / 255.0
+    uv = own.project(
+        np.concatenate([camera_rays(camera), np.ones((camera.height, camera.width, 1))], axis=-1)
+    )
+    with np.errstate(invalid="ignore"):
+        x, y = np.floor(np.nan_to_num(uv, nan=-1.0)).astype(int).transpose(2, 0, 1)
+    inside = (x >= 0) & (x < own.width) & (y >= 0) & (y < own.height)
+    out = np.full((camera.height, camera.width, 3), np.nan, np.float32)
+    out[inside] = rgb[y[inside], x[inside]] / np.float32(255.0)
+    return out
+
+
+def project(
+    look: Look, points: Floats
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32]]:
+    """Pixel rows and columns (...) of points (..., 3), -1 outside, and their depths (...) [m]."""
+    camera, pose = look.camera, look.map_from_camera.astype(np.float32)
+    local = (points.astype(np.float32) - pose[:3, 3]) @ pose[:3, :3]
+    depth = np.asarray(local[..., 2], np.float32)
+    uv: NDArray[np.floating[Any]]
+    if not camera.straight:
+        uv = camera.project(local)
+    else:  # as `Camera.project`, with half of its bytes
+        far = np.where(depth > 0.0, depth, np.float32(np.nan))[..., None]
+        focal, centre = np.array([[camera.fx, camera.fy], [camera.cx, camera.cy]], np.float32)
+        uv = local[..., :2] / far * focal + centre
+    with np.errstate(invalid="ignore"):
+        inside = np.all((uv >= 0) & (uv < (camera.width, camera.height)), axis=-1)
+    pixels = np.where(inside[..., None], uv, -1.0).astype(np.int64)
+    return pixels[..., 1], pixels[..., 0], depth
+
+
+def window(look: Look, corners: Floats) -> tuple[slice, slice] | None:
+    """Rows and columns of a picture that hold a box (8, 3); None where it lies outside."""
+    pose, camera = look.map_from_camera, look.camera
+    local = (corners - pose[:3, 3]) @ pose[:3, :3]
+    if (local[:, 2] <= 0.05).all():
+        return None
+    if (local[:, 2] <= 0.05).any():  # beside the camera: all of the picture
+        return slice(0, camera.height), slice(0, camera.width)
+    uv = camera.project(local)
+    low = np.maximum(np.floor(uv.min(axis=0)).astype(int), 0)
+    high = np.minimum(np.ceil(uv.max(axis=0)).astype(int), (camera.width, camera.height))
+    if (high <= low).any():
+        return None
+    return slice(low[1], high[1]), slice(low[0], high[0])
+
+
+Mask = NDArray[np.bool_]
+
+
+RING = 7
+"""Width of the surroundings of an object that tell the light on it [px]."""
+_RING_PIXELS = 30
+_CONTRAST = 0.08
+"""Colours of object and background that differ less than this cannot be told apart (0 to 1)."""
+_SPEAKING = 0.1
+"""Share of `least_pixels` in a frame from which on it counts as a frame that speaks."""
+_FLAT = 0.6
+"""Colours decide where they can tell at this share of an object's pixels or more."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tally:
+    """T frames, N objects."""
+
+    gone: Floats
+    """(T, N) pixels that speak for being gone."""
+    stays: Floats
+    """(T, N) pixels that speak for being there."""
+    by_colour: NDArray[np.bool_]
+    """(N,) whether these pixels were judged by colour."""
+    least: tuple[int, int]
+    """Pixels in all and frames that are needed."""
+
+    @property
+    def seen(self) -> NDArray[np.bool_]:
+        """(N,) whether enough pixels of enough frames speak of an object."""
+        pixels = self.gone + self.stays
+        frames = np.count_nonzero(pixels >= _SPEAKING * self.least[0], axis=0)
+        return (pixels.sum(axis=0) >= self.least[0]) & (frames >= self.least[1])
+
+    @property
+    def share(self) -> Floats:
+        """(N,) share of the pixels that speak for being gone."""
+        gone = self.gone.sum(axis=0)
+        return np.asarray(gone / np.maximum(gone + self.stays.sum(axis=0), 1.0))
+
+    def confidence(self, row: int) -> float:
+        """How sure it is that an object is gone: the rule of succession over frames.
+
+        Pixels of one frame are right or wrong together, so a frame counts once, by its share.
+        """
+        pixels = self.gone[:, row] + self.stays[:, row]
+        weight = np.minimum(pixels / (2.0 * _SPEAKING * self.least[0]), 1.0)
+        share = self.gone[:, row] / np.maximum(pixels, 1.0)
+        return float((np.sum(weight * share) + 0.5) / (np.sum(weight) + 1.0))
+
+
+def tally(looks: Sequence[Look], count: int, options: DiffOptions) -> Tally:
+    """What all frames say of `count` objects."""
+    depth_gone, depth_stays, colour_gone, colour_stays = np.zeros((4, len(looks), count))
+    for t, look in enumerate(looks):
+        agrees = np.isfinite(look.front.depth)
+        flat = agrees
+        if look.depth is not None:
+            slack = tolerance(look.depth, options)
+            near, far = around(look.front.depth)
+            with np.errstate(invalid="ignore"):
+                agrees = (look.depth >= near - slack) & (look.depth <= far + slack)
+                apart = look.behind.depth - look.front.depth > 2.0 * slack
+                even = far - near < 2.0 * slack + 0.1
+                through = (look.depth > far + slack) & apart & even
+            depth_gone[t] = _count(look, through, count)
+            depth_stays[t] = _count(look, agrees & apart & even, count)
+            flat = agrees & ~apart
+        if options.colour:
+            _by_colour(look, flat, agrees, colour_gone[t], colour_stays[t])
+    by_depth = (depth_gone + depth_stays).sum(axis=0)
+    by_colour = (colour_gone + colour_stays).sum(axis=0)
+    flat_ones = by_colour > _FLAT * (by_depth + by_colour)
+    least = options.least_pixels, min(options.least_frames, len(looks))
+    return Tally(
+        np.where(flat_ones, colour_gone, depth_gone),
+        np.where(flat_ones, colour_stays, depth_stays),
+        flat_ones,
+        least,
+    )
+
+
+def tolerance(depth: NDArray[np.float32], options: DiffOptions) -> NDArray[np.float32]:
+    """How far a reading may be from what it shows [m]."""
+    slack = options.depth_floor + options.depth_slope * np.nan_to_num(depth)
+    return np.asarray(slack, np.float32)
+
+
+def around(image: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Least and largest value (H, W) of each pixel and its eight neighbours."""
+    padded = np.pad(image, 1, mode="edge")
+    h, w = image.shape
+    parts = [padded[i : i + h, j : j + w] for i in range(3) for j in range(3)]
+    return np.minimum.reduce(parts), np.maximum.reduce(parts)
+
+
+def grown(mask: Mask, by: int) -> Mask:
+    """Mask with all pixels up to `by` rows and columns away."""
+    return summed(mask, by) > 0
+
+
+def summed(mask: NDArray[np.generic], by: int) -> NDArray[np.float64]:
+    """Sum (H, W) over the square of pixels up to `by` rows and columns away."""
+    total = np.pad(mask.astype(np.float64), ((by + 1, by), (by + 1, by)))
+    total = total.cumsum(axis=0).cumsum(axis=1)
+    k = 2 * by + 1
+    return np.asarray(total[k:, k:] - total[:-k, k:] - total[k:, :-k] + total[:-k, :-k])
+
+
+def light(look: Look, where: Mask) -> Floats | None:
+    """(3,) what the map's colours have to be multiplied with at pixels; None of too few."""
+    where = where & np.isfinite(look.rgb[..., 0])
+    if np.count_nonzero(where) < _RING_PIXELS:
+        return None
+    ratio = look.rgb[where] / np.maximum(look.front.colour[where], 0.02)
+    return np.asarray(np.median(ratio, axis=0), np.float64)
+
+
+def _by_colour(look: Look, flat: Mask, agrees: Mask, gone: Floats, stays: Floats) -> None:
+    """Write pixels (N,) for and against every object that colours can tell from its background."""
+    objects = look.front.objects
+    usable = flat & (objects >= 0) & np.isfinite(look.rgb[..., 0]) & (look.behind.objects >= 0)
+    for row in np.unique(objects[usable]).tolist():
+        own = objects == row
+        here = usable & own
+        if np.count_nonzero(here) < _RING_PIXELS:
+            continue
+        lit = light(look, grown(own, RING) & ~own & agrees & (objects >= 0))
+        if lit is None:
+            continue
+        there, behind = look.front.colour[here] * lit, look.behind.colour[here] * lit
+        telling = np.abs(there - behind).mean(axis=1) > _CONTRAST
+        seen = look.rgb[here][telling]
+        off_there, off_behind, apart = (
+            np.abs(a - b).sum(axis=1)
+            for a, b in (
+                (seen, there[telling]), (seen, behind[telling]), (there[telling], behind[telling])
+            )
+        )  # fmt: skip
+        # 1 where the colour is that of the background, 0 where it is the thing's, between between
+        closer = 0.5 + 0.5 * (off_there - off_behind) / apart
+        gone[row], stays[row] = closer.sum(), (1.0 - closer).sum()
+
+
+def _count(look: Look, mask: Mask, count: int) -> Floats:
+    rows = look.front.objects[mask]
+    return np.asarray(np.bincount(rows[rows >= 0], minlength=count), np.float64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rest:
+    """What is left of the map without all that is suspected to be gone, frame by frame."""
+
+    looks: Sequence[Look]
+    depths: Sequence[NDArray[np.float32]]
+    """T arrays (H, W) of the depth of what is left [m]; inf: nothing."""
+    new: Sequence[NDArray[np.bool_]]
+    """T masks (H, W) of readings that end before it: nothing explains them yet."""
+    options: DiffOptions
+
+
+def rest_of(
+    scene: Scene, looks: Sequence[Look], suspects: NDArray[np.int64], options: DiffOptions
+) -> Rest:
+    """The map without the suspects, and what it does not explain."""
+    suspected = np.zeros(len(scene) + 1, np.bool_)
+    suspected[suspects] = True
+    mesh = scene.mesh
+    kept = ~suspected[mesh.object_of]
+    caster = RayCaster(mesh.vertices, mesh.triangles[kept]) if kept.any() else None
+    depths, new = [], []
+    for seen in looks:
+        depth = seen.front.depth.copy()
+        gone = suspected[seen.front.objects]
+        if gone.any():
+            origin = seen.map_from_camera[:3, 3]
+            rays = seen.rays[gone]
+            depth[gone] = caster.cast(origin, rays).distance if caster else np.inf
+        depths.append(depth)
+        new.append(_new(seen, depth, options))
+    return Rest(looks, depths, new, options)
+
+
+def _new(seen: Look, depth: NDArray[np.float32], options: DiffOptions) -> NDArray[np.bool_]:
+    """(H, W) readings that end before all surfaces around, and are not alone in it."""
+    if seen.depth is None:
+        return np.zeros(depth.shape, np.bool_)
+    near, _ = around(depth)
+    with np.errstate(invalid="ignore"):
+        before = seen.depth < near - tolerance(seen.depth, options)
+    before &= np.isfinite(depth)  # beyond the map's end nothing is known to be new
+    return before & (summed(before, 1) >= 5)
+
+
+def shown(looks: Sequence[Look], count: int, options: DiffOptions) -> NDArray[np.bool_]:
+    """(N,) whether readings that agree with the map end on an object."""
+    pixels = np.zeros(count)
+    for seen in looks:
+        agrees = seen.front.objects >= 0
+        if seen.depth is not None:
+            with np.errstate(invalid="ignore"):
+                off = np.abs(seen.depth - seen.front.depth)
+                agrees &= off <= tolerance(seen.depth, options)
+        pixels += np.bincount(seen.front.objects[agrees], minlength=count)
+    return pixels >= options.least_pixels

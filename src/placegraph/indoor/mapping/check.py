@@ -1,0 +1,678 @@
+"""What a check of a scene map finds."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from math import sqrt
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from placegraph.indoor.likelihood.visibility import visibility
+from placegraph.indoor.map.floor import LEVEL, is_floor, label_words, labelled_floors, quantiles
+from placegraph.indoor.map.panoramas import DIRECTIONS
+from placegraph.indoor.map.relations import MOST_OBJECTS
+from placegraph.indoor.map.scene import Scene
+from placegraph.indoor.map.structure import nameless, structure
+from placegraph.indoor.options import FilterOptions
+
+Severity = Literal["error", "warning", "note"]
+SEVERITIES: tuple[Severity, ...] = ("error", "warning", "note")
+
+Found = tuple[Severity, str, Sequence[str], str]
+"""Severity, sentence, ids, mend."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing that is odd about a map."""
+
+    severity: Severity
+    what: str
+    """One sentence."""
+    objects: tuple[str, ...] = ()
+    """Ids of the objects it is about, at most 20; empty where it is about the whole map."""
+    mend: str = ""
+    """What to do: an option of `placegraph scene build`, or a word about the file."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain strings."""
+        return {**asdict(self), "objects": list(self.objects)}
+
+
+_DOUBLES = 0.01
+"""Share of triangles that lie on another."""
+_SOUP = 0.5
+"""Share of edges that belong to one triangle alone: faces that hang on nothing."""
+_CROSSED = 0.02
+"""Share of edges that belong to three triangles or more."""
+_BARE = 0.2
+"""Share of the surface that is white and without texture."""
+
+
+def mesh_findings(scene: Scene) -> Iterator[Found]:
+    """What is odd about the triangles."""
+    corners = _welded(scene)
+    yield from _doubles(scene, corners)
+    yield from _edges(corners)
+    yield from _colours(scene)
+
+
+def _welded(scene: Scene) -> NDArray[np.int64]:
+    """(T, 3) corners as numbers of places: vertices at one place are one, whatever their colour."""
+    grain, _ = scene.mesh.steps()
+    steps = np.rint(scene.mesh.vertices / np.float32(grain)).astype(np.int64)
+    steps -= steps.min(axis=0)
+    span = steps.max(axis=0) + 1
+    keys = (steps[:, 0] * span[1] + steps[:, 1]) * span[2] + steps[:, 2]
+    place = np.unique(keys, return_inverse=True)[1]
+    return place[scene.mesh.triangles]
+
+
+def _doubles(scene: Scene, corners: NDArray[np.int64]) -> Iterator[Found]:
+    ordered = np.sort(corners, axis=1)
+    count = int(corners.max()) + 1
+    first = ordered[:, 0] * count + ordered[:, 1]
+    order = np.lexsort([ordered[:, 2], first])
+    same = (np.diff(first[order]) == 0) & (np.diff(ordered[order, 2]) == 0)
+    share = float(same.sum()) / len(corners)
+    if share > _DOUBLES:
+        rows = np.unique(scene.mesh.object_of[order[1:][same]])
+        yield (
+            "warning" if share > 10 * _DOUBLES else "note",
+            f"{share:.0%} of the triangles lie on another one: the mesh is there twice.",
+            [scene.graph.ids[i] for i in rows.tolist()],
+            "Delete double faces in the file; they cost bytes and time, and flicker in colour.",
+        )
+
+
+def _edges(corners: NDArray[np.int64]) -> Iterator[Found]:
+    edges = np.sort(np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]]), 1)
+    keys = np.sort(edges[:, 0] * (int(corners.max()) + 1) + edges[:, 1])
+    starts = np.flatnonzero(np.concatenate([[True], keys[1:] != keys[:-1]]))
+    uses = np.diff(np.append(starts, len(keys)))
+    crossed, alone = float((uses > 2).mean()), float((uses == 1).mean())
+    if crossed > _CROSSED:
+        yield (
+            "note",
+            f"{crossed:.0%} of the edges belong to more than two triangles: the mesh is not manifold.",
+            [],
+            "Placegraph does not mind; programs that need closed surfaces do.",
+        )
+    if alone > _SOUP:
+        yield (
+            "note",
+            f"{alone:.0%} of the edges belong to a single triangle: the mesh is a soup of faces.",
+            [],
+            "Merge vertices by distance in the file: the map becomes smaller.",
+        )
+
+
+def _colours(scene: Scene) -> Iterator[Found]:
+    mesh = scene.mesh
+    if not scene.coloured:
+        white = (mesh.colours == 255).all() and all((t == 255).all() for t in mesh.textures)
+        said = "has no colours" if white else "is of one colour all over"
+        yield (
+            "warning" if white else "note",
+            f"The map {said}: images cannot be compared with it, depth and labels alone can.",
+            [],
+            "Export textures or vertex colours with the file"
+            + ("." if white else ", if it has any."),
+        )
+        return
+    blank = np.array([bool((t == 255).all()) for t in mesh.textures])
+    bare = blank[mesh.texture_of] & (mesh.colours[mesh.triangles] == 255).all(axis=(1, 2))
+    areas = np.linalg.norm(mesh.normals(), axis=1)
+    share = float(areas[bare].sum() / max(float(areas.sum()), 1e-12))
+    if share > _BARE:
+        whole = np.bincount(mesh.object_of, areas, len(scene))
+        white = np.bincount(mesh.object_of, areas * bare, len(scene))
+        rows = np.flatnonzero(white > 0.9 * np.maximum(whole, 1e-12))
+        yield (
+            "note",
+            f"{share:.0%} of the surface is pure white without texture: its colour may be missing.",
+            [scene.graph.ids[i] for i in rows.tolist()],
+            "Export its materials with the file, if it is not white.",
+        )
+
+
+_GIANT = 0.8
+"""An object with this share of all surface that is no wall, floor or ceiling ..."""
+_TWINS = 0.8
+"""Boxes whose common part is this share of what they fill together are one object twice."""
+_MANY_TRIANGLES = 1_000_000
+_LARGE_FILE = 20e6
+"""[bytes]"""
+_SLOW = 2.0
+"""Opening a map beyond this is slow [s]."""
+
+
+def giant(scene: Scene) -> Iterator[Found]:
+    """Whether one object is nearly all of the surface."""
+    areas = np.linalg.norm(scene.mesh.normals(), axis=1) / 2.0
+    own = np.bincount(scene.mesh.object_of, areas, len(scene))
+    largest = int(own.argmax())
+    share = own[largest] / max(float(own.sum()), 1e-12)
+    if share > _GIANT and not structure(scene.graph.labels)[largest]:
+        severity: Severity = "warning" if len(scene) > 1 else "error"
+        yield (
+            severity,
+            (
+                f"{_name(scene, largest)} holds {share:.0%} of all surface: the map knows no objects "
+                "apart, and objects are what it localizes by."
+            ),
+            [scene.graph.ids[largest]],
+            (
+                "Build from a file with one node, group or id an object (--object-property, --labels), "
+                "or from the capture, which cuts the mesh into objects."
+            ),
+        )
+
+
+def twins(scene: Scene) -> Iterator[Found]:
+    """Whether objects fill the same space."""
+    low, high = _boxes(scene)
+    movable = np.flatnonzero(~structure(scene.graph.labels))
+    if not 1 < len(movable) <= 5000:
+        return
+    low, high = low[movable] - 5e-3, high[movable] + 5e-3
+    volume = np.prod(high - low, axis=1)
+    pairs: list[tuple[int, int]] = []
+    order = np.argsort(low[:, 0], kind="stable")
+    for at, i in enumerate(order.tolist()):
+        later = order[at + 1 :]
+        later = later[: int(np.searchsorted(low[later, 0], high[i, 0]))]
+        sides = np.minimum(high[i], high[later]) - np.maximum(low[i], low[later])
+        common = np.prod(np.maximum(sides, 0.0), axis=1)
+        twin = common > _TWINS * (volume[i] + volume[later] - common)
+        pairs += [(int(movable[i]), int(movable[j])) for j in later[twin]]
+    if pairs:
+        a, b = pairs[0]
+        yield (
+            "warning",
+            (
+                f"{len(pairs)} pairs of objects fill the same space, such as {_name(scene, a)} and "
+                f"{_name(scene, b)}."
+            ),
+            [scene.graph.ids[i] for i in dict.fromkeys(i for pair in pairs for i in pair)],
+            "Delete one of each pair in the file, or give both one id.",
+        )
+
+
+def far(scene: Scene) -> Iterator[Found]:
+    """Objects that lie apart from all others by more than the map without them is wide."""
+    low, high = _boxes(scene)
+    if len(scene) < 3:
+        return
+    middle = np.median((low + high) / 2, axis=0)
+    reach = np.maximum(np.maximum(low - middle, middle - high), 0.0).max(axis=1)
+    order = np.argsort(reach, kind="stable")
+    sorted_reach = np.maximum(reach[order], 1.0)
+    jump = np.flatnonzero(sorted_reach[1:] > 3.0 * sorted_reach[:-1])
+    jump = jump[jump + 1 > 0.9 * len(order) - 1]
+    if jump.size:
+        out = order[jump[0] + 1 :]
+        yield (
+            "warning",
+            (
+                f"{len(out)} object{'s lie' if len(out) > 1 else ' lies'} far off from the rest, "
+                f"{_name(scene, int(out[0]))} by {reach[out[0]]:.0f} m."
+            ),
+            [scene.graph.ids[i] for i in out.tolist()],
+            "Delete or move it in the file: the map's box is searched, and grows with it.",
+        )
+
+
+def words(scene: Scene) -> Iterator[Found]:
+    """Whether labels, names and ids say what is what."""
+    graph = scene.graph
+    bare = [i for i, label in enumerate(graph.labels) if nameless(label)]
+    if len(bare) > 0.2 * len(scene):
+        yield (
+            "warning" if len(bare) > 0.5 * len(scene) else "note",
+            f"{len(bare)} of {len(scene)} objects have no label that says what they are.",
+            [graph.ids[i] for i in bare],
+            "--labels FILE gives each object's id or name a label.",
+        )
+    names = Counter(name for name in graph.names if name)
+    twice = {name for name, count in names.items() if count > 1}
+    if twice:
+        rows = [i for i, name in enumerate(graph.names) if name in twice]
+        yield (
+            "note",
+            f"{len(twice)} names stand for several objects, such as {min(twice)!r}.",
+            [graph.ids[i] for i in rows],
+            "Give each object its own name in the file; ids tell them apart meanwhile.",
+        )
+    folded = Counter(id_.strip().casefold() for id_ in graph.ids)
+    alike = [id_ for id_ in graph.ids if folded[id_.strip().casefold()] > 1]
+    if alike:
+        yield (
+            "warning",
+            f"{len(alike)} ids differ in case or blanks alone, such as {alike[0]!r}.",
+            alike,
+            "Rename them in the file: instance images and tables of labels mix them up.",
+        )
+
+
+def relations(scene: Scene) -> Iterator[Found]:
+    """Whether anything is known of how objects stand to each other."""
+    if len(scene) > 1 and not scene.graph.relations:
+        many = len(scene) > MOST_OBJECTS
+        yield (
+            "note",
+            "No relation between objects is known"
+            + (f": there are more than {MOST_OBJECTS:,} of them." if many else "."),
+            [],
+            "Cut the scene into fewer objects." if many else "Check --scale: nothing is near.",
+        )
+
+
+def costs(scene: Scene, size: int | None, seconds: float | None) -> Iterator[Found]:
+    """Whether it is large, or slow to open."""
+    mend = "--detail small, or tiny, makes it smaller; so do --error and --texel."
+    if len(scene.mesh) > _MANY_TRIANGLES:
+        yield "warning", f"The map has {len(scene.mesh):,} triangles.", [], mend
+    if size is not None and size > _LARGE_FILE:
+        yield "note", f"The file has {size / 1e6:.0f} MB.", [], mend
+    if seconds is not None and seconds > _SLOW:
+        yield "note", f"Opening it took {seconds:.1f} s.", [], mend
+
+
+def _boxes(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Lower and upper corners (N, 3) of the objects' boxes [m]."""
+    found = scene.mesh.object_bounds(len(scene))
+    return found[:, 0], found[:, 1]
+
+
+def _name(scene: Scene, row: int) -> str:
+    graph = scene.graph
+    return f"{graph.labels[row] or 'object'} {(graph.names[row] or graph.ids[row])!r}"
+
+
+HEIGHTS = {
+    "chair": 0.9, "armchair": 0.9, "table": 0.74, "desk": 0.75, "sofa": 0.85, "couch": 0.85,
+    "door": 2.05, "toilet": 0.78, "refrigerator": 1.7, "fridge": 1.7, "wardrobe": 2.0,
+    "counter": 0.9, "bathtub": 0.58, "stool": 0.55, "nightstand": 0.55, "wall": 2.6,
+}  # fmt: skip
+"""Usual heights of things that stand on the floor [m]."""
+_KINDS = 3
+"""Kinds of things that have to agree how far a map's unit is off ..."""
+_AGREE = 1.5
+"""... within this factor: sizes of one kind differ by as much."""
+_STANDS = 0.15
+"""A whole thing begins no higher above the floor than this share of its height."""
+UNITS = (
+    ("millimetres", 0.001), ("centimetres", 0.01), ("inches", 0.0254), ("feet", 0.3048),
+    ("metres", 1.0), ("hundreds of metres", 100.0), ("kilometres", 1000.0),
+)  # fmt: skip
+"""Units of files, and metres in each."""
+_LOW, _HIGH = 1.9, 7.0
+"""Height of rooms, halls and a second storey included [m]."""
+_USUAL = 2.6
+_TILTED, _VERY_TILTED = 1.0, 4.0
+"""The floor's slope that is told, and the one that spoils poses [deg]: gravity is taken for known."""
+_OFF = 0.1
+"""How far the floor may lie from a level surface [m]."""
+
+
+def units(scene: Scene) -> Iterator[Found]:
+    """Is it in metres? By the height of rooms, and of things whose label is known."""
+    rooms = height_of_rooms(scene)
+    known = _known_ratio(scene)
+    guess = known if known is not None else rooms / _USUAL
+    off = (known is not None and not 0.5 < known < 2.0) or not _LOW < rooms < _HIGH
+    if not off or guess <= 0:  # nothing above the floor is a floor elsewhere
+        return
+    unit, scale = min(UNITS, key=lambda u: abs(np.log(guess * u[1])))
+    said = f"Rooms are {rooms:.3g} m high"
+    if known is not None:
+        said += f", and things {known:.3g} times as high as such things are"
+    if scale != 1.0 and abs(np.log(guess * scale)) < 0.7:
+        unsure = unit == "feet" and known is None  # or it is a hall
+        severity: Severity = "warning" if unsure else "error"
+        yield severity, f"{said}: the file looks to be in {unit}.", [], f"--scale {scale:g}"
+    else:
+        yield (
+            "warning",
+            f"{said}.",
+            [],
+            "--scale N, metres in one unit of the file, if that is odd.",
+        )
+
+
+def up_axis(scene: Scene) -> Iterator[Found]:
+    """Is z up? Floors and ceilings face along it, and rooms are lower than they are wide."""
+    areas, unit = _normals(scene)
+    named, standing = labelled_floors(scene.mesh, scene.graph.labels)
+    words = [label_words(label)[-1:] for label in scene.graph.labels]
+    level = named if named.any() else np.array([w == ["ceiling"] for w in words])
+    labelled = level[scene.mesh.object_of]
+    if areas[labelled].sum() > 0:
+        shares = _facing(areas[labelled], unit[labelled])
+        severity: Severity = "error"
+        sure, what = 2.0, "ceilings face"
+        if named.any():
+            what = "the floor stands upright, it faces"
+    else:
+        shares = _facing(areas, unit)
+        extents = np.ptp(scene.bounds, axis=0)
+        if extents[2] < 1.3 * extents[int(shares[:2].argmax())]:
+            return
+        severity, sure, what = "warning", 1.3, "most surfaces face"
+    best = int(shares.argmax())
+    if best != 2 and shares[best] > sure * shares[2]:
+        yield (
+            severity,
+            f"The map looks to lie on its side: {what} along {'xy'[best]}.",
+            [],
+            "--up y" if best == 1 else "Turn the file so that z points up.",
+        )
+    elif standing.any():
+        many = int(standing.sum())
+        yield (
+            "warning",
+            (
+                f"The floor stands upright in {many} object{'s' if many > 1 else ''} labelled so: the "
+                "map's floor was found without."
+            ),
+            [scene.graph.ids[i] for i in np.flatnonzero(standing)],
+            "Label them for what they are (--labels), or turn the file so that z points up.",
+        )
+
+
+def floors(scene: Scene) -> Iterator[Found]:
+    """Is the floor where the map says, and level? For each merged scene."""
+    areas, unit = _normals(scene)
+    heights = scene.mesh.vertices[scene.mesh.triangles][:, :, 2].mean(axis=1, dtype=np.float64)
+    named = np.array([is_floor(label) for label in scene.graph.labels])[scene.mesh.object_of]
+    level = np.abs(unit[:, 2]) > LEVEL
+    for s, floor in enumerate(scene.floors.tolist()):
+        own = level & (scene.scene_of[scene.mesh.object_of] == s)
+        low, high = scene.scene_bounds[s]
+        least = max(0.5, 0.03 * float(np.prod((high - low)[:2])))
+        near = own & (np.abs(heights - floor) < _OFF)
+        if areas[near].sum() < least:
+            where = _largest_level(heights[own], areas[own], floor)
+            yield (
+                "error" if where is None or abs(where - floor) > 0.3 else "warning",
+                f"The floor is said to be at {floor:.2f} m, but hardly any level surface lies there"
+                + ("." if where is None else f"; the next large one is at {where:.2f} m."),
+                [],
+                "--floor H" if where is None else f"--floor {where:.2f}",
+            )
+            continue
+        below = own & named & (heights < floor - 3 * _OFF)
+        if areas[below].sum() > areas[near].sum():
+            where = float(np.average(heights[below], weights=areas[below]))
+            yield (
+                "warning",
+                (
+                    f"More of what is labelled floor lies at {where:.2f} m than at the map's floor, "
+                    f"{floor:.2f} m."
+                ),
+                [],
+                f"--floor {where:.2f}, or cut the storeys apart.",
+            )
+        floor_like = near & named if (near & named).any() else near
+        turned = unit[floor_like] * np.sign(unit[floor_like, 2:])
+        # no wall is among them, but chamfers and clutter are: the middle, not the mean
+        slope = [quantiles(turned[:, k], areas[floor_like], (0.5,))[0] for k in range(3)]
+        tilt = float(np.degrees(np.arctan2(np.hypot(slope[0], slope[1]), slope[2])))
+        if tilt > _TILTED:
+            yield (
+                "error" if tilt > _VERY_TILTED else "warning",
+                (
+                    f"The floor slopes by {tilt:.1f} degrees: gravity is not -z of the map, and poses "
+                    "are found with gravity taken for known."
+                ),
+                [],
+                "Level the file (rotate the floor into the plane z = const), and build again.",
+            )
+
+
+def height_of_rooms(scene: Scene) -> float:
+    """From the floor to where all but a fiftieth of the surface lies below [m]."""
+    areas, _ = _normals(scene)
+    heights = scene.mesh.vertices[scene.mesh.triangles][:, :, 2].mean(axis=1, dtype=np.float64)
+    (top,) = quantiles(heights, areas, (0.98,))
+    return float(top - scene.floors.min())
+
+
+def _known_ratio(scene: Scene) -> float | None:
+    """How many times as high as usual things are whose kind is in `HEIGHTS`.
+
+    None where fewer than `_KINDS` kinds, or no more than half of them, agree: parts of things are
+    lower than things, and labels may err.
+    """
+    kinds: dict[str, list[float]] = {}
+    boxes = scene.mesh.object_bounds(len(scene)).astype(np.float64)
+    for i, label in enumerate(scene.graph.labels):
+        word = (label_words(label) or [""])[-1]
+        low, high = boxes[i, :, 2]
+        off = abs(low - scene.floors[scene.scene_of[i]])
+        if word in HEIGHTS and high > low and off < _STANDS * (high - low):
+            kinds.setdefault(word, []).append(float(high - low) / HEIGHTS[word])
+    ratios = np.array([float(np.median(values)) for values in kinds.values()])
+    if len(ratios) < _KINDS:
+        return None
+    middle = float(np.median(ratios))
+    agree = int((np.abs(np.log(ratios / middle)) < np.log(_AGREE)).sum())
+    return middle if agree >= max(_KINDS, len(ratios) // 2 + 1) else None
+
+
+def _normals(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Areas (T,) [m2] and unit normals (T, 3)."""
+    doubled = scene.mesh.normals()
+    lengths = np.linalg.norm(doubled, axis=1)
+    return lengths / 2.0, doubled / np.maximum(lengths, 1e-12)[:, None]
+
+
+def _facing(areas: NDArray[np.float64], unit: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(3,) area that faces along each axis."""
+    return np.array([areas[np.abs(unit[:, k]) > LEVEL].sum() for k in range(3)])
+
+
+def _largest_level(
+    heights: NDArray[np.float64], areas: NDArray[np.float64], floor: float
+) -> float | None:
+    """Height of the largest level surface no more than 3 m off the floor that is said."""
+    near = np.abs(heights - floor) < 3.0
+    if not near.any():
+        return None
+    bins, inverse = np.unique(np.round(heights[near] / 0.1), return_inverse=True)
+    best = int(np.bincount(inverse, areas[near]).argmax())
+    return float(bins[best] * 0.1)
+
+
+_PLACES = 24
+"""Places from which holes are looked for."""
+_SKY, _OPEN = 0.03, 0.3
+"""Share of the rays from inside that leave the map: told, and much."""
+_LEVEL_RAY = 0.2
+"""Rays that rise or fall more steeply than this may pass over low walls, and under none."""
+_BACK = 0.3
+"""Share of the rays from inside that meet the back of a triangle."""
+
+
+def places(scene: Scene, options: FilterOptions | None) -> Iterator[Found]:
+    """Is there a place for a camera, and is the map closed around it? Are its normals flipped."""
+    options = options or FilterOptions()
+    table = visibility(scene, options)
+    said = " to ".join(f"{h:g}" for h in sorted({min(options.heights), max(options.heights)}))
+    over = float(scene.floors.min()) + min(options.heights) >= float(scene.bounds[1, 2])
+    if not len(table) or over:
+        rooms = height_of_rooms(scene)
+        yield (
+            "error",
+            (
+                f"At camera heights of {said} m above the floor ({scene.floors[0]:.2f} m) no place is "
+                "free: no particle can start, and nothing is localized."
+            ),
+            [],
+            (
+                "--floor H, if the floor lies elsewhere; --scale N, if the map is in another unit; or "
+                f"`scene localize --height {max(0.3, min(0.6 * rooms, 1.0)):.1f}`."
+            ),
+        )
+        return
+    below = scene.caster.cast(table.positions, np.tile([0.0, 0.0, -1.0], (len(table), 1)))
+    # inside: with a floor below, where there is one
+    inside = (
+        np.flatnonzero(below.triangle >= 0)
+        if (below.triangle >= 0).any()
+        else np.arange(len(table))
+    )
+    chosen = inside[np.linspace(0, len(inside) - 1, min(_PLACES, len(inside))).round().astype(int)]
+    origins = np.repeat(table.positions[chosen], len(DIRECTIONS) * 2, axis=0)
+    rays = np.concatenate([DIRECTIONS, _steep()])
+    hits = scene.caster.cast(origins, np.tile(rays, (len(chosen), 1)))
+    missed = (hits.triangle < 0).reshape(len(chosen), -1)
+    yield from _holes(missed, rays)
+    yield from _inside_out(scene, hits.triangle, np.tile(rays, (len(chosen), 1)))
+
+
+def _holes(missed: NDArray[np.bool_], rays: NDArray[np.float32]) -> Iterator[Found]:
+    share = float(missed.mean())
+    if share <= _SKY:
+        return
+    up, down = rays[:, 2] > _LEVEL_RAY, rays[:, 2] < -_LEVEL_RAY
+    parts = {"above": up, "below": down, "around": ~(up | down)}
+    shares = {where: float(missed[:, which].mean()) for where, which in parts.items()}
+    listed = ", ".join(f"{s:.0%} {where}" for where, s in shares.items() if s > _SKY)
+    only_up = shares["above"] > _SKY and shares["below"] <= _SKY and shares["around"] <= _SKY
+    yield (
+        "note" if only_up or share < _OPEN else "warning",
+        f"From inside, {share:.0%} of all rays leave the map ({listed}): "
+        + ("it has no ceiling." if only_up else "walls or floors have holes, or are missing."),
+        [],
+        (
+            "Nothing can be compared there. Keep ceiling and walls when the file is exported, or scan "
+            "what is missing."
+        ),
+    )
+
+
+def _inside_out(
+    scene: Scene, triangle: NDArray[np.int32], rays: NDArray[np.float32]
+) -> Iterator[Found]:
+    hit = triangle >= 0
+    rows = triangle[hit]
+    back = np.einsum("nk,nk->n", scene.normals[rows], rays[hit]) > 0.05
+    share = float(back.mean()) if len(back) else 0.0
+    if share <= _BACK:
+        return
+    own = scene.mesh.object_of[rows]
+    seen = np.bincount(own, minlength=len(scene))
+    turned = np.bincount(own, back, len(scene))
+    worst = np.argsort(-turned)[: int((turned > 0.5 * np.maximum(seen, 1)).sum())]
+    yield (
+        "note",
+        f"{share:.0%} of what one sees from inside are backs of triangles: normals are flipped.",
+        [scene.graph.ids[i] for i in worst.tolist() if turned[i] > 0.5 * seen[i]],
+        "Placegraph sees both sides; recalculate normals in the file if other programs shall, too.",
+    )
+
+
+def _steep() -> NDArray[np.float32]:
+    """As many rays up and down as `DIRECTIONS` has, which end 50 degrees from the horizon."""
+    count = len(DIRECTIONS)
+    z = np.linspace(0.77, 1.0, count // 2 + count % 2)
+    turn = np.arange(len(z)) * 2.399963  # golden angle
+    flat = np.sqrt(1.0 - z**2)
+    up = np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=1)
+    both = np.concatenate([up, (up * (1.0, 1.0, -1.0))[: count // 2]])
+    return both.astype(np.float32)
+
+
+_SURE = 0.9
+"""Probability from which on a candidate is the one."""
+_FAR, _FARTHEST = 1.0, 3.0
+"""What may be left of what was fitted, on the whole and at worst [m]."""
+_NO_HEIGHT = 50.0
+"""A height with a larger standard deviation is unknown [m]."""
+_AGAIN = "Anchor it again with `placegraph scene anchor`"
+
+
+def anchors(scene: Scene) -> Iterator[Found]:
+    """Does it stand in one place, as well as was measured; does anybody know how well."""
+    for name in scene.scenes:
+        found = scene.anchors_of(name)
+        if not found:
+            continue
+        of = f" of {name}" if len(scene.scenes) > 1 else ""
+        best = found[0]
+        if best.probability < _SURE:
+            yield (
+                "warning",
+                (
+                    f"The place{of} on Earth is ambiguous: the likeliest of {len(found)} candidates has "
+                    f"{best.probability:.0%}."
+                ),
+                [],
+                f"{_AGAIN} by point pairs, or keep the right candidate alone.",
+            )
+        left = sqrt(sum(r * r for r in best.residuals) / max(1, len(best.residuals)))
+        worst = max(best.residuals, default=0.0)
+        if left > _FAR or worst > _FARTHEST:
+            yield (
+                "warning",
+                (
+                    f"What the place{of} on Earth was fitted to is off by {left:.1f} m on the whole, "
+                    f"{worst:.1f} m at worst."
+                ),
+                [],
+                f"{_AGAIN}; a pair may be wrong, or the building another.",
+            )
+        if not best.known:
+            yield (
+                "note",
+                f"Nobody said how well the place{of} on Earth is known: poses there look exact.",
+                [],
+                "Give the anchor a covariance.",
+            )
+        elif best.covariance[2, 2] > _NO_HEIGHT**2:
+            yield (
+                "note",
+                f"The height{of} on Earth is unknown; GeoPoses have it wrong.",
+                [],
+                f"{_AGAIN} and --height.",
+            )
+
+
+_SHOWN = 20
+"""Most objects a finding names."""
+
+
+def check(
+    scene: Scene,
+    *,
+    options: FilterOptions | None = None,
+    size: int | None = None,
+    seconds: float | None = None,
+) -> list[Finding]:
+    """What is odd about a map, worst first; empty where nothing is.
+
+    Parameters
+    ----------
+    scene
+        The map; it is only read.
+    options
+        Localizing's options: at their camera heights places are looked for.
+    size, seconds
+        Of the map file [bytes], and what opening it took [s], where they are known.
+
+    """
+    found: list[Finding] = []
+    for checks in (
+        units(scene), up_axis(scene), floors(scene), places(scene, options),
+        mesh_findings(scene), giant(scene), twins(scene), far(scene),
+        words(scene), relations(scene), costs(scene, size, seconds),
+        anchors(scene),
+    ):  # fmt: skip
+        found += [Finding(*f[:2], tuple(f[2])[:_SHOWN], f[3]) for f in checks]
+    return sorted(found, key=lambda f: SEVERITIES.index(f.severity))

@@ -1,0 +1,609 @@
+"""Frames made ready for fusion: read, undistorted, their poses checked."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import lru_cache
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from placegraph.core.geometry import Camera, Floats
+from placegraph.core.threads import share
+from placegraph.errors import InputError, OptionError
+from placegraph.indoor.mapping import fuse_kernels as kernels
+from placegraph.indoor.mapping.fuse_kernels import SIDE, SIZE, facets_of, farthest, visible
+from placegraph.indoor.options import check_numbers, check_positive
+from placegraph.io.capture.frame import Frame
+
+FARTHEST = 1e4
+"""Cameras farther from the map's origin than this are damage [m]."""
+JUMP = 0.5
+"""A pose that leaves its neighbours by more, while they stay together, is a slip [m]."""
+AHEAD = 2
+"""Frames that are read while one is fused."""
+WIDEST = 2.0
+"""An undistorted image is at most this much wider and higher than the image."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shot:
+    """Images of one frame without distortion, and where they were taken."""
+
+    row: int
+    depth: NDArray[np.float32]
+    """(h, w) [m], NaN: no reading."""
+    image: NDArray[np.uint8]
+    """(H, W, 3)"""
+    eyes: Floats
+    """(2, 4) fx, fy, cx, cy [px] of depth and image."""
+    map_from_camera: Floats
+
+
+def views_of(
+    frames: Sequence[Frame], poses: Floats, good: NDArray[np.bool_], left_out: Counter[str]
+) -> Iterator[Shot | None]:
+    """Views of all frames in order, None for those without depth or whose pose is not `good` (T,).
+
+    The next frames are read while the caller works on the last. Raises `InputError` where an image
+    is broken.
+    """
+
+    def view(row: int) -> Shot | None:
+        return view_of(frames[row], row, poses[row]) if good[row] else None
+
+    with ThreadPoolExecutor(1) as reader:
+        ahead = [reader.submit(view, row) for row in range(min(AHEAD, len(frames)))]
+        for row in range(len(frames)):
+            found = ahead.pop(0).result()
+            if row + AHEAD < len(frames):
+                ahead.append(reader.submit(view, row + AHEAD))
+            if not good[row]:
+                left_out["frames with a broken pose"] += 1
+            elif found is None:
+                left_out["frames without depth"] += 1
+            yield found
+
+
+def view_of(frame: Frame, row: int, map_from_camera: Floats) -> Shot | None:
+    """View of a frame, None where it has no depth."""
+    depth, depth_camera = frame.depth(), frame.depth_camera
+    if depth is None or depth_camera is None or not (depth > 0).any():
+        return None
+    image, camera = frame.rgb(), frame.camera
+    if not depth_camera.straight:
+        depth_camera, table = undistorted(depth_camera)
+        depth = np.where(table >= 0, depth.ravel()[table], np.nan).astype(np.float32)
+    if not camera.straight:
+        camera, table = undistorted(camera)
+        image = image.reshape(-1, 3)[np.maximum(table, 0)]
+    eyes = np.array([[c.fx, c.fy, c.cx, c.cy] for c in (depth_camera, camera)])
+    return Shot(
+        row, np.ascontiguousarray(depth), np.ascontiguousarray(image), eyes, map_from_camera
+    )
+
+
+@lru_cache(maxsize=8)
+def undistorted(camera: Camera) -> tuple[Camera, NDArray[np.int64]]:
+    """The same camera without distortion, and where its pixels (h, w) stand in the flat image.
+
+    Its images are as large as it takes to show all that the camera sees, up to `WIDEST` times;
+    -1: outside of the image.
+    """
+    w, h = camera.width, camera.height
+    i, j = np.arange(w) + 0.5, np.arange(h) + 0.5
+    rim = np.concatenate(
+        [np.stack([i, np.full(w, v)], axis=1) for v in (0.0, h)]
+        + [np.stack([np.full(h, u), j], axis=1) for u in (0.0, w)]
+    )
+    limit = 0.5 * WIDEST * np.array([w, h])
+    reached = camera.directions(rim)[:, :2] * (camera.fx, camera.fy)
+    beyond = np.where(rim < (camera.cx, camera.cy), -limit, limit)
+    reached = np.where(np.isfinite(reached), reached, beyond)
+    low = np.ceil(np.minimum(np.maximum(-reached.min(axis=0), 1), limit))
+    high = np.ceil(np.minimum(np.maximum(reached.max(axis=0), 1), limit))
+    width, height = (low + high).astype(int).tolist()
+    plain = Camera(width, height, camera.fx, camera.fy, float(low[0]), float(low[1]))
+    v, u = np.mgrid[0:height, 0:width] + 0.5
+    rays = plain.directions(np.stack([u, v], axis=-1))
+    at = camera.project(rays)
+    # far outside, the polynomials may fold back into the image: there the way back differs
+    back = camera.directions(at)
+    same = np.abs(back - rays).max(axis=-1) < 1.0 / min(camera.fx, camera.fy)
+    column, line = np.floor(np.moveaxis(at, -1, 0)).astype(np.int64)
+    inside = same & (column >= 0) & (line >= 0) & (column < w) & (line < h)
+    return plain, np.where(inside, line * w + column, -1)
+
+
+def checked_poses(frames: Sequence[Frame], poses: ArrayLike | None) -> Floats:
+    """Poses (T, 4, 4); `OptionError` where they are of another shape."""
+    if poses is None:
+        return np.array([frame.odometry for frame in frames], np.float64).reshape(-1, 4, 4)
+    array = np.asarray(poses, np.float64)
+    if array.shape != (len(frames), 4, 4):
+        raise OptionError(
+            f"poses: shape {array.shape} for {len(frames)} frames; (T, 4, 4) belong to T frames."
+        )
+    return array
+
+
+def good_poses(poses: Floats) -> NDArray[np.bool_]:
+    """Which poses (T, 4, 4) can be believed: finite, rigid, near the origin, and no slip.
+
+    A slip is a single pose far off the two around it, that are near to each other.
+    """
+    with np.errstate(all="ignore"):
+        turn = poses[:, :3, :3]
+        square = turn @ np.swapaxes(turn, 1, 2)
+        good: NDArray[np.bool_] = np.asarray(np.isfinite(poses).all(axis=(1, 2)))
+        good &= (np.abs(square - np.eye(3)) < 1e-2).all(axis=(1, 2))
+        good &= np.linalg.det(np.where(good[:, None, None], turn, np.eye(3))) > 0
+        good &= (np.abs(poses[:, :3, 3]) < FARTHEST).all(axis=1)
+    rows = np.flatnonzero(good)
+    at = poses[rows, :3, 3]
+    if len(rows) > 2:
+        step = np.linalg.norm(np.diff(at, axis=0), axis=1)
+        around = np.linalg.norm(at[2:] - at[:-2], axis=1)
+        off = np.minimum(step[:-1], step[1:])
+        good[rows[1:-1][(off > JUMP) & (off > 3 * around)]] = False
+    return good
+
+
+FIRST = 4096
+"""Blocks that there is room for at first."""
+BLOCK = 24 * SIZE
+"""Bytes of a block, less a few for its place."""
+TILE = 8
+"""Edge of the squares of pixels of which the farthest reading is kept [px]."""
+STEP = 2
+"""Every such line and column of the depth calls for blocks."""
+BRIGHTNESS_STEP = 4
+"""Likewise, for comparing brightness."""
+ENOUGH = 200
+"""Places that brightness must be compared at."""
+DARKEST, BRIGHTEST = 0.5, 2.0
+"""What an image is multiplied by, at most."""
+BAND = 2.0
+"""Colour is taken this near to the surface [voxels]."""
+
+
+class FullError(Exception):
+    """The volume would outgrow its memory; caught within fusion."""
+
+
+class Volume:
+    """Signed distances in blocks; `take` adds views, in place."""
+
+    def __init__(self, voxel: float, truncation: float, memory: float) -> None:
+        """Empty volume of voxels of this edge [m], that may take `memory` bytes."""
+        self.voxel, self.truncation = voxel, truncation
+        self.most = max(int(memory / BLOCK), 1)
+        self.count = 0
+        room = min(FIRST, self.most)
+        self.places = np.zeros((room, 3), np.int32)
+        """(B, 3) whole coordinates of blocks; the first `count` are used, here and below."""
+        self.distance = np.zeros((room, SIZE), np.float32)
+        """[m], positive in front of surfaces, cut at the truncation"""
+        self.weight = np.zeros((room, SIZE), np.float32)
+        """sum of cos(incidence) / depth^4 of the views [1 / m^4]"""
+        self.colour = np.zeros((room, SIZE, 3), np.float32)
+        """mean sRGB near surfaces, 0 to 255"""
+        self.paint = np.zeros((room, SIZE), np.float32)
+        """weight of the colour"""
+        self.hash()
+
+    def hash(self) -> None:
+        """Make a hash with room for all blocks."""
+        size = 1 << int(np.ceil(np.log2(4 * len(self.places))))
+        self.keys = np.full(size, -1, np.int64)
+        self.rows = np.zeros(size, np.int32)
+        kernels.rehash(self.keys, self.rows, self.places, self.count)
+
+    def grow(self) -> None:
+        """Make room for more blocks; `FullError` where memory ends."""
+        room = len(self.places)
+        if room >= self.most:
+            raise FullError
+        more = min(room + room // 2, self.most)
+        for name in ("places", "distance", "weight", "colour", "paint"):
+            held: NDArray[np.float32] = getattr(self, name)
+            wider = np.zeros((more, *held.shape[1:]), held.dtype)
+            wider[:room] = held
+            setattr(self, name, wider)
+        self.hash()
+
+    @property
+    def bytes(self) -> int:
+        """Memory of the blocks that are used."""
+        return self.count * BLOCK
+
+    def take(self, view: Shot, facets: NDArray[np.float32], *, gains: bool) -> float:
+        """Take in a view, in place; what its image was multiplied by to fit those before.
+
+        `facets`: (h, w, 6) of `depth_kernels.facets_of`. Raises `FullError` where memory ends.
+        """
+        pose, depth_eye = view.map_from_camera, view.eyes[0]
+        edge = SIDE * self.voxel
+        while True:
+            count = kernels.touch(
+                self.keys, self.rows, self.places, self.count, len(self.places), facets, depth_eye,
+                pose, edge, self.truncation, STEP,
+            )  # fmt: skip
+            self.count = count if count >= 0 else -1 - count
+            if count >= 0:
+                break
+            self.grow()
+        gain = self.gain(view, facets) if gains else 1.0
+        back = np.linalg.inv(pose)
+        far = farthest(facets, TILE)
+        chosen = visible(
+            self.places,
+            self.count,
+            edge,
+            far,
+            TILE,
+            depth_eye,
+            facets.shape[:2],
+            back,
+            self.truncation,
+        )
+        share(
+            kernels.integrate, len(chosen), self.distance, self.weight, self.colour, self.paint,
+            self.places, chosen, self.voxel, self.truncation, facets, view.image, gain, view.eyes,
+            back, BAND * self.voxel,
+        )  # fmt: skip
+        return gain
+
+    def gain(self, view: Shot, facets: NDArray[np.float32]) -> float:
+        """What brings a view's image to the brightness of the model; 1 where they hardly overlap."""
+        ratios = kernels.brightness_ratios(
+            self.keys, self.rows, self.colour, self.paint, self.voxel, facets, view.image, view.eyes,
+            view.map_from_camera, BRIGHTNESS_STEP, 0.0,
+        )  # fmt: skip
+        return (
+            float(np.clip(np.median(ratios), DARKEST, BRIGHTEST)) if len(ratios) >= ENOUGH else 1.0
+        )
+
+    def gaps(self, points: Floats) -> NDArray[np.float32]:
+        """Distances (N,) [m] of points (N, 3) [m, map] from the surface, cut at the truncation."""
+        return kernels.gaps_at(
+            self.keys, self.rows, self.distance, self.weight, self.voxel, self.truncation, points
+        )
+
+
+Ints = NDArray[np.int64]
+Colours = NDArray[np.uint8]
+
+
+STEEPEST = 1.0
+"""Neighbouring voxels differ by one voxel at most, and by noise; not by this much [truncations]."""
+NOTHING = 1e-12
+"""Triangles of no more than this are none [m^2]."""
+
+
+def surface_of(
+    volume: Volume, *, least: float, speck: float, left_out: Counter[str]
+) -> tuple[Floats, Ints, Colours]:
+    """Vertices (V, 3) [m], triangles (T, 3) that face free space, and colours (V, 3).
+
+    `least` and `speck` as of `FuseOptions`. All are empty where the volume shows no surface.
+    """
+    loop_of, loops = loop_tables()
+    count = volume.count
+    around = kernels.neighbours(volume.keys, volume.rows, volume.places, count)
+    cases, crossed, sizes = kernels.cells_of(
+        around, volume.distance, volume.weight, least, STEEPEST * volume.truncation, loops
+    )
+    starts = _starts(sizes)
+    points, colours, first = kernels.vertices_of(
+        around, volume.places, volume.distance, volume.colour, volume.paint, cases, crossed,
+        starts, loop_of, loops, volume.voxel,
+    )  # fmt: skip
+    none = np.zeros((0, 4), np.int32)
+    grid = around, volume.distance, cases, crossed, first, loop_of
+    ends = _starts(kernels.quads_of(*grid, np.zeros(count, np.int64), none))
+    quads = np.empty((ends[-1], 4), np.int32)
+    kernels.quads_of(*grid, ends, quads)
+    del around, cases, crossed, first, grid
+    triangles = kernels.split(points, quads)
+    del quads
+    return without_specks(points, triangles, colours, speck, left_out)
+
+
+def without_specks(
+    points: Floats, triangles: Ints, colours: Colours, least: float, left_out: Counter[str]
+) -> tuple[Floats, Ints, Colours]:
+    """Drop connected parts of less than `least` [m^2], and vertices that nothing uses."""
+    root = kernels.roots_of(len(points), triangles)[triangles[:, 0]]
+    area = kernels.areas_of(points, triangles)
+    size = np.bincount(root, area, minlength=len(points))
+    dropped = np.unique(root[size[root] < least])
+    if len(dropped):
+        left_out["parts of the surface that are too small"] += len(dropped)
+    # where knowledge ends in one line, both triangles of a quad may have no area
+    kept = triangles[(size[root] >= least) & (area > NOTHING)]
+    used = np.zeros(len(points), np.bool_)
+    used[kept.ravel()] = True
+    place = np.cumsum(used) - 1
+    return points[used], place[kept], colours[used]
+
+
+@lru_cache(maxsize=1)
+def loop_tables() -> tuple[NDArray[np.int8], NDArray[np.int8]]:
+    """Loop of every edge by case (256, 12), -1: the surface does not cross it; number of loops (256,).
+
+    On each face of a cell the surface joins crossed edges in pairs. Where all four are crossed, the
+    two corners behind the surface are cut off one by one; the cell beyond the face does the same.
+    Case 0 stands for cells that are known in part: all their crossed edges share one vertex.
+    """
+    loop_of = np.full((256, 12), -1, np.int8)
+    loops = np.zeros(256, np.int8)
+    loop_of[0], loops[0] = 0, 1
+    edges = {}
+    for edge in range(12):
+        low = int(kernels.low_corner(edge))
+        edges[frozenset((low, low | 1 << (edge >> 2)))] = edge
+    faces = [
+        (side, side | one, side | one | two, side | two)
+        for one, two, axis in ((2, 4, 1), (4, 1, 2), (1, 2, 4))
+        for side in (0, axis)
+    ]
+    for case in range(1, 256):
+        group = {e: e for pair, e in edges.items() if len({case >> c & 1 for c in pair}) == 2}
+        for face in faces:
+            round_ = [edges[frozenset((face[n], face[(n + 1) % 4]))] for n in range(4)]
+            crossed = [e for e in round_ if e in group]
+            pairs = [tuple(crossed)] if len(crossed) == 2 else []
+            if len(crossed) == 4:
+                pairs = [(round_[n - 1], round_[n]) for n in range(4) if case >> face[n] & 1]
+            for a, b in pairs:
+                old, new = group[a], group[b]
+                group = {e: new if g == old else g for e, g in group.items()}
+        names = sorted(set(group.values()))
+        loops[case] = len(names)
+        for edge, name in group.items():
+            loop_of[case, edge] = names.index(name)
+    return loop_of, loops
+
+
+def _starts(sizes: Ints) -> Ints:
+    """Where each part begins, and the end (B + 1,)."""
+    return np.concatenate([[0], np.cumsum(sizes)])
+
+
+VOXEL = 0.03
+"""Edge of a voxel [m]."""
+TRUNCATION = 4.0
+"""Distances beyond this are cut [voxels], but not below `LEAST_TRUNCATION`."""
+LEAST_TRUNCATION = 0.06
+"""About what depth cameras err by at 3 m, three times [m]."""
+REACH = 7.5
+"""Greatest depth that is used [m]."""
+FINEST, COARSEST = 0.002, 1.0
+"""Voxels' edges [m]."""
+COARSER = 1.5
+"""By how much voxels grow where memory ends."""
+WITNESSES = 256
+"""Readings of a frame that are compared with the fused surface."""
+MOST_WITNESSES = 1_000_000
+
+
+def fuse(
+    frames: Sequence[Frame],
+    poses: ArrayLike | None = None,
+    *,
+    voxel: float = VOXEL,
+    truncation: float | None = None,
+    reach: float = REACH,
+    options: FuseOptions | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    left_out: Counter[str] | None = None,
+) -> Fused:
+    """Fuse depth and colour of frames into one mesh.
+
+    Parameters
+    ----------
+    frames, poses
+        Frames with depth, and (T, 4, 4) map_from_camera [m]; the frames' odometry if not given.
+        Frames without depth, or whose pose is broken (not finite, not rigid, a slip off both
+        neighbours), are passed over, and counted.
+    voxel, reach
+        Edge of a voxel and greatest depth that is used [m].
+    truncation
+        Distances from the surface beyond this are cut [m]; thinner things come out thicker or not
+        at all. Four voxels if not given.
+    options
+        What else can be set.
+    progress, left_out
+        Are told how many frames are done, of how many; and what was passed over, by reason.
+
+    Raises
+    ------
+    InputError
+        An image is broken, no frame has depth and a pose, or they show no surface.
+    OptionError
+        An option is out of range, or memory ends and voxels may not become coarser.
+
+    """
+    options = options or FuseOptions()
+    counts: Counter[str] = Counter() if left_out is None else left_out
+    _check(voxel, truncation, reach)
+    matrices = checked_poses(frames, poses)
+    edge, why, start = voxel, "", perf_counter()
+    while True:
+        band = max(TRUNCATION * edge, LEAST_TRUNCATION) if truncation is None else truncation
+        run = _Run(Volume(edge, max(band, 1.5 * edge), 1e9 * options.memory), options, len(frames))
+        passed_over: Counter[str] = Counter()
+        try:
+            run.take(frames, matrices, reach, progress, passed_over)
+            break
+        except FullError as error:
+            need = run.told_end(len(frames))
+            if not options.coarsen or COARSER * edge > COARSEST:
+                raise OptionError(
+                    f"voxel: {need}; try voxel={COARSER * edge:.3g}, a shorter reach, or fewer frames."
+                ) from error
+            edge, why = COARSER * edge, why or need
+    counts.update(passed_over)
+    return run.finish(start, why and f"{why}; they are {100 * edge:.3g} cm now.", counts)
+
+
+def _check(voxel: float, truncation: float | None, reach: float) -> None:
+    if not FINEST <= voxel <= COARSEST:
+        raise OptionError(f"voxel is {voxel}; its edge is {FINEST} to {COARSEST} m.")
+    if truncation is not None and not 1.5 * voxel <= truncation <= 10 * COARSEST:
+        raise OptionError(f"truncation is {truncation}; it is at least 1.5 voxels ({1.5 * voxel}).")
+    if not 0 < reach < np.inf:
+        raise OptionError(f"reach is {reach}; it must be greater than 0 m.")
+
+
+class _Run:
+    """One pass over the frames."""
+
+    def __init__(self, volume: Volume, options: FuseOptions, total: int) -> None:
+        self.volume, self.options = volume, options
+        self.done = 0
+        self.gains = np.full(total, np.nan)
+        self.witnesses: list[NDArray[np.float64]] = []
+        self.seen_by: list[int] = []
+        self.each = max(1, min(WITNESSES, MOST_WITNESSES // max(total, 1)))
+
+    def take(
+        self,
+        frames: Sequence[Frame],
+        poses: Floats,
+        reach: float,
+        progress: Callable[[int, int], None] | None,
+        passed_over: Counter[str],
+    ) -> None:
+        """Take in all frames."""
+        for view in views_of(frames, poses, good_poses(poses), passed_over):
+            if view is not None:
+                facets = facets_of(view.depth, view.eyes[0], reach, self.options.edges)
+                self.gains[view.row] = self.volume.take(view, facets, gains=self.options.gains)
+                self.witnesses.append(self.some_points(view, facets))
+                self.seen_by.append(view.row)
+            self.done += 1
+            if progress is not None:
+                progress(self.done, len(frames))
+
+    def told_end(self, total: int) -> str:
+        """Where memory ended."""
+        return (
+            f"{self.options.memory:g} GB of memory ended at frame {self.done + 1} of {total} with "
+            f"voxels of {100 * self.volume.voxel:.3g} cm"
+        )
+
+    def some_points(self, view: Shot, facets: NDArray[np.float32]) -> Floats:
+        """Some of a view's readings that were used, spread over it, (N, 3) [m, map]."""
+        v, u = np.nonzero(facets[..., 4])
+        chosen = np.unique(
+            np.linspace(0, max(len(v) - 1, 0), min(self.each, len(v))).astype(np.int64)
+        )
+        v, u = v[chosen], u[chosen]
+        fx, fy, cx, cy = view.eyes[0]
+        z = facets[v, u, 4].astype(np.float64)
+        points: Floats = np.stack([(u + 0.5 - cx) / fx * z, (v + 0.5 - cy) / fy * z, z], axis=1)
+        moved: Floats = points @ view.map_from_camera[:3, :3].T + view.map_from_camera[:3, 3]
+        return moved
+
+    def finish(self, start: float, why: str, counts: Counter[str]) -> Fused:
+        """The mesh, and what there is to say."""
+        volume, options = self.volume, self.options
+        if not any(len(points) for points in self.witnesses):
+            reasons = ", ".join(f"{n} {what}" for what, n in counts.items()) or "no frame"
+            raise InputError(f"There is no depth to fuse ({reasons}); a map needs depth images.")
+        vertices, triangles, colours = surface_of(
+            volume, least=options.least, speck=options.speck, left_out=counts
+        )
+        if not len(triangles):
+            raise InputError("The frames show no surface; a map needs depth images that overlap.")
+        residuals = np.full(len(self.gains), np.nan)
+        gaps = [volume.gaps(points) for points in self.witnesses]
+        for row, gap in zip(self.seen_by, gaps, strict=True):
+            residuals[row] = np.median(gap) if len(gap) else np.nan
+        every = np.concatenate(gaps)
+        gains = self.gains
+        middle = float(np.exp(np.nanmean(np.log(gains))))  # the model took the first image's
+        shades = np.minimum(colours / middle + 0.5, 255).astype(np.uint8)
+        stats = FuseStats(
+            seconds=perf_counter() - start,
+            frames=len(self.seen_by),
+            voxel=volume.voxel,
+            voxels=volume.count * SIZE,
+            memory=volume.bytes,
+            agreement=float(np.median(every)),
+            apart=float((every > 0.5 * volume.truncation).mean()),
+            residuals=residuals,
+            gains=gains / middle,
+            coarser=why,
+        )
+        return Fused(vertices, triangles, shades, stats)
+
+
+@dataclass(frozen=True, slots=True)
+class FuseOptions:
+    """How frames are fused; defaults are what measured best (`docs/benchmarks/maps.md`)."""
+
+    least: float = 0.0003
+    """Weight that a surface needs [1 / m^4]: one view weighs cos(angle of incidence) / depth^4, since
+    the noise of depth grows with its square. One frontal view from 7.6 m is enough."""
+    speck: float = 0.02
+    """Connected parts of less surface than this are dropped [m^2]."""
+    edges: bool = True
+    """Drop readings at depth edges, where cameras often read a mean of both sides."""
+    gains: bool = True
+    """Bring every image to the brightness of the model fused so far: exposure changes vanish."""
+    memory: float = 1.5
+    """What the volume may take [GB]; making the mesh of it takes up to as much again."""
+    coarsen: bool = True
+    """Beyond that begin again with coarser voxels, and say so; else raise `OptionError`."""
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
+        check_positive(self, "memory")
+        if self.memory > 2.0:
+            raise OptionError(f"memory is {self.memory} GB; a volume takes 2 GB at most.")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FuseStats:
+    """What fusion did, and how well the frames agree."""
+
+    seconds: float
+    frames: int
+    """That were used."""
+    voxel: float
+    """Edge [m]; larger than asked for where `coarser` says so."""
+    voxels: int
+    """In blocks that hold anything."""
+    memory: int
+    """Of the volume [bytes]."""
+    agreement: float
+    """Median distance of the used readings from the fused surface [m]. Poses that drift show here:
+    it should not be much above the depth's own noise."""
+    apart: float
+    """Share of the readings that are farther from it than half the truncation."""
+    residuals: NDArray[np.float64]
+    """(T,) the same median by frame [m], NaN where it was not used: bad poses stand out."""
+    gains: NDArray[np.float64]
+    """(T,) what each image was multiplied by, NaN where it was not used."""
+    coarser: str = ""
+    """Why the voxels are coarser than asked for, or empty."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fused:
+    """Coloured surface; triangles face free space and share their vertices."""
+
+    vertices: NDArray[np.float64]
+    """(V, 3) [m, map]"""
+    triangles: NDArray[np.int64]
+    """(T, 3) rows of vertices, counter-clockwise seen from free space."""
+    colours: NDArray[np.uint8]
+    """(V, 3) sRGB"""
+    stats: FuseStats

@@ -1,0 +1,461 @@
+"""Rooms of one level of an OpenStreetMap file, in metres, with their names and heights."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from placegraph.core.features import inside
+from placegraph.core.geo import Anchor
+from placegraph.core.geometry import Floats
+from placegraph.errors import InputError, OptionError
+from placegraph.indoor.mapping.from_capture import Source
+from placegraph.indoor.mapping.outlines import polygons, triangulated
+from placegraph.io.mesh.model import Model, Picture, Thing
+from placegraph.io.osm.indoor_osm import ROOMS, IndoorOsm, IndoorShape, read_indoor_osm, room_names
+from placegraph.io.osm.levels import level_text, levels_of
+
+HEIGHT = 2.8
+"""Of rooms, where nobody said [m]."""
+DOOR = (0.9, 2.05)
+"""Width and height of doors, where nobody said [m]."""
+SLAB = 0.3
+"""Of a storey's height that is no room [m]."""
+SPREAD = 2000.0
+"""Over which the rooms of one building may be spread [m]."""
+SIGMA = (1.0, 1.0, 50.0, np.radians(1.0))
+"""How far off a plan in OpenStreetMap may be: east, north [m]; nobody says how high it is; turn [rad]."""
+_LOW, _HIGH = 1.8, 40.0  # of what may be the height of a room [m]
+_LENGTH = re.compile(r"\s*(\d{1,3}(?:[.,]\d{1,3})?)\s*(m|cm)?\s*", re.ASCII)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Room:
+    """A room, corridor or area."""
+
+    shape: IndoorShape
+    name: str
+    """Unique among the rooms of the level."""
+    polygons: list[list[Floats]]
+    """Closed rings (n, 2) [m, map]: the outer one, then holes."""
+    height: float
+    """[m]"""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Door:
+    """An opening."""
+
+    shape: IndoorShape
+    at: Floats
+    """(2,) its middle [m, map]."""
+    width: float
+    """[m]"""
+    height: float
+    """[m]"""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Level:
+    """One level of a building."""
+
+    anchor: Anchor
+    rooms: list[Room]
+    walls: list[Floats]
+    """Lines (n, 2) [m, map] of walls that are no room's."""
+    doors: list[Door]
+    storey: float
+    """Height of rooms and walls where nobody says [m]."""
+    notes: tuple[str, ...]
+
+
+def level_of(plan: IndoorOsm, level: float | None) -> Level:
+    """One level of a file's rooms; what has no level is on all where it is a door, else on level 0.
+
+    Raises
+    ------
+    OptionError
+        There are several levels and none is chosen, or there is none such.
+    InputError
+        The rooms are spread over more than a building.
+
+    """
+    chosen, notes = _chosen(plan, level)
+    shapes = [s for s in plan.shapes if chosen in (s.levels or _anywhere(s, chosen))]
+    held = [s for s in shapes if s.kind in ROOMS]
+    points = np.concatenate([part for shape in held for part in shape.parts])
+    anchor = _anchor(plan, chosen, points)
+    east, north = np.ptp(_plane(anchor, points), axis=0)
+    if max(east, north) > SPREAD:
+        raise InputError(
+            f"{plan.path}: the rooms of level {chosen:g} are spread over {max(east, north) / 1000:,.0f} "
+            "km; cut out one building, as with `osmium extract`."
+        )
+    storey, said = _storey(plan, anchor)
+    if not all(_height(shape.tags) for shape in held):
+        notes.append(said)
+    names = room_names(held)
+    rooms = []
+    for shape, name in zip(held, names, strict=True):
+        found = polygons([_plane(anchor, part) for part in shape.parts])
+        if found:
+            rooms.append(Room(shape, name, found, _height(shape.tags) or storey))
+        else:
+            plan.left_out["rooms without an area"] += 1
+    if not rooms:
+        raise InputError(f"{plan.path}: no room of level {chosen:g} has an area.")
+    return Level(
+        anchor=anchor,
+        rooms=rooms,
+        walls=[_plane(anchor, part) for s in shapes if s.kind == "wall" for part in s.parts],
+        doors=[_door(anchor, s) for s in shapes if s.kind == "door"],
+        storey=storey,
+        notes=tuple(notes),
+    )
+
+
+def _chosen(plan: IndoorOsm, level: float | None) -> tuple[float, list[str]]:
+    levels, notes = plan.levels, []
+    nowhere = sum(s.kind in ROOMS and not s.levels for s in plan.shapes)
+    if nowhere:
+        levels = tuple(sorted({*levels, 0.0}))
+        notes.append(f"{nowhere:,} rooms have no level, and are taken for level 0.")
+    known = ", ".join(map(level_text, levels))
+    if level is None and len(levels) > 1:
+        raise OptionError(
+            f"{plan.path} has the levels {known}; choose one (--level {levels[0]:g})."
+        )
+    chosen = levels[0] if level is None else float(level)
+    if chosen not in levels:
+        raise OptionError(f"{plan.path} has no rooms on level {chosen:g}; it has {known}.")
+    return chosen, notes
+
+
+def _anywhere(shape: IndoorShape, chosen: float) -> tuple[float, ...]:
+    """Level of what has none."""
+    return (chosen,) if shape.kind in {"door", "building"} else (0.0,)
+
+
+def _anchor(plan: IndoorOsm, level: float, points: Floats) -> Anchor:
+    """Where the map stands: its origin is the middle of its rooms, x points east, y north."""
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2.0
+    around = [
+        s
+        for s in plan.shapes
+        if s.kind in {"building", "level"} and any(inside(middle, part) for part in s.parts)
+    ]
+    around.sort(key=lambda s: (s.kind != "building", "name" not in s.tags))
+    house = around[0] if around else None
+    return Anchor(
+        longitude=float(middle[0]), latitude=float(middle[1]), height=0.0, heading=0.0,
+        covariance=np.diag(np.square(SIGMA)),
+        building=house.tags.get("name", "") if house else "", osm=house.osm if house else "",
+        level=level_text(level), method="OpenStreetMap's rooms",
+    )  # fmt: skip
+
+
+def _plane(anchor: Anchor, lonlat: Floats) -> Floats:
+    """(n, 2) [m, map] of (n, 2) [deg]."""
+    heights = np.full((len(lonlat), 1), anchor.height)
+    return anchor.to_map(np.concatenate([lonlat, heights], axis=1))[:, :2]
+
+
+def _storey(plan: IndoorOsm, anchor: Anchor) -> tuple[float, str]:
+    """Height of rooms by their building's, in as many levels, or a usual one; and which it was."""
+    house = next((s for s in plan.shapes if s.osm == anchor.osm), None)
+    if house is not None:
+        tall = length_of(house.tags.get("height", ""))
+        levels = levels_of(house.tags.get("building:levels", ""))
+        if tall and levels and levels[-1] > 0:
+            height = tall / levels[-1] - SLAB
+            if _LOW <= height <= _HIGH:
+                return (
+                    height,
+                    f"Rooms are {height:.1f} m high, by their building's height and levels.",
+                )
+    return HEIGHT, f"Rooms without a height are taken to be {HEIGHT} m high."
+
+
+def _height(tags: Mapping[str, str]) -> float | None:
+    """Height of a room [m] that its tags say; None: nothing that could be."""
+    top = length_of(tags.get("height", ""))
+    height = None if top is None else top - (length_of(tags.get("min_height", "")) or 0.0)
+    return height if height is not None and _LOW <= height <= _HIGH else None
+
+
+def _door(anchor: Anchor, shape: IndoorShape) -> Door:
+    line = _plane(anchor, shape.parts[0])
+    wide = float(np.linalg.norm(line[-1] - line[0]))
+    width = length_of(shape.tags.get("width", "")) or (wide if 0.3 < wide < 20.0 else DOOR[0])
+    return Door(
+        shape, line[[0, -1]].mean(axis=0), width, length_of(shape.tags.get("height", "")) or DOOR[1]
+    )
+
+
+def length_of(text: str) -> float | None:
+    """Metres of a tag: ``2.8``, ``2.8 m``, ``90 cm``; None where it is none."""
+    match = _LENGTH.fullmatch(text)
+    if match is None:
+        return None
+    metres = float(match[1].replace(",", ".")) * (0.01 if match[2] == "cm" else 1.0)
+    return metres if metres > 0 else None
+
+
+THICK = 0.1
+"""Of a wall [m]."""
+REACH = 0.35
+"""Farthest that a door may stand from its wall, and walls of one door from each other [m]."""
+_ON = 0.015  # off an edge that a node may lie to be on it [m]
+_LINTEL = 0.1  # least that is left of a wall above a door [m]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Wall:
+    """A straight wall."""
+
+    start: Floats
+    """(2,) [m, map]."""
+    end: Floats
+    height: float
+    """[m]"""
+    shift: Floats
+    """(2,) from its line to its middle [m]: a room ends at its outline, and the wall lies beyond;
+    zero between two rooms, which share it."""
+
+    @property
+    def along(self) -> Floats:
+        """(2,) unit vector from start to end."""
+        along: Floats = (self.end - self.start) / self.length
+        return along
+
+    @property
+    def length(self) -> float:
+        """From start to end [m]."""
+        return float(np.linalg.norm(self.end - self.start))
+
+    def in_line_with(self, other: Wall) -> bool:
+        """Whether the two lie in one line, or nearly: the two faces of one thick wall do."""
+        off = max(abs(_cross(self.along, p - self.start)) for p in (other.start, other.end))
+        return bool(off < REACH) and abs(float(self.along @ other.along)) > 0.97
+
+    def opening(self, door: Door) -> tuple[float, float, float]:
+        """Where along it an opening begins and ends, beyond its ends too, and how high it is [m]."""
+        at, half = float((door.at - self.start) @ self.along), door.width / 2.0
+        return at - half, at + half, min(door.height, self.height - _LINTEL)
+
+    def solid(self, doors: list[Door]) -> list[tuple[Floats, Floats, float, float]]:
+        """What is left of it: pieces from (2,) to (2,), from one height to another [m]."""
+        pieces, at = [], 0.0
+        for low, high, top in sorted(self.opening(door) for door in doors):
+            first, last = max(low, at), min(high, self.length)
+            if last <= first:
+                continue
+            if first > at:
+                pieces.append((at, first, 0.0))
+            pieces.append((first, last, top))
+            at = last
+        if at < self.length:
+            pieces.append((at, self.length, 0.0))
+        base = self.start + self.shift
+        return [
+            (base + a * self.along, base + b * self.along, z, self.height) for a, b, z in pieces
+        ]
+
+
+def distances(walls: list[Wall], at: Floats) -> Floats:
+    """How far (W,) a point (2,) is from the lines of walls [m]."""
+    start, end = (np.array([getattr(w, name) for w in walls]) for name in ("start", "end"))
+    return off_segments(at[None], start, end)[0]
+
+
+def off_segments(points: Floats, starts: Floats, ends: Floats) -> Floats:
+    """Distance (N, M) [m] of points (N, 2) to segments (M, 2) and (M, 2)."""
+    along = ends - starts
+    away = points[:, None] - starts[None]
+    share = (away * along).sum(axis=2) / np.maximum((along**2).sum(axis=1), 1e-12)
+    off = away - np.clip(share, 0.0, 1.0)[:, :, None] * along
+    distances: Floats = np.sqrt((off**2).sum(axis=2))
+    return distances
+
+
+def walls_of(level: Level) -> list[Wall]:
+    """Walls of a level: rooms stand in walls; corridors where they border on nothing else; areas in none.
+
+    Where an outline has nodes on another's edge, it is cut there, so that shared walls are one.
+    """
+    rings = [(room, ring) for room in level.rooms for rings in room.polygons for ring in rings]
+    nodes = np.unique(np.round(np.concatenate([ring for _, ring in rings]), 2), axis=0)
+    found: dict[tuple[float, ...], list[tuple[str, Wall]]] = {}
+    for room, ring in rings:
+        for start, end in pairwise(np.round(ring, 2)):
+            for a, b in pairwise(_split(start, end, nodes)):
+                length = float(np.linalg.norm(b - a))
+                if length > _ON:
+                    key = (*min(a.tolist(), b.tolist()), *max(a.tolist(), b.tolist()))
+                    right = np.array([b[1] - a[1], a[0] - b[0]]) / length  # outside of the room
+                    wall = Wall(a, b, room.height, right * THICK / 2.0)
+                    found.setdefault(key, []).append((room.shape.kind, wall))
+    walls = []
+    for around in found.values():
+        kinds = [kind for kind, _ in around]
+        if kinds == ["corridor"] or "room" in kinds:
+            first = around[0][1]
+            shift = first.shift if len(around) == 1 else np.zeros(2)
+            tallest = max(wall.height for _, wall in around)
+            walls.append(Wall(first.start, first.end, tallest, shift))
+    for line in level.walls:
+        walls += [
+            Wall(a, b, level.storey, np.zeros(2))
+            for a, b in pairwise(line)
+            if np.linalg.norm(b - a) > _ON
+        ]
+    return walls
+
+
+def _split(start: Floats, end: Floats, nodes: Floats) -> list[Floats]:
+    """Ends of an edge with the nodes of other outlines that lie on it, in order."""
+    along, away = end - start, nodes - start
+    length = max(float(np.linalg.norm(along)), 1e-9)
+    off = np.abs(_cross(along, away)) / length
+    share = away @ along / length
+    on = np.flatnonzero((off < _ON) & (share > _ON) & (share < length - _ON))
+    return [start, *nodes[on[np.argsort(share[on])]], end]
+
+
+def _cross(a: Floats, b: Floats) -> Floats:
+    crossed: Floats = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    return crossed
+
+
+def rooms_source(path: Path, options: Mapping[str, Any], left_out: Counter[str]) -> Source:
+    """Source of a scene map of one level of an OpenStreetMap file, `options["level"]`.
+
+    Raises `InputError` and `OptionError` as `read_indoor_osm` and `level_of` do.
+    """
+    if strange := set(options) - {"level"}:
+        raise OptionError(
+            f"{', '.join(sorted(strange))}: no option of OpenStreetMap's rooms; it has level."
+        )
+    given = options.get("level")
+    wanted = (
+        None
+        if given is None
+        else levels_of(f"{given:g}" if isinstance(given, float) else str(given))
+    )
+    if wanted is not None and len(wanted) != 1:
+        raise OptionError(f"level is {given!r}; give one, as 1 or -1 or 0.5.")
+    plan = read_indoor_osm(path)
+    level = level_of(plan, wanted[0] if wanted else None)
+    model = model_of(level, path, plan.left_out)
+    left_out.update(plan.left_out)
+    return Source(model, notes=level.notes, anchors=(level.anchor,))
+
+
+FRAME = 0.06
+"""Width of a door's frame [m]."""
+_KEPT = ("ref", "amenity", "shop", "office", "highway", "stairs", "access")  # fmt: skip
+_BOX = np.array([(0, 1, 3), (0, 3, 2), (4, 7, 5), (4, 6, 7), (0, 4, 5), (0, 5, 1),
+                 (2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)])  # fmt: skip
+
+
+class _Parts:
+    """Things with their triangles, as they come."""
+
+    def __init__(self) -> None:
+        self.things: list[Thing] = []
+        self.vertices: list[Floats] = []
+        self.triangles: list[NDArray[np.int64]] = []
+        self.thing_of: list[int] = []
+        self.count = 0
+
+    def thing(self, label: str, name: str = "", attributes: dict[str, str] | None = None) -> None:
+        self.things.append(Thing(str(len(self.things)), label, name, attributes or {}))
+
+    def add(self, vertices: Floats, triangles: NDArray[np.int64]) -> None:
+        """Triangles of the last thing."""
+        self.vertices.append(vertices)
+        self.triangles.append(triangles + self.count)
+        self.thing_of.extend([len(self.things) - 1] * len(triangles))
+        self.count += len(vertices)
+
+    def box(self, a: Floats, b: Floats, heights: tuple[float, float], thick: float) -> None:
+        """A box that stands on the line from a to b (2,) [m], between two heights."""
+        along = (b - a) / np.linalg.norm(b - a)
+        side = np.array([-along[1], along[0]]) * thick / 2.0
+        base = np.stack([a - side, a + side, b - side, b + side])
+        corners = [np.column_stack([base, np.full(4, z)]) for z in heights]
+        self.add(np.concatenate(corners), _BOX)
+
+
+def model_of(level: Level, path: Path, left_out: Counter[str]) -> Model:
+    """Model of a level, its floor at 0 m."""
+    parts = _Parts()
+    for room in level.rooms:
+        _floor_and_ceiling(parts, room)
+    walls = walls_of(level)
+    opened: list[list[Door]] = [[] for _ in walls]
+    for door in level.doors:
+        far = distances(walls, door.at) if walls else np.full(1, np.inf)
+        if far.min() > REACH:
+            left_out["doors that are on no wall"] += 1
+            continue
+        nearest = walls[int(far.argmin())]
+        for row in np.flatnonzero(far < REACH + door.width / 2.0).tolist():
+            if walls[row].in_line_with(nearest):
+                opened[row].append(door)
+        _frame(parts, nearest, door)
+    for wall, doors in zip(walls, opened, strict=True):
+        pieces = wall.solid(doors)
+        if pieces:
+            parts.thing("wall")
+        for start, end, low, high in pieces:
+            parts.box(start, end, (low, high), THICK)
+    vertices = np.concatenate(parts.vertices)
+    triangles = np.concatenate(parts.triangles)
+    return Model(
+        path=path, things=tuple(parts.things), vertices=vertices, triangles=triangles,
+        thing_of=np.array(parts.thing_of, np.int64),
+        colours=np.full((len(vertices), 3), 255, np.uint8), uv=np.zeros((len(vertices), 2)),
+        picture_of=np.zeros(len(triangles), np.int64), pictures=(Picture(None),), floor=0.0,
+    )  # fmt: skip
+
+
+def _floor_and_ceiling(parts: _Parts, room: Room) -> None:
+    tags = room.shape.tags
+    said = {key: tags[key] for key in _KEPT if key in tags}
+    kind = tags.get("room") or tags.get("osmAG:areaType", "room")
+    if kind not in {"room", room.shape.kind}:
+        said["kind"] = kind
+    said |= {"room": room.name, "indoor": room.shape.kind, "osm": room.shape.osm}
+    for label, z in (("floor", 0.0), ("ceiling", room.height)):
+        parts.thing(
+            label, tags.get("name", "") if not z else "", said if not z else {"room": room.name}
+        )
+        for rings in room.polygons:
+            points, triangles = triangulated(rings)
+            turned = triangles if not z else triangles[:, ::-1]
+            parts.add(np.column_stack([points, np.full(len(points), z)]), turned)
+
+
+def _frame(parts: _Parts, wall: Wall, door: Door) -> None:
+    """The frame of a door: what there is of it while it stands open."""
+    low, high, top = wall.opening(door)
+    if high - low < 3.0 * FRAME:
+        return
+    tags = door.shape.tags
+    said = {k: tags[k] for k in ("entrance", "door", "ref") if k in tags}
+    parts.thing("door", tags.get("name", ""), said | {"osm": door.shape.osm})
+    base = wall.start + wall.shift
+    for start, end, bottom in (
+        (low, low + FRAME, 0.0), (high - FRAME, high, 0.0), (low, high, top - FRAME),
+    ):  # fmt: skip
+        ends = base + start * wall.along, base + end * wall.along
+        parts.box(*ends, (bottom, top), 1.4 * THICK)

@@ -1,0 +1,299 @@
+"""Meshes with fewer triangles: edges are collapsed as long as the surface stays where it was.
+
+Garland and Heckbert, "Surface simplification using quadric error metrics", 1997, decide in which
+order; a bound on the distance from all the original planes that a vertex stands for, after Ronfard
+and Rossignac, "Full-range approximation of triangulated polyhedra", 1996, decides when to stop. The
+outline of open sheets, the borders between materials and between objects are kept like planes of
+their own. Texture coordinates follow: where they jump, at a seam, a vertex has several (wedges).
+A modeller's or a scan's mesh becomes the coarse mesh that the paper's maps hold (Sec. 3).
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from placegraph.core.geometry import Floats
+from placegraph.errors import OptionError
+from placegraph.indoor.map.mesh import Mesh
+from placegraph.indoor.mapping.simplify_kernels import _grouped, collapse
+
+Ints = NDArray[np.int64]
+Rows = NDArray[np.int32]
+
+WELD = 1e-4
+"""Vertices of an object that are nearer than this are one [m]."""
+SLIDE = 2.0
+"""A texture may slide on its surface by this many times the error bound."""
+TILE = 1_000_000
+"""Objects of more triangles are simplified tile by tile, to save memory, and then as a whole."""
+TILED = 0.8
+"""Share of the bounds that tiles may use up."""
+_BATCH = 50_000  # triangles a thread takes at a time
+
+
+class Wedged(NamedTuple):
+    """A mesh whose vertices are places, and whose corners (wedges) know colour and texture."""
+
+    points: Floats
+    """(V, 3) [m]"""
+    corners: Rows
+    """(T, 3) rows of points."""
+    wedges: Rows
+    """(T, 3) rows of values."""
+    values: Floats
+    """(W, 5) u, v, red, green, blue; colours 0 to 1."""
+
+
+def simplify(
+    mesh: Mesh,
+    *,
+    error: float,
+    colour: float = np.inf,
+    target: int = 0,
+    left_out: dict[str, int] | None = None,
+) -> Mesh:
+    """Mesh of the same objects and textures in fewer triangles.
+
+    Parameters
+    ----------
+    mesh
+        Triangles in any order; twins (the same three corners twice) become one.
+    error
+        Greatest distance of a new vertex from the planes of the triangles it replaces [m]; 0 joins
+        only what lies in one plane. Textures slide by `SLIDE` times as much at most.
+    colour
+        Greatest change of colours at vertices, 0 to 1.
+    target
+        Stop at about this many triangles, even though the bound would allow fewer.
+    left_out
+        Is told of twins.
+
+    Raises
+    ------
+    OptionError
+        `error`, `colour` or `target` is negative or not a number.
+
+    """
+    if not error >= 0 or not colour >= 0 or target < 0:
+        raise OptionError(
+            f"error is {error}, colour {colour}, target {target}; none may be less than 0."
+        )
+    if not len(mesh):
+        return mesh
+    told = {} if left_out is None else left_out
+    vast = int(np.bincount(mesh.object_of).max()) > TILE
+    for share in (TILED, 1.0 - TILED) if vast else (1.0,):
+        # as far as rounding goes, what lies in one plane is in one plane
+        bounds = share * np.array([error, SLIDE * error, colour])
+        mesh = _fewer(mesh, np.maximum(bounds, [WELD, WELD, 1e-3]), target, told)
+    return mesh
+
+
+def _fewer(mesh: Mesh, limits: Floats, target: int, left_out: dict[str, int]) -> Mesh:
+    """Mesh after one round; `limits` as of `collapse`."""
+    whole, kept = wedged(mesh)
+    if not len(kept):  # nothing but lines
+        return mesh
+    lines = ~np.isin(mesh.object_of, mesh.object_of[kept])  # objects that are but a line stay one
+    twins = len(mesh) - len(kept) - int(lines.sum())
+    if twins:
+        name = "triangles twice in one place"
+        left_out[name] = left_out.get(name, 0) + twins
+    object_of, texture_of = mesh.object_of[kept], mesh.texture_of[kept]
+    parts = [tile for rows in batches(object_of) for tile in tiles(whole, rows)]
+    locked = _shared(whole, parts)
+
+    def part(rows: Ints) -> tuple[Wedged, Ints]:
+        own, fixed = _part(whole, rows, locked)
+        share = 0 if not target else int(np.ceil(target * len(rows) / len(object_of)))
+        edges, border = edges_of(own.corners, own.wedges, texture_of[rows])
+        centre = own.points.mean(axis=0)  # near the origin planes are exact
+        own.points[:] -= centre
+        collapse(
+            own.points, own.corners, edges, border, own.wedges, own.values, fixed, share, limits
+        )
+        own.points[:] += centre
+        left = own.corners[:, 0] >= 0
+        return _packed(own, left), rows[left]
+
+    with ThreadPoolExecutor(2) as pool:  # compiled code works outside the interpreter's lock
+        done = list(pool.map(part, parts))
+    return _with(_mesh(mesh, done, object_of, texture_of), mesh, lines)
+
+
+def wedged(mesh: Mesh) -> tuple[Wedged, Ints]:
+    """Places and wedges of a mesh, and the rows of its triangles that have three corners, once.
+
+    Vertices of one object at one place become one.
+    """
+    vertex, owner, node = _apart(mesh.triangles, mesh.object_of, len(mesh.vertices))
+    place = np.rint(mesh.vertices.astype(np.float64) / WELD).astype(np.int64)
+    point, first = groups(np.column_stack([owner, place[vertex]]))
+    points = mesh.vertices[vertex[first]].astype(np.float64)
+    corners = point[node]
+    kept = _once(corners)
+    row, texture, node = _apart(node, mesh.texture_of, len(vertex))
+    at = vertex[row]
+    uv = mesh.uv + np.float32(0.0)  # -0 is 0
+    shade = mesh.colours.astype(np.int64) @ (1 << 16, 1 << 8, 1)
+    looks = np.column_stack([uv.view(np.int32), shade])[at]
+    wedge, first = groups(np.column_stack([point[row], texture, looks]))
+    at = at[first]
+    values = np.column_stack([uv[at].astype(np.float64), mesh.colours[at] / 255.0])
+    return Wedged(points, corners[kept], wedge[node[kept]], values), kept
+
+
+def _apart(rows: Rows, of: Rows, count: int) -> tuple[Rows, Rows, Rows]:
+    """What `count` rows become where each belongs to one owner only.
+
+    `rows`: (T, 3), `of`: (T,) their owner. Returns the old row and the owner of each of the N >=
+    `count` new rows, and `rows` in terms of these.
+    """
+    owner = np.zeros(count, np.int32)
+    for k in range(3):
+        owner[rows[:, k]] = of
+    other = owner[rows] != of[:, None]
+    if not other.any():
+        return np.arange(count, dtype=np.int32), owner, rows
+    triangle, corner = np.nonzero(other)
+    pairs = of[triangle].astype(np.int64) * count + rows[triangle, corner]
+    more, place = np.unique(pairs, return_inverse=True)
+    new = rows.copy()
+    new[triangle, corner] = count + place
+    old = np.concatenate([np.arange(count), more % count]).astype(np.int32)
+    return old, np.concatenate([owner, more // count]).astype(np.int32), new
+
+
+def edges_of(corners: Rows, wedges: Rows, texture_of: Rows) -> tuple[Rows, Ints]:
+    """Edges (E, 2), every one once, and a face (E,) of those that have to stay, else -1.
+
+    These are the edges of one face, of more than two, and the seams: where the texture or its
+    coordinates change from one face to the other.
+    """
+    count = int(corners.max()) + 1
+    ends = corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    marks = wedges[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    turned = ends[:, 0] > ends[:, 1]
+    ends[turned], marks[turned] = ends[turned][:, ::-1], marks[turned][:, ::-1]
+    key = ends[:, 0].astype(np.int64) * count + ends[:, 1]
+    order = np.argsort(key, kind="stable")
+    starts = np.flatnonzero(np.diff(key[order], prepend=-1))
+    lengths = np.diff(starts, append=len(order))
+    one, two = order[starts], order[np.minimum(starts + 1, len(order) - 1)]
+    smooth = (lengths == 2) & (marks[one] == marks[two]).all(axis=1)
+    smooth &= texture_of[one // 3] == texture_of[two // 3]
+    return ends[one], np.where(smooth, -1, one // 3)
+
+
+def batches(object_of: Rows) -> list[Ints]:
+    """Rows of triangles by object, small objects together, so that threads share the work."""
+    order = np.argsort(object_of, kind="stable")
+    ends = np.flatnonzero(np.diff(object_of[order], append=-1)) + 1
+    group = (ends - 1) // _BATCH  # an object belongs where it ends
+    cuts = ends[np.flatnonzero(np.diff(group, append=-1))]
+    return [rows for rows in np.split(order, cuts) if len(rows)]
+
+
+def tiles(whole: Wedged, rows: Ints) -> list[Ints]:
+    """Rows of triangles cut into boxes of at most `TILE` each."""
+    if len(rows) <= TILE:
+        return [rows]
+    middle = whole.points[whole.corners[rows, 0]]
+    axis = int(np.ptp(middle, axis=0).argmax())
+    order = np.argpartition(middle[:, axis], len(rows) // 2)
+    halves = np.split(rows[order], [len(rows) // 2])
+    return [tile for half in halves for tile in tiles(whole, np.sort(half))]
+
+
+def _shared(whole: Wedged, parts: list[Ints]) -> NDArray[np.bool_]:
+    """Points (V,) of triangles in more than one part."""
+    last = np.empty(len(whole.points), np.int32)
+    shared = np.zeros(len(whole.points), np.bool_)
+    for number, rows in enumerate(parts):
+        last[whole.corners[rows]] = number
+    for number, rows in enumerate(parts):
+        corners = whole.corners[rows]
+        shared[corners[last[corners] != number]] = True
+    return shared
+
+
+def _part(whole: Wedged, rows: Ints, locked: NDArray[np.bool_]) -> tuple[Wedged, NDArray[np.bool_]]:
+    """Triangles of their own, and which of their points are locked."""
+    used, corners = np.unique(whole.corners[rows], return_inverse=True)
+    looks, wedges = np.unique(whole.wedges[rows], return_inverse=True)
+    own = Wedged(
+        whole.points[used],
+        corners.reshape(-1, 3).astype(np.int32),
+        wedges.reshape(-1, 3).astype(np.int32),
+        whole.values[looks],
+    )
+    return own, locked[used]
+
+
+def _packed(own: Wedged, left: NDArray[np.bool_]) -> Wedged:
+    """What is left of a part: points are the places of wedges, which are the corners."""
+    wedge, place = own.wedges[left].ravel(), own.corners[left].ravel()
+    used, first, corner = np.unique(wedge, return_index=True, return_inverse=True)
+    corners = corner.reshape(-1, 3).astype(np.int32)
+    return Wedged(own.points[place[first]], corners, corners, own.values[used])
+
+
+def _mesh(mesh: Mesh, parts: list[tuple[Wedged, Ints]], object_of: Rows, texture_of: Rows) -> Mesh:
+    """One mesh of what is left of all parts."""
+    ends = np.cumsum([len(own.points) for own, _ in parts])
+    values = np.concatenate([own.values for own, _ in parts])
+    row = np.concatenate([rows for _, rows in parts])
+    return Mesh(
+        vertices=np.concatenate([own.points for own, _ in parts]).astype(np.float32),
+        triangles=np.concatenate(
+            [
+                own.corners + (end - len(own.points))
+                for (own, _), end in zip(parts, ends, strict=True)
+            ]
+        ).astype(np.int32),
+        object_of=object_of[row],
+        colours=np.clip(np.rint(255.0 * values[:, 2:]), 0, 255).astype(np.uint8),
+        uv=values[:, :2].astype(np.float32),
+        texture_of=texture_of[row],
+        textures=mesh.textures,
+    )
+
+
+def _with(mesh: Mesh, other: Mesh, rows: NDArray[np.bool_]) -> Mesh:
+    """Mesh and some triangles (T,) of another with the same objects and textures."""
+    if not rows.any():
+        return mesh
+    return Mesh(
+        vertices=np.concatenate([mesh.vertices, other.vertices]),
+        triangles=np.concatenate([mesh.triangles, other.triangles[rows] + len(mesh.vertices)]),
+        object_of=np.concatenate([mesh.object_of, other.object_of[rows]]),
+        colours=np.concatenate([mesh.colours, other.colours]),
+        uv=np.concatenate([mesh.uv, other.uv]),
+        texture_of=np.concatenate([mesh.texture_of, other.texture_of[rows]]),
+        textures=mesh.textures,
+    )
+
+
+def _once(corners: Rows) -> Ints:
+    """Rows of triangles that have three corners, the first of each."""
+    a, b, c = np.sort(corners, axis=1).T
+    real = np.flatnonzero((a != b) & (b != c))
+    _, first = groups(np.column_stack([a, b, c])[real].astype(np.int64))
+    rows: Ints = real[first]
+    return rows
+
+
+def groups(keys: NDArray[np.int64]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """Group (N,) int32 of equal rows of keys (N, K) int64, and the first row (G,) of each.
+
+    Groups are numbered in the order in which they are met.
+    """
+    bits = max(int(2 * len(keys) - 1).bit_length(), 1)
+    group = np.empty(len(keys), np.int32)
+    first = np.empty(len(keys), np.int64)
+    count = _grouped(np.ascontiguousarray(keys), np.full(1 << bits, -1, np.int32), group, first)
+    return group, first[:count].copy()

@@ -1,1 +1,0 @@
-"""Smaller meshes and textures within a bound on the distance."""
