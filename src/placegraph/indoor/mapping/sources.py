@@ -44,6 +44,8 @@ class SourceKind(NamedTuple):
     """Options that its reader takes of those that all sources share: up, table, object_property."""
     own: tuple[str, ...] = ()
     """Options of its reader alone."""
+    is_graph: bool = False
+    """Whether it is another program's scene graph."""
 
     def fits(self, path: Path) -> bool:
         """Whether a path looks like it."""
