@@ -12,7 +12,7 @@ from placegraph.outdoor.network.encoded import EncodedCity
 from placegraph.outdoor.network.network import GraphTransformer
 from placegraph.outdoor.network.weights import Shape
 from placegraph.outdoor.network.weights import sizes as sizes_of
-from placegraph_learn.train.city.sample import Speaker
+from placegraph_learn.city.descriptions import Speaker
 
 PLANE = LocalPlane(10.0, 50.0)
 SMALL = Shape(width=16, dimension=12, heads=2, layers=2, crossings=2, evidence=8)
@@ -122,7 +122,7 @@ def speakers(harbour, vocabulary):
 @pytest.fixture(scope="session")
 def pool(speakers):
     """Examples from the shipped town."""
-    from placegraph_learn.train.city.pool import fill
+    from placegraph_learn.city.descriptions import fill
 
     return fill(speakers[0], 24, np.random.default_rng(5))
 

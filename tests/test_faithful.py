@@ -103,7 +103,7 @@ def test_options_can_be_given(row):
     for option in re.findall(r"`([^`]+)`", row[6]):
         head = re.match(r"\w+", option)[0]
         if head == "TrainOptions":
-            training = pytest.importorskip("placegraph_learn.train.city.options")
+            training = pytest.importorskip("placegraph_learn.city.train")
             eval(f"check({{'a city': None}}, {option})", vars(training))  # noqa: S307  # our own page
         elif head in KNOWN:
             eval(option, KNOWN)  # noqa: S307  # our own page; raises where an option is none

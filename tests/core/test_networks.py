@@ -23,7 +23,7 @@ print(float(weights["a"].sum()))
 """
 READERS = {
     "networks": ("placegraph.core.networks", "read_state", "torch, path, 'x'", "pt"),
-    "backbone": ("placegraph_learn.backbone", "_state", "torch, path, 'x'", "safetensors"),
+    "backbone": ("placegraph_learn.features", "_state", "torch, path, 'x'", "safetensors"),
     "scenegraphloc": (
         "placegraph_learn.scenegraphloc.weights", "read_state", "path", "safetensors",
     ),

@@ -20,10 +20,10 @@ KNOWN = {
     "library.shard": ("scale", "Put the scenes of libraries into shards."),
     "live": ("ros", "Localize as if live: a recording, a folder that fills, a pipe."),
     "serve": ("serve", "Serve maps over HTTP, and a page."),
-    "city.train": ("lab", "Train the matching network on city maps."),
+    "city.train": ("learn", "Train the matching network on city maps."),
     "city.convert-kitti360pose": ("lab", "Convert KITTI360Pose from its pickles."),
     "city.evaluate": ("lab", "How well texts of your own find their places."),
-    "scene.train": ("lab", "Train the network SceneGraphLoc on scene maps."),
+    "scene.train": ("learn", "Train the network SceneGraphLoc on scene maps."),
 }
 """Extra and help of the commands of placegraph's other distributions, listed even where missing."""
 

@@ -181,7 +181,7 @@ def test_words_that_no_training_saw_have_vectors(network):
 @pytest.fixture(scope="module")
 def batch(harbour, pool):
     pytest.importorskip("torch", reason="PyTorch is not installed (extra learn)")
-    from placegraph_learn.train.city.torch_batches import Lessons
+    from placegraph_learn.city.batches import Lessons
 
     lessons = Lessons(harbour, pool)
     rows = np.arange(6)
@@ -191,8 +191,8 @@ def batch(harbour, pool):
 def torch_scores(numpy_network, lessons, batch, device="cpu"):
     import torch
 
-    from placegraph_learn.train.city.torch_batches import forward
-    from placegraph_learn.train.city.torch_network import Network
+    from placegraph_learn.city.batches import forward
+    from placegraph_learn.city.network import Network
 
     known = numpy_network.known
     module = Network(numpy_network.shape, known.vectors.shape[1] if known else 0)
@@ -249,7 +249,7 @@ def test_word_vectors_stand_for_the_words_they_know(make_network):
 
 def test_weights_have_the_names_and_shapes_of_torch(make_network):
     pytest.importorskip("torch", reason="PyTorch is not installed (extra learn)")
-    from placegraph_learn.train.city.torch_network import Network
+    from placegraph_learn.city.network import Network
 
     for sizes in ({}, {"layers": 3, "crossings": 1}, {"crossings": 0}, {"statements": False}):
         shape = make_network(**sizes).shape

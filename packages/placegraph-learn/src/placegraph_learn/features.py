@@ -1,19 +1,200 @@
-"""The encoder of learned features: any dense backbone of timm, pooled over images of the map."""
+"""Dense backbones of timm: made, filled with weights, asked for a grid of features."""
 
 from __future__ import annotations
 
+import hashlib
+import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.geometry import Camera
-from placegraph.errors import OptionError
+from placegraph.core.networks import device_for, read_state
+from placegraph.errors import InputError, MissingExtraError, OptionError, ServiceError
 from placegraph.indoor.map.scene import Scene
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
-from placegraph_learn.backbone import Backbone
+
+_HEADS = ("head", "fc", "classifier", "fc_norm", "attn_pool")
+"""Parts of a checkpoint that a backbone has no use for."""
+
+
+class Backbone:
+    """A network of timm that turns an image into a grid of features.
+
+    Parameters
+    ----------
+    model
+        Name in timm, of any network with features of places: ViTs, convolutional networks.
+    pretrained
+        With the weights that timm's hub has, where no file is given; without, drawn by chance (the
+        same each time), which only tests want.
+    weights
+        File: a state dict of PyTorch, or safetensors, spelled as timm or as its authors spell it.
+    layer
+        Which of the network's stages or blocks, counted from 0, or from the end by -1.
+    device
+        `cpu`, `cuda` or `auto`.
+
+    Raises
+    ------
+    MissingExtraError
+        PyTorch or timm is not installed, or its torchvision is another PyTorch's.
+    OptionError
+        There is no such model, layer or device, or it has no features of places.
+    InputError
+        The file is missing, cut short, or holds another network's weights.
+    ServiceError
+        No file is given, and the hub cannot be reached.
+
+    """
+
+    def __init__(
+        self,
+        model: str,
+        *,
+        pretrained: bool = True,
+        weights: str | Path | None = None,
+        layer: int = -1,
+        device: str = "auto",
+    ) -> None:
+        timm, self._torch = _imported()
+        if not timm.is_model(model):
+            raise OptionError(f"timm knows no model {model!r}; timm.list_models() has their names.")
+        self._device = device_for(self._torch, device)
+        self.name, self._layer = model, layer
+        network = _made(timm, self._torch, model, pretrained=pretrained and weights is None)
+        if weights is not None:
+            _fill(network, _state(self._torch, Path(weights), model), weights, model)
+        self.digest = _digest(network)
+        """Twelve hexadecimal digits of the weights."""
+        self._network = network.eval().requires_grad_(requires_grad=False).to(self._device)
+        self._mean, self._deviation = (
+            np.array(network.pretrained_cfg[key], np.float32) for key in ("mean", "std")
+        )
+        self.cell, self.dimension = self._measured(weights)
+
+    def __call__(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Features (rows, columns, f) of an image (h, w, 3) whose sides are multiples of `cell`."""
+        scaled = (image.astype(np.float32) / 255.0 - self._mean) / self._deviation
+        pixels = self._torch.from_numpy(np.ascontiguousarray(scaled.transpose(2, 0, 1)))[None]
+        with self._torch.inference_mode():
+            (found,) = self._network.forward_intermediates(
+                pixels.to(self._device),
+                indices=[self._layer],
+                norm=True,
+                output_fmt="NCHW",
+                intermediates_only=True,
+            )
+        out: NDArray[np.float32] = found[0].permute(1, 2, 0).float().cpu().numpy()
+        return out
+
+    def _measured(self, weights: str | Path | None) -> tuple[int, int]:
+        """Side of a cell [px] and length of a feature, of what comes out for an image."""
+        side = 2 * max(int(stage["reduction"]) for stage in self._network.feature_info)
+        try:
+            found = self(np.zeros((side, 2 * side, 3), np.uint8))
+        except Exception as error:  # timm's networks fail in many ways
+            raise OptionError(
+                f"{self.name} (layer {self._layer}) gives no grid of features of an image that is no "
+                f"square ({_why(error)}); take a ViT or a convolutional network, and a layer it has."
+            ) from error
+        if not np.isfinite(found).all():
+            raise InputError(f"{weights}: its numbers are not finite; download it again.")
+        rows, columns, dimension = found.shape
+        if not rows or side % rows or columns != 2 * rows:
+            raise OptionError(
+                f"{self.name}: features of {side} px are {rows} x {columns}: no grid."
+            )
+        return side // rows, dimension
+
+
+def _imported() -> tuple[Any, Any]:
+    """Modules timm and torch."""
+    try:
+        import timm
+        import torch
+    except (ImportError, RuntimeError) as error:  # RuntimeError: torchvision of another PyTorch
+        raise MissingExtraError(
+            f"Features need PyTorch, and timm with the torchvision that belongs to it: pip install "
+            f"'placegraph[learn]' ({_why(error)})."
+        ) from error
+    return timm, torch
+
+
+def _made(timm: Any, torch: Any, model: str, *, pretrained: bool) -> Any:  # noqa: ANN401
+    """Network without a head; of images of any size where it is a transformer."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        for options in ({"dynamic_img_size": True}, {}):
+            try:
+                return timm.create_model(model, pretrained=pretrained, num_classes=0, **options)
+            except TypeError:  # networks that take any size anyhow know no such option
+                if not options:
+                    raise
+            except Exception as error:
+                if not pretrained:
+                    raise OptionError(f"timm cannot make {model} ({_why(error)}).") from error
+                raise ServiceError(
+                    f"The weights of {model} cannot be fetched ({_why(error)}); download them where "
+                    f"there is a network, and give weights=FILE."
+                ) from error
+    raise AssertionError
+
+
+def _state(torch: Any, path: Path, model: str) -> dict[str, Any]:  # noqa: ANN401
+    """Weights by name from a file; nothing in it is run."""
+    if path.suffix != ".safetensors":
+        return read_state(torch, path, model)
+    from safetensors import SafetensorError, safe_open
+
+    try:
+        with safe_open(path, "pt") as file:  # copied: whoever cuts the file short later ends nobody
+            return {key: file.get_tensor(key).clone() for key in file.keys()}  # noqa: SIM118
+    except FileNotFoundError as error:
+        raise InputError(
+            f"{path} does not exist; weights= names the file with the weights of {model!r}."
+        ) from error
+    except (SafetensorError, OSError, ValueError) as error:
+        raise InputError(
+            f"{path} cannot be read as weights of {model!r} ({_why(error)}); download it again."
+        ) from error
+
+
+def _fill(network: Any, state: dict[str, Any], path: str | Path, model: str) -> None:  # noqa: ANN401
+    """Put weights into a network; what is left over of a head is passed over, and nothing else."""
+    # checkpoints of the authors, and of other image sizes, are translated by timm's own module
+    own = getattr(sys.modules[type(network).__module__], "checkpoint_filter_fn", None)
+    try:
+        fitting = own(state, network) if own else state
+        missing, over = network.load_state_dict(fitting, strict=False)
+    except Exception as error:  # of shapes, and of whatever the filter did not expect
+        raise InputError(
+            f"{path} holds weights of another network than {model!r} ({_why(error)}); give its own."
+        ) from error
+    over = [key for key in over if not key.startswith(_HEADS)]
+    for what, keys in (("lacks", missing), ("holds besides", over)):
+        if keys:
+            raise InputError(
+                f"{path} {what} {keys[0]!r} and {len(keys) - 1} more: weights of another network "
+                f"than {model!r}; give its own."
+            )
+
+
+def _digest(network: Any) -> str:  # noqa: ANN401
+    digest = hashlib.sha256()
+    for name, value in sorted(network.state_dict().items()):
+        digest.update(name.encode() + str(value.dtype).encode())
+        digest.update(value.detach().cpu().contiguous().numpy().tobytes())
+    return digest.hexdigest()[:12]
+
+
+def _why(error: Exception) -> str:
+    return " ".join((str(error).strip() or type(error).__name__).split())[:160]
+
 
 MODEL = "vit_small_patch14_dinov2.lvd142m"
 TEMPERATURE = 0.1

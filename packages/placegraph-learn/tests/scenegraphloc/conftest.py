@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from placegraph_learn.scenegraphloc.features import ColourFeatures
-from placegraph_learn.train.scenegraphloc.worlds import placed
+from placegraph_learn.scenegraphloc.lessons import placed
 
 
 @pytest.fixture(autouse=True)
@@ -29,9 +29,8 @@ def tiny_weights(tmp_path_factory):
     """Random weights of a small network on features of colour, as a file."""
     torch = pytest.importorskip("torch", reason="PyTorch is not installed (extra learn)")
     pytest.importorskip("safetensors", reason="safetensors is not installed (extra learn)")
-    from placegraph_learn.scenegraphloc.network import SceneGraphLoc
+    from placegraph_learn.scenegraphloc.network import SceneGraphLoc, Widths
     from placegraph_learn.scenegraphloc.weights import write_weights
-    from placegraph_learn.scenegraphloc.widths import Widths
 
     path = tmp_path_factory.mktemp("weights") / "tiny.safetensors"
     with torch.random.fork_rng(devices=[]):

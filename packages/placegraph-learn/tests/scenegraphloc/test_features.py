@@ -5,8 +5,7 @@ import pytest
 from PIL import Image
 
 from placegraph.errors import InputError, MissingExtraError, OptionError
-from placegraph_learn.scenegraphloc.dino import DinoFeatures
-from placegraph_learn.scenegraphloc.features import ColourFeatures, features_named
+from placegraph_learn.scenegraphloc.features import ColourFeatures, DinoFeatures, features_named
 
 SIZES = [(90, 160), (160, 90), (91, 157), (1, 1), (3, 500), (700, 2)]
 

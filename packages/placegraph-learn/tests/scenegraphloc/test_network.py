@@ -7,15 +7,15 @@ torch = pytest.importorskip("torch", reason="PyTorch is not installed (extra lea
 pytest.importorskip("safetensors", reason="safetensors is not installed (extra learn)")
 
 from placegraph.errors import OptionError  # noqa: E402
-from placegraph_learn.scenegraphloc.attention import GraphAttention  # noqa: E402
 from placegraph_learn.scenegraphloc.network import (  # noqa: E402
+    GraphAttention,
     Objects,
     SceneGraphLoc,
+    Widths,
     unit,
 )
+from placegraph_learn.scenegraphloc.train import Truth, losses  # noqa: E402
 from placegraph_learn.scenegraphloc.weights import read_weights  # noqa: E402
-from placegraph_learn.scenegraphloc.widths import Widths  # noqa: E402
-from placegraph_learn.train.scenegraphloc.objective import Truth, losses, right  # noqa: E402
 
 NEAR, SUMMED = 2e-5, 1e-4
 """Tolerances that the description of the conformance data suggests."""
@@ -132,18 +132,10 @@ def truths(given):
     return for_image
 
 
-def test_masks_of_the_loss_are_those_of_the_reference(given, truths):
-    outputs = given[2]
-    for image, truth in enumerate(truths):
-        valid = truth.valid
-        positives = truth.positives().numpy()
-        assert np.array_equal(positives, outputs["loss_e1i_matrix"][image])
-        assert np.array_equal(~positives, outputs["loss_e2j_matrix"][image])
-        assert np.array_equal(truth.other_categories(), outputs["loss_f1j_matrix"][image])
-        # the reference fills rows of patches without a loss with ones
-        others = truth.other_patches()[valid]
-        assert np.array_equal(others, outputs["loss_e1j_matrix"][image][valid])
-        assert outputs["loss_e1j_matrix"][image][~valid].all()
+def right(patches, objects, truth):
+    """Whether the patches that show a candidate are nearest to it."""
+    shown = truth.target >= 0
+    return (patches[shown] @ objects.T).argmax(dim=1) == truth.target[shown]
 
 
 def test_the_loss_is_that_of_the_reference(given, found, truths):

@@ -11,13 +11,12 @@ pytest.importorskip("safetensors", reason="safetensors is not installed (extra l
 from safetensors.torch import save_file  # noqa: E402
 
 from placegraph.errors import InputError, MapError, OptionError  # noqa: E402
-from placegraph_learn.scenegraphloc.network import SceneGraphLoc  # noqa: E402
+from placegraph_learn.scenegraphloc.network import SceneGraphLoc, Widths  # noqa: E402
 from placegraph_learn.scenegraphloc.weights import (  # noqa: E402
     digest_of,
     read_weights,
     write_weights,
 )
-from placegraph_learn.scenegraphloc.widths import Widths  # noqa: E402
 
 TINY = Widths(
     feature=6, embedding=8, hidden=10, gate=3, modality=4, points=(3, 4, 5), graph=6, view=8,

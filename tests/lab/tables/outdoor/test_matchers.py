@@ -35,7 +35,7 @@ from placegraph_lab.tables.outdoor.metrics import score
 from placegraph_lab.tables.outdoor.queries import Query, load, make_queries
 from placegraph_lab.tables.outdoor.report import Protocol
 from placegraph_lab.tables.runner import Journal
-from placegraph_learn.train.city.sample import evaluated
+from placegraph_learn.city.descriptions import evaluated
 
 
 @pytest.fixture(scope="module")

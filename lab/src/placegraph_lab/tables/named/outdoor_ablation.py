@@ -52,8 +52,7 @@ from placegraph_lab.tables.runner import (
     table,
 )
 from placegraph_lab.tables.statistics import paired_interval
-from placegraph_learn.train.city.options import TrainOptions
-from placegraph_learn.train.city.train import train
+from placegraph_learn.city.train import TrainOptions, train
 
 OURS, SHIPPED, LITERAL = "ours", "shipped", "statements taken literally"
 PAPER = ("eq17", "eq18")

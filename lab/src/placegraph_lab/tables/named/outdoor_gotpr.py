@@ -17,12 +17,11 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from placegraph.core.networks import read_state
+from placegraph.core.networks import read_state, torch_for
 from placegraph.errors import InputError
 from placegraph_lab.datasets.gotpr import Graph, Graphs, file_of, read_graphs
 from placegraph_lab.tables.kitti.kitti360pose import PAPER, RANKS
 from placegraph_lab.tables.runner import Quick, Run, markdown, option, share, table
-from placegraph_learn.train.training import torch_or_what_installs_it
 
 Floats = NDArray[np.float32]
 
@@ -78,7 +77,7 @@ class BigGNN:
             a weight is not a number.
 
         """
-        state = read_state(torch_or_what_installs_it(), path, "GOTPR")
+        state = read_state(torch_for("gotpr", "learn"), path, "GOTPR")
         return cls.of({key: np.asarray(t.float().numpy()) for key, t in state.items()}, str(path))
 
     @classmethod

@@ -33,7 +33,7 @@ def scene_train(
 ) -> None:
     """Does the network of SceneGraphLoc learn? Procedural homes, and others it never saw."""
     from placegraph_lab.tables.scene.train import learn_and_ask
-    from placegraph_learn.train.scenegraphloc.options import TrainOptions
+    from placegraph_learn.scenegraphloc.train import TrainOptions
 
     if quick:
         homes, held, frames, epochs = 4, 1, 3, 1

@@ -16,7 +16,7 @@ from placegraph.outdoor.map.cells import cell_sightings
 from placegraph.outdoor.map.objects import CityObjects
 from placegraph.outdoor.map.raster import Sightings
 from placegraph_lab.tables.outdoor.matchers import cell_centers
-from placegraph_learn.train.city.sample import TILE, held_out
+from placegraph_learn.city.descriptions import TILE, held_out
 
 Rows = NDArray[np.int64]
 Starts = NDArray[np.signedinteger[Any]]

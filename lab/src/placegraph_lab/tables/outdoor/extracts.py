@@ -12,7 +12,7 @@ from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
 from placegraph.outdoor.city import CityMap, build_city
 from placegraph_lab.tables.outdoor.queries import JITTER, Query, Setting, make_queries
-from placegraph_learn.train.city.sample import evaluated
+from placegraph_learn.city.descriptions import evaluated
 
 Where = Callable[[Floats], NDArray[np.bool_]]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from time import perf_counter, process_time
 from typing import TYPE_CHECKING, Any
@@ -11,12 +11,15 @@ import numpy as np
 import torch
 
 from placegraph_lab.tables.runner import markdown, share
-from placegraph_learn.train.scenegraphloc.lessons import Lesson, read_lesson, split
-from placegraph_learn.train.scenegraphloc.options import Progress, TrainOptions
-from placegraph_learn.train.scenegraphloc.train import train
-from placegraph_learn.train.scenegraphloc.trainer import Judged, Trainer, judge
-from placegraph_learn.train.scenegraphloc.worlds import homes
-from placegraph_learn.train.training import rows_of
+from placegraph_learn.scenegraphloc.lessons import Lesson, homes, read_lesson, split
+from placegraph_learn.scenegraphloc.train import (
+    Judged,
+    Trainer,
+    TrainOptions,
+    judge,
+    train,
+)
+from placegraph_learn.training import Progress, rows_of
 
 if TYPE_CHECKING:
     from placegraph_lab.tables.runner import Run
@@ -32,7 +35,7 @@ class Told(Progress):
         """As `Progress.preparing`."""
         self._say(f"looked at {name}, {done} of {total}")
 
-    def epoch(self, row: dict[str, float]) -> None:
+    def epoch(self, row: Mapping[str, float]) -> None:
         """As `Progress.epoch`."""
         self._say(", ".join(f"{name} {value:.3f}" for name, value in row.items()))
 

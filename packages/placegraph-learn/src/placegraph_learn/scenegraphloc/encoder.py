@@ -21,8 +21,14 @@ from placegraph_learn.scenegraphloc.features import (
     features_named,
     read_attributes,
 )
-from placegraph_learn.scenegraphloc.inputs import POINTS, PointSource, rooms_of, together
-from placegraph_learn.scenegraphloc.views import object_views, quarter_turns
+from placegraph_learn.scenegraphloc.inputs import (
+    POINTS,
+    PointSource,
+    object_views,
+    quarter_turns,
+    rooms_of,
+    together,
+)
 
 if TYPE_CHECKING:
     from placegraph_learn.scenegraphloc.weights import Weights

@@ -1,20 +1,221 @@
-"""The network of SceneGraphLoc: patches of images and objects of scene graphs to one space.
-
-Modules and parameters bear the names of the published checkpoint, so that its keys are theirs.
-The layers of the graph and of the views are in `attention`.
-"""
+"""How wide the layers of the network are; the defaults are those of the published one."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from math import log
 
 import torch
 from torch import Tensor, nn
 
-from placegraph_learn.scenegraphloc.attention import GraphEncoder, ViewEncoder
-from placegraph_learn.scenegraphloc.widths import POSE, Widths
+from placegraph.errors import OptionError
+
+RELATIONS, ATTRIBUTES, POSE = 41, 164, 7
+
+
+@dataclass(frozen=True)
+class Widths:
+    """Widths of the network's layers, as `state_dict` shapes tell them.
+
+    Raises
+    ------
+    OptionError
+        A width is not positive, or no multiple of the heads that share it.
+
+    """
+
+    feature: int = 1536
+    """Numbers of an image feature."""
+    embedding: int = 400
+    """Numbers of what patches and objects are compared by."""
+    hidden: int = 512
+    """Of the perceptrons."""
+    gate: int = 384
+    """Of the channel gate's waist."""
+    modality: int = 100
+    """Of each object modality but the views."""
+    points: tuple[int, int, int] = (64, 128, 256)
+    """Of the three layers that look at points."""
+    graph: int = 256
+    """Of the graph attention, heads side by side."""
+    graph_heads: int = 2
+    view: int = 256
+    """Of what is known of a view of an object."""
+    view_heads: int = 4
+    pose_hidden: int = 128
+    relations: int = RELATIONS
+    """Words of relations that are counted."""
+    attributes: int = ATTRIBUTES
+    """Words of attributes that are counted."""
+
+    def __post_init__(self) -> None:
+        for name in self.__dataclass_fields__:
+            value = getattr(self, name)
+            if min(value if isinstance(value, tuple) else (value,)) < 1:
+                raise OptionError(f"{name} is {value}; a width is at least 1.")
+        for whole, heads in (("graph", "graph_heads"), ("view", "view_heads")):
+            if getattr(self, whole) % getattr(self, heads):
+                raise OptionError(
+                    f"{whole} is {getattr(self, whole)}; it must be a multiple of {heads}, "
+                    f"{getattr(self, heads)}."
+                )
+
+    @classmethod
+    def small(cls, feature: int, attributes: int = ATTRIBUTES) -> Widths:
+        """Widths for features of `feature` numbers, of a network that a processor trains."""
+        return cls(
+            feature=feature, embedding=64, hidden=128, gate=max(4, feature // 4), modality=32,
+            points=(32, 64, 64), graph=32, view=64, pose_hidden=32,
+            attributes=attributes,
+        )  # fmt: skip
+
+    @classmethod
+    def of(cls, shapes: Mapping[str, tuple[int, ...]]) -> Widths:
+        """Widths of the network whose weights have these shapes, by key.
+
+        Keys that are missing, or of a shape that says nothing, leave the published width: whoever
+        compares all shapes afterwards finds them. Raises `OptionError` as the class does.
+        """
+        published = cls()
+
+        def size(key: str, axis: int, otherwise: int) -> int:
+            shape = shapes.get(key, ())
+            return shape[axis] if axis < len(shape) else otherwise
+
+        sg = "sg_encoder"
+        points = [
+            size(f"{sg}.object_encoder.conv{i + 1}.weight", 0, n)
+            for i, n in enumerate(published.points)
+        ]
+        heads = f"{sg}.multiview_encoder.transformer_encoder.self_attn.logit_scale"
+        return cls(
+            feature=size("reduce_layers.norm1.weight", 0, published.feature),
+            embedding=size("patch_encoder.mlp_layers.3.weight", 0, published.embedding),
+            hidden=size("patch_encoder.mlp_layers.0.weight", 0, published.hidden),
+            gate=size("reduce_layers.conv.2.fc.0.weight", 0, published.gate),
+            modality=size(f"{sg}.object_embedding.weight", 0, published.modality),
+            points=(points[0], points[1], points[2]),
+            graph=size(f"{sg}.structure_encoder.layer_stack.0.bias", 0, published.graph),
+            graph_heads=size(
+                f"{sg}.structure_encoder.layer_stack.0.att_src", 1, published.graph_heads
+            ),
+            view=size(f"{sg}.img_patch_embedding.weight", 0, published.view),
+            view_heads=size(heads, 0, published.view_heads),
+            pose_hidden=size(f"{sg}.pose_encoder.mlp_layers.0.weight", 0, published.pose_hidden),
+            relations=size(f"{sg}.meta_embedding_rel.weight", 1, published.relations),
+            attributes=size(f"{sg}.meta_embedding_attr.weight", 1, published.attributes),
+        )
+
+
+SHARPEST = log(100.0)
+"""Logarithm of the largest scale of cosines among views."""
+
+
+class GraphAttention(nn.Module):
+    """One layer of graph attention (Velickovic et al. 2018), heads side by side."""
+
+    def __init__(self, before: int, after: int, heads: int) -> None:
+        super().__init__()
+        self.att_src = nn.Parameter(torch.empty(1, heads, after // heads))
+        self.att_dst = nn.Parameter(torch.empty(1, heads, after // heads))
+        self.bias = nn.Parameter(torch.zeros(after))
+        self.lin = nn.Linear(before, after, bias=False)
+        for weight in (self.att_src, self.att_dst, self.lin.weight):
+            nn.init.xavier_uniform_(weight)
+
+    def forward(self, x: Tensor, edges: Tensor) -> Tensor:
+        """(n, before) of a room's objects to (n, after); messages go along edges (E, 2)."""
+        n, heads = len(x), self.att_src.shape[1]
+        h = self.lin(x).reshape(n, heads, -1)
+        source, target = (h * self.att_src).sum(-1), (h * self.att_dst).sum(-1)  # (n, heads)
+        scores = nn.functional.leaky_relu(source[:, None] + target[None], 0.2)  # (from, to, heads)
+        times = torch.zeros(n, n, dtype=x.dtype, device=x.device)  # that an edge is there
+        times = times.index_put(
+            (edges[:, 0], edges[:, 1]), times.new_ones(len(edges)), accumulate=True
+        ).fill_diagonal_(1.0)
+        shares = torch.softmax(scores + times.log()[:, :, None], dim=0)
+        out: Tensor = torch.einsum("sth,shc->thc", shares, h).reshape(n, -1) + self.bias
+        return out
+
+
+class GraphEncoder(nn.Module):
+    """Two layers of graph attention, room by room."""
+
+    def __init__(self, before: int, width: int, heads: int, dropout: float) -> None:
+        super().__init__()
+        self.layer_stack = nn.ModuleList(
+            [GraphAttention(before, width, heads), GraphAttention(width, width, heads)]
+        )
+        self.dropout = nn.Dropout(dropout)
+
+    def forward(self, x: Tensor, edges: Sequence[Tensor], sizes: Sequence[int]) -> Tensor:
+        """(N, before) of the objects of rooms of these sizes, with edges of each, to (N, width)."""
+        first, second = self.layer_stack
+        rooms = [
+            second(self.dropout(nn.functional.elu(first(self.dropout(part), among))), among)
+            for part, among in zip(x.split(list(sizes)), edges, strict=True)
+        ]
+        return torch.cat(rooms)
+
+
+class CosineAttention(nn.Module):
+    """Attention by cosines, each head with a scale of its own."""
+
+    def __init__(self, width: int, heads: int) -> None:
+        super().__init__()
+        self.logit_scale = nn.Parameter(torch.full((heads, 1, 1), log(10.0)))
+        self.to_qkv = nn.Linear(width, 3 * width)
+        self.to_out = nn.Linear(width, width, bias=False)
+
+    def forward(self, x: Tensor, there: Tensor) -> Tensor:
+        """(N, K, C) to the same, among those of each row that are `there` (N, K)."""
+        n, k, width = x.shape
+        heads = len(self.logit_scale)
+        qkv = self.to_qkv(x).reshape(n, k, 3, heads, width // heads)
+        query, key, value = qkv.permute(2, 0, 3, 1, 4)  # (N, heads, K, C / heads) each
+        query, key = (nn.functional.normalize(v, dim=-1, eps=1e-12) for v in (query, key))
+        scale = self.logit_scale.clamp(max=SHARPEST).exp()
+        scores = query @ key.transpose(-1, -2) * scale
+        scores = scores.masked_fill(~there[:, None, None, :], -torch.inf)
+        mixed = (scores.softmax(dim=-1) @ value).transpose(1, 2).reshape(n, k, width)
+        out: Tensor = self.to_out(mixed)
+        return out
+
+
+class ViewLayer(nn.Module):
+    """What each view learns from the others of its object."""
+
+    def __init__(self, width: int, heads: int) -> None:
+        super().__init__()
+        self.self_attn = CosineAttention(width, heads)
+        self.norm = nn.LayerNorm(width)
+
+    def forward(self, x: Tensor, owner: Tensor) -> Tensor:
+        """Views (V, C), and the object (V,) of each, ascending, to the same."""
+        counts = torch.bincount(owner)
+        place = torch.arange(len(x), device=x.device) - (counts.cumsum(0) - counts)[owner]
+        shape = len(counts), int(counts.max())
+        there = torch.zeros(shape, dtype=torch.bool, device=x.device)
+        there[owner, place] = True
+        table = x.new_zeros(*shape, x.shape[1]).index_put((owner, place), x)
+        attended = self.self_attn(table, there)[owner, place]
+        return nn.functional.gelu(x + self.norm(attended))
+
+
+class ViewEncoder(nn.Module):
+    """The one layer of attention among views; there is no order of views."""
+
+    def __init__(self, width: int, heads: int) -> None:
+        super().__init__()
+        self.transformer_encoder = ViewLayer(width, heads)
+
+    def forward(self, x: Tensor, owner: Tensor) -> Tensor:
+        """As `ViewLayer`."""
+        out: Tensor = self.transformer_encoder(x, owner)
+        return out
+
 
 MODALITIES = ("point", "gat", "rel", "attr", "img_patch")
 """What is known of an object, in the order in which the network joins it."""

@@ -22,8 +22,7 @@ from torch import Tensor
 from placegraph.core.files import regular, write_file
 from placegraph.core.networks import load_file
 from placegraph.errors import InputError, OptionError
-from placegraph_learn.scenegraphloc.network import SceneGraphLoc
-from placegraph_learn.scenegraphloc.widths import Widths
+from placegraph_learn.scenegraphloc.network import SceneGraphLoc, Widths
 
 IGNORED = ("backbone.", "patch_global_encoder.", "obj_global_encoder.")
 """Keys of what the published training can be told to bring along and nobody needs."""

@@ -1,0 +1,486 @@
+"""Training of the matching network: losses (Eq. 17-19), optimisation, recalls, and what it goes on from."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields
+from os import PathLike
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn import functional as F  # noqa: N812
+
+from placegraph.core.mapfile import pack_strings, read_map, write_map
+from placegraph.core.networks import device_for, digest
+from placegraph.errors import InputError, OptionError
+from placegraph.outdoor.city import CityMap
+from placegraph.outdoor.language.vocabulary import Vocabulary
+from placegraph.outdoor.network.batches import Fits
+from placegraph.outdoor.network.graphs import TextGraphs
+from placegraph.outdoor.network.labels import WordVectors, words_of
+from placegraph.outdoor.network.weights import Shape, Weights, trained, write_weights
+from placegraph.outdoor.search.rerank import HARD
+from placegraph_learn.city.batches import Lessons, forward
+from placegraph_learn.city.descriptions import Pool, Speaker, fill
+from placegraph_learn.city.network import Network, Scores, Truth
+from placegraph_learn.city.word2vec import read_word2vec
+from placegraph_learn.training import Progress, add_row, open_folder, rows_of
+
+LOSSES = ("match", "similarity", "embedding", "fusion")
+PRINTED = ("eq17", "eq18")
+"""Losses (`losses`): those that teach, and the paper's as printed (Eq. 17-18)."""
+
+
+@dataclass(frozen=True)
+class TrainOptions:
+    """Options of a training; raises `OptionError` where one is out of range."""
+
+    epochs: int = 5
+    examples: int = 1200
+    """New descriptions a city and epoch; those of earlier epochs are learned again as well."""
+    steps: int = 300
+    """Batches an epoch."""
+    batch: int = 32
+    """Descriptions a batch."""
+    share: float = 0.4
+    """Share of a description's candidates that a batch looks at."""
+    rate: float = 2e-3
+    """Largest learning rate; a cosine leads to nearly nothing."""
+    decay: float = 1e-3
+    losses: tuple[str, ...] = LOSSES
+    """Losses that are added up (`losses`); ``eq17`` and ``eq18`` are the paper's as printed."""
+    seed: int = 0
+    descriptions: int | None = None
+    """Seed of the descriptions, so that trainings of several seeds may share them; `seed` where not
+    given."""
+    check: int = 500
+    """Descriptions a city, from tiles not trained on, for the curves and the last two weights."""
+    shape: Shape = field(default_factory=Shape)
+    word_vectors: str | None = None
+    """File of word2vec, text or binary: its vectors stand for the words it knows, as in the paper."""
+
+    def __post_init__(self) -> None:
+        for name in ("epochs", "examples", "steps", "batch", "check"):
+            if getattr(self, name) < 1:
+                raise OptionError(f"{name} is {getattr(self, name)}; choose at least 1.")
+        if not 0.0 < self.rate <= 1.0 or not 0.0 < self.share <= 1.0:
+            raise OptionError(
+                f"rate is {self.rate}, share {self.share}; choose above 0 and at most 1."
+            )
+        known = (*LOSSES, *PRINTED)
+        if not set(self.losses) <= set(known) or not self.losses:
+            raise OptionError(f"losses are {self.losses}; choose among {', '.join(known)}.")
+        try:
+            Shape.from_dict(asdict(self.shape))
+        except ValueError as error:
+            raise OptionError(f"There is no network of these {error}.") from error
+
+
+NEVER = -1e9
+
+
+class Temperatures(NamedTuple):
+    """Learned scales of cosines (logs of inverse temperatures) and of relational matching."""
+
+    similarity: Tensor
+    embedding: Tensor
+    relational: Tensor
+
+
+def contrastive(scores: Tensor, right: Tensor) -> Tensor:
+    """Minus log share of what is right (Q, P: 1, 0 or -1) among what is right or wrong."""
+    known = scores.masked_fill(right < 0, NEVER)
+    good = scores.masked_fill(right != 1, NEVER)
+    told = (right == 1).any(1) & (right == 0).any(1)
+    loss = torch.logsumexp(known, 1) - torch.logsumexp(good, 1)
+    return (loss * told).sum() / told.sum().clamp(min=1)
+
+
+def losses(
+    scores: Scores, truth: Truth, scales: Temperatures, wanted: Collection[str] = LOSSES
+) -> dict[str, Tensor]:
+    """The losses asked for, by name; their sum is what is minimised (Eq. 19)."""
+    found: dict[str, Tensor] = {}
+    q = len(scores.embedding)
+    own = torch.arange(q)[:, None].to(truth.text) == truth.text[None]  # (Q, P)
+    right = torch.where(own, truth.right[None], -1)
+    known = truth.right >= 0
+    belong = (truth.right[known] == 1).float()
+    if "match" in wanted or "eq17" in wanted:
+        entropy = F.binary_cross_entropy_with_logits(scores.logit[known], belong)
+        if "eq17" in wanted:
+            found["eq17"] = entropy
+        if "match" in wanted:
+            found["match"] = entropy + contrastive(scores.logit[None].expand(q, -1), right)
+    if "eq18" in wanted:
+        cosine = scores.cosine[known]
+        wrong = (cosine * (1 - belong)).sum() / (1 - belong).sum().clamp(min=1)
+        found["eq18"] = wrong + ((1 - cosine) * belong).sum() / belong.sum().clamp(min=1)
+    if "similarity" in wanted:
+        cosine = scores.cosine * scales.similarity.exp()
+        found["similarity"] = contrastive(cosine[None].expand(q, -1), right)
+    if "embedding" in wanted:
+        found["embedding"] = contrastive(
+            scores.embedding * scales.embedding.exp(), truth.everywhere
+        )
+    if "fusion" in wanted:
+        asked = truth.relational.isfinite()
+        fused = scales.relational * truth.relational.nan_to_num() + scores.residual
+        found["fusion"] = contrastive(
+            fused[None].expand(q, -1), torch.where(asked[None], right, -1)
+        )
+    return found
+
+
+WITHIN = 50.0
+"""A viewpoint this near to the truth is right [m]."""
+TOGETHER = 40.0
+"""Probability of viewpoints this near to each other is added up, as in `posterior.modes` [m]."""
+
+
+class Judged(NamedTuple):
+    """What is said of the viewpoints that relational matching finds best; -inf where of none."""
+
+    relational: NDArray[np.float64]
+    """(Q, K)"""
+    logit: NDArray[np.float64]
+    """(Q, K)"""
+    cosine: NDArray[np.float64]
+    """(Q, K) of the graph embeddings."""
+    fused: NDArray[np.float64]
+    """(Q, K) relational matching and what the network adds."""
+    near: NDArray[np.bool_]
+    """(Q, K) whether it is within 50 m of the truth."""
+    together: NDArray[np.bool_]
+    """(Q, K, K) which of them stand close to each other."""
+
+
+def judge(network: Network, lessons: Lessons, device: str) -> Judged:
+    """Let the network judge the viewpoints that relational matching found best."""
+    pool, views = lessons.pool, lessons.city.views
+    relational = np.where(np.isfinite(pool.scores), pool.scores, -np.inf)
+    best = np.argsort(np.argsort(-relational, axis=1), axis=1) < HARD
+    asked = best & np.isfinite(relational)
+    relational = np.where(asked, relational, -np.inf)
+    logit, cosine, fused = (np.full(asked.shape, -np.inf) for _ in range(3))
+    scale, weight = network.prior[1:].tolist()
+    with torch.no_grad():
+        for at in range(0, len(pool), 64):
+            rows = np.arange(at, min(at + 64, len(pool)))
+            batch = lessons.batch(rows, asked[rows])
+            scores = forward(network, lessons, batch, device)
+            text = batch.pairs.text
+            logit[rows[text], batch.slots] = scores.logit.cpu().numpy()
+            added = scores.residual.cpu().numpy()
+            fused[rows[text], batch.slots] = scale * batch.relational + weight * added
+            dense = scores.embedding.cpu().numpy()
+            cosine[rows[text], batch.slots] = dense[text, np.arange(len(text))]
+    places = views.positions[pool.views]
+    off = np.hypot(*(places - pool.positions[:, None]).transpose(2, 0, 1))
+    apart = np.hypot(*(places[:, :, None] - places[:, None]).transpose(3, 0, 1, 2))
+    return Judged(relational, logit, cosine, fused, (off <= WITHIN) & asked, apart <= TOGETHER)
+
+
+def recalls(judged: Sequence[Judged]) -> dict[str, float]:
+    """Recall@1 within 50 m among what relational matching finds, mean over cities."""
+    found: dict[str, list[float]] = {}
+    for j in judged:
+        asked = np.isfinite(j.relational)
+        for name, scores in (
+            ("relational", j.relational),
+            ("network", j.logit),
+            ("dense", 15.0 * j.cosine),
+            ("fused", j.fused),
+        ):
+            found.setdefault(name, []).append(recall(np.where(asked, scores, NEVER), j))
+    return {name: float(np.mean(values)) for name, values in found.items()}
+
+
+def recall(scores: NDArray[np.float64], judged: Judged) -> float:
+    """Share of texts whose best place, of summed probability, is near the truth."""
+    p = np.exp(scores - scores.max(axis=1, keepdims=True))
+    summed = (judged.together @ p[..., None])[..., 0] * (scores > NEVER) + 1e-3 * p
+    return float(judged.near[np.arange(len(p)), summed.argmax(axis=1)].mean())
+
+
+SCALES, WEIGHTS = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.15), (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
+"""Of relational matching and of what the network adds, that are tried together."""
+
+
+def best_prior(judged: Sequence[Judged], scale: float) -> tuple[float, float]:
+    """Scale of relational matching, and weight of what the network adds, of greatest likelihood.
+
+    `judged` are texts from where nothing was trained, with the weight still 1 and this `scale`.
+    """
+    best, found = -np.inf, (1.0, 0.0)  # nothing told: as relational matching has it
+    if not any(j.near.any() for j in judged):
+        return found
+    for new in SCALES:
+        for weight in WEIGHTS:
+            likelihood = np.mean([_likelihood(j, scale, new, weight) for j in judged])
+            if likelihood > best:
+                best, found = float(likelihood), (new, weight)
+    return found
+
+
+def _likelihood(judged: Judged, scale: float, new: float, weight: float) -> float:
+    """Mean log probability of being near the truth, where anything is."""
+    asked = np.isfinite(judged.relational)
+    relational = np.where(asked, judged.relational, 0.0)
+    added = np.where(asked, judged.fused, 0.0) - scale * relational
+    scores = np.where(asked, new * relational + weight * added, NEVER)
+    near = judged.near.any(axis=1)
+    right = np.where(judged.near, scores, NEVER)
+    log_p = np.logaddexp.reduce(right, axis=1) - np.logaddexp.reduce(scores, axis=1)
+    return float(log_p[near].mean()) if near.any() else 0.0
+
+
+VERSION = 1
+WARM = 100
+"""Steps until the learning rate is full."""
+
+
+class Trainer:
+    """Network in training, with the scales of its losses and the optimizer."""
+
+    def __init__(
+        self, options: TrainOptions, device: str, progress: Progress, known: int = 0
+    ) -> None:
+        self.options, self.device, self.progress = options, device, progress
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(options.seed)
+            self.network = Network(options.shape, known)
+        self.network.eval()
+        self.module = torch.nn.Module()
+        self.module.network = self.network
+        self.module.similarity = torch.nn.Parameter(torch.full((1,), 2.0))
+        self.module.embedding = torch.nn.Parameter(torch.full((1,), 2.5))
+        self.module.to(device)
+        self.optimizer = torch.optim.AdamW(
+            self.module.parameters(), lr=options.rate, weight_decay=options.decay
+        )
+
+    def epoch(self, epoch: int, lessons: Sequence[Lessons]) -> dict[str, float]:
+        """Learn `options.steps` batches; returns mean losses."""
+        seeds = np.random.SeedSequence([self.options.seed, epoch, 1 << 22])
+        devices = [torch.cuda.current_device()] if self.device == "cuda" else []
+        self.network.train()
+        with torch.random.fork_rng(devices=devices):  # dropout draws anew each epoch
+            torch.manual_seed(int(seeds.generate_state(1)[0]))
+            total = self._steps(epoch, lessons)
+        self.network.eval()
+        return total
+
+    def _steps(self, epoch: int, lessons: Sequence[Lessons]) -> dict[str, float]:
+        options = self.options
+        rng = np.random.default_rng([options.seed, epoch, 1 << 21])
+        total: dict[str, float] = {}
+        for step in range(options.steps):
+            lesson = lessons[int(rng.integers(len(lessons)))]
+            batch = lesson.batch(*lesson.draw(options.batch, options.share, rng))
+            done = (epoch * options.steps + step) / (options.epochs * options.steps)
+            rate = options.rate * (0.5 + 0.5 * np.cos(np.pi * done)) + 1e-5
+            for group in self.optimizer.param_groups:  # warm up, then a cosine
+                group["lr"] = float(rate * min(1.0, (epoch * options.steps + step + 1) / WARM))
+            scores = forward(self.network, lesson, batch, self.device)
+            scales = Temperatures(
+                self.module.similarity, self.module.embedding, self.network.prior[1]
+            )
+            found = losses(scores, batch.truth(self.device), scales, options.losses)
+            self.optimizer.zero_grad()
+            torch.stack(list(found.values())).sum().backward()
+            for p in self.module.parameters():  # every weight keeps a state, used or not
+                p.grad = torch.zeros_like(p) if p.grad is None else p.grad
+            torch.nn.utils.clip_grad_norm_(self.module.parameters(), 5.0)
+            self.optimizer.step()
+            for name, loss in found.items():
+                total[name] = total.get(name, 0.0) + float(loss.detach()) / options.steps
+            now = {name: value * options.steps / (step + 1) for name, value in total.items()}
+            self.progress.step(epoch, step + 1, options.steps, now)
+        return total
+
+    def write(self, path: Path, epoch: int) -> None:
+        """Write the network and the optimizer after an epoch."""
+        arrays: dict[str, NDArray[Any]] = {}
+        for name, p in self.module.named_parameters():
+            state = self.optimizer.state[p]
+            arrays[f"weight:{name}"] = p.detach().cpu().numpy()
+            for moment in ("exp_avg", "exp_avg_sq"):
+                arrays[f"{moment}:{name}"] = state[moment].cpu().numpy()
+            steps = int(state["step"])
+        write_map(path, "training", VERSION, {"epoch": epoch, "steps": steps}, arrays)
+
+    def read(self, path: Path) -> int:
+        """Restore them; returns the number of finished epochs, 0 where there is no file."""
+        if not path.exists():
+            return 0
+        file = read_map(path, "training", VERSION)
+
+        def tensor(key: str, p: Tensor) -> Tensor:
+            return torch.from_numpy(file.array(key, "<f4", p.ndim).copy()).to(p.device)
+
+        with torch.no_grad():
+            for name, p in self.module.named_parameters():
+                p.copy_(tensor(f"weight:{name}", p))
+                moments = {m: tensor(f"{m}:{name}", p) for m in ("exp_avg", "exp_avg_sq")}
+                steps = torch.tensor(float(file.meta["steps"]))
+                self.optimizer.state[p] = {"step": steps, **moments}
+        return int(file.meta["epoch"])
+
+
+def train(
+    cities: Mapping[str, CityMap],
+    out: str | PathLike[str],
+    *,
+    folder: str | PathLike[str],
+    pools: str | PathLike[str] | None = None,
+    options: TrainOptions | None = None,
+    vocabulary: Vocabulary | None = None,
+    device: str = "auto",
+    progress: Progress | None = None,
+) -> Weights:
+    """Train the network on cities and write a weights file (Eq. 17-19).
+
+    Parameters
+    ----------
+    cities
+        Maps by name. Every fourth square kilometre (`descriptions.held_out`) is left for evaluation.
+    out
+        Weights file to write.
+    folder
+        Holds what an interrupted training goes on from; the same call goes on.
+    pools
+        Folder of examples that several trainings may share; within `folder` if not given.
+    options
+        How to train.
+    vocabulary
+        Words of the speakers; the shipped one where not given.
+    device
+        ``cpu``, ``cuda`` or ``auto``.
+    progress
+        Is told how far the training is.
+
+    Raises
+    ------
+    OptionError
+        There are no cities, or the folder holds another training.
+    InputError
+        The file of word vectors cannot be read, or knows no word of the maps.
+
+    """
+    options, progress = options or TrainOptions(), progress or Progress()
+    if not cities:
+        raise OptionError("There is no city to train on; name at least one map.")
+    device = str(device_for(torch, device))
+    vocabulary = vocabulary or Vocabulary.default()
+    known = None
+    if options.word_vectors is not None:
+        labels = {*vocabulary.english, *(word for city in cities.values() for word in city.words)}
+        wanted = {word for label in labels for word in words_of(label)}
+        known = read_word2vec(options.word_vectors, wanted)
+    plan: dict[str, Any] = {
+        "cities": {name: len(city.objects) for name, city in cities.items()},
+        "options": asdict(options),
+    }
+    if known is not None:  # another file of the same name is another training
+        plan["words"] = digest(known.words, {"vectors": known.vectors})[:16]
+    at = Path(folder)
+    plan = open_folder(at, plan)
+    trainer = Trainer(options, device, progress, known.vectors.shape[1] if known else 0)
+    begun = trainer.read(at / "state")
+    examples = Examples(cities, vocabulary, options, progress, Path(pools or at / "pools"), known)
+    held = examples.held_out()
+    past = [lessons for epoch in range(begun) for lessons in examples.lessons(epoch)]
+    for epoch in range(begun, options.epochs):
+        fresh = examples.lessons(epoch)
+        past += fresh
+        row = {"epoch": epoch + 1, **trainer.epoch(epoch, past)}
+        judged = [judge(trainer.network, lessons, device) for lessons in held]
+        row |= recalls(judged)
+        add_row(at, row)  # first: an epoch that is done again gives the same row
+        trainer.write(at / "state", epoch + 1)
+        progress.epoch(row)
+    state = {n: p.detach().cpu().numpy() for n, p in trainer.network.named_parameters()}
+    scale = float(state["prior"][1])
+    fitted = best_prior([judge(trainer.network, lessons, device) for lessons in held], scale)
+    state["prior"] = np.array([state["prior"][0], *fitted], np.float32)
+    training = {"plan": plan, "curves": rows_of(at)}
+    weights = trained(options.shape, state, training, known)
+    write_weights(out, weights)
+    return weights
+
+
+@dataclass(frozen=True, eq=False)
+class Examples:
+    """Examples of every epoch, made once and then kept in a folder."""
+
+    cities: Mapping[str, CityMap]
+    vocabulary: Vocabulary
+    options: TrainOptions
+    progress: Progress
+    folder: Path
+    known: WordVectors | None = None
+
+    def lessons(self, epoch: int) -> list[Lessons]:
+        """Examples of an epoch, one pool a city."""
+        return [
+            self._made(name, f"{name}-{epoch}", epoch, self.options.examples, held=False)
+            for name in self.cities
+        ]
+
+    def held_out(self) -> list[Lessons]:
+        """Examples from the tiles that are never trained on."""
+        return [
+            self._made(name, f"{name}-check", 1 << 20, self.options.check, held=True)
+            for name in self.cities
+        ]
+
+    def _made(self, name: str, file: str, epoch: int, n: int, *, held: bool) -> Lessons:
+        city, seed = self.cities[name], self.options.descriptions
+        seed = self.options.seed if seed is None else seed
+        file = f"{file}-{seed}-{n}-{city.fingerprint[:8]}"
+        path = self.folder / f"{file}.pool"
+        if path.exists():
+            pool = read_pool(path)
+        else:
+            rng = np.random.default_rng([seed, epoch, *name.encode()])
+            done = 0
+
+            def tick() -> None:
+                nonlocal done
+                done += 1
+                self.progress.filling(epoch, name, done, n)
+
+            pool = fill(Speaker(city, self.vocabulary, held=held), n, rng, tick)
+            try:
+                self.folder.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise InputError(
+                    f"{self.folder}: no folder for examples ({error}); name another."
+                ) from error
+            write_pool(path, pool)
+        return Lessons(city, pool, self.options.shape.subwords, self.known)
+
+
+def write_pool(path: Path, pool: Pool) -> None:
+    """Write examples to a file."""
+    arrays = {f"text:{f.name}": getattr(pool.texts, f.name) for f in fields(TextGraphs)}
+    arrays["text:vocabulary"] = pack_strings(pool.texts.vocabulary)
+    arrays |= {f"fit:{name}": column for name, column in pool.fits._asdict().items()}
+    arrays |= {n: getattr(pool, n) for n in ("positions", "views", "scores", "right")}
+    write_map(path, "pool", VERSION, {}, arrays)
+
+
+def read_pool(path: Path) -> Pool:
+    """Read examples from a file."""
+    file = read_map(path, "pool", VERSION)
+    arrays = dict(file.arrays)
+    texts: dict[str, Any] = {f.name: arrays[f"text:{f.name}"] for f in fields(TextGraphs)}
+    texts["vocabulary"] = file.strings("text:vocabulary")
+    fits = Fits(*(arrays[f"fit:{name}"] for name in Fits._fields))
+    rest = {n: arrays[n] for n in ("positions", "views", "scores", "right")}
+    return Pool(TextGraphs(**texts), fits, **rest)

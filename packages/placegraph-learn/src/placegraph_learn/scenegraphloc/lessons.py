@@ -1,0 +1,306 @@
+"""What the network is trained on: rooms, pictures taken in them, and what each patch shows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from placegraph.core.geometry import Camera
+from placegraph.core.mapfile import pack_strings, read_map, write_map
+from placegraph.errors import InputError, MapError, OptionError
+from placegraph.indoor.scene_map import SceneMap
+from placegraph.io.capture.capture import Capture, open_capture
+from placegraph_learn.scenegraphloc.features import ImageFeatures
+from placegraph_learn.scenegraphloc.inputs import (
+    PointSource,
+    Room,
+    object_views,
+    quarter_turns,
+    rooms_of,
+    seen_objects,
+    shown,
+)
+from placegraph_learn.scenegraphloc.network import ATTRIBUTES
+
+KIND, VERSION = "lesson", 1
+_ARRAYS = ("points", "offsets", "edges", "relations", "attributes", "owner", "views", "poses")
+
+
+@dataclass(frozen=True, eq=False)
+class Surveyed:
+    """A scene map with captures in it, whose odometry is map_from_camera."""
+
+    scene: SceneMap
+    captures: tuple[Capture, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """One place to learn from; opened, or drawn, when it is its turn."""
+
+    name: str
+    make: Callable[[], Material]
+
+
+@dataclass(frozen=True, eq=False)
+class Material:
+    """What a place consists of."""
+
+    now: Surveyed
+    """The map, and images from which its objects are known."""
+    pictures: tuple[Capture, ...]
+    """Other images of it, whose patches are learned."""
+    earlier: Surveyed | None = None
+    """The same place at another time; what is still there has the same ids."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lesson:
+    """One place, ready to be learned."""
+
+    name: str
+    room: Room
+    earlier: Room | None
+    features: tuple[NDArray[np.float32], ...]
+    """(rows, columns, f) of each picture."""
+    marks: tuple[NDArray[np.int64], ...]
+    """(rows * columns,) of each picture: row of the object that a patch shows, plus 1; 0: none."""
+
+    def targets(self, picture: int, *, earlier: bool = False) -> NDArray[np.int64]:
+        """Row (P,) in the room, or in what it was earlier, of what each patch shows; -1: none."""
+        marks = self.marks[picture]
+        if not earlier or self.earlier is None:
+            return marks - 1
+        place = {id_: row for row, id_ in enumerate(self.earlier.ids)}
+        rows = [-1, *(place.get(id_, -1) for id_ in self.room.ids)]
+        return np.array(rows, np.int64)[marks]
+
+
+@dataclass(frozen=True, eq=False)
+class Teacher:
+    """Makes lessons, all in the same way."""
+
+    features: ImageFeatures
+    rotate: bool | None = None
+    points: PointSource = "surface"
+    attributes: tuple[str, ...] = ()
+    """Words to count; without any their vectors are zeros."""
+    seed: int = 0
+
+    @property
+    def attribute_count(self) -> int:
+        """Length of the vectors of attributes: the published one where there are no words."""
+        return len(self.attributes) or ATTRIBUTES
+
+    def lesson(self, world: World) -> Lesson:
+        """A place, looked at; raises `OptionError` where nothing in it can be learned."""
+        material = world.make()
+        scene = material.now.scene
+        features, marks = [], []
+        for frame in (frame for capture in material.pictures for frame in capture):
+            turns = quarter_turns(frame, self.rotate)
+            grid = self.features.grid(np.ascontiguousarray(np.rot90(frame.rgb(), -turns)))
+            seen = np.rot90(seen_objects(scene, frame), -turns)
+            features.append(grid)
+            marks.append(shown(seen, (grid.shape[0], grid.shape[1])).ravel().astype(np.int64) + 1)
+        if not any(m.any() for m in marks):
+            raise OptionError(
+                f"{world.name}: no picture shows an object of the map; give captures whose poses are "
+                "in the map."
+            )
+        earlier = None if material.earlier is None else self._room(material.earlier, world.name)
+        room = self._room(material.now, world.name)
+        return Lesson(world.name, room, earlier, tuple(features), tuple(marks))
+
+    def _room(self, place: Surveyed, name: str) -> Room:
+        views = object_views(place.scene, place.captures, self.features, rotate=self.rotate)
+        rooms = rooms_of(
+            place.scene, views, attributes=self.attributes, count=self.attribute_count,
+            source=self.points, rng=np.random.default_rng([self.seed, *name.encode()]),
+        )  # fmt: skip
+        if len(rooms) != 1:
+            raise OptionError(f"{name}: {len(rooms)} scenes merged; give each map for itself.")
+        return rooms[0][1]
+
+
+def kept_lesson(path: Path, make: Callable[[], Lesson]) -> Lesson:
+    """The lesson of a file, or a new one that is then kept there."""
+    if path.exists():
+        try:
+            return read_lesson(path)
+        except MapError:  # of another version or damaged: it can be made again
+            path.unlink()
+    lesson = make()
+    write_lesson(path, lesson)
+    return lesson
+
+
+def write_lesson(path: Path, lesson: Lesson) -> None:
+    """Write a lesson in one go; raises as `placegraph.core.mapfile` does."""
+    arrays: dict[str, NDArray[Any]] = {}
+    for prefix, room in (("now", lesson.room), ("earlier", lesson.earlier)):
+        if room is not None:
+            arrays |= {f"{prefix}:{name}": getattr(room, name) for name in _ARRAYS}
+            arrays[f"{prefix}:ids"] = pack_strings(room.ids)
+            arrays[f"{prefix}:labels"] = pack_strings(room.labels)
+    arrays["grids"] = np.array([f.shape[:2] for f in lesson.features], np.int64)
+    arrays["features"] = np.concatenate([f.reshape(-1, f.shape[2]) for f in lesson.features])
+    arrays["marks"] = np.concatenate(lesson.marks)
+    write_map(path, KIND, VERSION, {"name": lesson.name}, arrays)
+
+
+def read_lesson(path: Path) -> Lesson:
+    """Read a lesson again; raises as `placegraph.core.mapfile` does."""
+    file = read_map(path, KIND, VERSION)
+    name = str(file.meta["name"])
+
+    def room(prefix: str) -> Room | None:
+        if f"{prefix}:ids" not in file.arrays:
+            return None
+        arrays: dict[str, Any] = {n: file.arrays[f"{prefix}:{n}"] for n in _ARRAYS}
+        return Room(name, file.strings(f"{prefix}:ids"), file.strings(f"{prefix}:labels"), **arrays)
+
+    now = room("now")
+    if now is None:
+        raise MapError(f"{path}: holds no room; delete it, and it is made again.")
+    grids = file.array("grids", "<i8", 2)
+    ends = np.cumsum(grids.prod(axis=1))[:-1]
+    features = np.split(file.array("features", "<f4", 2), ends)
+    return Lesson(
+        name=name,
+        room=now,
+        earlier=room("earlier"),
+        features=tuple(
+            f.reshape(rows, columns, -1)
+            for f, (rows, columns) in zip(features, grids.tolist(), strict=True)
+        ),
+        marks=tuple(np.split(file.array("marks", "<i8"), ends)),
+    )
+
+
+def split(lessons: Sequence[Any], held: int) -> tuple[list[Any], list[Any]]:
+    """Those that are learned, and `held` others, spread evenly, that are only asked about."""
+    rows = np.linspace(0, len(lessons) - 1, held + 2)[1:-1].round().astype(int).tolist()
+    return [x for i, x in enumerate(lessons) if i not in rows], [lessons[i] for i in rows]
+
+
+SUFFIX = ".scene"
+
+
+def placed(capture: Capture, map_from_camera: NDArray[np.float64]) -> Capture:
+    """Capture whose odometry (T, 4, 4) is map_from_camera: one of the map itself."""
+    frames = zip(capture.frames, map_from_camera, strict=True)
+    return replace(capture, frames=tuple(replace(f, odometry=pose) for f, pose in frames))
+
+
+def homes(
+    count: int,
+    *,
+    seed: int = 0,
+    frames: int = 16,
+    changes: bool = True,
+    camera: Camera | None = None,
+) -> list[World]:
+    """Procedural homes (`placegraph_lab.worlds.home.home`), each drawn from its own seed.
+
+    Parameters
+    ----------
+    count
+        Number of homes.
+    seed
+        The same seed, the same homes.
+    frames
+        Images of each of the walks: one to know the objects by, one whose patches are learned.
+    changes
+        Whether a home is known as it was months before, too, when things stood elsewhere.
+    camera
+        Of the images; that of `homes.record` if not given.
+
+    """
+    if count < 1 or frames < 1:
+        raise OptionError(f"homes: {count}, frames: {frames}; choose at least one of each.")
+    return [
+        World(f"home-{seed}-{i:04d}", partial(_home, seed, i, frames, camera, changes=changes))
+        for i in range(count)
+    ]
+
+
+def _home(seed: int, index: int, frames: int, camera: Camera | None, *, changes: bool) -> Material:
+    from placegraph_lab.worlds.home.home import CAMERA, changed, home, record, scene_of, visit
+
+    rng = np.random.default_rng([seed, index])
+    flat = home(rng)
+    then = flat.furnish(rng)
+    now = changed(then, rng) if changes else then
+
+    def walk(interior: object) -> Capture:
+        way = visit(flat, interior, rng, frames=frames)  # type: ignore[arg-type]
+        lit = float(rng.random())
+        taken = record(
+            interior, way, rng, camera=camera or CAMERA, daylight=lit, labels=None  # type: ignore[arg-type]
+        )  # fmt: skip
+        return placed(taken, way.map_from_camera)
+
+    earlier = Surveyed(scene_of(then), (walk(then),)) if changes else None
+    return Material(Surveyed(scene_of(now), (walk(now),)), (walk(now),), earlier)
+
+
+def folder(path: str | PathLike[str]) -> list[World]:
+    """Scene maps of a folder, each `NAME.scene` with its captures in the folder `NAME`.
+
+    `NAME` is one capture or holds several, by whatever recorder; poses are those of
+    `trajectory.tum` where there is one, else the recorder's own, and must be in the map. Of several
+    captures the first shows what objects look like and the others are learned; of a single one,
+    every other image.
+
+    Raises
+    ------
+    OptionError
+        The folder holds no map with captures.
+
+    """
+    root = Path(path)
+    found = sorted(root.glob(f"*{SUFFIX}")) if root.is_dir() else []
+    known = [file for file in found if file.with_suffix("").is_dir()]
+    if not known:
+        raise OptionError(
+            f"{path}: no NAME{SUFFIX} with captures in a folder NAME beside it; build maps with "
+            "`placegraph scene build`."
+        )
+    return [World(file.stem, partial(_opened, file)) for file in known]
+
+
+def _opened(file: Path) -> Material:
+    from placegraph.indoor.scene_map import SceneMap
+
+    at = file.with_suffix("")
+    inner = [] if _is_capture(at) else sorted(p for p in at.iterdir() if _is_capture(p))
+    captures = [_with_poses(p) for p in inner or [at]]
+    if len(captures) == 1:
+        captures = [captures[0][::2], captures[0][1::2]]
+    if not len(captures[1]):
+        raise OptionError(f"{at}: a single image; two are the least, one to know objects by.")
+    scene = SceneMap.open(file)
+    return Material(Surveyed(scene, (captures[0],)), tuple(captures[1:]))
+
+
+def _is_capture(path: Path) -> bool:
+    from placegraph.io.capture.capture import format_of
+
+    try:
+        format_of(path)
+    except InputError:
+        return False
+    return True
+
+
+def _with_poses(path: Path) -> Capture:
+    truth = (path / "trajectory.tum").is_file()
+    return open_capture(path, labels=None, poses="trajectory") if truth else open_capture(path)

@@ -1,1 +1,0 @@
-"""Trainings of the networks that ship, and of ones of your own."""

@@ -1,0 +1,273 @@
+"""Speakers: what they say is true unless they err, where they may stand, seeded."""
+
+from itertools import islice
+
+import numpy as np
+import pytest
+
+from placegraph.core.geometry import angle_between
+from placegraph.errors import OptionError
+from placegraph.outdoor.language.description import SPEAKER, Relation
+from placegraph.outdoor.likelihood.query import compile_query
+from placegraph.outdoor.search.candidates import candidates
+from placegraph.outdoor.search.request import Request
+from placegraph.outdoor.search.rerank import HARD
+from placegraph.outdoor.search.viewpoints import score
+from placegraph_learn.city import descriptions as sample
+from placegraph_learn.city.descriptions import (
+    AT,
+    NEARBY,
+    OTHERS,
+    SIGHT,
+    TILE,
+    Speaker,
+    fill,
+    held_out,
+)
+
+
+def examples(speaker, n, seed=0):
+    return list(islice(speaker.examples(np.random.default_rng(seed)), n))
+
+
+def test_one_tile_in_four_is_held_out():
+    east, north = np.meshgrid(*[TILE * (np.arange(-20, 20) + 0.5)] * 2)
+    held = held_out(east, north)
+    assert held.mean() == 0.25
+    assert (held.mean(axis=0) == 0.25).all()
+    assert (held.mean(axis=1) == 0.25).all()
+    inside = held_out(east + 0.49 * TILE, north - 0.49 * TILE)
+    assert np.array_equal(inside, held)
+    assert held_out(1.0, 1.0)
+    assert not held_out(-1.0, 1.0)
+
+
+@pytest.mark.parametrize("held", [False, True])
+def test_speakers_stand_in_their_tiles(speakers, held):
+    for example in examples(speakers[held], 40):
+        assert held_out(*example.position) == held
+    views = speakers[held].city.views
+    assert (held_out(*views.positions[speakers[held].places].T) == held).all()
+
+
+def test_descriptions_are_seeded(speakers):
+    ours, same, other = (examples(speakers[0], 8, seed) for seed in (3, 3, 4))
+    assert [e.description for e in ours] == [e.description for e in same]
+    assert [tuple(e.position) for e in ours] == [tuple(e.position) for e in same]
+    assert [e.description for e in ours] != [e.description for e in other]
+
+
+def honest(monkeypatch, about):
+    """Speakers that never err and use tags."""
+
+    def habits(_):
+        return sample._Habits(0.0, 0.0, "tags", "de", 0.0, about)
+
+    monkeypatch.setattr(sample, "_habits", habits)
+
+
+def things(city, words):
+    """Rows of the objects that a tag or name stands for."""
+    o = city.objects
+    return [
+        i
+        for i in range(len(o))
+        if words
+        in {
+            *(label.partition("=")[2] for label in labels_of(o, i)),
+            *(label.partition("=")[0] for label in labels_of(o, i)),
+            o.name(i),
+        }
+    ]
+
+
+def labels_of(objects, i):
+    rows = objects.label_values[objects.label_starts[i] : objects.label_starts[i + 1]]
+    return [objects.labels[row] for row in rows]
+
+
+def at(city, rows, position):
+    """Where objects stand for a speaker: the nearest point, or the middle of what surrounds them."""
+    return sample._look(city, np.array(rows, np.int32), np.asarray(position, np.float64)).at
+
+
+def wind(bearing):
+    return np.array([np.sin(bearing), np.cos(bearing)])
+
+
+def points_to(delta, bearing):
+    """Whether a vector points to a wind: its larger part does (Eq. 6)."""
+    return np.abs(angle_between(np.arctan2(*delta), bearing)) <= np.pi / 4 + 1e-6
+
+
+def test_directions_from_the_speaker_are_true(speakers, monkeypatch):
+    honest(monkeypatch, "me")
+    city, said = speakers[0].city, 0
+    for example in examples(speakers[0], 25):
+        for s in example.description.statements:
+            assert s.relation is Relation.DIRECTION
+            assert s.target == SPEAKER
+            rows = things(city, example.description.mentions[s.source].words)
+            delta = at(city, rows, example.position) - example.position
+            near = np.hypot(*delta.T) <= 1.2 * SIGHT
+            # of the eight winds here, each is at most a quarter turn off
+            assert any(points_to(d, s.bearing) for d in delta[near])
+            said += 1
+    assert said > 75
+
+
+def test_directions_between_things_are_true(speakers, monkeypatch):
+    honest(monkeypatch, "pairs")
+    city, said = speakers[0].city, 0
+    for example in examples(speakers[0], 25):
+        mentions = example.description.mentions
+        for s in example.description.statements:
+            a, b = (
+                at(city, things(city, mentions[end].words), example.position)
+                for end in (s.source, s.target)
+            )
+            a, b = (x[np.hypot(*(x - example.position).T) <= SIGHT + 1e-6] for x in (a, b))
+            delta = (a[:, None] - b[None]).reshape(-1, 2)
+            delta = delta[np.hypot(*delta.T) >= 1.0]
+            assert any(points_to(d, s.bearing) for d in delta)
+            said += 1
+    assert said > 75
+
+
+def test_places_and_absences_are_true(speakers, monkeypatch):
+    honest(monkeypatch, "mixed")
+    city, seen = speakers[0].city, set()
+    for example in examples(speakers[0], 60):
+        for s in example.description.statements:
+            other = s.target if s.source == SPEAKER else s.source
+            rows = things(city, example.description.mentions[other].words)
+            delta = at(city, rows, example.position) - example.position
+            close = np.hypot(*delta.T)
+            seen.add((s.relation, s.negated))
+            if s.negated:
+                # one of the labels that are called so is the first of nothing in sight
+                first = np.array([city.objects.label(i) for i in rows])
+                assert max(close[first == label].min() for label in set(first)) > SIGHT
+            elif s.relation is Relation.NEAR and SPEAKER in (s.source, s.target):
+                assert close.min() < 20.0
+            elif s.relation is Relation.ALONG:
+                assert close[city.objects.kind[rows] == sample.LINE].min() < 8.0
+            elif s.relation is Relation.INSIDE:
+                o, where = city.objects, (example.position,)
+                off = sample._nearest(
+                    o.kind, o.part_starts, o.point_starts, o.points,
+                    np.array(rows, np.int32), *where[0],
+                )  # fmt: skip
+                assert (np.hypot(*off.T) == 0.0).any()
+    assert {(Relation.VISIBLE, True), (Relation.VISIBLE, False), (Relation.NEAR, False)} <= seen
+    assert {(Relation.ALONG, False), (Relation.DIRECTION, False)} <= seen
+
+
+def test_erring_speakers_err(speakers, monkeypatch):
+    """With every direction drawn at random, about one in four is right."""
+
+    def habits(_):
+        return sample._Habits(1.0, 0.0, "tags", "de", 0.0, "me")
+
+    monkeypatch.setattr(sample, "_habits", habits)
+    right = []
+    city = speakers[0].city
+    for example in examples(speakers[0], 40):
+        for s in example.description.statements:
+            rows = things(city, example.description.mentions[s.source].words)
+            delta = at(city, rows, example.position) - example.position
+            nearest = delta[np.argmin(np.hypot(*delta.T))]
+            right.append(bool(points_to(nearest, s.bearing)))
+    assert 0.1 < np.mean(right) < 0.5
+
+
+def test_speakers_differ_in_their_words(speakers):
+    found = examples(speakers[0], 120, seed=9)
+    mentions = [m for e in found for m in e.description.mentions[2:]]
+    assert any(m.name for m in mentions)
+    assert any(m.count and m.count > 1 for m in mentions)
+    foreign = {m.words for m in mentions if not m.words.isascii()}
+    assert foreign
+    assert {s.relation for e in found for s in e.description.statements} >= {
+        Relation.DIRECTION, Relation.NEAR, Relation.VISIBLE, Relation.ALONG,
+    }  # fmt: skip
+    assert all(3 <= len(e.description.statements) <= 10 for e in found)
+    assert all(s.source != s.target for e in found for s in e.description.statements)
+    assert sum(bool(m.senses) for m in mentions) > 0.9 * len(mentions)  # the vocabulary knows them
+
+
+def test_the_same_word_is_the_same_node(speakers):
+    for example in examples(speakers[0], 30):
+        called = [m.name or m.words for m in example.description.mentions[2:]]
+        assert len(set(called)) == len(called)
+
+
+def test_a_city_with_nothing_to_say_is_refused(build_world, vocabulary):
+    city = build_world([(0.0, 0.0, {"amenity": "bench"}), (8.0, 0.0, {"natural": "tree"})])
+    with pytest.raises(OptionError, match="leave it out"):
+        Speaker(city, vocabulary).places  # noqa: B018
+
+
+def test_what_is_right_follows_from_distance(pool, harbour):
+    assert len(pool) == 24
+    assert pool.views.shape == pool.right.shape == pool.scores.shape == (24, HARD + OTHERS + 4)
+    there = pool.views >= 0
+    delta = np.abs(harbour.views.positions[pool.views] - pool.positions[:, None]).max(axis=2)
+    assert (pool.right[there & (delta <= AT)] == 1).all()
+    assert (pool.right[there & (delta > AT) & (delta <= NEARBY)] == -1).all()
+    assert (pool.right[there & (delta > NEARBY)] == 0).all()
+    assert (pool.right[~there] == -1).all()
+
+
+def test_every_text_has_right_and_wrong_places_none_twice(pool):
+    assert (pool.right == 1).any(axis=1).all()
+    assert (pool.right == 0).any(axis=1).mean() > 0.75  # in a small town some have none to see
+    for row in pool.views:
+        known = row[row >= 0]
+        assert len(set(known.tolist())) == len(known)
+
+
+def test_hard_candidates_are_those_of_relational_matching(speakers):
+    speaker, seen = speakers[0], []
+    made = fill(speaker, 5, np.random.default_rng(11), lambda: seen.append(1))
+    assert len(seen) == 5
+    told = speaker.examples(np.random.default_rng(11))
+    query = compile_query(next(told).description, speaker.city)
+    asked = Request(speaker.city, query)
+    found = score(asked, candidates(asked))
+    best = found.rows[np.argsort(-found.scores, kind="stable")]
+    best = best[speaker.may_see(speaker.city.views.positions_of(best))][:HARD]
+    assert set(best.tolist()) <= set(made.views[0].tolist())
+    known = dict(zip(found.rows.tolist(), found.scores.tolist(), strict=True))
+    for view, value in zip(made.views[0].tolist(), made.scores[0].tolist(), strict=True):
+        if view in known:
+            assert value == pytest.approx(known[view])
+        else:
+            assert np.isnan(value)
+
+
+def test_pools_are_seeded(speakers):
+    first, second = (fill(speakers[0], 3, np.random.default_rng(2)) for _ in range(2))
+    assert np.array_equal(first.positions, second.positions)
+    assert np.array_equal(first.views, second.views)
+    assert first.texts.vocabulary == second.texts.vocabulary
+
+
+def test_fits_are_the_words_of_the_map(pool, harbour):
+    fits, texts = pool.fits, pool.texts
+    assert len(fits.starts) == len(texts.mentions) + 1
+    speakers = texts.starts[:-1]
+    assert (fits.starts[speakers] == fits.starts[speakers + 1]).all()  # a speaker is no thing
+    assert fits.tokens.max() < len(harbour.words)
+    assert (fits.weights > 0).all()
+    literal = 0
+    for node in range(len(texts.mentions)):
+        mine = slice(texts.word_starts[node], texts.word_starts[node + 1])
+        known = {texts.vocabulary[w] for w in texts.words[mine]} & set(harbour.objects.labels)
+        fit = {harbour.words[t] for t in fits.tokens[fits.starts[node] : fits.starts[node + 1]]}
+        named = any(
+            word.startswith("~") for word in fit
+        )  # a name means what bears it, not its kind
+        assert named or known <= fit
+        literal += len(known)
+    assert literal > 24

@@ -1,0 +1,313 @@
+"""Training on drawn homes: it learns, goes on where it was interrupted, and says what is wrong."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from placegraph.core.geometry import Camera
+from placegraph.errors import InputError, OptionError
+from placegraph_learn.scenegraphloc import SceneGraphLocEncoder
+from placegraph_learn.scenegraphloc.features import ColourFeatures
+from placegraph_learn.scenegraphloc.inputs import Room
+from placegraph_learn.scenegraphloc.lessons import (
+    Lesson,
+    Teacher,
+    World,
+    folder,
+    homes,
+    kept_lesson,
+    placed,
+    read_lesson,
+    split,
+    write_lesson,
+)
+from placegraph_learn.scenegraphloc.network import Widths
+from placegraph_learn.scenegraphloc.train import TrainOptions, train
+from placegraph_learn.training import Progress, rows_of
+
+OPTIONS = TrainOptions(epochs=2, batch=3, others=1, points=16, seed=4)
+SMALL = Camera(64, 36, 46.0, 46.0, 32.0, 18.0)
+TINY = Widths(
+    feature=17, embedding=12, hidden=16, gate=4, modality=6, points=(6, 8, 8), graph=8, view=8,
+    pose_hidden=6,
+)  # fmt: skip
+
+
+class Interrupted(Exception):  # noqa: N818  # as KeyboardInterrupt is
+    pass
+
+
+class Stop(Progress):
+    """Ends a training as Ctrl-C would."""
+
+    def __init__(self, epoch, step):
+        self.at = epoch, step
+
+    def step(self, epoch, done, total, losses):  # noqa: ARG002
+        if (epoch, done) == self.at:
+            raise Interrupted
+
+
+class Notes(Progress):
+    def __init__(self):
+        self.prepared, self.steps, self.rows = [], [], []
+
+    def preparing(self, name, done, total):
+        self.prepared.append((name, done, total))
+
+    def step(self, epoch, done, total, losses):
+        self.steps.append((epoch, done, total, losses))
+
+    def epoch(self, row):
+        self.rows.append(row)
+
+
+@pytest.fixture(scope="module")
+def lessons():
+    teacher = Teacher(ColourFeatures())
+    return {world.name: teacher.lesson(world) for world in homes(3, seed=3, frames=3, camera=SMALL)}
+
+
+@pytest.fixture(scope="module")
+def learn(lessons):
+    """Train in a folder; places were looked at before, as in a run that was interrupted."""
+
+    def call(at, options=OPTIONS, **more):
+        (at / "places").mkdir(parents=True, exist_ok=True)
+        for name, lesson in lessons.items():
+            if not (at / f"places/{name}.lesson").exists():
+                write_lesson(at / f"places/{name}.lesson", lesson)
+        worlds = [World(name, lambda: pytest.fail("it is looked at already")) for name in lessons]
+        more = {"widths": TINY, "device": "cpu"} | more
+        return train(worlds, at / "a.safetensors", folder=at, options=options, **more)
+
+    return call
+
+
+@pytest.fixture(scope="module")
+def trained(learn, tmp_path_factory):
+    at, notes = tmp_path_factory.mktemp("trained"), Notes()
+    return learn(at, progress=notes), at, notes
+
+
+def test_what_is_written_serves_as_an_encoder(trained, room, survey):
+    weights, at, _ = trained
+    found = SceneGraphLocEncoder(at / "a.safetensors")
+    assert weights.digest in found.key
+    assert found.features.key == "colour-1"
+    assert 0.01 <= found.temperature <= 1.0
+    assert found.objects(room, [survey]).shape == (len(room), 12)
+
+
+def test_progress_and_curves_are_told(trained):
+    _, at, notes = trained
+    assert [p[1:] for p in notes.prepared] == [(1, 3), (2, 3), (3, 3)]
+    assert {(e, t) for e, _, t, _ in notes.steps} == {(0, 2), (1, 2)}
+    assert [row["epoch"] for row in rows_of(at)] == [1, 2]
+    assert rows_of(at) == notes.rows
+    assert notes.rows[0].keys() == {"epoch", "loss", "patch", "room", "changed"}
+
+
+@pytest.mark.parametrize("at", [(0, 2), (1, 1)])
+def test_an_interrupted_training_goes_on_as_if_never_interrupted(learn, trained, tmp_path, at):
+    with pytest.raises(Interrupted):
+        learn(tmp_path, progress=Stop(*at))
+    assert not (tmp_path / "a.safetensors").exists()
+    weights = learn(tmp_path)
+    assert weights.digest == trained[0].digest
+    assert (tmp_path / "a.safetensors").read_bytes() == (trained[1] / "a.safetensors").read_bytes()
+
+
+def test_a_finished_training_is_only_written_again(learn, trained):
+    weights, at, _ = trained
+    notes = Notes()
+    assert learn(at, progress=notes).digest == weights.digest
+    assert not notes.steps
+
+
+def test_another_seed_gives_another_network(learn, trained, tmp_path):
+    other = learn(tmp_path, replace(OPTIONS, seed=5, epochs=1))
+    assert other.digest != trained[0].digest
+
+
+def test_the_snapshot_is_laid_out_as_the_authors(trained):
+    import torch
+
+    found = torch.load(trained[1] / "snapshot.pth", weights_only=True)
+    assert found.keys() == {"epoch", "iteration", "model", "optimizer", "scheduler", "generator"}
+    assert (found["epoch"], found["iteration"]) == (2, 4)
+    rate = found["optimizer"]["param_groups"][0]["lr"]
+    assert abs(rate - 1.1e-3 * 0.97**2) < 1e-12
+    weights = SceneGraphLocEncoder(trained[1] / "snapshot.pth", features="colour")
+    assert trained[0].digest in weights.key
+
+
+def _drawn(rng, kinds, name):
+    """A lesson of six things that look alike where they are of one kind, two in each picture."""
+    n, edges = 6, [(a, b) for a in range(6) for b in range(6) if a != b]
+    chosen = rng.permutation(len(kinds))[:n]
+
+    def near(rows):
+        seen = kinds[chosen[rows]] + 0.1 * rng.normal(size=(len(rows), 17))
+        return (seen / np.linalg.norm(seen, axis=1, keepdims=True)).astype(np.float32)
+
+    room = Room(
+        name, tuple(map(str, range(n))), tuple(f"kind {k}" for k in chosen),
+        np.zeros((n, 16, 3), np.float32), np.zeros((n, 3)), np.array(edges),
+        np.zeros((n, 41), np.float32), np.zeros((n, 164), np.float32), np.arange(n),
+        near(np.arange(n)), np.tile(np.float32([0, 0, 0, 1, 0, 0, 0]), (n, 1)),
+    )  # fmt: skip
+    halves = [np.repeat([rng.permutation(n)[:2]], 3, axis=0).repeat(2, axis=1) for _ in range(3)]
+    features = tuple(near(half.ravel()).reshape(3, 4, 17) for half in halves)
+    return Lesson(name, room, None, features, tuple(half.ravel() + 1 for half in halves))
+
+
+def test_a_short_training_tells_patches_of_rooms_never_learned(rng):
+    """On rooms drawn in numbers; on rendered homes the table scene_train shows it."""
+    from placegraph_learn.scenegraphloc.train import Trainer, judge
+
+    kinds = rng.normal(size=(9, 17))
+    kinds /= np.linalg.norm(kinds, axis=1, keepdims=True)
+    drawn = [_drawn(rng, kinds, f"room {i}") for i in range(20)]
+    options = TrainOptions(batch=6, others=2, points=16, rate=1e-2, seed=1, elastic=False)
+    trainer = Trainer(drawn[:14], Widths.small(17), options, "cpu")
+    untrained = judge(trainer.network, drawn[14:], "cpu")
+    loss = [trainer.epoch(Progress()) for _ in range(8)]
+    after = judge(trainer.network, drawn[14:], "cpu")
+    assert loss[-1] < loss[0] - 0.5
+    assert untrained.patch < 0.35  # a sixth by chance
+    assert after.patch > 0.55
+
+
+def test_changed_homes_have_targets_by_id(lessons):
+    for lesson in lessons.values():
+        marks = lesson.marks[0]
+        now, then = lesson.targets(0), lesson.targets(0, earlier=True)
+        assert np.array_equal(now, marks - 1)
+        known = then >= 0
+        assert [lesson.room.ids[k] for k in now[known]] == [
+            lesson.earlier.ids[k] for k in then[known]
+        ]
+
+
+def test_lessons_are_kept_whole(lessons, tmp_path):
+    lesson = next(iter(lessons.values()))
+    write_lesson(tmp_path / "a.lesson", lesson)
+    again = read_lesson(tmp_path / "a.lesson")
+    assert again.name == lesson.name
+    for name in ("points", "edges", "views", "poses", "owner", "relations"):
+        assert np.array_equal(getattr(again.room, name), getattr(lesson.room, name))
+    assert again.earlier.ids == lesson.earlier.ids
+    assert all(np.array_equal(a, b) for a, b in zip(again.marks, lesson.marks, strict=True))
+    assert all(np.array_equal(a, b) for a, b in zip(again.features, lesson.features, strict=True))
+
+
+def test_a_damaged_lesson_is_made_again(lessons, tmp_path):
+    lesson = next(iter(lessons.values()))
+    path = tmp_path / "a.lesson"
+    write_lesson(path, lesson)
+    whole = path.read_bytes()
+    assert kept_lesson(path, lambda: pytest.fail("it is kept")).name == lesson.name
+    path.write_bytes(whole[: len(whole) // 2])
+    assert kept_lesson(path, lambda: lesson) is lesson
+    assert path.read_bytes() == whole
+
+
+@pytest.mark.parametrize("spoil", ["cut", "key", "no generator"])
+def test_a_damaged_snapshot_is_named(learn, trained, tmp_path, spoil):
+    import shutil
+
+    import torch
+
+    at = shutil.copytree(trained[1], tmp_path / "copy")
+    path = at / "snapshot.pth"
+    if spoil == "cut":
+        path.write_bytes(path.read_bytes()[:2000])
+    else:
+        found = torch.load(path, weights_only=True)
+        if spoil == "key":
+            del found["model"]["sg_encoder.fusion.weight"]
+        else:
+            del found["generator"]
+        torch.save(found, path)
+    with pytest.raises(InputError, match=r"snapshot\.pth"):
+        learn(at)
+
+
+def test_a_folder_of_another_training_is_refused(learn, trained):
+    with pytest.raises(OptionError, match="another folder"):
+        learn(trained[1], replace(OPTIONS, rate=0.5))
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"epochs": 0}, {"batch": 0}, {"rate": 0.0}, {"decay": 1.5}, {"others": -1}]
+)
+def test_options_out_of_range_are_refused(wrong):
+    with pytest.raises(OptionError, match=next(iter(wrong))):
+        replace(OPTIONS, **wrong)
+
+
+def test_what_cannot_be_trained_is_refused(tmp_path, learn):
+    worlds = homes(2)
+    with pytest.raises(OptionError, match="at least two"):
+        train(worlds, tmp_path / "a.safetensors", folder=tmp_path)
+    with pytest.raises(OptionError, match="rename"):
+        train([*worlds, worlds[0]], tmp_path / "a.safetensors", folder=tmp_path)
+    with pytest.raises(OptionError, match="safetensors"):
+        train(homes(3), tmp_path / "a.pth", folder=tmp_path)
+    with pytest.raises(OptionError, match="numbers a feature"):
+        learn(tmp_path, widths=Widths.small(3))
+    with pytest.raises(OptionError, match="homes"):
+        homes(0)
+
+
+def test_some_are_held_out_evenly():
+    learned, asked = split(list(range(10)), 2)
+    assert asked == [3, 6]
+    assert learned == [0, 1, 2, 4, 5, 7, 8, 9]
+
+
+# ------------------------------------------------------------------------- maps of one's own
+
+
+def test_maps_of_a_folder_come_with_their_captures(room, walk, tmp_path):
+    import shutil
+
+    room.save(tmp_path / "room.scene")
+    room.save(tmp_path / "bare.scene")  # without captures it is passed over
+    shutil.copytree(walk.path, tmp_path / "room" / "one")
+    shutil.copytree(walk.path, tmp_path / "room" / "two")
+    (tmp_path / "room" / "notes").mkdir()
+    (world,) = folder(tmp_path)
+    material = world.make()
+    assert [len(c) for c in (*material.now.captures, *material.pictures)] == [10, 10]
+    lesson = Teacher(ColourFeatures()).lesson(world)
+    assert len(lesson.marks) == 10
+    assert lesson.earlier is None
+    assert (np.concatenate(lesson.marks) > 0).mean() > 0.9  # the poses are in the map
+
+
+def test_a_single_capture_serves_for_both(room, walk, tmp_path):
+    import shutil
+
+    room.save(tmp_path / "room.scene")
+    shutil.copytree(walk.path, tmp_path / "room")
+    material = folder(tmp_path)[0].make()
+    assert [f.index for f in material.now.captures[0]] == [0, 2, 4, 6, 8]
+    assert [f.index for f in material.pictures[0]] == [1, 3, 5, 7, 9]
+
+
+def test_folders_without_maps_and_captures_outside_are_named(room, survey, tmp_path):
+    with pytest.raises(OptionError, match="scene build"):
+        folder(tmp_path)
+    far = survey.odometry.copy()
+    far[:, :3, 3] += 500.0
+
+    def lost():
+        from placegraph_learn.scenegraphloc.lessons import Material, Surveyed
+
+        return Material(Surveyed(room, (survey,)), (placed(survey, far),))
+
+    with pytest.raises(OptionError, match="poses are in the map"):
+        Teacher(ColourFeatures()).lesson(World("lost", lost))

@@ -1,0 +1,213 @@
+"""Commands `placegraph city train` and `placegraph scene train`."""
+
+import inspect
+import json
+
+import pytest
+from PIL import Image
+
+from placegraph.errors import OptionError
+from placegraph.outdoor.network.weights import read_weights
+from placegraph_lab.worlds.town.town import Town
+from placegraph_learn.city.train import TrainOptions
+from placegraph_learn.cli import ShownProgress, choose_worlds, train_city
+from placegraph_learn.scenegraphloc.lessons import homes
+
+TINY = ("--epochs", 2, "--examples", 6, "--steps", 2, "--batch", 3, "--check", 3, "--device", "cpu")
+TEXT = "I am on Speicherweg. The museum is south of me."
+
+
+@pytest.fixture(scope="module")
+def city(tmp_path_factory):
+    from placegraph.outdoor.city import build_city
+
+    folder = tmp_path_factory.mktemp("train")
+    build_city(Town.load("hafenstadt").write_osm(folder / "town.osm"), folder / "town.city")
+    return folder / "town.city"
+
+
+@pytest.fixture(scope="module")
+def pools(tmp_path_factory):
+    return tmp_path_factory.mktemp("pools")
+
+
+@pytest.fixture
+def needs_torch():
+    torch = pytest.importorskip("torch", reason="PyTorch is not installed (extra learn)")
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)  # so small are these networks
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.mark.usefixtures("needs_torch")
+def test_train_writes_weights_a_table_and_curves(run, city, pools, tmp_path):
+    out, work = tmp_path / "a.weights", tmp_path / "work"
+    result = run("city", "train", city, "-o", out, "--work", work, "--pools", pools, *TINY)
+    assert (result.code, result.err) == (0, "")
+    header, first, second, last = result.out.splitlines()
+    assert header.split()[:4] == ["epoch", "match", "similarity", "embedding"]
+    assert (first.split()[0], second.split()[0]) == ("1", "2")
+    assert len(first) == len(second) == len(header)
+    assert last.startswith(f"{out}: {out.stat().st_size:,} bytes")
+    assert len(read_weights(out).training["curves"]) == 2
+    with Image.open(work / "curves.png") as drawn:
+        assert len(drawn.getcolors(1 << 20)) > 20
+    assert {path.suffix for path in pools.iterdir()} == {".pool"}
+    again = run("city", "train", city, "-o", out, "--work", work, "--pools", pools, *TINY, "--json")
+    assert again.json["fingerprint"] == read_weights(out).fingerprint
+    assert [row["epoch"] for row in again.json["curves"]] == [1, 2]
+
+
+@pytest.mark.usefixtures("needs_torch")
+def test_train_takes_word_vectors(run, city, pools, tmp_path):
+    out, work, words = (tmp_path / name for name in ("a.weights", "work", "words.txt"))
+    words.write_text("2 3\nmuseum 1 2 3\nhouse 3 2 1\n", "utf-8")
+    given = ("city", "train", city, "-o", out, "--work", work, "--pools", pools, *TINY, "--quiet")
+    assert run(*given, "--word-vectors", tmp_path / "gone.txt").code != 0
+    assert run(*given, "--word-vectors", words).code == 0
+    assert set(read_weights(out).words.words) <= {"museum", "house"}
+    here = run("city", "locate", city, TEXT, "--weights", out, "--matcher", "transformer", "--json")
+    assert here.json["modes"]
+
+
+@pytest.mark.usefixtures("needs_torch")
+def test_ctrl_c_says_how_to_go_on(run, city, pools, tmp_path, monkeypatch):
+    out, work = tmp_path / "a.weights", tmp_path / "work"
+    command = ("city", "train", city, "-o", out, "--work", work, "--pools", pools, *TINY)
+
+    def interrupt(self, epoch, done, total, losses):  # noqa: ARG001
+        if epoch == 1:
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(ShownProgress, "step", interrupt)
+        result = run(*command)
+    assert result.code == 130
+    assert "Interrupted; 1 epoch is kept" in result.err
+    assert f"placegraph city train {city}" in result.err
+    assert not out.exists()
+    gone_on = run(*command)
+    assert gone_on.code == 0
+    assert [line.split()[0] for line in gone_on.out.splitlines()[1:-1]] == ["2"]
+
+
+def test_defaults_are_those_of_the_library():
+    options = inspect.signature(train_city).parameters
+    for name in ("epochs", "examples", "steps", "batch", "check", "rate", "seed"):
+        assert options[name].default == getattr(TrainOptions(), name), name
+
+
+def test_sizes_and_losses_are_those_of_the_library():
+    options = inspect.signature(train_city).parameters
+    for name in ("layers", "crossings", "heads", "statements"):
+        assert options[name].default == getattr(TrainOptions().shape, name), name
+    assert tuple(options["losses"].default.split(",")) == TrainOptions().losses
+
+
+@pytest.mark.usefixtures("needs_torch")
+def test_the_papers_network_is_trained_and_locates(run, city, pools, tmp_path):
+    out = tmp_path / "paper.weights"
+    made = run(
+        "city", "train", city, "-o", out, "--work", tmp_path / "work", "--pools", pools, *TINY,
+        "--losses", "eq17,eq18", "--no-statements", "--layers", 1, "--crossings", 1, "--heads", 2,
+    )  # fmt: skip
+    assert (made.code, made.err) == (0, "")
+    assert made.out.split()[:3] == ["epoch", "eq17", "eq18"]
+    shape = read_weights(out).shape
+    assert (shape.layers, shape.crossings, shape.heads, shape.statements) == (1, 1, 2, False)
+    found = run("city", "locate", city, TEXT, "--preset", "paper", "--weights", out, "--json")
+    assert found.json["modes"]
+    odd = run("city", "train", city, "-o", out, "--work", tmp_path / "odd", *TINY, "--heads", 5)
+    assert (odd.code, "width 48 for 5 heads" in odd.err) == (7, True)
+
+
+def test_what_cannot_be_trained_is_refused_at_once(run, city, tmp_path):
+    out, work = tmp_path / "a.weights", tmp_path / "work"
+    train = ("city", "train", city)
+    gone = run("city", "train", tmp_path / "gone.city", "-o", out, "--work", work)
+    assert gone.code == 3
+    nowhere = run(*train, "-o", tmp_path / "no" / "a.weights", "--work", work)
+    assert nowhere.code == 4
+    twice = run(*train, city, "-o", out, "--work", work)
+    assert (twice.code, "Several maps are called town" in twice.err) == (7, True)
+    assert run(*train, "-o", out, "--work", work, "--epochs", 0).code == 2
+    assert not work.exists()
+
+
+@pytest.mark.usefixtures("needs_torch")
+def test_another_training_and_a_strange_device_are_refused(run, city, pools, tmp_path):
+    train = ("city", "train", city, "-o", tmp_path / "a.weights", "--work", tmp_path / "work")
+    (tmp_path / "work").mkdir()
+    (tmp_path / "work" / "plan.json").write_text("{}", "utf-8")
+    other = run(*train, "--pools", pools, *TINY)
+    assert (other.code, "another" in other.err) == (7, True)
+    strange = run(*train, "--pools", pools, *TINY[:-1], "abacus")
+    assert (strange.code, "it is 'cpu', 'cuda' or 'auto'" in strange.err) == (7, True)
+    fast = run(*train, *TINY, "--rate", 50)
+    assert (fast.code, "rate is 50" in fast.err) == (7, True)
+
+
+@pytest.fixture(scope="module")
+def maps(room, walk, tmp_path_factory):
+    """Three maps of the one room, each with its captures; two images a capture."""
+    import shutil
+
+    at = tmp_path_factory.mktemp("maps")
+    for name in "abc":
+        room.save(at / f"{name}.scene")
+        shutil.copytree(walk.path, at / name)
+    return at
+
+
+def test_the_command_trains_and_goes_on(run, maps, tmp_path, monkeypatch):
+    out, work = tmp_path / "a.safetensors", tmp_path / "work"
+    words = (maps, "-o", out, "--work", work, "--epochs", 1, "--points", 8, "--device", "cpu")
+
+    def interrupt(*_, **__):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(ShownProgress, "step", interrupt)
+        result = run("scene", "train", *words)
+    assert result.code == 130
+    assert "The same command goes on" in result.err
+    result = run("scene", "train", *words)
+    assert (result.code, result.err) == (0, "")
+    header, first, last = result.out.splitlines()
+    assert header.split() == ["epoch", "loss", "patch", "room"]
+    assert first.split()[0] == "1"
+    assert last.startswith(f"{out}: {out.stat().st_size:,} bytes")
+    assert (work / "curves.png").stat().st_size > 1000
+    again = run("scene", "train", *words, "--json")
+    assert again.json["notes"]["features"] == "colour-1"
+    assert [row["epoch"] for row in again.json["curves"]] == [1]
+    assert json.loads((work / "plan.json").read_text("utf-8"))["held"] == 1
+
+
+def test_homes_by_the_command_are_those_of_the_library():
+    assert [w.name for w in choose_worlds(None, 3, 2, 5)] == [w.name for w in homes(3, seed=5)]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ((), "one of both"),
+        (("maps", "--synthetic", 3), "one of both"),
+        (("nowhere",), "scene build"),
+        (("--synthetic", 3, "--width", "huge"), "small or published"),
+        (("--synthetic", 3, "--features", "sift"), "one of dinov2, colour"),
+    ],
+)
+def test_wrong_commands_say_what_is_wrong(run, tmp_path, arguments, said):
+    result = run("scene", "train", *arguments, "-o", tmp_path / "a.safetensors",
+                 "--work", tmp_path / "work")  # fmt: skip
+    assert result.code == OptionError.exit_code
+    assert said in result.err
+
+
+def test_help_teaches(run):
+    result = run("scene", "train", "--help")
+    assert result.code == 0
+    for word in ("--synthetic", "changed", "Example: placegraph scene train"):
+        assert word in result.out
