@@ -10,11 +10,11 @@ from contextlib import suppress
 
 import pytest
 
-from placegraph.cli.interrupts import INTERRUPTED, interruptible
+from placegraph.cli.common import INTERRUPTED, interruptible
 
 DEAF = """
 import signal, threading
-from placegraph.cli import interrupts
+from placegraph.cli import common as interrupts
 interrupts.GRACE = 0.01
 signal.signal(signal.SIGINT, lambda *_: None)
 with interrupts.interruptible():

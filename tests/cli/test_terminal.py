@@ -6,8 +6,7 @@ import sys
 import click
 import pytest
 
-from placegraph.cli.common import console, echo_json, show_facts, table
-from placegraph.cli.terminal import bare, guarded, harmless
+from placegraph.cli.common import bare, console, echo_json, guarded, harmless, show_facts, table
 
 NAMES = (
     "Caf\x1b[31mé",

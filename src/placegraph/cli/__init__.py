@@ -12,11 +12,9 @@ from typing import NoReturn
 
 import click
 
-from placegraph.cli.command import Group
+from placegraph.cli.command import Group, extensions
+from placegraph.cli.common import INTERRUPTED, bare, guarded, harmless, interruptible
 from placegraph.cli.compiling import Compiling
-from placegraph.cli.extensions import extensions
-from placegraph.cli.interrupts import INTERRUPTED, interruptible
-from placegraph.cli.terminal import bare, guarded, harmless
 from placegraph.core import cache
 from placegraph.core.cache import listening
 from placegraph.errors import InputError, PlacegraphError
@@ -31,14 +29,14 @@ CITY = Group(
     "First `build` a map from an extract, then `locate` descriptions in it, or `track` a walk. "
     "`embed` is for large maps, `train` for weights of your own, `evaluate` for texts of your own.",
     {
-        "build": f"{_HERE}.city.build:build",
-        "locate": f"{_HERE}.city.locate:locate",
-        "info": f"{_HERE}.city.facts:info",
-        "check": f"{_HERE}.city.facts:check",
-        "fetch": f"{_HERE}.city.build:fetch",
-        "track": f"{_HERE}.city.track:track",
-        "embed": f"{_HERE}.city.store:embed",
-        "stores": f"{_HERE}.city.store:stores",
+        "build": f"{_HERE}.city:build",
+        "locate": f"{_HERE}.city:locate",
+        "info": f"{_HERE}.city:info",
+        "check": f"{_HERE}.city:check",
+        "fetch": f"{_HERE}.city:fetch",
+        "track": f"{_HERE}.city:track",
+        "embed": f"{_HERE}.city:embed",
+        "stores": f"{_HERE}.city:stores",
     },
     partial(extensions, "city"),
 )
@@ -46,18 +44,18 @@ SCENE = Group(
     "scene",
     "Indoor: make maps of rooms, and find the pose of a few frames in them.",
     {
-        "build": f"{_HERE}.scene.build:build",
-        "info": f"{_HERE}.scene.facts:info",
-        "check": f"{_HERE}.scene.check:check",
-        "anchor": f"{_HERE}.scene.anchor:anchor",
-        "diff": f"{_HERE}.scene.diff:diff",
-        "update": f"{_HERE}.scene.diff:update",
-        "encode": f"{_HERE}.scene.encode:encode",
-        "export": f"{_HERE}.scene.export:export",
-        "view": f"{_HERE}.scene.view:view",
-        "localize": f"{_HERE}.scene.localize:localize",
-        "refine": f"{_HERE}.scene.refine:refine",
-        "render": f"{_HERE}.scene.render:render",
+        "build": f"{_HERE}.scene_build:build",
+        "info": f"{_HERE}.scene_build:info",
+        "check": f"{_HERE}.scene_build:check",
+        "anchor": f"{_HERE}.scene_anchor:anchor",
+        "diff": f"{_HERE}.scene_diff:diff",
+        "update": f"{_HERE}.scene_diff:update",
+        "encode": f"{_HERE}.scene_build:encode",
+        "export": f"{_HERE}.scene_build:export",
+        "view": f"{_HERE}.scene_render:view",
+        "localize": f"{_HERE}.scene_localize:localize",
+        "refine": f"{_HERE}.scene_localize:refine",
+        "render": f"{_HERE}.scene_render:render",
     },
     partial(extensions, "scene"),
 )
@@ -65,12 +63,12 @@ LIBRARY = Group(
     "library",
     "Many scene maps: in which of them was a capture taken, or which does a text describe?",
     {
-        "build": f"{_HERE}.library.keep:build",
-        "add": f"{_HERE}.library.keep:add",
-        "remove": f"{_HERE}.library.keep:remove",
-        "info": f"{_HERE}.library.keep:info",
-        "search": f"{_HERE}.library.search:search",
-        "localize": f"{_HERE}.library.search:localize",
+        "build": f"{_HERE}.library:build",
+        "add": f"{_HERE}.library:add",
+        "remove": f"{_HERE}.library:remove",
+        "info": f"{_HERE}.library:info",
+        "search": f"{_HERE}.library:search",
+        "localize": f"{_HERE}.library:localize",
     },
     partial(extensions, "library"),
 )

@@ -1,4 +1,4 @@
-"""Commands made of functions, and groups that import a command when it is asked for.
+"""Commands made of functions, groups that import a command when it is asked for, and commands of plugins.
 
 A parameter that is annotated by `Argument` or `Option` becomes one of the command line; its type,
 its default and its name are those of the function's.
@@ -7,6 +7,7 @@ its default and its name are those of the function's.
 from __future__ import annotations
 
 import inspect
+from collections.abc import Callable
 from dataclasses import dataclass
 from difflib import get_close_matches
 from importlib import import_module
@@ -16,8 +17,11 @@ from typing import TYPE_CHECKING, Any, get_args, get_origin, get_type_hints
 
 import click
 
+from placegraph.core.plugins import COMMANDS, missing, plugins
+from placegraph.errors import MissingExtraError
+
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
 
 OPTIONS = "Options"
 _TYPES: dict[type, Any] = {
@@ -164,3 +168,52 @@ def _param(param: inspect.Parameter, hint: Any, told: Argument | Option) -> Any:
     return _Option(
         [*names, param.name], help=told.help, panel=told.panel, multiple=several, **settings
     )
+
+
+KNOWN = {
+    "bag.info": ("io", "What a bag holds, and what it can be used for."),
+    "bag.localize": ("ros", "Localize a bag, and write what was found as a bag."),
+    "bag.layout": ("ros", "Print a layout for Foxglove."),
+    "world.build": ("scale", "Build a world in shards of extracts of any size."),
+    "library.shard": ("scale", "Put the scenes of libraries into shards."),
+    "live": ("ros", "Localize as if live: a recording, a folder that fills, a pipe."),
+    "serve": ("serve", "Serve maps over HTTP, and a page."),
+    "city.train": ("learn", "Train the matching network on city maps."),
+    "city.convert-kitti360pose": ("lab", "Convert KITTI360Pose from its pickles."),
+    "city.evaluate": ("lab", "How well texts of your own find their places."),
+    "scene.train": ("learn", "Train the network SceneGraphLoc on scene maps."),
+}
+"""Extra and help of the commands of placegraph's other distributions, listed even where missing."""
+
+
+def extensions(wing: str) -> dict[str, str | click.Command]:
+    """Return commands of one wing that others bring, of the root where it is empty.
+
+    Those of a missing distribution say how to get it.
+    """
+    settings = {"allow_extra_args": True, "ignore_unknown_options": True}
+    commands: dict[str, str | click.Command] = {
+        name.rpartition(".")[2]: click.Command(
+            name, callback=_refuse(name, extra), help=help_, context_settings=settings
+        )
+        for name, (extra, help_) in KNOWN.items()
+        if name.rpartition(".")[0] == wing
+    }
+    for name, point in plugins(COMMANDS).items():
+        if name.rpartition(".")[0] == wing:
+            commands[name.rpartition(".")[2]] = point.value
+    return commands
+
+
+def _refuse(name: str, extra: str) -> Callable[[], None]:
+    command = f"`placegraph {name.replace('.', ' ')}`"
+
+    def refuse() -> None:
+        if extra == "lab":
+            raise MissingExtraError(
+                f"{command} is part of placegraph-lab, which is not installed; "
+                "`pip install placegraph-lab` brings it."
+            )
+        raise missing(command, extra)
+
+    return refuse

@@ -1,21 +1,24 @@
-"""What the commands of both wings share."""
+"""Terminal of the commands: progress, tables, JSON, interrupts."""
 
 from __future__ import annotations
 
 import json
+import os
+import re
+import signal
 import sys
+import threading
 from contextlib import ExitStack, contextmanager
 from math import isfinite
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TextIO
 
 import click
 
 from placegraph.cli.command import Option
-from placegraph.cli.terminal import bare, harmless
 from placegraph.errors import OptionError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Container, Iterator
+    from collections.abc import Callable, Container, Iterable, Iterator
 
     from rich.console import Console
     from rich.progress import Progress
@@ -128,3 +131,107 @@ def _said(value: object) -> str:
     if isinstance(value, list):
         return ", ".join(_said(v) for v in value)
     return f"{value:,}" if isinstance(value, int) else str(value)
+
+
+_STEERING = re.compile(
+    "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]"
+)
+"""Control characters but tab and end of line, what separates lines, marks of direction, and halves of a
+character: bytes of a file's name that are no UTF-8."""
+
+
+def harmless(text: str) -> str:
+    """Text with characters that steer a terminal as escapes of JSON."""
+    return _STEERING.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
+
+
+class _Guarded:
+    """A stream to which only harmless text is written; all else of it is the stream's own."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self.stream = stream
+
+    def write(self, text: str) -> int:
+        """Write text; a carriage return before an end of line is part of that."""
+        if not isinstance(text, str):
+            raise TypeError(f"{type(text).__name__} is no text")
+        self.stream.write(harmless(text.replace("\r\n", "\n")))
+        return len(text)
+
+    def writelines(self, lines: Iterable[str]) -> None:
+        """Write one after the other."""
+        for line in lines:
+            self.write(line)
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401  # the stream's
+        return getattr(self.stream, name)
+
+
+@contextmanager
+def guarded() -> Iterator[None]:
+    """Within it, what is written to stdout and stderr is harmless."""
+    before = sys.stdout, sys.stderr
+    sys.stdout, sys.stderr = (_Guarded(stream) for stream in before)
+    try:
+        yield
+    finally:
+        sys.stdout, sys.stderr = before
+
+
+def bare(stream: TextIO) -> TextIO:
+    """The stream itself, for who steers the terminal on purpose and takes only `harmless` text."""
+    return stream.stream if isinstance(stream, _Guarded) else stream
+
+
+INTERRUPTED = 130
+"""Exit code of what a second Ctrl-C ends: 128 and the number of SIGINT, as shells count."""
+GRACE = 5.0
+"""Time [s] that is left after the second to leave no lock and no half of a file."""
+_AGAIN = 0.05
+"""After this [s] an interruption is raised again that fell where Python ignores exceptions."""
+
+
+@contextmanager
+def interruptible() -> Iterator[None]:
+    """See to it that a SIGINT within is never lost.
+
+    Python ignores a `KeyboardInterrupt` that it raises in a destructor or in what C calls back, of
+    which loading libraries and compiling have many: it is then raised again. And nothing is raised
+    in a kernel or a library that takes long; there a second SIGINT ends the process after a while.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    read, write = os.pipe()
+    os.set_blocking(write, False)
+    before = signal.signal(signal.SIGALRM, signal.default_int_handler), sys.unraisablehook
+    sys.unraisablehook = _raise_again
+    woken = signal.set_wakeup_fd(write, warn_on_full_buffer=False)
+    over = threading.Event()
+    threading.Thread(target=_watch, args=(read, over), daemon=True).start()
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.set_wakeup_fd(woken)
+        signal.signal(signal.SIGALRM, before[0])
+        sys.unraisablehook = before[1]
+        over.set()
+        os.close(write)  # ends the thread
+
+
+def _raise_again(ignored: Any) -> None:  # noqa: ANN401  # sys.UnraisableHookArgs
+    if issubclass(ignored.exc_type, KeyboardInterrupt):
+        signal.setitimer(signal.ITIMER_REAL, _AGAIN)
+    else:
+        sys.__unraisablehook__(ignored)
+
+
+def _watch(read: int, over: threading.Event) -> None:
+    """End the process by the second SIGINT, whatever its main thread does."""
+    seen = 0
+    while numbers := os.read(read, 64):
+        seen += numbers.count(signal.SIGINT)
+        if seen > 1 and not over.wait(GRACE):
+            os._exit(INTERRUPTED)
+    os.close(read)

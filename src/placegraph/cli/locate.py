@@ -6,11 +6,11 @@ from math import degrees, radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from placegraph.cli.city.options import KNOWN, Near, Radius, Top, lonlat
+from placegraph.cli.city import KNOWN, Near, Radius, Top, lonlat
 from placegraph.cli.command import Argument, Option
 from placegraph.cli.common import AsJson, console, echo_json, progress_of, table
-from placegraph.cli.scene.answer import MOST_OBJECTS, pose_words
-from placegraph.cli.scene.query import Device, Frames, NoProgress, Seed, chosen_frames
+from placegraph.cli.scene_localize import MOST_OBJECTS, pose_words
+from placegraph.cli.scene_options import Device, Frames, NoProgress, Seed, chosen_frames
 from placegraph.errors import OptionError
 
 if TYPE_CHECKING:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from placegraph.cli import encoders
+from placegraph.cli import scene_options as encoders
 from placegraph.indoor.encode import encoder, vectors_of
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.scene_map import SceneMap

@@ -6,7 +6,7 @@ import urllib.request
 import numpy as np
 import pytest
 
-from placegraph.cli.scene import view as scene_view
+from placegraph.cli import scene_render as scene_view
 from placegraph.core.estimate import PassRecord, PoseEstimate, Status
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.pose.record import read_run, write_run

@@ -12,8 +12,8 @@ import pytest
 from PIL import Image
 
 from placegraph import open_capture, open_map
-from placegraph.cli.scene.answer import pose_words, refinement_words, show
-from placegraph.cli.scene.query import chosen_frames, matcher_of
+from placegraph.cli.scene_localize import pose_words, refinement_words, show
+from placegraph.cli.scene_options import chosen_frames, matcher_of
 from placegraph.core.estimate import Evidence, ObjectRef, PoseEstimate, PoseMode, Refinement, Status
 from placegraph.core.geometry import Camera, level_from_camera, pose_matrix, split_pose
 from placegraph.errors import InputError, OptionError
@@ -312,7 +312,7 @@ def test_steps_are_told(run, world, monkeypatch):
         assert not hidden
         yield lambda step, *_: told.append(step)
 
-    monkeypatch.setattr("placegraph.cli.scene.localize.progress_of", progress_of)
+    monkeypatch.setattr("placegraph.cli.scene_localize.progress_of", progress_of)
     run("scene", "localize", world.map, world.walk, "--frames", ":3", "--no-depth")
     for step in ("matching images", "checking", "drawing"):
         assert step in told

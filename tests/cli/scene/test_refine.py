@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from placegraph.cli.scene.pose import map_from_camera_of
+from placegraph.cli.scene_options import map_from_camera_of
 from placegraph.core.geometry import Camera, level_from_camera, split_pose
 from placegraph.indoor.build import build_scene
 from placegraph.io.capture.tum import read_tum

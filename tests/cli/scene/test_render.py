@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from placegraph import open_capture, open_map
-from placegraph.cli.scene.pose import map_from_camera_of
+from placegraph.cli.scene_options import map_from_camera_of
 from placegraph.core.geometry import Camera, split_pose
 from placegraph.errors import OptionError
 from placegraph.indoor.build import build_scene

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import click
 
-from placegraph.cli.city.options import Matcher
+from placegraph.cli.city import Matcher
 from placegraph.cli.command import Argument, Option
 from placegraph.cli.common import AsJson, Quiet, progress_of
 

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from placegraph.cli.terminal import bare, guarded, harmless
+from placegraph.cli.common import bare, guarded, harmless
 from placegraph.errors import PlacegraphError
 from placegraph_lab.cli.table import app as tables
 

@@ -25,7 +25,7 @@ from rich.progress import Progress, track
 
 import placegraph
 import placegraph_lab
-from placegraph.cli.terminal import bare
+from placegraph.cli.common import bare
 from placegraph.core.files import put
 from placegraph_lab.tables import named
 

@@ -16,7 +16,7 @@ import click
 
 from placegraph.cli.command import Argument, Option
 from placegraph.cli.common import AsJson, Quiet
-from placegraph.cli.scene.query import Device, Seed
+from placegraph.cli.scene_options import Device, Seed
 from placegraph.errors import InputError
 from placegraph_ros.cli.following import RerunFile, RoomsFile, carriers, show_summary
 

@@ -10,9 +10,8 @@ import click
 
 from placegraph.cli.command import Argument, Option
 from placegraph.cli.common import AsJson, echo_json, progress_of
-from placegraph.cli.encoders import WeightsFile
-from placegraph.cli.library.options import ItsEncoders, opened
-from placegraph.cli.scene.query import NoProgress
+from placegraph.cli.library import ItsEncoders, opened
+from placegraph.cli.scene_options import NoProgress, WeightsFile
 from placegraph.core.files import real_path
 from placegraph.errors import MapError
 

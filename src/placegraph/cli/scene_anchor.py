@@ -12,7 +12,7 @@ import click
 
 from placegraph.cli.command import Option
 from placegraph.cli.common import AsJson, Quiet, numbers_of, progress_of, table
-from placegraph.cli.scene.query import MapFile
+from placegraph.cli.scene_options import MapFile
 from placegraph.errors import OptionError
 from placegraph.io.osm.levels import levels_of
 

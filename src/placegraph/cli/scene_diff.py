@@ -11,7 +11,7 @@ import click
 
 from placegraph.cli.command import Argument, Option
 from placegraph.cli.common import AsJson, console, numbers_of, progress_of, table
-from placegraph.cli.scene.query import (
+from placegraph.cli.scene_options import (
     Frames,
     MapFile,
     NoProgress,

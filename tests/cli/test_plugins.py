@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 from placegraph.errors import MissingExtraError
 
-extensions = import_module("placegraph.cli.extensions")  # the package names the function alike
+extensions = import_module("placegraph.cli.command")  # the package names the function alike
 GROUP = "placegraph.commands"
 
 

@@ -1,0 +1,656 @@
+"""Commands `placegraph city ...`."""
+
+from __future__ import annotations
+
+import json
+import sys
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import click
+
+from placegraph.cli.command import Argument, Option
+from placegraph.cli.common import AsJson, Quiet, console, numbers_of, progress_of, show_facts, table
+from placegraph.errors import DescriptionError, OptionError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from placegraph.core.estimate import CityEstimate
+    from placegraph.outdoor.city import CityMap
+    from placegraph.outdoor.network.encoded import EncodedCity
+    from placegraph.outdoor.search.ask import Answer, Question
+
+KNOWN = "What is known"
+JUDGED = "How places are found and judged"
+WRITTEN = "What is written"
+
+MapFile = Annotated[Path, Argument(help="City map (.city), made by `placegraph city build`.")]
+Top = Annotated[int, Option(help="How many places at most.")]
+Near = Annotated[
+    str | None, Option(help="LON,LAT you are known to be near, with --radius.", panel=KNOWN)
+]
+Radius = Annotated[
+    float, Option(help="Radius of --near [m]: half of the prior lies within.", panel=KNOWN)
+]
+Preset = Annotated[
+    str,
+    Option(
+        help="default; paper: transformer by cosine on the 10 best by embedding; published: "
+        "embedding alone, as the paper's code works. The options below override it.",
+        panel=JUDGED,
+    ),
+]
+Matcher = Annotated[
+    str | None,
+    Option(
+        help="What judges places: relational (if nothing is said), fused (relations and network), "
+        "transformer, embedding, edit-distance, edit-distance-plain (the paper's costs).",
+        panel=JUDGED,
+    ),
+]
+Score = Annotated[
+    str | None,
+    Option(
+        help="What the transformer ranks by: logit (matching log odds, if nothing is said) or "
+        "cosine (of the joint embeddings, as in the paper).",
+        panel=JUDGED,
+    ),
+]
+CandidatesBy = Annotated[
+    str | None,
+    Option(
+        help="Where places to judge come from: sparse (inverted index), dense (embeddings), both, "
+        "all, or auto (if nothing is said): both with --store, else sparse.",
+        panel=JUDGED,
+    ),
+]
+Candidates = Annotated[
+    int | None,
+    Option(
+        help="How many cells are judged; 50 if nothing is said. Relational and fused matching count "
+        "cells only where embeddings propose them (dense, both).",
+        panel=JUDGED,
+    ),
+]
+Store = Annotated[
+    str | None,
+    Option(
+        help="Vectors made by `placegraph city embed`: a file, or a Milvus server: "
+        "http://[user:password@]host:port.",
+        panel=JUDGED,
+    ),
+]
+Weights = Annotated[
+    Path | None,
+    Option(help="Other weights than the shipped ones, from `placegraph city train`.", panel=JUDGED),
+]
+
+
+@contextmanager
+def matching(
+    city: CityMap, store: str | None, weights: Path | None, **chosen: str | int | None
+) -> Iterator[dict[str, Any]]:
+    """Arguments of `CityMap.locate`, those `chosen` that are not None; a store is closed at the end.
+
+    Raises `StoreError` where the store is of another map or of other weights.
+    """
+    arguments: dict[str, Any] = {k: v for k, v in chosen.items() if v is not None}
+    encoded = _encoded(city, weights)
+    if encoded is not None:
+        arguments["encoded"] = encoded
+    if store is None:
+        yield arguments
+        return
+    from placegraph.vectors import open_store
+
+    with open_store(store, origin=(encoded or city.encoded).origin) as opened:
+        yield arguments | {"store": opened}
+
+
+def _encoded(city: CityMap, weights: Path | None) -> EncodedCity | None:
+    if weights is None:
+        return None
+    from placegraph.outdoor.network.encoded import EncodedCity
+    from placegraph.outdoor.network.network import GraphTransformer
+
+    return EncodedCity(city, GraphTransformer.open(weights))
+
+
+def lonlat(value: str | None, option: str) -> tuple[float, float] | None:
+    """Longitude and latitude of an option's text [deg]; raises `OptionError` where it is none."""
+    if value is None:
+        return None
+    mend = "give longitude and latitude as 7.42,43.73."
+    longitude, latitude = numbers_of(value, option, {2}, mend)
+    return longitude, latitude
+
+
+OVERTURE = "What of Overture is read"
+EDGES = "give west,south,east,north in degrees, such as 7.41,43.72,7.44,43.75."
+
+
+def build(
+    file: Annotated[
+        list[str],
+        Argument(
+            help="OpenStreetMap extract, or URL of one: .osm.pbf, .osm, .osm.gz or .osm.bz2; or files, "
+            "folders or URLs of Overture's GeoParquet."
+        ),
+    ],
+    out: Annotated[
+        str,
+        Option(
+            "--out",
+            "-o",
+            help="Map file to write, such as monaco.city. Of an extract above 64 MB it becomes a folder "
+            "of maps, as by `world build`.",
+        ),
+    ],
+    cell_size: Annotated[float, Option(help="Edge of a cell [m].")] = 50.0,
+    stride: Annotated[
+        float | None, Option(help="Distance of cell centres [m]; the cell size if not given.")
+    ] = None,
+    edge_distance: Annotated[
+        float | None,
+        Option(help="Objects nearer than this are joined [m]; the cell size if not given."),
+    ] = None,
+    bbox: Annotated[
+        str | None, Option(help="W,S,E,N [deg]: only what touches this box.", panel=OVERTURE)
+    ] = None,
+    confidence: Annotated[
+        float, Option(help="Least probability of a place to exist.", panel=OVERTURE)
+    ] = 0.5,
+    vocabulary: Annotated[Path | None, Option(help="Folder with edited vocabulary tables.")] = None,
+    no_index: Annotated[
+        bool,
+        Option(
+            "--no-index",
+            help="A small file, though the map is large: the index of places is derived anew for the first "
+            "question each time.",
+        ),
+    ] = False,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Build a city map from an OpenStreetMap extract, or from Overture.
+
+    Example: placegraph city build monaco.osm.pbf -o monaco.city
+    """
+    from time import perf_counter
+
+    from placegraph.io.osm.urls import is_url
+    from placegraph.outdoor.city import build_city
+    from placegraph.outdoor.language.vocabulary import Vocabulary
+    from placegraph_scale.build.split import is_large
+
+    if is_url(out):
+        raise OptionError(
+            f"{out} is a URL, and a map is written to this machine. A world in shards may be brought there: "
+            f"placegraph world build {file[0]} -o {out} --work FOLDER"
+        )
+    source = _source(file, bbox, confidence)
+    if isinstance(source, str) and is_large(source):
+        if no_index:
+            raise OptionError(
+                "--no-index is of one map; of an extract this large a world in shards is made, each with "
+                "its index. Leave it out."
+            )
+        from placegraph_scale.build.build import BuildOptions
+        from placegraph_scale.cli.world_build import made_of
+
+        options = BuildOptions(
+            cell_size=cell_size, stride=stride, edge_distance=edge_distance, vocabulary=vocabulary
+        )
+        made_of([source], out, options, as_json=as_json, quiet=quiet)
+        return
+    words = Vocabulary.load(vocabulary) if vocabulary else None
+    start = perf_counter()
+    with progress_of(hidden=quiet or as_json) as tell:
+        tell("reading")
+        city = build_city(
+            source, out, cell_size=cell_size, stride=stride, edge_distance=edge_distance, vocabulary=words,
+            index=False if no_index else None,
+            progress=lambda step, n: tell(f"{step} {n:,}" + " elements" * (step == "reading")),
+        )  # fmt: skip
+    seconds = perf_counter() - start
+    size = Path(out).stat().st_size
+    summary = {**facts(city), "bytes": size, "seconds": round(seconds, 3)}
+    if as_json:
+        click.echo(json.dumps(summary))
+    elif not quiet:
+        click.echo(
+            f"{out}: {len(city.objects):,} objects in {len(city.cells):,} cells, "
+            f"{size / 1e3:,.0f} kB ({size / max(1, len(city.cells)):.0f} bytes a cell), "
+            f"built in {seconds:.1f} s."
+        )
+        if city.left_out:
+            click.echo(
+                "Left out: " + ", ".join(f"{n:,} {why}" for why, n in city.left_out.items()) + "."
+            )
+
+
+def _source(given: list[str], bbox: str | None, confidence: float) -> Any:  # noqa: ANN401
+    """Return the path of one extract, or an `Overture` source of all that is given."""
+    from placegraph.core.plugins import load_module
+    from placegraph.io.osm.urls import of_osm
+
+    if not any(map(of_osm, given)):
+        overture = load_module("placegraph_io.overture.overture", "overture")
+        if all(map(overture.is_overture, given)):
+            box = None if bbox is None else overture.Box.of(numbers_of(bbox, "--bbox", (4,), EDGES))
+            return overture.Overture(tuple(given), box, confidence)
+    if len(given) > 1:
+        raise OptionError(
+            f"{len(given)} files are given: a map is built from one OpenStreetMap extract, or from files "
+            "of Overture alone. Merge extracts with osmium."
+        )
+    if bbox is not None:
+        raise OptionError("--bbox is for Overture; cut an OpenStreetMap extract with osmium.")
+    return given[0]
+
+
+def fetch(
+    place: Annotated[str, Argument(help="Name of a place, such as 'Vaduz, Liechtenstein'.")],
+    out: Annotated[
+        Path, Option("--out", "-o", help="OpenStreetMap file to write: .osm or .osm.pbf.")
+    ],
+    overpass_url: Annotated[
+        str | None, Option(help="Another Overpass server than OSMnx's own.")
+    ] = None,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Download a place's OpenStreetMap data.
+
+    From Overpass, by OSMnx (extra `osmnx`).
+
+    Example: placegraph city fetch "Vaduz, Liechtenstein" -o vaduz.osm
+    """
+    from dataclasses import asdict
+
+    from placegraph.io.osm.overpass import fetch_osm
+    from placegraph.outdoor.map.extract import keys_read
+
+    with progress_of(hidden=quiet or as_json) as tell:
+        tell("finding")
+        summary = fetch_osm(
+            place,
+            out,
+            keys=keys_read(),
+            overpass_url=overpass_url,
+            progress=lambda step, n: tell(f"{step} {n:,}"),
+        )
+    if as_json:
+        click.echo(json.dumps(asdict(summary), ensure_ascii=False))
+    elif not quiet:
+        click.echo(str(summary))
+
+
+def info(
+    map_file: MapFile,
+    as_json: AsJson = False,
+    png: Annotated[Path | None, Option(help="Write an overview picture.")] = None,
+) -> None:
+    """Say what a city map holds.
+
+    Example: placegraph city info monaco.city
+    """
+    from placegraph.outdoor.city import CityMap
+
+    city = CityMap.open(map_file)
+    told = {**facts(city), "bytes": map_file.stat().st_size}
+    if png is not None:
+        from placegraph.view import draw_city
+
+        draw_city(city, png)
+    if as_json:
+        click.echo(json.dumps(told, ensure_ascii=False))
+        return
+    show_facts(told)
+
+
+def facts(city: CityMap) -> dict[str, object]:
+    """What a city map holds, in plain numbers and strings."""
+    from collections import Counter
+
+    import numpy as np
+
+    o = city.objects
+    low, high = (city.plane.to_lonlat(f(o.points, axis=0)) for f in (np.min, np.max))
+    first = Counter(o.labels[i] for i in o.label_values[o.label_starts[:-1]])
+    return {
+        "source": city.source,
+        "objects": len(o),
+        "named": int((np.diff(o.name_starts) > 0).sum()),
+        "cells": len(city.cells),
+        "cell_size": city.cells.size,
+        "west_south_east_north_deg": [round(float(x), 5) for x in (*low, *high)],
+        "labels": dict(first.most_common(12)),
+        "left_out": city.left_out,
+    }
+
+
+def check(map_file: MapFile, as_json: AsJson = False) -> None:
+    """Check a city map; each finding comes with a mend.
+
+    Checksums, columns, and what may surprise.
+
+    Example: placegraph city check monaco.city
+    """
+    from placegraph.outdoor.city import CityMap
+    from placegraph.outdoor.map.check import findings
+
+    found = findings(CityMap.open(map_file))
+    if as_json:
+        click.echo(json.dumps(found, ensure_ascii=False))
+    else:
+        click.echo("\n".join(f"- {line}" for line in found) if found else f"{map_file} is sound.")
+
+
+def locate(
+    map_file: MapFile,
+    text: Annotated[
+        str, Argument(help="What stands around you, in words; - reads standard input.")
+    ],
+    top: Top = 5,
+    near: Near = None,
+    radius: Radius = 1000.0,
+    heading_deg: Annotated[
+        float | None,
+        Option(
+            help="Where you look, clockwise from north: gives 'left of me' a meaning.", panel=KNOWN
+        ),
+    ] = None,
+    listener: Annotated[
+        str | None, Option(help="LON,LAT of 'you' in the text, where that is known.", panel=KNOWN)
+    ] = None,
+    language: Annotated[
+        str | None,
+        Option(
+            help="Language of the text, as de; told from its words if nothing is said.", panel=KNOWN
+        ),
+    ] = None,
+    preset: Preset = "default",
+    matcher: Matcher = None,
+    score: Score = None,
+    candidates_by: CandidatesBy = None,
+    candidates: Candidates = None,
+    store: Store = None,
+    weights: Weights = None,
+    ask: Annotated[bool, Option("--ask", help="Ask back until the place is clear.")] = False,
+    as_json: AsJson = False,
+    html: Annotated[
+        Path | None, Option(help="Write a page that opens without a network.", panel=WRITTEN)
+    ] = None,
+    png: Annotated[Path | None, Option(help="Write a picture.", panel=WRITTEN)] = None,
+) -> None:
+    """Find the place that a description was spoken at.
+
+    Example: placegraph city locate monaco.city "A bakery is north of me. The church is east of the bakery."
+    """
+    from math import radians
+
+    from placegraph.outdoor.city import CityMap
+
+    city = CityMap.open(map_file)
+    text = sys.stdin.read() if text == "-" else text
+    answers: list[Answer] = []
+    how_judged = {"language": language, "preset": preset, "matcher": matcher, "score": score}
+    how_found = {"by": candidates_by, "candidates": candidates}
+    with matching(city, store, weights, **how_judged, **how_found) as how:
+
+        def estimated() -> CityEstimate:
+            return city.locate(
+                text,
+                top=top,
+                near=lonlat(near, "--near"),
+                radius=radius,
+                heading=None if heading_deg is None else radians(heading_deg),
+                listener=lonlat(listener, "--listener"),
+                answers=answers,
+                **how,
+            )
+
+        estimate = estimated()
+        while ask and estimate.status.name == "AMBIGUOUS" and len(answers) < 20:
+            question = estimate.next_question(city)
+            answer = None if question is None else _prompt(question)
+            if answer is None:
+                break
+            answers.append(answer)
+            estimate = estimated()
+    question = estimate.next_question(city) if estimate.status.name == "AMBIGUOUS" else None
+    if html is not None:
+        from placegraph.view import write_page
+
+        write_page(
+            city, estimate, html, title=text[:80], question=question.text if question else None
+        )
+    if png is not None:
+        from placegraph.view import write_picture
+
+        write_picture(city, estimate, png)
+    if as_json:
+        told = estimate.to_dict() | {"question": question.text if question else None}
+        click.echo(json.dumps(told, ensure_ascii=False))
+    else:
+        _show(estimate, question)
+
+
+def _prompt(question: Question) -> Answer | None:
+    """Ask on stderr, stdout is for the estimate; None where nobody answers any more."""
+    options = " / ".join((*question.options, "don't know"))
+    while True:
+        try:
+            return question.answer(click.prompt(f"{question.text} [{options}]", err=True))
+        except OptionError as error:
+            click.echo(str(error), err=True)
+        except click.Abort:
+            click.echo(err=True)
+            return None
+
+
+def _show(estimate: CityEstimate, question: Question | None) -> None:
+    out = console()
+    out.print(f"{estimate.status.name}: {estimate.reason}")
+    for rank, mode in enumerate(estimate.modes, 1):
+        share = "" if estimate.ranked else f"{mode.probability:6.1%}  "
+        out.print(
+            f"{rank}. {mode.latitude:.5f}, {mode.longitude:.5f}  {share}±{mode.spread:.0f} m  "
+            f"cell {mode.cell}"
+        )
+    if estimate.evidence:
+        rows = table("", "statement", "nat", "served by")
+        for e in estimate.evidence:
+            things = ", ".join(f"{o.name or o.label} ({o.id})" for o in e.objects)
+            sign = {"for": "+", "against": "-"}.get(e.verdict, " ")
+            rows.add_row(
+                sign, e.statement, f"{e.weight:+.1f}", "; ".join(x for x in (things, e.note) if x)
+            )
+        out.print(rows)
+    if estimate.understood and estimate.understood.ignored:
+        ignored = "; ".join(f"“{i.text.strip()}” ({i.reason})" for i in estimate.understood.ignored)
+        out.print(f"Ignored: {ignored}")
+    if question is not None:
+        out.print(f"To be sure: {question.text}  (run again with --ask to answer)")
+
+
+def embed(
+    map_file: MapFile,
+    out: Annotated[
+        Path | None, Option("--out", "-o", help="File to write, such as monaco.vectors.")
+    ] = None,
+    store: Annotated[
+        str | None,
+        Option(help="Milvus server to load instead: http://[user:password@]host:port."),
+    ] = None,
+    name: Annotated[
+        str | None, Option(help="Name of the store on the server; the map's if not given.")
+    ] = None,
+    bits: Annotated[int, Option(help="Bits of a number in a file: 8, 16 or 32.")] = 16,
+    resume: Annotated[
+        bool, Option("--resume", help="Go on with a load into a server that broke off.")
+    ] = False,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Embed a map's cells, into a file or a Milvus server.
+
+    For `placegraph city locate --store`; a server needs the extra `milvus`.
+
+    Example: placegraph city embed monaco.city -o monaco.vectors
+    """
+    from time import perf_counter
+
+    from placegraph.outdoor.city import CityMap
+    from placegraph_scale.milvus.server import check_uri, shown
+
+    if (out is None) == (store is None):
+        raise OptionError("Say where to: a file with --out, or a server with --store.")
+    if resume and out is not None:
+        raise OptionError("--resume is for --store; a file is written in one go.")
+    if store is not None:
+        check_uri(store)
+    city = CityMap.open(map_file)
+    start = perf_counter()
+    with progress_of(hidden=quiet or as_json) as tell:
+        tell("embedding")
+        made = city.encoded.keep(
+            store or out or "", name=name or map_file.stem, bits=bits, resume=resume,
+            progress=lambda step, done, total: tell(f"{step} {done:,} of {total:,} cells"),
+        )  # fmt: skip
+    seconds = perf_counter() - start
+    with made:
+        told = {
+            "store": shown(store) if store else str(out),
+            "cells": len(made),
+            "dimension": made.dimension,
+            "version": made.origin.version,
+            "bytes": out.stat().st_size if out else None,
+            "seconds": round(seconds, 3),
+        }
+    if as_json:
+        click.echo(json.dumps(told))
+    elif not quiet:
+        size = f", {told['bytes']:,} bytes" if out else ""
+        click.echo(
+            f"{told['store']}: {told['cells']:,} cells, {told['dimension']} numbers each, version "
+            f"{told['version']}{size}, in {seconds:.1f} s."
+        )
+
+
+def stores(
+    uri: Annotated[str, Argument(help="Milvus server: http://[user:password@]host:port.")],
+    drop: Annotated[
+        str | None, Option(help="Remove this collection, whole or half loaded.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """List the stores on a Milvus server, or drop one.
+
+    Needs the extra `milvus`.
+
+    Example: placegraph city stores http://localhost:19530
+    """
+    from placegraph.vectors import drop_store, list_stores
+
+    if drop is not None:
+        dropped = drop_store(uri, drop)
+        click.echo(json.dumps(asdict(dropped)) if as_json else f"{dropped.collection} is dropped.")
+        return
+    found = list_stores(uri)
+    if as_json:
+        click.echo(json.dumps([asdict(info) for info in found]))
+        return
+    for info in found:
+        state = "" if info.complete else "  (half loaded: embed with --resume, or --drop it)"
+        click.echo(f"{info.collection}  {info.rows:,} cells of {info.name}{state}")
+    if not found:
+        click.echo("No stores of placegraph's.")
+
+
+PROMPT = "> "
+
+
+def track(
+    map_file: MapFile,
+    near: Near = None,
+    radius: Radius = 1000.0,
+    heading_deg: Annotated[
+        float | None, Option(help="Where you look at first, clockwise from north.")
+    ] = None,
+    top: Top = 5,
+    as_json: AsJson = False,
+    html: Annotated[
+        Path | None, Option(help="Write a page of the last estimate, without a network.")
+    ] = None,
+    png: Annotated[Path | None, Option(help="Write a picture of the last estimate.")] = None,
+) -> None:
+    """Follow you through a city, a sentence a line.
+
+    Say what you see, or how you went: "A bakery is north of me.", "I walked 60 m east."
+    `reset` starts anew; `quit`, or the end of the input, ends it.
+
+    Example: placegraph city track monaco.city
+    """
+    from math import radians
+
+    from placegraph.outdoor.city import CityMap
+    from placegraph.outdoor.track.tracker import CityTracker
+
+    city = CityMap.open(map_file)
+    tracker = CityTracker(
+        city,
+        near=lonlat(near, "--near"),
+        radius=radius,
+        heading=None if heading_deg is None else radians(heading_deg),
+        top=top,
+    )
+    asked = sys.stdin.isatty()
+    for line in _lines(asked=asked):
+        try:
+            estimate = tracker.reset() if line.lower() == "reset" else tracker.tell(line)
+        except DescriptionError as error:
+            if not asked:
+                raise
+            click.echo(str(error), err=True)  # there is another line to come
+            continue
+        if as_json:
+            said = {"said": line} | estimate.to_dict() | {"elsewhere": tracker.elsewhere}
+            click.echo(json.dumps(said, ensure_ascii=False))
+        else:
+            click.echo(_told(estimate))
+    if html is not None:
+        from placegraph.view import write_page
+
+        write_page(city, tracker.estimate, html)
+    if png is not None:
+        from placegraph.view import write_picture
+
+        write_picture(city, tracker.estimate, png)
+
+
+def _lines(*, asked: bool) -> Iterator[str]:
+    """Lines of the input that say something, up to its end or "quit"."""
+    while True:
+        if asked:
+            click.echo(PROMPT, nl=False, err=True)
+        line = sys.stdin.readline()
+        if not line or line.strip().lower() in ("quit", "exit"):
+            return
+        if line.strip():
+            yield line.strip()
+
+
+def _told(estimate: CityEstimate) -> str:
+    """One line: status, the best place and its probability, or why there is none."""
+    best = estimate.best
+    if best is None:
+        return f"{estimate.status.name}: {estimate.reason}"
+    return (
+        f"{estimate.status.name:9} {best.latitude:.5f}, {best.longitude:.5f} "
+        f"{best.probability:6.1%}  ±{best.spread:.0f} m  {estimate.reason}"
+    )

@@ -1,1 +1,0 @@
-"""`placegraph city ...`."""

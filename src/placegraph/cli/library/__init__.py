@@ -1,1 +1,0 @@
-"""`placegraph library`: many scene maps, searched at once."""

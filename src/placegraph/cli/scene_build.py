@@ -1,0 +1,572 @@
+"""Commands that make and inspect scene maps: `placegraph scene build|info|check|encode|export`."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, Annotated, Any
+
+import click
+
+from placegraph.cli.command import Argument, Option
+from placegraph.cli.common import AsJson, Quiet, console, echo_json, progress_of, show_facts
+from placegraph.cli.scene_anchor import summary
+from placegraph.cli.scene_options import (
+    WITH_CAPTURES,
+    Frames,
+    MapFile,
+    WeightsFile,
+    chosen_frames,
+    encoders_of,
+    rows_of,
+)
+from placegraph.errors import MapError, OptionError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from placegraph.indoor.encode import Encoder
+    from placegraph.indoor.map.detail import Detail
+    from placegraph.indoor.mapping.check import Finding
+    from placegraph.indoor.mapping.from_capture import FromCapture
+    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.io.capture.capture import Capture
+
+_YES, _NO = frozenset({"true", "yes", "on"}), frozenset({"false", "no", "off"})
+
+
+def build(
+    source: Annotated[
+        Path,
+        Argument(
+            help="Mesh with objects (.glb, .gltf, .obj, .ply), a 3RScan or ScanNet scan's folder, a graph "
+            "of SceneGraphFusion or Spark-DSG, an RGB-D capture with poses of any known recorder, or "
+            "rooms of OpenStreetMap (.osm)."
+        ),
+    ],
+    out: Annotated[Path, Option("--out", "-o", help="Map file to write, such as house.scene.")],
+    labels: Annotated[
+        Path | None, Option(help="JSON file with the label of each object id or name.")
+    ] = None,
+    floor: Annotated[
+        float | None, Option(help="Height of the floor [m]; found if not given.")
+    ] = None,
+    up: Annotated[
+        str, Option(help="Axis of a mesh that points up: auto (GLB y, others z), y or z.")
+    ] = "auto",
+    scale: Annotated[
+        float | None,
+        Option(help="Metres in one unit of a mesh: 0.001 for millimetres."),
+    ] = None,
+    detail: Annotated[
+        str,
+        Option(help="How much is kept: full (every triangle), fine, default, small, tiny."),
+    ] = "default",
+    error: Annotated[
+        float | None, Option(help="Greatest error of the surface [m], instead of --detail's.")
+    ] = None,
+    texel: Annotated[
+        float | None, Option(help="Length of a texel on surfaces [m], instead of --detail's.")
+    ] = None,
+    object_property: Annotated[
+        str | None, Option(help="Property of a PLY that holds object ids, such as objectId.")
+    ] = None,
+    segment: Annotated[
+        bool | None,
+        Option(
+            "--segment/--no-segment",
+            help="Cut a mesh into objects by geometry and colour; if not given, only a large mesh "
+            "that is one object without a name.",
+        ),
+    ] = None,
+    frames: Annotated[
+        str | None,
+        Option(help="Frames of a capture that are used, such as 0:186 or ::5; all if none."),
+    ] = None,
+    poses: Annotated[
+        str | None,
+        Option(
+            help="Poses of a capture: odometry, trajectory, or a TUM file; if not given, "
+            "trajectory.tum where there is one, else the recorder's own."
+        ),
+    ] = None,
+    voxel: Annotated[
+        float | None,
+        Option(help="Edge of a voxel that depth is fused into [m]; 0.03 if not given."),
+    ] = None,
+    segmenter: Annotated[
+        Path | None,
+        Option(help="Network (.tflite) that labels a capture's images; extra `segment`."),
+    ] = None,
+    landmarks: Annotated[
+        bool,
+        Option(
+            "--landmarks",
+            help="Keep local features on a capture's surfaces, at most 0.8 MB, so that images near its "
+            "views are placed to a centimetre; extra `sift`.",
+        ),
+    ] = False,
+    level: Annotated[
+        str | None, Option(help="Level of OpenStreetMap's rooms, such as 1 or -1.")
+    ] = None,
+    reader: Annotated[
+        list[str] | None,
+        Option(
+            "--reader",
+            help="Option of a data set's reader, as reference_frame=true (3RScan) or "
+            "label_column=nyu40class (ScanNet); may be repeated.",
+        ),
+    ] = None,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Build a scene map from a mesh, a scan, a predicted graph or an RGB-D capture.
+
+    A mesh that names its objects keeps them; else, and for a capture, floor, walls and objects are
+    found, by label images where there are any. What is printed below the summary was found out or
+    taken for granted. The surface is simplified to an error of 5 mm, unless --detail says otherwise.
+
+    Example: placegraph scene build house.glb -o house.scene
+
+    Example: placegraph scene build hall.osm -o hall.scene --level 1
+
+    Example: placegraph scene build walk/ -o office.scene --segmenter deeplab.tflite
+    """
+    from time import perf_counter
+
+    from placegraph.indoor.build import build_scene
+
+    left_out: Counter[str] = Counter()
+    notes: list[str] = []
+    how = _capture(frames, poses, voxel, segmenter, landmarks=landmarks)
+    kept = _detail(detail, error, texel)
+    start = perf_counter()
+    with progress_of(hidden=quiet or as_json) as tell:
+        scene = build_scene(
+            source, out, labels=labels, floor=floor, up=up, scale=scale, detail=kept,  # type: ignore[arg-type]  # `up` is checked there
+            object_property=object_property, segment="auto" if segment is None else segment,
+            capture=how, reader=_reader(reader or [], level), left_out=left_out, notes=notes, progress=tell,
+        )  # fmt: skip
+    seconds = perf_counter() - start
+    if as_json:
+        told = {
+            **facts(scene), "left_out": left_out, "notes": notes, "bytes": out.stat().st_size,
+            "seconds": round(seconds, 3),
+        }  # fmt: skip
+        click.echo(json.dumps(told, ensure_ascii=False))
+    elif not quiet:
+        _summary(scene, out, seconds, notes, left_out)
+
+
+def _summary(
+    scene: SceneMap, out: Path, seconds: float, notes: list[str], left_out: Counter[str]
+) -> None:
+    from placegraph.indoor.map.scene_file import bytes_of
+
+    parts = ", ".join(f"{part} {size / 1e3:,.0f} kB" for part, size in bytes_of(out).items())
+    click.echo(
+        f"{out}: {len(scene):,} objects, {len(scene.mesh):,} triangles, floor at "
+        f"{scene.floors[0]:.2f} m, {out.stat().st_size / 1e3:,.0f} kB ({parts}), built in "
+        f"{seconds:.1f} s."
+    )
+    for note in notes:
+        click.echo(note)
+    if left_out:
+        counts = ", ".join(f"{n:,} {why}" for why, n in left_out.items() if n)
+        click.echo(f"Left out: {counts}.")
+
+
+def _detail(name: str, error: float | None, texel: float | None) -> Detail:
+    from dataclasses import replace
+
+    from placegraph.indoor.map.detail import detail_named
+
+    detail = detail_named(name)
+    if error is not None:
+        detail = replace(detail, error=error)
+    if texel is not None:
+        detail = replace(detail, texel=texel, baked=max(texel, 1e-3))
+    return detail
+
+
+def _capture(
+    frames: str | None,
+    poses: str | None,
+    voxel: float | None,
+    segmenter: Path | None,
+    *,
+    landmarks: bool,
+) -> FromCapture | None:
+    """How a capture is made into a mesh; None where no option says anything of it."""
+    from placegraph.indoor.mapping.from_capture import FromCapture
+
+    given: dict[str, Any] = {}
+    if frames is not None:
+        given["frames"] = rows_of(frames)
+    if poses is not None:
+        given["poses"] = poses
+    if voxel is not None:
+        given["voxel"] = voxel
+    if segmenter is not None:
+        from placegraph.indoor.encode.segmenter import segmenter as load
+
+        given["segmenter"] = load(segmenter)
+    if landmarks:
+        given["landmarks"] = True
+    return FromCapture(**given) if given else None
+
+
+def _reader(options: list[str], level: str | None) -> dict[str, Any]:
+    given: dict[str, Any] = {} if level is None else {"level": level}
+    for option in options:
+        name, equals, value = option.partition("=")
+        if not (name and equals):
+            raise OptionError(f"--reader is {option!r}; give name=value, as reference_frame=true.")
+        given[name.replace("-", "_")] = _value(value)
+    return given
+
+
+def _value(text: str) -> Any:  # noqa: ANN401  # what a reader takes
+    """Yes or no, a number or several with commas between; else the text itself."""
+    if text.lower() in _YES | _NO:
+        return text.lower() in _YES
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        return text
+    return numbers[0] if len(numbers) == 1 else numbers
+
+
+MOST_IDS = 6
+"""Objects of a finding that are named; JSON names more."""
+
+
+def check(
+    map_file: MapFile,
+    height: Annotated[
+        list[float] | None,
+        Option(
+            help="Height above the floor at which cameras will be [m], 1.5 to 1.8 if not given; may be "
+            "repeated."
+        ),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Say what is wrong with a scene map: units, floor, gravity, holes, objects; each with a mend.
+
+    Ends with 0 where nothing makes localizing fail, with 4 where something does.
+
+    Example: placegraph scene check house.scene
+    """
+    from placegraph.indoor.mapping.check import check as findings_of
+    from placegraph.indoor.options import FilterOptions
+    from placegraph.indoor.scene_map import SceneMap
+
+    begun = perf_counter()
+    scene = SceneMap.open(map_file)
+    opened = perf_counter() - begun
+    options = FilterOptions(heights=tuple(height)) if height else FilterOptions()
+    size = map_file.stat().st_size
+    findings = findings_of(scene, options=options, size=size, seconds=opened)
+    errors = sum(f.severity == "error" for f in findings)
+    if as_json:
+        told = {
+            "map": str(map_file),
+            "bytes": size,
+            "opened_s": round(opened, 3),
+            "errors": errors,
+            "findings": [f.to_dict() for f in findings],
+        }
+        click.echo(json.dumps(told, ensure_ascii=False))
+    else:
+        _show(findings)
+        click.echo(
+            f"{map_file}: {len(scene):,} objects, {len(scene.mesh):,} triangles, "
+            f"{size / 1e3:,.0f} kB, opened in {opened:.2f} s; "
+            + (f"{errors} error{'s' * (errors != 1)}." if errors else "nothing to fail by.")
+        )
+    if errors:
+        raise click.exceptions.Exit(MapError.exit_code)
+
+
+def _show(findings: list[Finding]) -> None:
+    out = console()
+    for f in findings:
+        out.print(f"{f.severity}: {f.what}")
+        if f.objects:
+            more = " ..." if len(f.objects) > MOST_IDS else ""
+            out.print(f"    objects: {', '.join(f.objects[:MOST_IDS])}{more}")
+        if f.mend:
+            out.print(f"    mend: {f.mend}")
+
+
+def info(
+    map_file: MapFile,
+    as_json: AsJson = False,
+    png: Annotated[
+        Path | None, Option(help="Write a plan with names; of merged scenes, of the first.")
+    ] = None,
+) -> None:
+    """Say what a scene map holds, and how many bytes its parts take.
+
+    Example: placegraph scene info house.scene --png plan.png
+    """
+    from placegraph.indoor.map.scene_file import bytes_of
+    from placegraph.indoor.scene_map import SceneMap
+
+    scene = SceneMap.open(map_file)
+    told = {**facts(scene), "bytes": map_file.stat().st_size, "bytes_of": bytes_of(map_file)}
+    if png is not None:
+        from placegraph.view import draw_scene
+
+        draw_scene(scene, png)
+    if as_json:
+        click.echo(json.dumps(told, ensure_ascii=False))
+    else:
+        show_facts(told)
+
+
+def facts(scene: SceneMap) -> dict[str, object]:
+    """What a scene map holds."""
+    graph, mesh = scene.graph, scene.mesh
+    return {
+        "source": scene.source,
+        "scenes": list(scene.scenes),
+        "objects": len(scene),
+        "labels": dict(Counter(graph.labels).most_common(12)),
+        "relations": dict(Counter(graph.relations).most_common()),
+        "triangles": len(mesh),
+        "textures": len(mesh.textures),
+        "embedding_length": 0 if graph.embeddings is None else int(graph.embeddings.shape[1]),
+        "floor_m": [round(float(f), 3) for f in scene.floors],
+        "low_m": [round(float(v), 3) for v in scene.bounds[0]],
+        "high_m": [round(float(v), 3) for v in scene.bounds[1]],
+        "anchors": [summary(anchor) for anchor in scene.anchors],
+    }
+
+
+_BEYOND = 1.0  # how far outside a map's box its cameras may stand [m]
+
+
+def encode(
+    map_file: MapFile,
+    out: Annotated[Path, Option("--out", "-o", help="Map file to write; the same one will do.")],
+    encoder: Annotated[
+        str,
+        Option(
+            help="labels and appearance know objects by the map alone; features and "
+            "scenegraphloc (extra `learn`) by images of it, --captures. Options of an encoder are said "
+            "with its name: 'scenegraphloc feature_weights=dinov2_vitg14.pth'."
+        ),
+    ],
+    weights: WeightsFile = None,
+    captures: Annotated[
+        list[Path] | None,
+        Option(
+            help="Folder of a capture of the map itself, with poses in the map; may be repeated."
+        ),
+    ] = None,
+    poses: Annotated[
+        str | None,
+        Option(
+            help="Poses of the captures, map_from_camera: odometry, trajectory, or a TUM file, as "
+            "`scene localize --tum` writes; if not given, trajectory.tum where there is one, else "
+            "the recorder's own."
+        ),
+    ] = None,
+    frames: Frames = None,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Give a map's objects the vectors of an encoder, so that images are compared with them.
+
+    The map holds those of one encoder, and says of which: frames that another one encoded, or other
+    weights of it, are refused. labels and appearance are made as they are needed, and encoding
+    saves that; features and scenegraphloc need it, as they know objects by images.
+
+    Example: placegraph scene encode house.scene -o house.scene --encoder appearance
+
+    Example: placegraph scene encode house.scene -o house.scene --encoder scenegraphloc
+    --weights mine.safetensors --captures walk/ --poses walk.tum
+    """
+    from time import perf_counter
+
+    from placegraph.core.mapfile import writing
+    from placegraph.indoor.encode import vectors_of
+    from placegraph.indoor.scene_map import SceneMap
+
+    shown = _given(encoder, captures or [], poses, frames)
+    with writing(out):
+        pass  # a place that cannot be written to is refused now, not when all is encoded
+    start = perf_counter()
+    with progress_of(hidden=quiet or as_json) as tell:
+        tell(f"opening {map_file.name}", 0, 3)
+        scene = SceneMap.open(map_file)
+        images = [_opened(path, poses, frames, scene) for path in shown]
+        tell(f"making the encoder {encoder}", 1, 3)
+        (made,) = encoders_of([encoder], weights)
+        count = sum(map(len, images))
+        of = f", {count:,} images" if count else ""
+        tell(f"encoding {len(scene):,} objects by {encoder}{of}", 2, 3)
+        # what another encoder made of it is of no use to this one
+        bare = replace(scene, graph=replace(scene.graph, embeddings=None), encoder="")
+        vectors = vectors_of(made, bare, images)
+        known = int(vectors.any(axis=1).sum())
+        if not known:
+            raise OptionError(
+                f"{map_file}: {encoder} knows none of its {len(scene)} objects; it needs "
+                f"{_needs(encoder)}."
+            )
+        bare.with_embeddings(vectors, encoder=made.key).save(out)
+    _say(out, made, len(scene), known, count, perf_counter() - start, as_json, quiet)
+
+
+def _given(
+    encoder: str, captures: list[Path], poses: str | None, frames: str | None
+) -> Sequence[Path]:
+    """Folders of captures; `OptionError` where options contradict each other."""
+    from placegraph.indoor.encode import spoken
+
+    encoder, _ = spoken(encoder)
+    if captures and encoder not in WITH_CAPTURES:
+        raise OptionError(
+            f"--captures belongs to {' and '.join(WITH_CAPTURES)}; {encoder} knows objects by the "
+            "map alone, so leave them out."
+        )
+    if encoder in WITH_CAPTURES and not captures:
+        raise OptionError(
+            f"--encoder {encoder} knows objects by images of the map; give --captures FOLDER, whose "
+            "poses are in the map."
+        )
+    for name, value in (("--poses", poses), ("--frames", frames)):
+        if value is not None and not captures:
+            raise OptionError(f"{name} belongs to --captures, and there are none.")
+    return captures
+
+
+def _opened(path: Path, poses: str | None, frames: str | None, scene: SceneMap) -> Capture:
+    """A capture of the map; `OptionError` where it was taken elsewhere."""
+    from placegraph.io.capture.capture import open_capture
+
+    true = (path / "trajectory.tum").is_file()
+    by = poses if poses is not None else "trajectory" if true else None
+    capture = chosen_frames(open_capture(path, poses=by), frames)
+    low, high = scene.bounds
+    at = capture.odometry[:, :3, 3]
+    inside = ((at > low - _BEYOND) & (at < high + _BEYOND)).all(axis=1)
+    if not inside.any():
+        raise OptionError(
+            f"{path}: no camera of it stands in {scene.source or 'the map'}; its poses must be in "
+            "the map: give those that `scene localize --tum` writes, by --poses."
+        )
+    return capture
+
+
+def _needs(encoder: str) -> str:
+    return {
+        "labels": "labels that are words it knows",
+        "appearance": "surfaces with colours, and free floor to look around from",
+    }.get(encoder, "images that show them")
+
+
+def _say(
+    out: Path, made: Encoder, objects: int, known: int, images: int, seconds: float,
+    as_json: bool, quiet: bool,
+) -> None:  # fmt: skip
+    size = out.stat().st_size
+    if as_json:
+        echo_json({
+            "map": str(out), "encoder": made.key, "dimension": made.dimension, "objects": objects,
+            "known": known, "images": images, "bytes": size, "seconds": round(seconds, 3),
+        })  # fmt: skip
+    elif not quiet:
+        click.echo(
+            f"{out}: {known:,} of {objects:,} objects have vectors of {made.dimension} numbers by "
+            f"{made.key}, {size / 1e3:,.0f} kB, encoded in {seconds:.1f} s."
+        )
+
+
+CameraPaths = Annotated[
+    list[Path] | None,
+    Option(
+        "--camera-path",
+        help="Way of a camera: TUM text (map_from_camera), or what `scene localize --json` "
+        "printed; may be repeated.",
+    ),
+]
+
+
+def export(
+    map_file: MapFile,
+    out: Annotated[
+        Path, Argument(help="File to write; .glb, .ply, .json, .osm or .osmag says what.")
+    ],
+    camera_path: CameraPaths = None,
+    force: Annotated[
+        bool, Option("--force", help="Replace OUT even if no earlier export wrote it.")
+    ] = False,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Write a scene map as a file for other programs.
+
+    .glb opens in any 3D viewer, in Blender and in browsers: one node an object, named as it is,
+    with label, id and attributes in its custom properties, textures included. Edit it and build a
+    map of it again with `placegraph scene build`.
+
+    .ply is one coloured mesh for MeshLab and CloudCompare: textures are averaged onto vertices,
+    objectId of each face says whose it is, and OUT.labels.json what the ids are called. Relations
+    have no place in it.
+
+    .json is a scene graph for Hydra and Spark-DSG: objects with boxes, labels and their part of
+    the mesh, relations as edges, and rooms.
+
+    .osm holds rooms and doors of an anchored map, in Simple Indoor Tagging for JOSM; .osmag the
+    same as osmAG, for robots.
+
+    Example: placegraph scene export house.scene house.glb --camera-path walk.tum
+    """
+    from placegraph.indoor.mapping.export import export as write
+    from placegraph.indoor.mapping.export import losses
+    from placegraph.maps import open_scene
+
+    if os.path.realpath(map_file) == os.path.realpath(out):
+        raise OptionError(f"{out} is the map itself; name another file.")
+    paths = camera_paths(camera_path)
+    scene = open_scene(map_file)
+    files = write(scene, out, camera_paths=paths, overwrite=force)
+    sizes = {str(file): file.stat().st_size for file in files}
+    if as_json:
+        told = {
+            "files": sizes,
+            "objects": len(scene),
+            "triangles": len(scene.mesh),
+            "lost": losses(scene, out),
+        }
+        click.echo(json.dumps(told, ensure_ascii=False))
+    elif not quiet:
+        for name, size in sizes.items():
+            click.echo(f"{name}: {size / 1e3:,.0f} kB.")
+        for sentence in losses(scene, out):
+            click.echo(sentence)
+
+
+def camera_paths(files: list[Path] | None) -> dict[str, NDArray[np.float64]]:
+    """Poses by name of each file's way; of files of one name the later are numbered."""
+    from placegraph.io.capture.tum import read_camera_path
+
+    found: dict[str, NDArray[np.float64]] = {}
+    for file in files or []:
+        name, count = file.stem, 1
+        while name in found:
+            count += 1
+            name = f"{file.stem} {count}"
+        found[name] = read_camera_path(file)
+    return found

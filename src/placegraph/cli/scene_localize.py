@@ -1,0 +1,409 @@
+"""Commands `placegraph scene localize|refine`."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from math import degrees, hypot, isfinite, log, radians, sqrt
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import click
+
+from placegraph.cli.command import Option
+from placegraph.cli.common import AsJson, console, numbers_of, progress_of, table
+from placegraph.cli.scene_options import (
+    KNOWN,
+    REFINED,
+    USED,
+    WRITTEN,
+    CaptureFolder,
+    Device,
+    Frames,
+    MapFile,
+    MatcherName,
+    NoProgress,
+    OverlayFile,
+    PlanFile,
+    Seed,
+    TumFile,
+    UseColour,
+    UseDepth,
+    Weights,
+    chosen_frames,
+    map_from_camera_of,
+    matcher_of,
+    pose_of_estimate,
+    read_estimate,
+)
+from placegraph.errors import OptionError
+
+if TYPE_CHECKING:
+    from placegraph.core.estimate import PoseEstimate, PoseMode, Refinement
+    from placegraph.indoor.options import FilterOptions
+    from placegraph.indoor.pose.prior import Prior
+    from placegraph.indoor.refine.matching import Matcher
+    from placegraph.indoor.refine.options import RefineOptions
+    from placegraph.indoor.scene_map import SceneMap
+    from placegraph.io.capture.capture import Capture
+
+MOST_OBJECTS = 6
+"""Objects of the evidence that are printed."""
+LEAST = 0.001
+"""Probability of a mode that is printed; JSON has all."""
+
+
+@dataclass(frozen=True)
+class Files:
+    """Pictures and texts that are asked for."""
+
+    title: str
+    png: Path | None = None
+    gif: Path | None = None
+    tum: Path | None = None
+    overlay: Path | None = None
+    record: Path | None = None
+
+    def write(
+        self, scene: SceneMap, estimate: PoseEstimate, chosen: Capture, *, device: str
+    ) -> None:
+        """Write them; of an estimate without a pose there is no overlay, which is said on stderr."""
+        if self.tum is not None:
+            write_tum_of(estimate, chosen, self.tum)
+        if self.record is not None:
+            from placegraph.indoor.pose.record import write_run
+
+            write_run(self.record, estimate, source=scene.source)
+        if self.png is not None:
+            from placegraph.view import write_plan
+
+            write_plan(scene, estimate, self.png, title=self.title, camera=chosen.camera)
+        if self.gif is not None:
+            from placegraph.view import write_plan_animation
+
+            write_plan_animation(scene, estimate, self.gif, title=self.title, camera=chosen.camera)
+        if self.overlay is not None and estimate.best is not None:
+            from placegraph.view import write_overlay
+
+            write_overlay(scene, estimate, chosen, self.overlay, device=device)
+        elif self.overlay is not None:
+            click.echo(f"{self.overlay} is not written: there is no pose to show.", err=True)
+
+
+def write_tum_of(estimate: PoseEstimate, capture: Capture, path: Path) -> None:
+    """Write the pose of every frame, and how it came about."""
+    from placegraph.io.capture.tum import write_tum
+
+    stamp_of = {frame.index: frame.stamp for frame in capture}
+    stamps = [stamp_of[row] for row in estimate.frames.tolist()]
+    said = f"map_from_camera, {estimate.status.name}: {estimate.reason}"
+    if estimate.refinement is not None and estimate.refinement.reason != estimate.reason:
+        said = f"{said} {estimate.refinement.reason}"
+    write_tum(path, stamps, estimate.trajectory, comment=said)
+
+
+def show(estimate: PoseEstimate, *, before: str = "coarse pose") -> None:
+    """Print an estimate so that a person can read it; `before`: what was refined."""
+    out = console()
+    out.print(f"{estimate.status.name}: {estimate.reason}")
+    for rank, mode in enumerate(estimate.modes, 1):
+        if rank == 1 or mode.probability >= LEAST:
+            out.print(f"{rank}. {pose_words(mode)}")
+    if estimate.refinement is not None:
+        out.print(refinement_words(estimate.refinement, before))
+    of_objects = [e for e in estimate.evidence if e.objects]
+    of_senses = [e for e in estimate.evidence if not e.objects]
+    if estimate.evidence:
+        rows = table("", "evidence", "nat", "")
+        for e in [*of_objects[:MOST_OBJECTS], *of_senses]:
+            sign = {"for": "+", "against": "-"}.get(e.verdict, " ")
+            rows.add_row(sign, e.statement, f"{e.weight:+.1f}" if e.objects else "", e.note)
+        out.print(rows)
+    if len(of_objects) > MOST_OBJECTS:
+        out.print(f"and {len(of_objects) - MOST_OBJECTS} more objects (--json names them)")
+
+
+def pose_words(mode: PoseMode) -> str:
+    """A mode in numbers: x, y, z [m], yaw [deg], probability, standard deviations."""
+    x, y, z, yaw = mode.pose.tolist()
+    sx, sy, *_, turn = (sqrt(max(v, 0.0)) for v in mode.covariance.diagonal().tolist())
+    scene = f"  in {mode.scene}" if mode.scene else ""
+    return (
+        f"x {x:.3f} m  y {y:.3f} m  z {z:.3f} m  yaw_deg {degrees(yaw):.2f}  "
+        f"{mode.probability:6.1%}  ±{100 * hypot(sx, sy):.1f} cm ±{degrees(turn):.2f}°{scene}"
+    )
+
+
+def refinement_words(refinement: Refinement, before: str = "coarse pose") -> str:
+    """What became of a refinement, in a line: accepted or not, why, and how far the pose moved."""
+    shift, turn = (refinement.stats.get(key, 0.0) for key in ("shift_m", "turn_deg"))
+    way = f"{100 * shift:.1f} cm and {turn:.2f}°"
+    if refinement.accepted:
+        return f"{refinement.reason} The pose moved by {way}."
+    away = f"; the one refused lies {way} from it" if shift > 0.002 or turn > 0.1 else ""
+    return f"{refinement.reason} The {before} stands{away}."
+
+
+def localize(
+    map_file: MapFile,
+    capture: CaptureFolder,
+    frames: Frames = None,
+    seed: Seed = 0,
+    near: Annotated[
+        str | None,
+        Option(help="X,Y or X,Y,Z [m, map] the first frame is known to be near.", panel=KNOWN),
+    ] = None,
+    radius: Annotated[
+        float, Option(help="Radius of --near [m]: half of the prior lies within.", panel=KNOWN)
+    ] = 1.0,
+    yaw_deg: Annotated[
+        float | None,
+        Option(help="With --near: about where it looks, counter-clockwise from x.", panel=KNOWN),
+    ] = None,
+    description: Annotated[
+        str | None,
+        Option(
+            help="What is known of the place: 'next to the sofa, facing the window'.", panel=KNOWN
+        ),
+    ] = None,
+    encoder: Annotated[
+        str | None,
+        Option(
+            help="What says which objects a patch may show: labels, appearance, or one "
+            "that `scene encode` gave the map its vectors of, with its options: 'features "
+            "weights=dinov2.pth'; the capture's own labels if not given.",
+            panel=USED,
+        ),
+    ] = None,
+    height: Annotated[
+        list[float] | None,
+        Option(help="Height of the camera above the floor [m]; may be repeated.", panel=KNOWN),
+    ] = None,
+    semantic: Annotated[
+        bool, Option("--semantic/--no-semantic", help="Use the labels of the frames.", panel=USED)
+    ] = True,
+    depth: UseDepth = True,
+    colour: UseColour = True,
+    depth_network: Annotated[
+        Path | None,
+        Option(
+            help="Network (.tflite, with a .json beside it) that tells depth from the images, where "
+            "the capture has none; extra `segment`.",
+            panel=USED,
+        ),
+    ] = None,
+    preset: Annotated[
+        str,
+        Option(
+            help="Recipe of the search: default (a table of what is visible from where, and a fit of "
+            "all frames), paper (SG2Loc as printed: particles everywhere, three "
+            "passes, one MLE, then six views and PnP), coarse (its first pass alone, then the same), "
+            "published (what its code does otherwise; a filter only, nothing is refined). The paper's "
+            "take many times as long.",
+            panel=USED,
+        ),
+    ] = "default",
+    refine: Annotated[
+        bool,
+        Option("--refine/--no-refine", help="Fit the pose to depth and images.", panel=REFINED),
+    ] = True,
+    matcher: MatcherName = "auto",
+    weights: Weights = None,
+    every: Annotated[
+        float, Option(help="Keyframes: least time between frames [s]; 0 takes all.", panel=USED)
+    ] = 0.0,
+    device: Device = "auto",
+    as_json: AsJson = False,
+    png: Annotated[
+        Path | None, Option(help="Write a plan with the particles of a filter.", panel=WRITTEN)
+    ] = None,
+    gif: Annotated[
+        Path | None, Option(help="Write the plan as an animation.", panel=WRITTEN)
+    ] = None,
+    overlay: OverlayFile = None,
+    tum: TumFile = None,
+    record: Annotated[
+        Path | None,
+        Option(help="Write the run with all particles, for `scene view --run`.", panel=WRITTEN),
+    ] = None,
+    quiet: NoProgress = False,
+) -> None:
+    """Find the pose of a camera, from some frames of it, in a map of rooms.
+
+    The answer is the pose of the last frame: x, y, z of the camera in the map [m], and yaw, which
+    way it looks, counter-clockwise from the map's x axis. OK is to be trusted; AMBIGUOUS names
+    several places that fit, LOST says that none does. The map is only read.
+
+    The best pose is then refined: fitted to the map by depth, and by images where depth does not
+    fix it. It stands only where held-back pixels speak for it; a line says what became of it.
+
+    Example: placegraph scene localize house.scene walk/ --frames 10:20 --overlay look.png
+    """
+    from placegraph.indoor.refine.options import RefineOptions
+    from placegraph.io.capture.capture import open_capture
+    from placegraph.maps import open_scene
+
+    options = _options(
+        preset, semantic=semantic, depth=depth, colour=colour, height=height, every=every,
+        record=any(file is not None for file in (png, gif, record)),
+    )  # fmt: skip
+    prior = _prior(near, radius, yaw_deg)
+    refining = RefineOptions.preset(preset) if refine else None
+    matching = _matching(matcher, weights, device, refine=refining is not None)
+    chosen = chosen_frames(open_capture(capture), frames)
+    if depth_network is not None:
+        chosen, options, refining = _measured(chosen, depth_network, options, refining)
+    scene = open_scene(map_file)
+    title = f"{capture.name} {frames}" if frames else capture.name
+    with progress_of(hidden=quiet or as_json) as tell:
+        estimate = scene.localize(
+            chosen, prior=prior, description=description, encoder=encoder, options=options,
+            refine=refining or False, matcher=matching, seed=seed, device=device, progress=tell,
+        )  # fmt: skip
+        tell("drawing", 0, 1)
+        Files(title, png, gif, tum, overlay, record).write(scene, estimate, chosen, device=device)
+    if as_json:
+        click.echo(json.dumps(estimate.to_dict(), ensure_ascii=False))
+    else:
+        show(estimate)
+
+
+def _options(
+    preset: str,
+    *,
+    semantic: bool,
+    depth: bool,
+    colour: bool,
+    height: list[float] | None,
+    every: float,
+    record: bool,
+) -> FilterOptions:
+    from placegraph.indoor.options import FilterOptions
+
+    options = FilterOptions.preset(preset)
+    if height:
+        options = replace(options, heights=tuple(height))
+    return replace(
+        options, semantic=semantic, depth=depth, colour=colour, every=every, record=record
+    )
+
+
+def _measured(
+    capture: Capture, weights: Path, options: FilterOptions, refining: RefineOptions | None
+) -> tuple[Capture, FilterOptions, RefineOptions | None]:
+    """A capture with depth by a network, and options that trust it less than a sensor."""
+    from placegraph.indoor.encode.depth_network import SLOPE, depth_network, measured
+
+    if not options.depth:
+        raise OptionError("--depth-network and --no-depth exclude each other; leave out one.")
+    wide = replace(options, likelihood=replace(options.likelihood, depth_slope=SLOPE))
+    blind = refining and replace(refining, depth=False)
+    return measured(capture, depth_network(weights)), wide, blind
+
+
+def _matching(matcher: str, weights: Path | None, device: str, *, refine: bool) -> str | Matcher:
+    if not refine and (matcher != "auto" or weights is not None):
+        raise OptionError(
+            "--matcher and --weights belong to the refinement; leave out --no-refine or --preset "
+            "published, or these."
+        )
+    return matcher_of(matcher, weights, device)
+
+
+def _prior(near: str | None, radius: float, yaw_deg: float | None) -> Prior | None:
+    from placegraph.indoor.pose.prior import Prior
+
+    if near is None:
+        if yaw_deg is not None:
+            raise OptionError("--yaw-deg belongs to --near; give both.")
+        return None
+    mend = "give x and y, and z if it is known, as 1.5,-2."
+    x, y, *z = numbers_of(near, "--near", {2, 3}, mend)
+    if not (isfinite(radius) and radius > 0):
+        raise OptionError(f"--radius is {radius}; it must be greater than 0.")
+    yaw = None if yaw_deg is None else radians(yaw_deg)
+    # half of a round Gaussian lies within 1.177 standard deviations
+    return Prior(x, y, z[0] if z else None, yaw, spread=radius / sqrt(2.0 * log(2.0)))
+
+
+def refine(
+    map_file: MapFile,
+    capture: CaptureFolder,
+    pose: Annotated[
+        str | None,
+        Option(
+            help="X,Y,Z,YAW_DEG[,PITCH_DEG,ROLL_DEG] of the camera at the last frame, in the map "
+            "[m], to about 0.3 m and 15 degrees; without pitch and roll gravity gives them."
+        ),
+    ] = None,
+    estimate: Annotated[
+        Path | None,
+        Option(help="JSON file of what `scene localize --json` printed, instead of --pose."),
+    ] = None,
+    mode: Annotated[int, Option(help="With --estimate: its mode 1 (the best), 2, ...")] = 1,
+    frames: Frames = None,
+    seed: Seed = 0,
+    depth: UseDepth = True,
+    colour: UseColour = True,
+    matcher: MatcherName = "auto",
+    weights: Weights = None,
+    device: Device = "auto",
+    as_json: AsJson = False,
+    png: PlanFile = None,
+    overlay: OverlayFile = None,
+    tum: TumFile = None,
+    quiet: NoProgress = False,
+) -> None:
+    """Refine a pose that is roughly known from elsewhere; the map is not searched.
+
+    The pose is that of the last frame chosen; with --estimate the frames are those it tells of,
+    where --frames chooses no others. The answer is OK at the refined pose, or AMBIGUOUS at the
+    pose given, with the reason why that stands.
+
+    Example: placegraph scene refine house.scene walk/ --frames 10:20 --pose 1.5,2,1.6,90
+
+    Example: placegraph scene refine house.scene walk/ --estimate est.json --overlay look.png
+    """
+    from placegraph.indoor.refine import RefineOptions
+    from placegraph.io.capture.capture import open_capture
+    from placegraph.maps import open_scene
+
+    if (pose is None) == (estimate is None):
+        raise OptionError("Give one of --pose and --estimate: about where the camera is.")
+    if mode != 1 and estimate is None:
+        raise OptionError("--mode belongs to --estimate; give both.")
+    options = RefineOptions(depth=depth, images="auto" if colour else False)
+    matching = matcher_of(matcher, weights, device)
+    chosen = _chosen(open_capture(capture), frames, estimate)
+    if pose is not None:
+        start = map_from_camera_of(pose, chosen[-1].gravity)
+    else:
+        assert estimate is not None  # noqa: S101  # one of both is there
+        start = pose_of_estimate(estimate, mode, chosen[-1])
+    scene = open_scene(map_file)
+    title = f"{capture.name} {frames}" if frames else capture.name
+    with progress_of(hidden=quiet or as_json) as tell:
+        refined = scene.refine(
+            chosen, start, matcher=matching, options=options, seed=seed, device=device,
+            progress=tell,
+        )  # fmt: skip
+        tell("drawing", 0, 1)
+        files = Files(title, png=png, tum=tum, overlay=overlay)
+        files.write(scene, refined, chosen, device=device)
+    if as_json:
+        click.echo(json.dumps(refined.to_dict(), ensure_ascii=False))
+    else:
+        show(refined, before="pose given")
+
+
+def _chosen(clip: Capture, frames: str | None, estimate: Path | None) -> Capture:
+    """Frames asked for; else those that an estimate is of; else all."""
+    if frames is not None or estimate is None:
+        return chosen_frames(clip, frames)
+    rows = read_estimate(estimate)[1]
+    if not (min(rows) >= 0 and max(rows) < len(clip)):
+        raise OptionError(
+            f"{estimate} tells of frame {max(rows)}, but {clip.path} has {len(clip)} frames; give "
+            "the capture it was made of, or --frames."
+        )
+    return replace(clip, frames=tuple(clip[row] for row in rows))
