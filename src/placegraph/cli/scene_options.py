@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
-
 from placegraph.cli.command import Argument, Option
 from placegraph.cli.common import numbers_of
 from placegraph.errors import InputError, OptionError
@@ -142,6 +140,8 @@ def map_from_camera_of(text: str, down: Floats | None = None) -> Floats:
     The yaw is that of `geometry.split_pose`, as `scene localize` prints it. `down`: gravity (3,) in
     the camera's axes, for a text without pitch and roll; upright if not given. Raises `OptionError`.
     """
+    import numpy as np
+
     from placegraph.core.geometry import level_from_camera, pose_matrix
 
     mend = (
@@ -192,6 +192,8 @@ def read_estimate(path: Path) -> tuple[list[Floats], list[int], Floats]:
 
     Raises `InputError` where the file is no such JSON, or holds no pose.
     """
+    import numpy as np
+
     from placegraph.io.capture.camera import read_json
 
     told = read_json(path)
@@ -211,6 +213,8 @@ def read_estimate(path: Path) -> tuple[list[Floats], list[int], Floats]:
 
 
 def _matrix(values: Any) -> Floats:  # noqa: ANN401  # whatever the file holds
+    import numpy as np
+
     matrix = np.array(values, np.float64)
     if matrix.shape != (4, 4):
         raise ValueError(f"map_from_camera has shape {matrix.shape}")
