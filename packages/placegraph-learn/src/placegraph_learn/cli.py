@@ -12,12 +12,11 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Annotated
 
 import click
-from placegraph.cli.terminal import bare
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from placegraph.cli.command import Argument, Option
-from placegraph.cli.common import AsJson, Quiet
+from placegraph.cli.common import AsJson, Quiet, bare
 from placegraph.errors import OptionError
 from placegraph_learn.training import draw_curves, rows_of
 
