@@ -17,7 +17,6 @@ from placegraph.errors import OptionError
 from placegraph.io.osm.urls import is_url, name_of, on_disk
 from placegraph.outdoor.map.cells import LARGEST, SMALLEST
 from placegraph.outdoor.map.city import City
-from placegraph_io.overture.overture import Overture
 
 if TYPE_CHECKING:
     import geopandas as gpd
@@ -26,7 +25,7 @@ if TYPE_CHECKING:
     from placegraph.core.estimate import CityEstimate
     from placegraph.outdoor.language.description import Description
     from placegraph.outdoor.language.vocabulary import Vocabulary
-    from placegraph.outdoor.map.extract import Progress
+    from placegraph.outdoor.map.extract import Overture, Progress
     from placegraph.outdoor.network.encoded import EncodedCity
     from placegraph.outdoor.search.ask import Answer, Question
     from placegraph.outdoor.search.request import MatchingOptions
@@ -199,7 +198,7 @@ def build_city(
     """
     if is_url(out_path):
         raise OptionError(f"{out_path} is a URL; name a file of this machine.")
-    paths = osm_path.paths if isinstance(osm_path, Overture) else (osm_path,)
+    paths = (osm_path,) if isinstance(osm_path, str | PathLike) else osm_path.paths
     for path in paths:
         if real_path(path) == real_path(out_path):
             raise OptionError(f"{path} would be overwritten by its map; name another file.")

@@ -1,15 +1,236 @@
-"""Stores by their address: a file, or the URI of a Milvus server."""
+"""The embedded vector store, which scans all rows of one file, and stores by their address.
+
+Figures and the choice: `docs/benchmarks/vector-stores.md`; the file: `docs/formats.md`.
+"""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from dataclasses import dataclass
+from os import PathLike
+from typing import Any, Self
 
-from placegraph.vectors.content import Origin, Vectors, VectorStore
-from placegraph.vectors.embedded import EmbeddedStore
-from placegraph_scale.milvus import milvus
-from placegraph_scale.milvus.milvus_load import load_milvus
-from placegraph_scale.milvus.server import SCHEMES, Server
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from placegraph.core.mapfile import MapFile, read_map, sound, write_map
+from placegraph.core.plugins import load_module
+from placegraph.errors import OptionError, StoreError
+from placegraph.vectors.content import (
+    GRAIN,
+    Neighbours,
+    Origin,
+    Region,
+    Vectors,
+    VectorStore,
+    checked_queries,
+)
+from placegraph.vectors.scan_kernels import search_all
+
+KIND = "vectors"
+VERSION = 1
+LARGE = 500_000
+"""Files of at least so many rows hold them uncompressed: opening a million takes 1.3 s instead of 6.9 s."""
+SCHEMES = ("http", "https", "tcp")
+"""Schemes of the URI of a server."""
+BLOCK = 1 << 14
+"""Rows coded at once."""
+BITS = (8, 16, 32)
+_STEPS = 127
+"""Steps of an 8-bit column on either side of zero."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EmbeddedStore:
+    """Vectors in memory, of a city's cells or of scenes, searched by compiled code (Eq. 12-13).
+
+    Made by `EmbeddedStore.of`, kept by `save`, opened by `open_store`.
+    """
+
+    origin: Origin
+    """What the vectors were made from."""
+    bits: int
+    """Of a number as stored: 8, 16 or 32."""
+    ids: NDArray[np.int64]
+    """(C,)"""
+    positions: NDArray[np.int32]
+    """(C, 2) longitude and latitude in steps of `GRAIN`."""
+    rows: NDArray[Any]
+    """(C, D) float32, or int8 in steps of `steps`."""
+    steps: NDArray[np.float32]
+    """(D,) value of one step of a column; ones where rows are float32."""
+
+    @classmethod
+    def of(
+        cls,
+        ids: ArrayLike,
+        vectors: ArrayLike,
+        positions: ArrayLike | None = None,
+        *,
+        origin: Origin | None = None,
+        bits: int = 16,
+    ) -> Self:
+        """Make a store of ids, vectors and positions (`Vectors.of`); `of_rows` has the other options."""
+        return cls.of_rows(Vectors.of(ids, vectors, positions), origin=origin, bits=bits)
+
+    @classmethod
+    def of_rows(cls, content: Vectors, *, origin: Origin | None = None, bits: int = 16) -> Self:
+        """Make a store of checked rows.
+
+        Parameters
+        ----------
+        content
+            What to store.
+        origin
+            What the vectors were made from.
+        bits
+            Of a number: 32 keeps float32 as they are, 16 rounds them without a change in ranking,
+            8 changes about one in fifty of the best ten and halves the memory of a search again.
+
+        Raises
+        ------
+        OptionError
+            There is no such number of bits.
+
+        """
+        if bits not in BITS:
+            raise OptionError(f"bits is {bits}; choose one of {', '.join(map(str, BITS))}.")
+        steps = np.ones(content.dimension, np.float32)
+        if bits == 8:
+            largest = np.maximum(content.vectors.max(axis=0), -content.vectors.min(axis=0)) / _STEPS
+            steps = np.where(largest > 0.0, largest, steps).astype(np.float32)
+        rows = np.empty(content.vectors.shape, np.int8 if bits == 8 else np.float32)
+        for first in range(0, len(rows), BLOCK):  # no second copy of millions of rows
+            some = content.vectors[first : first + BLOCK]
+            if bits == 8:
+                some = np.round(some / steps)
+            elif bits == 16:
+                some = some.astype(np.float16).astype(np.float32)
+            rows[first : first + BLOCK] = some
+        return cls(origin or Origin(), bits, content.ids, content.positions, rows, steps)
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    @property
+    def dimension(self) -> int:
+        """D."""
+        return self.rows.shape[1]
+
+    def search(
+        self, queries: NDArray[np.float32], n: int, region: Region | None = None
+    ) -> Neighbours:
+        """Return the nearest `n` rows of each query, best first, equal ones by id (Eq. 12-13).
+
+        Parameters
+        ----------
+        queries
+            (Q, D) of any length but zero.
+        n
+            How many; what is not there is -1 with similarity -inf.
+        region
+            Only cells whose centre lies in it.
+
+        Raises
+        ------
+        OptionError
+            Queries, `n` or the region are out of range.
+
+        """
+        asked = checked_queries(queries, n, self.dimension)
+        scaled = asked * self.steps
+        found = np.full((len(asked), n), -1, np.int64)
+        similarity = np.full((len(asked), n), -np.inf, np.float32)
+        box = np.zeros(0) if region is None else np.round(np.array(region.checked()) / GRAIN)
+        search_all(self.rows, self.ids, self.positions, box, scaled, found, similarity)
+        return Neighbours(found, similarity)
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write the file (atomically, with checksums); raises `MapError` where it cannot."""
+        meta = {
+            "map": self.origin.map,
+            "model": self.origin.model,
+            "bits": self.bits,
+            "grain": GRAIN,
+        }
+        rows = self.rows.astype(np.float16) if self.bits == 16 else self.rows
+        arrays: dict[str, NDArray[Any]] = {
+            "ids": self.ids,
+            "positions": self.positions,
+            "vectors": rows,
+        }
+        if self.bits == 8:
+            arrays["steps"] = self.steps
+        as_they_are = ("vectors",) if len(self) >= LARGE else ()
+        write_map(path, KIND, VERSION, meta, arrays, as_they_are)
+
+    @classmethod
+    def open(cls, path: str | PathLike[str], origin: Origin | None = None) -> Self:
+        """Open a file; with `origin`, only one that was made from that map by that model.
+
+        Raises
+        ------
+        InputError, MapError
+            It is no sound file of vectors.
+        StoreError
+            It was made from another map, or by another model.
+
+        """
+        file = read_map(path, KIND, VERSION)
+        with sound(path, "Make it again with `placegraph city embed`."):
+            store = cls._read(file)
+        refuse_other(str(path), store.origin, origin)
+        return store
+
+    @classmethod
+    def _read(cls, file: MapFile) -> Self:
+        """Raise any of KeyError, TypeError, ValueError where columns are not what they should be."""
+        meta = file.meta
+        bits = int(meta["bits"])
+        if bits not in BITS or float(meta["grain"]) != GRAIN:
+            raise ValueError(f"bits {bits}, grain {meta['grain']}")
+        ids, positions = file.array("ids", "<i8"), file.array("positions", "<i4", 2)
+        rows = file.array("vectors", {8: "|i1", 16: "<f2", 32: "<f4"}[bits], 2)
+        rows = rows if bits == 8 else rows.astype(np.float32)
+        steps = file.array("steps", "<f4") if bits == 8 else np.ones(rows.shape[1], np.float32)
+        # Copies: for arrays that must not be written, the kernels would be compiled once more.
+        ids, positions, rows, steps = (np.array(a) for a in (ids, positions, rows, steps))
+        origin = Origin(str(meta["map"]), str(meta["model"]))
+        store = cls(origin, bits, ids, positions, rows, steps)
+        store._check()
+        return store
+
+    def _check(self) -> None:
+        """Raise `ValueError` where columns do not fit: compiled code believes them."""
+        count, dimension = self.rows.shape
+        sizes = (len(self.ids), len(self.positions), self.positions.shape[1], len(self.steps))
+        if not count or not dimension or sizes != (count, count, 2, dimension):
+            raise ValueError(f"{self.rows.shape} vectors with columns of {sizes}")
+        if not all(np.isfinite(a).all() for a in (self.rows, self.steps)):
+            raise ValueError("a number is not finite")
+        if self.ids.min() < 0 or len(np.unique(self.ids)) != count:
+            raise ValueError("ids are negative or not unique")
+
+    def close(self) -> None:
+        """Nothing to let go of: memory goes with the last reference."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def refuse_other(what: str, found: Origin, wanted: Origin | None) -> None:
+    """Raise `StoreError` where a store was not made from the wanted map by the wanted model."""
+    difference = wanted.differs(found) if wanted is not None else ""
+    if difference:
+        raise StoreError(
+            f"{what} holds vectors of another {difference}; make them again with `placegraph city "
+            "embed`, or name the store that belongs to this map and model."
+        )
+
 
 Address = str | os.PathLike[str]
 
@@ -54,7 +275,11 @@ def open_store(
 
     """
     if is_uri(where):
-        return milvus.MilvusStore.open(str(where), name=name, origin=origin, timeout=timeout)
+        milvus = load_module("placegraph_scale.milvus.milvus", "scale")
+        opened: VectorStore = milvus.MilvusStore.open(
+            str(where), name=name, origin=origin, timeout=timeout
+        )
+        return opened
     return EmbeddedStore.open(where, origin)
 
 
@@ -99,29 +324,35 @@ def load_store(
         store = EmbeddedStore.of_rows(content, origin=origin, bits=bits)
         store.save(where)
         return store
-    server = Server.connect(str(where), timeout)
+    server = load_module("placegraph_scale.milvus.server", "scale").Server.connect(
+        str(where), timeout
+    )
+    load = load_module("placegraph_scale.milvus.milvus_load", "scale").load_milvus
     try:
-        return load_milvus(
+        loaded: VectorStore = load(
             server, content, name=name, origin=origin, resume=resume, progress=progress
         )
     except BaseException:
         server.close()
         raise
+    return loaded
 
 
-def list_stores(uri: str, *, timeout: float = 10.0) -> tuple[milvus.StoreInfo, ...]:
-    """Stores of placegraph on a Milvus server, half loaded ones included."""
-    server = Server.connect(uri, timeout)
+def list_stores(uri: str, *, timeout: float = 10.0) -> tuple[Any, ...]:
+    """Return `StoreInfo` of all stores of placegraph on a Milvus server, half loaded ones included."""
+    return tuple(_ask_server(uri, timeout, "list_stores"))
+
+
+def drop_store(uri: str, collection: str, *, timeout: float = 10.0) -> Any:  # noqa: ANN401  # StoreInfo
+    """Remove a store, complete or half loaded, by the name of its collection; return its `StoreInfo`."""
+    return _ask_server(uri, timeout, "drop_store", collection)
+
+
+def _ask_server(uri: str, timeout: float, what: str, *arguments: str) -> Any:  # noqa: ANN401
+    server = load_module("placegraph_scale.milvus.server", "scale").Server.connect(uri, timeout)
     try:
-        return milvus.list_stores(server)
-    finally:
-        server.close()
-
-
-def drop_store(uri: str, collection: str, *, timeout: float = 10.0) -> milvus.StoreInfo:
-    """Remove a store, whole or half loaded, by the name of its collection."""
-    server = Server.connect(uri, timeout)
-    try:
-        return milvus.drop_store(server, collection)
+        return getattr(load_module("placegraph_scale.milvus.milvus", "scale"), what)(
+            server, *arguments
+        )
     finally:
         server.close()

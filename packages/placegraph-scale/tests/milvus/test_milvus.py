@@ -12,9 +12,10 @@ from placegraph.errors import (
     ServiceError,
     StoreError,
 )
-from placegraph.vectors import MilvusStore, Origin, Region, Vectors
+from placegraph.vectors import Origin, Region, Vectors
 from placegraph_scale.milvus import milvus, milvus_load
 from placegraph_scale.milvus.milvus import (
+    MilvusStore,
     collection_name,
     drop_store,
     list_stores,

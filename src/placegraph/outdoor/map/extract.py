@@ -5,12 +5,14 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from itertools import islice
-from typing import TYPE_CHECKING
+from os import PathLike
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from placegraph.core.geometry import LocalPlane
 from placegraph.core.mapfile import spans, starts
+from placegraph.core.plugins import load_module
 from placegraph.errors import InputError
 from placegraph.io.osm.osm import LINE, POINT, LeftOut, OsmColumns, OsmElement, read_columns
 from placegraph.outdoor.language.vocabulary import Vocabulary
@@ -19,11 +21,9 @@ from placegraph.outdoor.map.objects import GRAIN, CityObjects, centers, simplify
 from placegraph.outdoor.map.raster import EACH, MOST
 from placegraph.outdoor.map.simplify_kernels import along_curve
 from placegraph.outdoor.map.things import Thing, Things, text_of, words_of
-from placegraph_io.overture.overture import Overture, read_overture
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterable, Iterator, Mapping
-    from os import PathLike
 
     from numpy.typing import NDArray
 
@@ -48,6 +48,14 @@ RUN = frozenset({"amenity", "shop", "office", "craft", "healthcare", "leisure", 
 """What carries such a key and no name is called by who runs it: a letter box of the post."""
 
 
+class Overture(Protocol):
+    """Files of Overture, as `placegraph_io.overture` names them."""
+
+    @property
+    def paths(self) -> tuple[str, ...]:
+        """Files, folders or URLs."""
+
+
 def read_extract(
     path: str | PathLike[str] | Overture,
     vocabulary: Vocabulary | None = None,
@@ -62,10 +70,11 @@ def read_extract(
 
     """
     vocabulary, left_out = vocabulary or Vocabulary.default(), LeftOut()
-    if isinstance(path, Overture):
-        blocks = _in_columns(read_overture(path, left_out))
-    else:
+    if isinstance(path, str | PathLike):
         blocks = read_columns(path, keys_read(vocabulary), left_out)
+    else:
+        overture = load_module("placegraph_io.overture.overture", "overture")
+        blocks = _in_columns(overture.read_overture(path, left_out))
     tables = list(labelled(blocks, vocabulary, progress or (lambda _step, _n: None)))
     things = without_largest(Things.joined(tables), left_out) if tables else ()
     if not things:

@@ -162,7 +162,7 @@ class Matching:
     def check(self, city: City) -> None:
         """Raise `OptionError` or `StoreError` where a source is none, or of another map or network."""
         from placegraph.vectors import Origin, Region
-        from placegraph.vectors.embedded import refuse_other
+        from placegraph.vectors.stores import refuse_other
 
         if self.region is not None:
             if not isinstance(self.region, Region):

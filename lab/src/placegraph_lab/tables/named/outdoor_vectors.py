@@ -81,15 +81,13 @@ def plain_numpy(vectors: Floats) -> tuple[Search, int]:
     return search, vectors.nbytes
 
 
-def ours(bits: int, *, lists: bool) -> Build:
-    """`EmbeddedStore` of so many bits, exact or in lists."""
+def ours(bits: int) -> Build:
+    """Build an `EmbeddedStore` of so many bits."""
 
     def build(vectors: Floats) -> tuple[Search, int]:
         positions = np.zeros((len(vectors), 2))
-        store = EmbeddedStore.of(
-            np.arange(len(vectors)), vectors, positions, bits=bits, lists=lists
-        )
-        held = [store.rows, store.ids, store.positions, *(store.lists or ())]
+        store = EmbeddedStore.of(np.arange(len(vectors)), vectors, positions, bits=bits)
+        held = [store.rows, store.ids, store.positions]
         return lambda query, n: store.search(query[None], n).ids[0], sum(a.nbytes for a in held)
 
     return build
@@ -112,7 +110,7 @@ def usearch_graph(dtype: str) -> Build:
 
 
 def faiss_index(kind: str) -> Build:
-    """faiss: every row, HNSW, or inverted lists as ours."""
+    """faiss: every row, HNSW, or inverted lists."""
 
     def build(vectors: Floats) -> tuple[Search, int]:
         import faiss
@@ -140,13 +138,10 @@ def faiss_index(kind: str) -> Build:
 def contenders(count: int, graphs: int) -> Iterator[tuple[str, Build]]:
     """Name and builder of what is measured on so many vectors."""
     yield "numpy, float32", plain_numpy
-    yield "ours, exact, float32", ours(32, lists=False)
-    yield "ours, exact, 16 bits", ours(16, lists=False)
-    yield "ours, exact, 8 bits", ours(8, lists=False)
+    yield "ours, exact, float32", ours(32)
+    yield "ours, exact, 16 bits", ours(16)
+    yield "ours, exact, 8 bits", ours(8)
     large = count >= 50_000
-    if large:
-        yield "ours, lists, 16 bits", ours(16, lists=True)
-        yield "ours, lists, 8 bits", ours(8, lists=True)
     if find_spec("faiss"):
         yield "faiss, exact", faiss_index("exact")
         if large:
