@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from placegraph.core import cache
-from placegraph.language import islands
-from placegraph.language.islands import END, Grammar, UnexpectedTokenError
+from placegraph.language import grammar
+from placegraph.language.grammar import END, Grammar, UnexpectedTokenError
 
 TEXT = """
 list: _item (COMMA _item)*
@@ -60,8 +60,8 @@ def test_what_has_no_place_is_refused_and_the_rest_goes_on():
 
 def test_a_table_is_made_once_and_again_where_it_is_damaged(folder, monkeypatch):
     made = []
-    table = islands._table
-    monkeypatch.setattr(islands, "_table", lambda *given: made.append(1) or table(*given))
+    table = grammar._table
+    monkeypatch.setattr(grammar, "_table", lambda *given: made.append(1) or table(*given))
     for content in ("", "{"):
         Grammar("pair: A B\n%declare A B", "pair", Build())
         Grammar("pair: A B\n%declare A B", "pair", Build())

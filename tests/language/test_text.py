@@ -7,10 +7,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.errors import DescriptionError
-from placegraph.language.check import check
-from placegraph.language.islands import Chunk, Islands
+from placegraph.language.grammar import Chunk
+from placegraph.language.grammar import IslandParser as Islands
 from placegraph.language.measures import metres
-from placegraph.language.words import Phrases, Terminal, scan
+from placegraph.language.text import Phrases, Terminal, check_text, scan_text
 
 GRAMMAR = """
 pair: A B
@@ -66,12 +66,12 @@ def test_the_longest_phrase_wins():
 
 def test_a_full_stop_shortens_what_it_is_told():
     text = "The St. Mary is old. It is 50 cm high."
-    assert [len(s) for s in scan(text)] == [2, 3, 4]
-    assert [len(s) for s in scan(text, shortened={"st"})] == [5, 4]
-    (measure,) = [w for s in scan(text) for w in s if w.kind == "measure"]
+    assert [len(s) for s in scan_text(text)] == [2, 3, 4]
+    assert [len(s) for s in scan_text(text, shortened={"st"})] == [5, 4]
+    (measure,) = [w for s in scan_text(text) for w in s if w.kind == "measure"]
     assert measure.metres == metres("50 cm", "50") == 0.5
 
 
 def test_an_empty_text_is_told_what_is_wanted():
     with pytest.raises(DescriptionError, match='as in "Hello"'):
-        check(" ", "Hello")
+        check_text(" ", "Hello")

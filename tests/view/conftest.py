@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from placegraph.core.estimate import CityEstimate, Evidence, ObjectRef, Place, Status
-from placegraph.language.check import Ignored
+from placegraph.language.text import Ignored
 from placegraph.outdoor.city import build_city
 from placegraph.outdoor.language.description import Description, Mention, Relation, Sense, Statement
 from placegraph_lab.worlds.town.town import Town

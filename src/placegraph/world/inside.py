@@ -13,8 +13,7 @@ from placegraph.core.evidence import Evidence
 from placegraph.indoor.language import Sentence
 from placegraph.indoor.language.index import Columns
 from placegraph.indoor.language.likeness import table
-from placegraph.indoor.language.rank import score
-from placegraph.indoor.language.score import compared, of_scenes
+from placegraph.indoor.language.score import compared, of_scenes, score
 from placegraph.indoor.language.sentence import Kind
 
 if TYPE_CHECKING:

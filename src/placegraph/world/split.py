@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from placegraph.indoor.language import read as read_inside
 from placegraph.indoor.language.likeness import EXACT, fits, room_kind, table
 from placegraph.indoor.language.sentence import Kind
-from placegraph.language.check import Ignored, check
+from placegraph.language.text import Ignored, check_text
 from placegraph.outdoor.language.description import LISTENER, SPEAKER, WITHIN, Relation
 from placegraph.outdoor.likelihood.query import read as read_outside
 from placegraph.outdoor.likelihood.statements import ends
@@ -108,7 +108,7 @@ def understand(
         The text is empty, too long, or no text.
 
     """
-    check(text, "I am in the library on Main Street, by the window.")
+    check_text(text, "I am in the library on Main Street, by the window.")
     floors, left = said_floors(text)
     whole = {
         name: in_english(

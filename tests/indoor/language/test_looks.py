@@ -7,7 +7,8 @@ import pytest
 
 from placegraph.core.graph import SceneGraph
 from placegraph.indoor.language import TextIndex, rank_scenes, read
-from placegraph.indoor.language.colours import (
+from placegraph.indoor.language.appearance import (
+    COLOURS,
     KEY,
     colours_of,
     from_words,
@@ -16,8 +17,7 @@ from placegraph.indoor.language.colours import (
     with_colours,
 )
 from placegraph.indoor.language.likeness import fits
-from placegraph.indoor.language.looks import COLOURS
-from placegraph.indoor.language.referents import Referents
+from placegraph.indoor.language.prior import Referents
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.scene_map import SceneMap
 

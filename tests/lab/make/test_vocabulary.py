@@ -8,7 +8,7 @@ import pytest
 
 from placegraph.errors import InputError
 from placegraph.outdoor.language.vocabulary import Vocabulary
-from placegraph.outdoor.language.vocabulary.lexicon import Lexicon
+from placegraph.outdoor.language.vocabulary.tables import Lexicon
 from placegraph_lab.make.vocabulary import ENGLISH, WORLD, write_lexicons
 
 

@@ -13,7 +13,7 @@ from placegraph.language.measures import metres
 from placegraph.outdoor.language import describe, normalise, tokens
 from placegraph.outdoor.language.description import SPEAKER
 from placegraph.outdoor.language.languages import english
-from placegraph.outdoor.language.words import scan
+from placegraph.outdoor.language.scan import scan
 
 
 @pytest.mark.parametrize(

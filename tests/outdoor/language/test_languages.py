@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from placegraph.errors import InputError, OptionError
-from placegraph.language.check import Ignored
+from placegraph.language.text import Ignored
 from placegraph.outdoor.language import describe
 from placegraph.outdoor.language.description import LISTENER, SPEAKER
 from placegraph.outdoor.language.languages.language import tables

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.errors import DescriptionError
-from placegraph.language.check import LONGEST_TEXT
+from placegraph.language.text import LONGEST_TEXT
 from placegraph.outdoor.language import describe, normalise, tokens
 from placegraph.outdoor.language.description import LISTENER, Relation
 

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from placegraph.errors import InputError
 from placegraph.outdoor.language.vocabulary import LONGEST, Vocabulary
-from placegraph.outdoor.language.vocabulary.lexicon import Lexicon, weighted
-from placegraph.outdoor.language.vocabulary.text import folded, normal, singular
+from placegraph.outdoor.language.vocabulary.tables import Lexicon, weighted
+from placegraph.outdoor.language.words import folded, normal, singular
 
 DATA = files("placegraph.outdoor.language.vocabulary").joinpath("data")
 

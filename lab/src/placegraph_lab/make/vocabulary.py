@@ -15,9 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from placegraph.errors import InputError
-from placegraph.outdoor.language.vocabulary.lexicon import LETTERS
-from placegraph.outdoor.language.vocabulary.objects import DETAIL, ObjectTable, read_objects
-from placegraph.outdoor.language.vocabulary.text import folded, normal, singular
+from placegraph.outdoor.language.vocabulary.tables import DETAIL, LETTERS, ObjectTable, read_objects
+from placegraph.outdoor.language.words import folded, normal, singular
 
 ENGLISH = ("en", "en-GB", "en-AU", "en-CA", "en-IN", "en-NZ", "en-US")
 # fmt: off

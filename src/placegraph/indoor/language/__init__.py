@@ -7,8 +7,8 @@ they answer it, and for many of them `rank_scenes` and `TextIndex`.
 
 from __future__ import annotations
 
-from placegraph.indoor.language.rank import Score, TextIndex, rank_scenes, score
-from placegraph.indoor.language.read import read
+from placegraph.indoor.language.reader import read
+from placegraph.indoor.language.score import Score, TextIndex, rank_scenes, score
 from placegraph.indoor.language.sentence import ME, Kind, Mention, Sentence, Statement
 
 __all__ = [

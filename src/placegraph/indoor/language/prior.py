@@ -1,29 +1,395 @@
-"""Where a sentence says that somebody is: a log prior over the positions and headings of a map.
-
-Each statement s of a pose x is read as in the outdoor wing,
-
-    P(s | x) / P(s) = (1 - WRONG) fit(s, x) / mean of fit over all poses + WRONG
-
-so that what is true of few poses tells more, and a statement that is wrong costs its logarithm and no
-more. The fits are soft, and are read off the panoramas of the visibility table: whether a thing is in
-sight from a position, how near its surface comes, and in which direction. Of several things of a
-name the one that fits best counts.
-"""
+"""Which objects of a map the things of a sentence may be, and which of its rooms are which."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from placegraph.core.estimate import Evidence, ObjectRef
-from placegraph.indoor.language.referents import Referents
-from placegraph.indoor.language.sentence import Sentence, Statement
-from placegraph.indoor.language.sight import Sight
+from placegraph.indoor.language.appearance import COLUMNS, ratios, seen, with_colours
+from placegraph.indoor.language.index import triples
+from placegraph.indoor.language.likeness import (
+    EXACT,
+    fits,
+    kind_by_name,
+    kinds_of,
+    likenesses,
+    table,
+)
+from placegraph.indoor.language.score import sayings
+from placegraph.indoor.language.sentence import Kind, Sentence, Statement
+from placegraph.indoor.language.sight_kernels import look_around_for, look_for, turned, vote_rooms
 from placegraph.indoor.likelihood.visibility import VisibilityTable
-from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, STEP
+from placegraph.indoor.map.panoramas import HIGHEST, range_of
+from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, ELEVATIONS, STEP
 from placegraph.indoor.map.refs import ref
 from placegraph.indoor.map.scene import Scene
-from placegraph.language.check import Ignored
+from placegraph.language.text import Ignored
+
+Floats = NDArray[np.float32]
+
+
+_KIN_TOO = 0.3
+"""How well kin fits where the thing itself is there."""
+_UNRELATED = 0.2
+"""How well a thing fits that does not lie as was said: maps do not know all relations."""
+_UNLIKE = 0.2
+"""How well a thing fits at least that looks otherwise than was said."""
+_NO_ROOM = 0.1
+"""A map has no such room where none is one with more than this probability."""
+
+
+@dataclass(frozen=True, eq=False)
+class Referents:
+    """The objects that the things of a sentence may be, on a map of N of them."""
+
+    sentence: Sentence
+    scene: Scene
+
+    @cached_property
+    def weights(self) -> list[Floats]:
+        """Of each mention how well (N,) the objects are it, as what is said of pairs narrows it."""
+        labels = list(dict.fromkeys(self.scene.graph.labels))
+        row = np.array([labels.index(label) for label in self.scene.graph.labels])
+        out = [self._own(fits(m.label, labels)[row]) for m in self.sentence.mentions]
+        for i, mention in enumerate(self.sentence.mentions):
+            if mention.room and not (out[i] >= EXACT).any():
+                out[i] = self._in_room(mention.room)
+            elif mention.attributes:
+                out[i] = self._looking(mention.attributes, out[i])
+        for s in self.sentence.statements:
+            if s.kind is Kind.RELATED and not s.negated:
+                self._narrow(s, out)
+        return out
+
+    def _looking(self, attributes: tuple[str, ...], weights: Floats) -> Floats:
+        """Weights (N,) of things that look as was said: the red one of two chairs."""
+        spoken = weights > 0.0
+        if not spoken.any():
+            return weights
+        told = ratios(attributes, self._seen, self._seen, weights.astype(np.float64))
+        told /= told[spoken].max()
+        return (weights * np.maximum(told, _UNLIKE)).astype(np.float32)
+
+    @cached_property
+    def _seen(self) -> NDArray[np.float64]:
+        """(N, C) what the objects look like, and where in their rooms they stand."""
+        out = np.empty((len(self.scene), len(COLUMNS)))
+        attributes = with_colours(self.scene)
+        of = self.rooms[0]
+        for room in np.unique(of):
+            rows = np.flatnonzero(of == room)
+            out[rows] = seen(self.scene.graph, rows.tolist(), attributes)
+        return out
+
+    @staticmethod
+    def _own(weights: Floats) -> Floats:
+        exact = weights >= EXACT
+        return np.where(exact, weights, _KIN_TOO * weights) if exact.any() else weights
+
+    def _narrow(self, s: Statement, weights: list[Floats]) -> None:
+        a, b = s.things
+        pairs = self.pairs(s.relation, weights[a], weights[b])
+        for mention, rows in ((a, pairs[:, 0]), (b, pairs[:, 1])):
+            if len(rows):
+                there = np.zeros(len(weights[mention]), np.bool_)
+                there[rows] = True
+                weights[mention] = np.where(
+                    there, weights[mention], _UNRELATED * weights[mention]
+                ).astype(np.float32)
+
+    def pairs(self, relation: str, first: Floats, second: Floats) -> NDArray[np.int64]:
+        """Objects (P, 2) that may be the two things, where edges of the map say the relation."""
+        straight, other_way = sayings(relation)
+        found = set()
+        for s, name, t in triples(self.scene.graph):
+            if name in straight and first[s] > 0 and second[t] > 0:
+                found.add((s, t))
+            if name in other_way and first[t] > 0 and second[s] > 0:
+                found.add((t, s))
+        return np.array(sorted(found), np.int64).reshape(-1, 2)
+
+    # rooms
+    @cached_property
+    def rooms(self) -> tuple[NDArray[np.int32], list[str], NDArray[np.float64]]:
+        """Room (N,) of each object, -1 none; names of the G rooms; their kinds (G, R)."""
+        named = [
+            f"{scene} {room}" if (room := a.get("room", "")) else ""
+            for scene, a in zip(self.scene.scene_of.tolist(), self.scene.attributes, strict=True)
+        ]
+        names = list(dict.fromkeys(name for name in named if name))
+        number = {name: i for i, name in enumerate(names)}
+        of = np.array([number.get(name, -1) for name in named], np.int32)
+        held = np.zeros((len(names), self.telling.shape[1]), np.float32)
+        np.maximum.at(held, of[of >= 0], self.telling[of >= 0])
+        kinds = kinds_of(held, np.False_)
+        names = [name.partition(" ")[2] for name in names]
+        for row, name in enumerate(names):
+            kinds[row] = kind_by_name(name, kinds[row])
+        return of, names, kinds
+
+    @cached_property
+    def telling(self) -> Floats:
+        """(N, T) how well objects are the things by which rooms are told (`kinds.table`)."""
+        labels = list(dict.fromkeys(self.scene.graph.labels))
+        row = [labels.index(label) for label in self.scene.graph.labels]
+        return likenesses(labels)[row]
+
+    def _in_room(self, kind: str) -> Floats:
+        """How well (N,) objects stand for a room of a kind: they are in it."""
+        of, _, kinds = self.rooms
+        share = np.append(kinds[:, table().kinds.index(kind)], 0.0)
+        return np.where(share > _NO_ROOM, share, 0.0)[of].astype(np.float32)
+
+    def missing(self, s: Statement) -> str:
+        """Why a statement says nothing on this map, or an empty string."""
+        if s.kind is Kind.ROOM:
+            mention = self.sentence.mentions[s.things[0]]
+            if not mention.room:
+                return "says nothing of where you are"
+            kinds = self.rooms[2]
+            if not len(kinds):
+                return "the map knows no rooms"
+            if kinds[:, table().kinds.index(mention.room)].max() <= _NO_ROOM:
+                return f"the map has no {mention.label}"
+            return ""
+        for t in s.things:
+            if not self.weights[t].any():
+                return f"the map has no {self.sentence.mentions[t].label}"
+        if s.kind is Kind.RELATED and s.negated:
+            return "says nothing of where you are"
+        return ""
+
+
+NEAR = {
+    "": (1.2, 0.3),
+    "on": (0.5, 0.15),
+    "in": (0.5, 0.15),
+    "in front of": (2.0, 0.4),
+    "opposite": (3.0, 0.6),
+}
+"""Distance to a thing's surface up to which one is near it, and how softly that ends [m]."""
+DISTANT = (2.5, 0.5)
+"""What is nearer than this is not far, and how softly [m]."""
+SPOKEN = 6.0
+"""What is farther off than this is spoken of less than half as often [m]."""
+AHEAD, ASIDE, IN_PICTURE = (np.deg2rad(20.0), np.deg2rad(40.0), np.deg2rad(32.0))
+"""Half widths of "facing it", of "on my left" and of what is seen in the picture [rad]."""
+_EDGE = np.deg2rad(5.0)  # how softly they end
+_OPPOSITE = np.deg2rad(125.0)  # two things lie on both sides of somebody from this angle on
+_BESIDE = np.deg2rad(4.0)  # what is left of a thing is so by this angle
+_APART = 4.0  # things that somebody is between are as far apart [m]
+_PAIRS = 64  # of things, the likeliest
+_BELOW = 0.5  # how well a thing fits that may stand at one's feet, where no panorama looks
+_AROUND = 3.5  # what is farther is not what makes a place a kitchen [m]
+_LEANS = 2.0  # what is this near counts for a room more than what is twice as far [m]
+
+
+class Sight:
+    """Fits of statements at the K positions and A headings of a table.
+
+    Parameters
+    ----------
+    things
+        Which objects are spoken of.
+    """
+
+    def __init__(self, things: Referents, views: VisibilityTable) -> None:
+        self._things, self._views = things, views
+        spoken = [weights > 0 for weights in things.weights]
+        self._rows = np.flatnonzero(np.any(spoken, axis=0))
+
+    @cached_property
+    def _sightings(self) -> tuple[Floats, NDArray[np.int16], NDArray[np.bool_]]:
+        """How near (J, K) the things spoken of are seen, in which bin, and whether cut off below."""
+        slot = np.full(len(self._things.scene) + 1, -1, np.int32)
+        slot[self._rows] = np.arange(len(self._rows))
+        pano = self._views.panoramas
+        found: tuple[Floats, NDArray[np.int16], NDArray[np.bool_]] = look_for(
+            pano.objects, pano.ranges, slot, _LEVEL, len(self._rows)
+        )
+        return found
+
+    @property
+    def _near(self) -> Floats:
+        return self._sightings[0]
+
+    def fit(self, s: Statement) -> Floats:
+        """How well (K, A), or (K, 1) of all headings, a statement fits; in [0, 1]."""
+        match s.kind:
+            case Kind.TOWARDS:
+                fit = self._towards(s)
+            case Kind.ROOM:
+                fit = self._room(s)[:, None]
+            case Kind.NEAR:
+                fit = self._close(s.things[0], NEAR.get(s.relation, NEAR[""]), s.distance)[:, None]
+            case Kind.FAR:
+                fit = 1.0 - self._close(s.things[0], DISTANT, None)[:, None]
+            case Kind.BETWEEN:
+                fit = self._between(*s.things)[:, None]
+            case Kind.RELATED:
+                fit = self._related(s)[:, None]
+            case _:
+                fit = self._held(s.things[0])[:, None]
+        return np.asarray(1.0 - fit if s.negated else fit, np.float32)
+
+    # one thing
+    def _weights(self, t: int) -> Floats:
+        """How well (J,) what is looked for is a thing."""
+        return self._things.weights[t][self._rows]
+
+    def _in_sight(self, t: int) -> Floats:
+        """How well (K,) a thing in sight is the thing, and how readily it is spoken of."""
+        return np.asarray((self._weights(t)[:, None] * self._readily).max(axis=0), np.float32)
+
+    @cached_property
+    def _readily(self) -> Floats:
+        """How readily (J, K) things are spoken of: 0 of what is out of sight."""
+        return np.asarray(1.0 / (1.0 + np.square(self._near / SPOKEN)), np.float32)
+
+    def _held(self, t: int) -> Floats:
+        mention = self._things.sentence.mentions[t]
+        least = mention.count or (2 if mention.several else 1)
+        seen = self._in_sight(t)
+        if mention.negated:
+            return np.asarray(
+                np.isfinite(self._near[self._weights(t) >= EXACT]).any(axis=0), np.float32
+            )
+        if least == 1:
+            return seen
+        many = np.isfinite(self._near[self._weights(t) > 0]).sum(axis=0)
+        return np.asarray(seen * np.minimum(many / least, 1.0), np.float32)
+
+    @cached_property
+    def _distance(self) -> tuple[Floats, Floats]:
+        """Distance (J, K) of things [m], and how surely it is that: they go on below the panorama.
+
+        The bottom row of the panoramas shows what is nearer only in part; the box says the rest.
+        """
+        graph = self._things.scene.graph
+        half = graph.extents[self._rows, None, :2] / 2.0 if graph.extents is not None else 0.0
+        away = np.abs(self._views.positions[None, :, :2] - graph.positions[self._rows, None, :2])
+        box = np.linalg.norm(np.maximum(away - half, 0.0), axis=2).astype(np.float32)
+        unseen = ~np.isfinite(self._near)
+        sure = np.where(unseen, np.float32(_BELOW), np.float32(1.0))
+        below = unseen & (box < 1.0)
+        return np.where(self._sightings[2] | below, np.minimum(box, self._near), self._near), sure
+
+    def _close(self, t: int, edge: tuple[float, float], said: float | None) -> Floats:
+        distance, sure = self._distance
+        if said is None:
+            with np.errstate(over="ignore"):
+                close = 1.0 / (1.0 + np.exp((distance - edge[0]) / edge[1]))
+        else:
+            close = np.exp(-0.5 * np.square((distance - said) / (0.25 * said + 0.3)))
+        return np.asarray((self._weights(t)[:, None] * sure * close).max(axis=0), np.float32)
+
+    def _towards(self, s: Statement) -> Floats:
+        weight = np.append(self._things.weights[s.things[0]], 0.0).astype(np.float32)
+        if s.distance is None:
+            fit = 1.0 / (1.0 + np.square(_LEVEL / SPOKEN))
+        else:
+            fit = np.exp(-0.5 * np.square((_LEVEL - s.distance) / (0.25 * s.distance + 0.3)))
+        half = IN_PICTURE if s.wide else AHEAD if s.bearing == 0.0 else ASIDE
+        bins = np.arange(-int((half + 3 * _EDGE) / STEP), int((half + 3 * _EDGE) / STEP) + 1)
+        window = 1.0 / (1.0 + np.exp((np.abs(bins) * STEP - half) / _EDGE))
+        pano = self._views.panoramas
+        profile = look_around_for(pano.objects, pano.ranges, weight, fit.astype(np.float32))
+        return np.asarray(turned(profile, round(s.bearing / STEP), window.astype(np.float32)))
+
+    # two things
+    def _pairs(self, a: int, b: int) -> NDArray[np.int64]:
+        """Slots (P, 2) of the likeliest pairs of two things."""
+        both = np.outer(self._weights(a), self._weights(b))
+        np.fill_diagonal(both, 0.0)
+        best = np.argsort(-both, axis=None, kind="stable")[:_PAIRS]
+        best = best[both.flat[best] > 0.0]
+        return np.stack(np.unravel_index(best, both.shape), axis=1)
+
+    def _angle(self, pairs: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Angle (P, K) from the second to the first thing of pairs, to the left [rad, +-pi]."""
+        at = self._sightings[1]
+        turn = (at[pairs[:, 0]] - at[pairs[:, 1]]) * STEP
+        return np.asarray((turn + np.pi) % (2.0 * np.pi) - np.pi)
+
+    def _best(self, a: int, b: int, pairs: NDArray[np.int64], fit: NDArray[np.floating]) -> Floats:
+        weight = self._weights(a)[pairs[:, 0]] * self._weights(b)[pairs[:, 1]]
+        fit = fit * self._readily[pairs].prod(axis=1)
+        best = (weight[:, None] * np.nan_to_num(fit)).max(axis=0, initial=0.0)
+        return np.broadcast_to(best, self._near.shape[1]).astype(np.float32)
+
+    def _between(self, a: int, b: int) -> Floats:
+        pairs = self._pairs(a, b)
+        apart = np.abs(self._angle(pairs))
+        near = self._distance[0][pairs].sum(axis=1)
+        fit = np.exp(-np.square(near / _APART)) / (1.0 + np.exp((_OPPOSITE - apart) / 0.25))
+        return self._best(a, b, pairs, fit)
+
+    def _related(self, s: Statement) -> Floats:
+        """A thing beside another as one sees them, or both of them in sight."""
+        a, b = s.things
+        if s.relation not in ("left of", "right of", "in front of", "behind"):
+            return np.minimum(self._held(a), self._in_sight(b))
+        pairs = self._pairs(a, b)
+        left = self._angle(pairs)
+        if s.relation in ("left of", "right of"):
+            left = left if s.relation == "left of" else -left
+            fit = np.where(left > _BESIDE, np.exp(-np.square(left / 1.0)), 0.0)
+        else:
+            with np.errstate(invalid="ignore"):
+                nearer = self._near[pairs[:, 1]] - self._near[pairs[:, 0]]
+            nearer = nearer if s.relation == "in front of" else -nearer
+            fit = np.where(nearer > 0.0, np.exp(-np.square(left / 0.5)), 0.0)
+        return self._best(a, b, pairs, fit)
+
+    # rooms
+    def _room(self, s: Statement) -> Floats:
+        """How probably (K,) a position is in a room of a kind: by its room, and by what is near."""
+        of, names, kinds = self._things.rooms
+        kind = table().kinds.index(self._things.sentence.mentions[s.things[0]].room)
+        share = vote_rooms(*self._thinned, np.append(of, np.int32(-1)), _leaning(), len(names))
+        told = share @ kinds[:, kind].astype(np.float32)
+        if all(name.isdigit() for name in names):  # numbers, as `rooms_of` gives them
+            told = (told + self._place[:, kind]) / 2.0
+        return np.asarray(told, np.float32)
+
+    @property
+    def _thinned(self) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
+        """Objects and ranges of every sixth direction: enough for what is all around."""
+        pano = self._views.panoramas
+        return pano.objects[:, 1::3, ::2], pano.ranges[:, 1::3, ::2]
+
+    @cached_property
+    def _place(self) -> NDArray[np.float64]:
+        """How probably (K, R) a place is part of each kind of room, by what is in sight near it."""
+        telling = self._things.telling
+        rows = np.flatnonzero(telling.any(axis=1))
+        slot = np.full(len(telling) + 1, -1, np.int32)
+        slot[rows] = np.arange(len(rows))
+        near = look_for(*self._thinned, slot, _LEVEL[1::3], len(rows))[0] < _AROUND
+        held = np.zeros((near.shape[1], telling.shape[1]), np.float32)
+        for j, t in zip(*np.nonzero(telling[rows]), strict=True):
+            np.maximum(held[:, t], telling[rows[j], t] * near[j], out=held[:, t])
+        return kinds_of(held, np.False_)
+
+
+def _leaning() -> NDArray[np.float32]:
+    """Weight (256,) of what is seen at each range, for the room that one is in."""
+    return np.exp(-range_of(np.arange(256, dtype=np.uint8)) / np.float32(_LEANS))
+
+
+def _levels() -> NDArray[np.float32]:
+    """Horizontal distance (E, 256) of stored ranges [m]."""
+    elevation = ((np.arange(ELEVATIONS) + 0.5) / ELEVATIONS * 2.0 - 1.0) * HIGHEST
+    ranges = range_of(np.arange(256, dtype=np.uint8))
+    return np.asarray(ranges * np.cos(elevation)[:, None], np.float32)
+
+
+_LEVEL = _levels()
+
 
 WRONG = 0.15
 """Share of statements that are wrong, or about another thing of that name."""

@@ -7,7 +7,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from placegraph.language.check import Ignored
+    from placegraph.language.text import Ignored
 
 
 ME = -1

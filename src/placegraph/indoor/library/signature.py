@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from placegraph.core.graph import SceneGraph
 from placegraph.errors import OptionError
 from placegraph.indoor.encode import Encoder, vectors_of
-from placegraph.indoor.language.colours import with_colours
-from placegraph.indoor.language.described import Described, units
+from placegraph.indoor.language.appearance import with_colours
+from placegraph.indoor.language.index import Described, units
 from placegraph.indoor.likelihood.visibility import build_table
 from placegraph.indoor.map.panoramas import HIGHEST
 from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, ELEVATIONS

@@ -5,22 +5,22 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Protocol
 
-from placegraph.language.check import Ignored, check
-from placegraph.language.islands import Chunk
+from placegraph.language.grammar import Chunk
+from placegraph.language.text import Ignored, check_text
 from placegraph.outdoor.language.build import Builder
-from placegraph.outdoor.language.chunk import Chunker
+from placegraph.outdoor.language.chunks import Chunker
 from placegraph.outdoor.language.clauses import clauses
 from placegraph.outdoor.language.description import Description, conflicts
+from placegraph.outdoor.language.grammar import parse
+from placegraph.outdoor.language.language_model import LanguageModelDescriber
 from placegraph.outdoor.language.languages.recognise import UNKNOWN, Stretch, stretches
-from placegraph.outdoor.language.languages.scan import clean
-from placegraph.outdoor.language.languages.scan import scan as scan_other
-from placegraph.outdoor.language.model import LanguageModelDescriber
-from placegraph.outdoor.language.parse import parse
-from placegraph.outdoor.language.words import NameFinder, Words, labels, normalise, scan, tokens
+from placegraph.outdoor.language.scan import clean, labels, scan
+from placegraph.outdoor.language.scan import scan_any as scan_other
+from placegraph.outdoor.language.words import NameFinder, Words, normalise, tokens
 
 if TYPE_CHECKING:
     from placegraph.outdoor.language.languages import Language
-    from placegraph.outdoor.language.statements import BlockLength
+    from placegraph.outdoor.language.relations import BlockLength
 
 __all__ = [
     "Describer",
@@ -88,7 +88,7 @@ def describe(
         If the text is empty, too long, or no text. A text of which nothing is understood is no
         error: it gives a description without statements.
     """
-    check(text)
+    check_text(text)
     from placegraph.outdoor.language.vocabulary import Vocabulary
 
     vocabulary = vocabulary or Vocabulary.default()
@@ -148,7 +148,7 @@ def _sentences(
         for sentence in scan(text[: part.end], tongue, found, part.start):
             yield english.chunks(sentence)
         return
-    from placegraph.outdoor.language.inflected import InflectedChunker
+    from placegraph.outdoor.language.chunks import InflectedChunker
     from placegraph.outdoor.language.vocabulary import Vocabulary
 
     known = vocabulary if isinstance(vocabulary, Vocabulary) else Vocabulary.default()

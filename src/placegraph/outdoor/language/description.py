@@ -10,18 +10,35 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from math import pi, radians
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from placegraph.core.geometry import angle_between
 
 if TYPE_CHECKING:
-    from placegraph.language.check import Ignored
+    from placegraph.language.text import Ignored
 
 
 SPEAKER = 0
 """Node of whoever speaks: the place that is sought."""
 LISTENER = 1
 """Node of whoever is spoken to ("south-west of you"): a known place, where `locate` is told it."""
+
+
+CARDINAL_SIGMA, DIAGONAL_SIGMA, SHARP_SIGMA, LOOSE_SIGMA = 0.5, 0.4, 0.25, 0.6
+"""How loosely people mean "north", "north-east", "directly north", "mostly north" [rad]."""
+
+
+class Direction(NamedTuple):
+    """A direction of the compass, or of the body."""
+
+    bearing: float
+    """[rad], clockwise from north or, if `facing`, from where the speaker faces."""
+    sigma: float = CARDINAL_SIGMA
+    facing: bool = False
+    certainty: float = 1.0
+
+
+NORTH = Direction(0.0)
 
 
 class Relation(StrEnum):

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from placegraph.core.estimate import CityEstimate, Status
 from placegraph.errors import OptionError
-from placegraph.language.check import Ignored
+from placegraph.language.text import Ignored
 from placegraph.outdoor.language.description import (
     LISTENER,
     SPEAKER,

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 from math import pi
 
 from placegraph.language.measures import metres
-from placegraph.language.words import Word
+from placegraph.language.text import Word
 from placegraph.outdoor.language.languages import english
-from placegraph.outdoor.language.words import scan
+from placegraph.outdoor.language.scan import scan
 from placegraph.outdoor.track.phrases import (
     AFTER,
     ENDS,

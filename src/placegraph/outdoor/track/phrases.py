@@ -6,8 +6,8 @@ import re
 from math import pi, radians
 
 from placegraph.language.measures import MEASURE
+from placegraph.outdoor.language.description import LOOSE_SIGMA, SHARP_SIGMA
 from placegraph.outdoor.language.languages import english
-from placegraph.outdoor.language.words import LOOSE_SIGMA, SHARP_SIGMA
 
 _UNITS = {
     "zero": 0, "one": 1, "two": 2, "three": 3, "four": 4, "five": 5, "six": 6, "seven": 7,

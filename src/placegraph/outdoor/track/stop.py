@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from placegraph.core.estimate import Evidence
 from placegraph.core.geometry import Floats
-from placegraph.language.check import LONGEST_TEXT
+from placegraph.language.text import LONGEST_TEXT
 from placegraph.outdoor.language.description import Description
 from placegraph.outdoor.likelihood.match_kernels import HOPELESS
 from placegraph.outdoor.likelihood.promise_kernels import promising_views

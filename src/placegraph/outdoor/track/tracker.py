@@ -15,7 +15,7 @@ import numpy as np
 
 from placegraph.core.estimate import CityEstimate
 from placegraph.errors import OptionError
-from placegraph.language.check import check
+from placegraph.language.text import check_text
 from placegraph.outdoor.language.description import Description
 from placegraph.outdoor.likelihood.query import compile_query, read
 from placegraph.outdoor.map.city import City
@@ -128,7 +128,7 @@ class CityTracker:
         if isinstance(text, Description):
             why = self._hear(text)
             return self._noted(text.text or "a description", why)
-        check(text)
+        check_text(text)
         for part in ways(text):
             if isinstance(part, Leg):
                 self._went(part)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from placegraph.core.files import Watch
 from placegraph.core.mapfile import read_header, read_map, sound
 from placegraph.errors import MapError
-from placegraph.indoor.language.colours import with_colours
+from placegraph.indoor.language.appearance import with_colours
 from placegraph.indoor.language.index import Columns, Postings
 from placegraph.indoor.library.index import Index, Vocabulary, runs, starts_of
 from placegraph.indoor.library.options import SearchOptions

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from placegraph.core.cache import cached
 from placegraph.outdoor.language.languages.language import Language, english, language, tables
-from placegraph.outdoor.language.vocabulary.text import singular
+from placegraph.outdoor.language.words import singular
 
 VERSION = "1"
 """Of what is kept."""

@@ -1,17 +1,23 @@
-"""Tables of the vocabulary: tab-separated text, plain or compressed, shipped or the user's own."""
+"""Tables of the vocabulary: nameable tags (objects.tsv), words, and lexicons, shipped or the user's own."""
 
 from __future__ import annotations
 
 import gzip
 import lzma
-from collections.abc import Callable, Iterator, Sequence
+import re
+from bisect import bisect_left
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from hashlib import sha256
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 from placegraph.core.cache import cached
 from placegraph.errors import InputError
+from placegraph.outdoor.language.description import Sense
+from placegraph.outdoor.language.words import beginnings, folded, normal, singular
 
 if TYPE_CHECKING:
     from importlib.resources.abc import Traversable
@@ -113,3 +119,551 @@ def rows(
         raise InputError(
             f"{table}: is empty; its first line must be the header {' '.join(columns)}."
         )
+
+
+KINDS = {"r": 1.0, "n": 1.0, "a": 0.95, "v": 0.85, "t": 0.7}
+"""How likely a word is meant so: a raw tag value, a preset's name, an alias, a part or variant of
+its name, a search term."""
+DIACRITICS = 0.95
+"""Factor for a word that was found only by leaving its diacritics out."""
+LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz"
+"""One for each language of a lexicon, in their order."""
+CROWD = 12
+"""A search term of more presets than this ("lunch", "transit") says nothing."""
+
+_ENTRY = re.compile(r"(\d+)([a-z])([A-Za-z]+)")
+"""``12nBD``: preset 12, by its name, in languages B and D."""
+
+
+class Entry(NamedTuple):
+    """One meaning of a word: a preset, and as what it is called so."""
+
+    preset: int
+    kind: str
+    languages: str
+    """One letter for each language of the lexicon."""
+
+
+def weighted(text: str) -> list[tuple[str, float]]:
+    """Read labels with weights: ``"leisure=pitch@0.4 sport=tennis"``; no weight means 1.
+
+    Raises
+    ------
+    ValueError
+        Saying which label or weight is wrong.
+    """
+    labels = []
+    for part in text.split():
+        label, _, number = part.partition("@")
+        key, equals, value = label.partition("=")
+        if not (key and equals and value):
+            raise ValueError(f"{label!r} is no label; write key=value or key=*")
+        try:
+            weight = float(number or 1)
+        except ValueError:
+            weight = 0.0
+        if not 0.0 < weight <= 1.0:
+            raise ValueError(f"the weight {number!r} of {label} is not in (0, 1]")
+        labels.append((label, weight))
+    return labels
+
+
+class Lexicon:
+    """A sorted word list: which words, in which languages, name which preset.
+
+    Parameters
+    ----------
+    text
+        First line: the languages. Second line: the labels of every preset. Then a word a line,
+        tab, its entries; sorted by the word without diacritics.
+    """
+
+    def __init__(self, text: str) -> None:
+        lines = text.rstrip("\n").split("\n")
+        if len(lines) < 3 or "\t" not in lines[-1]:
+            raise ValueError("it is no list of words")
+        self.languages = lines[0].split("\t")
+        self.presets = lines[1].split("\t")
+        self._lines = lines[2:]
+
+    def __len__(self) -> int:
+        return len(self._lines)
+
+    def words(self, *, strong: bool = False) -> Iterator[str]:
+        """Yield all words, in normal form; `strong` leaves mere search terms out."""
+        for line in self._lines:
+            if not strong or any(entry.kind != "t" for entry in _entries(line)):
+                yield _word(line)
+
+    def starts(self, word: str) -> bool:
+        """Tell whether any entry is this word or starts with it and a space."""
+        key = folded(word)
+        at = bisect_left(self._lines, key, key=_key)
+        if at == len(self._lines):
+            return False
+        first = _key(self._lines[at])
+        return first == key or first.startswith(key + " ")
+
+    def entries(self, word: str, letters: str = "") -> tuple[list[Entry], bool]:
+        """Meanings of a word in normal form, and whether it was found with its diacritics.
+
+        `letters`: in the languages of these letters only, if any are given.
+        """
+        key = folded(word)
+        at = bisect_left(self._lines, key, key=_key)
+        near: list[Entry] = []
+        while at < len(self._lines) and _key(self._lines[at]) == key:
+            entries = _entries(self._lines[at])
+            if letters:
+                entries = [entry for entry in entries if set(letters) & set(entry.languages)]
+            if entries and _word(self._lines[at]) == word:
+                return entries, True
+            near += entries
+            at += 1
+        return near, False
+
+    def senses(self, word: str, *, strong: bool = False, letters: str = "") -> dict[str, float]:
+        """Labels a word may mean, with weights in (0, 1]; `strong` leaves search terms out.
+
+        `letters`: in the languages of these letters only, if any are given.
+        """
+        entries, exact = self.entries(word, letters)
+        if strong:
+            entries = [entry for entry in entries if entry.kind in "rn"]
+        terms = {entry.preset for entry in entries if entry.kind == "t"}
+        named = any(entry.kind != "t" for entry in entries)
+        found: dict[str, float] = {}
+        for entry in entries:
+            weight = KINDS[entry.kind] if exact else KINDS[entry.kind] * DIACRITICS
+            if entry.kind == "t":
+                if len(terms) > CROWD:
+                    continue
+                # a term shared by many presets is weak, and weaker if it is another's name
+                weight *= (0.5 if named else 1.0) / len(terms) ** 0.5
+            for label, share in weighted(self.presets[entry.preset]):
+                found[label] = max(found.get(label, 0.0), weight * share)
+        return found
+
+    def letters(self, language: str) -> str:
+        """Letters of a language and its varieties: those of "pt" are of "pt" and "pt-BR"."""
+        return "".join(
+            letter
+            for letter, code in zip(LETTERS, self.languages, strict=False)
+            if code.partition("-")[0] == language
+        )
+
+    def beginning(self, key: str, letters: str) -> list[str]:
+        """Words in the languages of these letters that begin so without diacritics."""
+        at = bisect_left(self._lines, key, key=_key)
+        found = []
+        while at < len(self._lines) and _key(self._lines[at]).startswith(key):
+            line = self._lines[at]
+            tail = line[line.index("\t") :]
+            if any(letter in tail for letter in letters) and any(
+                set(letters) & set(entry.languages) for entry in _entries(line)
+            ):
+                found.append(_word(line))
+            at += 1
+        return found
+
+    def names(self, language: str) -> dict[str, str]:
+        """Return the name of every preset, by its labels, in one of the lexicon's languages."""
+        if language not in self.languages:
+            return {}
+        letter = LETTERS[self.languages.index(language)]
+        return {
+            self.presets[entry.preset]: _word(line)
+            for line in self._lines
+            if letter in line
+            for entry in _entries(line)
+            if entry.kind == "n" and letter in entry.languages
+        }
+
+    def names_of_labels(self, language: str) -> dict[tuple[str, str], str]:
+        """Preset names by language and label; a detail takes the name of the first preset that has it."""
+        found: dict[tuple[str, str], str] = {}
+        for preset, name in sorted(
+            self.names(language).items(), key=lambda item: item[0].count("=")
+        ):
+            labels = weighted(preset)
+            if labels[-1][1] == 1.0:
+                found.setdefault((language, labels[-1][0]), name)
+        return found
+
+
+def read_lexicon(table: Traversable | Path) -> Lexicon:
+    """Read a lexicon.
+
+    Raises
+    ------
+    InputError
+        If the file is none.
+    """
+    try:
+        return Lexicon(read_text(table))
+    except ValueError as error:
+        raise InputError(
+            f"{table}: {error}. Make it anew by `placegraph-lab vocabulary`, or delete it."
+        ) from error
+
+
+def _word(line: str) -> str:
+    return line[: line.index("\t")]
+
+
+def _key(line: str) -> str:
+    return folded(line[: line.index("\t")])
+
+
+def _entries(line: str) -> list[Entry]:
+    found = _ENTRY.findall(line, line.index("\t"))
+    return [Entry(int(preset), kind, languages) for preset, kind, languages in found]
+
+
+COLUMNS = ("key", "values", "role", "rank", "with", "said")
+OBJECT, KIND, DETAIL, SKIP = ROLES = ("object", "kind", "detail", "skip")
+
+_VALUE = re.compile(r"[^\W_][\w:.+-]{0,39}")
+"""A tag value that can be a label; free text ("The old mill, now closed") cannot."""
+
+KIN = {
+    "shop": ("shop", "amenity", "craft", "office", "leisure"),
+    "office": ("office", "amenity", "healthcare", "craft"),
+    "healthcare": ("healthcare", "amenity"),
+    "craft": ("craft", "shop"),
+}
+"""Keys whose labels "x shop", "x office" ... may mean as well ("pharmacy shop")."""
+
+
+class Rule(NamedTuple):
+    """One row of objects.tsv, for one value."""
+
+    role: str
+    rank: int = 0
+    needs: tuple[str, ...] = ()
+    """Tags, ``key`` or ``key=value``, of which a thing must have one."""
+    said: str = "{}"
+    """How a value is said where no table has a better word."""
+
+
+_Hit: TypeAlias = tuple[int, str, bool, tuple[str, ...]]
+"""Rank, label, whether it makes an object, what a detail needs."""
+
+
+class _Values(dict[str, tuple[_Hit, ...]]):
+    """Labels of every value of one key met so far; a new value is looked up in the rules once."""
+
+    def __init__(self, key: str, rules: Mapping[str, Rule], common: Mapping[str, Rule]) -> None:
+        self.key, self.rules, self.common = key, rules, common
+
+    def __missing__(self, text: str) -> tuple[_Hit, ...]:
+        hits = tuple(dict.fromkeys(hit for part in text.split(";") for hit in self._hit(part)))
+        self[text] = hits
+        return hits
+
+    def _hit(self, text: str) -> tuple[_Hit, ...]:
+        value = "_".join(text.lower().split())
+        rule = self.rules.get(value) or self.common.get(value) or self.rules.get("*")
+        if not value or rule is None or rule.role == SKIP:
+            return ()
+        if not _VALUE.fullmatch(value):
+            if rule.role != OBJECT:
+                return ()
+            value = "yes"  # a shop of a kind told in free text is still a shop
+        return ((rule.rank, f"{self.key}={value}", rule.role == OBJECT, rule.needs),)
+
+
+class ObjectTable:
+    """The rules of objects.tsv.
+
+    Attributes
+    ----------
+    keys
+        Keys that can make an object: what a reader needs to look at.
+    detail_keys
+        Keys that only add labels to an object.
+    """
+
+    def __init__(self, rules: Mapping[str, Mapping[str, Rule]]) -> None:
+        common = rules.get("*", {})
+        own = {key: values for key, values in rules.items() if key != "*"}
+        roles = {key: {rule.role for rule in values.values()} for key, values in own.items()}
+        self.keys = frozenset(key for key in own if OBJECT in roles[key])
+        self.detail_keys = frozenset(key for key in own if roles[key] & {KIND, DETAIL}) - self.keys
+        self._rules, self._common = own, common
+        self._values = {key: _Values(key, values, common) for key, values in own.items()}
+
+    def labels_of(self, tags: Mapping[str, str]) -> tuple[str, ...]:
+        """Labels ``key=value`` of a tagged thing, most specific first; none if it is no object."""
+        known = self._values
+        hits: list[_Hit] = []
+        for key in tags:
+            if key in known:
+                hits += known[key][tags[key]]
+        if len(hits) == 1:
+            return (hits[0][1],) if hits[0][2] else ()
+        if not any(hit[2] for hit in hits):
+            return ()
+        hits.sort()
+        return tuple([label for _, label, _, needs in hits if not needs or _any(needs, tags)])
+
+    def names(self, label: str) -> bool:
+        """Tell whether a label (also ``key=*``) can be one of a thing's labels."""
+        key, _, value = label.partition("=")
+        if value == "*":
+            return key in self.keys or key in self.detail_keys
+        return key in self._values and any(hit[1] == label for hit in self._values[key][value])
+
+    def rule(self, label: str) -> Rule:
+        """Return the rule that a nameable label falls under."""
+        key, _, value = label.partition("=")
+        values = self._rules[key]
+        return values.get(value) or values.get("*") or next(iter(values.values()))
+
+    def listed(self) -> list[str]:
+        """Labels of objects and kinds that have a row of their own."""
+        return [
+            f"{key}={value}"
+            for key, values in self._rules.items()
+            for value, rule in values.items()
+            if value != "*" and rule.role in (OBJECT, KIND)
+        ]
+
+    @cached_property
+    def undrawn(self) -> frozenset[str]:
+        """Values, in normal form, that are words for things no map draws: skipped, but said."""
+        everywhere = [self._common, *self._rules.values()]
+        skipped = [(v, r.said) for rules in everywhere for v, r in rules.items() if r.role == SKIP]
+        return frozenset(singular(normal(value)) for value, said in skipped if said != "{}")
+
+    def by_rank(self, found: Mapping[str, float]) -> dict[str, float]:
+        """Nameable labels, those of specific keys first."""
+        known = [label for label in found if self.names(label)]
+        known.sort(key=lambda label: self.rule(label).rank)
+        return {label: found[label] for label in known}
+
+    def built(self, form: str) -> Iterator[tuple[str, str]]:
+        """Key and value of a phrase by the way it is built: "kite shop" is ``shop``, "kite"."""
+        for key, pattern in self._patterns:
+            if match := pattern.fullmatch(form):
+                yield key, match[1]
+
+    @cached_property
+    def _patterns(self) -> tuple[tuple[str, re.Pattern[str]], ...]:
+        """How unlisted values are said ("0 shop"), as expressions, by key."""
+        said = [
+            (key, normal(values["*"].said.replace("{}", " 0 ")))
+            for key, values in self._rules.items()
+            if "*" in values and values["*"].said != "{}"
+        ]
+        said.append(("shop", "0 store"))
+        return tuple((key, re.compile(pattern.replace("0", "(.+)", 1))) for key, pattern in said)
+
+
+def _any(needs: tuple[str, ...], tags: Mapping[str, str]) -> bool:
+    for need in needs:
+        key, _, value = need.partition("=")
+        if key in tags and (not value or value in tags[key].split(";")):
+            return True
+    return False
+
+
+def read_objects(folder: Path | None = None) -> ObjectTable:
+    """Read objects.tsv from `folder`, or as shipped.
+
+    Raises
+    ------
+    InputError
+        Naming file, line and field of what is wrong.
+    """
+    table = find("objects.tsv", folder)
+    rules: dict[str, dict[str, Rule]] = {}
+    for number, (key, values, *fields) in rows(table, COLUMNS):
+        where = f"{table}, line {number}"
+        if not key or not values:
+            raise InputError(f"{where}: the fields 'key' and 'values' must not be empty.")
+        rule = _read_rule(where, key, *fields)
+        known = rules.setdefault(key, {})
+        for value in values.split():
+            if value in known:
+                raise InputError(f"{where}: {key}={value} has a row already; keep one of the two.")
+            known[value] = rule
+    if not any(rule.role == OBJECT for values in rules.values() for rule in values.values()):
+        raise InputError(f"{table}: has no row with the role 'object'; nothing could be named.")
+    return ObjectTable(rules)
+
+
+def _read_rule(where: str, key: str, role: str, rank: str, needs: str, said: str) -> Rule:
+    if role not in ROLES:
+        raise InputError(f"{where}: the field 'role' is {role!r}; write {', '.join(ROLES)}.")
+    if key == "*" and role != SKIP:
+        raise InputError(f"{where}: a row over every key ('key' is *) can only be a skip.")
+    if role != SKIP and not (rank.isascii() and rank.isdigit()):
+        raise InputError(f"{where}: the field 'rank' is {rank!r}; write a whole number.")
+    if needs and role not in (KIND, DETAIL):
+        raise InputError(
+            f"{where}: only a kind or detail can have the field 'with'; it is {needs!r}."
+        )
+    if said.count("{}") != bool(said):
+        raise InputError(f"{where}: the field 'said' is {said!r}; write {{}} once in it.")
+    return Rule(role, int(rank or 0), tuple(needs.split()), said or "{}")
+
+
+SHORTEST = 4
+"""Letters of the shortest word that is corrected."""
+MOST = 24
+"""Senses of a word, at most."""
+LEAST = 0.15
+"""Senses below this weight are left out."""
+CALLED = 0.8
+"""Weight of a label for the name that spoken.tsv gives it, where words.tsv does not list it."""
+
+
+class Sources:
+    """The tables of `folder`; those missing there as shipped.
+
+    Raises
+    ------
+    InputError
+        Naming file, line and field of what is wrong.
+    """
+
+    def __init__(self, folder: Path | None = None) -> None:
+        self.folder = folder
+        self.objects = read_objects(folder)
+        self.words = read_words(self.objects, folder)
+        self.english = read_lexicon(find("english.tsv", folder))
+        self.listed = {
+            normal(label.partition("=")[2]): {label: 1.0} for label in self.objects.listed()
+        }
+        """Values that have a row of their own in objects.tsv."""
+        self.called: dict[str, dict[str, float]] = {}
+        """Names of spoken.tsv."""
+        for (language, label), name in self.words.spoken.items():
+            if language == "en" and not label.endswith("*"):
+                self.called.setdefault(folded(normal(name)), {})[label] = CALLED
+
+    @cached_property
+    def world(self) -> Lexicon:
+        """The lexicon of all other languages: read when English does not know a word."""
+        return read_lexicon(find("world.tsv", self.folder))
+
+    @cached_property
+    def prefixes(self) -> frozenset[str]:
+        """All proper beginnings of English phrases."""
+        return beginnings((*self.english.words(), *self.words.english, *self.words.others))
+
+    @cached_property
+    def solid(self) -> dict[str, str]:
+        """English words without their spaces: "book store" is "bookstore"."""
+        words = (*self.english.words(), *self.words.english)
+        return {word.replace(" ", ""): word for word in words}
+
+    @cached_property
+    def choices(self) -> list[str]:
+        """English words worth correcting a typing error to."""
+        words = {*self.words.english, *self.english.words(strong=True)} - self.words.stops
+        return sorted(word for word in words if len(word) >= SHORTEST)
+
+    def ranked(self, found: Mapping[str, float]) -> tuple[Sense, ...]:
+        """Senses of nameable labels, likeliest first, otherwise in the given order."""
+        senses = [
+            Sense(label, round(weight, 3))
+            for label, weight in found.items()
+            if weight >= LEAST and self.objects.names(label)
+        ]
+        senses.sort(key=lambda sense: -sense.weight)
+        return tuple(senses[:MOST])
+
+    def names_in(self, language: str) -> dict[tuple[str, str], str]:
+        """Preset names by language and label; a detail takes the name of the first preset that has it."""
+        lexicon = self.english if language in self.english.languages else self.world
+        return lexicon.names_of_labels(language)
+
+
+Meanings: TypeAlias = dict[str, dict[str, float]]
+"""Word in normal form -> label -> weight."""
+
+
+@dataclass(frozen=True)
+class Words:
+    """What the hand-made tables say."""
+
+    english: Meanings
+    """Replaces what the lexicon says of these words."""
+    others: Meanings
+    """Words of other languages."""
+    tongues: dict[str, Meanings]
+    """The same, language by language."""
+    spoken: dict[tuple[str, str], str]
+    """(language, label) -> everyday name."""
+    stops: frozenset[str]
+    """Ordinary words, in normal form, that name no thing when they stand alone."""
+
+
+def read_words(objects: ObjectTable, folder: Path | None = None) -> Words:
+    """Read words.tsv, spoken.tsv and stop.tsv from `folder`, or as shipped.
+
+    Raises
+    ------
+    InputError
+        Naming file, line and field of what is wrong.
+    """
+    english: Meanings = {}
+    others: Meanings = {}
+    tongues: dict[str, Meanings] = {}
+    for where, language, words, labels in _rows("words.tsv", folder):
+        meaning = english.get(normal(labels)) or _meaning(where, labels, objects)
+        if not meaning:
+            continue
+        foreign = (others, tongues.setdefault(language.partition("-")[0], {}))
+        books = (english,) if language == "en" else foreign
+        for word in words.split(","):
+            form = normal(word)
+            if not form:
+                raise InputError(f"{where}: the field 'words' is {words!r}; it names no word.")
+            for key in dict.fromkeys((form, folded(form))):
+                for book in books:
+                    known = book.setdefault(key, {})
+                    known.update({k: max(w, known.get(k, 0.0)) for k, w in meaning.items()})
+    _singulars(english)
+    spoken = {}
+    for where, language, word, label in _rows("spoken.tsv", folder):
+        _meaning(where, label, objects)
+        spoken[language, label] = word
+    stops = frozenset(
+        folded(normal(word.replace("_", " ")))
+        for _, (line,) in rows(find("stop.tsv", folder), ("words",))
+        for word in line.split()
+    )
+    return Words(english, others, tongues, spoken, stops)
+
+
+def _rows(name: str, folder: Path | None) -> list[tuple[str, str, str, str]]:
+    """Rows of a table of language, words and labels, each with where it stands."""
+    table = find(name, folder)
+    found = []
+    for number, (language, words, labels) in rows(table, ("language", "words", "labels")):
+        where = f"{table}, line {number}"
+        for field, text in (("language", language), ("words", words), ("labels", labels)):
+            if not text:
+                raise InputError(f"{where}: the field {field!r} is empty.")
+        found.append((where, language, words, labels))
+    return found
+
+
+def _meaning(where: str, labels: str, objects: ObjectTable) -> dict[str, float]:
+    """Labels and weights of a row, as far as objects.tsv makes them worth naming."""
+    try:
+        meaning = dict(weighted(labels))
+    except ValueError as error:
+        raise InputError(
+            f"{where}: in the field 'labels', {error}, or an English phrase of a row above."
+        ) from error
+    return {label: weight for label, weight in meaning.items() if objects.names(label)}
+
+
+def _singulars(book: Meanings) -> None:
+    """Add the singular of every phrase that has no row of its own."""
+    for word in list(book):
+        book.setdefault(singular(word), book[word])

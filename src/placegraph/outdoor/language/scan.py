@@ -1,19 +1,16 @@
-"""The scanner of any language: a text becomes sentences of words, distances and marks."""
+"""Scanners: an English text, or one of any language, becomes sentences of words, distances and marks."""
 
 from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from functools import cache
-from typing import TYPE_CHECKING
 
-from placegraph.language.words import Word, spelt
+from placegraph.language.text import Word, fold_case, scan_text
+from placegraph.outdoor.language.languages.language import Language
+from placegraph.outdoor.language.words import NameFinder, Words, tokens
 
-if TYPE_CHECKING:
-    from placegraph.outdoor.language.languages.language import Language
-
-_HALF = 0.5
 LONGEST = 12
 """Letters of the longest word that is cut out of a text without spaces."""
 _UNKNOWN = 3.0
@@ -78,7 +75,7 @@ def _pattern(language: Language) -> re.Pattern[str]:
     )
 
 
-def scan(
+def scan_any(
     text: str, language: Language, known: Callable[[str], bool], span: tuple[int, int]
 ) -> list[list[Word]]:
     """Cut a stretch (start, end) of a text into sentences of words, distances and marks.
@@ -136,7 +133,7 @@ def _words(
         parts = _prefixed(written, language, known)
     found, at = [], start
     for part in parts:
-        lower = spelt(part)
+        lower = fold_case(part)
         found.append(Word("word", lower, part[0].isupper(), at, at + len(part)))
         at += len(part)
     return found
@@ -144,12 +141,12 @@ def _words(
 
 def _prefixed(written: str, language: Language, known: Callable[[str], bool]) -> list[str]:
     """Cut off what is written onto a word: "l'église", "والكنيسة"."""
-    lower = spelt(written)
+    lower = fold_case(written)
     for prefix in () if not language.prefixes or known(lower) else language.prefixes:
         rest = written[len(prefix) :]
         if len(rest) < 2 or not lower.startswith(prefix):
             continue
-        if prefix.endswith("'") or known(spelt(rest)):
+        if prefix.endswith("'") or known(fold_case(rest)):
             return [written[: len(prefix)], rest]
         inner = _prefixed(rest, language, known)
         if len(inner) > 1:
@@ -189,3 +186,48 @@ def _cut(written: str, known: Callable[[str], bool]) -> list[str]:
             cuts.append((before, at, is_word))
         at = before
     return [written[a:b] for a, b, _ in reversed(cuts)]
+
+
+def scan(
+    text: str, language: Language, labels: Iterable[tuple[int, int]] = (), begin: int = 0
+) -> list[list[Word]]:
+    """Cut a text from `begin` on into sentences (`language.words.scan`); "St. Mary's" ends none."""
+    return scan_text(text, labels, shortened=language.lists["shortened"], begin=begin)
+
+
+_LABEL = r"(?:[^.!?\n]|[.!?](?!\s|$)){1,100}?"
+_SENTENCE = re.compile(
+    rf"(?:(?<=[.!?]\s)|^)The (?P<source>{_LABEL}) is on the"
+    r" (?:north|south|east|west)(?:-?(?:east|west))? of the"
+    rf" (?P<target>{_LABEL})[.!?]?(?=\s+The\s|\s*$)",
+    re.MULTILINE,
+)
+_ENGLISH = re.compile(
+    r"\b(?:is|are|on|in|at|near|next|by|with|that|which|from|across|between|me|you|my|your|I|the|a)\b"
+)
+"""What makes a stretch of text more than a label."""
+
+
+def shouting(sentence: list[Word]) -> bool:
+    """Tell whether so many words have capitals that these say nothing."""
+    spoken = [word for word in sentence if word.kind == "word"]
+    return len(spoken) >= 6 and sum(word.capital for word in spoken) > 0.8 * len(spoken)
+
+
+def labels(text: str, vocabulary: Words, names: NameFinder | None) -> Iterator[tuple[int, int]]:
+    """Find the labels of sentences of the paper's form: (start, end) of each, in order."""
+    for sentence in _SENTENCE.finditer(text):
+        for end in ("source", "target"):
+            if _is_label(sentence[end], vocabulary, names):
+                yield sentence.span(end)
+
+
+def _is_label(label: str, vocabulary: Words, names: NameFinder | None) -> bool:
+    if "_" in label or "=" in label:
+        return " " not in label
+    words = tokens(label)
+    if names is not None and words and names.longest_name(words, 0) == len(words):
+        return True
+    if _ENGLISH.search(label):
+        return False
+    return label[:1].isupper() or " of " in label or bool(vocabulary.senses(label))

@@ -1,12 +1,57 @@
-"""The scanner: a text becomes sentences of words, distances and marks, and these become phrases."""
+"""Text as both wings read it: what can be read at all, sentences of words, and phrases of a language."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+from placegraph.errors import DescriptionError
 from placegraph.language.measures import MEASURE, may_measure, metres
+
+LONGEST_TEXT = 20_000
+"""Characters."""
+_CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f\x80-\x84\x86-\x9f\ud800-\udfff]")
+
+
+@dataclass(frozen=True, slots=True)
+class Ignored:
+    """A stretch of the text that was not used, and why."""
+
+    text: str
+    reason: str
+
+
+def check_text(text: str, example: str = "A bakery is north of me.") -> None:
+    """Refuse what is no readable text.
+
+    `example`: what a description is like, for the message to somebody who gave none.
+
+    Raises
+    ------
+    DescriptionError
+        If it is empty, longer than `LONGEST_TEXT`, or no text; says how to mend it.
+    """
+    if not isinstance(text, str):
+        raise DescriptionError(
+            f"The description is of type {type(text).__name__}, not text; pass a str."
+        )
+    if len(text) > LONGEST_TEXT:
+        raise DescriptionError(
+            f"The description has {len(text):,} characters, more than {LONGEST_TEXT:,};"
+            " keep what describes the place."
+        )
+    if not text.strip():
+        raise DescriptionError(
+            f'The description is empty; say what stands around you, as in "{example}"'
+        )
+    control = _CONTROL.search(text)
+    if control is not None:
+        raise DescriptionError(
+            f"The description contains {control[0]!r}, which is no character of a text, at position"
+            f" {control.start()}; is it a file of another kind? Remove it."
+        )
 
 
 class Word(NamedTuple):
@@ -47,13 +92,13 @@ _MIXED = str.maketrans("أإآٱىیةک", "ااااييهك")
 """Letters of Arabic that people write for each other."""
 
 
-def spelt(word: str) -> str:
+def fold_case(word: str) -> str:
     """Return a word in lower case, with one apostrophe and one of the letters that Arabic mixes up."""
     word = word.lower()
     return word if word.isascii() else word.replace("’", "'").translate(_MIXED)
 
 
-def scan(
+def scan_text(
     text: str,
     labels: Iterable[tuple[int, int]] = (),
     *,
@@ -92,7 +137,7 @@ def _scan_between(
                 sentences.append([])
             continue
         length = metres(written, match["number"]) if kind == "measure" else 0.0
-        lower = spelt(written)
+        lower = fold_case(written)
         sentences[-1].append(Word(kind, lower, written[0].isupper(), start, end, length))
 
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from placegraph.errors import DescriptionError
 from placegraph.indoor.language import Kind, read
-from placegraph.language.check import LONGEST_TEXT
+from placegraph.language.text import LONGEST_TEXT
 
 SAID = {
     "There's a huge white corner sofa with a floor lamp beside, and two orange plastic chairs in the"

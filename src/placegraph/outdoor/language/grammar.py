@@ -8,9 +8,9 @@ from functools import lru_cache, partialmethod
 from importlib.resources import files
 from typing import Any
 
-from placegraph.language.islands import Chunk, Islands
-from placegraph.outdoor.language.description import Sense
-from placegraph.outdoor.language.words import NORTH, Direction
+from placegraph.language.grammar import Chunk
+from placegraph.language.grammar import IslandParser as Islands
+from placegraph.outdoor.language.description import NORTH, Direction, Sense
 
 
 @dataclass(slots=True)

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
-from placegraph.language.check import Ignored
+from placegraph.language.text import Ignored
+from placegraph.outdoor.language.chunks import LONGEST_NOUN
 from placegraph.outdoor.language.description import LISTENER, SPEAKER, Mention, Sense
-from placegraph.outdoor.language.proper import LONGEST_NOUN
 from placegraph.outdoor.language.words import Words, normalise, tokens
 
 if TYPE_CHECKING:
+    from placegraph.outdoor.language.grammar import Thing
     from placegraph.outdoor.language.languages import Language
-    from placegraph.outdoor.language.parse import Thing
 
 _NEW = frozenset(("A", "ANOTHER", "NO", "NUM"))
 """Determiners that introduce a thing; the others, and none, may speak of one already known."""

@@ -32,7 +32,7 @@ class Chunk:
     capital: bool = False
 
 
-class Islands(Generic[Clause]):
+class IslandParser(Generic[Clause]):
     """Parses by islands (LALR): what the grammar does not expect is left out, or ends an island.
 
     Parameters
