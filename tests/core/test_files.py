@@ -10,7 +10,7 @@ from placegraph.core import files as locks
 from placegraph.core.files import put, regular, write_file
 from placegraph.errors import InputError, MapError, MapLockedError
 from placegraph.indoor.encode.confusion import Confusion
-from placegraph.indoor.encode.network import ImageNetwork
+from placegraph.indoor.encode.networks import ImageNetwork
 from placegraph.indoor.library.scenes import digest_of
 from placegraph_learn.scenegraphloc.features import read_attributes
 

@@ -20,7 +20,7 @@ from placegraph.core.threads import limited
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.encode import Patches
-from placegraph.indoor.encode.instances import ClassesOfInstances
+from placegraph.indoor.encode.labels import ClassesOfInstances
 from placegraph.indoor.likelihood.visibility import VisibilityTable
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.mapping.merge import merge_scenes

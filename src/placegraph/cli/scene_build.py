@@ -215,7 +215,7 @@ def _capture(
     if voxel is not None:
         given["voxel"] = voxel
     if segmenter is not None:
-        from placegraph.indoor.encode.segmenter import segmenter as load
+        from placegraph.indoor.encode.networks import segmenter as load
 
         given["segmenter"] = load(segmenter)
     if landmarks:

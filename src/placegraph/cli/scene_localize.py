@@ -292,7 +292,7 @@ def _measured(
     capture: Capture, weights: Path, options: FilterOptions, refining: RefineOptions | None
 ) -> tuple[Capture, FilterOptions, RefineOptions | None]:
     """A capture with depth by a network, and options that trust it less than a sensor."""
-    from placegraph.indoor.encode.depth_network import SLOPE, depth_network, measured
+    from placegraph.indoor.encode.networks import SLOPE, depth_network, measured
 
     if not options.depth:
         raise OptionError("--depth-network and --no-depth exclude each other; leave out one.")

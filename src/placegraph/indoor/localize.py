@@ -10,7 +10,7 @@ import numpy as np
 
 from placegraph.core.estimate import PoseEstimate, Status
 from placegraph.errors import OptionError
-from placegraph.indoor.encode.instances import foreign
+from placegraph.indoor.encode.labels import foreign
 from placegraph.indoor.likelihood.observe import sight
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.pose.bend import bend

@@ -18,7 +18,7 @@ from placegraph.core.estimate import Evidence, ObjectRef, PoseEstimate, PoseMode
 from placegraph.core.geometry import Camera, level_from_camera, pose_matrix, split_pose
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.build import build_scene
-from placegraph.indoor.encode.depth_network import SLOPE
+from placegraph.indoor.encode.networks import SLOPE
 from placegraph.indoor.options import COARSE_TO_FINE, FilterOptions
 from placegraph.indoor.refine import RefineOptions
 from placegraph.indoor.refine.matching.sift import SiftMatcher
@@ -170,7 +170,7 @@ def test_depth_by_a_network(run, world, tmp_path, monkeypatch):
         metric=True, size=lambda *_: (16, 9), depth=lambda _: np.full((9, 16), 2.0)
     )
     monkeypatch.setattr(SceneMap, "localize", localize)
-    monkeypatch.setattr("placegraph.indoor.encode.depth_network.depth_network", lambda *_: network)
+    monkeypatch.setattr("placegraph.indoor.encode.networks.depth_network", lambda *_: network)
     images = tmp_path / "walk"
     shutil.copytree(world.walk, images, ignore=shutil.ignore_patterns("depth"))
     asking = ("scene", "localize", world.map)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from placegraph.core.geometry import Camera, level_from_camera, rotation_z
-from placegraph.indoor.encode.instances import InstancesEncoder
+from placegraph.indoor.encode.labels import InstancesEncoder
 from placegraph.indoor.likelihood.model import model_of
 from placegraph.indoor.likelihood.observe import sight, views
 from placegraph.indoor.likelihood.score_kernels import (

@@ -10,8 +10,7 @@ import pytest
 from placegraph.core.geometry import Camera, between, compose, split_pose
 from placegraph.indoor.build import scene_of_model
 from placegraph.indoor.encode import bound
-from placegraph.indoor.encode.instances import InstancesEncoder
-from placegraph.indoor.encode.labels import LabelsEncoder
+from placegraph.indoor.encode.labels import InstancesEncoder, LabelsEncoder
 from placegraph.indoor.likelihood.model import model_of
 from placegraph.indoor.likelihood.observe import sight, views
 from placegraph.indoor.likelihood.score import Scorer

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from placegraph.core.geometry import compose, split_pose, wrap
-from placegraph.indoor.encode.instances import InstancesEncoder
+from placegraph.indoor.encode.labels import InstancesEncoder
 from placegraph.indoor.likelihood.model import model_of
 from placegraph.indoor.likelihood.observe import sight, views
 from placegraph.indoor.likelihood.score import Scorer

@@ -1,17 +1,19 @@
 """Encoders turn patches of images and objects of maps into comparable vectors (Sec. 3.1).
 
 An `Encoder` knows no map: its vectors of patches and of objects are compared by cosine. `bound`
-ties one to a map; what comes out, a `MapEncoder`, says patch by patch which objects a frame may
-show, and that is what localizing reads. `encoder` makes the encoders that placegraph brings:
+ties one to a map; the result, a `MapEncoder`, says patch by patch which objects a frame may show.
+`encoder` makes encoders by name:
 
 ``labels``
     a segmentation's labels against the objects' (`labels.LabelsEncoder`);
 ``appearance``
     colour and texture of a patch against those of the surfaces (`appearance.AppearanceEncoder`);
 ``features``
-    features of any backbone of timm, pooled over images of the map (`features.FeaturesEncoder`);
+    features of any backbone of timm, pooled over images of the map (extra ``learn``);
 ``scenegraphloc``
-    the network of SceneGraphLoc (`scenegraphloc.SceneGraphLocEncoder`).
+    the network of SceneGraphLoc (extra ``learn``).
+
+Other distributions add encoders by entry points of the group `placegraph.encoders`.
 """
 
 from __future__ import annotations
@@ -20,13 +22,14 @@ import ast
 import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from typing import Any, Protocol, cast, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core import plugins
 from placegraph.core.geometry import Camera
-from placegraph.core.plugins import load_module
 from placegraph.errors import MapError, OptionError
 from placegraph.indoor.map.scene import Scene
 from placegraph.io.capture.capture import Capture
@@ -37,14 +40,14 @@ __all__ = ["ENCODERS", "Encoder", "MapEncoder", "Patches", "bound", "encoder", "
 TEMPERATURE = 0.05
 """Cosine that counts one nat, of encoders whose vectors agree or do not."""
 
-_HOME = {
+BUILT_IN = {
     "labels": ("placegraph.indoor.encode.labels", "LabelsEncoder"),
     "appearance": ("placegraph.indoor.encode.appearance", "AppearanceEncoder"),
-    "features": ("placegraph_learn.features", "FeaturesEncoder"),
-    "scenegraphloc": ("placegraph_learn.scenegraphloc", "SceneGraphLocEncoder"),
 }
-ENCODERS = tuple(_HOME)
-"""Names that `encoder` knows."""
+EXTRA = {"features": "learn", "scenegraphloc": "learn"}
+"""Extras of encoders that other distributions of placegraph bring."""
+ENCODERS = (*BUILT_IN, *EXTRA)
+"""Names that `encoder` knows, beside those of other plugins."""
 
 
 @runtime_checkable
@@ -53,15 +56,15 @@ class Encoder(Protocol):
 
     @property
     def name(self) -> str:
-        """What it is called, such as ``labels``."""
+        """Name, such as ``labels``."""
 
     @property
     def key(self) -> str:
-        """Its name and what else decides its vectors: they compare only where keys are equal."""
+        """Name and everything else that decides the vectors: only vectors of equal keys compare."""
 
     @property
     def dimension(self) -> int:
-        """Numbers of a vector, d."""
+        """Length d of a vector."""
 
     @property
     def temperature(self) -> float:
@@ -90,7 +93,7 @@ class Encoder(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Patches:
-    """What the patches of one image say of the N objects of a map.
+    """Cosines of the patches of one image with the N objects of a map.
 
     Several patches may share a row of the table (two patches that both say "chair"); a learned
     encoder gives every patch a row of its own.
@@ -119,23 +122,26 @@ class MapEncoder(Protocol):
 
 
 def encoder(name: str, **options: Any) -> Encoder:  # noqa: ANN401  # of the encoder named
-    """Encoder by name, one of `ENCODERS`; options are those of its class.
+    """Make an encoder by name, one of `ENCODERS`; options are those of its class.
 
-    They may be said with the name: ``"scenegraphloc weights=a.pth rotate=True"`` (`spoken`).
+    Options may stand in the name: ``"scenegraphloc weights=a.pth rotate=True"`` (`spoken`).
 
     Raises
     ------
     OptionError
-        There is none of this name, or an option is wrong.
+        No encoder has this name, or an option is wrong.
     MissingExtraError
-        It needs what is not installed.
+        A distribution that it needs is not installed.
 
     """
     name, said = spoken(name)
-    if name not in _HOME:
+    if name in BUILT_IN:
+        module, kind = BUILT_IN[name]
+        made = getattr(import_module(module), kind)
+    elif name in EXTRA or name in plugins.plugins(plugins.ENCODERS):
+        made = plugins.load_plugin(plugins.ENCODERS, name, EXTRA.get(name, ""))
+    else:
         raise OptionError(f"encoder is {name!r}; it is one of {', '.join(ENCODERS)}.")
-    module, kind = _HOME[name]
-    made = getattr(load_module(module, "learn"), kind)
     try:
         return cast("Encoder", made(**(said | options)))
     except TypeError as error:  # an option that the class does not have
@@ -143,28 +149,28 @@ def encoder(name: str, **options: Any) -> Encoder:  # noqa: ANN401  # of the enc
 
 
 def spoken(said: str) -> tuple[str, dict[str, Any]]:
-    """Name and options of what is said like ``scenegraphloc weights=a.pth rotate=True``.
+    """Split text like ``scenegraphloc weights=a.pth rotate=True`` into a name and options.
 
     Values are literals of Python, or else text. Raises `OptionError` where an option has no value.
     """
+
+    def literal(value: str) -> Any:  # noqa: ANN401
+        try:
+            return ast.literal_eval(value)
+        except (ValueError, SyntaxError):
+            return value
+
     try:
         name, *pairs = shlex.split(said) or [""]
         options = dict(pair.split("=", 1) for pair in pairs)
     except ValueError as error:
         raise OptionError(f"{said!r}: give a name, and options as NAME=VALUE.") from error
-    return name, {key: _literal(value) for key, value in options.items()}
-
-
-def _literal(value: str) -> Any:  # noqa: ANN401
-    try:
-        return ast.literal_eval(value)
-    except (ValueError, SyntaxError):
-        return value
+    return name, {key: literal(value) for key, value in options.items()}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoundEncoder:
-    """An encoder and its vectors of one map's objects."""
+    """Encoder with its vectors of one map's objects."""
 
     encoder: Encoder
     vectors: NDArray[np.float32]
@@ -202,7 +208,7 @@ class BoundEncoder:
 
 
 def bound(encoder: Encoder, scene: Scene, captures: Sequence[Capture] = ()) -> MapEncoder:
-    """Encoder tied to a map: with the vectors that the map holds, or else made of the map itself.
+    """Tie an encoder to a map: with the vectors that the map holds, or made of the map itself.
 
     Raises
     ------
@@ -216,17 +222,14 @@ def bound(encoder: Encoder, scene: Scene, captures: Sequence[Capture] = ()) -> M
 
 
 def for_map(given: str | Encoder | MapEncoder, scene: Scene) -> MapEncoder:
-    """Encoder of a map from a name, from an encoder that knows no map, or as it is.
-
-    Raises as `encoder` and `bound` do.
-    """
+    """Return an encoder of a map from a name, an encoder, or as it is; raises as `encoder` and `bound`."""
     if isinstance(given, str):  # which has an `encode` too
         given = encoder(given)
     return bound(given, scene) if isinstance(given, Encoder) else given
 
 
 def checked(vectors: NDArray[np.float32], encoder: Encoder, scene: Scene) -> NDArray[np.float32]:
-    """Vectors (N, d) of unit length, or zero; `OptionError` where they are no such thing."""
+    """Return vectors (N, d) of unit length, or zero; raises `OptionError` where they are no such thing."""
     vectors = np.asarray(vectors, np.float32)
     if vectors.shape != (len(scene), encoder.dimension) or not np.isfinite(vectors).all():
         raise OptionError(
@@ -238,7 +241,7 @@ def checked(vectors: NDArray[np.float32], encoder: Encoder, scene: Scene) -> NDA
 
 
 def patches_of(encoder: Encoder, frame: Frame) -> NDArray[np.float32] | None:
-    """An encoder's vectors (rows, columns, d) of a frame; None where it has none.
+    """Return an encoder's vectors (rows, columns, d) of a frame; None where it has none.
 
     Raises `OptionError` where they are no finite vectors of the encoder's own length.
     """
@@ -256,7 +259,7 @@ def patches_of(encoder: Encoder, frame: Frame) -> NDArray[np.float32] | None:
 def vectors_of(
     encoder: Encoder, scene: Scene, captures: Sequence[Capture] = ()
 ) -> NDArray[np.float32]:
-    """An encoder's vectors (N, d) of a map's objects; raises as `bound` does."""
+    """Return an encoder's vectors (N, d) of a map's objects; raises as `bound` does."""
     if scene.graph.embeddings is not None and scene.encoder == encoder.key and not captures:
         return checked(scene.graph.embeddings, encoder, scene)
     try:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.geometry import Camera, Floats
-from placegraph.indoor.encode.grid import GRID
+from placegraph.indoor.encode.labels import GRID
 from placegraph.indoor.likelihood.visibility import VisibilityTable
 from placegraph.indoor.map.panoramas import HIGHEST
 from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, ELEVATIONS, NOTHING, STEP

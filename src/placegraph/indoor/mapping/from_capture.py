@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from placegraph.core.geo import Anchor
 from placegraph.errors import InputError, OptionError
-from placegraph.indoor.encode.segmenter import Segmenter
+from placegraph.indoor.encode.networks import Segmenter
 from placegraph.indoor.map.floor import floor_height
 from placegraph.indoor.map.landmarks import Landmarks
 from placegraph.indoor.map.mesh import Mesh
@@ -49,7 +49,7 @@ class FromCapture:
     reach: float = 7.5
     """Greatest depth that is used [m]."""
     segmenter: Segmenter | None = None
-    """Labels images that bring no labels; see `placegraph.indoor.encode.segmenter`."""
+    """Labels images that bring no labels; see `placegraph.indoor.encode.networks`."""
     landmarks: bool = False
     """Keep local features on its surfaces, at most 0.8 MB; needs the extra `sift`."""
 
@@ -95,7 +95,7 @@ def captured(
     left_out.update(capture.left_out)
     fused = _fused(path, capture, how, left_out, progress)
     if how.segmenter is not None:
-        from placegraph.indoor.encode.segmenter import labelled
+        from placegraph.indoor.encode.networks import labelled
 
         capture = labelled(capture, how.segmenter)
     found = segment(

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
 from placegraph.indoor.encode import MapEncoder, bound
-from placegraph.indoor.encode.instances import InstancesEncoder
-from placegraph.indoor.encode.labels import LabelsEncoder
+from placegraph.indoor.encode.labels import InstancesEncoder, LabelsEncoder
 from placegraph.indoor.likelihood.depth_unit import check_unit
 from placegraph.indoor.likelihood.observe import Cut, Sighting, sight, views
 from placegraph.indoor.likelihood.score import Scorer

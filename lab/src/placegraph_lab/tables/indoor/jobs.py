@@ -11,7 +11,7 @@ from typing import Literal, Protocol, TypeVar
 import typer
 
 from placegraph.indoor.encode import MapEncoder
-from placegraph.indoor.encode.instances import ClassesOfInstances, InstancesEncoder
+from placegraph.indoor.encode.labels import ClassesOfInstances, InstancesEncoder
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor.label_noise import NoisyEncoder

@@ -14,8 +14,7 @@ from dataclasses import dataclass, replace
 from placegraph.errors import InputError, MissingExtraError
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.encode import MapEncoder, bound, encoder
-from placegraph.indoor.encode.instances import ClassesOfInstances, InstancesEncoder
-from placegraph.indoor.encode.labels import LabelsEncoder
+from placegraph.indoor.encode.labels import ClassesOfInstances, InstancesEncoder, LabelsEncoder
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture

@@ -12,8 +12,7 @@ import numpy as np
 
 from placegraph.core.estimate import PoseEstimate
 from placegraph.indoor.encode import BoundEncoder, Encoder, MapEncoder, encoder, vectors_of
-from placegraph.indoor.encode.instances import InstancesEncoder
-from placegraph.indoor.encode.labels import LabelsEncoder
+from placegraph.indoor.encode.labels import InstancesEncoder, LabelsEncoder
 from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.refine import RefineOptions

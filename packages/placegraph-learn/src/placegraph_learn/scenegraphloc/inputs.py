@@ -119,7 +119,7 @@ def shown(objects: NDArray[np.int32], grid: tuple[int, int]) -> NDArray[np.int32
 
     None too where the most frequent, which may itself be none, covers at most `LEAST` of it.
     """
-    from placegraph.indoor.encode.grid import cells
+    from placegraph.indoor.encode.labels import cells
 
     count = int(objects.max(initial=-1)) + 2
     number = grid[0] * grid[1]

@@ -8,24 +8,24 @@ Choosing another is one word. Points have pixel centres at +0.5 everywhere.
 from __future__ import annotations
 
 import inspect
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from placegraph.core.plugins import load_module
+from placegraph.core import plugins
 from placegraph.errors import OptionError
 from placegraph.indoor.refine.matching.matches import Matcher, Matches
 
 __all__ = ["MATCHERS", "Matcher", "Matches", "matcher"]
 
-MATCHERS = {
+BUILT_IN = {
     "guided": "placegraph.indoor.refine.matching.guided.GuidedMatcher",
     "sift": "placegraph.indoor.refine.matching.sift.SiftMatcher",
-    "xfeat": "placegraph_learn.xfeat.XFeatMatcher",
-    "roma": "placegraph_learn.roma.RomaMatcher",
-    "romav2": "placegraph_learn.roma.RomaV2Matcher",
 }
-"""Module and class of each matcher, imported when it is asked for. Options are keywords of the class;
-it has `weights` and `device` where it runs a network."""
+EXTRA = {"xfeat": "learn", "roma": "learn", "romav2": "learn"}
+"""Extras of matchers that other distributions of placegraph bring."""
+MATCHERS = (*BUILT_IN, *EXTRA)
+"""Names that `matcher` knows, beside those of other plugins (entry points `placegraph.matchers`)."""
 
 
 def matcher(
@@ -60,10 +60,13 @@ def matcher(
         The weights' hub cannot be reached.
 
     """
-    if name not in MATCHERS:
+    if name in BUILT_IN:
+        module, _, kind = BUILT_IN[name].rpartition(".")
+        make = getattr(import_module(module), kind)
+    elif name in EXTRA or name in plugins.plugins(plugins.MATCHERS):
+        make = plugins.load_plugin(plugins.MATCHERS, name, EXTRA.get(name, ""))
+    else:
         raise OptionError(f"matcher is {name!r}; there are {', '.join(map(repr, MATCHERS))}.")
-    module, _, made = MATCHERS[name].rpartition(".")
-    make = getattr(load_module(module, "learn"), made)
     known = inspect.signature(make).parameters
     if weights is not None:
         options["weights"] = weights

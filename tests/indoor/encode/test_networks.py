@@ -1,18 +1,181 @@
-"""Depth by networks: real models of a few bytes, captures that they measure, a pose by them."""
+"""The segmentation network beside the project labels images, and captures of them."""
 
 import json
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from placegraph.core.estimate import Status
 from placegraph.core.geometry import Camera
-from placegraph.errors import InputError, OptionError
-from placegraph.indoor.encode.depth_network import SLOPE, DepthEstimator, depth_network, measured
+from placegraph.errors import InputError, MissingExtraError, OptionError
+from placegraph.indoor.encode.networks import (
+    PASCAL,
+    SLOPE,
+    DepthEstimator,
+    Segmenter,
+    depth_network,
+    labelled,
+    measured,
+    segmenter,
+)
+from placegraph.indoor.mapping.segment import segment
 from placegraph.indoor.options import FilterOptions, Likelihood
 from placegraph.indoor.refine import RefineOptions
-from placegraph.io.capture.capture import Capture
+from placegraph.io.capture.capture import Capture, open_capture
 from placegraph.io.capture.frame import Frame
+
+SHARED = Path(__file__).resolve().parents[4] / "shared"
+WEIGHTS = SHARED / "weights/deeplabv3_mnv2_pascal_quant.tflite"
+
+
+@pytest.fixture(scope="module")
+def network():
+    if not WEIGHTS.exists():
+        pytest.skip(f"{WEIGHTS} is not there")
+    pytest.importorskip("ai_edge_litert")
+    return segmenter(WEIGHTS, threads=1)
+
+
+class Halves:
+    """Says that the left half of an image is a chair; counts how often it is asked."""
+
+    def __init__(self, shape=(12, 16)):
+        self.names = {3: "chair"}
+        self.asked = 0
+        self.shape = shape
+
+    def size(self, width, height):
+        return width // 4, height // 4
+
+    def labels(self, rgb):
+        assert rgb.shape == (48, 64, 3)
+        self.asked += 1
+        out = np.full(self.shape, -1, np.int32)
+        out[:, : self.shape[1] // 2] = 3
+        return out
+
+
+@pytest.fixture
+def capture():
+    camera = Camera(64, 48, 50.0, 50.0, 32.0, 24.0)
+    image = np.zeros((48, 64, 3), np.uint8)
+    depth = np.full((48, 64), 2.0, np.float32)
+    frames = [Frame.from_arrays(image, camera, depth=depth, stamp=float(i)) for i in range(3)]
+    return Capture.from_frames(frames)
+
+
+def test_office_has_a_plant_and_a_sofa(network):
+    """Real images: what the network sees in the office is furniture, and there is some."""
+    folder = SHARED / "data/office"
+    if not folder.exists():
+        pytest.skip(f"{folder} is not there")
+    assert isinstance(network, Segmenter)
+    frames = labelled(open_capture(folder), network)
+    seen = {}
+    for i in range(0, 370, 45):
+        labels = frames[i].labels()
+        assert labels.shape == (frames.label_camera.height, frames.label_camera.width)
+        for value, count in zip(*np.unique(labels, return_counts=True), strict=True):
+            seen[int(value)] = seen.get(int(value), 0) + count / labels.size / 9
+    named = {network.names[v]: share for v, share in seen.items() if v >= 0}
+    assert 0.2 < seen[-1] < 0.98
+    assert {"potted plant", "table", "chair", "sofa"} & set(named)
+    assert max(named, key=named.get) in {"potted plant", "table", "chair", "sofa", "tv"}
+
+
+def test_size_keeps_the_shape_of_the_image(network):
+    assert network.size(540, 360) == (513, 342)
+    assert network.size(360, 540) == (342, 513)
+    assert network.size(100, 100) == (513, 513)
+    wide, high = network.size(5000, 3)
+    assert (wide, high) == (513, 1)
+    grey = np.full((3, 500, 3), 128, np.uint8)
+    assert network.labels(grey).shape == network.size(500, 3)[::-1]
+
+
+def test_names(network):
+    assert len(PASCAL) == 21
+    assert network.names == {i: name for i, name in enumerate(PASCAL) if name}
+    assert 0 not in network.names
+
+
+@pytest.mark.usefixtures("network")
+def test_names_file(tmp_path):
+    path = tmp_path / "names.json"
+    path.write_text(json.dumps({"0": None, "9": "seat"}))
+    other = segmenter(WEIGHTS, path, threads=1)
+    assert other.names == {9: "seat"}
+    rng = np.random.default_rng(0)
+    labels = other.labels(rng.integers(0, 256, (48, 64, 3), np.uint8))
+    assert set(np.unique(labels).tolist()) <= {-1, 9}
+
+
+@pytest.mark.parametrize("content", ["", "[]", "{}", '{"a": "b"}', '{"1": 2}', '{"-1": "x"}'])
+def test_bad_names_files(content, tmp_path):
+    path = tmp_path / "names.json"
+    path.write_text(content)
+    with pytest.raises(InputError, match=r"names\.json"):
+        segmenter(tmp_path / "none.tflite", path)
+
+
+@pytest.mark.parametrize("content", [b"", b"TFL3", b"\0" * 400, b"\x1c\0\0\0TFL3" + b"\xff" * 64])
+def test_bad_weights(content, tmp_path):
+    pytest.importorskip("ai_edge_litert")
+    path = tmp_path / "net.tflite"
+    with pytest.raises(InputError, match="does not exist"):
+        segmenter(path)
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"net\.tflite"):
+        segmenter(path)
+
+
+def test_without_the_extra(tmp_path, monkeypatch):
+    path = tmp_path / "net.tflite"
+    path.write_bytes(b"\x1c\0\0\0TFL3" + bytes(64))
+    monkeypatch.setitem(sys.modules, "ai_edge_litert.interpreter", None)
+    with pytest.raises(MissingExtraError, match="segment"):
+        segmenter(path)
+
+
+def test_labelled_is_lazy_and_remembers(capture):
+    halves = Halves()
+    seen = labelled(capture, halves)
+    assert halves.asked == 0
+    assert seen.label_kind == "labels"
+    assert seen.label_names == seen[0].label_names == {3: "chair"}
+    assert (seen.label_camera.width, seen.label_camera.height) == (16, 12)
+    for _ in range(2):
+        assert (seen[1].labels()[:, :8] == 3).all()
+    assert halves.asked == 1
+    seen[1:][1].labels()
+    assert halves.asked == 2
+    np.testing.assert_array_equal(seen[0].depth(), capture[0].depth())
+    assert capture[0].labels() is None
+
+
+def test_labels_of_another_size_are_refused(capture):
+    seen = labelled(capture, Halves((5, 5)))
+    with pytest.raises(OptionError, match="segmenter"):
+        seen[0].labels()
+
+
+def test_labelled_frames_vote(capture):
+    """A wall before the camera: its left half becomes a chair."""
+    z, x = np.mgrid[0:40, 0:60]
+    spots = np.stack([(x - 30) * 0.05, (z - 20) * 0.05, np.full(x.shape, 2.0)], axis=-1)
+    first = (z * 60 + x)[:-1, :-1].ravel()
+    triangles = np.concatenate(
+        [np.stack([first, first + 61, first + 1], 1), np.stack([first, first + 60, first + 61], 1)]
+    )
+    seen = labelled(capture, Halves())
+    found = segment(spots.reshape(-1, 3), triangles, frames=seen.frames)
+    middle = spots.reshape(-1, 3)[triangles].mean(axis=1)
+    visible = (np.abs(middle[:, 0]) < 1.2) & (np.abs(middle[:, 1]) < 0.9)
+    chair = np.array(found.labels)[found.object_of] == "chair"
+    assert chair[visible & (middle[:, 0] < -0.1)].all()
+    assert not chair[visible & (middle[:, 0] > 0.1)].any()
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,475 @@
+"""Networks of image files: segmenters and estimators of depth, and captures that they complete."""
+
+from __future__ import annotations
+
+import os
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from os import PathLike
+from pathlib import Path
+from typing import Any, Literal, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from placegraph.core.files import regular
+from placegraph.errors import InputError, MissingExtraError, OptionError
+from placegraph.io.capture.camera import read_json
+from placegraph.io.capture.capture import Capture
+from placegraph.io.capture.frame import Images
+
+Answer = Callable[["NDArray[np.uint8]"], "NDArray[Any]"]
+"""What a network says (h, w) of an image (H, W, 3) sRGB."""
+
+_KEPT = 64
+"""Answers of a capture that are kept; what was used last stays."""
+_HEAD = b"TFL3"  # at byte 4 of such a file
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AnsweredImages:
+    """A frame's images, and a network for its depth or its labels, which hides its own."""
+
+    images: Images
+    made: Literal["depth", "labels"]
+    """What the network answers."""
+    answer: Answer
+    row: int
+    """Of the frame, in the cache."""
+    cache: OrderedDict[int, NDArray[Any]] = field(repr=False)
+    """Shared by the frames of a capture."""
+
+    def rgb(self) -> NDArray[np.uint8]:
+        """As `Frame.rgb`."""
+        return self.images.rgb()
+
+    def depth(self) -> NDArray[np.float32] | None:
+        """As `Frame.depth`."""
+        return self._answered() if self.made == "depth" else self.images.depth()
+
+    def labels(self) -> NDArray[np.int32] | None:
+        """As `Frame.labels`."""
+        return self._answered() if self.made == "labels" else self.images.labels()
+
+    def _answered(self) -> NDArray[Any]:
+        known = self.cache.pop(self.row, None)
+        if known is None:
+            known = self.answer(self.images.rgb())
+            known.flags.writeable = False
+        self.cache[self.row] = known
+        while len(self.cache) > _KEPT:
+            self.cache.popitem(last=False)
+        return known
+
+
+def answered(capture: Capture, made: Literal["depth", "labels"], answer: Answer) -> list[Images]:
+    """Images of a capture's frames, with a network for their depth or labels; the last 64 are kept."""
+    cache: OrderedDict[int, NDArray[Any]] = OrderedDict()
+    return [
+        AnsweredImages(frame.images, made, answer, i, cache)
+        for i, frame in enumerate(capture.frames)
+    ]
+
+
+class ImageNetwork:
+    """A model in memory that takes one image and gives another. For one thread at a time.
+
+    Images fill its input on one side, as they are shaped; the rest is of the mean colour. `mean` and
+    `deviation` (3,) are those of the colours from 0 to 1 that it was trained with. Raises
+    `InputError` where there is no such model, `MissingExtraError` without ai-edge-litert.
+    """
+
+    def __init__(
+        self,
+        weights: Path,
+        threads: int | None = None,
+        mean: tuple[float, ...] = (0.5,) * 3,
+        deviation: tuple[float, ...] = (0.5,) * 3,
+    ) -> None:
+        self.weights = weights
+        self._mean, self._deviation = np.array(mean, np.float32), np.array(deviation, np.float32)
+        self._model = _loaded(weights, threads or os.cpu_count() or 1)
+        self._input, self._output = _ends(self._model, weights)
+        self.shape = tuple(int(n) for n in self._output["shape"])
+        """Of what it gives: (1, h, w) or (1, h, w, channels)."""
+
+    def size(self, width: int, height: int) -> tuple[int, int]:
+        """Width and height [px] of the answers to images of this width and height [px]."""
+        inner = self._fitted(width, height)
+        net_high, net_wide = (int(n) for n in self._input["shape"][1:3])
+        return (
+            max(round(inner[0] * self.shape[2] / net_wide), 1),
+            max(round(inner[1] * self.shape[1] / net_high), 1),
+        )
+
+    def __call__(self, rgb: NDArray[np.uint8]) -> NDArray[Any]:
+        """Answer (h, w, channels) to an image (H, W, 3) uint8 sRGB, as the model stores numbers."""
+        wide, high = self.size(rgb.shape[1], rgb.shape[0])
+        self._model.set_tensor(self._input["index"], self._prepared(rgb))
+        self._model.invoke()
+        out = self._model.get_tensor(self._output["index"])
+        answer: NDArray[Any] = out.reshape(*out.shape[1:3], -1)[:high, :wide]
+        return answer
+
+    def values(self, answer: NDArray[Any]) -> NDArray[np.float32]:
+        """What stored numbers stand for."""
+        scale, zero = self._output["quantization"]
+        numbers: NDArray[np.float32] = answer.astype(np.float32)
+        return (numbers - np.float32(zero)) * np.float32(scale) if scale else numbers
+
+    def _fitted(self, width: int, height: int) -> tuple[int, int]:
+        """Width and height of an image that fills the model's input on one side."""
+        high, wide = (int(n) for n in self._input["shape"][1:3])
+        scale = min(wide / width, high / height)
+        return max(min(round(width * scale), wide), 1), max(min(round(height * scale), high), 1)
+
+    def _prepared(self, rgb: NDArray[np.uint8]) -> NDArray[Any]:
+        """The model's input (1, h, w, 3): the image in its upper left corner."""
+        from PIL import Image
+
+        size = self._fitted(rgb.shape[1], rgb.shape[0])
+        small = Image.fromarray(rgb).resize(size, Image.Resampling.BILINEAR)
+        values = np.zeros(self._input["shape"][1:], np.float32)
+        colours = np.asarray(small, np.float32) / np.float32(255.0)
+        values[: size[1], : size[0]] = (colours - self._mean) / self._deviation
+        dtype = np.dtype(self._input["dtype"])
+        scale, zero = self._input["quantization"]
+        if dtype.kind in "iu":
+            limits = np.iinfo(dtype)
+            values = np.clip(np.rint(values / scale + zero), limits.min, limits.max)
+        return values.astype(dtype)[None]
+
+
+def _loaded(path: Path, threads: int) -> Any:  # noqa: ANN401  # an interpreter
+    try:
+        content = regular(path).read_bytes()
+    except FileNotFoundError as error:
+        raise InputError(f"{path} does not exist; name a .tflite file.") from error
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror}.") from error
+    if content[4:8] != _HEAD:
+        raise InputError(f"{path} is no TensorFlow Lite model; name a .tflite file.")
+    try:
+        from ai_edge_litert.interpreter import Interpreter
+    except ImportError as error:
+        raise MissingExtraError(
+            "Networks of images need ai-edge-litert: pip install 'placegraph[segment]'."
+        ) from error
+    try:
+        model = Interpreter(model_content=content, num_threads=threads)
+        model.allocate_tensors()
+    except (ValueError, RuntimeError) as error:
+        why = " ".join(str(error).split())
+        raise InputError(f"{path} cannot be loaded ({why[:200]}); copy it again.") from error
+    return model
+
+
+def _ends(model: Any, path: Path) -> tuple[dict[str, Any], dict[str, Any]]:  # noqa: ANN401
+    """Input and output of a model from image to image."""
+    inputs, outputs = model.get_input_details(), model.get_output_details()
+    into, out = inputs[0]["shape"], outputs[0]["shape"]
+    if len(inputs) != 1 or len(into) != 4 or into[0] != 1 or into[3] != 3:
+        raise InputError(
+            f"{path} takes {[i['shape'].tolist() for i in inputs]}; such a network takes one image "
+            "[1, height, width, 3]."
+        )
+    if len(outputs) != 1 or len(out) not in {3, 4} or out[0] != 1:
+        raise InputError(
+            f"{path} gives {[o['shape'].tolist() for o in outputs]}; such a network gives one image "
+            "[1, height, width] or [1, height, width, channels]."
+        )
+    return inputs[0], outputs[0]
+
+
+PASCAL = (
+    "", "aeroplane", "bicycle", "bird", "boat", "bottle", "bus", "car", "cat", "chair", "cow",
+    "table", "dog", "horse", "motorbike", "person", "potted plant", "sheep", "sofa", "train", "tv",
+)  # fmt: skip
+"""Classes of Pascal VOC 2012 by number; the first, background, says nothing."""
+
+
+@runtime_checkable
+class Segmenter(Protocol):
+    """Anything that says of each pixel of an image what it shows."""
+
+    @property
+    def names(self) -> dict[int, str]:
+        """Names of the labels it gives."""
+
+    def labels(self, rgb: NDArray[np.uint8]) -> NDArray[np.int32]:
+        """Labels (h, w) of an image (H, W, 3) sRGB, as large or smaller; -1: nothing."""
+
+    def size(self, width: int, height: int) -> tuple[int, int]:
+        """Width and height of the labels of images of a width and height [px]."""
+
+
+def labelled(capture: Capture, segmenter: Segmenter) -> Capture:
+    """Capture whose frames' labels are what a segmenter says of their colours.
+
+    Images are segmented when their labels are asked for; the last 64 are kept. The capture's own
+    labels, if it has any, are hidden. Reading labels raises `OptionError` where the segmenter's answer
+    is not what it said.
+    """
+    size = segmenter.size(capture.camera.width, capture.camera.height)
+    cameras = [frame.camera.resized(*size) for frame in capture.frames]  # some refocus
+    names = dict(segmenter.names)
+    wanted = size[1], size[0]
+
+    def answer(rgb: NDArray[np.uint8]) -> NDArray[np.int32]:
+        said = np.asarray(segmenter.labels(rgb))
+        if said.shape != wanted or said.dtype.kind not in "iu":
+            raise OptionError(
+                f"segmenter: labels are {said.dtype} {said.shape}; it promised whole numbers "
+                f"{wanted}."
+            )
+        return said.astype(np.int32)
+
+    frames = tuple(
+        replace(
+            frame,
+            label_camera=camera,
+            label_kind="labels",
+            label_names=names,
+            images=images,
+        )
+        for frame, camera, images in zip(
+            capture.frames, cameras, answered(capture, "labels", answer), strict=True
+        )
+    )
+    return replace(
+        capture, frames=frames, label_camera=cameras[0], label_kind="labels", label_names=names
+    )
+
+
+def segmenter(
+    weights: str | PathLike[str],
+    names: str | PathLike[str] | None = None,
+    *,
+    threads: int | None = None,
+) -> TfliteSegmenter:
+    """Segmenter of a .tflite file: one image (1, h, w, 3) in, one label or score a class and pixel out.
+
+    Parameters
+    ----------
+    weights
+        The model: its input's size and quantisation stand in it. Colours reach it as -1 to 1.
+    names
+        JSON file of names by label, `{"1": "chair", "0": null}`; null: says nothing. The 21
+        classes of Pascal VOC if not given.
+    threads
+        Of the processor; as many as it has if not given.
+
+    Raises
+    ------
+    InputError
+        A file is missing or not what it should be, or the model has another form.
+    MissingExtraError
+        ai-edge-litert is not installed.
+
+    """
+    return TfliteSegmenter(Path(weights), _names(names), threads)
+
+
+class TfliteSegmenter:
+    """A segmenter whose model is held in memory; made by `segmenter`. For one thread at a time."""
+
+    def __init__(self, weights: Path, meant: dict[int, str | None], threads: int | None) -> None:
+        self.weights = weights
+        self.names = {i: name for i, name in meant.items() if name}
+        """Names of the labels it gives."""
+        self._network = ImageNetwork(weights, threads)
+        shape = self._network.shape
+        self._scored = len(shape) == 4 and shape[3] > 1
+        highest = shape[3] if self._scored else max(meant, default=0) + 1
+        self._rows = np.full(max(highest, 1), -1, np.int32)
+        for i in self.names:
+            if i < len(self._rows):
+                self._rows[i] = i
+        if self._scored and max(meant, default=0) >= highest:
+            raise InputError(
+                f"{weights} has {highest} classes, but label {max(meant)} has a name; give the "
+                "names of this model's classes."
+            )
+
+    def size(self, width: int, height: int) -> tuple[int, int]:
+        """Width and height [px] of the labels of images of this width and height [px]."""
+        return self._network.size(width, height)
+
+    def labels(self, rgb: NDArray[np.uint8]) -> NDArray[np.int32]:
+        """Labels (h, w) int32 of an image (H, W, 3) uint8 sRGB, `size` large; -1: nothing."""
+        out = self._network(rgb)
+        classes = out.argmax(axis=2) if self._scored else out[..., 0]
+        found = np.clip(classes.astype(np.int64), 0, None)
+        known = found < len(self._rows)
+        labels: NDArray[np.int32] = np.where(known, self._rows[np.where(known, found, 0)], -1)
+        return labels.astype(np.int32)
+
+
+def _names(path: str | PathLike[str] | None) -> dict[int, str | None]:
+    """Names of labels by number; None: says nothing."""
+    if path is None:
+        return {i: name or None for i, name in enumerate(PASCAL)}
+    path = Path(path)
+    content = read_json(path)
+    if not isinstance(content, dict) or not content:
+        raise InputError(f'{path} must be a JSON object from labels to names: {{"3": "chair"}}.')
+    names: dict[int, str | None] = {}
+    for key, name in content.items():
+        number = key.strip()
+        if not (number.isascii() and number.isdigit() and len(number) < 6):
+            raise InputError(f"{path}: {key[:40]!r} is no label; labels are 0 to 99999.")
+        if not (name is None or isinstance(name, str)):
+            raise InputError(f"{path}: the name of label {key} is {str(name)[:40]!r}, not text.")
+        names[int(number)] = name or None
+    return names
+
+
+SLOPE = 0.1
+"""`Likelihood.depth_slope` for networks: they err by a tenth of the depth, a frame's readings alike."""
+_METRIC = ("metres", "log metres")
+_RELATIVE = ("inverse", "relative")
+_MEND = (
+    "relative depth has no scale; take a network of metric depth, such as one trained for indoor "
+    "metres, or make metres of it"
+)
+
+
+@runtime_checkable
+class DepthEstimator(Protocol):
+    """Anything that tells from one image how far off each pixel is."""
+
+    @property
+    def metric(self) -> bool:
+        """Whether it gives metres, not depth up to a scale."""
+
+    def depth(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Depth (h, w) along the optical axis [m] of an image (H, W, 3) sRGB; NaN: not known."""
+
+    def size(self, width: int, height: int) -> tuple[int, int]:
+        """Width and height of the depth of images of a width and height [px]."""
+
+
+def measured(capture: Capture, estimator: DepthEstimator) -> Capture:
+    """Capture without depth images whose depth is what an estimator says of its colours.
+
+    Images are measured when their depth is asked for; the last 64 are kept. A network errs more than
+    a sensor: localize with ``Likelihood(depth_slope=SLOPE)`` and ``RefineOptions(depth=False)``.
+    Raises `OptionError` where the capture has depth of its own, or the estimator's is relative; reading
+    depth does where its answer is not what it said.
+    """
+    if capture.depth_camera is not None:
+        raise OptionError(
+            "capture: its frames have depth of their own, which is truer; leave out the network."
+        )
+    if not estimator.metric:
+        raise OptionError(f"estimator: its {_MEND}.")
+    size = estimator.size(capture.camera.width, capture.camera.height)
+    cameras = [frame.camera.resized(*size) for frame in capture.frames]  # some refocus
+    wanted = size[1], size[0]
+
+    def answer(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
+        said = np.asarray(estimator.depth(rgb))
+        if said.shape != wanted or said.dtype.kind != "f":
+            raise OptionError(
+                f"estimator: depth is {said.dtype} {said.shape}; it promised fractions {wanted}."
+            )
+        metres = said.astype(np.float32)
+        return np.where(np.isfinite(metres) & (metres > 0), metres, np.float32(np.nan))
+
+    frames = tuple(
+        replace(frame, depth_camera=camera, images=images)
+        for frame, camera, images in zip(
+            capture.frames, cameras, answered(capture, "depth", answer), strict=True
+        )
+    )
+    return replace(capture, frames=frames, depth_camera=cameras[0])
+
+
+def depth_network(
+    weights: str | PathLike[str],
+    form: str | PathLike[str] | None = None,
+    *,
+    threads: int | None = None,
+) -> TfliteDepth:
+    """Estimator of a .tflite file: one image (1, h, w, 3) in, one depth a pixel out.
+
+    Parameters
+    ----------
+    weights
+        The model: its input's size and quantisation stand in it.
+    form
+        JSON file of what does not stand in it: `{"gives": "metres", "mean": [0.485, 0.456, 0.406],
+        "deviation": [0.229, 0.224, 0.225]}`. `gives` is "metres" or "log metres" (natural); `mean`
+        and `deviation` are of colours from 0 to 1, and 0.5 if left out. The model's name with
+        `.json` if not given.
+    threads
+        Of the processor; as many as it has if not given.
+
+    Raises
+    ------
+    InputError
+        A file is missing or not what it should be, the model has another form, or gives relative
+        depth.
+    MissingExtraError
+        ai-edge-litert is not installed.
+
+    """
+    weights = Path(weights)
+    gives, mean, deviation = _form(weights.with_suffix(".json") if form is None else Path(form))
+    return TfliteDepth(ImageNetwork(weights, threads, mean, deviation), log=gives == "log metres")
+
+
+class TfliteDepth:
+    """Metric depth by a model that is held in memory; made by `depth_network`. For one thread at a time."""
+
+    metric = True
+
+    def __init__(self, network: ImageNetwork, *, log: bool) -> None:
+        self._network = network
+        self._log = log
+        channels = network.shape[3:] or (1,)
+        if channels != (1,):
+            raise InputError(
+                f"{network.weights} gives {channels[0]} numbers a pixel; a depth network gives one."
+            )
+
+    def size(self, width: int, height: int) -> tuple[int, int]:
+        """Width and height [px] of the depth of images of this width and height [px]."""
+        return self._network.size(width, height)
+
+    def depth(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Depth (h, w) float32 [m] of an image (H, W, 3) uint8 sRGB, `size` large."""
+        values = self._network.values(self._network(rgb)[..., 0])
+        with np.errstate(over="ignore"):  # too far to be a number: not known
+            metres: NDArray[np.float32] = np.exp(values) if self._log else values
+        return np.where(np.isfinite(metres) & (metres > 0), metres, np.float32(np.nan))
+
+
+def _form(path: Path) -> tuple[str, tuple[float, ...], tuple[float, ...]]:
+    """What a network gives, and mean and deviation (3,) of the colours that it takes."""
+    example = '{"gives": "metres", "mean": [0.5, 0.5, 0.5], "deviation": [0.5, 0.5, 0.5]}'
+    if not path.exists():
+        raise InputError(f"{path} does not exist; say there what the network gives: {example}.")
+    content = read_json(path)
+    if not isinstance(content, dict) or set(content) - {"gives", "mean", "deviation"}:
+        raise InputError(f"{path} must be a JSON object like {example}.")
+    gives = content.get("gives")
+    if gives in _RELATIVE:
+        raise InputError(f"{path}: gives is {gives!r}; {_MEND}.")
+    if gives not in _METRIC:
+        raise InputError(f"{path}: gives is {gives!r}; it is 'metres' or 'log metres'.")
+    mean, deviation = (
+        _three(path, name, content.get(name, [0.5] * 3)) for name in ("mean", "deviation")
+    )
+    if min(deviation) <= 0:
+        raise InputError(f"{path}: deviation is {list(deviation)}; it must be greater than 0.")
+    return str(gives), mean, deviation
+
+
+def _three(path: Path, name: str, given: Any) -> tuple[float, ...]:  # noqa: ANN401  # of JSON
+    numbers = given if isinstance(given, list) else []
+    true = [isinstance(n, int | float) and np.isfinite(n) for n in numbers]
+    if len(true) != 3 or not all(true):
+        raise InputError(f"{path}: {name} is {str(given)[:40]}; it is three numbers, red first.")
+    return tuple(float(n) for n in numbers)
