@@ -15,8 +15,7 @@ import placegraph as pg
 from placegraph.core.mapfile import writing
 from placegraph.errors import InputError, MapLockedError, OptionError, PlacegraphError
 from placegraph.indoor.build import build_scene, scene_of_model
-from placegraph.indoor.map.detail import Detail
-from placegraph.indoor.map.textures import linear_from_srgb, srgb_from_linear
+from placegraph.indoor.map.textures import Detail, linear_from_srgb, srgb_from_linear
 from placegraph.indoor.mapping.from_capture import FromCapture
 from placegraph.io.mesh.gltf import Z_UP
 from placegraph.io.mesh.model import Picture

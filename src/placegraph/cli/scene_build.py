@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from placegraph.indoor.encode import Encoder
-    from placegraph.indoor.map.detail import Detail
+    from placegraph.indoor.map.textures import Detail
     from placegraph.indoor.mapping.check import Finding
     from placegraph.indoor.mapping.from_capture import FromCapture
     from placegraph.indoor.scene_map import SceneMap
@@ -186,7 +186,7 @@ def _summary(
 def _detail(name: str, error: float | None, texel: float | None) -> Detail:
     from dataclasses import replace
 
-    from placegraph.indoor.map.detail import detail_named
+    from placegraph.indoor.map.textures import detail_named
 
     detail = detail_named(name)
     if error is not None:

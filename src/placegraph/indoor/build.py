@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from placegraph.core.files import real_path
 from placegraph.errors import InputError, OptionError
-from placegraph.indoor.map.detail import Detail, detail_named
 from placegraph.indoor.map.floor import floor_height, is_floor
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.relations import MOST_OBJECTS, SAME_ROOM, relate
 from placegraph.indoor.map.rooms import with_rooms
 from placegraph.indoor.map.scene_file import near_box
+from placegraph.indoor.map.textures import Detail, detail_named
 from placegraph.indoor.mapping.clean import check, cleaned, in_metres, reduced, upright
 from placegraph.indoor.mapping.from_capture import FromCapture, Progress, Source
 from placegraph.indoor.mapping.sources import Reading, Up, read_source

@@ -242,7 +242,7 @@ class SceneMap(Shown, Scene):
         lower end above the ellipsoid and how `tall` it is [m]. Raises `GeoPoseError` where the map
         is not anchored.
         """
-        from placegraph.indoor.map.features import features
+        from placegraph.indoor.map.scene import features
 
         return features(self)
 

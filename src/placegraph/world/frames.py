@@ -26,7 +26,7 @@ from placegraph.indoor.library.localize import (
 )
 from placegraph.indoor.library.options import SearchOptions
 from placegraph.indoor.map.floor import storey_at
-from placegraph.indoor.map.rooms.naming import room_at
+from placegraph.indoor.map.rooms import room_at
 from placegraph.indoor.pose.query import chosen_frames
 from placegraph.world.estimate import WorldEstimate, WorldMode
 from placegraph.world.floors import ratio_of

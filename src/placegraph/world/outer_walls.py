@@ -12,8 +12,8 @@ from placegraph.core.features import nested
 from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
 from placegraph.indoor.map.floor import label_words
+from placegraph.indoor.map.map_kernels import nearest
 from placegraph.indoor.map.rooms import rooms_of
-from placegraph.indoor.map.rooms.rooms_kernels import nearest
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.mapping.osm_export import ends_of
 from placegraph.indoor.mapping.osm_rooms import off_segments

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.geometry import Floats, rotation_z
-from placegraph.indoor.map.rooms.rooms_kernels import nearest
+from placegraph.indoor.map.map_kernels import nearest
 from placegraph.indoor.mapping.osm_rooms import off_segments
 from placegraph.world.footprints import Footprint, within
 from placegraph.world.outer_walls import DOOR, WINDOW, OuterWalls

@@ -8,8 +8,8 @@ import pytest
 from placegraph.indoor.language import read
 from placegraph.indoor.language.prior import WRONG, evidence, prior, unused
 from placegraph.indoor.language.sight_kernels import look_around_for, look_for, turned, vote_rooms
-from placegraph.indoor.map.panoramas import range_of
-from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, ELEVATIONS, STEP
+from placegraph.indoor.map.free_space import range_of
+from placegraph.indoor.map.map_kernels import AZIMUTHS, ELEVATIONS, STEP
 from placegraph.indoor.options import FilterOptions
 
 
@@ -148,7 +148,7 @@ def test_a_pose_is_told_why(flat, table):
 def test_a_table_without_positions(flat, table):
     from dataclasses import replace
 
-    from placegraph.indoor.map.panoramas_kernels import Panoramas
+    from placegraph.indoor.map.map_kernels import Panoramas
 
     none = replace(
         table, positions=table.positions[:0], panoramas=Panoramas(*(a[:0] for a in table.panoramas))

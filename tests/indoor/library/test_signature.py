@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from placegraph.errors import MapError, OptionError
 from placegraph.indoor.encode import encoder
 from placegraph.indoor.library.signature import APART, BANDS, TURNS, coarse, far_apart, signature_of
-from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, ELEVATIONS
+from placegraph.indoor.map.map_kernels import AZIMUTHS, ELEVATIONS
 
 LABELS = encoder("labels")
 

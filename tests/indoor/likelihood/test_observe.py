@@ -12,7 +12,7 @@ from placegraph.indoor.encode import Patches
 from placegraph.indoor.likelihood.model import model_of
 from placegraph.indoor.likelihood.observe import sight, views
 from placegraph.indoor.likelihood.view import Background
-from placegraph.indoor.map.surface_kernels import opponent
+from placegraph.indoor.map.map_kernels import opponent
 from placegraph.indoor.options import FilterOptions, Likelihood
 from placegraph.io.capture.frame import Frame
 

@@ -21,9 +21,8 @@ from placegraph.indoor.likelihood.score_kernels import (
     score_poses,
 )
 from placegraph.indoor.likelihood.view import View
-from placegraph.indoor.map.mesh import Mesh
-from placegraph.indoor.map.surface import Surface
-from placegraph.indoor.map.surface_kernels import colour_at, opponent
+from placegraph.indoor.map.map_kernels import colour_at, opponent
+from placegraph.indoor.map.mesh import Mesh, Surface
 from placegraph.indoor.options import FilterOptions, Likelihood
 from placegraph.indoor.rays import RayCaster
 from placegraph.indoor.rays.embree import obstacle

@@ -13,11 +13,17 @@ from placegraph.indoor.likelihood.model import model_of
 from placegraph.indoor.likelihood.observe import sight, views
 from placegraph.indoor.likelihood.view import View
 from placegraph.indoor.likelihood.visibility import build_table, floor_under
-from placegraph.indoor.map import free
+from placegraph.indoor.map import free_space as free
+from placegraph.indoor.map.free_space import HIGHEST, range_of
+from placegraph.indoor.map.map_kernels import (
+    AZIMUTHS,
+    ELEVATIONS,
+    HEADINGS,
+    STEP,
+    colour_at,
+    opponent,
+)
 from placegraph.indoor.map.mesh import Mesh
-from placegraph.indoor.map.panoramas import HIGHEST, range_of
-from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, ELEVATIONS, HEADINGS, STEP
-from placegraph.indoor.map.surface_kernels import colour_at, opponent
 from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.options import STANDING, FilterOptions, Likelihood
 from placegraph.indoor.pose.motion import level_poses

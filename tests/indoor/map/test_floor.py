@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 from placegraph.indoor.build import scene_of_model
-from placegraph.indoor.map.floor import floor_height, is_floor, label_words
+from placegraph.indoor.map.floor import (
+    floor_height,
+    is_floor,
+    label_words,
+    nameless,
+    same_label,
+    structure,
+)
 from placegraph.indoor.map.mesh import Mesh
 
 ROOM = {
@@ -112,3 +119,23 @@ def test_the_shared_house(shared):
     nameless = replace(model, things=tuple(replace(t, label="thing") for t in model.things))
     assert height(nameless) == pytest.approx(0.0, abs=0.01)
     assert scene_of_model(model).floors.tolist() == [0.0]
+
+
+def test_the_last_word_says_what_is_built_in():
+    assert structure(["HouseWall", "wall clock", "floor", "", "RoomWindow"]).tolist() == [
+        True, False, True, False, True,
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("label", ["", "unknown", "Object", "object 3", "17", "Mesh_01", "none"])
+def test_words_that_name_nothing(label):
+    assert nameless(label)
+    assert same_label(label, "chair")
+    assert same_label("chair", label)
+
+
+@pytest.mark.parametrize("label", ["chair", "unknown chair", "other furniture", "椅子"])
+def test_words_that_do(label):
+    assert not nameless(label)
+    assert same_label(label, label.upper())
+    assert not same_label(label, "lamp")

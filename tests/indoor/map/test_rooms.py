@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
+from placegraph.indoor.map.map_kernels import areas_within, nearest, pieces
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.rooms import rooms_of, with_rooms
-from placegraph.indoor.map.rooms.rooms_kernels import areas_within, nearest, pieces
 from placegraph_lab.worlds.flat.flat import Flat
 
 HEIGHT = 2.6

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from placegraph.core.geo import Anchor
-from placegraph.indoor.map.rooms.naming import room_at
+from placegraph.indoor.map.rooms import room_at
 from placegraph.indoor.mapping.merge import merge_scenes
 
 HERE = Anchor(

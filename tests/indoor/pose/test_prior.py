@@ -5,7 +5,7 @@ import pytest
 
 from placegraph.core.estimate import Status
 from placegraph.errors import OptionError
-from placegraph.indoor.map.panoramas_kernels import AZIMUTHS
+from placegraph.indoor.map.map_kernels import AZIMUTHS
 from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.pose.prior import Leaning

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from placegraph.core.geometry import Camera, Floats
 from placegraph.indoor.encode.labels import GRID
 from placegraph.indoor.likelihood.visibility import VisibilityTable
-from placegraph.indoor.map.panoramas import HIGHEST
-from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, ELEVATIONS, NOTHING, STEP
+from placegraph.indoor.map.free_space import HIGHEST
+from placegraph.indoor.map.map_kernels import AZIMUTHS, ELEVATIONS, NOTHING, STEP
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.options import STANDING, FilterOptions
 from placegraph.io.capture.capture import Capture

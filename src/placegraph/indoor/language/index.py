@@ -16,10 +16,8 @@ from placegraph.core.graph import SceneGraph
 from placegraph.errors import OptionError
 from placegraph.indoor.language.appearance import COLUMNS, room_seen, seen
 from placegraph.indoor.language.likeness import EXACT, fits, kind_by_name, kinds_of, likenesses
-from placegraph.indoor.map.floor import label_words
-from placegraph.indoor.map.relations import NEXT_TO, SAME_ROOM
-from placegraph.indoor.map.relations.words import canonical
-from placegraph.indoor.map.structure import WORDS, nameless
+from placegraph.indoor.map.floor import WORDS, label_words, nameless
+from placegraph.indoor.map.relations import NEXT_TO, SAME_ROOM, canonical
 
 Floats = NDArray[np.float64]
 

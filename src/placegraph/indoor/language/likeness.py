@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from placegraph.indoor.encode.words import vector
 from placegraph.indoor.map.floor import label_words
-from placegraph.indoor.map.relations.words import forms, same_thing
+from placegraph.indoor.map.relations import forms, same_thing
 
 LEAST = 0.5
 """Cosine of words that are no kin any more (`encode.words`: 0.64 of two kinds of a thing)."""

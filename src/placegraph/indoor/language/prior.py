@@ -23,10 +23,9 @@ from placegraph.indoor.language.score import sayings
 from placegraph.indoor.language.sentence import Kind, Sentence, Statement
 from placegraph.indoor.language.sight_kernels import look_around_for, look_for, turned, vote_rooms
 from placegraph.indoor.likelihood.visibility import VisibilityTable
-from placegraph.indoor.map.panoramas import HIGHEST, range_of
-from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, ELEVATIONS, STEP
-from placegraph.indoor.map.refs import ref
-from placegraph.indoor.map.scene import Scene
+from placegraph.indoor.map.free_space import HIGHEST, range_of
+from placegraph.indoor.map.map_kernels import AZIMUTHS, ELEVATIONS, STEP
+from placegraph.indoor.map.scene import Scene, ref
 from placegraph.language.text import Ignored
 
 Floats = NDArray[np.float32]

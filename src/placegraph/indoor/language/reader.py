@@ -9,7 +9,7 @@ from placegraph.indoor.language.appearance import is_look, leading, looks, trail
 from placegraph.indoor.language.grammar import Clause, Item, Noun, Where, chunks, clauses, parse
 from placegraph.indoor.language.likeness import room_kind
 from placegraph.indoor.language.sentence import ME, Kind, Mention, Sentence, Statement
-from placegraph.indoor.map.relations.words import same_thing
+from placegraph.indoor.map.relations import same_thing
 from placegraph.language.grammar import Chunk
 from placegraph.language.text import Ignored, check_text
 from placegraph.language.text import scan_text as scan

@@ -23,8 +23,7 @@ from placegraph.indoor.language.index import Columns, Described, columns_of, uni
 from placegraph.indoor.language.likeness import EXACT, fits, table, usual
 from placegraph.indoor.language.reader import read
 from placegraph.indoor.language.sentence import Kind, Mention, Sentence, Statement
-from placegraph.indoor.map.relations import NEXT_TO
-from placegraph.indoor.map.relations.words import readings
+from placegraph.indoor.map.relations import NEXT_TO, readings
 from placegraph.indoor.map.scene import Scene
 
 Floats = NDArray[np.float64]

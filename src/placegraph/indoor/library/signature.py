@@ -20,8 +20,8 @@ from placegraph.indoor.encode import Encoder, vectors_of
 from placegraph.indoor.language.appearance import with_colours
 from placegraph.indoor.language.index import Described, units
 from placegraph.indoor.likelihood.visibility import build_table
-from placegraph.indoor.map.panoramas import HIGHEST
-from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, ELEVATIONS
+from placegraph.indoor.map.free_space import HIGHEST
+from placegraph.indoor.map.map_kernels import AZIMUTHS, ELEVATIONS
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.options import STANDING, FilterOptions
 from placegraph.io.capture.capture import Capture

@@ -17,7 +17,7 @@ from placegraph.core.mapfile import MapFile, pack_strings, read_map
 from placegraph.indoor.encode import Encoder
 from placegraph.indoor.library.index import distinct
 from placegraph.indoor.library.signature import BANDS, TURNS, Signature
-from placegraph.indoor.map.eight_bits import from_8_bits, in_8_bits
+from placegraph.indoor.map.scene import from_8_bits, in_8_bits
 
 KIND = "library"
 VERSION = 1

@@ -7,7 +7,7 @@ import numpy as np
 
 from placegraph.core.jit import kernel
 from placegraph.core.threads import share
-from placegraph.indoor.map.surface_kernels import colour_at, opponent
+from placegraph.indoor.map.map_kernels import colour_at, opponent
 from placegraph.indoor.rays.layout import DIRECTION, FAR, LANES, ORIGIN, TRIANGLE, U, V
 from placegraph.indoor.rays.packets_kernels import new_packet, trace16
 

@@ -20,9 +20,17 @@ from placegraph.errors import OptionError
 from placegraph.indoor.likelihood.calibrated import TEMPERATURE, reading_ratio
 from placegraph.indoor.likelihood.score_kernels import COLOUR, DEPTH, SEMANTIC
 from placegraph.indoor.likelihood.view import Background, Noise, View
-from placegraph.indoor.map.free import free, grid_of, likely, nearest_scene
-from placegraph.indoor.map.panoramas import DIRECTIONS, HIGHEST, as_bytes, range_of
-from placegraph.indoor.map.panoramas_kernels import (
+from placegraph.indoor.map.free_space import (
+    DIRECTIONS,
+    HIGHEST,
+    as_bytes,
+    free,
+    grid_of,
+    likely,
+    nearest_scene,
+    range_of,
+)
+from placegraph.indoor.map.map_kernels import (
     AZIMUTHS,
     ELEVATIONS,
     FARTHEST,

@@ -1,8 +1,8 @@
-"""A scene: one scene graph of objects with one coarse mesh, and what follows from these."""
+"""Scene: one scene graph of objects with one coarse mesh, landmarks, and quantities derived from them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Self, TypeVar
@@ -10,19 +10,109 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from placegraph.core.geo import Anchor, ranked
+from placegraph.core.evidence import ObjectRef
+from placegraph.core.features import areas, collection, feature
+from placegraph.core.geo import Anchor, ranked, unplaced
 from placegraph.core.graph import SceneGraph
+from placegraph.core.mapfile import MapFile
 from placegraph.core.pickling import Portable, made_again
 from placegraph.errors import OptionError
 from placegraph.indoor.map import textures
-from placegraph.indoor.map.eight_bits import from_8_bits, in_8_bits
-from placegraph.indoor.map.landmarks import Landmarks
-from placegraph.indoor.map.mesh import WHITE, Mesh
-from placegraph.indoor.map.mesh_order import ordered
+from placegraph.indoor.map.mesh import WHITE, Mesh, Surface, ordered
 
 if TYPE_CHECKING:
-    from placegraph.indoor.map.surface import Surface
     from placegraph.indoor.rays import RayCaster
+
+
+def in_8_bits(vectors: NDArray[np.float32]) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
+    """Whole numbers (N, E) from -127 to 127 and scales (N,) whose product is near vectors (N, E).
+
+    Off by at most 1/250 of a vector's largest entry; doing it again changes nothing.
+    """
+    most = np.abs(vectors).max(axis=1, initial=0.0).astype(np.float64)
+    mantissa, exponent = np.frexp(most / 127.0)
+    # few bits, so that products are exact
+    scales = np.ldexp(np.ceil(mantissa * 4096.0) / 4096.0, exponent).astype(np.float32)
+    divisor = np.where(scales > 0, scales, np.float32(1.0))
+    return np.rint(vectors / divisor[:, None]).astype(np.int8), scales
+
+
+def from_8_bits(numbers: NDArray[np.int8], scales: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Vectors (N, E) of `in_8_bits`."""
+    return numbers.astype(np.float32) * scales[:, None]
+
+
+MOST_LANDMARKS = 20_000
+"""Largest number of landmarks of a scene."""
+WIDTH = 32
+"""Numbers of a descriptor."""
+GRAIN = 0.0005
+"""Step of a map file's coordinates [m]."""
+_UNIT = 127.0
+_CELL = 0.5  # neighbours in the file are neighbours in space [m]: differences compress
+
+
+@dataclass(frozen=True, eq=False)
+class Landmarks(Portable):
+    """L points with compact descriptors, as `placegraph.indoor.refine.landmarks` makes them."""
+
+    points: NDArray[np.float32]
+    """(L, 3) [m, map], in whole steps of `GRAIN`."""
+    vectors: NDArray[np.int8]
+    """(L, WIDTH) unit vectors times 127."""
+
+    def __post_init__(self) -> None:
+        shapes, count = (self.points.shape, self.vectors.shape), len(self.points)
+        if shapes != ((count, 3), (count, WIDTH)) or not np.isfinite(self.points).all():
+            raise OptionError(f"landmarks: shapes {shapes}; finite (L, 3) and (L, {WIDTH}) belong.")
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    @classmethod
+    def of(cls, points: ArrayLike, vectors: ArrayLike) -> Landmarks:
+        """Landmarks at points (L, 3) [m] with unit vectors (L, WIDTH), brought into the file's order."""
+        points = np.asarray(points, np.float64).reshape(-1, 3)
+        steps = np.rint(points / GRAIN)
+        order = np.lexsort((*steps.T, *np.floor(points / _CELL).T))
+        rounded = np.rint(np.asarray(vectors, np.float64).reshape(-1, WIDTH) * _UNIT)
+        return cls((steps[order] * GRAIN).astype(np.float32), rounded[order].astype(np.int8))
+
+    @cached_property
+    def unit_vectors(self) -> NDArray[np.float32]:
+        """(L, WIDTH) float32."""
+        numbers = self.vectors.astype(np.float32)
+        return numbers / np.maximum(np.linalg.norm(numbers, axis=1, keepdims=True), 1.0)
+
+    def moved(self, shift: ArrayLike) -> Landmarks:
+        """The same, shifted by (3,) [m]."""
+        points = self.points.astype(np.float64) + np.asarray(shift, np.float64)
+        return Landmarks(points.astype(np.float32), self.vectors)
+
+    @staticmethod
+    def joined(parts: Sequence[Landmarks | None]) -> Landmarks | None:
+        """Those of several scenes; None where none has any."""
+        known = [part for part in parts if part is not None]
+        if not known:
+            return None
+        return Landmarks(
+            np.concatenate([part.points for part in known]),
+            np.concatenate([part.vectors for part in known]),
+        )
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Columns of a map file."""
+        steps = np.rint(self.points.astype(np.float64) / GRAIN).astype(np.int32)
+        return {"landmark_points": steps, "landmark_vectors": self.vectors}
+
+    @classmethod
+    def read(cls, file: MapFile) -> Landmarks | None:
+        """Landmarks of a map file's columns; None of a file that has none."""
+        if not {"landmark_points", "landmark_vectors"} & set(file.arrays):
+            return None
+        steps = file.array("landmark_points", "<i4", 2).astype(np.float64)
+        return cls((steps * GRAIN).astype(np.float32), file.array("landmark_vectors", "|i1", 2))
+
 
 T = TypeVar("T")
 S = TypeVar("S", bound="Scene")
@@ -191,8 +281,6 @@ class Scene(Portable):
     @cached_property
     def surface(self) -> Surface:
         """The mesh as compiled code reads it; made on first use."""
-        from placegraph.indoor.map.surface import Surface
-
         return Surface.of(self.mesh)
 
     @cached_property
@@ -283,3 +371,39 @@ def graph_of(
         relations=tuple(r for _, r, _ in relations),
         targets=np.array([t for _, _, t in relations], np.int64),
     )  # fmt: skip
+
+
+def ref(scene: Scene, row: int) -> ObjectRef:
+    """Object in this row; its place is that of the likeliest anchor."""
+    graph = scene.graph
+    anchors = scene.anchors_of(scene.scenes[scene.scene_of[row]])
+    place = anchors[0].to_earth(graph.positions[row])[:2].tolist() if anchors else ()
+    name = graph.names[row] if graph.names else ""
+    return ObjectRef(graph.ids[row], graph.labels[row], name, *place)
+
+
+_RING = np.array([(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)])
+
+
+def features(scene: Scene) -> dict[str, Any]:
+    """FeatureCollection of a map's objects: `SceneMap.to_geojson` says more."""
+    return collection(_objects(scene))
+
+
+def _objects(scene: Scene) -> Iterator[dict[str, Any]]:
+    graph, mesh = scene.graph, scene.mesh
+    boxes = mesh.object_bounds(len(graph))
+    for row, (low, high) in enumerate(boxes):
+        name = scene.scenes[scene.scene_of[row]]
+        anchors = scene.anchors_of(name)
+        if not anchors:
+            raise unplaced(name)
+        corners = np.where(_RING, high[:2], low[:2])
+        there = anchors[0].to_earth(np.column_stack([corners, np.full(len(_RING), low[2])]))
+        said = {
+            "id": graph.ids[row], "label": graph.labels[row], "name": graph.names[row],
+            "room": scene.attributes[row].get("room", ""), "scene": name,
+            "level": anchors[0].level, "building": anchors[0].building,
+            "height": round(float(there[0, 2]), 3), "tall": round(float(high[2] - low[2]), 3),
+        }  # fmt: skip
+        yield feature(areas([there[:, :2]]), said)

@@ -14,11 +14,8 @@ from placegraph.core.geo import Anchor
 from placegraph.core.graph import SceneGraph
 from placegraph.core.mapfile import MapFile, pack_strings, read_header, read_map, sound, write_map
 from placegraph.indoor.map import textures
-from placegraph.indoor.map.eight_bits import from_8_bits, in_8_bits
-from placegraph.indoor.map.landmarks import MOST, Landmarks
-from placegraph.indoor.map.mesh import Mesh
-from placegraph.indoor.map.mesh_order import from_high_water, high_water
-from placegraph.indoor.map.scene import S, Scene
+from placegraph.indoor.map.mesh import Mesh, from_high_water, high_water
+from placegraph.indoor.map.scene import MOST_LANDMARKS, Landmarks, S, Scene, from_8_bits, in_8_bits
 
 KIND = "scene"
 VERSION = 2
@@ -60,8 +57,10 @@ def _sound(scene: S) -> S:
     scenes = len(scene.scenes)
     if len(scene.viewpoints) > VIEWPOINTS * scenes:
         raise ValueError(f"viewpoints: {len(scene.viewpoints):,}; at most {VIEWPOINTS} a scene")
-    if len(scene.landmarks or ()) > MOST * scenes:
-        raise ValueError(f"landmarks: {len(scene.landmarks or ()):,}; at most {MOST:,} a scene")
+    if len(scene.landmarks or ()) > MOST_LANDMARKS * scenes:
+        raise ValueError(
+            f"landmarks: {len(scene.landmarks or ()):,}; at most {MOST_LANDMARKS:,} a scene"
+        )
     slack = np.array([[-CENTIMETRE], [CENTIMETRE]])  # both were rounded
     if not near_box(scene.viewpoints, scene.bounds + slack).all():
         raise ValueError(f"viewpoints: some lie more than {FAR:.0f} m outside the mesh")

@@ -12,11 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.indoor.likelihood.visibility import visibility
-from placegraph.indoor.map.floor import LEVEL, is_floor, label_words, labelled_floors, quantiles
-from placegraph.indoor.map.panoramas import DIRECTIONS
+from placegraph.indoor.map.floor import (
+    LEVEL,
+    is_floor,
+    label_words,
+    labelled_floors,
+    nameless,
+    quantiles,
+    structure,
+)
+from placegraph.indoor.map.free_space import DIRECTIONS
 from placegraph.indoor.map.relations import MOST_OBJECTS
 from placegraph.indoor.map.scene import Scene
-from placegraph.indoor.map.structure import nameless, structure
 from placegraph.indoor.options import FilterOptions
 
 Severity = Literal["error", "warning", "note"]

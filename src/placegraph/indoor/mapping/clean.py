@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from placegraph.errors import InputError
 from placegraph.indoor.map import textures
-from placegraph.indoor.map.detail import Detail
 from placegraph.indoor.map.floor import is_floor
 from placegraph.indoor.map.mesh import GRAIN, UV_GRAIN, Mesh, portions
+from placegraph.indoor.map.textures import Detail
 from placegraph.indoor.mapping.atlas.bake import ColourOf
 from placegraph.indoor.mapping.simplify import simplify
 from placegraph.io.mesh.gltf import Z_UP

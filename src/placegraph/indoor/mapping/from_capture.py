@@ -16,8 +16,8 @@ from placegraph.core.geo import Anchor
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.encode.networks import Segmenter
 from placegraph.indoor.map.floor import floor_height
-from placegraph.indoor.map.landmarks import Landmarks
 from placegraph.indoor.map.mesh import Mesh
+from placegraph.indoor.map.scene import Landmarks
 from placegraph.indoor.map.scene_file import VIEWPOINTS
 from placegraph.io.capture.capture import Capture, format_of
 from placegraph.io.mesh.model import Model, Picture, Thing

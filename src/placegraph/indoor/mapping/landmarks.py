@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from placegraph.core.geometry import Floats
 from placegraph.core.threads import processors
 from placegraph.indoor.likelihood.observe import spread
-from placegraph.indoor.map.landmarks import MOST, WIDTH, Landmarks
+from placegraph.indoor.map.scene import MOST_LANDMARKS, WIDTH, Landmarks
 from placegraph.indoor.refine.landmarks import LARGEST, features_of, finder
 from placegraph.io.capture.frame import Frame
 
@@ -64,7 +64,7 @@ def landmarks_of(
     poses: Floats,
     progress: Callable[[int, int], None] | None = None,
 ) -> Landmarks:
-    """At most `MOST` landmarks of RGB-D frames with poses (T, 4, 4), map_from_camera.
+    """At most `MOST_LANDMARKS` landmarks of RGB-D frames with poses (T, 4, 4), map_from_camera.
 
     Those are kept that each frame shows best: seen often, by frames all over the capture. Raises
     `MissingExtraError` where OpenCV is not installed.
@@ -227,5 +227,5 @@ def _chosen(track: _Track, counts: NDArray[np.int64], missed: Floats) -> NDArray
     first = np.searchsorted(frame, frame)
     place = np.full(len(counts), len(track.frame))
     np.minimum.at(place, landmark, np.arange(len(frame)) - first)
-    rows = np.lexsort((place, worth == 0))[:MOST]
+    rows = np.lexsort((place, worth == 0))[:MOST_LANDMARKS]
     return rows[worth[rows] > 0]

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from placegraph.core.graph import SceneGraph
 from placegraph.errors import OptionError
-from placegraph.indoor.map.landmarks import Landmarks
 from placegraph.indoor.map.mesh import Mesh
-from placegraph.indoor.map.scene import S, Scene
+from placegraph.indoor.map.scene import Landmarks, S, Scene
 
 GAP = 2.0
 """Free space between the boxes of neighbouring scenes [m]."""

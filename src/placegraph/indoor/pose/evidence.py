@@ -14,8 +14,7 @@ from placegraph.indoor.likelihood.calibrated import reading_ratio
 from placegraph.indoor.likelihood.score import Scorer
 from placegraph.indoor.likelihood.score_kernels import COLOUR, DEPTH, SEMANTIC, TONE, look
 from placegraph.indoor.likelihood.view import View
-from placegraph.indoor.map.refs import ref
-from placegraph.indoor.map.scene import Scene
+from placegraph.indoor.map.scene import Scene, ref
 from placegraph.indoor.pose.trust import SPEAK, TELLING, TRUST
 
 _MOST = 12  # objects named

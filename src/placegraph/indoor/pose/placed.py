@@ -7,7 +7,7 @@ from dataclasses import replace
 from placegraph.core.estimate import PoseEstimate, PoseMode
 from placegraph.core.geo import EarthPose
 from placegraph.indoor.map.floor import storey_at
-from placegraph.indoor.map.rooms.naming import room_at
+from placegraph.indoor.map.rooms import room_at
 from placegraph.indoor.map.scene import Scene
 
 

@@ -12,7 +12,7 @@ from placegraph.core.estimate import Evidence
 from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
 from placegraph.indoor.likelihood.visibility import VisibilityTable
-from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, STEP
+from placegraph.indoor.map.map_kernels import AZIMUTHS, STEP
 from placegraph.indoor.map.scene import Scene
 
 if TYPE_CHECKING:

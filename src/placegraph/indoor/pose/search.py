@@ -14,7 +14,7 @@ from placegraph.errors import OptionError
 from placegraph.indoor.likelihood.observe import COARSE, spread
 from placegraph.indoor.likelihood.view import Noise, View
 from placegraph.indoor.likelihood.visibility import VisibilityTable, floor_under
-from placegraph.indoor.map.panoramas_kernels import AZIMUTHS, HEADINGS
+from placegraph.indoor.map.map_kernels import AZIMUTHS, HEADINGS
 from placegraph.indoor.pose.particles import distinct
 from placegraph.indoor.pose.prior import Leaning, Prior
 from placegraph.indoor.pose.window import Window, timed

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from placegraph.core.geometry import Floats, split_pose, vector_from_rotation
 from placegraph.errors import MissingExtraError
 from placegraph.indoor.likelihood.observe import spread
-from placegraph.indoor.map.landmarks import WIDTH, Landmarks
+from placegraph.indoor.map.scene import WIDTH, Landmarks
 from placegraph.indoor.pose.window import Window, timed
 from placegraph.indoor.refine.check import held_back, likely
 from placegraph.indoor.refine.match import Consensus, Sights, smaller, solve_rig

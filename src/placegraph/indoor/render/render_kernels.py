@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.jit import kernel
-from placegraph.indoor.map.surface import Surface  # mypy reads the fields
+from placegraph.indoor.map.mesh import Surface  # mypy reads the fields
 from placegraph.indoor.rays.layout import DIRECTION, FAR, LANES, ORIGIN, TRIANGLE
 from placegraph.indoor.rays.packets_kernels import Tracer, new_packet, trace16
 from placegraph.indoor.render.shade_kernels import FAST, HALF, ONE, cross, shade, steps

@@ -9,7 +9,7 @@ import pytest
 from placegraph.core.geometry import rotation_z
 from placegraph.errors import OptionError
 from placegraph.indoor.build import build_scene
-from placegraph.indoor.map.structure import structure
+from placegraph.indoor.map.floor import structure
 from placegraph.indoor.mapping.change.align import moved, rigid
 from placegraph.indoor.mapping.change.changes import DiffOptions
 from placegraph.indoor.mapping.change.diff import diff

@@ -9,7 +9,7 @@ from placegraph.core.geo import Anchor
 from placegraph.core.geometry import rotation_z
 from placegraph.errors import MapError, OptionError
 from placegraph.indoor.build import build_scene
-from placegraph.indoor.map.structure import structure
+from placegraph.indoor.map.floor import structure
 from placegraph.indoor.mapping.change.align import moved, rigid
 from placegraph.indoor.mapping.change.changes import Change, Piece, SceneDiff
 from placegraph.indoor.mapping.change.diff import diff

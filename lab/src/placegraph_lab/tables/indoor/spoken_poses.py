@@ -15,8 +15,7 @@ import numpy as np
 from numpy.random import Generator
 
 from placegraph.core.geometry import Floats, split_pose
-from placegraph.indoor.map.floor import label_words
-from placegraph.indoor.map.structure import WORDS, nameless
+from placegraph.indoor.map.floor import WORDS, label_words, nameless
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor.metrics import NEAR, Answer, measure

@@ -25,9 +25,8 @@ from numpy.typing import NDArray
 from placegraph.core.estimate import Status
 from placegraph.core.geo import Anchor
 from placegraph.core.geometry import Camera, LocalPlane, vector_from_rotation
-from placegraph.indoor.map.floor import label_words
-from placegraph.indoor.map.rooms.naming import room_at
-from placegraph.indoor.map.structure import structure
+from placegraph.indoor.map.floor import label_words, structure
+from placegraph.indoor.map.rooms import room_at
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture
 from placegraph.outdoor.city import build_city

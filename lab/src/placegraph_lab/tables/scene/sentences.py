@@ -19,9 +19,8 @@ from numpy.random import Generator
 
 from placegraph.core.graph import SceneGraph
 from placegraph.indoor.language import TextIndex, read
-from placegraph.indoor.map.floor import label_words
+from placegraph.indoor.map.floor import WORDS, label_words, nameless
 from placegraph.indoor.map.relations import SAME_ROOM
-from placegraph.indoor.map.structure import WORDS, nameless
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.runner import markdown, shares
 

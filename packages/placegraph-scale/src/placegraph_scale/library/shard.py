@@ -26,8 +26,7 @@ from placegraph.indoor.library.query import Query
 from placegraph.indoor.library.search import patch_weights, ratio
 from placegraph.indoor.library.search_kernels import held
 from placegraph.indoor.library.signature import Signature
-from placegraph.indoor.map.eight_bits import from_8_bits
-from placegraph.indoor.map.scene import Scene
+from placegraph.indoor.map.scene import Scene, from_8_bits
 from placegraph_scale.library.shard_check import check_scenes
 
 KIND, VERSION = "shard", 1

@@ -20,7 +20,7 @@ from placegraph.indoor.language.index import columns_of
 from placegraph.indoor.library.index import Index, units
 from placegraph.indoor.library.scenes import Entry
 from placegraph.indoor.library.signature_file import decoys
-from placegraph.indoor.map.eight_bits import in_8_bits
+from placegraph.indoor.map.scene import in_8_bits
 from placegraph_scale.library.shard import BESIDE, HEAD, KIND, VERSION, Shard, Usual
 from placegraph_scale.library.shards import SceneShards
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.jit import kernel
-from placegraph.indoor.map.surface_kernels import colour_at
+from placegraph.indoor.map.map_kernels import colour_at
 
 # mypy: allow-untyped-defs, allow-incomplete-defs
 

@@ -14,8 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from placegraph.core.geometry import Camera, Floats
 from placegraph.core.threads import processors, share
 from placegraph.errors import OptionError
-from placegraph.indoor.map.mesh import Mesh
-from placegraph.indoor.map.surface import Surface
+from placegraph.indoor.map.mesh import Mesh, Surface
 from placegraph.indoor.mapping.atlas.colour_kernels import (
     OBSERVED,
     Keyframes,

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from placegraph.core.geometry import Floats, rotation_from_vector, rotation_z
 from placegraph.errors import OptionError
+from placegraph.indoor.map.floor import structure
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.scene import Scene
-from placegraph.indoor.map.structure import structure
 from placegraph.indoor.mapping.change.changes import DiffOptions
 from placegraph.indoor.rays import RayCaster
 from placegraph.io.mesh.nearest_kernels import nearest

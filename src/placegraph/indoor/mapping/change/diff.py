@@ -10,8 +10,8 @@ import numpy as np
 from numpy.random import Generator
 
 from placegraph.core.geometry import Floats, vector_from_rotation
+from placegraph.indoor.map.floor import nameless, same_label, structure
 from placegraph.indoor.map.scene import Scene
-from placegraph.indoor.map.structure import nameless, same_label, structure
 from placegraph.indoor.mapping.change.align import (
     Sampled,
     about,

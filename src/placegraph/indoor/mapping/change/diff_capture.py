@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike
 from placegraph.core.estimate import PoseEstimate, Status
 from placegraph.core.geometry import Floats
 from placegraph.errors import InputError, OptionError
+from placegraph.indoor.map.floor import structure
 from placegraph.indoor.map.scene import Scene
-from placegraph.indoor.map.structure import structure
 from placegraph.indoor.mapping.change.align import inverse
 from placegraph.indoor.mapping.change.changes import Change, DiffOptions, SceneDiff
 from placegraph.indoor.mapping.change.moves import Clump, Placement, appeared, box_of, gather, moves

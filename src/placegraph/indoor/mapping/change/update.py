@@ -16,15 +16,20 @@ from placegraph.core.files import write_file
 from placegraph.core.geometry import Floats
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.map import textures
-from placegraph.indoor.map.mesh import WHITE, Mesh
-from placegraph.indoor.map.mesh_order import ordered
-from placegraph.indoor.map.relations import ATTACHED_TO, SAME_ROOM, STANDING_ON, relate
-from placegraph.indoor.map.relations.words import BIGGER, PART, canonical
-from placegraph.indoor.map.rooms import rooms_of, with_rooms
-from placegraph.indoor.map.rooms.naming import most
+from placegraph.indoor.map.floor import structure
+from placegraph.indoor.map.mesh import WHITE, Mesh, ordered
+from placegraph.indoor.map.relations import (
+    ATTACHED_TO,
+    BIGGER,
+    PART,
+    SAME_ROOM,
+    STANDING_ON,
+    canonical,
+    relate,
+)
+from placegraph.indoor.map.rooms import most, rooms_of, with_rooms
 from placegraph.indoor.map.scene import S, Scene, graph_of
 from placegraph.indoor.map.scene_file import open_scene, save_scene
-from placegraph.indoor.map.structure import structure
 from placegraph.indoor.mapping.change.align import moved
 from placegraph.indoor.mapping.change.changes import KINDS, Change, Piece, SceneDiff
 

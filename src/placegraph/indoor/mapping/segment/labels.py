@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from placegraph.core.geometry import Camera, Floats
 from placegraph.errors import OptionError
-from placegraph.indoor.map.structure import nameless
+from placegraph.indoor.map.floor import nameless
 from placegraph.indoor.mapping.segment.faces import (
     Faces,
     PatchGraph,

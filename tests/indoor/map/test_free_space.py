@@ -13,10 +13,10 @@ from placegraph.core.mapfile import write_map
 from placegraph.errors import MapError
 from placegraph.indoor.build import scene_of_model
 from placegraph.indoor.likelihood.visibility import build_table
-from placegraph.indoor.map import free
+from placegraph.indoor.map import free_space as free
 from placegraph.indoor.map.floor import storeys
-from placegraph.indoor.map.free import BEYOND, nearest_scene
-from placegraph.indoor.map.landmarks import MOST, WIDTH
+from placegraph.indoor.map.free_space import BEYOND, nearest_scene
+from placegraph.indoor.map.scene import MOST_LANDMARKS, WIDTH
 from placegraph.indoor.map.scene_file import VIEWPOINTS, columns, near_box, save_scene
 from placegraph.indoor.mapping import merge
 from placegraph.indoor.mapping.from_capture import thinned
@@ -147,8 +147,8 @@ def test_beside_a_walked_scene_cameras_are_held_as_usual(room):
         ({"landmark_vectors": np.zeros((1, WIDTH), np.int8)}, "landmark_points"),
         (
             {
-                "landmark_points": np.zeros((MOST + 1, 3), np.int32),
-                "landmark_vectors": np.zeros((MOST + 1, WIDTH), np.int8),
+                "landmark_points": np.zeros((MOST_LANDMARKS + 1, 3), np.int32),
+                "landmark_vectors": np.zeros((MOST_LANDMARKS + 1, WIDTH), np.int8),
             },
             "at most 20,000",
         ),

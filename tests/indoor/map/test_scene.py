@@ -7,7 +7,7 @@ import pytest
 
 from placegraph.core.mapfile import write_map
 from placegraph.errors import MapError, OptionError
-from placegraph.indoor.map.landmarks import GRAIN, WIDTH, Landmarks
+from placegraph.indoor.map.scene import GRAIN, WIDTH, Landmarks
 from placegraph.indoor.map.scene_file import bytes_of, columns, open_scene, save_scene
 from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.scene_map import SceneMap

@@ -1,19 +1,19 @@
-"""Rooms of a scene that names none: free floor, cut at doors and narrow passages.
+"""Rooms of a scene: cells of free floor, cut at doors and narrow passages, and names of places.
 
 On a grid of cells seen from above,
 
 1. *ground* is where something level lies at the floor or stands on it; gaps of a scan are closed;
-2. *walls* are cut by level planes between 0.3 and 1.9 m: what is built (walls, windows, doors, by
-   their labels) wherever it is cut, what has no label where it is cut at nearly all heights. Where
-   no object is called a wall, anything may be one. Above a doorway the wall goes on: what is free
-   below and built above, no wider than 2.2 m, is a door, and closed;
-3. each cell of free ground has a half-width, its distance to what is not free. Flooded from the
-   widest cells down, basins that meet stay apart if the pass between them is narrow: at most 0.6 of
-   the narrower basin's width, or 0.75 if it is no wider than 1 m;
-4. a *room* is a basin of at least 2 m2; what is smaller belongs to the next one.
+2. *walls* are cut by level planes between 0.3 and 1.9 m: objects that are built (walls, windows,
+   doors, by their labels) wherever they are cut, objects without a label where they are cut at nearly
+   all heights. Where no object is called a wall, anything may be one. Above a doorway the wall goes
+   on: a gap that is free below and built above, no wider than 2.2 m, is a door, and closed;
+3. each cell of free ground has a half-width, its distance to the nearest cell that is not free.
+   Flooded from the widest cells down, basins that meet stay apart if the pass between them is narrow:
+   at most 0.6 of the narrower basin's width, or 0.75 if it is no wider than 1 m;
+4. a *room* is a basin of at least 2 m2; smaller ones belong to the next one.
 
 An object is in the room above whose floor, or within 0.5 m of it, most of its surface lies. Walls,
-floors, ceilings are in a room only where two thirds of them lie there: what lies between rooms, or
+floors, ceilings are in a room only where two thirds of them lie there: a wall between rooms, or
 around several, is in none.
 """
 
@@ -21,24 +21,135 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from placegraph.indoor.map.floor import NAMELESS, label_words, storey_at, structure
+from placegraph.indoor.map.map_kernels import areas_within, cover, cut, flood, nearest, pieces
 from placegraph.indoor.map.mesh import Mesh
-from placegraph.indoor.map.rooms.cells import (
-    BELOW,
-    CELL,
-    Corners,
-    Floats,
-    Grid,
-    Mask,
-    grid_of,
-    ground_cells,
-    wall_cells,
-)
-from placegraph.indoor.map.rooms.rooms_kernels import areas_within, flood, nearest
-from placegraph.indoor.map.structure import structure
+from placegraph.indoor.map.scene import Scene
+
+CELL = 0.05
+"""Side of a cell [m], where the map is no larger than `_MOST_CELLS` of them."""
+LINTEL = 2.2
+"""Widest door [m] below a wall."""
+_WALLS = np.array([0.3, 0.5, 0.7, 0.9, 1.1, 1.3, 1.5, 1.7, 1.9])  # above the floor [m]
+_LINTELS = np.array([2.2, 2.3, 2.4])
+_GAP = 0.5  # a gap of the ground this wide is closed [m], or
+_HOLE = 6.0  # one with ground all around, up to this size [m2]
+BELOW = 0.3  # ground may lie this much lower than the floor [m]
+_LEVEL = 0.15  # the floor itself is no higher [m]
+_MOST_CELLS = 1_000_000
+_COARSEST = 0.2  # a map so large that cells are wider has no rooms that could be found [m]
+_DOORS = frozenset({"door", "doors", "curtain", "curtains", "gate", "partition", "shutter"})
+_WALL_WORDS = frozenset({"wall", "walls"})
+_BUILT, _TALL, _OVER = 2, 7, 2  # planes that cut built things, tall things, lintels
+
+Mask = NDArray[np.bool_]
+Floats = NDArray[np.float64]
+Corners = NDArray[np.float32]
+
+
+class Grid(NamedTuple):
+    """Square cells of the floor."""
+
+    origin: Floats
+    cell: float
+    shape: tuple[int, int]
+
+
+def grid_of(corners: Corners) -> Grid | None:
+    """Grid around triangles, with a margin in which gaps can be closed."""
+    if not len(corners):
+        return None
+    flat = corners[:, :, :2].astype(np.float64)
+    low, high = flat.min(axis=(0, 1)) - 2.0 * _GAP, flat.max(axis=(0, 1)) + 2.0 * _GAP
+    cell = max(CELL, float(np.sqrt(np.prod(high - low) / _MOST_CELLS)))
+    if cell > _COARSEST:
+        return None
+    nx, ny = np.ceil((high - low) / cell).astype(int).tolist()
+    return Grid(low, cell, (nx, ny))
+
+
+def wall_cells(mesh: Mesh, labels: Sequence[str], corners: Corners, grid: Grid) -> Mask:
+    """Cells (nx, ny) that no room goes through."""
+    words = [(label_words(label) or [""])[-1] for label in labels]
+    built = structure(labels) | np.array([word in _DOORS for word in words], np.bool_)
+    nameless = np.array([not word or word in NAMELESS for word in words], np.bool_)
+    if not any(word in _WALL_WORDS for word in words):
+        nameless |= ~built
+    kind = np.where(built, 0, np.where(nameless, 1, -1))
+    found = np.zeros((2, *grid.shape), np.uint32)
+    planes = np.concatenate([_WALLS, _LINTELS])
+    cut(corners, kind[mesh.object_of], planes, grid.origin, grid.cell, found)
+    own = found & np.uint32((1 << len(_WALLS)) - 1)
+    tall = (own[1] > 0) & (_bits(_around(own[1])) >= _TALL)
+    walls = (_bits(own[0]) >= _BUILT) | tall
+    over = (found[0] | found[1]) >> np.uint32(len(_WALLS))
+    return walls | _doors(_bits(_around(over)) >= _OVER, walls, (over > 0), grid)
+
+
+def _doors(lintel: Mask, walls: Mask, over: Mask, grid: Grid) -> Mask:
+    """Cells below a wall, where they are no wider than a door."""
+    open_below = lintel & over & ~(_around(walls.astype(np.uint32)) > 0)
+    part, count = pieces(open_below)
+    if not count:
+        return open_below
+    x, y = np.nonzero(open_below)
+    own = part[x, y]
+    ends = np.empty((4, count))
+    for row, values in enumerate((x, -x, y, -y)):
+        ends[row] = -np.inf
+        np.maximum.at(ends[row], own, values)
+    # with the cells beside the walls, which were taken off
+    wide = (np.maximum(ends[0] + ends[1], ends[2] + ends[3]) + 3.0) * grid.cell > LINTEL
+    closed = np.zeros_like(walls)
+    closed[x, y] = ~wide[own]
+    # to the walls on both sides
+    return (_around(closed.astype(np.uint32)) > 0) & lintel & over
+
+
+def _bits(cells: NDArray[np.uint32]) -> NDArray[np.uint8]:
+    """How many bits are set."""
+    count = np.zeros(cells.shape, np.uint8)
+    for k in range(len(_WALLS) + len(_LINTELS)):
+        count += ((cells >> np.uint32(k)) & np.uint32(1)).astype(np.uint8)
+    return count
+
+
+def _around(cells: NDArray[np.uint32]) -> NDArray[np.uint32]:
+    """Bits of each cell and its eight neighbours."""
+    out = cells.copy()
+    for axis in (0, 1):
+        rows = np.moveaxis(out, axis, 0)
+        before = rows.copy()
+        rows[1:] |= before[:-1]
+        rows[:-1] |= before[1:]
+    return out
+
+
+def ground_cells(normals: Floats, corners: Corners, walls: Mask, grid: Grid) -> tuple[Mask, Mask]:
+    """Cells (nx, ny) of the floor, and those with something level there or on it, gaps closed."""
+    level = np.abs(normals[:, 2]) > 0.7 * np.linalg.norm(normals, axis=1)
+    level &= corners[:, :, 2].min(axis=1) > -BELOW
+    level &= corners[:, :, 2].max(axis=1) < _WALLS[-1]
+    floor, ground = np.zeros((2, *grid.shape), np.bool_)
+    cover(corners, level, grid.origin, grid.cell, ground)
+    cover(corners, level & (corners[:, :, 2].max(axis=1) < _LEVEL), grid.origin, grid.cell, floor)
+    radius = int(_GAP / 2.0 / grid.cell)
+    grown = nearest(ground, radius)[1] >= 0
+    ground |= nearest(~grown, radius)[1] < 0
+    part, count = pieces(~ground & ~walls)
+    if count:
+        sizes = np.bincount(part[part >= 0], minlength=count) * grid.cell**2
+        hole = sizes <= _HOLE
+        for edge in (part[0], part[-1], part[:, 0], part[:, -1]):
+            hole[edge[edge >= 0]] = False
+        ground |= (part >= 0) & hole[part]
+    return floor, ground
+
 
 LEAST_AREA = 2.0
 """Of a room [m2]."""
@@ -227,3 +338,38 @@ def _rooms_of_objects(
     share = votes[np.arange(len(labels)), best] / np.maximum(votes.sum(axis=1), 1e-12)
     needed = np.where(structure(labels), _MOSTLY, _PARTLY)
     return np.where(share >= needed, best, -1).astype(np.int32)
+
+
+_HIGHEST = 3.0  # what is higher above a floor is in none of its rooms [m]
+
+
+def room_at(scene: Scene, point: ArrayLike) -> str:
+    """Name of the room in which a point (3,) x, y, z [m] lies; empty: in none, or rooms have no names.
+
+    A room has the name that most things in it say.
+    """
+    x, y, z = np.asarray(point, np.float64).tolist()
+    _, floor = storey_at(scene, point)
+    if not -0.5 <= z - floor <= _HIGHEST or not any("room" in a for a in scene.attributes):
+        return ""
+    rooms, names = scene.derived(("rooms", floor), lambda s: _named(s, floor))
+    room = int(rooms.at([(x, y)])[0])
+    return names[room] if room >= 0 else ""
+
+
+def most(names: Sequence[str]) -> str:
+    """The name that most things have, the first of several; things without one have no say."""
+    given = sorted({name for name in names if name})
+    return max(given, key=names.count, default="")
+
+
+def _named(scene: Scene, floor: float) -> tuple[Rooms, list[str]]:
+    """Rooms at a floor, and their names."""
+    graph = scene.graph
+    rooms = rooms_of(scene.mesh, graph.labels, floor)
+    told_by = ~structure(graph.labels)
+    names = []
+    for room in range(len(rooms)):
+        among = np.flatnonzero(told_by & (rooms.room_of == room)).tolist()
+        names.append(most([scene.attributes[i].get("room", "") for i in among]))
+    return rooms, names

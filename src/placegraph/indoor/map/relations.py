@@ -1,0 +1,531 @@
+"""Relations between objects of a mesh, and the words by which maps and people name them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from placegraph.core.graph import SceneGraph
+from placegraph.indoor.map.floor import is_floor, label_words
+from placegraph.indoor.map.mesh import Mesh
+
+NEXT = 0.5
+"""Side by side [m]."""
+_WALLS = frozenset({"wall", "walls"})
+_CEILINGS = frozenset({"ceiling", "ceilings", "roof"})
+_DOORS = frozenset({"door", "doors", "doorway", "doorframe"})
+_BUILT_IN = _DOORS | {"window", "windows", "curtain", "curtains", "blind", "blinds"}
+_LEVEL = 0.7
+
+Floats = NDArray[np.float64]
+
+
+class Boxes(NamedTuple):
+    """Boxes of N objects, and what their labels and sizes say."""
+
+    low: Floats
+    """(N, 3)"""
+    high: Floats
+    """(N, 3)"""
+    structure: NDArray[np.bool_]
+    """(N,) walls, floors, ceilings, and what is half of the map."""
+    floor: NDArray[np.bool_]
+    """(N,) by label, as the next four."""
+    wall: NDArray[np.bool_]
+    ceiling: NDArray[np.bool_]
+    door: NDArray[np.bool_]
+    built_in: NDArray[np.bool_]
+    footprint: Floats
+    """(N,) [m2]"""
+
+
+class Triangles(NamedTuple):
+    """Triangles sorted by object, and their boxes."""
+
+    corners: NDArray[np.float32]
+    """(T, 3 corners, 3)"""
+    low: NDArray[np.float32]
+    high: NDArray[np.float32]
+    level: NDArray[np.bool_]
+    starts: NDArray[np.int64]
+    """(N + 1,)"""
+
+    def in_box(self, row: int, low: Floats, high: Floats, *, level: bool = False) -> bool:
+        """Whether a triangle of an object (a level one) reaches into a box."""
+        own = slice(self.starts[row], self.starts[row + 1])
+        near = np.flatnonzero((self.low[own, 2] <= high[2]) & (self.high[own, 2] >= low[2]))
+        near += own.start
+        if level:
+            near = near[self.level[near]]
+        for axis in (0, 1):
+            near = near[(self.low[near, axis] <= high[axis]) & (self.high[near, axis] >= low[axis])]
+        return bool(near.size) and bool(overlap(self.corners[near], low, high).any())
+
+
+def overlap(corners: NDArray[np.float32], low: Floats, high: Floats) -> NDArray[np.bool_]:
+    """Which triangles (T, 3 corners, 3) reach into a box, by the separating axis theorem."""
+    half = (high - low) / 2.0
+    points = corners.astype(np.float64) - (low + high) / 2.0
+    edges = np.roll(points, -1, axis=1) - points
+    touching = np.all((points.min(axis=1) <= half) & (points.max(axis=1) >= -half), axis=1)
+    normal = np.cross(edges[:, 0], edges[:, 1])
+    touching &= np.abs((normal * points[:, 0]).sum(axis=1)) <= np.abs(normal) @ half
+    for i in range(3):  # box axis x edge
+        axes = np.cross(np.eye(3)[None, i], edges)  # (T, 3 edges, 3)
+        spans = np.einsum("tei,tci->tec", axes, points)
+        reach = np.abs(axes) @ half
+        touching &= np.all((spans.min(axis=2) <= reach) & (spans.max(axis=2) >= -reach), axis=1)
+    return np.asarray(touching)
+
+
+def boxes_of(mesh: Mesh, labels: Sequence[str]) -> Boxes:
+    """Boxes of the objects of a mesh."""
+    bounds = mesh.object_bounds(len(labels))
+    low, high = bounds[:, 0], bounds[:, 1]
+    sides = high - low
+    footprint = sides[:, 0] * sides[:, 1]
+    whole = np.prod((high.max(axis=0) - low.min(axis=0))[:2])
+    words = [(label_words(label) or [""])[-1] for label in labels]
+    floor = np.array([is_floor(label) for label in labels])
+    wall, ceiling, door, built_in = (
+        np.array([word in known for word in words])
+        for known in (_WALLS, _CEILINGS, _DOORS, _BUILT_IN)
+    )
+    structure = floor | wall | ceiling | (footprint >= 0.5 * whole)
+    return Boxes(low, high, structure, floor, wall, ceiling, door, built_in, footprint)
+
+
+def triangles_of(mesh: Mesh, count: int) -> Triangles:
+    """Triangles of a mesh of `count` objects, by object."""
+    order = np.argsort(mesh.object_of, kind="stable")
+    corners = mesh.vertices[mesh.triangles[order]]
+    normals = mesh.normals()[order]
+    level = np.abs(normals[:, 2]) > _LEVEL * np.linalg.norm(normals, axis=1)
+    starts = np.searchsorted(mesh.object_of[order], np.arange(count + 1))
+    return Triangles(corners, corners.min(axis=1), corners.max(axis=1), level, starts)
+
+
+def near_pairs(boxes: Boxes) -> NDArray[np.int64]:
+    """Pairs (P, 2), both ways, whose footprints are at most `NEXT` apart: a sweep along x."""
+    order = np.argsort(boxes.low[:, 0], kind="stable")
+    begin = boxes.low[order, 0]
+    until = np.searchsorted(begin, boxes.high[order, 0] + NEXT, side="right")
+    found = []
+    for chunk in _chunks(until - np.arange(len(order))):
+        reach = until[chunk] - chunk - 1
+        first = np.repeat(chunk, reach)
+        second = first + 1 + np.arange(len(first)) - np.repeat(np.cumsum(reach) - reach, reach)
+        a, b = order[first], order[second]
+        near = (boxes.low[a, 1] <= boxes.high[b, 1] + NEXT) & (
+            boxes.low[b, 1] <= boxes.high[a, 1] + NEXT
+        )
+        found.append(np.stack([a[near], b[near]], axis=1))
+    one_way = np.concatenate(found)
+    return np.concatenate([one_way, one_way[:, ::-1]])
+
+
+def _chunks(lengths: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
+    """Rows, a million pairs at a time."""
+    part = np.cumsum(lengths) // 1_000_000
+    for value in np.unique(part):
+        yield np.flatnonzero(part == value)
+
+
+def overlap_2d(boxes: Boxes, a: NDArray[np.int64], b: NDArray[np.int64]) -> Floats:
+    """Area [m2] that the footprints of pairs share."""
+    sides = np.minimum(boxes.high[a], boxes.high[b]) - np.maximum(boxes.low[a], boxes.low[b])
+    area: Floats = np.prod(np.maximum(sides[:, :2], 0.0), axis=1)
+    return area
+
+
+STANDING_ON, INSIDE, ATTACHED_TO, ABOVE, NEXT_TO, SAME_ROOM = (
+    "standing on", "inside", "attached to", "above", "next to", "same room",
+)  # fmt: skip
+RELATIONS = (STANDING_ON, INSIDE, ATTACHED_TO, ABOVE, NEXT_TO, SAME_ROOM)
+
+CONTACT = 0.05
+"""What is nearer than this touches [m]."""
+SUPPORT = 0.1
+"""A thing may float this much over what it stands on [m]: feet are lost in coarse meshes."""
+OVER = 2.0
+"""One above the other [m]."""
+MOST_OBJECTS = 20_000
+"""Beyond this many objects, as of a mesh cut to pieces, no relations are made."""
+
+_HOLLOW = 0.2  # what something else is inside of is at least this thick [m]
+_SIDE_BY_SIDE = 0.25  # of the lower one's height that the higher one shares
+_THIN = 0.01  # boxes of flat things are given this thickness [m]
+
+
+def relate(
+    mesh: Mesh, labels: Sequence[str], room_of: NDArray[np.integer] | None = None
+) -> list[tuple[int, str, int]]:
+    """Relations (row, relation, row) between the objects of a mesh, sorted.
+
+    `room_of` (N,) is the room of each object, -1 none, as `placegraph.indoor.map.rooms` finds it; where
+    it is not given, nothing is in the same room, and things are next to each other through walls.
+    """
+    count = len(labels)
+    if not 1 < count <= MOST_OBJECTS:
+        return []
+    boxes = boxes_of(mesh, labels)
+    rooms = np.full(count, -1) if room_of is None else np.asarray(room_of, np.int64)
+    pairs = near_pairs(boxes)
+    triangles = triangles_of(mesh, count)
+    found: dict[tuple[int, int], str] = {}
+    fixed = boxes.built_in[pairs[:, 0]] & boxes.wall[pairs[:, 1]]
+    grounded = _attached(boxes, triangles, pairs[fixed], found, reach=SUPPORT)
+    grounded |= _standing(boxes, triangles, pairs[~grounded[pairs[:, 0]]], found)
+    grounded |= _inside(boxes, pairs, found, grounded)
+    free = ~grounded[pairs[:, 0]] & ~boxes.structure[pairs[:, 0]]
+    _attached(boxes, triangles, pairs[free], found, reach=CONTACT)
+    _above(boxes, triangles, pairs, found)
+    _next_to(boxes, pairs[boxes.door[pairs].any(axis=1) | ~_apart(rooms, pairs)], found)
+    edges = [(a, relation, b) for (a, b), relation in found.items()]
+    return sorted(edges + _same_room(boxes, rooms))
+
+
+def _standing(
+    boxes: Boxes, triangles: Triangles, pairs: NDArray[np.int64], found: dict[tuple[int, int], str]
+) -> NDArray[np.bool_]:
+    """Find what stands on what; returns which objects do."""
+    a, b = pairs.T
+    bottom = boxes.low[a, 2]
+    under = (boxes.high[b, 2] >= bottom - SUPPORT) & (boxes.low[b, 2] <= bottom + CONTACT)
+    lower = (boxes.high[b, 2] <= bottom + CONTACT) | (boxes.low[b, 2] < bottom - CONTACT)
+    lower |= boxes.floor[b] & ~boxes.floor[a]  # of a scan it is as uneven
+    lower &= ~boxes.wall[b] & ~boxes.ceiling[a]
+    apart = np.any(
+        (boxes.low[a, :2] > boxes.high[b, :2]) | (boxes.low[b, :2] > boxes.high[a, :2]), axis=1
+    )
+    rows = np.flatnonzero(under & lower & ~apart)
+    tops = np.minimum(boxes.high[b[rows], 2], bottom[rows] + CONTACT)
+    carries = overlap_2d(boxes, a[rows], b[rows]) >= 0.5 * boxes.footprint[a[rows]]
+    rows = rows[np.lexsort([-boxes.footprint[b[rows]], -np.round(tops, 3), ~carries])]
+    stands = np.zeros(len(boxes.low), np.bool_)
+    for i in rows.tolist():
+        thing, under_it = int(a[i]), int(b[i])
+        if stands[thing] or (under_it, thing) in found:
+            continue
+        low, high = boxes.low[thing].copy(), boxes.high[thing].copy()
+        low[2], high[2] = low[2] - SUPPORT, low[2] + CONTACT
+        if triangles.in_box(under_it, low, high, level=True):
+            found[thing, under_it] = STANDING_ON
+            stands[thing] = True
+    return stands
+
+
+def _inside(
+    boxes: Boxes,
+    pairs: NDArray[np.int64],
+    found: dict[tuple[int, int], str],
+    grounded: NDArray[np.bool_],
+) -> NDArray[np.bool_]:
+    """Find what is inside what; returns which objects are."""
+    a, b = pairs[~boxes.structure[pairs].any(axis=1) & ~grounded[pairs[:, 0]]].T
+    thin = np.maximum(boxes.high - boxes.low, _THIN)
+    volume = thin.prod(axis=1)
+    shared = np.minimum(boxes.high[a], boxes.high[b]) - np.maximum(boxes.low[a], boxes.low[b])
+    shared = np.where(
+        boxes.high[a] - boxes.low[a] < _THIN, np.where(shared >= 0, thin[a], 0), shared
+    )
+    within = np.prod(np.maximum(shared, 0.0), axis=1) >= 0.9 * volume[a]
+    within &= (volume[b] > 1.5 * volume[a]) & (thin[b].min(axis=1) >= _HOLLOW)
+    inside = np.zeros(len(boxes.low), np.bool_)
+    rows = np.flatnonzero(within)
+    for i in rows[np.argsort(volume[b[rows]], kind="stable")].tolist():
+        if not inside[a[i]] and not {(a[i], b[i]), (b[i], a[i])} & found.keys():
+            found[int(a[i]), int(b[i])] = INSIDE
+            inside[a[i]] = True
+    return inside
+
+
+def _attached(
+    boxes: Boxes,
+    triangles: Triangles,
+    pairs: NDArray[np.int64],
+    found: dict[tuple[int, int], str],
+    *,
+    reach: float,
+) -> NDArray[np.bool_]:
+    """Find what touches what, within `reach` [m]; returns which objects do."""
+    a, b = pairs.T
+    touching = np.all(
+        (boxes.low[a] <= boxes.high[b] + reach) & (boxes.low[b] <= boxes.high[a] + reach), axis=1
+    )
+    a, b = a[touching], b[touching]
+    order = np.lexsort([-boxes.footprint[b], ~boxes.structure[b]])
+    held = np.zeros(len(boxes.low), np.bool_)
+    for thing, other in zip(a[order].tolist(), b[order].tolist(), strict=True):
+        if held[thing] or (other, thing) in found:
+            continue
+        low, high = boxes.low[thing] - reach, boxes.high[thing] + reach
+        if triangles.in_box(other, low, high):
+            found[thing, other] = ATTACHED_TO
+            held[thing] = True
+    return held
+
+
+def _above(
+    boxes: Boxes, triangles: Triangles, pairs: NDArray[np.int64], found: dict[tuple[int, int], str]
+) -> None:
+    carrier = {one: other for (one, other), kind in found.items() if kind == STANDING_ON}
+    stands = np.zeros(len(boxes.low), np.bool_)
+    stands[list(carrier)] = True
+    a, b = pairs[~boxes.structure[pairs].any(axis=1) & ~stands[pairs[:, 0]]].T
+    gap = boxes.low[a, 2] - boxes.high[b, 2]
+    shared = overlap_2d(boxes, a, b)
+    smaller = np.minimum(boxes.footprint[a], boxes.footprint[b])
+    rows = np.flatnonzero(
+        (gap >= -CONTACT) & (gap <= OVER) & (shared >= 0.5 * smaller) & (smaller > 0)
+    )
+    half = shared >= 0.5 * boxes.footprint[a]
+    under: dict[int, dict[bool, list[int]]] = {}
+    for i in rows[np.argsort(gap[rows], kind="stable")].tolist():
+        one, other = int(a[i]), int(b[i])
+        quarter = (boxes.high[one] - boxes.low[one]) / 4.0
+        low, high = boxes.low[one] + quarter, boxes.high[one] - quarter
+        low[2], high[2] = boxes.low[other, 2], boxes.low[one, 2] + CONTACT
+        if triangles.in_box(other, low, high):
+            under.setdefault(one, {}).setdefault(bool(half[i]), []).append(other)
+    for one, seen in under.items():
+        others = seen.get(True) or seen[False]
+        carrying = {below for thing in others for below in _carriers(carrier, thing)}
+        best = next((other for other in others if other not in carrying), None)
+        if best is not None and (one, best) not in found and (best, one) not in found:
+            found[one, best] = ABOVE
+
+
+def _carriers(carrier: dict[int, int], thing: int) -> Iterator[int]:
+    """What a thing stands on, what that stands on, and so on."""
+    passed = {thing}
+    while thing in carrier and carrier[thing] not in passed:
+        thing = carrier[thing]
+        passed.add(thing)
+        yield thing
+
+
+def _apart(rooms: NDArray[np.int64], pairs: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which pairs are known to be in two rooms."""
+    one, other = rooms[pairs].T
+    apart: NDArray[np.bool_] = (one >= 0) & (other >= 0) & (one != other)
+    return apart
+
+
+def _next_to(boxes: Boxes, pairs: NDArray[np.int64], found: dict[tuple[int, int], str]) -> None:
+    a, b = pairs[~boxes.structure[pairs].any(axis=1)].T
+    apart = np.maximum(boxes.low[a], boxes.low[b]) - np.minimum(boxes.high[a], boxes.high[b])
+    tall = boxes.high[:, 2] - boxes.low[:, 2]
+    beside = -apart[:, 2] >= _SIDE_BY_SIDE * np.minimum(tall[a], tall[b])
+    beside &= apart[:, 2] < 0
+    # one sits at a window that begins above the seat
+    beside |= (boxes.built_in[a] | boxes.built_in[b]) & (apart[:, 2] <= NEXT)
+    near = beside & (np.hypot(*np.maximum(apart[:, :2], 0.0).T) <= NEXT)
+    for one, other in zip(a[near].tolist(), b[near].tolist(), strict=True):
+        other_way = found.get((other, one), NEXT_TO)
+        if other_way == NEXT_TO:
+            found.setdefault((one, other), NEXT_TO)
+
+
+def _same_room(boxes: Boxes, rooms: NDArray[np.int64]) -> list[tuple[int, str, int]]:
+    """Shortest tree through the middles of each room's things, both ways: Prim's algorithm."""
+    middle = (boxes.low + boxes.high) / 2.0
+    edges: list[tuple[int, str, int]] = []
+    for room in range(int(rooms.max(initial=-1)) + 1):
+        left = np.flatnonzero((rooms == room) & ~boxes.structure)
+        if not left.size:
+            continue
+        at, left = int(left[0]), left[1:]
+        distance = np.full(len(left), np.inf)
+        nearest = np.full(len(left), at)
+        while left.size:
+            fresh = ((middle[left] - middle[at]) ** 2).sum(axis=1)
+            nearest[fresh < distance] = at
+            distance = np.minimum(distance, fresh)
+            i = int(distance.argmin())
+            at, other = int(left[i]), int(nearest[i])
+            edges += [(at, SAME_ROOM, other), (other, SAME_ROOM, at)]
+            # the last one takes the place of the one that is done
+            for column in (left, distance, nearest):
+                column[i] = column[-1]
+            left, distance, nearest = left[:-1], distance[:-1], nearest[:-1]
+    return edges
+
+
+Reading = tuple[str, bool]
+"""A relation, and whether subject and object change places."""
+
+LEFT, FRONT, HIGHER, BIGGER = "left", "front", "higher than", "bigger than"
+LEANING, PART, COVER = "leaning against", "part of", "cover"
+
+CANONICAL: dict[str, Reading] = {
+    # 3DSSG's, those of its subset; left, right, front, behind are as seen by who labelled the scan
+    "supported by": (STANDING_ON, False), "left": (LEFT, False), "right": (LEFT, True),
+    "front": (FRONT, False), "behind": (FRONT, True), "close by": (NEXT_TO, False),
+    "inside": (INSIDE, False), "bigger than": (BIGGER, False), "smaller than": (BIGGER, True),
+    "higher than": (HIGHER, False), "lower than": (HIGHER, True),
+    "same symmetry as": ("same symmetry as", False), "same as": ("same as", False),
+    "attached to": (ATTACHED_TO, False), "standing on": (STANDING_ON, False),
+    "lying on": (STANDING_ON, False), "hanging on": (ATTACHED_TO, False),
+    "connected to": (ATTACHED_TO, False), "leaning against": (LEANING, False),
+    "part of": (PART, False), "belonging to": (PART, False), "build in": (ATTACHED_TO, False),
+    "standing in": (INSIDE, False), "cover": (COVER, False), "lying in": (INSIDE, False),
+    "hanging in": (INSIDE, False),
+    # ours
+    "above": (ABOVE, False), "next to": (NEXT_TO, False), "same room": (SAME_ROOM, False),
+}  # fmt: skip
+"""Relation that each name of an edge stands for; a name that is not here stands for itself."""
+
+_ASKED: dict[str, tuple[Reading, ...]] = {
+    "on, on top of, atop, upon, onto": (  # a picture is on a wall
+        (STANDING_ON, False), (ATTACHED_TO, False), (COVER, False),
+    ),
+    "standing on, sitting on, lying on, resting on, placed on, stands on, sits on, lies on": (
+        (STANDING_ON, False),
+    ),
+    "supporting, carrying, supports, carries": ((STANDING_ON, True),),
+    "attached to, hanging on, hanging from, mounted on, fixed to, fastened to, connected to": (
+        (ATTACHED_TO, False), (PART, False),
+    ),
+    "part of, belonging to": ((PART, False), (ATTACHED_TO, False)),
+    "build in, built in, built into": ((ATTACHED_TO, False), (INSIDE, False)),
+    "in, inside, inside of, within, contained in, stored in": ((INSIDE, False),),
+    "containing, contains, holding, holds": ((INSIDE, True),),
+    "above, over, hanging over, hanging above": ((ABOVE, False),),
+    "under, underneath, below, beneath": ((ABOVE, True), (STANDING_ON, True)),
+    "next to, right next to, beside, near, near to, nearby, close by, close to, by, at, alongside": (
+        (NEXT_TO, False), (LEANING, False), (LEANING, True),
+    ),
+    "leaning against, leaning on, against": (
+        (LEANING, False), (ATTACHED_TO, False), (NEXT_TO, False),
+    ),
+    "left of, to left of, on left of, on left side of": ((LEFT, False),),
+    "right of, to right of, on right of, on right side of": ((LEFT, True),),
+    "in front of": ((FRONT, False),),
+    "in back of": ((FRONT, True),),
+    "larger than": ((BIGGER, False),),
+    "taller than": ((HIGHER, False),),
+    "covering, covers": ((COVER, False),),
+    "in same room as, same room as, in room with, in room of": ((SAME_ROOM, False),),
+}  # fmt: skip
+_READINGS = {name: readings for names, readings in _ASKED.items() for name in names.split(", ")}
+_IDLE = frozenset({"is", "are", "that", "which", "the", "a", "an", "directly", "just"})
+
+
+def canonical(relation: str) -> Reading:
+    """What the name of an edge stands for; a name that nothing is known of stands for itself."""
+    name = _phrase(relation)
+    return _plain(*(CANONICAL.get(name) or _READINGS.get(name, ((name, False),))[0]))
+
+
+def readings(asked: str) -> frozenset[Reading]:
+    """What a relation that is asked for may mean: "under" is "above" turned, or "standing on"."""
+    name = _phrase(asked)
+    return frozenset(_plain(*r) for r in _READINGS.get(name, ())) or frozenset({canonical(name)})
+
+
+def matches(asked: str, relation: str) -> bool:
+    """Whether an edge "A `relation` B" says that A is `asked` B.
+
+    "near" matches "close by" and "next to", "on" matches "lying on". "under" matches neither "above"
+    nor "standing on", which say it of B: `find` turns such edges around.
+    """
+    return canonical(relation) in readings(asked)
+
+
+def same_thing(asked: str, label: str) -> bool:
+    """Whether a label may be what is asked for: "chairs" and "desk chair", "DeskChair" and "chair".
+
+    The last words are the same but for the plural, and what comes before does not differ: a "desk
+    chair" is a "chair", but no "kitchen chair". Nothing asked for is anything.
+    """
+    wanted, own = label_words(asked), label_words(label)
+    if not wanted or not own:
+        return not wanted
+    if not forms(wanted[-1]) & forms(own[-1]):
+        return False
+    return set(wanted[:-1]) <= set(own[:-1]) or set(own[:-1]) <= set(wanted[:-1])
+
+
+def find(graph: SceneGraph, subject: str, asked: str, target: str) -> NDArray[np.int64]:
+    """Pairs of things between which a relation holds, under whichever name an edge says so.
+
+    Parameters
+    ----------
+    graph
+        Scene graph whose edges are relations by our names or 3DSSG's.
+    subject, target
+        Labels, "sofa" and "plant"; empty for anything.
+    asked
+        The relation of the subject to the target: "next to", "on top of", "under".
+
+    Returns
+    -------
+    (K, 2) int64 rows of subject and target, sorted, none twice.
+
+    """
+    wanted = readings(asked)
+    labels = dict.fromkeys(graph.labels)
+    first, second = (
+        np.array([fits[label] for label in graph.labels], np.bool_)
+        for fits in (
+            {label: same_thing(end, label) for label in labels} for end in (subject, target)
+        )
+    )
+    of = {relation: canonical(relation) for relation in dict.fromkeys(graph.relations)}
+    pairs: set[tuple[int, int]] = set()
+    for a, relation, b in zip(
+        graph.sources.tolist(), graph.relations, graph.targets.tolist(), strict=True
+    ):
+        name, turned = of[relation]
+        if (name, turned) in wanted and first[a] and second[b]:
+            pairs.add((a, b))
+        if _plain(name, not turned) in wanted and first[b] and second[a]:
+            pairs.add((b, a))
+    if (SAME_ROOM, False) in wanted:
+        for room in _connected(graph, [of[r][0] == SAME_ROOM for r in graph.relations]):
+            pairs.update((a, b) for a in room if first[a] for b in room if second[b] and a != b)
+    return np.array(sorted(pairs), np.int64).reshape(-1, 2)
+
+
+def _phrase(name: str) -> str:
+    """Words of a relation in lower case, but for those that change nothing."""
+    words = [word for word in re.split(r"[\s_-]+", name.lower()) if word]
+    return " ".join([word for word in words if word not in _IDLE] or words)
+
+
+def _connected(graph: SceneGraph, chosen: Sequence[bool]) -> Iterable[list[int]]:
+    """Groups of rows that the chosen edges connect."""
+    group: dict[int, list[int]] = {}
+    for a, b in zip(
+        graph.sources[list(chosen)].tolist(), graph.targets[list(chosen)].tolist(), strict=True
+    ):
+        one, other = group.setdefault(a, [a]), group.setdefault(b, [b])
+        if one is not other:
+            small, large = sorted((one, other), key=len)
+            large.extend(small)
+            group.update(dict.fromkeys(small, large))
+    return {id(rows): rows for rows in group.values()}.values()
+
+
+def _plain(relation: str, turned: bool) -> Reading:
+    """A reading; of what says the same when the things change places there is one."""
+    return relation, turned and relation != NEXT_TO and not relation.startswith("same ")
+
+
+def forms(word: str) -> set[str]:
+    """A word, and what it may be the plural of."""
+    forms = {word}
+    if word.endswith("s") and not word.endswith("ss"):
+        forms.add(word[:-1])
+    if word.endswith("es"):
+        forms.add(word[:-2])
+    if word.endswith("ies"):
+        forms.add(word[:-3] + "y")
+    if word.endswith("ves"):
+        forms |= {word[:-3] + "f", word[:-3] + "fe"}
+    return forms
