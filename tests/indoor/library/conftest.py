@@ -13,7 +13,7 @@ from placegraph_lab.worlds.flat.flat import Flat
 from placegraph_lab.worlds.flat.interior import Interior
 from placegraph_lab.worlds.flat.walks import Walk, stroll
 from placegraph_lab.worlds.home.home import scene_of
-from placegraph_lab.worlds.home.record import record
+from placegraph_lab.worlds.home.visit import record
 
 LEGEND = """
 [legend]

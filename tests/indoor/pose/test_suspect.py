@@ -14,7 +14,7 @@ from placegraph.indoor.likelihood.observe import Sighting
 from placegraph.indoor.pose.prior import Prior
 from placegraph.indoor.pose.suspect import divided
 from placegraph.io.capture.capture import open_capture
-from placegraph_lab.tables.indoor import perturb_images as bad
+from placegraph_lab.tables.indoor import perturb as bad
 from placegraph_lab.tables.indoor.perturb import Recording, Shot, height
 
 pytestmark = pytest.mark.usefixtures("one_thread")

@@ -7,10 +7,13 @@ from hypothesis import strategies as st
 
 from placegraph.core.mapfile import read_map, write_map, writing
 from placegraph.errors import InputError, MapError, MapLockedError, OptionError
-from placegraph_lab.datasets.kitti360pose import DIRECTIONS, GRAIN, KIND, Kitti360Pose
-from placegraph_lab.datasets.kitti360pose_convert import (
+from placegraph_lab.datasets.kitti360pose import (
     COLOURS,
+    DIRECTIONS,
+    GRAIN,
+    KIND,
     RELEASE,
+    Kitti360Pose,
     convert_kitti360pose,
     footprint,
     nearest_colour,

@@ -16,9 +16,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.errors import InputError
-from placegraph_lab.datasets.kitti360pose_convert import RELEASE
-from placegraph_lab.datasets.pickle_names import Record
-from placegraph_lab.datasets.pickles import finished
+from placegraph_lab.datasets.kitti360pose import RELEASE
+from placegraph_lab.datasets.pickles import Record, finished
 from placegraph_lab.datasets.pickles import read_pickle as read
 
 MODULE = RELEASE.module

@@ -5,10 +5,9 @@ import math
 
 import pytest
 
-from placegraph_lab.tables.indoor.cases import Case, all_cases, quick
-from placegraph_lab.tables.indoor.robustness import Told
-from placegraph_lab.tables.indoor.robustness_report import Row, wrongly_sure
+from placegraph_lab.tables.indoor.robustness import Case, Told, all_cases, quick
 from placegraph_lab.tables.named import indoor_robustness as script
+from placegraph_lab.tables.named.indoor_robustness import Row, wrongly_sure
 
 
 @pytest.fixture

@@ -5,11 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from placegraph_lab.worlds.flat.furniture import MODELS, Body
+from placegraph_lab.worlds.flat.furniture import MODELS, Body, box, frustum, joined
 from placegraph_lab.worlds.flat.legend import look
-from placegraph_lab.worlds.flat.parts import box, frustum, joined
-from placegraph_lab.worlds.flat.render import Shot
-from placegraph_lab.worlds.flat.sensors import FARTHEST, develop, measured
+from placegraph_lab.worlds.flat.render import FARTHEST, Shot, develop, measured
 from placegraph_lab.worlds.flat.textures import (
     LARGEST,
     PAINTERS,

@@ -5,7 +5,7 @@ from itertools import pairwise
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph_lab.worlds.trace import ORTHOGONAL, blots, heading, rings, step, strokes
+from placegraph_lab.worlds.drawing import ORTHOGONAL, blots, heading, rings, step, strokes
 
 cells = st.sets(st.tuples(st.integers(0, 7), st.integers(0, 7)), min_size=1)
 

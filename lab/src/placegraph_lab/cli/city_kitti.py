@@ -30,7 +30,7 @@ def convert_kitti360pose(
     """
     from dataclasses import asdict
 
-    from placegraph_lab.datasets.kitti360pose_convert import convert_kitti360pose as convert
+    from placegraph_lab.datasets.kitti360pose import convert_kitti360pose as convert
 
     with progress_of(hidden=quiet or as_json) as tell:
         tell("reading")

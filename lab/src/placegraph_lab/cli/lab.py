@@ -1,37 +1,76 @@
-"""The command line `placegraph-lab`: tables, and what placegraph's shipped files are made with."""
+"""`placegraph-lab table`: every table of measurements, by name."""
 
 from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
+from typer.core import TyperGroup
 
 from placegraph.cli.common import bare, guarded, harmless
 from placegraph.errors import PlacegraphError
-from placegraph_lab.cli.table import app as tables
+from placegraph_lab.tables.runner import load, names
+
+
+class Tables(TyperGroup):
+    """Commands that are imported when they are asked for."""
+
+    def list_commands(self, ctx: Any) -> list[str]:  # noqa: ANN401, ARG002  # click's, as Typer holds it
+        """Names of all tables."""
+        return names()
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ANN401, ARG002
+        """Command of a table."""
+        if cmd_name not in names():
+            return None
+        return typer.main.get_command(load(cmd_name).app())
+
+
+tables = typer.Typer(
+    cls=Tables,
+    help="Measure: print a table as Markdown, write its rows as JSON.",
+    invoke_without_command=True,
+)
+
+
+@tables.callback()
+def table(
+    context: typer.Context,
+    listed: Annotated[bool, typer.Option("--list", help="What there is, and exit.")] = False,
+) -> None:
+    """Measure: print a table as Markdown, write its rows as JSON.
+
+    Example: placegraph-lab table outdoor_recall --quick
+    """
+    if listed or context.invoked_subcommand is None:
+        for name in names():
+            one = load(name)
+            typer.echo(f"{name:22} {one.asks}{f' [{one.paper}]' if one.paper else ''}")
+        raise typer.Exit
+
 
 Folder = Annotated[Path, typer.Option("--out", "-o", help="Folder to write to.")]
 ROOT = Path(__file__).parents[4]
 """Of the repository, where the lab is used from."""
 
-app = typer.Typer(
+tables = typer.Typer(
     name="placegraph-lab",
     help="What placegraph is made and measured with.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-app.add_typer(tables, name="table")
+tables.add_typer(tables, name="table")
 
 
 def main() -> None:
     """Run the command line; placegraph's own errors end it with their exit code and one sentence."""
     with guarded():
         try:
-            app()
+            tables()
         except PlacegraphError as error:
             Console(file=bare(sys.stderr), soft_wrap=True).print(
                 harmless(f"placegraph-lab: {error}"), style="red", markup=False, highlight=False
@@ -39,7 +78,7 @@ def main() -> None:
             sys.exit(error.exit_code)
 
 
-@app.command("demo-world")
+@tables.command("demo-world")
 def demo_world(out: Folder = ROOT / "src/placegraph/demo/data") -> None:
     """Draw the town, the flat, the film and the homes of `placegraph demo`."""
     from placegraph_lab.worlds.demo import write_demo_world
@@ -47,7 +86,7 @@ def demo_world(out: Folder = ROOT / "src/placegraph/demo/data") -> None:
     write_demo_world(out)
 
 
-@app.command("vocabulary", hidden=True)
+@tables.command("vocabulary", hidden=True)
 def vocabulary(
     package: Annotated[
         Path, typer.Argument(help="Unpacked npm package @openstreetmap/id-tagging-schema.")
@@ -60,19 +99,19 @@ def vocabulary(
     write_lexicons(package, out, typer.echo)
 
 
-@app.command("decoys", hidden=True)
+@tables.command("decoys", hidden=True)
 def decoys(
     out: Annotated[Path, typer.Option("--out", "-o", help="Library file to write.")] = (
         ROOT / "src/placegraph/indoor/library/data/decoys.library"
     ),
 ) -> None:
     """Make the homes that stand beside every library."""
-    from placegraph_lab.make.decoys import write_decoys
+    from placegraph_lab.make.shipped import write_decoys
 
     write_decoys(out, typer.echo)
 
 
-@app.command("kernels", hidden=True)
+@tables.command("kernels", hidden=True)
 def kernels(
     data: Annotated[Path, typer.Option(help="Folder of the shared data.")] = ROOT
     / "../shared/data",
@@ -86,13 +125,13 @@ def kernels(
     out.write_text(list_kernels(data, typer.echo), encoding="utf-8")
 
 
-@app.command("appearance", hidden=True)
+@tables.command("appearance", hidden=True)
 def appearance(
     homes: Annotated[int, typer.Option(min=0, max=1000, help="Procedural homes.")] = 0,
     flat: Annotated[str, typer.Option(help="A drawn flat.")] = "altbau",
     times: Annotated[int, typer.Option(min=0, help="How often the flat is furnished.")] = 4,
 ) -> None:
     """Print what all surfaces have in common, for the encoder `appearance`."""
-    from placegraph_lab.make.appearance import print_usual
+    from placegraph_lab.make.shipped import print_usual
 
     print_usual(homes, flat, times, typer.echo)

@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import InputError
-from placegraph_lab.datasets.pickle_names import Record, Release
-from placegraph_lab.datasets.pickles import finished, read_pickle
+from placegraph_lab.datasets.pickles import Record, Release, finished, read_pickle
 
 RELEASE = Release("GOTPR", "scene_graph", ("SceneGraph", "Node"))
 """The published classes."""

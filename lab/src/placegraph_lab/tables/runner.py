@@ -30,31 +30,29 @@ from placegraph.core.files import put
 from placegraph_lab.tables import named
 
 SOURCES = tuple(Path(str(p.__file__)).parent for p in (placegraph, placegraph_lab))
-INDOOR = (
-    "placegraph/*.py", "placegraph/core/**/*.py", "placegraph/io/**/*.py", "placegraph/indoor/**/*.py",
-    "placegraph/indoor/**/data/*",
-)  # fmt: skip
-"""Code of the library that decides what indoor answers and maps are."""
+_BOTH = ("placegraph/core", "placegraph/io", "placegraph/language")
+INDOOR = (*_BOTH, "placegraph/indoor", "placegraph_lab/tables/indoor")
+OUTDOOR = (*_BOTH, "placegraph/outdoor", "placegraph_lab/tables/outdoor")
+WORLDS = ("placegraph_lab/worlds",)
+"""Folders with the code that decides what answers, maps and drawn worlds are."""
 
 
-def fingerprint(patterns: Iterable[str]) -> str:
-    """Sixteen hexadecimal digits of the files that match, by name and content.
+def code_key(folders: Iterable[str]) -> str:
+    """Return sixteen hexadecimal digits of all files below folders, by name and content.
 
-    `patterns` are globs that begin with a package: `placegraph/indoor/**/*.py`. `ValueError` where
-    one matches no file, so that code which has moved is not silently left out.
+    A folder begins with a package: `placegraph/indoor`. Raises `ValueError` where one is missing, so
+    that code which has moved is not silently left out.
     """
     digest = hashlib.sha256()
-    found: dict[str, Path] = {}
-    for pattern in patterns:
-        package, _, below = pattern.partition("/")
+    for folder in sorted(folders):
+        package, _, below = folder.partition("/")
         root = next(path for path in SOURCES if path.name == package)
-        here = {p.relative_to(root.parent).as_posix(): p for p in root.glob(below) if p.is_file()}
-        if not here:
-            raise ValueError(f"{pattern} matches no file of {root}.")
-        found |= here
-    for name in sorted(found):
-        digest.update(name.encode() + b"\0")
-        digest.update(hashlib.sha256(found[name].read_bytes()).digest())
+        if not (root / below).is_dir():
+            raise ValueError(f"{folder} is no folder of {root}.")
+        for path in sorted((root / below).rglob("*")):
+            if path.is_file() and path.suffix != ".pyc":
+                digest.update(path.relative_to(root).as_posix().encode() + b"\0")
+                digest.update(hashlib.sha256(path.read_bytes()).digest())
     return digest.hexdigest()[:16]
 
 

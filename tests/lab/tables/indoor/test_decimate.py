@@ -5,7 +5,7 @@ import pytest
 
 from placegraph.errors import OptionError
 from placegraph.indoor.map.mesh import Mesh
-from placegraph_lab.tables.indoor.decimate import coarse, decimate, fine
+from placegraph_lab.tables.indoor.maps import coarse, decimate, fine
 
 
 def sheet(n, size=2.0, height=lambda x, y: 0.0 * x * y):

@@ -10,9 +10,9 @@ from placegraph.errors import MissingExtraError, OptionError
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.frame import Frame
-from placegraph_lab.tables.indoor.gicp import align, sequence_cloud, visible_cloud
 from placegraph_lab.tables.indoor.metrics import position_error, rotation_error
-from placegraph_lab.tables.indoor.starts import disturbed
+from placegraph_lab.tables.indoor.refine import align, sequence_cloud, visible_cloud
+from placegraph_lab.tables.indoor.windows import disturbed
 
 CAMERA = Camera(160, 120, 100.0, 100.0, 80.0, 60.0)
 FACES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))

@@ -10,7 +10,7 @@ from placegraph.errors import OptionError
 from placegraph.indoor.encode import Encoder, MapEncoder, Patches
 from placegraph.indoor.encode.labels import LabelsEncoder
 from placegraph.io.capture.frame import Frame
-from placegraph_lab.tables.indoor.label_noise import NoisyEncoder, NoisyLabels, mislabel
+from placegraph_lab.tables.indoor.bench import NoisyEncoder, NoisyLabels, mislabel
 
 CAMERA = Camera(32, 18, 20.0, 20.0, 16.0, 9.0)
 

@@ -56,7 +56,7 @@ def test_maps_are_made_once_and_old_ones_go(scene, tmp_path, monkeypatch):
     assert len(made) == 1
     assert first.graph.labels == again.graph.labels == ("floor", "table")
     assert (again.mesh.colours[again.mesh.vertices[:, 2] > 0.5] == (200, 120, 40)).all()
-    monkeypatch.setattr(indoor_maps, "fingerprint", lambda _: "0" * 16)
+    monkeypatch.setattr(indoor_maps, "code_key", lambda _: "0" * 16)
     coarse_house(tmp_path, tmp_path / "cache", 100)
     assert len(made) == 2
     assert [p.name for p in (tmp_path / "cache").iterdir()] == [f"house_100_{'0' * 16}.scene"]

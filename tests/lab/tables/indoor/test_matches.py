@@ -15,7 +15,10 @@ from placegraph.indoor.refine.matching import Matches
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
-from placegraph_lab.tables.indoor.matches import (
+from placegraph_lab.tables.indoor.metrics import position_error, rotation_error
+from placegraph_lab.tables.indoor.windows import Window
+from placegraph_lab.tables.named import indoor_matchers as script
+from placegraph_lab.tables.named.indoor_matchers import (
     KINDS,
     PIXELS,
     Query,
@@ -25,15 +28,13 @@ from placegraph_lab.tables.indoor.matches import (
     judged,
     lift,
     pixel_errors,
+    report,
     solve,
     starts,
     summary,
+    to_dict,
     turned,
 )
-from placegraph_lab.tables.indoor.metrics import position_error, rotation_error
-from placegraph_lab.tables.indoor.windows import Window
-from placegraph_lab.tables.named import indoor_matchers as script
-from placegraph_lab.tables.named.indoor_matchers import report, to_dict
 
 ROOT = Path(__file__).resolve().parents[2]
 CAMERA = Camera(120, 80, 80.0, 80.0, 60.0, 40.0)

@@ -6,8 +6,7 @@ import pytest
 from placegraph.core.geometry import Camera
 from placegraph.indoor.refine.matching.features import Features
 from placegraph.io.capture.frame import Frame
-from placegraph_lab.tables.indoor.peers import View, peer, vlad
-from placegraph_lab.tables.named.indoor_colmap import Answer, Row, report
+from placegraph_lab.tables.named.indoor_colmap import Answer, Row, View, peer, report, vlad
 
 CAMERA = Camera(320, 240, 300.0, 300.0, 160.0, 120.0)
 

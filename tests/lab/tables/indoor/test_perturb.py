@@ -5,9 +5,10 @@ import pytest
 
 from placegraph.core.geometry import Camera, pose_matrix
 from placegraph.io.capture.frame import Frame
-from placegraph_lab.tables.indoor import perturb, perturb_images
-from placegraph_lab.tables.indoor.cases import RENDERED, SPOILED
+from placegraph_lab.tables.indoor import perturb
+from placegraph_lab.tables.indoor import perturb as perturb_images
 from placegraph_lab.tables.indoor.perturb import Recording, Shot
+from placegraph_lab.tables.indoor.robustness import RENDERED, SPOILED
 
 CAMERA = Camera(256, 144, 200.0, 200.0, 124.0, 68.0)
 UPRIGHT = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])

@@ -13,8 +13,7 @@ from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
 from placegraph_lab.tables.indoor.metrics import position_error, rotation_error
 from placegraph_lab.tables.indoor.refine import GICP, MATCHERS, QUICK, ask, refine_jobs
-from placegraph_lab.tables.indoor.starts import disturbed
-from placegraph_lab.tables.indoor.windows import Window
+from placegraph_lab.tables.indoor.windows import Window, disturbed
 from placegraph_lab.tables.named import indoor_refine as script
 
 ROOT = Path(__file__).resolve().parents[2]

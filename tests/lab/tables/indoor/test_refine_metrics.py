@@ -18,7 +18,7 @@ from placegraph.errors import OptionError
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
 from placegraph_lab.tables.indoor.metrics import dumps
-from placegraph_lab.tables.indoor.refine_metrics import (
+from placegraph_lab.tables.indoor.refine import (
     EDGES,
     LIMITS,
     Refined,

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from placegraph_lab.tables.indoor.metrics import Answer, dumps
-from placegraph_lab.tables.indoor.refine import refine_jobs
-from placegraph_lab.tables.indoor.refine_metrics import Refined, spread
-from placegraph_lab.tables.indoor.refine_report import RefineRow, histogram, refine_report
+from placegraph_lab.tables.indoor.refine import Refined, refine_jobs, spread
+from placegraph_lab.tables.named.indoor_refine import RefineRow, histogram, refine_report
 
 JOBS = {job.name: job for job in refine_jobs()}
 

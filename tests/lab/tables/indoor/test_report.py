@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from placegraph.indoor.options import FilterOptions
-from placegraph_lab.tables.indoor.jobs import Job, chosen, house_jobs, office_jobs
+from placegraph_lab.tables.indoor.bench import Job, chosen, house_jobs, office_jobs
 from placegraph_lab.tables.indoor.metrics import Answer, dumps
 from placegraph_lab.tables.indoor.report import Row, errors, report
 

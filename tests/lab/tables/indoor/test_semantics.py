@@ -11,7 +11,9 @@ from placegraph.indoor.build import build_scene
 from placegraph.indoor.encode.words import vector
 from placegraph.io.capture.capture import open_capture
 from placegraph_lab.tables.indoor.metrics import Answer
-from placegraph_lab.tables.indoor.semantics import (
+from placegraph_lab.tables.indoor.windows import Window, true_poses
+from placegraph_lab.tables.named import indoor_semantics as script
+from placegraph_lab.tables.named.indoor_semantics import (
     BARE,
     LABELS,
     NONE,
@@ -21,15 +23,14 @@ from placegraph_lab.tables.indoor.semantics import (
     TERMS,
     WITH_LABELS,
     Case,
+    Row,
     ask,
     available,
     cases,
     encoder_of,
     named,
+    report,
 )
-from placegraph_lab.tables.indoor.windows import Window, true_poses
-from placegraph_lab.tables.named import indoor_semantics as script
-from placegraph_lab.tables.named.indoor_semantics import Row, report
 from placegraph_lab.worlds.flat.flat import Flat
 from placegraph_lab.worlds.flat.walks import stroll, write_walk
 

@@ -9,8 +9,9 @@ from placegraph.errors import PlacegraphError
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.scene_map import SceneMap
-from placegraph_lab.tables.indoor import speed as indoor_speed
-from placegraph_lab.tables.indoor.speed import (
+from placegraph_lab.tables.named import indoor_speed
+from placegraph_lab.tables.named import indoor_speed as script
+from placegraph_lab.tables.named.indoor_speed import (
     Cost,
     clustered,
     cold_start,
@@ -21,7 +22,6 @@ from placegraph_lab.tables.indoor.speed import (
     resized,
     scattered_poses,
 )
-from placegraph_lab.tables.named import indoor_speed as script
 
 
 def bumpy(n, objects):

@@ -9,14 +9,14 @@ from placegraph.core.geometry import Camera, level_from_camera, pose_matrix
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
 from placegraph_lab.tables.indoor.metrics import pose_error, position_error, rotation_error
-from placegraph_lab.tables.indoor.starts import (
+from placegraph_lab.tables.indoor.windows import (
     LEAN,
     RISE,
+    Window,
     disturbed,
     start_of,
     without_depth,
 )
-from placegraph_lab.tables.indoor.windows import Window
 
 TRUTH = pose_matrix([1.0, 2.0, 1.6, 0.7], level_from_camera([0.05, 0.99, 0.1]))
 

@@ -20,8 +20,7 @@ from placegraph.outdoor.language.description import (
     Statement,
 )
 from placegraph.outdoor.map.cells import compass
-from placegraph_lab.datasets.kitti360pose import DIRECTIONS, Kitti360Pose
-from placegraph_lab.datasets.kitti360pose_convert import convert_kitti360pose
+from placegraph_lab.datasets.kitti360pose import DIRECTIONS, Kitti360Pose, convert_kitti360pose
 from placegraph_lab.tables.kitti.graphs import (
     OSM,
     Names,

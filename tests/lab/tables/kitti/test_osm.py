@@ -12,8 +12,7 @@ import pytest
 from placegraph.errors import InputError, OptionError
 from placegraph.outdoor.map.cells import compass
 from placegraph_lab.datasets.kitti360 import WORLD
-from placegraph_lab.datasets.kitti360pose import DIRECTIONS, Kitti360Pose
-from placegraph_lab.datasets.kitti360pose_convert import convert_kitti360pose
+from placegraph_lab.datasets.kitti360pose import DIRECTIONS, Kitti360Pose, convert_kitti360pose
 from placegraph_lab.tables.kitti.graphs import Names, description_of, scene_graph, text_of
 from placegraph_lab.tables.kitti.kitti360pose import Split, evaluate
 from placegraph_lab.tables.kitti.osm import TOLD, Crop, on_osm

@@ -9,8 +9,17 @@ import pytest
 from placegraph.core.geometry import Camera, between, pose_matrix, split_pose
 from placegraph.io.capture.frame import Frame
 from placegraph_lab.tables.indoor.perturb import Recording
-from placegraph_lab.tables.live.paced import Clock, play
-from placegraph_lab.tables.live.walks import PERIOD, Row, Seen, longest, looped, recoveries, walks
+from placegraph_lab.tables.live.walks import (
+    PERIOD,
+    Clock,
+    Row,
+    Seen,
+    longest,
+    looped,
+    play,
+    recoveries,
+    walks,
+)
 from placegraph_lab.tables.named.robot_live import cells
 
 LEVEL = split_pose(np.eye(4))[1]

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from placegraph_lab.tables.outdoor.ceiling import Ceiling, ceiling, oracle
-from placegraph_lab.tables.outdoor.contest import Contest
+from placegraph_lab.tables.outdoor.ceiling import Ceiling, Contest, ceiling, oracle
 from placegraph_lab.tables.outdoor.nearby import Bins
 from placegraph_lab.tables.outdoor.queries import Query, Said, load, make_queries
 from placegraph_lab.tables.outdoor.raw import read_raw

@@ -31,9 +31,8 @@ from placegraph_lab.tables.outdoor.matchers import (
     cell_centers,
     matcher,
 )
-from placegraph_lab.tables.outdoor.metrics import score
+from placegraph_lab.tables.outdoor.metrics import Protocol, score
 from placegraph_lab.tables.outdoor.queries import Query, load, make_queries
-from placegraph_lab.tables.outdoor.report import Protocol
 from placegraph_lab.tables.runner import Journal
 from placegraph_learn.city.descriptions import evaluated
 

@@ -3,14 +3,7 @@
 import numpy as np
 import pytest
 
-from placegraph_lab.tables.outdoor.matchers import (
-    DENSE,
-    FUSED,
-    PAPER_EDITS,
-    PAPER_TRANSFORMER,
-    RELATIONAL,
-)
-from placegraph_lab.tables.outdoor.matchers_report import (
+from placegraph_lab.tables.named.outdoor_matchers import (
     advantage,
     advantages,
     hits,
@@ -18,8 +11,14 @@ from placegraph_lab.tables.outdoor.matchers_report import (
     report,
     title,
 )
-from placegraph_lab.tables.outdoor.metrics import Answer
-from placegraph_lab.tables.outdoor.report import Protocol, of_answers
+from placegraph_lab.tables.outdoor.matchers import (
+    DENSE,
+    FUSED,
+    PAPER_EDITS,
+    PAPER_TRANSFORMER,
+    RELATIONAL,
+)
+from placegraph_lab.tables.outdoor.metrics import Answer, Protocol, of_answers
 
 PLAIN = Protocol(anywhere=True)
 

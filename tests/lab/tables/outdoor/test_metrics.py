@@ -7,8 +7,17 @@ import pytest
 
 from placegraph.core.estimate import CityEstimate, Place, Status
 from placegraph.errors import OptionError
-from placegraph_lab.tables.outdoor.metrics import Answer, distances, measure, score
-from placegraph_lab.tables.outdoor.report import OURS, Protocol, Row, of_answers, report
+from placegraph_lab.tables.outdoor.metrics import (
+    OURS,
+    Answer,
+    Protocol,
+    Row,
+    distances,
+    measure,
+    of_answers,
+    report,
+    score,
+)
 from placegraph_lab.tables.runner import markdown, number, share, shares
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from placegraph.errors import OptionError
 from placegraph.outdoor.city import build_city
-from placegraph_lab.tables.outdoor.pairs import Pairs, rate
+from placegraph_lab.tables.named.outdoor_pairs import Pairs, rate
 from placegraph_lab.tables.outdoor.queries import make_queries
 
 

@@ -9,11 +9,18 @@ from placegraph.outdoor.city import build_city
 from placegraph.outdoor.network.encoded import EncodedCity
 from placegraph.outdoor.network.network import GraphTransformer
 from placegraph.outdoor.network.weights import Shape
-from placegraph_lab.tables.named.outdoor_ablation import OURS, printed
-from placegraph_lab.tables.outdoor.ablation import GIVEN, Task, evaluate, literal_alone, recall
-from placegraph_lab.tables.outdoor.pairs import Pairs
+from placegraph_lab.tables.named.outdoor_ablation import (
+    GIVEN,
+    OURS,
+    Task,
+    evaluate,
+    literal_alone,
+    printed,
+    recall,
+)
+from placegraph_lab.tables.named.outdoor_pairs import Pairs
+from placegraph_lab.tables.outdoor.matchers import STAGES, found_within, medians, run, slope
 from placegraph_lab.tables.outdoor.queries import Query, load, make_queries
-from placegraph_lab.tables.outdoor.stages import STAGES, found_within, medians, run, slope
 
 
 @pytest.fixture(scope="module")

@@ -5,9 +5,7 @@ import tomllib
 import numpy as np
 import pytest
 
-from placegraph_lab.tables.named.statuses import Verdict, diagrams, rates
-from placegraph_lab.tables.outdoor.text_sets import TRAPS, Filler
-from placegraph_lab.tables.outdoor.trust import logistic
+from placegraph_lab.tables.named.statuses import TRAPS, Filler, Verdict, diagrams, logistic, rates
 from placegraph_lab.tables.statistics import reliability
 
 

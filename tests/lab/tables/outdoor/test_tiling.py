@@ -5,7 +5,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from placegraph_lab.tables.outdoor.country import country
+from placegraph_lab.tables.named.world_build import country
 from placegraph_lab.tables.outdoor.raw import read_raw
 from placegraph_lab.tables.outdoor.tiling import tile
 

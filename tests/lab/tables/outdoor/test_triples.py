@@ -5,9 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph_lab.tables.outdoor.nearby import Around
-from placegraph_lab.tables.outdoor.triples import DIRECTIONS, Triples, encode, relations
-from placegraph_lab.tables.outdoor.triples_kernels import EAST, NORTH, SOUTH, WEST
+from placegraph_lab.tables.outdoor.nearby import DIRECTIONS, Around, Triples, encode, relations
+from placegraph_lab.tables.outdoor.outdoor_kernels import EAST, NORTH, SOUTH, WEST
 
 METRES = st.floats(-100.0, 100.0, allow_subnormal=False)
 

@@ -10,12 +10,12 @@ from placegraph.indoor.encode import Patches
 from placegraph.indoor.options import FilterOptions
 from placegraph_lab.tables.named.patch_accuracy import (
     accuracy,
+    drawn_home,
     mean,
     nats,
     report,
     true_objects,
 )
-from placegraph_lab.tables.retrieval.patch_places import drawn_home
 
 
 @pytest.fixture(scope="module")

@@ -11,6 +11,7 @@ from placegraph.indoor.encode.labels import LabelsEncoder
 from placegraph.indoor.library import SearchOptions
 from placegraph.indoor.map.rooms import rooms_of
 from placegraph.io.capture.frame import Frame
+from placegraph_lab.tables.named.scene_retrieval import figures, report
 from placegraph_lab.tables.retrieval import retrieval
 from placegraph_lab.tables.retrieval.retrieval import (
     ABSENT,
@@ -29,9 +30,12 @@ from placegraph_lab.tables.retrieval.retrieval_places import (
     Walk,
     finer,
     homes,
+    kept,
+    read,
     room_scene,
+    said,
+    write,
 )
-from placegraph_lab.tables.retrieval.retrieval_report import figures, report
 from placegraph_lab.tables.retrieval.retrieval_scale import measure, turned, varied
 from placegraph_lab.tables.retrieval.retrieval_study import Row, Study
 from placegraph_lab.tables.retrieval.retrieval_vectors import (
@@ -42,7 +46,6 @@ from placegraph_lab.tables.retrieval.retrieval_vectors import (
     noisy,
     replay,
 )
-from placegraph_lab.tables.retrieval.retrieval_walks import kept, read, said, write
 from placegraph_lab.tables.runner import Journal
 from placegraph_lab.worlds.flat.flat import Flat
 from placegraph_lab.worlds.home.home import home, record, scene_of, visit
@@ -308,7 +311,7 @@ def test_finer_meshes_are_the_same_surface():
 
 
 def test_homes_are_filmed_once(tmp_path, monkeypatch):
-    monkeypatch.setattr("placegraph_lab.tables.retrieval.retrieval_walks.LENGTH", 2)
+    monkeypatch.setattr("placegraph_lab.tables.retrieval.retrieval_places.LENGTH", 2)
     ((place, walks),) = homes([5], tmp_path)
     assert [w.changed for w in walks] == [False, True]
     assert all(w.place == place.name == "home 5" for w in walks)

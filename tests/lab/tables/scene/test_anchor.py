@@ -7,7 +7,7 @@ import pytest
 
 from placegraph.world import Fitted
 from placegraph.world.footprints import footprints, within
-from placegraph_lab.tables.scene.anchor import (
+from placegraph_lab.tables.named.scene_anchor import (
     BUILDINGS,
     WALKS,
     ask,

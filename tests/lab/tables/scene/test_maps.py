@@ -11,22 +11,28 @@ from placegraph.errors import PlacegraphError
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor.metrics import Answer
-from placegraph_lab.tables.indoor.refine_metrics import Refined
+from placegraph_lab.tables.indoor.refine import Refined
 from placegraph_lab.tables.indoor.windows import Window
 from placegraph_lab.tables.named import scene_maps as script
+from placegraph_lab.tables.named.scene_maps import report
 from placegraph_lab.tables.runner import Journal
 from placegraph_lab.tables.scene import maps as scene_maps
-from placegraph_lab.tables.scene import maps_recall as scene_maps_recall
-from placegraph_lab.tables.scene.maps import FULL, LABELLED, VERTICES, Maps, Place, Run, Size
-from placegraph_lab.tables.scene.maps_recall import (
+from placegraph_lab.tables.scene import maps as scene_maps_recall
+from placegraph_lab.tables.scene.maps import (
+    FULL,
+    LABELLED,
+    VERTICES,
     Asking,
+    Maps,
     Paired,
+    Place,
+    Run,
+    Size,
     difference,
     findings,
     refinings,
     study,
 )
-from placegraph_lab.tables.scene.maps_report import report
 from placegraph_lab.worlds.flat.flat import Flat
 
 ROOT = Path(__file__).resolve().parents[2]

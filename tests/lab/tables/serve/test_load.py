@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from placegraph_lab.tables.serve.load import Request, Served
+from placegraph_lab.tables.named.serve_load import Request, Served
 
 
 @pytest.fixture

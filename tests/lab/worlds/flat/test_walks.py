@@ -18,9 +18,8 @@ from placegraph.errors import OptionError
 from placegraph.io.capture.capture import open_capture
 from placegraph.io.capture.tum import read_tum
 from placegraph_lab.worlds.flat.flat import Flat
-from placegraph_lab.worlds.flat.paths import BODY, FloorPlan
 from placegraph_lab.worlds.flat.render import Stage
-from placegraph_lab.worlds.flat.walks import Walk, drifted, stroll, write_walk
+from placegraph_lab.worlds.flat.walks import BODY, FloorPlan, Walk, drifted, stroll, write_walk
 
 ROOM = """
 [flat]

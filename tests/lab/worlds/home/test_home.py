@@ -6,8 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from placegraph.errors import OptionError
+from placegraph_lab.worlds.drawing import blots
 from placegraph_lab.worlds.flat.flat import Flat
-from placegraph_lab.worlds.flat.paths import BODY, FloorPlan
+from placegraph_lab.worlds.flat.walks import BODY, FloorPlan
 from placegraph_lab.worlds.home.catalogue import KINDS, ROOMS, SYNONYMS
 from placegraph_lab.worlds.home.change import BUILT_IN, SHELL, on
 from placegraph_lab.worlds.home.home import (
@@ -20,7 +21,6 @@ from placegraph_lab.worlds.home.home import (
     scene_of,
     visit,
 )
-from placegraph_lab.worlds.trace import blots
 
 SEEDS = st.integers(0, 10**6)
 WORDS = {word for plain in KINDS for word in SYNONYMS.get(plain, (plain,))} | SHELL

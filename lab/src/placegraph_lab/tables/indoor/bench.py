@@ -1,13 +1,36 @@
-"""Maps and windows of the indoor benchmarks, made when they are first needed."""
+"""The benchmark's noise model of labels: what a real encoder gets wrong, in one documented way.
+
+Each patch that says something is, independently of all others and with probability `share`, made to
+say something else: with instance labels another object of the map, with class labels another class
+of the map, each of the others equally likely. `NoisyLabels` does that where there is no map: its
+other labels are those of a vocabulary. Patches that say nothing go on saying nothing.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import hashlib
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Literal, Protocol, Self, TypeVar
+from zlib import crc32
 
+import numpy as np
+import typer
+from numpy.typing import NDArray
+
+from placegraph.core.geometry import Camera
+from placegraph.errors import OptionError
+from placegraph.indoor.encode import MapEncoder, Patches
+from placegraph.indoor.encode.instances import ClassesOfInstances, InstancesEncoder
+from placegraph.indoor.map.scene import Scene
+from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.scene_map import SceneMap
+from placegraph.io.capture.capture import Capture
+from placegraph.io.capture.frame import Frame
 from placegraph_lab.tables.indoor import maps as indoor_maps
+from placegraph_lab.tables.indoor.metrics import Answer, measure
 from placegraph_lab.tables.indoor.windows import (
     HALVES,
     Window,
@@ -17,7 +40,294 @@ from placegraph_lab.tables.indoor.windows import (
 )
 
 if TYPE_CHECKING:
+    from placegraph.indoor.encode.labels import LabelsEncoder
     from placegraph_lab.tables.runner import Run
+
+SHARE = 0.3
+_SAME = 1e-5  # cosines nearer to 1 are of one label
+
+
+class NoisyEncoder:
+    """An encoder that mislabels patches of another one.
+
+    The noise of a frame depends on `seed`, `name` and the frame's row in its folder alone: it is
+    the same in every pass and in every window that holds the frame, whatever was encoded before.
+
+    Parameters
+    ----------
+    encoder
+        Says what the patches are.
+    share
+        Probability of a patch to be mislabelled, 0 to 1.
+    seed
+        Of the noise.
+    name
+        Of the sequence, so that the frames of two sequences err differently.
+
+    Raises
+    ------
+    OptionError
+        Where `share` is no probability.
+
+    """
+
+    def __init__(
+        self, encoder: MapEncoder, share: float = SHARE, *, seed: int = 0, name: str = ""
+    ) -> None:
+        self.encoder = encoder
+        self.share = _checked(share)
+        self._seed = (seed, crc32(name.encode()))
+
+    def encode(self, frame: Frame) -> Patches | None:
+        """Patches of a frame, some of them wrong; None where the encoder has none."""
+        patches = self.encoder.encode(frame)
+        if patches is None:
+            return None
+        rng = np.random.default_rng([*self._seed, frame.index])
+        return mislabel(patches, self.share, rng)
+
+
+def mislabel(patches: Patches, share: float, rng: np.random.Generator) -> Patches:
+    """Replace a share of the patches' rows by others of the table, each equally likely."""
+    count = len(patches.table)
+    wrong = rng.random(len(patches.rows)) < share
+    step = rng.integers(1, max(count, 2), len(patches.rows))
+    wrong &= (patches.rows >= 0) & (count > 1)
+    rows = np.where(wrong, (patches.rows + step) % max(count, 1), patches.rows)
+    return replace(patches, rows=rows.astype(np.int32))
+
+
+class NoisyLabels:
+    """An encoder of labels that mislabels patches, each as another label of a vocabulary.
+
+    What a patch is taken for does not depend on any map. Synonyms are one label. The noise of a
+    frame depends on what `NoisyEncoder`'s does.
+
+    Parameters
+    ----------
+    encoder
+        Says what the patches are.
+    vocabulary
+        Labels that a patch can be taken for; what says nothing is left out.
+    share, seed, name
+        As of `NoisyEncoder`.
+
+    Raises
+    ------
+    OptionError
+        `share` is no probability, or the vocabulary has no two labels.
+
+    """
+
+    def __init__(
+        self,
+        encoder: LabelsEncoder,
+        vocabulary: Iterable[str],
+        share: float = SHARE,
+        *,
+        seed: int = 0,
+        name: str = "",
+    ) -> None:
+        self.encoder = encoder
+        self.share = _checked(share)
+        self._seed = (seed, crc32(name.encode()))
+        said = {v.tobytes(): v for v in map(encoder.vector, vocabulary) if v.any()}
+        if len(said) < 2:
+            raise OptionError("vocabulary: noise needs two labels at least that say something.")
+        self.vectors = np.stack(list(said.values()))
+        """(L, d) of the labels that a patch can be taken for."""
+        self.name = encoder.name
+        self.key = encoder.key
+        self.dimension = encoder.dimension
+        self.temperature = encoder.temperature
+
+    def patches(self, image: Frame) -> NDArray[np.float32] | None:
+        """Vectors (rows, columns, d) of a frame's patches, some of them wrong."""
+        clean = self.encoder.patches(image)
+        if clean is None:
+            return None
+        rng = np.random.default_rng([*self._seed, image.index])
+        flat = clean.reshape(-1, self.dimension)
+        wrong = (rng.random(len(flat)) < self.share) & flat.any(axis=1)
+        cosines = flat @ self.vectors.T
+        count = len(self.vectors)
+        # counted on from its own label, or from any where that is not in the vocabulary
+        known = cosines.max(axis=1) > 1 - _SAME
+        own = np.where(known, cosines.argmax(axis=1), rng.integers(count, size=len(flat)))
+        step = rng.integers(1, count, len(flat))
+        other = self.vectors[(own + step) % count]
+        return np.where(wrong[:, None], other, flat).reshape(clean.shape)
+
+    def camera(self, image: Frame) -> Camera:
+        """Camera whose image the grid divides."""
+        return self.encoder.camera(image)
+
+    def objects(self, scene: Scene, captures: Sequence[Capture] = ()) -> NDArray[np.float32]:
+        """Vectors (N, d) of a map's objects: without noise."""
+        return self.encoder.objects(scene, captures)
+
+
+def _checked(share: float) -> float:
+    if not 0 <= share <= 1:
+        raise OptionError(f"share is {share}; it must lie between 0 and 1.")
+    return share
+
+
+Labels = Literal["instances", "classes", "none"]
+
+QUICK_EVERY = 13
+"""Frames between windows of the house for a first impression."""
+
+SEMANTIC = {
+    "semantic": {"semantic": True},
+    "semantic + depth": {"semantic": True, "depth": True},
+    "semantic + colour": {"semantic": True, "colour": True},
+    "all": {"semantic": True, "depth": True, "colour": True},
+}
+BARE = {
+    "depth": {"depth": True},
+    "colour": {"colour": True},
+    "depth + colour": {"depth": True, "colour": True},
+}
+TITLES = {
+    "instances": "House, instance labels, 30 % of the patches wrong",
+    "classes": "House, class labels, 30 % of the patches wrong",
+    "none": "House, no labels",
+    "b in a": "Office, map of frames 0-185, asked about 186-372",
+    "a in b": "Office, map of frames 186-372, asked about 0-185",
+}
+
+
+@dataclass(frozen=True)
+class Job:
+    """One row of a table, for windows of any length."""
+
+    table: str
+    """Key of `TITLES`."""
+    row: str
+    options: FilterOptions
+    map: str
+    """`house`, `coarse` or a key of `HALVES`."""
+    labels: Labels
+
+    @property
+    def name(self) -> str:
+        """`instances: semantic + depth`."""
+        return f"{self.table}: {self.row}"
+
+    def key(self, window: Window, seed: int, code: str) -> str:
+        """What an answer depends on."""
+        options = hashlib.sha256(repr(self.options).encode()).hexdigest()[:12]
+        return f"{code} {self.map} {self.labels} {options} seed {seed} {window.name}"
+
+
+def house_jobs() -> list[Job]:
+    """Terms and pairs, with all labels and none, and the coarse map."""
+    jobs = []
+    for labels in ("instances", "classes"):
+        jobs += [
+            Job(labels, row, FilterOptions().only(**terms), "house", labels)
+            for row, terms in SEMANTIC.items()
+        ]
+    jobs += [
+        Job("none", row, FilterOptions().only(**terms), "house", "none")
+        for row, terms in BARE.items()
+    ]
+    for row in ("semantic", "semantic + depth", "all"):
+        options = FilterOptions().only(**SEMANTIC[row])
+        jobs.append(Job("instances", f"{row}, 20k triangles", options, "coarse", "instances"))
+    for row in ("depth + colour", "colour"):
+        options = FilterOptions().only(**BARE[row])
+        jobs.append(Job("none", f"{row}, 20k triangles", options, "coarse", "none"))
+    return jobs
+
+
+def office_jobs() -> list[Job]:
+    """No labels: depth and colour, and each alone."""
+    return [
+        Job(half, row, FilterOptions().only(**terms), half, "none")
+        for half in HALVES
+        for row, terms in BARE.items()
+    ]
+
+
+QUICK = (
+    "instances: semantic", "instances: semantic + depth", "instances: all", "classes: all",
+    "none: depth + colour", "b in a: depth + colour", "a in b: depth + colour",
+)  # fmt: skip
+"""Rows of a first impression."""
+
+
+class Named(Protocol):
+    """What has a name that rows can be chosen by."""
+
+    @property
+    def name(self) -> str:
+        """`instances: all`."""
+
+
+Row = TypeVar("Row", bound=Named)
+
+
+def chosen(jobs: Iterable[Row], only: Sequence[str]) -> list[Row]:
+    """Jobs whose name is, or with a trailing `*` begins with, one of those given; all if none is.
+
+    Refused where no name is.
+    """
+    there = list(jobs)
+    found = [
+        j
+        for j in there
+        if not only
+        or any(j.name == o or (o.endswith("*") and j.name.startswith(o[:-1])) for o in only)
+    ]
+    if not found:
+        names = "; ".join(j.name for j in there)
+        raise typer.BadParameter(f"no row is named {'; '.join(only)!r}; there are {names}")
+    return found
+
+
+def encoder_of(job: Job, scene: SceneMap, window: Window, seed: int) -> MapEncoder | None:
+    """Encoder with the noise model; None without labels."""
+    if job.labels == "none":
+        return None
+    clean = InstancesEncoder(scene) if job.labels == "instances" else ClassesOfInstances(scene)
+    return NoisyEncoder(clean, seed=seed, name=window.place)
+
+
+def ask(
+    job: Job, scene: SceneMap, window: Window, *, seed: int = 0, device: str = "auto"
+) -> Answer:
+    """Localize a window, without refining, and measure the answer."""
+    encoder = encoder_of(job, scene, window, seed)
+    return answered(scene, window, encoder, job.options, seed=seed, device=device)
+
+
+def answered(
+    scene: SceneMap,
+    window: Window,
+    encoder: MapEncoder | None,
+    options: FilterOptions,
+    *,
+    seed: int = 0,
+    device: str = "auto",
+) -> Answer:
+    """Localize a window with an encoder of the map, without refining, and measure the answer."""
+    start = time.perf_counter()
+    estimate = scene.localize(
+        window.capture, encoder=encoder, options=options, refine=False, seed=seed, device=device
+    )
+    seconds = time.perf_counter() - start
+    return measure(
+        estimate,
+        window.truth,
+        seconds=seconds,
+        frames=len(window.capture),
+        window=window.name,
+        place=window.place,
+        changed=window.changed,
+        coverage=window.coverage,
+    )
 
 
 class Asker:

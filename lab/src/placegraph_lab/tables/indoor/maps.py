@@ -1,27 +1,159 @@
-"""The maps of the indoor benchmark: the house, the house in fewer triangles, halves of the office.
-
-They lie in a cache folder; a fingerprint of the code that makes them stands in their names.
-"""
+"""Meshes of a given number of triangles, for benchmarks: fewer, coloured at vertices, or more."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
+from placegraph.errors import OptionError
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.mapping.fuse import fuse
 from placegraph.indoor.mapping.simplify import simplify
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import open_capture
-from placegraph.io.mesh.ply import write_ply
-from placegraph_lab.tables.indoor.decimate import coarse
+from placegraph.io.mesh.ply_write import write_ply
 from placegraph_lab.tables.indoor.windows import HALVES, true_poses
-from placegraph_lab.tables.runner import INDOOR, fingerprint
+from placegraph_lab.tables.runner import INDOOR, code_key
 
-MAKING = (*INDOOR, "placegraph_lab/tables/indoor/decimate.py")
-"""Code that decides what the maps are."""
+Floats = NDArray[np.float64]
+Floats32 = NDArray[np.float32]
+Ints = NDArray[np.int32]
+
+
+SPACING = 0.02
+"""Distance between samples of the colour of a surface [m]."""
+MOST_SAMPLES = 4_000_000
+
+
+def decimate(
+    vertices: ArrayLike, triangles: ArrayLike, target: int, group: ArrayLike | None = None
+) -> tuple[Floats32, Ints, Ints]:
+    """Collapse edges until about `target` triangles are left.
+
+    Parameters
+    ----------
+    vertices:
+        (V, 3) [m].
+    triangles:
+        (T, 3) rows of vertices.
+    target:
+        Triangles that are wanted; more are left where collapsing on would tear the surface.
+    group:
+        (T,) object of a triangle; surfaces of two objects do not merge where they touch.
+
+    Returns
+    -------
+    vertices
+        (V', 3) float32 [m].
+    triangles
+        (T', 3) int32.
+    group
+        (T',) int32, zeros where none was given.
+
+    Raises
+    ------
+    OptionError
+        Where `target` is less than 1.
+    """
+    if target < 1:
+        raise OptionError(f"target is {target}; it must be at least 1.")
+    mesh = simplify(Mesh.plain(vertices, triangles, group), error=np.inf, target=target)
+    return mesh.vertices, mesh.triangles, mesh.object_of
+
+
+def coarse(mesh: Mesh, target: int, rng: np.random.Generator) -> Mesh:
+    """Mesh of about `target` triangles and the same objects, coloured at its vertices alone.
+
+    A vertex gets the mean colour of the surface that is nearer to it than to other vertices of its
+    object, from about one sample a `SPACING` squared.
+    """
+    vertices, triangles, owner = decimate(mesh.vertices, mesh.triangles, target, mesh.object_of)
+    points, colours, of = painted_samples(mesh, rng)
+    shades = np.full((len(vertices), 3), 255, np.uint8)
+    for row in np.unique(owner):
+        mine = np.unique(triangles[owner == row])
+        shades[mine] = mean_colours(points[of == row], colours[of == row], vertices[mine])
+    return Mesh.plain(vertices, triangles, owner, shades)
+
+
+def painted_samples(
+    mesh: Mesh, rng: np.random.Generator
+) -> tuple[Floats, NDArray[np.uint8], NDArray[np.int32]]:
+    """Points (N, 3) [m] spread over the surface, their colours (N, 3) and objects (N,)."""
+    area = 0.5 * np.linalg.norm(mesh.normals(), axis=1)
+    grain = max(SPACING**2, float(area.sum()) / MOST_SAMPLES)
+    rows = np.repeat(np.arange(len(mesh)), rng.poisson(area / grain) + 1).astype(np.int32)
+    root, split = np.sqrt(rng.random(len(rows))), rng.random(len(rows))
+    shares = np.stack([1.0 - root, root * (1.0 - split), root * split], axis=1)
+    points = np.einsum("nkd,nk->nd", mesh.vertices[mesh.triangles[rows]], shares)
+    u, v = shares[:, 1].astype(np.float32), shares[:, 2].astype(np.float32)
+    return points, mesh.colour_at(rows, u, v), mesh.object_of[rows]
+
+
+def mean_colours(
+    points: Floats, colours: NDArray[np.uint8], vertices: Floats32
+) -> NDArray[np.uint8]:
+    """Mean colour (V, 3) of the points (N, 3) nearest to each vertex; of the nearest if none is."""
+    from scipy.spatial import cKDTree
+
+    _, nearest = cKDTree(vertices).query(points)
+    count = np.bincount(nearest, minlength=len(vertices))
+    sums = [np.bincount(nearest, colours[:, k], len(vertices)) for k in range(3)]
+    mean = np.stack(sums, axis=1) / np.maximum(count, 1)[:, None]
+    bare = np.flatnonzero(count == 0)
+    if bare.size:
+        mean[bare] = colours[cKDTree(points).query(vertices[bare])[1]]
+    return np.rint(mean).astype(np.uint8)
+
+
+def fine(mesh: Mesh, target: int) -> Mesh:
+    """The same surface in about `target` triangles: the largest are cut into four, again and again.
+
+    For measuring time only: a neighbour that was not cut touches three corners with one edge.
+    """
+    while len(mesh) < target:
+        size = np.linalg.norm(mesh.normals(), axis=1)
+        count = min(len(mesh), -(-(target - len(mesh)) // 3))
+        mesh = quartered(mesh, np.sort(np.argsort(-size, kind="stable")[:count]))
+    return mesh
+
+
+def quartered(mesh: Mesh, rows: NDArray[np.int64]) -> Mesh:
+    """Mesh whose triangles `rows` are cut into four at the middles of their edges."""
+    corners = mesh.triangles[rows]
+    pairs = np.sort(corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    edges, middle = np.unique(pairs, axis=0, return_inverse=True)
+    middle = middle.reshape(-1, 3) + len(mesh.vertices)
+    a, b, c = corners.T
+    ab, bc, ca = middle.T
+    parts = np.stack([a, ab, ca, ab, b, bc, ca, bc, c, ab, bc, ca], axis=1).reshape(-1, 3)
+    kept = np.ones(len(mesh), bool)
+    kept[rows] = False
+
+    def halved(column: NDArray[Any]) -> NDArray[Any]:
+        between = column[edges].mean(axis=1)
+        if column.dtype == np.uint8:
+            between = np.rint(between)
+        return np.concatenate([column, between.astype(column.dtype)])
+
+    def shared(column: NDArray[np.int32]) -> NDArray[np.int32]:
+        return np.concatenate([column[kept], np.repeat(column[rows], 4)])
+
+    return Mesh(
+        vertices=halved(mesh.vertices),
+        triangles=np.concatenate([mesh.triangles[kept], parts.astype(np.int32)]),
+        object_of=shared(mesh.object_of),
+        colours=halved(mesh.colours),
+        uv=halved(mesh.uv),
+        texture_of=shared(mesh.texture_of),
+        textures=mesh.textures,
+    )
+
+
 COARSE = 20_000
 """Triangles of the coarse house."""
 OFFICE_TRIANGLES = 80_000
@@ -82,7 +214,7 @@ def with_mesh(scene: SceneMap, mesh: Mesh) -> SceneMap:
 def place(cache: Path, name: str) -> Path:
     """Where a map belongs; those that older code made are deleted."""
     cache.mkdir(parents=True, exist_ok=True)
-    path = cache / f"{name}_{fingerprint(MAKING)}.scene"
+    path = cache / f"{name}_{code_key(INDOOR)}.scene"
     for old in cache.glob(f"{name}_{'[0-9a-f]' * 16}.scene"):
         if old != path:
             old.unlink()

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from placegraph_lab.tables.indoor.jobs import TITLES, Job
+from placegraph_lab.tables.indoor.bench import TITLES, Job
 from placegraph_lab.tables.indoor.metrics import AXES, THRESHOLDS, Answer, Score, score
 from placegraph_lab.tables.indoor.windows import COVERED, HALVES
 from placegraph_lab.tables.runner import markdown, number, share, shares

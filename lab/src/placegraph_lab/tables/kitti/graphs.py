@@ -24,8 +24,8 @@ from placegraph.outdoor.language.description import (
     Statement,
 )
 from placegraph_lab.datasets.kitti360pose import DIRECTIONS, Hints, Kitti360Pose, Objects
-from placegraph_lab.tables.outdoor.triples import DIRECTIONS as WINDS
-from placegraph_lab.tables.outdoor.triples import relations
+from placegraph_lab.tables.outdoor.nearby import DIRECTIONS as WINDS
+from placegraph_lab.tables.outdoor.nearby import relations
 
 Reading = Literal["honest", "paper"]
 """What the query graph of a pose is made of."""

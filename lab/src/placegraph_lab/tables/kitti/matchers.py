@@ -17,8 +17,8 @@ from placegraph.outdoor.language.description import SPEAKER, Description, Relati
 from placegraph.outdoor.map.objects import of_name
 from placegraph.outdoor.network.graphs import PlaceGraphs
 from placegraph.outdoor.network.graphs_kernels import MOST_THINGS
-from placegraph_lab.tables.outdoor.triples import DIRECTIONS as WINDS
-from placegraph_lab.tables.outdoor.triples import relations
+from placegraph_lab.tables.outdoor.nearby import DIRECTIONS as WINDS
+from placegraph_lab.tables.outdoor.nearby import relations
 
 
 def places_of_graphs(graphs: Sequence[SceneGraph], centers: NDArray[np.float64]) -> PlaceGraphs:

@@ -26,12 +26,11 @@ from placegraph_lab.datasets.kitti360pose import (
     Kitti360Pose,
     Objects,
     Poses,
+    footprint,
 )
-from placegraph_lab.datasets.kitti360pose_convert import footprint
-from placegraph_lab.tables.outdoor.nearby import Around, Bins
+from placegraph_lab.tables.outdoor.nearby import DIRECTIONS as WINDS
+from placegraph_lab.tables.outdoor.nearby import Around, Bins, relations
 from placegraph_lab.tables.outdoor.raw import KEYS, RawCity, read_raw
-from placegraph_lab.tables.outdoor.triples import DIRECTIONS as WINDS
-from placegraph_lab.tables.outdoor.triples import relations
 
 REACH = 15.0
 """Things this near to a cell's centre are in it [m]: half of KITTI360Pose's 30 m."""

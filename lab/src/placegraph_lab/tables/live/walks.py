@@ -6,11 +6,17 @@ has seen nothing of it.
 
 from __future__ import annotations
 
+import asyncio
+import base64
+import json
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
-from itertools import pairwise
-from time import process_time
+from itertools import islice, pairwise
+from pathlib import Path
+from time import perf_counter, process_time
 from typing import TYPE_CHECKING, Any
+from urllib.request import Request, urlopen
 
 import numpy as np
 from numpy.random import Generator
@@ -20,9 +26,13 @@ from placegraph.core.geometry import Floats, between, compose, pose_matrix, spli
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.indoor.track.odometry import Odometry
-from placegraph.io.capture.frame import Frame
+from placegraph.io.capture.capture import open_capture
+from placegraph.io.capture.frame import ArrayImages, Frame
 from placegraph_lab.tables.indoor.metrics import NEAR, near
 from placegraph_lab.tables.indoor.perturb import Recording, Shot, drift
+from placegraph_lab.tables.indoor.robustness import Places
+from placegraph_lab.tables.named.serve_load import Served, served
+from placegraph_lab.worlds.bags import BagWriter, Layout, write_capture
 
 if TYPE_CHECKING:
     from placegraph.indoor.track.live import LiveTracker
@@ -247,3 +257,169 @@ def longest(seen: Sequence[Seen], which: Callable[[Seen], bool]) -> int:
 def _mean(values: Iterator[bool]) -> float:
     found = list(values)
     return float(np.mean(found)) if found else float("nan")
+
+
+ODOMETRY = 100.0
+"""Samples a second."""
+
+
+@dataclass(frozen=True)
+class Clock:
+    """Tells and waits; a fake one makes tests quick."""
+
+    start: float
+
+    def now(self) -> float:
+        """Seconds since the start."""
+        return time.perf_counter() - self.start
+
+    def until(self, when: float) -> None:
+        """Wait until so many seconds after the start."""
+        time.sleep(max(0.0, when - self.now()))
+
+
+def paced(data: Path, cache: Path, path: Path, rate: float, seconds: float) -> dict[str, Any]:
+    """Play walks of the house with images at a rate [Hz], and odometry at 100 Hz, in a fresh process."""
+    recordings = Places(data, cache).recordings("house")["house"]
+    endless = looped(recordings, 0.0, np.random.default_rng(0))
+    every = islice(endless, int(rate * seconds))
+    frames = [_read(replace(f, stamp=i / rate)) for i, (f, _, _) in enumerate(every)]
+    with SceneMap.open(path).live(options=SENSES) as live:
+        for frame in frames[:8]:  # compiled code, and the table
+            live.step(frame)
+        live.lose()
+        spent = process_time()
+        told = play(live, frames, frames[7].stamp + 100.0, Clock(perf_counter()))
+        spent = process_time() - spent
+        live.wait()
+        return {"rate": rate, "cores": spent / told["seconds"], "dropped": live.dropped} | told
+
+
+def _read(frame: Frame) -> Frame:
+    """The frame with its images in memory: a camera needs no files."""
+    return replace(frame, images=ArrayImages(frame.rgb(), frame.depth(), frame.labels()))
+
+
+def play(live: LiveTracker, frames: list[Frame], base: float, clock: Clock) -> dict[str, Any]:
+    """Give images and odometry when their time has come; what each call took, and how old poses were."""
+    calls, ages, behind = [], [], []
+    coming = iter(frames)
+    image = next(coming)
+    for stamp, pose in wheels(frames):
+        clock.until(stamp)
+        start = clock.now()
+        told = live.move(base + stamp, pose)
+        calls.append(clock.now() - start)
+        behind.append(start - stamp)
+        if told.map_from_camera is not None:
+            ages.append(told.age)
+        if image.stamp <= stamp:
+            live.see(replace(image, stamp=base + image.stamp))
+            image = next(coming, replace(image, stamp=np.inf))
+    return {
+        "seconds": frames[-1].stamp, "images": len(frames), "moves": len(calls),
+        "with_pose": len(ages), "move_ms": quantiles(calls), "age_ms": quantiles(ages),
+        "behind_ms": quantiles(behind),
+    }  # fmt: skip
+
+
+def wheels(frames: list[Frame]) -> Iterator[tuple[float, Floats]]:
+    """Odometry of frames at 100 Hz."""
+    odometry = Odometry()
+    odometry.tell(frames[0].stamp, frames[0].odometry)
+    count = 0
+    for frame in frames[1:]:
+        odometry.tell(frame.stamp, frame.odometry)
+        while (stamp := count / ODOMETRY) <= frame.stamp:
+            sample = odometry.at(stamp)
+            assert sample is not None  # noqa: S101  of the last step
+            yield stamp, sample.pose
+            count += 1
+
+
+def quantiles(seconds: list[float]) -> dict[str, float]:
+    """Median, 95 and 99 % and the most, in milliseconds; nothing of nothing."""
+    if not seconds:
+        return {}
+    found = 1e3 * np.percentile(seconds, [50, 95, 99, 100])
+    return dict(zip(("p50", "p95", "p99", "most"), found.round(3).tolist(), strict=True))
+
+
+def from_files(scene: SceneMap, paths: Sequence[Path]) -> dict[str, Any]:
+    """Captures or bags, a new tracker each: reading an image, and all until its pose is there."""
+    wall, cpu, sure = [], [], 0
+    for number, path in enumerate([paths[0], *paths]):  # the first warms
+        live = scene.live(options=SENSES, background=False)
+        capture = open_capture(path)
+        for row in range(len(capture)):
+            start, spent = perf_counter(), process_time()
+            told = live.step(capture[row])
+            if number:
+                wall.append(perf_counter() - start)
+                cpu.append(process_time() - spent)
+                sure += told.status.name == "OK"
+    return figures(wall, cpu, sure)
+
+
+def bags(paths: Sequence[Path], folder: Path) -> list[Path]:
+    """The same captures as MCAP, raw images."""
+    out = []
+    for path in paths:
+        with BagWriter(folder / path.name) as writer:
+            write_capture(writer, open_capture(path, labels=None), Layout())
+        out.append(folder / path.name)
+    return out
+
+
+def from_server(maps: Path, paths: Sequence[Path]) -> dict[str, Any]:
+    """Images sent over WebSockets to sessions of a server beside us, until each answer is there."""
+    with served(maps) as server:
+        asyncio.run(_session(server, paths[0]))
+        wall: list[float] = []
+        sure, spent = 0, server.cpu()
+        for path in paths:
+            found = asyncio.run(_session(server, path))
+            wall += [seconds for seconds, _ in found]
+            sure += sum(status == "OK" for _, status in found)
+        each = (server.cpu() - spent) / len(wall)
+    return figures(wall, [each], sure)
+
+
+async def _session(server: Served, path: Path) -> list[tuple[float, str]]:
+    from websockets.asyncio.client import connect
+
+    capture = open_capture(path, labels=None)
+    c = capture.camera
+    camera = {n: getattr(c, n) for n in ("fx", "fy", "cx", "cy", "width", "height")}
+    begun = await asyncio.to_thread(_post, f"{server.url}/v1/sessions", {"camera": camera})
+    address = f"{server.url.replace('http', 'ws')}/v1/sessions/{begun['session']}"
+    found = []
+    async with connect(address, ping_interval=None, max_size=None) as socket:
+        rows = zip(
+            sorted((path / "rgb").iterdir()), sorted((path / "depth").iterdir()), strict=True
+        )
+        for frame, (colours, depth) in zip(capture, rows, strict=True):
+            start = perf_counter()
+            await socket.send(json.dumps({
+                "image": base64.b64encode(colours.read_bytes()).decode(),
+                "depth": base64.b64encode(depth.read_bytes()).decode(),
+                "odometry": frame.odometry.tolist(), "gravity": frame.gravity.tolist(),
+                "stamp": frame.stamp,
+            }))  # fmt: skip
+            answer = json.loads(await socket.recv())
+            found.append((perf_counter() - start, answer["estimate"]["status"]))
+    return found
+
+
+def _post(url: str, body: dict[str, Any]) -> dict[str, Any]:
+    kind = {"Content-Type": "application/json"}
+    request = Request(url, json.dumps(body).encode(), kind)  # noqa: S310  # our own server
+    with urlopen(request, timeout=60) as answer:  # noqa: S310
+        told: dict[str, Any] = json.loads(answer.read())
+        return told
+
+
+def figures(wall: list[float], cpu: list[float], sure: int) -> dict[str, Any]:
+    """Of one way in."""
+    told = {"frames": len(wall), "sure": sure / len(wall), "wall_ms": quantiles(wall)}
+    return told | {"cpu_ms": quantiles(cpu), "in_time": sum(s <= 0.1 for s in wall) / len(wall)}

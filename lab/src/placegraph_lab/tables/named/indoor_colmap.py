@@ -1,14 +1,12 @@
-"""Best of both beside COLMAP: single frames, in our maps and in maps of local features.
+"""What localizes by local features of mapped views alone: COLMAP with SIFT, and XFeat lifted by depth.
 
-    placegraph-lab table indoor_colmap
-    placegraph-lab table indoor_colmap --only "office, beside mapped views" --frames 40
-
-Prints a Markdown table and writes every answer as JSON. Needs `pip install './lab[colmap]'`, and for
-XFeat its weights in `shared/weights`. `docs/benchmarks/indoor-colmap.md` says what is measured.
+Both find candidates among the mapped views by VLAD, match their features one view after the other,
+and leave the pose to COLMAP's PnP. Needs pycolmap, which only this comparison uses.
 """
 
 from __future__ import annotations
 
+import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -16,19 +14,23 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
 
 from placegraph.core.estimate import Status
-from placegraph.core.geometry import Floats
+from placegraph.core.geometry import Camera, Floats
+from placegraph.errors import MissingExtraError
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.map.scene_file import bytes_of
 from placegraph.indoor.mapping.from_capture import FromCapture
+from placegraph.indoor.mapping.landmarks import depth_at
 from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.refine.matching.features import Features, mutual
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import open_capture
 from placegraph.io.capture.frame import Frame
 from placegraph_lab.tables.indoor.maps import place
 from placegraph_lab.tables.indoor.metrics import NEAR, near, position_error, rotation_error
-from placegraph_lab.tables.indoor.peers import Peer, colmap_peer, xfeat_peer
 from placegraph_lab.tables.indoor.windows import HALVES, true_poses
 from placegraph_lab.tables.runner import (
     Quick,
@@ -42,6 +44,227 @@ from placegraph_lab.tables.runner import (
     share,
     table,
 )
+from placegraph_learn.xfeat import XFeatMatcher
+
+WORDS = 64
+"""Of VLAD."""
+CANDIDATES = 10
+"""Mapped views that a query is matched with."""
+ERROR = 12.0
+"""Reprojection error of an inlier of PnP [px]."""
+LEAST = 12
+"""Fewest inliers of a pose."""
+RATIO = 0.8
+_ROUNDS = 8
+_SOME = 20_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """A mapped view: features of known points."""
+
+    points: Floats
+    """(N, 3) [m, map]"""
+    vectors: NDArray[np.float32]
+    """(N, D) unit vectors."""
+
+
+@dataclass(frozen=True, eq=False)
+class Peer:
+    """A map of features, ready to be asked."""
+
+    views: Sequence[View]
+    words: NDArray[np.float32]
+    """(WORDS, D)"""
+    images: NDArray[np.float32]
+    """(V, WORDS D) VLAD of each view."""
+    bytes_a_feature: float
+    features: Callable[[Frame], Features]
+    """Of a query's image: points [px], vectors."""
+    ratio: float
+
+    @property
+    def megabytes(self) -> float:
+        """What the map's features, their points and the VLADs take, uncompressed."""
+        count = sum(len(view.points) for view in self.views)
+        return (count * self.bytes_a_feature + self.images.nbytes) / 1e6
+
+    def ask(self, frame: Frame) -> Floats | None:
+        """map_from_camera (4, 4) of a frame; None where too few features agree."""
+        found = self.features(frame)
+        if not len(found):
+            return None
+        near = np.argsort(-self.images @ vlad(found.vectors, self.words), kind="stable")
+        pixels, points = [np.zeros((0, 2))], [np.zeros((0, 3))]
+        for row in near[:CANDIDATES]:
+            view = self.views[row]
+            its = Features(np.zeros((len(view.points), 2)), view.vectors)
+            ours, theirs, _ = mutual(found, its, ratio=self.ratio, apart=-1.0)
+            pixels.append(found.points[ours])
+            points.append(view.points[theirs])
+        return pnp(np.concatenate(pixels), np.concatenate(points), frame.camera)
+
+
+def peer(
+    views: Sequence[View],
+    features: Callable[[Frame], Features],
+    bytes_a_feature: float,
+    ratio: float,
+    rng: np.random.Generator,
+) -> Peer:
+    """Map of views: the words of its VLAD are learned of their features."""
+    every = np.concatenate([view.vectors for view in views])
+    some = every[rng.permutation(len(every))[:_SOME]]
+    words = some[:WORDS].copy()
+    for _ in range(_ROUNDS):
+        own = (some @ words.T).argmax(axis=1)
+        for k in range(WORDS):
+            if (own == k).any():
+                words[k] = some[own == k].mean(axis=0)
+        words /= np.maximum(np.linalg.norm(words, axis=1, keepdims=True), 1e-9)
+    images = np.stack([vlad(view.vectors, words) for view in views])
+    return Peer(views, words, images, bytes_a_feature, features, ratio)
+
+
+def vlad(vectors: NDArray[np.float32], words: NDArray[np.float32]) -> NDArray[np.float32]:
+    """VLAD (WORDS D,) of an image's vectors (N, D), signed roots, unit (Jegou et al. 2010)."""
+    own = (vectors @ words.T).argmax(axis=1) if len(vectors) else np.zeros(0, np.int64)
+    sums = np.zeros(words.shape)
+    np.add.at(sums, own, vectors - words[own])
+    flat = (np.sign(sums) * np.sqrt(np.abs(sums))).ravel()
+    return (flat / max(float(np.linalg.norm(flat)), 1e-9)).astype(np.float32)
+
+
+def pnp(pixels: Floats, points: Floats, camera: Camera) -> Floats | None:
+    """COLMAP's LO-RANSAC and refinement at `ERROR`; None where fewer than `LEAST` agree."""
+    colmap = pycolmap()
+    if len(pixels) < LEAST:
+        return None
+    options = colmap.AbsolutePoseEstimationOptions()
+    options.ransac.max_error = ERROR
+    options.ransac.random_seed = 0
+    told = colmap.estimate_and_refine_absolute_pose(pixels, points, colmap_camera(camera), options)
+    if told is None or int(told["num_inliers"]) < LEAST:
+        return None
+    pose = np.eye(4)
+    pose[:3] = told["cam_from_world"].inverse().matrix()
+    return pose
+
+
+def colmap_camera(camera: Camera) -> Any:  # noqa: ANN401  # pycolmap is untyped
+    """The camera as COLMAP has it; pixel centres at +0.5 in both."""
+    pinhole = [camera.fx, camera.fy, camera.cx, camera.cy]
+    given = [*camera.distortion, *[0.0] * 8][:8] if camera.distortion else []
+    return pycolmap().Camera(
+        model="FULL_OPENCV" if given else "PINHOLE",
+        width=camera.width, height=camera.height, params=[*pinhole, *given], camera_id=1,
+    )  # fmt: skip
+
+
+def xfeat_peer(
+    frames: Sequence[Frame], poses: Floats, weights: Path, rng: np.random.Generator
+) -> Peer:
+    """XFeat features of mapped frames (T, 4, 4), lifted by their own depth; 64 numbers in 16 bits."""
+    network = XFeatMatcher(weights=weights)
+
+    def features(frame: Frame) -> Features:
+        found: Features = network.prepared(frame.rgb())
+        return found
+
+    views = []
+    for frame, pose in zip(frames, poses, strict=True):
+        found = features(frame)
+        rays = frame.camera.directions(found.points)
+        depth = depth_at(frame, rays)
+        known = np.isfinite(depth)
+        at = (rays * depth[:, None])[known] @ pose[:3, :3].T + pose[:3, 3]
+        views.append(View(at, found.vectors[known]))
+    return peer(views, features, 64 * 2 + 12, 1.0, rng)
+
+
+def colmap_peer(frames: Sequence[Frame], poses: Floats, rng: np.random.Generator) -> Peer:
+    """SIFT features of mapped frames, triangulated by COLMAP with their poses (T, 4, 4) known.
+
+    Each view is matched with those up to 10 frames away, and 2, 4, ... 512 beyond.
+    """
+    colmap = pycolmap()
+    with tempfile.TemporaryDirectory() as folder:
+        model, database = _triangulated(colmap, Path(folder), frames, poses)
+        views = []
+        for image in sorted(model.images.values(), key=lambda i: i.name):
+            seen = [(n, p.point3D_id) for n, p in enumerate(image.points2D) if p.has_point3D()]
+            rows = np.array([n for n, _ in seen], np.int64)
+            points = [model.points3D[id_].xyz for _, id_ in seen]
+            described = np.asarray(database.read_descriptors(image.image_id).data, np.float32)
+            views.append(View(np.array(points).reshape(-1, 3), _unit(described[rows])))
+        database.close()
+    sift = colmap.Sift()
+
+    def features(frame: Frame) -> Features:
+        keypoints, vectors = sift.extract(np.ascontiguousarray(_grey(frame)))
+        return Features(keypoints[:, :2].astype(np.float64), _unit(np.asarray(vectors, np.float32)))
+
+    return peer(views, features, 128 + 12, RATIO, rng)
+
+
+def _triangulated(
+    colmap: Any,  # noqa: ANN401  # pycolmap is untyped
+    folder: Path,
+    frames: Sequence[Frame],
+    poses: Floats,
+) -> tuple[Any, Any]:
+    """COLMAP's reconstruction of frames, and its open database."""
+    names = [f"{t:06d}.png" for t in range(len(frames))]
+    (folder / "images").mkdir()
+    for name, frame in zip(names, frames, strict=True):
+        Image.fromarray(_grey(frame)).save(folder / "images" / name, compress_level=1)
+    camera = colmap_camera(frames[0].camera)
+    reader = colmap.ImageReaderOptions()
+    reader.camera_model = camera.model.name
+    reader.camera_params = ",".join(map(str, camera.params))
+    path = folder / "colmap.db"
+    colmap.extract_features(
+        path, folder / "images", names, colmap.CameraMode.SINGLE, reader,
+        device=colmap.Device.cpu,
+    )  # fmt: skip
+    colmap.match_sequential(path, device=colmap.Device.cpu)
+    database = colmap.Database.open(path)
+    model = colmap.Reconstruction()
+    kept = database.read_all_cameras()[0]
+    model.add_camera_with_trivial_rig(kept)
+    for image in database.read_all_images():
+        camera_from_map = np.linalg.inv(poses[names.index(image.name)])
+        its = colmap.Image(
+            name=image.name,
+            keypoints=np.asarray(database.read_keypoints(image.image_id))[:, :2].astype(float),
+            camera_id=kept.camera_id,
+            image_id=image.image_id,
+        )
+        model.add_image_with_trivial_frame(its, colmap.Rigid3d(camera_from_map[:3]))
+    (folder / "model").mkdir()
+    return colmap.triangulate_points(model, path, folder / "images", folder / "model"), database
+
+
+def _grey(frame: Frame) -> NDArray[np.uint8]:
+    return np.asarray(Image.fromarray(frame.rgb()).convert("L"))
+
+
+def _unit(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
+    vectors = vectors.reshape(-1, vectors.shape[-1] or 128)
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-9)
+
+
+def pycolmap() -> Any:  # noqa: ANN401  # it is untyped
+    """The library, or what to install."""
+    try:
+        import pycolmap as library
+    except ImportError as error:
+        raise MissingExtraError(
+            "The comparison needs COLMAP: pip install 'placegraph-lab[colmap]'."
+        ) from error
+    library.logging.minloglevel = library.logging.Level.ERROR.value  # else every image is told
+    return library
+
 
 LIMITS = (0.10, 5.0)
 """Position [m] and rotation [deg] that the recall allows."""

@@ -11,11 +11,11 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from placegraph_lab.tables.indoor.bench import Asker, Bench
-from placegraph_lab.tables.indoor.jobs import (
-    ANSWERING,
+from placegraph_lab.tables.indoor.bench import (
     QUICK,
     QUICK_EVERY,
+    Asker,
+    Bench,
     Job,
     ask,
     chosen,
@@ -33,6 +33,7 @@ from placegraph_lab.tables.indoor.windows import (
     Window,
 )
 from placegraph_lab.tables.runner import (
+    INDOOR,
     Device,
     Every,
     Fresh,
@@ -40,7 +41,7 @@ from placegraph_lab.tables.runner import (
     Quick,
     Run,
     Seed,
-    fingerprint,
+    code_key,
     option,
     parts,
     table,
@@ -71,7 +72,7 @@ def indoor_filter(
         names = names or list(QUICK)
     jobs = chosen([*house_jobs(), *office_jobs()], names)
     bench = Bench(run.data, run.cache, every, office_every)
-    code = fingerprint(ANSWERING)  # once: what is loaded now is what answers
+    code = code_key(INDOOR)  # once: what is loaded now is what answers
     lengths = [int(n) for n in windows.split(",")]
     rows = []
     with Asker(run, fresh=fresh) as asker:

@@ -1,36 +1,29 @@
-"""Which matches of photographs with renderings of the map are right? House and office.
+"""How many matches of a photograph with renderings of the map are right; the true pose tells.
 
-    placegraph-lab table indoor_matchers
-    placegraph-lab table indoor_matchers --only "sift; xfeat scale=1.5" --part odd
-
-Prints Markdown tables and writes every row as JSON. A matcher is a name and options, such as
-`xfeat dense=True`. The matchers' defaults were chosen on even queries; all are reported, and
-`--part odd` asks those that nobody tuned on. `docs/benchmarks.md` explains the protocol.
+Queries are single frames of the house and of the office. Views are rendered at the true pose, at a
+pose off by `OFF` and turned by `OFF_TURN`, and at the true position turned about the vertical.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from enum import StrEnum
+from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from placegraph.core.geometry import Camera, Floats, rotation_z
+from placegraph.errors import MissingExtraError
 from placegraph.indoor.encode import spoken
 from placegraph.indoor.refine.matching import Matcher, matcher
+from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor.bench import Bench
-from placegraph_lab.tables.indoor.matches import (
-    KINDS,
-    LIMITS,
-    PIXELS,
-    Found,
-    Query,
-    Trial,
-    ask,
-    starts,
-    summary,
-)
+from placegraph_lab.tables.indoor.metrics import position_error, rotation_error
 from placegraph_lab.tables.indoor.report import errors
 from placegraph_lab.tables.indoor.windows import COVERED, HALVES
 from placegraph_lab.tables.runner import (
@@ -46,6 +39,281 @@ from placegraph_lab.tables.runner import (
     shares,
     table,
 )
+
+if TYPE_CHECKING:
+    from placegraph.indoor.refine.matching import Matches
+    from placegraph.indoor.render import Rendering
+    from placegraph_lab.tables.indoor.windows import Window
+
+PIXELS = (3.0, 5.0, 10.0)
+"""A match is right to within so many pixels of the query."""
+TURNS_DEG = (15.0, 30.0, 45.0)
+"""Views are turned by so much, to the left and to the right."""
+KINDS = ("true", "disturbed", *(f"turned {degrees:.0f}" for degrees in TURNS_DEG))
+"""Where views are rendered from."""
+OFF = 0.2
+"""How far a disturbed pose is from the true one [m]."""
+OFF_TURN_DEG = 10.0
+"""And by how much it is turned about the vertical, to either side."""
+OFF_TILT_DEG = 0.5
+"""And about the level axes, normally distributed: gravity is known, but not better than this."""
+NEAREST = 0.03
+"""The surface of a match is visible to the query where no other is nearer by more than this [m],
+and `SLOPE` of its depth."""
+SLOPE = 0.02
+LIMITS = ((0.10, 5.0), (0.25, 2.0))
+"""Recall of the single view: within [m] and [deg]."""
+REPROJECTION = 8.0
+"""RANSAC's threshold [px]."""
+FEWEST = 6
+"""A pose is not sought from fewer matches."""
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """A pose to render from."""
+
+    kind: str
+    """`true`, `disturbed`, or `turned 15` (degrees, to either side)."""
+    map_from_camera: Floats
+
+
+def starts(truth: Floats, rng: np.random.Generator) -> list[Start]:
+    """True, disturbed and turned poses of a query whose true pose (4, 4) is known."""
+    found = [Start("true", truth), Start("disturbed", disturbed(truth, rng))]
+    for degrees in TURNS_DEG:
+        for side in (-1, 1):
+            pose = turned(truth, side * np.radians(degrees))
+            found.append(Start(f"turned {degrees:.0f}", pose))
+    return found
+
+
+def disturbed(truth: Floats, rng: np.random.Generator) -> Floats:
+    """Pose (4, 4) that is `OFF` away in any direction and turned by `OFF_TURN_DEG` to one side."""
+    direction = rng.normal(size=3)
+    pose = turned(truth, np.radians(OFF_TURN_DEG) * rng.choice([-1.0, 1.0]))
+    x, y = np.radians(OFF_TILT_DEG) * rng.normal(size=2)
+    # small turns about the map's level axes, to first order and made orthogonal again
+    tilt = np.array([[1.0, 0.0, y], [0.0, 1.0, -x], [-y, x, 1.0]])
+    u, _, v = np.linalg.svd(tilt @ pose[:3, :3])
+    pose[:3, :3] = u @ v
+    pose[:3, 3] += OFF * direction / np.linalg.norm(direction)
+    return pose
+
+
+def turned(pose: Floats, yaw: float) -> Floats:
+    """Pose (4, 4) turned on its place about the vertical by `yaw` [rad]."""
+    out = pose.copy()
+    out[:3, :3] = rotation_z(yaw) @ pose[:3, :3]
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class Query:
+    """One frame, its truth and what the map looks like around it."""
+
+    window: Window
+    """Of one frame."""
+    scene: SceneMap
+    starts: tuple[Start, ...]
+
+    @property
+    def camera(self) -> Camera:
+        """Of the frame's colours."""
+        return self.window.capture.camera
+
+    @property
+    def rgb(self) -> NDArray[np.uint8]:
+        """(H, W, 3) uint8."""
+        return self.window.capture[-1].rgb()
+
+    @cached_property
+    def renderings(self) -> list[Rendering]:
+        """The map from each start."""
+        from placegraph.indoor.render import render
+
+        return [render(self.scene, s.map_from_camera, self.camera) for s in self.starts]
+
+    def forget(self) -> None:
+        """Drop the renderings, 10 MB each."""
+        self.__dict__.pop("renderings", None)
+
+
+def lift(scene: SceneMap, map_from_camera: Floats, camera: Camera, pixels: Floats) -> Floats:
+    """Points (N, 3) [m, map] that a camera sees at image points (N, 2) [px]; NaN: nothing."""
+    rays = camera.directions(pixels) @ map_from_camera[:3, :3].T
+    origins = np.broadcast_to(map_from_camera[:3, 3], rays.shape)
+    hits = scene.caster.cast(origins, rays)
+    far = np.where(hits.triangle >= 0, hits.distance, np.nan)
+    points: Floats = origins + far[:, None] * rays
+    return points
+
+
+def pixel_errors(query: Query, start: Start, matches: Matches) -> tuple[Floats, Floats]:
+    """How far matches are from the truth (N,) [px], inf: not visible there; and their points.
+
+    The rendered point is lifted to the map's surface (N, 3), and that is projected with the true
+    pose of the query. Where another surface hides it there, no match can be right.
+    """
+    truth, camera = query.window.truth, query.camera
+    points = lift(query.scene, start.map_from_camera, camera, matches.rendered)
+    seen = (points - truth[:3, 3]) @ truth[:3, :3]
+    at = camera.project(seen)
+    errors = np.linalg.norm(at - matches.query, axis=1)
+    inside = ((at >= 0) & (at <= [camera.width, camera.height])).all(axis=1)
+    visible = np.zeros(len(points), np.bool_)
+    if inside.any():
+        there = lift(query.scene, truth, camera, at[inside])
+        depth = ((there - truth[:3, 3]) @ truth[:3, :3])[:, 2]
+        visible[inside] = depth > seen[inside, 2] * (1.0 - SLOPE) - NEAREST
+    return np.where(visible, errors, np.inf), points
+
+
+@dataclass(frozen=True)
+class Found:
+    """What one matcher found between one query and one view."""
+
+    query: str
+    place: str
+    changed: bool | None
+    covered: float | None
+    kind: str
+    matches: int
+    right: tuple[int, ...]
+    """Matches within each of `PIXELS`."""
+    inliers: int
+    metres: float
+    """Error of the single view's pose; inf: none was found."""
+    degrees: float
+
+    def within(self, metres: float, degrees: float) -> bool:
+        """Whether the single view's pose is right."""
+        return self.metres <= metres and self.degrees <= degrees
+
+
+def judged(query: Query, start: Start, matches: Matches, seed: int) -> Found:
+    """Count what is right, and solve for the pose from this view alone."""
+    errors, points = pixel_errors(query, start, matches)
+    pose, inliers = solve(query.camera, matches.query, points, seed)
+    truth = query.window.truth
+    return Found(
+        query=query.window.name,
+        place=query.window.place,
+        changed=query.window.changed,
+        covered=query.window.coverage,
+        kind=start.kind,
+        matches=len(matches),
+        right=tuple(int((errors <= limit).sum()) for limit in PIXELS),
+        inliers=inliers,
+        metres=np.inf if pose is None else position_error(pose, truth),
+        degrees=np.inf if pose is None else rotation_error(pose, truth),
+    )
+
+
+def solve(camera: Camera, pixels: Floats, points: Floats, seed: int) -> tuple[Floats | None, int]:
+    """map_from_camera (4, 4) from image points (N, 2) [px] and map points (N, 3), by PnP in RANSAC.
+
+    Returns
+    -------
+    tuple
+        The pose, or None where there are too few matches or they agree on none, and its inliers.
+
+    Raises
+    ------
+    MissingExtraError
+        PoseLib is not installed: it comes with placegraph where it has a wheel.
+
+    """
+    try:
+        import poselib
+    except ImportError as error:
+        raise MissingExtraError(
+            "Poses from matches need PoseLib, which has no wheel here: pip install poselib."
+        ) from error
+    known = np.isfinite(points).all(axis=1)
+    if known.sum() < FEWEST:
+        return None, 0
+    rays = camera.directions(pixels[known])  # undistorted: PoseLib sees a plain camera
+    plain = rays[:, :2] * (camera.fx, camera.fy) + (camera.cx, camera.cy)
+    found, info = poselib.estimate_absolute_pose(
+        plain,
+        points[known],
+        {
+            "model": "PINHOLE",
+            "width": camera.width,
+            "height": camera.height,
+            "params": [camera.fx, camera.fy, camera.cx, camera.cy],
+        },
+        {"max_reproj_error": REPROJECTION, "seed": seed, "max_iterations": 10_000},
+        {"loss_type": "CAUCHY"},
+    )
+    inliers = int(info["num_inliers"])
+    if inliers < FEWEST:
+        return None, inliers
+    pose = np.eye(4)
+    pose[:3, :3] = found.R.T
+    pose[:3, 3] = -found.R.T @ found.t
+    return pose, inliers
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A matcher with options, asked about queries."""
+
+    name: str
+    found: tuple[Found, ...]
+    seconds: tuple[float, ...]
+    """Of each query with one view, features of both included."""
+    view_seconds: tuple[float, ...] = field(default=())
+    """Of each further view."""
+
+    @classmethod
+    def joined(cls, name: str, parts: Sequence[Trial]) -> Trial:
+        """One trial of several."""
+        return cls(
+            name,
+            tuple(f for p in parts for f in p.found),
+            tuple(s for p in parts for s in p.seconds),
+            tuple(s for p in parts for s in p.view_seconds),
+        )
+
+
+def ask(name: str, matcher: Matcher, queries: Sequence[Query], *, seed: int = 0) -> Trial:
+    """Match every query with all its views."""
+    found: list[Found] = []
+    seconds: list[float] = []
+    further: list[float] = []
+    for query in queries:
+        drawn, rgb = query.renderings, query.rgb
+        views, masks = [d.colour for d in drawn], [d.mask for d in drawn]
+        began = time.perf_counter()
+        matcher.match(rgb, views[:1], masks=masks[:1])
+        seconds.append(time.perf_counter() - began)
+        began = time.perf_counter()
+        results = matcher.match(rgb, views, masks=masks)
+        whole = time.perf_counter() - began
+        further.append((whole - seconds[-1]) / max(len(views) - 1, 1))
+        pairs = zip(query.starts, results, strict=True)
+        found += [judged(query, start, matches, seed) for start, matches in pairs]
+    return Trial(name, tuple(found), tuple(seconds), tuple(further))
+
+
+def summary(found: Sequence[Found]) -> dict[str, Any]:
+    """Plain numbers of answers to some queries, ready for `json.dumps`."""
+    total = sum(f.matches for f in found)
+    right = np.sum([f.right for f in found], axis=0)
+    errors = np.array([(f.metres, f.degrees) for f in found])
+    middle = np.median(errors, axis=0)
+    return {
+        "pairs": len(found),
+        "matches": float(np.median([f.matches for f in found])),
+        "right": [float(r) / total if total else None for r in right],
+        "right_matches": float(np.median([f.right[1] for f in found])),
+        "recall": [float(np.mean([f.within(*limit) for f in found])) for limit in LIMITS],
+        "median_error": [float(e) if np.isfinite(e) else None for e in middle],
+        "inliers": float(np.median([f.inliers for f in found])),
+    }
+
 
 PARTS: dict[str, Callable[[Found], object]] = {
     "house, unchanged": lambda f: f.changed is False,

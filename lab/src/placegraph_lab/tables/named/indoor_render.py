@@ -24,8 +24,8 @@ from placegraph.indoor.render import Renderer, camera_rays
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.camera import read_camera
 from placegraph_lab.tables.indoor import maps as indoor_maps
-from placegraph_lab.tables.indoor.speed import no_cuda
 from placegraph_lab.tables.indoor.windows import HALVES, true_poses
+from placegraph_lab.tables.named.indoor_speed import no_cuda
 from placegraph_lab.tables.runner import Quick, Run, markdown, number, option, share, table
 
 TIMES = 5

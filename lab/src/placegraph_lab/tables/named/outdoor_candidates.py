@@ -17,12 +17,26 @@ import numpy as np
 
 from placegraph.core.geometry import Floats
 from placegraph.outdoor.city import CityMap
-from placegraph_lab.tables.outdoor.city_sizes import busiest_tile, crop, tile
-from placegraph_lab.tables.outdoor.extracts import EXTRACTS, in_held_out_tiles, open_city
-from placegraph_lab.tables.outdoor.matchers import LocateMatcher, ask, cell_centers
+from placegraph_lab.tables.outdoor.extracts import (
+    EXTRACTS,
+    busiest_tile,
+    crop,
+    in_held_out_tiles,
+    open_city,
+    tile,
+)
+from placegraph_lab.tables.outdoor.matchers import (
+    STAGES,
+    LocateMatcher,
+    ask,
+    cell_centers,
+    found_within,
+    medians,
+    run,
+    slope,
+)
 from placegraph_lab.tables.outdoor.metrics import score
 from placegraph_lab.tables.outdoor.queries import Query, make_queries
-from placegraph_lab.tables.outdoor.stages import STAGES, found_within, medians, run, slope
 from placegraph_lab.tables.runner import (
     Quick,
     Run,

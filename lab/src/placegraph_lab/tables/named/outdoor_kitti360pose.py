@@ -19,8 +19,7 @@ import typer
 
 from placegraph.errors import PlacegraphError
 from placegraph.outdoor.network.network import GraphTransformer
-from placegraph_lab.datasets.kitti360pose import SPLITS, Kitti360Pose
-from placegraph_lab.datasets.kitti360pose_convert import convert_kitti360pose
+from placegraph_lab.datasets.kitti360pose import SPLITS, Kitti360Pose, convert_kitti360pose
 from placegraph_lab.tables.kitti.kitti360pose import (
     MATCHERS,
     SLOW,

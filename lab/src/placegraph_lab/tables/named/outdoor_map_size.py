@@ -14,8 +14,7 @@ from typing import Annotated, Any
 
 from placegraph.outdoor.city import CityMap
 from placegraph_lab.tables.kitti.kitti360pose import POINT_CLOUD, SCENE_GRAPH
-from placegraph_lab.tables.outdoor.city_sizes import busiest_tile, crop
-from placegraph_lab.tables.outdoor.extracts import names_of, open_city
+from placegraph_lab.tables.outdoor.extracts import busiest_tile, crop, names_of, open_city
 from placegraph_lab.tables.runner import Quick, Run, markdown, number, option, table
 
 MEGA = 1e-6

@@ -1,24 +1,205 @@
-"""How many pairs of a text and a cell are judged in a second? Table III of the paper.
-
-    placegraph-lab table outdoor_pairs
-
-Every row runs in a fresh process on one core, then on two. Prints Markdown, writes JSON.
-"""
+"""How many pairs of a text and a cell each matcher judges in a second (Table III)."""
 
 from __future__ import annotations
 
 import importlib.util
 import os
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
+from numpy.random import Generator
 
+from placegraph.errors import OptionError
+from placegraph.outdoor.city import CityMap
+from placegraph.outdoor.language.description import Description
+from placegraph.outdoor.likelihood.query import compile_query, read
+from placegraph.outdoor.likelihood.score_kernels import score_views
+from placegraph.outdoor.network.batches import WordFits
+from placegraph.outdoor.network.graphs import PlaceGraphs, TextGraphs
+from placegraph.outdoor.network.network import GraphTransformer
+from placegraph.outdoor.search.edit_distance import rank
+from placegraph.outdoor.search.viewpoints import TOGETHER
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, open_city, unseen_queries
-from placegraph_lab.tables.outdoor.pairs import Pairs, rate
+from placegraph_lab.tables.outdoor.queries import Query
 from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, number, option, table
 from placegraph_lab.tables.statistics import apart
+
+EVERYTHING = 1e9
+"""Margin [nat] that leaves nothing out: every pair is scored in full."""
+TOGETHER_IN_TORCH = 250
+"""Pairs a batch in PyTorch."""
+
+
+def rate(work: Callable[[], int], *, seconds: float, least: int = 3) -> float:
+    """Pairs a second: the median of runs that together take `seconds`, after one that warms up.
+
+    Parameters
+    ----------
+    work
+        Judges some pairs and says how many they were.
+    least
+        Runs at the least.
+
+    Raises
+    ------
+    OptionError
+        Where there is no time, or no run.
+    """
+    if not (seconds > 0.0 and least > 0):
+        raise OptionError(f"seconds is {seconds}, least is {least}; give both above 0.")
+    work()
+    rates: list[float] = []
+    end = time.perf_counter() + seconds
+    while len(rates) < least or time.perf_counter() < end:
+        start = time.perf_counter()
+        pairs = work()
+        rates.append(pairs / (time.perf_counter() - start))
+    return float(np.median(rates))
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """Texts, and cells drawn at random for each of them."""
+
+    city: CityMap
+    descriptions: tuple[Description, ...]
+    rows: tuple[np.ndarray, ...]
+    """For each text (K,) rows of `city.cells.points`."""
+
+    @classmethod
+    def of(cls, city: CityMap, queries: Sequence[Query], cells: int, rng: Generator) -> Pairs:
+        """Every query with `cells` cells."""
+        return cls(
+            city,
+            tuple(read(city, q.text) for q in queries),
+            tuple(rng.choice(len(city.cells), cells, replace=False) for _ in queries),
+        )
+
+    def by_edits(self, *, plain: bool, texts: int, cells: int, timeout: float) -> Callable[[], int]:
+        """Edit distance of some of the pairs; the graphs of the cells are made before."""
+        names = tuple(self.city.cells)
+        chosen = [
+            (d, [names[i] for i in r[:cells]])
+            for d, r in zip(self.descriptions[:texts], self.rows, strict=False)
+        ]
+        graphs = [[self.city.graph(cell) for cell in cells] for _, cells in chosen]
+        centers = [[self.city.cells.center(cell) for cell in cells] for _, cells in chosen]
+
+        def work() -> int:
+            for (description, _), given, at in zip(chosen, graphs, centers, strict=True):
+                rank(description, given, centers=at, timeout=timeout, plain=plain)
+            return sum(map(len, graphs))
+
+        return work
+
+    @cached_property
+    def views(self) -> tuple[np.ndarray, ...]:
+        """For each text (K,) viewpoints drawn at random: what relational matching scores."""
+        rng = np.random.default_rng(0)
+        count = len(self.city.views)
+        return tuple(rng.choice(count, len(r)).astype(np.int32) for r in self.rows)
+
+    def by_relations(self) -> Callable[[], int]:
+        """Relational matching of all pairs in full, texts compiled anew."""
+        city, columns, scene = self.city, self.city.views.columns, self.city.columns
+        tokens = len(city.views.share)
+
+        def work() -> int:
+            for description, chosen in zip(self.descriptions, self.views, strict=True):
+                query = compile_query(description, city)
+                statements = query.statements
+                score_views(
+                    statements,
+                    scene,
+                    columns,
+                    query.words(tokens),
+                    chosen,
+                    np.ones(len(chosen)),
+                    np.zeros(len(chosen)),
+                    np.zeros((len(chosen), len(statements.op)), np.float32),
+                    TOGETHER,
+                    EVERYTHING,
+                )
+            return sum(map(len, self.views))
+
+        return work
+
+    def by_network(self, network: GraphTransformer, *, encoded: bool = False) -> Callable[[], int]:
+        """Joint embedding of all pairs (Eq. 14-17), a text's cells at once, a thread a core.
+
+        The graphs of the cells are encoded anew for every pair, or were before (`encoded`).
+        """
+        texts, places, words = self._graphs()
+        vectors = network.word_vectors(places.vocabulary)
+        before = [network.encode_places(places, r, vectors) if encoded else None for r in self.rows]
+        threads = len(os.sched_getaffinity(0))
+
+        def match(text: int) -> int:
+            rows = self.rows[text]
+            network.match(texts, text, places, rows, words, vectors, before[text])
+            return len(rows)
+
+        def work() -> int:
+            with ThreadPoolExecutor(threads) as pool:
+                return sum(pool.map(match, range(len(self.rows))))
+
+        return work
+
+    def by_torch(self, network: GraphTransformer, device: str) -> Callable[[], int]:
+        """The same in PyTorch, as in training: batches are laid out in memory, moved, and judged."""
+        import torch
+
+        from placegraph.outdoor.network.batches import place_batch, text_batch
+        from placegraph_learn.train.city.pairs import pair_batch
+        from placegraph_learn.train.city.torch_batches import Batch, forward
+        from placegraph_learn.train.city.torch_network import Network
+
+        texts, places, words = self._graphs()
+        module = Network(network.shape, network.known.vectors.shape[1] if network.known else 0)
+        module.load_state_dict({k: torch.from_numpy(v.copy()) for k, v in network.arrays.items()})
+        module.to(device).eval()
+        bags = SimpleNamespace(
+            text_bags=network.bags(texts.vocabulary), place_bags=network.bags(places.vocabulary)
+        )
+
+        def work() -> int:
+            for text, chosen in enumerate(self.rows):
+                for at in range(0, len(chosen), TOGETHER_IN_TORCH):
+                    rows, one = chosen[at : at + TOGETHER_IN_TORCH], np.array([text])
+                    every = np.arange(len(rows))
+                    pairs = (np.zeros(len(rows), np.int64), every)
+                    batch = Batch(
+                        text_batch(texts, one),
+                        place_batch(places, rows),
+                        pair_batch(texts, places, one, rows, pairs, words),
+                        slots=every,
+                        right=np.zeros(len(rows), np.int8),
+                        everywhere=np.zeros((1, len(rows)), np.int64),
+                        relational=np.zeros(len(rows), np.float32),
+                    )
+                    with torch.no_grad():
+                        forward(module, bags, batch, device).logit.cpu()  # type: ignore[arg-type]  # only bags are read
+            return sum(map(len, self.rows))
+
+        return work
+
+    def _graphs(self) -> tuple[TextGraphs, PlaceGraphs, WordFits]:
+        """Graphs of all texts and all cells, and how well the map's words fit the texts'."""
+        from placegraph.outdoor.network.batches import fits_of, word_fits
+        from placegraph.outdoor.network.graphs import PlaceGraphs, TextGraphs
+
+        texts = TextGraphs.of(self.descriptions)
+        fits = fits_of(texts, [compile_query(d, self.city) for d in self.descriptions])
+        words = word_fits(fits, *self.city.word_counts)
+        return texts, PlaceGraphs.of_cells(self.city), words
+
 
 PAPER = {"rule-based": 11.05, "network-based, CPU": 80.44, "network-based, GPU": 152.96}
 """Table III: pairs a second on a Xeon Gold 6140 and a TITAN Xp."""

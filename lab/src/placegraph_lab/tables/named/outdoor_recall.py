@@ -19,31 +19,28 @@ import numpy as np
 from placegraph.core.geometry import Floats
 from placegraph.outdoor.city import CityMap
 from placegraph_lab.tables.outdoor.baselines import Bag, Words
-from placegraph_lab.tables.outdoor.ceiling import ceiling, oracle
-from placegraph_lab.tables.outdoor.contest import Contest
+from placegraph_lab.tables.outdoor.ceiling import Contest, ceiling, oracle
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS
 from placegraph_lab.tables.outdoor.extracts import TRAINED as DEV
 from placegraph_lab.tables.outdoor.extracts import UNSEEN as TEST
 from placegraph_lab.tables.outdoor.metrics import (
-    RADII,
-    RANKS,
-    Answer,
-    distances,
-    measure,
-    positions,
-)
-from placegraph_lab.tables.outdoor.nearby import Bins
-from placegraph_lab.tables.outdoor.queries import CELL, SETTINGS, Query, load, make_queries
-from placegraph_lab.tables.outdoor.report import (
     BAGS,
     CEILING,
     ORACLE,
     OURS,
+    RADII,
+    RANKS,
+    Answer,
     Protocol,
     Row,
+    distances,
+    measure,
     of_answers,
+    positions,
     report,
 )
+from placegraph_lab.tables.outdoor.nearby import Bins
+from placegraph_lab.tables.outdoor.queries import CELL, SETTINGS, Query, load, make_queries
 from placegraph_lab.tables.runner import Quick, Run, Seed, option, parts, table
 
 if TYPE_CHECKING:

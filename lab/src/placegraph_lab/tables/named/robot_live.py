@@ -26,9 +26,20 @@ import numpy as np
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor.perturb import Recording
 from placegraph_lab.tables.indoor.robustness import Places
-from placegraph_lab.tables.live.paced import paced, quantiles
-from placegraph_lab.tables.live.walks import SENSES, Row, Seen, followed, looked_at, looped, walks
-from placegraph_lab.tables.live.ways import bags, from_files, from_server
+from placegraph_lab.tables.live.walks import (
+    SENSES,
+    Row,
+    Seen,
+    bags,
+    followed,
+    from_files,
+    from_server,
+    looked_at,
+    looped,
+    paced,
+    quantiles,
+    walks,
+)
 from placegraph_lab.tables.runner import (
     Quick,
     Run,

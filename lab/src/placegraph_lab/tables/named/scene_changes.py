@@ -36,7 +36,7 @@ from placegraph_lab.tables.runner import (
     Quick,
     Run,
     Seed,
-    fingerprint,
+    code_key,
     markdown,
     number,
     share,
@@ -248,8 +248,6 @@ def _cells(told: Sequence[Told]) -> list[str]:
     ]
 
 
-CODE = (*INDOOR, "placegraph_lab/tables/scene/changes.py")
-"""Code that decides what the answers are."""
 STARTS = {25: (0,), 10: (0, 8, 15)}
 """First frames of windows, by length."""
 
@@ -257,7 +255,7 @@ STARTS = {25: (0,), 10: (0, 8, 15)}
 @table()
 def scene_changes(run: Run, seed: Seed = 0, *, quick: Quick = False, fresh: Fresh = False) -> None:
     """Are changes found? A map of the house, and walks after furniture was moved or taken away."""
-    journal, code = run.journal(fresh=fresh), fingerprint(CODE)
+    journal, code = run.journal(fresh=fresh), code_key(INDOOR)
     scene = build_scene(run.data / "house/map/house.glb", None)
     folders = sorted((run.data / "house").glob("seq[0-9]*"))
     rows: list[tuple[str, list[Told]]] = []

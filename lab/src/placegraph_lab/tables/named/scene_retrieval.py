@@ -1,21 +1,16 @@
-"""Which scene of a library was a walk taken in? Homes, rooms of the house, the office.
-
-    placegraph-lab table scene_retrieval
-    placegraph-lab table scene_retrieval --encoders "labels; labels, 30 % wrong" --development
-
-Prints Markdown tables in the shape of the paper's Table 5 and writes every figure as JSON. Walks,
-vectors and answers are written down at once: run it again and it goes on where it was cut.
-`docs/benchmarks.md` explains the protocol.
-"""
+"""Tables of the retrieval benchmark, in the shape of the paper's Table 5."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 
+from placegraph.core.estimate import Status
 from placegraph.errors import MissingExtraError
+from placegraph_lab.tables.retrieval.retrieval import ABSENT, LENGTHS, METHODS, Answer, hit, recall
 from placegraph_lab.tables.retrieval.retrieval_places import (
     FIRST,
     HOMES,
@@ -25,10 +20,227 @@ from placegraph_lab.tables.retrieval.retrieval_places import (
     house_rooms,
     office_half,
 )
-from placegraph_lab.tables.retrieval.retrieval_report import PAPER, figures, report
-from placegraph_lab.tables.retrieval.retrieval_study import Study
+from placegraph_lab.tables.retrieval.retrieval_scale import Scale
+from placegraph_lab.tables.retrieval.retrieval_study import WHOLE, Row, Study
 from placegraph_lab.tables.retrieval.retrieval_vectors import BOTH, ROWS
-from placegraph_lab.tables.runner import Fresh, Quick, Run, known, option, parts, table
+from placegraph_lab.tables.runner import (
+    Fresh,
+    Quick,
+    Run,
+    known,
+    markdown,
+    option,
+    parts,
+    share,
+    shares,
+    table,
+)
+from placegraph_lab.tables.statistics import reliability
+
+RANKS = (1, 3, 5)
+PAPER = {
+    1: ((0.82, 0.94, 0.98), 0.3, (0.69, 0.79, 0.84), 1.5),
+    5: ((0.84, 0.95, 0.98), 1.5, (0.72, 0.84, 0.88), 7.5),
+    10: ((0.86, 0.95, 0.98), 3.0, (0.75, 0.85, 0.89), 15.0),
+    25: ((0.88, 0.96, 0.98), 7.5, (0.78, 0.87, 0.91), 37.5),
+    50: ((0.89, 0.96, 0.98), 15.0, (0.81, 0.89, 0.92), 75.0),
+}
+"""Table 5 on 3RScan: recalls and milliseconds among 10 and among 50 scenes, by length."""
+BINS = 10
+CAPTION = (
+    "The rooms of the house and the office were looked at while the method was made, too; the homes "
+    "were not."
+)
+
+
+def report(rows: Sequence[Row], scale: Sequence[Scale] = ()) -> str:
+    """All tables as Markdown."""
+    parts = [
+        "## Which scene is it? (shape of Table 5)",
+        CAPTION,
+        main_table(rows),
+        "## What it takes: recall@1 among 50 scenes",
+        ablation_table(rows),
+        "## Months later: recall@1 among 50 scenes, as it was / changed",
+        split_table(rows, [("as it was", _is_same), ("changed", _is_changed)]),
+        "## By kind of scene: recall@1 among 50 scenes, homes / house / office",
+        split_table(rows, [(k, _of_kind(k)) for k in ("home", "house", "office")]),
+        "## How sure: status and calibration, 50 scenes",
+        status_table(rows),
+    ]
+    if scale:
+        parts += ["## Large libraries", scale_table(scale)]
+    return "\n\n".join(parts)
+
+
+def main_table(rows: Sequence[Row]) -> str:
+    """Recall and time by encoder, method and length."""
+    head = [
+        "encoder, method", "frames", "10: R@1/3/5", "ms", "50: R@1/3/5", "ms", "with encoding",
+        "kB a scene",
+    ]  # fmt: skip
+    table = [
+        [
+            "the paper on 3RScan",
+            str(n),
+            shares(ten),
+            f"{a:.1f}",
+            shares(fifty),
+            f"{b:.1f}",
+            "–",
+            "–",
+        ]
+        for n, (ten, a, fifty, b) in PAPER.items()
+    ]
+    for row in rows:
+        for method in WHOLE:
+            for n in LENGTHS:
+                ten, fifty = (row.answers.get((method, kind, n), []) for kind in ("10", "50"))
+                if not fifty:
+                    continue
+                spent = milliseconds(fifty)
+                table.append(
+                    [
+                        f"{row.name}, {method}",
+                        str(n),
+                        shares(recall(ten, k) for k in RANKS),
+                        f"{milliseconds(ten):.1f}",
+                        shares(recall(fifty, k) for k in RANKS),
+                        f"{spent:.1f}",
+                        f"{spent + n * row.encoding:.0f}",
+                        f"{row.kilobytes:.1f}",
+                    ]
+                )
+    return markdown(head, table)
+
+
+def ablation_table(rows: Sequence[Row]) -> str:
+    """Recall@1 among 50 of every method."""
+    head = ["encoder, method", *(f"{n} frames" for n in LENGTHS)]
+    table = [
+        [
+            f"{row.name}, {method}",
+            *(share(recall(row.answers.get((method, "50", n), []), 1)) for n in LENGTHS),
+        ]
+        for row in rows
+        if any(method == "without rarity" for method, _, _ in row.answers)
+        for method in METHODS
+    ]
+    return markdown(head, table)
+
+
+def split_table(rows: Sequence[Row], parts: Sequence[tuple[str, Callable[[Answer], bool]]]) -> str:
+    """Recall@1 among 50 of parts of the queries, and how many these are."""
+    head = ["encoder, method", *(f"{n} frames" for n in LENGTHS), "queries"]
+    table = []
+    for row in rows:
+        for method in WHOLE:
+            by_length = [row.answers.get((method, "50", n), []) for n in LENGTHS]
+            split = [[[a for a in all_ if of(a)] for _, of in parts] for all_ in by_length]
+            cells = [shares(recall(part, 1) for part in each) for each in split]
+            counts = ("/".join(str(len(part)) for part in each) for each in split)
+            table.append([f"{row.name}, {method}", *cells, ", ".join(counts)])
+    return markdown(head, table)
+
+
+def status_table(rows: Sequence[Row]) -> str:
+    """How often an answer is sure, and whether it then is right; with the right scene and without."""
+    head = [
+        "encoder", "frames", "OK", "of these right", "ambiguous", "lost", "calibration error",
+        "absent: OK", "ambiguous", "lost",
+    ]  # fmt: skip
+    table = []
+    for row in rows:
+        for n in LENGTHS:
+            there = row.answers.get(("ours", "50", n), [])
+            absent = row.answers.get(("ours", ABSENT, n), [])
+            if not there:
+                continue
+            sure = [a for a in there if a.status == Status.OK.name]
+            told = reliability([a.probability for a in there], [hit(a, 1) for a in there], BINS)
+            table.append(
+                [
+                    row.name,
+                    str(n),
+                    *(share(v) for v in (_part(there, Status.OK), recall(sure, 1))),
+                    *(share(_part(there, s)) for s in (Status.AMBIGUOUS, Status.LOST)),
+                    f"{told.error:.3f} (floor {told.floor:.3f})",
+                    *(share(_part(absent, s)) for s in (Status.OK, Status.AMBIGUOUS, Status.LOST)),
+                ]
+            )
+    return markdown(head, table)
+
+
+def scale_table(scale: Sequence[Scale]) -> str:
+    """Time and size by number of scenes."""
+    head = [
+        "encoder",
+        "scenes",
+        "objects a scene",
+        "frames",
+        "ms",
+        "ms a frame",
+        "R@1",
+        "distinct vectors",
+    ]
+    return markdown(
+        head,
+        [
+            [
+                s.encoder, f"{s.scenes:,}", f"{s.objects:.0f}", str(s.frames),
+                f"{s.milliseconds:.0f}", f"{s.milliseconds / s.frames:.1f}", share(s.recall),
+                " + ".join(f"{n:,}" for n in s.vectors),
+            ]
+            for s in scale
+        ],
+    )  # fmt: skip
+
+
+def figures(rows: Sequence[Row]) -> list[dict[str, Any]]:
+    """Every cell as plain numbers."""
+    found = []
+    for row in rows:
+        for (method, kind, n), answers in row.answers.items():
+            found.append(
+                {
+                    "encoder": row.name,
+                    "method": method,
+                    "pool": kind,
+                    "frames": n,
+                    "queries": len(answers),
+                    "recall": {str(k): recall(answers, k) for k in RANKS},
+                    "milliseconds": milliseconds(answers),
+                    "encoding_milliseconds": row.encoding * n,
+                    "kilobytes": row.kilobytes,
+                    "objects": row.objects,
+                    "status": {s.name: _part(answers, s) for s in Status}
+                    if method != "paper"
+                    else None,
+                }
+            )
+    return found
+
+
+def milliseconds(answers: Sequence[Answer]) -> float:
+    """Median time of searching."""
+    return float(np.median([a.milliseconds for a in answers])) if answers else float("nan")
+
+
+def _part(answers: Sequence[Answer], status: Status) -> float:
+    return float(np.mean([a.status == status.name for a in answers])) if answers else float("nan")
+
+
+def _is_same(answer: Answer) -> bool:
+    return not answer.changed
+
+
+def _is_changed(answer: Answer) -> bool:
+    return answer.changed
+
+
+def _of_kind(kind: str) -> Callable[[Answer], bool]:
+    return lambda answer: answer.place.split()[0] == kind
+
 
 LARGE = BOTH
 """The row that is asked in the large library, too: what a library does by default."""

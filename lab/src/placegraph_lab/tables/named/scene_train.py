@@ -1,19 +1,111 @@
-"""Does the network of SceneGraphLoc learn? Procedural homes, and others that it never saw.
-
-    placegraph-lab table scene_train
-    placegraph-lab table scene_train --homes 20 --epochs 4
-
-Trains the small network on features of colour and prints, as Markdown, how often the nearest object
-of a home's map is the one that a patch shows: by chance, by the features alone, by the network
-untrained and trained, in homes learned and in homes held out. Writes every figure as JSON. Run it
-again and it goes on where it was cut.
-"""
+"""What the table `scene_train` measures: trained on homes, asked in homes learned and held out."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from time import perf_counter, process_time
+from typing import Annotated, Any
 
-from placegraph_lab.tables.runner import Quick, Run, Seed, option, table
+import numpy as np
+import torch
+
+from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, option, share, table
+from placegraph_learn.train.scenegraphloc.lessons import Lesson, read_lesson, split
+from placegraph_learn.train.scenegraphloc.options import Progress, TrainOptions
+from placegraph_learn.train.scenegraphloc.train import train
+from placegraph_learn.train.scenegraphloc.trainer import Judged, Trainer, judge
+from placegraph_learn.train.scenegraphloc.worlds import homes
+from placegraph_learn.train.training import rows_of
+
+
+class Told(Progress):
+    """A line an epoch."""
+
+    def __init__(self, say: Callable[[str], None]) -> None:
+        self._say = say
+
+    def preparing(self, name: str, done: int, total: int) -> None:
+        """As `Progress.preparing`."""
+        self._say(f"looked at {name}, {done} of {total}")
+
+    def epoch(self, row: dict[str, float]) -> None:
+        """As `Progress.epoch`."""
+        self._say(", ".join(f"{name} {value:.3f}" for name, value in row.items()))
+
+
+def by_chance(lessons: Sequence[Lesson]) -> Judged:
+    """Any object of the map, each as likely as another."""
+    now = [1 / len(x.room) for x in lessons for marks in x.marks for _ in marks[marks > 0]]
+    then = [
+        1 / len(x.earlier)
+        for x in lessons
+        if x.earlier is not None
+        for k in range(len(x.marks))
+        for _ in range(int((x.targets(k, earlier=True) >= 0).sum()))
+    ]
+    changed = float(np.mean(then)) if then else None
+    return Judged(float(np.mean(now)), changed, 1 / len(lessons), 1.0)
+
+
+class Alone(torch.nn.Module):
+    """No network: features of patches against the mean feature of an object's views."""
+
+    def patches(self, features: torch.Tensor) -> torch.Tensor:
+        """(B, H, W, f) as they are."""
+        return features
+
+    def objects(self, objects: object) -> torch.Tensor:
+        """(N, f) means of the views; zeros of what was never seen."""
+        owner, views = objects.owner, objects.views  # type: ignore[attr-defined]
+        total = torch.zeros(int(owner.max()) + 1, views.shape[1])
+        return total.index_add(0, owner, views)
+
+
+def learn_and_ask(
+    run: Run, options: TrainOptions, *, count: int, held: int, frames: int
+) -> tuple[str, dict[str, Any]]:
+    """Train on `count` homes but those `held` out, and ask in both; Markdown and figures."""
+    torch.set_num_threads(1)
+    work = run.cache / run.name
+    start, busy = perf_counter(), process_time()
+    worlds = homes(count, seed=options.seed, frames=frames)
+    weights = train(
+        worlds, work / "trained.safetensors", folder=work, held=held, options=options,
+        device="cpu", progress=Told(run.say),
+    )  # fmt: skip
+    seconds = {"wall": perf_counter() - start, "processor": process_time() - busy}
+    lessons = [read_lesson(work / f"places/{world.name}.lesson") for world in worlds]
+    learned, asked = split(lessons, held)
+    fresh = Trainer(learned, weights.network.widths, options, "cpu").network
+    found: dict[str, dict[str, Judged]] = {}
+    for where, places in (("learned", learned[: len(asked)]), ("held out", asked)):
+        found[where] = {
+            "chance": by_chance(places),
+            "features alone": judge(Alone(), places, "cpu", points=options.points),  # type: ignore[arg-type]
+            "untrained": judge(fresh, places, "cpu", points=options.points),
+            "trained": judge(weights.network, places, "cpu", points=options.points),
+        }
+    rows = [
+        [f"{where}: {name}", share(j.patch), share(j.changed), share(j.room)]
+        for where, of in found.items()
+        for name, j in of.items()
+    ]
+    objects = float(np.mean([len(x.room) for x in asked]))
+    text = (
+        f"{len(learned)} homes learned, {held} held out, {objects:.0f} objects each, "
+        f"{seconds['processor']:.0f} s of one core in this run.\n\n"
+        + markdown(["homes", "patch", "patch, map of before", "own home first"], rows)
+    )
+    record = {
+        "options": asdict(options) | {"homes": count, "held": held, "frames": frames},
+        "seconds": seconds,
+        "objects": objects,
+        "notes": weights.notes,
+        "curves": rows_of(work),
+        "found": {where: {n: asdict(j) for n, j in of.items()} for where, of in found.items()},
+    }
+    return text, record
 
 
 @table()
@@ -32,8 +124,8 @@ def scene_train(
     quick: Quick = False,
 ) -> None:
     """Does the network of SceneGraphLoc learn? Procedural homes, and others it never saw."""
-    from placegraph_lab.tables.scene.train import learn_and_ask
-    from placegraph_learn.scenegraphloc.train import TrainOptions
+    from placegraph_lab.tables.named.scene_train import learn_and_ask
+    from placegraph_learn.train.scenegraphloc.options import TrainOptions
 
     if quick:
         homes, held, frames, epochs = 4, 1, 3, 1

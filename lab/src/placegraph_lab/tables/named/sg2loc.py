@@ -1,25 +1,32 @@
-"""The fourteen tables of the SG2Loc paper: the same protocol and runs, looked at in other columns.
+"""What the tables of the SG2Loc paper say, as printed: of its own method, and of HLoc beside it.
 
-    placegraph-lab table sg2loc-1 --data DIR
-    placegraph-lab table sg2loc-7 --sets homes --frames 40
-
-DIR holds 3RScan and ScanNet as users have them, or is the shared folder. Prints Markdown, the
-paper's rows first, and writes rows as JSON. Every answer is written down at once, for all tables.
-`docs/benchmarks/sg2loc-tables.md` explains the protocol.
+Errors are in metres and degrees, recalls are shares. Sequence lengths are set off by bars.
 """
 
 from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Callable, Iterator
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, NamedTuple
 
+import numpy as np
 import typer
 
 from placegraph.errors import InputError
-from placegraph_lab.tables.pairs.scan3r import Split  # Typer reads it
+from placegraph.indoor.scene_map import SceneMap
+from placegraph_lab.tables.indoor.metrics import rounded, score
+from placegraph_lab.tables.indoor.report import errors
+from placegraph_lab.tables.indoor.windows import DRIFT
+from placegraph_lab.tables.named.scene_retrieval import figures, main_table
+from placegraph_lab.tables.pairs.scan3r import Split
+from placegraph_lab.tables.retrieval.retrieval import Cosines, Scenes
+from placegraph_lab.tables.retrieval.retrieval_places import FIRST, HOMES, Place, Walk, homes
+from placegraph_lab.tables.retrieval.retrieval_study import Study
+from placegraph_lab.tables.retrieval.retrieval_vectors import NOISY
 from placegraph_lab.tables.runner import (
     Device,
     Fresh,
@@ -28,15 +35,371 @@ from placegraph_lab.tables.runner import (
     Seed,
     Table,
     known,
+    markdown,
+    number,
     option,
     parts,
+    shares,
 )
-from placegraph_lab.tables.sg2loc import at_hand, brought
-from placegraph_lab.tables.sg2loc.ask import IMAGES, Asking, How
-from placegraph_lab.tables.sg2loc.costs import retrieval, seconds, storage
-from placegraph_lab.tables.sg2loc.poses import poses
-from placegraph_lab.tables.sg2loc.sets import LAYOUT, Set
-from placegraph_lab.tables.sg2loc.spec import SPECS, Spec
+from placegraph_lab.tables.sg2loc import ask as at_hand
+from placegraph_lab.tables.sg2loc import ask as brought
+from placegraph_lab.tables.sg2loc.ask import IMAGES, LAYOUT, Asking, How, Reply, Set, group, recipes
+
+_PRINTED = """
+1; 3RScan: HLoc; 2.05e12 46.68 .18 6.32 | 5.1e10 36.85 .13 4.15 | 1030.9 22.74 .08 2.44 | 732.2 16.09 .07 2.06
+1; 3RScan: SG2Loc; 2.43 21.24 .20 3.27 | 2.30 20.50 .18 2.96 | 6.15 22.93 .14 2.73 | 9.48 27.43 .10 2.62
+1; ScanNet: HLoc; 6.16e4 14.30 .09 2.63 | 603.05 10.48 .08 2.45 | 492.00 7.27 .06 2.12 | 1348.28 7.12 .07 1.94
+1; ScanNet: SG2Loc; .53 11.55 .12 2.55 | .44 8.14 .10 2.30 | .32 4.55 .09 2.29 | 2.10 12.27 .08 1.70
+2; 3RScan: HLoc; .54 .28 .27 | .62 .32 .32 | .74 .43 .43 | .76 .50 .50
+2; 3RScan: SG2Loc; .53 .38 .32 | .55 .38 .33 | .59 .43 .39 | .65 .43 .43
+2; ScanNet: HLoc; .81 .38 .38 | .86 .41 .41 | .91 .47 .47 | .98 .52 .52
+2; ScanNet: SG2Loc; .73 .40 .36 | .80 .40 .39 | .86 .43 .42 | .90 .61 .61
+3; HLoc, 3RScan and ScanNet; 294.4 283.3
+3; SG2Loc, 3RScan and ScanNet; 9.8 28.2
+4; 3RScan: HLoc; 3520.0 .01 -
+4; 3RScan: SG2Loc; 1.6 2.90 5.5
+6; 3RScan: HLoc; .94 33.99 .27 3.67 .48 .35 .35
+6; 3RScan: SG2Loc w/ keyframing; 2.36 20.08 .18 2.75 .54 .43 .40
+7; 3RScan: Max. raycast resolution; .07 .33
+7; 3RScan: Uniform sampling; .10 .30
+7; 3RScan: w/o adaptive resampling; .11 .30
+7; 3RScan: SG2Loc w/ semantic; .11 .35
+7; 3RScan: SG2Loc w/ semantic+depth; .20 .54
+7; 3RScan: SG2Loc w/ semantic+depth+RGB; .35 .61
+7; 3RScan: SG2Loc; .50 .65
+8; 3RScan: SG2Loc w/ semantic; 1.20 21.44 .66 8.77 .08 .26
+8; 3RScan: SG2Loc w/ depth; 1.44 39.01 .96 6.42 .09 .32
+8; 3RScan: SG2Loc w/ RGB; 1.79 44.78 1.51 17.37 .14 .20
+9; ScanNet: SG2Loc w/ semantic; 1.08 21.21 .73 7.40 | 1.00 18.55 .57 6.28 | .86 15.69 .43 5.95
+9; ScanNet: SG2Loc w/ semantic+depth+RGB; .56 11.92 .15 2.45 | .54 10.23 .14 2.08 | .46 10.42 .13 1.99
+9; ScanNet: SG2Loc; .53 11.55 .12 2.55 | .44 8.14 .10 2.30 | .29 4.55 .09 2.29
+10; ScanNet: SG2Loc w/ semantic; .12 .33 | .12 .34 | .14 .40
+10; ScanNet: SG2Loc w/ semantic+depth+RGB; .26 .69 | .28 .73 | .32 .75
+10; ScanNet: SG2Loc; .41 .72 | .49 .79 | .58 .80
+11; ScanNet: SGL, one frame; .924 - - - - - -
+11; ScanNet: Seq. SGL; .951 - - - - - -
+11; ScanNet: SG2Loc; .857 .24 7.21 .16 2.25 .33 .80
+12; 3RScan: HLoc; 2.05e12 46.68 .18 6.32 | 1030.90 22.74 .08 2.44
+12; 3RScan: SG2Loc; 2.43 21.24 .20 3.27 | 6.15 22.93 .14 2.73
+12; 3RScan: SG2Loc (Coarse); 2.25 24.37 .31 5.05 | 8.08 27.10 .14 3.44
+13; 3RScan: HLoc; .54 .28 .27 | .74 .43 .43
+13; 3RScan: SG2Loc; .53 .38 .32 | .59 .43 .39
+13; 3RScan: SG2Loc (Coarse); .46 .31 .27 | .58 .38 .36
+14; ScanNet: HLoc; .09 2.63 .38
+14; ScanNet: HLoc w/ SLAM poses; .15 2.67 .34
+14; ScanNet: SG2Loc; .12 2.55 .36
+14; ScanNet: SG2Loc w/ SLAM poses; .16 2.63 .36
+"""
+"""Number of a table, row, published by sequence length; table 5 stands in `retrieval_report.PAPER`."""
+
+
+def published(table: int) -> list[tuple[str, list[list[float | None]]]]:
+    """Rows of a table: name, and published by sequence length; None where there is none."""
+    lines = [line.split(";") for line in _PRINTED.strip().splitlines()]
+    return [
+        (
+            row.strip(),
+            [[None if w == "-" else float(w) for w in p.split()] for p in text.split("|")],
+        )
+        for of, row, text in lines
+        if int(of) == table
+    ]
+
+
+class Spec(NamedTuple):
+    """One table."""
+
+    asks: str
+    columns: tuple[str, ...] = ()
+    lengths: tuple[int, ...] = (5,)
+    rows: tuple[tuple[str, str, bool], ...] = ()
+    """Name, recipe, and whether what comes after the filter counts."""
+    pace: float = 0.0
+    """Seconds in which a frame is done with (Table 6); 0: as measured."""
+    rooms: int = 1
+    """Fewest rooms that a set shows."""
+
+
+FULL = (
+    ("SG2Loc as printed", "paper", True),
+    ("SG2Loc as published, filter alone", "published", False),
+    ("placegraph's default", "ours", True),
+)
+SEMANTIC = ("SG2Loc w/ semantic", "semantic", False)
+ALL = ("SG2Loc w/ semantic+depth+RGB", "paper", False)
+COARSE = (FULL[0], ("SG2Loc (Coarse)", "coarse", True), FULL[2])
+ABLATION = (
+    ("Max. raycast resolution", "stride 1", False),
+    ("Uniform sampling", "uniform", False),
+    ("w/o adaptive resampling", "fixed", False),
+    SEMANTIC,
+    ("SG2Loc w/ semantic+depth", "semantic+depth", False),
+    ALL,
+    *FULL[::2],
+)
+ONE_SIGNAL = (
+    SEMANTIC, ("SG2Loc w/ depth", "depth", False), ("SG2Loc w/ RGB", "RGB", False),
+)  # fmt: skip
+ERRORS = ("mean", "median")
+NEAR, TWO = "25 cm / 2° / both", "10 cm 5° / 25 cm 10°"
+LENGTHS = (5, 10, 25, 50)
+
+SPECS = {
+    1: Spec("How far off are poses of 5 to 50 frames? Mean and median.", ERRORS, LENGTHS, FULL),
+    2: Spec("How many poses of 5 to 50 frames are right?", (NEAR,), LENGTHS, FULL),
+    3: Spec("How many bytes does the map of a scene take?"),
+    4: Spec("How long do mapping, localizing and the final fit take?", rows=FULL),
+    5: Spec("Which scene of 10 or 50 was a sequence taken in, and how long does it take?", rooms=2),
+    6: Spec(
+        "What remains of 100 frames that come as fast as they were taken?",
+        (*ERRORS, NEAR), (100,), FULL[::2],
+    ),
+    7: Spec("What is each part of the method worth?", (TWO,), (5,), ABLATION),
+    8: Spec("What is each signal worth alone?", (*ERRORS, TWO), (5,), ONE_SIGNAL),
+    9: Spec("What are the signals worth, by length? Errors.", ERRORS, LENGTHS[:3], (SEMANTIC, ALL, FULL[0])),
+    10: Spec("What are the signals worth, by length? Recall.", (TWO,), LENGTHS[:3], (SEMANTIC, ALL, FULL[0])),
+    11: Spec(
+        "Is the pose found in several scenes that are one map?",
+        ("R@1", *ERRORS, TWO), (50,), FULL[::2], rooms=3,
+    ),
+    12: Spec("What does one coarse pass cost? Errors.", ERRORS, (5, 25), COARSE),
+    13: Spec("What does one coarse pass cost? Recall.", (NEAR,), (5, 25), COARSE),
+    14: Spec(
+        "What does the drift of odometry cost?", ("median", "25 cm 2°"), (5,), FULL[::2]
+    ),
+}  # fmt: skip
+"""By number in the paper."""
+
+
+Made = tuple[str, list[Any]]
+
+
+def storage(_: Spec, asking: Asking, of: Sequence[Set]) -> Made:
+    """Table 3: megabytes of a map's file."""
+    rows = _printed(3, ("3RScan [MB]", "ScanNet [MB]"))
+    for its in of:
+        scenes = [its.scene(name) for name in its.rooms]
+        megabytes = float(np.mean([_filed(scene)[1] for scene in scenes])) / 1e6
+        objects = sum(len(scene) for scene in scenes)
+        vertices = sum(len(scene.mesh.vertices) for scene in scenes)
+        rows.append(
+            {"row": f"{its.name}, placegraph", "scenes": len(scenes), "a scene [MB]": megabytes,
+             "objects a scene": objects / len(scenes), "vertices an object": vertices / objects}
+        )  # fmt: skip
+        asking.run.say(f"{its.name}: {len(scenes)} maps")
+    return _written(rows), rows
+
+
+def seconds(spec: Spec, asking: Asking, of: Sequence[Set]) -> Made:
+    """Table 4: seconds of mapping (rays, panoramas, embeddings), of a frame, of the final fit."""
+    heads = ("mapping [s]", "a frame [s]", "final fit [s]")
+    rows = _printed(4, heads)
+    for its in of:
+        for name, recipe, _ in spec.rows:
+            replies = [r for n in spec.lengths for r in asking.replies(its, recipe, n)]
+            walk, window = its.windows(min(spec.lengths), 1, 0)[0]
+            mapping = []
+            for _again in range(3):  # the first compiles
+                scene = _filed(its.scene(walk.map))[0]
+                start = time.perf_counter()
+                asking.ready(its, recipes()[recipe], scene, window)
+                mapping.append(time.perf_counter() - start)
+            told = (
+                min(mapping),
+                float(np.median([r.filter.seconds / r.filter.frames for r in replies])),
+                float(np.median([r.refining for r in replies])),
+            )
+            row = {"row": f"{its.name}: {name}", "windows": len(replies)}
+            rows.append(row | dict(zip(heads, told, strict=True)))
+    return _written(rows), rows
+
+
+def retrieval(_: Spec, asking: Asking, of: Sequence[Set]) -> Made:
+    """Table 5: which scene it is, by the paper's sum and by ours, with the time it takes."""
+    text, rows = [], []
+    for its in of:
+        if its.name == "homes":  # the fifty and more of `scene_retrieval`, a walk in each
+            made = list(homes(range(FIRST, FIRST + HOMES), asking.run.cache))
+            places = [place for place, _ in made]
+            walks = [own[i % 2] for i, (_, own) in enumerate(made)]
+        else:
+            places = [Place(name, its.scene(name), room) for name, room in its.rooms.items()]
+            walks = [Walk(w.name, w.map, w.open()[0], bool(w.changed)) for w in its.walks]
+        study = Study(places, walks, asking.run.cache, asking.journal, asking.run.say)
+        labelled = any(w.capture.label_kind == "labels" for w in walks)
+        row = study.row(asking.how.encoder or (NOISY if labelled else "appearance"))
+        text += [f"#### {its.name}: {len(places)} scenes, {len(walks)} walks", main_table([row])]
+        rows += [{"set": its.name, "scenes": len(places)} | told for told in figures([row])]
+    return "\n\n".join(text), rows
+
+
+def _filed(scene: SceneMap) -> tuple[SceneMap, int]:
+    """The same map, nothing derived yet, and the bytes of its file."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "one.scene"
+        scene.save(path)
+        return SceneMap.open(path), path.stat().st_size
+
+
+def _printed(table: int, heads: Sequence[str]) -> list[dict[str, Any]]:
+    return [
+        {"row": f"*paper, {row}*"} | dict(zip(heads, numbers, strict=True))
+        for row, (numbers,) in published(table)
+    ]
+
+
+def _written(rows: list[dict[str, Any]]) -> str:
+    heads = list(dict.fromkeys(head for row in rows for head in row if head != "row"))
+    whole = {"scenes", "windows", "objects a scene", "vertices an object"}
+    return markdown(
+        ["", *heads],
+        [
+            [row["row"], *(number(row.get(h), 0 if h in whole else 2) for h in heads)]
+            for row in rows
+        ],
+    )
+
+
+COLUMNS = {
+    "R@1": 1, "mean": 2, "median": 2, "25 cm / 2° / both": 3, "25 cm 2°": 1,
+    "10 cm 5° / 25 cm 10°": 2,
+}  # fmt: skip
+"""Numbers in each column: errors in metres and degrees, or recalls."""
+_STATES = {False: "unchanged", True: "changed", None: ""}
+
+
+def printed(table: int, columns: Sequence[str], lengths: Sequence[int]) -> list[dict[str, Any]]:
+    """Rows of a table of the paper, one a sequence length."""
+    rows: list[dict[str, Any]] = []
+    for name, by_length in published(table):
+        for length, part in zip(lengths, by_length, strict=False):
+            left = iter(part)
+            told = {c: [next(left) for _ in range(COLUMNS[c])] for c in columns}
+            rows.append({"set": "paper", "row": name, "frames": length} | told)
+    return rows
+
+
+def measured(name: str, row: str, replies: Sequence[Reply], *, whole: bool) -> list[dict[str, Any]]:
+    """Rows of a set, one for each state that its scenes were in; `whole`: with the final fit."""
+    rows = []
+    for state in dict.fromkeys(r.whole.changed for r in replies):
+        told = [r for r in replies if r.whole.changed is state]
+        of = [r.whole if whole else r.filter for r in told]
+        its = score(of)
+        at = {
+            (m, d): sum(a.within(m, d) for a in of) / len(of)
+            for m in (0.1, 0.25, math.inf)
+            for d in (2.0, 5.0, 10.0, 180.0)
+        }
+        figures = {
+            "R@1": (sum(r.right for r in told) / len(told),),
+            "mean": its.mean,
+            "median": its.median,
+            "25 cm / 2° / both": (at[0.25, 180.0], at[math.inf, 2.0], at[0.25, 2.0]),
+            "25 cm 2°": (at[0.25, 2.0],),
+            "10 cm 5° / 25 cm 10°": (at[0.1, 5.0], at[0.25, 10.0]),
+        }
+        rows.append(
+            {"set": name, "state": _STATES[state], "row": row, "frames": of[0].frames, "windows": len(of)}
+            | {c: [rounded(v, 4) for v in values] for c, values in figures.items()}
+            | {"seconds": rounded(float(np.median([a.seconds / a.frames for a in of])), 4)}
+            | {"particles": rounded(its.particles, 0)}
+        )  # fmt: skip
+    return rows
+
+
+def report(rows: Sequence[dict[str, Any]], columns: Sequence[str]) -> str:
+    """Markdown of rows; what a row does not know is a dash."""
+    lines = []
+    for row in rows:
+        title = ": ".join(filter(None, [row["set"], row.get("state"), row["row"]]))
+        cells = [
+            errors(row.get(c, [None] * 2)) if c in {"mean", "median"} else shares(row.get(c, [None]))
+            for c in columns
+        ]  # fmt: skip
+        known = [number(row.get(k), 2 * (k == "seconds")) for k in ("seconds", "particles")]
+        windows = number(row.get("windows"))
+        lines.append([title, number(row.get("frames")), windows, *cells, *known])
+    return markdown(["", "frames", "windows", *columns, "s/frame", "particles"], lines)
+
+
+ODOMETRY = {
+    "exact": (0.0, 0.0), "SLAM-like": DRIFT, "drifting": (0.05, math.radians(1.0)),
+}  # fmt: skip
+"""Error of a step as a share of its length, and in yaw [rad]."""
+MERGED = {"homes": (2, 5, 10), "3RScan": (3,), "ScanNet": (3,)}
+"""Scenes that are one map; the paper has 3."""
+
+
+def poses(table: int, spec: Spec, asking: Asking, of: Sequence[Set]) -> tuple[str, list[Any]]:
+    """A table of poses: as Markdown, and as rows."""
+    by = {6: _keyframes, 11: _merged, 14: _drifting}.get(table, _plain)
+    rows = printed(table, spec.columns, SPECS[table].lengths)
+    rows += [row for its in of for row in by(spec, asking, its)]
+    return report(rows, spec.columns), rows
+
+
+def _plain(spec: Spec, asking: Asking, of: Set) -> Iterator[dict[str, Any]]:
+    for length in spec.lengths:
+        for name, recipe, whole in spec.rows:
+            yield from measured(of.name, name, asking.replies(of, recipe, length), whole=whole)
+
+
+def _keyframes(spec: Spec, asking: Asking, of: Set) -> Iterator[dict[str, Any]]:
+    """Of a sequence, as many frames as there is time for, at the pace of short sequences."""
+    for length in spec.lengths:
+        for name, recipe, whole in spec.rows:
+            if length > of.longest:
+                continue
+            pace = spec.pace or _pace(asking, of, recipe)
+            step = max(1, math.ceil(pace * of.rate))
+            replies = asking.replies(of, recipe, length, step=step)
+            yield from measured(of.name, f"{name}, one frame in {step}", replies, whole=whole)
+
+
+def _pace(asking: Asking, of: Set, recipe: str) -> float:
+    """Seconds that a frame takes, by sequences of five."""
+    replies = asking.replies(of, recipe, 5)
+    return float(np.median([r.filter.seconds / r.filter.frames for r in replies]))
+
+
+def _merged(spec: Spec, asking: Asking, of: Set) -> Iterator[dict[str, Any]]:
+    for count in MERGED[of.name]:
+        for length in spec.lengths:
+            for title, frames in (("SGL, one frame", 1), ("Seq. SGL", length)):
+                found = _retrieved(asking, of, length, frames, count)
+                if found:
+                    told = {"windows": len(found), "R@1": [float(np.mean(found))]}
+                    yield {
+                        "set": of.name,
+                        "row": f"{count} scenes, {title}",
+                        "frames": frames,
+                    } | told
+            for name, recipe, whole in spec.rows:
+                replies = asking.replies(of, recipe, length, merged=count)
+                yield from measured(of.name, f"{count} scenes, {name}", replies, whole=whole)
+
+
+def _retrieved(asking: Asking, of: Set, length: int, frames: int, count: int) -> list[bool]:
+    """Whether the paper's sum (Sec. 4) names the right one of the scenes that are merged."""
+    found = []
+    for walk, window in of.windows(length, asking.how.frames, asking.how.seed):
+        names = group(of, walk.map, count)
+        scenes = Scenes([Place(name, of.scene(name)) for name in names])
+        its = asking.unbound(window)
+        scenes.know(its)
+        told = Cosines(scenes.library(names, [its])).search(window.capture[:frames])
+        found.append(told.names[0] == walk.map)
+    return found
+
+
+def _drifting(spec: Spec, asking: Asking, of: Set) -> Iterator[dict[str, Any]]:
+    for title, drift in ODOMETRY.items():
+        for length in spec.lengths:
+            for name, recipe, whole in spec.rows:
+                replies = asking.replies(of, recipe, length, drift=drift)
+                yield from measured(of.name, f"{name}, {title} odometry", replies, whole=whole)
+
 
 _OF_POSES = {"frames", "lengths", "only", "matcher", "seed", "device", "pace"}
 UNUSED = {3: {*_OF_POSES, "encoder"}, 5: _OF_POSES, 6: set[str]()}

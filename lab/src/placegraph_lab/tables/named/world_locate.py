@@ -33,8 +33,7 @@ from placegraph.outdoor.city import build_city
 from placegraph.world import World
 from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, option, table
 from placegraph_lab.worlds.home.home import home, scene_of
-from placegraph_lab.worlds.home.record import record
-from placegraph_lab.worlds.home.visit import visit
+from placegraph_lab.worlds.home.visit import record, visit
 
 PLANE = LocalPlane(9.99, 53.55)
 CAMERA = Camera(96, 72, 70.0, 70.0, 48.0, 36.0)

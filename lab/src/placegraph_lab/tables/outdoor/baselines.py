@@ -1,7 +1,4 @@
-"""Baselines: bags of labels and bags of triples over a grid of cells, weighted by rarity.
-
-They read no text: a query hands them its triples. What is near a cell's centre is in its bag.
-"""
+"""Triples (label, relation, label) between the objects around viewpoints (Eq. 5-6)."""
 
 from __future__ import annotations
 
@@ -12,11 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.geometry import Floats, LocalPlane
-from placegraph_lab.tables.outdoor.nearby import Around, Bins, Position
+from placegraph_lab.tables.outdoor.nearby import (
+    DIRECTIONS,
+    Around,
+    Bins,
+    Position,
+    Triples,
+    encode,
+    relations,
+)
+from placegraph_lab.tables.outdoor.outdoor_kernels import (
+    SHORTEST,
+)
 from placegraph_lab.tables.outdoor.queries import Query
 from placegraph_lab.tables.outdoor.raw import Ints
-from placegraph_lab.tables.outdoor.triples import DIRECTIONS, Triples, encode, relations
-from placegraph_lab.tables.outdoor.triples_kernels import SHORTEST
 
 Words = Literal["labels", "triples", "speaker"]
 """What a bag holds: labels, triples of two objects, or triples of an object and the speaker."""

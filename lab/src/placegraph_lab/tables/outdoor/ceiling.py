@@ -1,21 +1,123 @@
-"""How well a query can be answered at all, by someone who knows the generator's own objects.
-
-Two bounds, neither of which reads text. The ceiling counts, at every viewpoint, the statements for
-which some pair of objects in sight is as said, and breaks ties at random. The oracle also knows
-how the generator draws: where little could be said, what was said is more likely to be said.
-"""
+"""All viewpoints of a city compete for a query: which serve which of its statements."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.core.geometry import Floats
-from placegraph_lab.tables.outdoor.ceiling_kernels import _likeliest, _rank
-from placegraph_lab.tables.outdoor.contest import Contest
-from placegraph_lab.tables.outdoor.queries import CELL, NOISE
+from placegraph_lab.tables.outdoor.baselines import Words, spoken, words_around
+from placegraph_lab.tables.outdoor.nearby import DIRECTIONS, Bins, Position
+from placegraph_lab.tables.outdoor.outdoor_kernels import _likeliest, _rank
+from placegraph_lab.tables.outdoor.queries import CELL, NOISE, SIGHT, Query
 from placegraph_lab.tables.outdoor.raw import Ints
+
+STEP = 12.5
+"""Edge of the grid of viewpoints that compete with the truth [m]."""
+CHUNK = 50_000
+"""Viewpoints looked at in one go: keeps memory small."""
+
+
+@dataclass(frozen=True)
+class Contest:
+    """Viewpoints V of a grid, and the words W (statements) that the queries Q speak of."""
+
+    asked: Ints
+    """(A, 4) words of all queries, one query after the other: as said, and in the three other
+    directions."""
+    asked_starts: Ints
+    """(Q + 1,)"""
+    served_starts: Ints
+    """(W + 1,) viewpoints that serve a word."""
+    served: NDArray[np.int32]
+    sayable: NDArray[np.int32]
+    """(V,) different statements that the generator could make at a viewpoint."""
+    own: Ints
+    """(Q,) statements that hold at the true viewpoint itself."""
+    truth: Floats
+    """(Q, 2) true viewpoints, in steps of the grid."""
+    column: NDArray[np.int32]
+    """(V, 2) viewpoints, in steps of the grid."""
+    square: NDArray[np.int32]
+    """Viewpoint of every square of the grid, -1 where there is none."""
+    step: float
+
+    @classmethod
+    def of(
+        cls,
+        bins: Bins,
+        queries: Sequence[Query],
+        *,
+        position: Position = "nearest",
+        names: bool = False,
+        same_label: bool = False,
+        step: float = STEP,
+    ) -> Contest:
+        """Look at all viewpoints of a grid over the city.
+
+        Parameters
+        ----------
+        queries
+            All about pairs of objects, or all about the speaker.
+        position, names, same_label
+            As the queries were made (`make_queries`).
+        step
+            Edge of the grid [m]: 50 / step is a whole number.
+        """
+        city = bins.city
+        label = city.named if names else city.label
+        number = {name: i for i, name in enumerate(city.labels)}
+        kind: Words = "triples" if queries[0].said[0].target else "speaker"
+        wanted = [spoken(q, kind, number) for q in queries]
+        asked = _all_directions(np.concatenate(wanted), len(city.labels) + 1)
+        known = np.unique(asked)
+        truth = city.plane.to_plane([(q.longitude, q.latitude) for q in queries])
+
+        def look(viewpoints: Floats) -> tuple[Ints, Ints, Ints]:
+            """Viewpoint and word of what a query asks for; number of different words."""
+            around = bins.around(viewpoints, SIGHT, position)
+            at, word = words_around(
+                kind, viewpoints, around, label, len(city.labels), SIGHT, same_label=same_label
+            )
+            pairs = np.unique(np.stack([at, word]), axis=1)
+            place = np.minimum(np.searchsorted(known, pairs[1]), len(known) - 1)
+            hit = known[place] == pairs[1]
+            return pairs[0, hit], place[hit], np.bincount(pairs[0], minlength=len(viewpoints))
+
+        grid = bins.centers(step)
+        seen = [look(grid[i : i + CHUNK]) for i in range(0, len(grid), CHUNK)]
+        at = np.concatenate([v + i * CHUNK for i, (v, _, _) in enumerate(seen)])
+        word = np.concatenate([w for _, w, _ in seen])
+        order = np.argsort(word, kind="stable")
+        own_at, own_word, _ = look(truth)
+        held = set(zip(own_at.tolist(), known[own_word].tolist(), strict=True))
+        column = np.round((grid - bins.low) / step - 0.5).astype(np.int32)
+        square = np.full(column.max(0) + 1, -1, np.int32)
+        square[column[:, 0], column[:, 1]] = np.arange(len(grid))
+        return cls(
+            asked=np.searchsorted(known, asked),
+            asked_starts=np.concatenate([[0], np.cumsum([len(w) for w in wanted])]),
+            served_starts=np.searchsorted(word[order], np.arange(len(known) + 1)),
+            served=at[order].astype(np.int32),
+            sayable=np.concatenate([n for _, _, n in seen]).astype(np.int32),
+            own=np.array([sum((q, w) in held for w in ws.tolist()) for q, ws in enumerate(wanted)]),
+            truth=(truth - bins.low) / step - 0.5,
+            column=column,
+            square=square,
+            step=step,
+        )
+
+
+def _all_directions(words: Ints, labels: int) -> Ints:
+    """Words (A, 4) in all four directions, as said first; see `encode`."""
+    head, target = np.divmod(words, labels)
+    source, said = np.divmod(head, len(DIRECTIONS))
+    turned = (said[:, None] + np.arange(len(DIRECTIONS))) % len(DIRECTIONS)
+    return np.asarray((source[:, None] * len(DIRECTIONS) + turned) * labels + target[:, None])
+
 
 MODE = 45.0
 """The oracle sums the probability of viewpoints within this distance of a place's middle [m]."""

@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.random import Generator
+from numpy.typing import ArrayLike, NDArray
 
 from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
 from placegraph.outdoor.city import CityMap, build_city
+from placegraph.outdoor.map.cells import cell_sightings
+from placegraph.outdoor.map.objects import CityObjects
+from placegraph.outdoor.map.raster import Sightings
+from placegraph_lab.tables.outdoor.matchers import cell_centers
 from placegraph_lab.tables.outdoor.queries import JITTER, Query, Setting, make_queries
-from placegraph_learn.city.descriptions import evaluated
+from placegraph_learn.train.city.sample import TILE, evaluated, held_out
 
 Where = Callable[[Floats], NDArray[np.bool_]]
 
@@ -106,3 +113,152 @@ def unseen_queries(
         anywhere=True,
         where=where if parts else None,
     )
+
+
+Rows = NDArray[np.int64]
+Starts = NDArray[np.signedinteger[Any]]
+
+
+GAP = 200.0
+"""Between copies at the least [m]."""
+
+
+def take(objects: CityObjects, rows: Rows) -> CityObjects:
+    """Objects `rows`, with those labels and names that they bear."""
+    label_starts, entries = _rows(objects.label_starts, rows)
+    labels, label_values = _used(objects.labels, objects.label_values[entries])
+    name_starts, entries = _rows(objects.name_starts, rows)
+    names, name_values = _used(objects.names, objects.name_values[entries])
+    part_starts, parts = _rows(objects.part_starts, rows)
+    point_starts, points = _rows(objects.point_starts, parts)
+    return CityObjects(
+        objects.osm_type[rows],
+        objects.osm_id[rows],
+        objects.kind[rows],
+        label_starts,
+        label_values,
+        name_starts,
+        name_values,
+        part_starts,
+        point_starts,
+        objects.points[points],
+        objects.center[rows],
+        labels,
+        names,
+    )
+
+
+def crop(city: CityMap, cells: int, around: ArrayLike | None = None) -> CityMap:
+    """The `cells` cells that are nearest to a place, and what is seen in them.
+
+    Parameters
+    ----------
+    around
+        East and north (2,) [m]; the median of all objects if None. Smaller parts lie within larger
+        ones around the same place.
+
+    Raises
+    ------
+    OptionError
+        Where the city has fewer cells, or none are wanted.
+    """
+    if not 1 <= cells <= len(city.cells):
+        raise OptionError(f"{cells:,} cells of a city that has {len(city.cells):,}.")
+    middle = np.median(city.objects.center, axis=0) if around is None else np.asarray(around)
+    off = cell_centers(city) - middle
+    kept = np.sort(np.argsort(np.hypot(*off.T), kind="stable")[:cells])
+    points = city.cells.points[kept]
+    seen = cell_sightings(city.objects, city.cells.grid, city.cells.size)
+    rows = np.unique(_things(seen, np.searchsorted(seen.points, points))).astype(np.int64)
+    return replace(city, objects=take(city.objects, rows), cells=replace(city.cells, points=points))
+
+
+def busiest_tile(city: CityMap, *, unseen: bool = False) -> Floats:
+    """Middle (2,) [m] of the square kilometre with the most objects; `unseen`, of those held out."""
+    at = city.objects.center
+    at = at[held_out(*at.T)] if unseen else at
+    tiles, counts = np.unique(np.floor(at / TILE), axis=0, return_counts=True)
+    return np.asarray((tiles[counts.argmax()] + 0.5) * TILE)
+
+
+def tile(city: CityMap, copies: int, rng: Generator) -> CityMap:
+    """Copies of a city on a square grid; in all but the first, tags and names are exchanged.
+
+    They are exchanged among points, among lines and among areas, both together, so that no copy
+    repeats another: the distractors grow with the map, the truth does not.
+
+    Raises
+    ------
+    OptionError
+        Where there is no copy to make.
+    """
+    if copies < 1:
+        raise OptionError(f"{copies} copies; make at least one.")
+    o, n = city.objects, len(city.objects)
+    step = city.cells.grid.stride
+    size = step * np.ceil((np.ptp(o.points, axis=0) + GAP) / step)
+    side = int(np.ceil(np.sqrt(copies)))
+    shifts = [np.array([k % side, k // side]) * size for k in range(copies)]
+    order = [np.arange(n), *(_exchanged(o.kind, rng) for _ in range(copies - 1))]
+    tagged = np.concatenate(order)
+    label_starts, labels = _rows(o.label_starts, tagged)
+    name_starts, names = _rows(o.name_starts, tagged)
+    last = int(o.osm_id.max()) + 1
+    objects = CityObjects(
+        np.tile(o.osm_type, copies),
+        np.concatenate([o.osm_id + k * last for k in range(copies)]),
+        np.tile(o.kind, copies),
+        label_starts,
+        o.label_values[labels],
+        name_starts,
+        o.name_values[names],
+        _repeated(o.part_starts, copies),
+        _repeated(o.point_starts, copies),
+        np.concatenate([o.points + shift for shift in shifts]).astype(np.float32),
+        np.concatenate([o.center + shift for shift in shifts]).astype(np.float32),
+        o.labels,
+        o.names,
+    )
+    return CityMap.create(
+        city.plane,
+        objects,
+        cell_size=city.cells.size,
+        stride=step,
+        edge_distance=city.cells.edge_distance,
+        source=f"{copies} x {city.source}",
+        left_out={},
+    )
+
+
+def _exchanged(kind: NDArray[np.uint8], rng: Generator) -> Rows:
+    """Permutation (N,) of objects within their kinds."""
+    order = np.arange(len(kind))
+    for k in np.unique(kind):
+        rows = np.flatnonzero(kind == k)
+        order[rows] = rng.permutation(rows)
+    return order
+
+
+def _rows(starts: Starts, rows: Rows) -> tuple[NDArray[np.int32], Rows]:
+    """CSR of some rows: their starts, and which entries they have."""
+    first, counts = starts[rows].astype(np.int64), np.diff(starts)[rows]
+    bounds = np.concatenate(([0], np.cumsum(counts, dtype=np.int64)))
+    entries = np.arange(bounds[-1]) + np.repeat(first - bounds[:-1], counts)
+    return bounds.astype(np.int32), entries
+
+
+def _used(
+    table: tuple[str, ...], values: NDArray[np.int32]
+) -> tuple[tuple[str, ...], NDArray[np.int32]]:
+    """Strings that are used, and the values that point to them."""
+    used, inverse = np.unique(values, return_inverse=True)
+    return tuple(table[i] for i in used), inverse.astype(np.int32)
+
+
+def _repeated(starts: Starts, copies: int) -> NDArray[np.int32]:
+    return np.concatenate(([0], np.cumsum(np.tile(np.diff(starts), copies)))).astype(np.int32)
+
+
+def _things(seen: Sightings, rows: Rows) -> NDArray[np.int32]:
+    _, entries = _rows(seen.starts, rows)
+    return seen.objects[entries]

@@ -33,11 +33,8 @@ from placegraph_lab.tables.retrieval.retrieval_vectors import (
     encoder_of,
     replay,
 )
-from placegraph_lab.tables.retrieval.retrieval_walks import RENDERING
-from placegraph_lab.tables.runner import INDOOR, Journal, fingerprint
+from placegraph_lab.tables.runner import INDOOR, WORLDS, Journal, code_key
 
-SEARCHING = (*INDOOR, "placegraph_lab/tables/retrieval/*.py", *RENDERING)
-"""Code that decides what answers are."""
 WHOLE = ("paper", "ours")
 """Methods that are asked in every pool; the others, ablations, are asked among 50."""
 ABLATED = (NOISY,)
@@ -93,7 +90,7 @@ class Study:
     def row(self, name: str) -> Row:
         """Ask about every walk with one encoder; raises as `encoder_of` does."""
         encoders, walks = self._known(name)
-        code = fingerprint(SEARCHING)
+        code = code_key((*INDOOR, *WORLDS, "placegraph_lab/tables/retrieval"))
         base = f"{code} {' '.join(e.key for e in encoders)} {name} {len(self.places)}"
         answers: dict[tuple[str, str, int], list[Answer]] = {}
         by_place: dict[str, list[Encoded]] = {}

@@ -1,19 +1,21 @@
-"""What encoders said of the walks of the retrieval benchmark: computed once, kept, replayed.
+"""Errors that stay: a thing taken for another in one frame is taken for it in the next ones, too.
 
-A `Replay` stands for an encoder and says of a frame what that encoder said of it before, so that
-searching is timed without encoding, which is timed by itself.
+Segmentations err like that. The noise of `label_noise` is drawn for every patch by itself, so that
+many frames wash it out; this one is drawn for a thing as long as it is in view.
 """
 
 from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from placegraph.core.geometry import Camera
 from placegraph.errors import OptionError
@@ -23,11 +25,80 @@ from placegraph.indoor.encode.labels import LabelsEncoder
 from placegraph.indoor.map.scene import Scene
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame, Images
-from placegraph_lab.tables.indoor.label_noise import NoisyLabels
-from placegraph_lab.tables.retrieval.retrieval_noise import NoisyThings
+from placegraph_lab.tables.indoor.bench import SHARE, NoisyLabels
 from placegraph_lab.tables.retrieval.retrieval_places import Walk
-from placegraph_lab.tables.retrieval.retrieval_walks import RENDERING
-from placegraph_lab.tables.runner import fingerprint
+from placegraph_lab.tables.runner import INDOOR, WORLDS, code_key
+
+_AROUND = np.ones((3, 3), np.bool_)
+
+
+class NoisyThings(NoisyLabels):
+    """An encoder of labels that mislabels whole things, alike in all frames that follow.
+
+    A thing is a connected region of patches that say the same; it is the one of the frame before
+    that says the same within a patch of it, the largest of several. Frames are to be asked for
+    in order, each once. Parameters and errors are those of `NoisyLabels`.
+    """
+
+    def __init__(
+        self,
+        encoder: LabelsEncoder,
+        vocabulary: Iterable[str],
+        share: float = SHARE,
+        *,
+        seed: int = 0,
+        name: str = "",
+    ) -> None:
+        super().__init__(encoder, vocabulary, share, seed=seed, name=name)
+        self._rng = np.random.default_rng([seed, crc32(name.encode())])
+        self._words: dict[bytes, int] = {}
+        self._before: tuple[NDArray[np.int64], NDArray[np.int64]] | None = None
+        self._taken: list[NDArray[np.float32] | None] = []
+        """Of each thing what it is taken for; None: for itself."""
+
+    def patches(self, image: Frame) -> NDArray[np.float32] | None:
+        """Vectors (rows, columns, d) of the next frame's patches, those of some things wrong."""
+        clean = self.encoder.patches(image)
+        if clean is None:
+            return None
+        words = self._numbered(clean)
+        things = np.full(words.shape, -1)
+        out = clean.copy()
+        for word in np.unique(words[words >= 0]):
+            regions, count = ndimage.label(words == word)
+            for region in range(1, count + 1):
+                own = regions == region
+                thing = self._before_this(own, int(word))
+                if thing is None:
+                    thing = len(self._taken)
+                    self._taken.append(self._drawn(clean[own][0]))
+                things[own] = thing
+                taken = self._taken[thing]
+                if taken is not None:
+                    out[own] = taken
+        self._before = words, things
+        return out
+
+    def _numbered(self, clean: NDArray[np.float32]) -> NDArray[np.int64]:
+        """Number (rows, columns) of what each patch says; -1 of nothing."""
+        words = np.full(clean.shape[:2], -1)
+        for at in zip(*np.nonzero(clean.any(axis=2)), strict=True):
+            words[at] = self._words.setdefault(clean[at].tobytes(), len(self._words))
+        return words
+
+    def _before_this(self, own: NDArray[np.bool_], word: int) -> int | None:
+        if self._before is None:
+            return None
+        words, things = self._before
+        near = things[ndimage.binary_dilation(own, _AROUND) & (words == word)]
+        return int(np.bincount(near).argmax()) if near.size else None
+
+    def _drawn(self, vector: NDArray[np.float32]) -> NDArray[np.float32] | None:
+        if self._rng.random() >= self.share:
+            return None
+        others = self.vectors[self.vectors @ vector < 1 - 1e-5]
+        return np.asarray(others[self._rng.integers(len(others))])
+
 
 NOISY = "labels, 30 % wrong"
 THINGS = "labels, 30 % of the things wrong"
@@ -41,14 +112,6 @@ ROWS: dict[str, tuple[str, ...]] = {
     "appearance": ("appearance",),
 }
 """Rows of the tables: what is said of frames, by one encoder or by two."""
-ENCODING = (
-    "placegraph/indoor/encode/**/*.py",
-    "placegraph/indoor/encode/**/data/*",
-    "placegraph_lab/tables/indoor/label_noise.py",
-    "placegraph_lab/tables/retrieval/retrieval_noise.py",
-    *RENDERING,
-)
-"""Code and data that decide what patches say."""
 _ENCODER = {NOISY: "labels", THINGS: "labels"}
 
 
@@ -166,7 +229,7 @@ def encoded(
     name = hashlib.sha256(
         "\n".join((row, encoder.key, walk.name, *vocabulary)).encode()
     ).hexdigest()[:24]
-    path = cache / f"scene_retrieval_vectors_{fingerprint(ENCODING)}" / f"{name}.npz"
+    path = cache / f"scene_retrieval_vectors_{code_key((*INDOOR, *WORLDS))}" / f"{name}.npz"
     if not path.exists():
         _write(path, noisy(encoder, row, vocabulary, walk), walk)
     with np.load(path) as file:

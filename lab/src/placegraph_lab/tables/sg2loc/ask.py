@@ -1,37 +1,314 @@
-"""The recipes that the tables of SG2Loc compare, and what they answer; answers are written down."""
+"""Where the tables of SG2Loc are measured: maps, recordings asked about in them, and the truth."""
 
 from __future__ import annotations
 
 import hashlib
 import time
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache, partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from zlib import crc32
 
 import numpy as np
 
 from placegraph.core.estimate import PoseEstimate
+from placegraph.core.geometry import Camera, Floats
+from placegraph.errors import InputError
+from placegraph.indoor.build import build_scene
 from placegraph.indoor.encode import BoundEncoder, Encoder, MapEncoder, encoder, vectors_of
-from placegraph.indoor.encode.labels import InstancesEncoder, LabelsEncoder
+from placegraph.indoor.encode.instances import InstancesEncoder
+from placegraph.indoor.encode.labels import LabelsEncoder
+from placegraph.indoor.mapping.from_capture import FromCapture
 from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.refine import RefineOptions
 from placegraph.indoor.scene_map import SceneMap
-from placegraph_lab.tables.indoor.label_noise import NoisyEncoder, NoisyLabels
+from placegraph.io.capture.capture import Capture, open_capture
+from placegraph_io.dataset.scan3r_rooms import read_rooms
+from placegraph_io.dataset.scannet_files import axis_alignment
+from placegraph_lab.tables.indoor import maps as indoor_maps
+from placegraph_lab.tables.indoor.bench import NoisyEncoder, NoisyLabels
+from placegraph_lab.tables.indoor.maps import place
 from placegraph_lab.tables.indoor.metrics import Answer, measure
-from placegraph_lab.tables.indoor.windows import DRIFT, Window
-from placegraph_lab.tables.retrieval.retrieval_walks import RENDERING
-from placegraph_lab.tables.runner import INDOOR, fingerprint
-from placegraph_lab.tables.sg2loc.sets import Set, Walk
+from placegraph_lab.tables.indoor.windows import (
+    DRIFT,
+    HALVES,
+    OFFICE_STRIDE,
+    Window,
+    drifting_windows,
+    is_changed,
+    true_poses,
+)
+from placegraph_lab.tables.pairs import scan3r, scannet
+from placegraph_lab.tables.pairs.scannet import register_scans
+from placegraph_lab.tables.runner import INDOOR, WORLDS, code_key
+from placegraph_lab.worlds.flat.flat import Flat
+from placegraph_lab.worlds.flat.interior import Interior
+from placegraph_lab.worlds.flat.walks import write_walk
+from placegraph_lab.worlds.home.home import STYLES, changed, home, scene_of, visit
 
 if TYPE_CHECKING:
     from placegraph_lab.tables.runner import Run
 
-ANSWERING = (
-    *INDOOR, *RENDERING, "placegraph_lab/tables/indoor/*.py", "placegraph_lab/tables/pairs/*.py",
-    *(f"placegraph_lab/tables/sg2loc/{name}.py" for name in ("ask", "sets", "at_hand", "brought")),
-)  # fmt: skip
-"""Code that decides what the answers are."""
+LAYOUT = """DIR/3RScan has 3RScan.json and a folder a scan (or scenes/SCAN), with its mesh, semseg.v2.json
+and sequence/ or sequence.zip; where SceneGraphLoc's lists lie in DIR/3RScan/files, they part the rooms.
+DIR/ScanNet has scans/sceneNNNN_NN (or sceneNNNN_NN), each with its mesh, annotation and .sens or
+exported frames; beside them pairs.txt, if pairs and their alignment are known, and
+SceneGraphFusion/sceneNNNN_NN, if scene graphs are to be predicted ones. A folder with data/house,
+data/office and data/freiburg1_rpy is asked about these; homes are drawn."""
+
+
+@dataclass(frozen=True, eq=False)
+class Walk:
+    """A recording that is asked about in a map."""
+
+    name: str
+    map: str
+    open: Callable[[], tuple[Capture, Floats]] = field(repr=False)
+    """Its frames, and their true map_from_camera (T, 4, 4)."""
+    changed: bool | None = None
+    """Whether things were moved since the map was made; None where nobody knows."""
+
+
+@dataclass(frozen=True, eq=False)
+class Set:
+    """Recordings of one kind, and their maps."""
+
+    name: str
+    walks: tuple[Walk, ...]
+    scene: Callable[[str], SceneMap]
+    rooms: dict[str, str]
+    """Which room each map shows: maps of one room are not to be told apart."""
+    rate: float
+    """Frames a second of a recording."""
+    own_ids: bool = False
+    """Instances of its label images are ids of the map's objects."""
+    frames: int = 0
+    """Of a walk, where that is known before one is opened."""
+
+    @cached_property
+    def longest(self) -> int:
+        """Frames of the longest walk."""
+        return self.frames or max((len(walk.open()[0]) for walk in self.walks), default=0)
+
+    def windows(
+        self, length: int, frames: int, seed: int, drift: tuple[float, float] = DRIFT
+    ) -> list[tuple[Walk, Window]]:
+        """Windows that do not overlap, of at most so many frames in all by state; 0: all of them."""
+        found: dict[bool | None, list[tuple[Walk, Window]]] = {}
+        for walk in self.walks:
+            capture, truth = walk.open()
+            rng = np.random.default_rng([seed, crc32(walk.name.encode())])
+            made = drifting_windows(
+                walk.name, capture, truth, length, rng, changed=walk.changed, drift=drift
+            )
+            found.setdefault(walk.changed, []).extend((walk, window) for window in made)
+        return [pair for of_state in found.values() for pair in _thinned(of_state, frames, length)]
+
+
+def _thinned(
+    pairs: list[tuple[Walk, Window]], frames: int, length: int
+) -> list[tuple[Walk, Window]]:
+    """As many windows as are asked for, drawn; those of fewer are among those of more."""
+    most = max(1, frames // length) if frames else len(pairs)
+    drawn = np.random.default_rng(0).permutation(len(pairs))[:most]
+    return [pairs[i] for i in sorted(drawn.tolist())]
+
+
+def kept(scene: Callable[[str], SceneMap]) -> Callable[[str], SceneMap]:
+    """The same, the last dozen maps kept in memory."""
+    return lru_cache(maxsize=12)(scene)
+
+
+FIRST, HOMES, WALKED = 2000, 10, 4
+"""Seed of the first home, homes there are, and homes that are walked through; no other table, and no
+training, draws of these seeds."""
+FRAMES = 100
+CAMERA = Camera(320, 240, 230.0, 230.0, 160.0, 120.0)
+RPY = {"second half in the first": (0, 52, 104), "first half in the second": (52, 0, 52)}
+"""Of freiburg1_rpy: the first of 52 frames that make the map; the frames that are asked about."""
+
+
+def of_house(data: Path, cache: Path) -> Set:
+    """The rendered house, of which methods were developed: eight walks, four after changes."""
+    walks = [
+        Walk(path.name, "house", partial(_recorded, path), is_changed(path / "changes.json"))
+        for path in sorted((data / "house").glob("seq[0-9]*"))
+    ]
+    scene = kept(lambda _: indoor_maps.house(data, cache))
+    return Set("house", tuple(walks), scene, {"house": "house"}, 5.0, own_ids=True)
+
+
+def of_office(data: Path, cache: Path) -> Set:
+    """The real office, of which methods were developed: each half asked in a map of the other."""
+    walks = [
+        Walk(half, half, partial(_recorded, data / "office", slice(*asked, OFFICE_STRIDE)))
+        for half, (_, asked) in HALVES.items()
+    ]
+    folder = data / "office"
+    spans = {half: slice(*made) for half, (made, _) in HALVES.items()}
+    rooms = dict.fromkeys(spans, "office")
+    return Set("office", tuple(walks), _halves(folder, cache, spans), rooms, 5.0)
+
+
+def of_freiburg(data: Path, cache: Path) -> Set:
+    """A real sequence, nearly all turning, of which nothing was developed: halves as of the office."""
+    folder = data / "freiburg1_rpy"
+    walks = [
+        Walk(half, half, partial(_recorded, folder, slice(first, last)))
+        for half, (_, first, last) in RPY.items()
+    ]
+    spans = {half: slice(low, low + 52) for half, (low, *_) in RPY.items()}
+    scene = _halves(folder, cache, spans, floor=0.0)  # which one half does not show
+    return Set("freiburg1_rpy", tuple(walks), scene, dict.fromkeys(spans, "desk"), 30 / 7)
+
+
+def _halves(
+    folder: Path, cache: Path, spans: dict[str, slice], floor: float | None = None
+) -> Callable[[str], SceneMap]:
+    """Maps of parts of a capture, cut into objects, as users make them."""
+
+    def scene(half: str) -> SceneMap:
+        span = spans[half]
+        path = place(cache, f"{folder.name}_objects_{span.start}_{span.stop}")
+        if not path.exists():
+            build_scene(folder, path, capture=FromCapture(frames=span), floor=floor)
+        return SceneMap.open(path)
+
+    return kept(scene)
+
+
+def of_homes(cache: Path, walked: int = WALKED, frames: int = FRAMES) -> Set:
+    """Drawn homes of which nothing was developed: walks as they were, and months later."""
+    styles = list(STYLES)
+    drawn: dict[str, tuple[Flat, Interior]] = {}
+    for i, seed in enumerate(range(FIRST, FIRST + HOMES)):
+        rng = np.random.default_rng(seed)
+        flat = home(rng, style=styles[i % len(styles)])
+        drawn[f"home {seed}"] = flat, flat.furnish(rng)
+    folder = cache / f"sg2loc_homes_{code_key(WORLDS)}"
+
+    def walk(name: str, *, later: bool) -> tuple[Capture, Floats]:
+        path = folder / f"{name.replace(' ', '_')}_{later:d}_{frames}"
+        if not (path / "gravity.txt").exists():  # which is written last
+            flat, interior = drawn[name]
+            rng = np.random.default_rng([int(name.split()[1]), 1 + later])
+            now = changed(interior, rng) if later else interior
+            way = visit(flat, now, rng, frames=frames)
+            write_walk(now, way, path, rng, camera=CAMERA, labels="labels", daylight=rng.uniform())
+        return _recorded(path)
+
+    walks = [
+        Walk(f"{name}{' later' * later}", name, partial(walk, name, later=later), later)
+        for name in list(drawn)[:walked]
+        for later in (False, True)
+    ]
+    scene = kept(lambda name: scene_of(drawn[name][1], name=name))
+    return Set("homes", tuple(walks), scene, {name: name for name in drawn}, 5.0, frames=frames)
+
+
+def _recorded(path: Path, rows: slice = slice(None)) -> tuple[Capture, Floats]:
+    """Frames of a capture's folder, and the truth that lies there, or is its odometry."""
+    capture = open_capture(path)
+    truth = true_poses(path) if (path / "trajectory.tum").exists() else capture.odometry
+    return capture[rows], truth[rows]
+
+
+def of_3rscan(run: Run, split: scan3r.Split) -> Set:
+    """3RScan: each scan of a split is asked in one other of its room, drawn, as far as they are there."""
+    root = run.shared / "3RScan"
+    rooms = read_rooms(root / "3RScan.json")
+    lists = root / "files"
+    listed = any((lists / name).exists() for name in scan3r.LISTS.values())
+    there = [
+        replace(room, scans=tuple(s for s in room.scans if _has(root, s.id)))
+        for room in scan3r.split_rooms(rooms, lists if listed else None)[split]
+    ]
+    pairs = scan3r.cross_temporal_pairs(there, "one", rng=np.random.default_rng(0))
+    if not pairs:
+        raise InputError(f"{root} holds no two scans of one room of the split {split!r}. {LAYOUT}")
+    walks = [Walk(p.name, p.map, partial(scan3r.recorded, root, p), p.changed) for p in pairs]
+    run.say(f"3RScan, {split}: {len(pairs)} pairs of {sum(len(r.scans) for r in there)} scans.")
+
+    def scene(scan: str) -> SceneMap:
+        path = place(run.cache, f"3rscan_{scan}")
+        if not path.exists():
+            build_scene(scan3r.scan_folder(root, scan), path)
+        return SceneMap.open(path)
+
+    rooms_of = {scan.id: room.reference for room in there for scan in room.scans}
+    return Set("3RScan", tuple(walks), kept(scene), rooms_of, 10.0)
+
+
+def _has(root: Path, scan: str) -> bool:
+    return any((folder / scan).is_dir() for folder in (root, root / "scenes"))
+
+
+def of_scannet(run: Run) -> Set:
+    """ScanNet: pairs of scans of a room, one image in 25; what cannot be registered is left out."""
+    scans = _Scans(run)
+    listed = scans.root / "pairs.txt"
+    pairs = (
+        scannet.read_pairs(listed)
+        if listed.exists()
+        else scannet.derive_pairs(scannet.scans_in(scans.folder))
+    )
+    known = [found for pair in pairs if (found := scans.registered(pair)) is not None]
+    run.say(f"ScanNet: {len(known)} of {len(pairs)} pairs are registered.")
+    if not known:
+        raise InputError(f"{scans.root}: no two scans of a room could be registered. {LAYOUT}")
+    walks = [Walk(p.name, p.map, partial(scannet.recorded, scans.folder, p)) for p in known]
+    rooms_of = {walk.map: walk.map.partition("_")[0] for walk in walks}
+    return Set("ScanNet", tuple(walks), kept(scans.scene), rooms_of, 30 / scannet.EVERY)
+
+
+class _Scans:
+    """ScanNet's scans, annotated and, where SceneGraphFusion was run, with its scene graphs."""
+
+    def __init__(self, run: Run) -> None:
+        self.root = run.shared / "ScanNet"
+        self.folder = self.root / "scans" if (self.root / "scans").is_dir() else self.root
+        self._cache = run.cache
+        self._journal = replace(run, name="sg2loc_registered").journal()
+
+    def _predicted(self, scan: str) -> Path:
+        return self.root / "SceneGraphFusion" / scan
+
+    def scene(self, scan: str) -> SceneMap:
+        """Map that is asked: the predicted graph where there is one, in the recording's axes."""
+        if not self._predicted(scan).is_dir():
+            return self._annotated(scan)
+        path = place(self._cache, f"scenegraphfusion_{scan}")
+        if not path.exists():
+            mesh = self.folder / scan / f"{scan}_vh_clean_2.ply"
+            build_scene(self._predicted(scan), path, reader={"mesh": mesh})
+        return SceneMap.open(path)
+
+    def _annotated(self, scan: str) -> SceneMap:
+        path = place(self._cache, f"scannet_{scan}")
+        if not path.exists():
+            build_scene(self.folder / scan, path)
+        return SceneMap.open(path)
+
+    def registered(self, pair: scannet.ScanPair) -> scannet.ScanPair | None:
+        """The pair with what leads into the axes of `scene`; None where nobody can tell."""
+        motion = pair.map_from_query
+        if motion is None:
+            key = f"{code_key(INDOOR)} {pair.name}"
+            if key not in self._journal:
+                two = self._annotated(pair.map), self._annotated(pair.query)
+                found = register_scans(*two, np.random.default_rng(0))
+                self._journal.put(key, None if found is None else found.tolist())
+            if self._journal[key] is None:
+                return None
+            motion = np.array(self._journal[key])
+        if self._predicted(pair.map).is_dir():
+            motion = np.linalg.inv(axis_alignment(self.folder / pair.map)) @ motion
+        return replace(pair, map_from_query=motion)
+
+
 IMAGES = "appearance"
 """Encoder of images that bring no labels, if none is named."""
 GRID = tuple(np.arange(0.2, 2.5, 0.2).tolist())
@@ -105,7 +382,7 @@ class Asking:
     def __init__(self, run: Run, how: How, *, fresh: bool) -> None:
         self.run, self.how = run, how
         self.journal = replace(run, name="sg2loc").journal(fresh=fresh)
-        self._code = fingerprint(ANSWERING)  # once: what is loaded now is what answers
+        self._code = code_key((*INDOOR, *WORLDS))  # once: what is loaded now is what answers
         self._warm: set[str] = set()
         self._merged = lru_cache(maxsize=2)(merged_scenes)
 

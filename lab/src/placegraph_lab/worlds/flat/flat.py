@@ -53,7 +53,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import InputError
-from placegraph_lab.worlds.drawing import Drawing, load, page, sections
+from placegraph_lab.worlds.drawing import Cell, Drawing, blots, load, page, sections
 from placegraph_lab.worlds.drawing import shipped as drawings
 from placegraph_lab.worlds.flat.legend import (
     COMMON,
@@ -67,7 +67,6 @@ from placegraph_lab.worlds.flat.legend import (
     settings,
     symbol,
 )
-from placegraph_lab.worlds.trace import Cell, blots
 
 if TYPE_CHECKING:
     from placegraph_lab.worlds.flat.interior import Interior

@@ -15,11 +15,11 @@ from itertools import groupby, pairwise
 import numpy as np
 
 from placegraph.errors import InputError
+from placegraph_lab.worlds.drawing import EAST, NORTH, SOUTH, WEST, Cell, step
 from placegraph_lab.worlds.flat.flat import SOLID, Blot, Flat, Room
+from placegraph_lab.worlds.flat.furniture import Floats, Part, Size, box, quad
 from placegraph_lab.worlds.flat.legend import DOOR, WINDOW
-from placegraph_lab.worlds.flat.parts import Floats, Part, Size, box, quad
 from placegraph_lab.worlds.flat.textures import Look
-from placegraph_lab.worlds.trace import EAST, NORTH, SOUTH, WEST, Cell, step
 
 CASING = 0.07
 """Width of the boards around an opening [m]."""

@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 
 from placegraph.core.geometry import rotation_z
 from placegraph.errors import OptionError
-from placegraph_lab.worlds.flat.furniture import MODELS, Body
+from placegraph_lab.worlds.flat.furniture import MODELS, Body, joined
 from placegraph_lab.worlds.flat.interior import Interior, Surface, Thing
 from placegraph_lab.worlds.flat.legend import look
-from placegraph_lab.worlds.flat.parts import joined
 from placegraph_lab.worlds.flat.textures import paint
 from placegraph_lab.worlds.home.catalogue import KINDS, STYLES, SYNONYMS
 

@@ -28,10 +28,8 @@ from placegraph_lab.worlds.flat.flat import Flat
 from placegraph_lab.worlds.flat.interior import Interior
 from placegraph_lab.worlds.home.catalogue import STYLES
 from placegraph_lab.worlds.home.change import changed
-from placegraph_lab.worlds.home.furnish import Furnisher
-from placegraph_lab.worlds.home.plan import CELL, plan, rooms_of
-from placegraph_lab.worlds.home.record import CAMERA, record
-from placegraph_lab.worlds.home.visit import visit
+from placegraph_lab.worlds.home.plan import CELL, Furnisher, plan, rooms_of
+from placegraph_lab.worlds.home.visit import CAMERA, record, visit
 
 __all__ = ["CAMERA", "STYLES", "changed", "home", "record", "scene_of", "visit"]
 

@@ -5,13 +5,15 @@ A cell is a character of `CELL` metres; rectangles are half open: top, left, bot
 
 from __future__ import annotations
 
+import string
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph_lab.worlds.home.catalogue import ROOMS, RoomKind
+from placegraph_lab.worlds.home.catalogue import KINDS, ROOMS, SYNONYMS, Kind, RoomKind, Some, Style
 
 CELL = 0.125
 """Side of a character [m]."""
@@ -212,3 +214,288 @@ def _outer(
         area.openings.append(Opening(glyph, side, hole))
         return True
     return False
+
+
+GLYPHS = string.ascii_letters + "*%&$@!?<>^~|+/;,_"
+"""One for every thing that stands alone."""
+BEFORE_DOORS = 6
+"""Cells that stay free before a door or doorway."""
+ELBOW = 2
+"""Cells of free floor at either side of who walks."""
+MOST = (18, 10, 6)
+"""Things of a room in a home of one, two, three rooms."""
+TRIES = 14
+"""Places that are tried for a thing."""
+LOW = 0.8
+"""What is no higher may stand before a window [m]."""
+CHIEF = 0.75
+"""What is at least as likely is placed first."""
+OWN = 0.2
+"""Share of things that are not of the style: what people brought along."""
+
+_COLOURS = ("#7d3b33", "#35618e", "#3f6b5c", "#6a5a7d", "#c99e68", "#2b2d33", "#a9883f", "#8a8f94")
+
+
+class Furnisher:
+    """Draws things on a plan's page and writes their legend.
+
+    Parameters
+    ----------
+    plan
+        Rooms; its page is drawn on.
+    style
+        Looks.
+    rng
+        Draws everything.
+
+    """
+
+    def __init__(self, plan: Plan, style: Style, rng: np.random.Generator) -> None:
+        self.page = plan.page
+        self.legend: list[str] = []
+        self.blocked = np.ones(plan.page.shape, bool)  # for who walks
+        self.kept = np.zeros(plan.page.shape, bool)
+        self.words = {plain: str(rng.choice(words)) for plain, words in SYNONYMS.items()}
+        self._style, self._rng = style, rng
+        self._glyphs = list(GLYPHS)
+        self._end = 0  # of the legend, once a room is full
+        self._most = MOST[len(plan.areas) - 1]
+        for area in plan.areas:
+            self.blocked[area.floor.rows, area.floor.columns] = False
+            for opening in area.openings:
+                self.blocked[opening.box.rows, opening.box.columns] = opening.glyph != ":"
+                if opening.glyph != "=":
+                    self._keep_free(area, opening.side, opening.box)
+
+    def furnish(self, area: Area) -> None:
+        """Place the things of a room: what makes it that kind of room first, then the rest."""
+        likely = {some.what for some in area.of.things if some.chance >= CHIEF}
+        wanted = [what for what, count in self._drawn(area.of.things) for _ in range(count)]
+        order = self._rng.permutation(len(wanted)).tolist()
+        self._end = len(self.legend) + self._most
+        for i in sorted(order, key=lambda i: wanted[i] not in likely):
+            self._place(wanted[i], area)
+
+    # ------------------------------------------------------------------------------- places
+
+    def _place(self, what: str, area: Area) -> None:
+        kind = KINDS[what]
+        size = self._size(kind)
+        for _ in range(TRIES):
+            box, facing = self._somewhere(kind, size, area)
+            if self._fits(kind, box, area, size[2]) and self._walkable(kind, box):
+                self._put(what, box, facing, size[2], area)
+                return
+
+    def _somewhere(self, kind: Kind, size: tuple[int, int, float], area: Area) -> tuple[Box, str]:
+        """Box and direction of a thing against a wall, or anywhere."""
+        rng, floor = self._rng, area.floor
+        width, depth, _ = size
+        side = str(rng.choice(SIDES))
+        if kind.place in {"middle", "ceiling"}:
+            down, right = (depth, width) if side in {"north", "south"} else (width, depth)
+            rows, columns = floor.bottom - floor.top - down, floor.right - floor.left - right
+            if min(rows, columns) < 0:
+                return floor, side
+            corner = [_central(n, rng) for n in (rows, columns)]
+            top, left = floor.top + corner[0], floor.left + corner[1]
+            return Box(top, left, top + down, left + right), side
+        first, last = floor.span(side)
+        if last - first < width:
+            return floor, side
+        at = int(rng.integers(first, last - width + 1))
+        if rng.random() < 0.3:  # into a corner
+            at = int(rng.choice([first, last - width]))
+        return floor.inward(side, at, width, depth), OPPOSITE[side]
+
+    def _fits(self, kind: Kind, box: Box, area: Area, height: float) -> bool:
+        if box == area.floor or not _within(box, area.floor):
+            return False
+        if (self.page[box.rows, box.columns] != " ").any():
+            return False
+        if kind.place == "ceiling":
+            return True
+        hung = kind.place == "hung"
+        if not hung and self.kept[box.rows, box.columns].any():
+            return False
+        near = [o for o in area.openings if o.box.grown(1).meets(box)]
+        return not near if hung else all(o.glyph == "=" and height <= LOW for o in near)
+
+    def _walkable(self, kind: Kind, box: Box) -> bool:
+        """Whether who walks still gets everywhere, once a box is taken."""
+        if kind.place in {"hung", "ceiling"} or kind.model == "rug":
+            return True
+        taken = self.blocked.copy()
+        taken[box.rows, box.columns] = True
+        return _connected(taken)
+
+    # -------------------------------------------------------------------------- what is put
+
+    def _put(
+        self,
+        what: str,
+        box: Box,
+        facing: str,
+        height: float,
+        area: Area,
+        *,
+        host: str = "",
+        faces: str = "",
+    ) -> None:
+        """Draw a thing, if the room is to hold another one, and what comes with it."""
+        if len(self.legend) >= self._end:
+            return
+        glyph = self._glyphs.pop(0)
+        kind = KINDS[what]
+        self.page[box.rows, box.columns] = glyph
+        if kind.place not in {"hung", "ceiling", "on"} and kind.model != "rug":
+            self.blocked[box.rows, box.columns] = True
+        self.legend.append(self._line(glyph, what, height, faces or facing, host))
+        self._accompany(glyph, kind, box, facing, area)
+
+    def _accompany(self, glyph: str, kind: Kind, box: Box, facing: str, area: Area) -> None:
+        for what, count in self._drawn(kind.on):
+            for _ in range(count):
+                self._put_on(what, glyph, box, facing, area)
+        for what, count in self._drawn(kind.front):
+            for _ in range(count):
+                self._put_before(what, glyph, box, facing, area)
+        for what, count in self._drawn(kind.beside):
+            for _ in range(count):
+                self._put_beside(what, box, facing, area)
+        for what, chance, most in kind.around:
+            for _ in range(int(self._rng.binomial(most, chance))):
+                side = str(self._rng.choice(SIDES))
+                self._put_before(what, glyph, box, side, area)
+
+    def _put_on(self, what: str, glyph: str, box: Box, facing: str, area: Area) -> None:
+        """On a thing, over it, or on the wall behind it."""
+        kind, rng = KINDS[what], self._rng
+        size = self._size(kind)
+        back = OPPOSITE[facing]
+        first, last = box.span(back)
+        deep = box.bottom - box.top if back in {"north", "south"} else box.right - box.left
+        width, depth = min(size[0], last - first), min(size[1], deep)
+        if width * depth >= (last - first) * deep or width < round(kind.width[0] / CELL) - 1:
+            return
+        for _ in range(TRIES):
+            at = int(rng.integers(first, last - width + 1))
+            gap = 0 if kind.place in {"on", "hung"} else (deep - depth) // 2
+            if kind.place == "ceiling":
+                at = (first + last - width) // 2
+            spot = box.inward(back, at, width, depth, gap=gap)
+            on_it = (self.page[spot.rows, spot.columns] == glyph).all()
+            if on_it and (kind.place != "middle" or self._walkable(kind, spot)):
+                self._put(what, spot, facing, size[2], area, host=glyph)
+                return
+
+    def _put_before(self, what: str, glyph: str, box: Box, side: str, area: Area) -> None:
+        """At a side of a thing, looking at it."""
+        kind, rng = KINDS[what], self._rng
+        size = self._size(kind)
+        first, last = box.span(side)
+        gap = 3 if kind.model == "table" else 0
+        for _ in range(TRIES // 2):
+            low, high = sorted((first, last - size[0]))
+            spot = box.outward(side, int(rng.integers(low, high + 1)), *size[:2], gap=gap)
+            if self._fits(kind, spot, area, size[2]) and self._walkable(kind, spot):
+                faces = glyph if kind.model == "chair" else ""
+                self._put(what, spot, OPPOSITE[side], size[2], area, faces=faces)
+                return
+
+    def _put_beside(self, what: str, box: Box, facing: str, area: Area) -> None:
+        """At one end of a thing, its back to the same wall."""
+        kind = KINDS[what]
+        size = self._size(kind)
+        back = OPPOSITE[facing]
+        first, last = box.span(back)
+        for at in self._rng.permutation([first - size[0], last]).tolist():
+            spot = box.inward(back, int(at), *size[:2])
+            if self._fits(kind, spot, area, size[2]) and self._walkable(kind, spot):
+                self._put(what, spot, facing, size[2], area)
+                return
+
+    # --------------------------------------------------------------------------------- small
+
+    def _drawn(self, some: Iterable[Some]) -> list[tuple[str, int]]:
+        """How many of each kind."""
+        found = []
+        for what, chance, most in some:
+            count = int(self._rng.random() < chance)
+            while 0 < count < most and self._rng.random() < 0.5:
+                count += 1
+            found.append((what, count))
+        return found
+
+    def _size(self, kind: Kind) -> tuple[int, int, float]:
+        """Cells along the back and to the front, and height [m]."""
+        width, depth = (self._rng.uniform(*given) for given in (kind.width, kind.depth))
+        height = round(float(self._rng.uniform(*kind.height)), 3)
+        return max(1, round(width / CELL)), max(1, int(np.ceil(depth / CELL - 0.3))), height
+
+    def _line(self, glyph: str, what: str, height: float, faces: str, host: str) -> str:
+        """One line of the legend."""
+        kind = KINDS[what]
+        words = [f"{glyph} {kind.model}: label={self.words.get(what, what)} height={height:g}"]
+        if kind.base is not None:
+            words.append(f"base={kind.base:g}")
+        if kind.place in {"wall", "hung"} or what == "wall cupboard":
+            words.append(f"depth={self._rng.uniform(*kind.depth):.2f}")
+        words.append(f"faces={faces}")
+        words += [f"in={host}"] * bool(host)
+        own = self._rng.random() < OWN and kind.look in {"fabric", "second", "wood"}
+        look = self._look(kind.look)
+        if own:
+            look = f"{look.split()[0]} {self._rng.choice(_COLOURS)}"
+        trim = look if kind.trim == kind.look else self._look(kind.trim)
+        return " ".join([*words, f"look={look} trim={trim}"])
+
+    def _look(self, slot: str) -> str:
+        return self._style.looks.get(slot, slot)
+
+    def _keep_free(self, area: Area, side: str, hole: Box) -> None:
+        first, last = hole.span(side)
+        free = area.floor.inward(side, first - 1, last - first + 2, BEFORE_DOORS)
+        self.kept[free.rows, free.columns] = True
+
+
+def _central(cells: int, rng: np.random.Generator) -> int:
+    """Some of the cells 0 to `cells`, those in the middle more often."""
+    return int(rng.integers(0, cells // 2 + 1)) + int(rng.integers(0, cells - cells // 2 + 1))
+
+
+def _within(box: Box, floor: Box) -> bool:
+    return (
+        floor.top <= box.top
+        and floor.left <= box.left
+        and box.bottom <= floor.bottom
+        and box.right <= floor.right
+    )
+
+
+def _connected(blocked: NDArray[np.bool_]) -> bool:
+    """Whether the places where one can stand, with elbows, are one region."""
+    free = ~blocked
+    reach = ELBOW
+    padded = np.pad(free, reach)
+    stand = np.ones_like(free)
+    rows, columns = free.shape
+    for i in range(2 * reach + 1):
+        for j in range(2 * reach + 1):
+            stand &= padded[i : i + rows, j : j + columns]
+    cells = np.argwhere(stand)
+    if not len(cells):
+        return False
+    seen = np.zeros(np.add(stand.shape, 2), bool)
+    inner = np.pad(stand, 1)
+    seen[tuple(cells[0] + 1)] = True
+    while True:
+        grown = seen.copy()
+        grown[1:] |= seen[:-1]
+        grown[:-1] |= seen[1:]
+        grown[:, 1:] |= seen[:, :-1]
+        grown[:, :-1] |= seen[:, 1:]
+        grown &= inner
+        if (grown == seen).all():
+            return bool((seen == inner).all())
+        seen = grown

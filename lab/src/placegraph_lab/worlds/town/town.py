@@ -51,9 +51,22 @@ from typing import Self
 
 from placegraph.core.geometry import LocalPlane
 from placegraph.errors import InputError
-from placegraph_lab.worlds.drawing import Drawing, legend_line, load, page, sections
+from placegraph_lab.worlds.drawing import (
+    DIAGONAL,
+    EAST,
+    NORTH,
+    ORTHOGONAL,
+    SOUTH,
+    WEST,
+    Cell,
+    Drawing,
+    blots,
+    legend_line,
+    load,
+    page,
+    sections,
+)
 from placegraph_lab.worlds.drawing import shipped as drawings
-from placegraph_lab.worlds.trace import DIAGONAL, EAST, NORTH, ORTHOGONAL, SOUTH, WEST, Cell, blots
 
 Tags = dict[str, str]
 

@@ -9,13 +9,16 @@ further from that of other places.
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
 from placegraph.indoor.encode import appearance
+from placegraph.indoor.library import SceneLibrary
 from placegraph_lab.worlds.flat.flat import Flat
 from placegraph_lab.worlds.flat.interior import Interior
 from placegraph_lab.worlds.home.home import home, scene_of
@@ -57,3 +60,23 @@ def print_usual(homes: int, flat: str, times: int, say: Callable[[str], None]) -
     before = appearance._USUAL  # noqa: SLF001  # what is replaced
     say(lines(found))
     say(f"# off from those of appearance.py by {np.abs(found - before).max():.4f} at most")
+
+
+COUNT = 32
+FIRST_SEED = 700_000
+ENCODERS = ("labels", "appearance")
+
+
+def write_decoys(out: Path, say: Callable[[str], None]) -> None:
+    """Draw, map and sign the homes, and write their library."""
+    library = SceneLibrary(ENCODERS)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=out.parent) as folder:
+        for i in range(COUNT):
+            rng = np.random.default_rng(FIRST_SEED + i)
+            path = Path(folder) / f"home {i}.scene"
+            scene_of(home(rng).furnish(rng), name=path.stem).save(path)
+            library.add(path.stem, path)
+            say(f"{path.stem} {len(library.entry(path.stem).signature)}")
+        library.save(out)
+    say(f"{out}: {out.stat().st_size:,} bytes")
