@@ -1,4 +1,4 @@
-"""`placegraph-lab table`: every table of measurements, by name."""
+"""Command line `placegraph-lab`: tables, and commands that make the files placegraph ships with."""
 
 from __future__ import annotations
 
@@ -14,6 +14,10 @@ from placegraph.cli.common import bare, guarded, harmless
 from placegraph.errors import PlacegraphError
 from placegraph_lab.tables.runner import load, names
 
+
+Folder = Annotated[Path, typer.Option("--out", "-o", help="Folder to write to.")]
+ROOT = Path(__file__).parents[4]
+"""Of the repository, where the lab is used from."""
 
 class Tables(TyperGroup):
     """Commands that are imported when they are asked for."""
@@ -52,25 +56,21 @@ def table(
         raise typer.Exit
 
 
-Folder = Annotated[Path, typer.Option("--out", "-o", help="Folder to write to.")]
-ROOT = Path(__file__).parents[4]
-"""Of the repository, where the lab is used from."""
-
-tables = typer.Typer(
+app = typer.Typer(
     name="placegraph-lab",
     help="What placegraph is made and measured with.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-tables.add_typer(tables, name="table")
+app.add_typer(tables, name="table")
 
 
 def main() -> None:
     """Run the command line; placegraph's own errors end it with their exit code and one sentence."""
     with guarded():
         try:
-            tables()
+            app()
         except PlacegraphError as error:
             Console(file=bare(sys.stderr), soft_wrap=True).print(
                 harmless(f"placegraph-lab: {error}"), style="red", markup=False, highlight=False
@@ -78,7 +78,7 @@ def main() -> None:
             sys.exit(error.exit_code)
 
 
-@tables.command("demo-world")
+@app.command("demo-world")
 def demo_world(out: Folder = ROOT / "src/placegraph/demo/data") -> None:
     """Draw the town, the flat, the film and the homes of `placegraph demo`."""
     from placegraph_lab.worlds.demo import write_demo_world
@@ -86,7 +86,7 @@ def demo_world(out: Folder = ROOT / "src/placegraph/demo/data") -> None:
     write_demo_world(out)
 
 
-@tables.command("vocabulary", hidden=True)
+@app.command("vocabulary", hidden=True)
 def vocabulary(
     package: Annotated[
         Path, typer.Argument(help="Unpacked npm package @openstreetmap/id-tagging-schema.")
@@ -99,7 +99,7 @@ def vocabulary(
     write_lexicons(package, out, typer.echo)
 
 
-@tables.command("decoys", hidden=True)
+@app.command("decoys", hidden=True)
 def decoys(
     out: Annotated[Path, typer.Option("--out", "-o", help="Library file to write.")] = (
         ROOT / "src/placegraph/indoor/library/data/decoys.library"
@@ -111,7 +111,7 @@ def decoys(
     write_decoys(out, typer.echo)
 
 
-@tables.command("kernels", hidden=True)
+@app.command("kernels", hidden=True)
 def kernels(
     data: Annotated[Path, typer.Option(help="Folder of the shared data.")] = ROOT
     / "../shared/data",
@@ -125,7 +125,7 @@ def kernels(
     out.write_text(list_kernels(data, typer.echo), encoding="utf-8")
 
 
-@tables.command("appearance", hidden=True)
+@app.command("appearance", hidden=True)
 def appearance(
     homes: Annotated[int, typer.Option(min=0, max=1000, help="Procedural homes.")] = 0,
     flat: Annotated[str, typer.Option(help="A drawn flat.")] = "altbau",

@@ -28,7 +28,7 @@ from placegraph_lab.tables.outdoor.extracts import EXTRACTS, open_city
 from placegraph_lab.tables.outdoor.queries import make_queries
 from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, number, option, table
 
-SCRIPT = Path(__file__).with_name("requests.lua")
+SCRIPT = Path(__file__).parents[1] / "data/requests.lua"
 TICK = 1.0 / os.sysconf("SC_CLK_TCK")
 PAGE = os.sysconf("SC_PAGE_SIZE")
 STARTING = 300.0

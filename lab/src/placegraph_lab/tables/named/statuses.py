@@ -45,7 +45,7 @@ from placegraph_lab.tables.statistics import Reliability, reliability
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-TRAPS = Path(__file__).parent / "traps.toml"
+TRAPS = Path(__file__).parents[1] / "data/traps.toml"
 MADE = EXTRACTS | {"manhattan": "manhattan_2025.osm.pbf"}
 """Extracts that templates speak of."""
 TOLD = {"pittsburgh": "rvs_pittsburgh.jsonl", "manhattan": "rvs_manhattan.jsonl"}
