@@ -14,10 +14,10 @@ from placegraph.cli.common import bare, guarded, harmless
 from placegraph.errors import PlacegraphError
 from placegraph_lab.tables.runner import load, names
 
-
 Folder = Annotated[Path, typer.Option("--out", "-o", help="Folder to write to.")]
 ROOT = Path(__file__).parents[4]
 """Of the repository, where the lab is used from."""
+
 
 class Tables(TyperGroup):
     """Commands that are imported when they are asked for."""

@@ -6,7 +6,7 @@ import pytest
 from placegraph.errors import OptionError
 from placegraph.outdoor.city import CityMap, build_city
 from placegraph_lab.tables.outdoor.extracts import busiest_tile, crop, take, tile
-from placegraph_learn.train.city.sample import held_out
+from placegraph_learn.city.descriptions import held_out
 
 
 @pytest.fixture(scope="module")

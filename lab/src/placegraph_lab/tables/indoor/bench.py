@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from placegraph.core.geometry import Camera
 from placegraph.errors import OptionError
 from placegraph.indoor.encode import MapEncoder, Patches
-from placegraph.indoor.encode.instances import ClassesOfInstances, InstancesEncoder
+from placegraph.indoor.encode.labels import ClassesOfInstances, InstancesEncoder
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.scene_map import SceneMap

@@ -15,7 +15,7 @@ from placegraph.indoor.mapping.fuse import fuse
 from placegraph.indoor.mapping.simplify import simplify
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import open_capture
-from placegraph.io.mesh.ply_write import write_ply
+from placegraph.io.mesh.ply import write_ply
 from placegraph_lab.tables.indoor.windows import HALVES, true_poses
 from placegraph_lab.tables.runner import INDOOR, code_key
 

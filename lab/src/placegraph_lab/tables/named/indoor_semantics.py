@@ -15,12 +15,11 @@ from typing import Annotated, Any
 from placegraph.errors import InputError, MissingExtraError
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.encode import MapEncoder, bound, encoder
-from placegraph.indoor.encode.instances import ClassesOfInstances, InstancesEncoder
-from placegraph.indoor.encode.labels import LabelsEncoder
+from placegraph.indoor.encode.labels import ClassesOfInstances, InstancesEncoder, LabelsEncoder
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture
-from placegraph.io.mesh.ply_write import write_ply
+from placegraph.io.mesh.ply import write_ply
 from placegraph_lab.tables.indoor.bench import (
     QUICK_EVERY,
     Asker,

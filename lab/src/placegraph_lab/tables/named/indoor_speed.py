@@ -16,7 +16,7 @@ import numpy as np
 
 from placegraph.core.geometry import Floats, level_from_camera, rotation_z, split_pose
 from placegraph.errors import PlacegraphError
-from placegraph.indoor.encode.instances import InstancesEncoder
+from placegraph.indoor.encode.labels import InstancesEncoder
 from placegraph.indoor.likelihood.model import model_of
 from placegraph.indoor.likelihood.observe import sight, views
 from placegraph.indoor.likelihood.score import Scorer

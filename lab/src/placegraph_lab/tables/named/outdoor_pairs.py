@@ -157,9 +157,8 @@ class Pairs:
         import torch
 
         from placegraph.outdoor.network.batches import place_batch, text_batch
-        from placegraph_learn.train.city.pairs import pair_batch
-        from placegraph_learn.train.city.torch_batches import Batch, forward
-        from placegraph_learn.train.city.torch_network import Network
+        from placegraph_learn.city.batches import Batch, forward, pair_batch
+        from placegraph_learn.city.network import Network
 
         texts, places, words = self._graphs()
         module = Network(network.shape, network.known.vectors.shape[1] if network.known else 0)

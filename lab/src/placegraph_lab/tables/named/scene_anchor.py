@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from placegraph.core.geo import Anchor
 from placegraph.core.geometry import Camera, Floats, wrap
 from placegraph.errors import PlacegraphError
-from placegraph.indoor.mapping.osm.outlines import rings_of_cells
+from placegraph.indoor.mapping.outlines import rings_of_cells
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame

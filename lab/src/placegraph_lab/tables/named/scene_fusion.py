@@ -20,7 +20,7 @@ from placegraph.indoor.mapping.fuse import FuseOptions, fuse
 from placegraph.indoor.rays import RayCaster
 from placegraph.io.capture.capture import open_capture
 from placegraph.io.capture.frame import Frame
-from placegraph.io.mesh.glb import read_glb
+from placegraph.io.mesh.gltf import read_glb
 from placegraph_lab.tables.indoor.windows import true_poses
 from placegraph_lab.tables.runner import Quick, Run, markdown, number, table
 from placegraph_lab.tables.scene.maps_surface import distances, spread

@@ -11,12 +11,9 @@ import numpy as np
 import torch
 
 from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, option, share, table
-from placegraph_learn.train.scenegraphloc.lessons import Lesson, read_lesson, split
-from placegraph_learn.train.scenegraphloc.options import Progress, TrainOptions
-from placegraph_learn.train.scenegraphloc.train import train
-from placegraph_learn.train.scenegraphloc.trainer import Judged, Trainer, judge
-from placegraph_learn.train.scenegraphloc.worlds import homes
-from placegraph_learn.train.training import rows_of
+from placegraph_learn.scenegraphloc.lessons import Lesson, homes, read_lesson, split
+from placegraph_learn.scenegraphloc.train import Judged, Trainer, TrainOptions, judge, train
+from placegraph_learn.training import Progress, rows_of
 
 
 class Told(Progress):
@@ -125,7 +122,7 @@ def scene_train(
 ) -> None:
     """Does the network of SceneGraphLoc learn? Procedural homes, and others it never saw."""
     from placegraph_lab.tables.named.scene_train import learn_and_ask
-    from placegraph_learn.train.scenegraphloc.options import TrainOptions
+    from placegraph_learn.scenegraphloc.train import TrainOptions
 
     if quick:
         homes, held, frames, epochs = 4, 1, 3, 1

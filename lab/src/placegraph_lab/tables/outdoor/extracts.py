@@ -19,7 +19,7 @@ from placegraph.outdoor.map.objects import CityObjects
 from placegraph.outdoor.map.raster import Sightings
 from placegraph_lab.tables.outdoor.matchers import cell_centers
 from placegraph_lab.tables.outdoor.queries import JITTER, Query, Setting, make_queries
-from placegraph_learn.train.city.sample import TILE, evaluated, held_out
+from placegraph_learn.city.descriptions import TILE, evaluated, held_out
 
 Where = Callable[[Floats], NDArray[np.bool_]]
 

@@ -21,7 +21,7 @@ from numpy.random import Generator
 
 from placegraph.core.geometry import Floats
 from placegraph.errors import InputError, OptionError
-from placegraph.indoor.mapping.change.register import Registration, about, register, sample
+from placegraph.indoor.mapping.change.align import Registration, about, register, sample
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture, open_capture
 from placegraph_io.dataset.scannet_files import axis_alignment, is_rigid, read_text

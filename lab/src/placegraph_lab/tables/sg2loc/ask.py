@@ -18,8 +18,7 @@ from placegraph.core.geometry import Camera, Floats
 from placegraph.errors import InputError
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.encode import BoundEncoder, Encoder, MapEncoder, encoder, vectors_of
-from placegraph.indoor.encode.instances import InstancesEncoder
-from placegraph.indoor.encode.labels import LabelsEncoder
+from placegraph.indoor.encode.labels import InstancesEncoder, LabelsEncoder
 from placegraph.indoor.mapping.from_capture import FromCapture
 from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.options import FilterOptions
