@@ -257,6 +257,9 @@ class PoseEstimate(Estimate[PoseMode]):
     """How the pose was refined; None where nobody asked for it or there was nothing to refine."""
     calibration: Calibration | None = None
     """What was found to be wrong with the camera, and mended for this answer; None: nothing."""
+    diagnostics: object = field(default=None, compare=False)
+    """Measurements that the status rests on (`placegraph.indoor.status.Diagnostics`), for code; people
+    read `stats`."""
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and strings, ready for `json.dumps`."""

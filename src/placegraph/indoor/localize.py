@@ -14,6 +14,7 @@ from placegraph.indoor.encode.labels import foreign
 from placegraph.indoor.likelihood.observe import sight
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.pose.bend import bend
+from placegraph.indoor.pose.estimate import estimate_pose
 from placegraph.indoor.pose.passes import run_passes
 from placegraph.indoor.pose.placed import placed
 from placegraph.indoor.pose.polish import heaviest, polished
@@ -21,12 +22,18 @@ from placegraph.indoor.pose.query import PoseQuery
 from placegraph.indoor.pose.search import search
 from placegraph.indoor.pose.slide import freed
 from placegraph.indoor.pose.suspect import COVERED, blank, divided_all, spoiled, suspected
-from placegraph.indoor.pose.trust import SURE, log_odds
-from placegraph.indoor.pose.verdict import verdict
 from placegraph.indoor.pose.window import Window, observe, timed
 from placegraph.indoor.refine import RefineOptions, Refining, refined, wrong_camera
 from placegraph.indoor.refine.landmarks import place
 from placegraph.indoor.refine.matching import Matcher
+from placegraph.indoor.status import (
+    add_note,
+    diagnostics_of,
+    doubt_tracked,
+    explain_by_fault,
+    needs_fault_search,
+    reject_frames,
+)
 from placegraph.indoor.track.tracker import Tracker
 from placegraph.indoor.track.whole import follow
 from placegraph.io.capture.capture import Capture
@@ -73,27 +80,23 @@ def localize(query: PoseQuery, refining: Refining | None) -> PoseEstimate:
 def _suspected(window: Window, estimate: PoseEstimate) -> PoseEstimate:
     """An answer that no mended camera makes `OK`, with the fault of the input that explains it, if any."""
     query = window.query
+    found = diagnostics_of(estimate)
     own = query.encoder is None and query.shares is None and estimate.status is not Status.OK
-    trust = estimate.stats.get("trust", {})
-    if own and (other := foreign(query.scene, query.frames[-WINDOW:], trust.get("semantic"))):
-        return replace(estimate, reason=f"{estimate.reason} {other}")
-    odds = trust.get("odds")
-    doubted = odds is not None and odds < log_odds(SURE, 0.0)
-    settled = estimate.stats.get("undecided", False) and not doubted  # but for a rival
-    wrong = estimate.status is not Status.OK and not settled
+    if own and (other := foreign(query.scene, query.frames[-WINDOW:], found.semantic)):
+        return add_note(estimate, other)
+    wrong = needs_fault_search(estimate)
     here = query.shares is None  # else other scenes of a library may be where it was taken
     searched = query.options.tracked and len(query.frames) <= WINDOW
     if not (wrong and here and searched and estimate.modes):
         return estimate
-    ratio = trust["ratio"]
     with timed(window.seconds, "faults"):
-        fault = suspected(window, ratio, np.random.default_rng(query.seed))
+        fault = suspected(window, found.ratio, np.random.default_rng(query.seed))
     seconds = estimate.stats["seconds"] | {"faults": round(window.seconds["faults"], 4)}
     estimate = replace(estimate, stats=estimate.stats | {"seconds": seconds})
     if not fault:
         return estimate
     covered = f" {COVERED}" if COVERED in estimate.reason else ""
-    return replace(estimate, reason=f"As they are, the frames fit nowhere. {fault}{covered}")
+    return explain_by_fault(estimate, f"{fault}{covered}")
 
 
 def _found(query: PoseQuery, refining: Refining | None) -> tuple[Window, PoseEstimate]:
@@ -101,19 +104,16 @@ def _found(query: PoseQuery, refining: Refining | None) -> tuple[Window, PoseEst
     if len(query.frames) > WINDOW and query.options.tracked:
         tracker = Tracker(query)
         estimate = follow(tracker, query.frames)
-        fault = estimate.status is Status.OK and divided_all(
-            query, tracker.scorer, estimate.trajectory
-        )
-        if fault:
-            estimate = replace(estimate, status=Status.AMBIGUOUS, reason=fault)
+        if estimate.status is Status.OK:
+            fault = divided_all(query, tracker.scorer, estimate.trajectory)
+            estimate = doubt_tracked(estimate, fault)
         window = _tail(query, tracker)
         return window, refined(window, estimate, refining) if refining else estimate
     rng = np.random.default_rng(query.seed)
     window = observe(query)
     fault = spoiled(window)
     if fault:  # no search could help
-        frames = np.array([s.frame.index for s in window.sightings])
-        return window, PoseEstimate(Status.LOST, (), reason=fault, frames=frames)
+        return window, reject_frames(fault, [s.frame.index for s in window.sightings])
     covered = blank(window.sightings)
     if covered:  # depth and labels are better off without such images
         window.sightings = [replace(s, rgb=None) for s in window.sightings]
@@ -127,9 +127,9 @@ def _found(query: PoseQuery, refining: Refining | None) -> tuple[Window, PoseEst
         starts = np.concatenate([passes.modes, seeds])
         fits = bend(window, polished(window, starts, rng), rng)
         fits = freed(window, fits, rng)
-    estimate = verdict(window, fits)
+    estimate = estimate_pose(window, fits)
     if covered:
-        estimate = replace(estimate, reason=f"{estimate.reason} {COVERED}")
+        estimate = add_note(estimate, COVERED)
     seconds = {stage: round(took, 4) for stage, took in window.seconds.items()}
     stats = {"seconds": seconds, "particles": passes.counts} | window.scorer.stats()
     estimate = replace(estimate, stats=estimate.stats | stats, history=passes.history)

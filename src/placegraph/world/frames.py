@@ -16,18 +16,12 @@ import numpy as np
 from placegraph.core.estimate import SceneEstimate, Status
 from placegraph.core.geometry import angle_between
 from placegraph.indoor.library.answer import by_frames as by_frames_in
-from placegraph.indoor.library.localize import (
-    decided,
-    doubted,
-    doubts,
-    looked_into,
-    odds,
-    scene_of,
-)
+from placegraph.indoor.library.localize import looked_into
 from placegraph.indoor.library.options import SearchOptions
 from placegraph.indoor.map.floor import storey_at
 from placegraph.indoor.map.rooms import room_at
 from placegraph.indoor.pose.query import chosen_frames
+from placegraph.indoor.status import choose_scene, doubt_by_search, fit_odds, scene_of, search_odds
 from placegraph.world.estimate import WorldEstimate, WorldMode
 from placegraph.world.floors import ratio_of
 from placegraph.world.standing import nowhere
@@ -68,7 +62,7 @@ def by_frames(world: World, known: Known, witnesses: Witnesses) -> WorldEstimate
         device=known.device, progress=known.progress,
     )  # fmt: skip
     said = {n: w.said + float(np.log(w.near)) for n, w in witnesses.scenes.items()}
-    best = doubted(decided(answers, said), shown, len(answers))
+    best = doubt_by_search(choose_scene(answers, said), shown, len(answers))
     poses = {mode.scene: a for mode, a in zip(shown.modes, answers, strict=False)}
     if best.status is Status.LOST:
         return _lost(world, known, witnesses, best, poses)
@@ -119,10 +113,10 @@ def _shares(
     answers: list[PoseEstimate], best: PoseEstimate, said: dict[str, float], found: SceneEstimate
 ) -> tuple[dict[str, float], float]:
     """Probability of each scene that was looked into, and of being in none of them."""
-    lean, _ = doubts(scene_of(best), found, len(answers))
-    off = 1.0 / (1.0 + float(np.exp(odds(best) + lean)))
+    lean, _ = search_odds(scene_of(best), found, len(answers))
+    off = 1.0 / (1.0 + float(np.exp(fit_odds(best) + lean)))
     kept = [a for a in answers if a.status is not Status.LOST]
-    logs = np.array([odds(a) + said[scene_of(a)] for a in kept])
+    logs = np.array([fit_odds(a) + said[scene_of(a)] for a in kept])
     shares = (1.0 - off) * np.exp(logs - np.logaddexp.reduce(logs))
     return {scene_of(a): float(p) for a, p in zip(kept, shares, strict=True)}, off
 

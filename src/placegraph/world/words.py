@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from placegraph.core.estimate import Status
-from placegraph.indoor.library.answer import SURE
+from placegraph.indoor.status import SURE_SCENE as SURE
 from placegraph.outdoor.language.description import SPEAKER, WITHIN
 from placegraph.world.estimate import WorldEstimate, WorldMode
 from placegraph.world.inside import rooms_of

@@ -1,6 +1,7 @@
 """Libraries come and go, are saved and opened, and localize."""
 
 import json
+import math
 import shutil
 from dataclasses import replace
 
@@ -15,6 +16,8 @@ from placegraph.core.geo import Anchor
 from placegraph.errors import InputError, MapError, OptionError, PlacegraphError
 from placegraph.indoor.library import SceneLibrary, library_of, localize
 from placegraph.indoor.mapping.merge import merge_scenes
+from placegraph.indoor.pose.agreement import CONFIDENCE, Agreement
+from placegraph.indoor.status import Diagnostics, choose_scene
 
 
 @pytest.fixture(scope="session")
@@ -186,29 +189,36 @@ def test_scene_and_pose_of_a_capture(by_labels, rooms, name):
     assert estimate.to_dict()["modes"][0]["scene"] == name
 
 
-LABELS = {"depth": None, "semantic": 0.9, "odds": None}
+LABELS = Agreement(1.0, 0.9, math.nan, math.nan, np.zeros(1), np.zeros(1))
+
+
+def fitting(odds):
+    """Agreement by depth alone with these log odds that frames fit."""
+    sharp = replace(LABELS, semantic=math.nan, depth=0.99, held=0.99)  # log(held + .01) is 0
+    top = CONFIDENCE.odds(sharp)
+    return replace(sharp, held=math.exp((odds - top) / CONFIDENCE.depth[2]) - 0.01)
 
 
 @pytest.mark.parametrize(
-    ("trusts", "scene", "status"),
+    ("agreements", "scene", "status"),
     [
         ([LABELS, LABELS], "b", Status.OK),  # labels alone have no odds: a is no rival
-        ([{"odds": 6.5}, {"odds": 6.2}], "a", Status.AMBIGUOUS),
-        ([{"odds": 3.0}, {"odds": 6.2}], "b", Status.OK),
+        ([fitting(6.5), fitting(6.2)], "a", Status.AMBIGUOUS),
+        ([fitting(3.0), fitting(6.2)], "b", Status.OK),
     ],
 )
-def test_a_pose_that_is_not_sure_in_another_scene(trusts, scene, status):
+def test_a_pose_that_is_not_sure_in_another_scene(agreements, scene, status):
     """Scene a was looked into first, and its pose was AMBIGUOUS; that in b is OK."""
     stati, names = (Status.AMBIGUOUS, Status.OK), ("a", "b")
     eye, covariance = np.eye(4), np.eye(6)
     answers = [
         PoseEstimate(
             told, (PoseMode(eye, np.zeros(4), covariance, 1.0, name, eye),), "",
-            stats={"trust": {"depth": 1.0, "semantic": None} | trust},
+            diagnostics=Diagnostics(agreement=agreement),
         )
-        for told, name, trust in zip(stati, names, trusts, strict=True)
+        for told, name, agreement in zip(stati, names, agreements, strict=True)
     ]  # fmt: skip
-    decided = localize.decided(answers)
+    decided = choose_scene(answers)
     assert (decided.modes[0].scene, decided.status) == (scene, status)
 
 

@@ -12,14 +12,13 @@ from placegraph.indoor.likelihood.observe import sight, views
 from placegraph.indoor.likelihood.score import Scorer
 from placegraph.indoor.options import FilterOptions, MotionNoise
 from placegraph.indoor.pose.chain import Chain
+from placegraph.indoor.pose.covariance import WIDENED, pose_covariance
 from placegraph.indoor.pose.motion import level_poses
 from placegraph.indoor.pose.particles import Particles
 from placegraph.indoor.pose.polish import (
     NARROWEST,
     SPREAD,
-    WIDENED,
     Round,
-    covariance_of,
     heaviest,
     polish,
     probabilities,
@@ -195,7 +194,7 @@ def test_probabilities_are_some(values, temperature):
 def test_what_is_badly_known_has_a_large_variance(rng):
     spread = np.array([0.01, 0.1, 0.02, 0.005])  # along a corridor, say
     (fit,) = polish(Hills((PEAK, 100.0, spread)), PEAK[None] + 0.02, [level(), level()], rng)
-    covariance = covariance_of(fit) / WIDENED
+    covariance = pose_covariance(fit.covariance) / WIDENED
     np.testing.assert_allclose(covariance, covariance.T)
     assert np.linalg.eigvalsh(covariance).min() > 0
     sd = np.sqrt(np.diag(covariance))[[0, 1, 2, 5]]
@@ -207,7 +206,7 @@ def test_what_is_badly_known_has_a_large_variance(rng):
 
 def test_no_pose_is_known_without_error(rng):
     (fit,) = polish(Hills((PEAK, 1e6, NARROW / 100)), PEAK[None], [level()], rng)
-    assert (np.diag(covariance_of(fit))[[0, 1, 2, 5]] >= NARROWEST**2).all()
+    assert (np.diag(pose_covariance(fit.covariance))[[0, 1, 2, 5]] >= NARROWEST**2).all()
 
 
 # -------------------------------------------------------------------------- particles as they are
@@ -254,5 +253,5 @@ def test_a_walk_is_fitted_to_centimetres(room, walk, truth, rng):
     fits = polish(scorer, np.stack([start, compose(start, [1, 0, 0, 0])]), [rig], rng)
     assert np.linalg.norm(error_of(fits[0], true)[:3]) < 0.05
     assert abs(error_of(fits[0], true)[3]) < np.deg2rad(2.5)
-    sd = np.sqrt(np.diag(covariance_of(fits[0]) / WIDENED))[[0, 1, 2, 5]]
+    sd = np.sqrt(np.diag(pose_covariance(fits[0].covariance) / WIDENED))[[0, 1, 2, 5]]
     assert (sd < [0.15, 0.15, 0.15, 0.1]).all()

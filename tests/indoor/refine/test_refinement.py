@@ -18,6 +18,7 @@ from placegraph.indoor.refine import refined as refined_in
 from placegraph.indoor.refine.judge import Judgement
 from placegraph.indoor.refine.matching.guided import GuidedMatcher
 from placegraph.indoor.refine.refinement import _told
+from placegraph.indoor.status import Diagnostics
 from placegraph.io.capture.capture import open_capture
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -114,18 +115,20 @@ def test_images_alone(room, walk, exact, kit):
 @pytest.mark.parametrize(
     ("undecided", "accepted", "landmarks", "after"),
     [
-        (True, True, {"landmarks": 40}, Status.OK),
-        (True, True, {}, Status.AMBIGUOUS),
-        (True, False, {"landmarks": 40}, Status.AMBIGUOUS),
-        (False, True, {"landmarks": 40}, Status.AMBIGUOUS),  # something else speaks against it
+        (True, True, 40, Status.OK),
+        (True, True, None, Status.AMBIGUOUS),
+        (True, False, 40, Status.AMBIGUOUS),
+        (False, True, 40, Status.AMBIGUOUS),  # something else speaks against it
     ],
 )
 def test_landmarks_make_sure_of_a_pose(coarse, undecided, accepted, landmarks, after):
-    refiner = SimpleNamespace(matcher=None, seconds={}, stats=landmarks, has_depth=True)
+    refiner = SimpleNamespace(
+        matcher=None, seconds={}, stats={}, landmark_matches=landmarks, has_depth=True
+    )
     poses = coarse.trajectory.copy()
     fitted = SimpleNamespace(poses=poses, solution=None, covariance=np.eye(6))
     judgement = Judgement(accepted, "", fitted, {}, doubt="" if accepted else "it is elsewhere")
-    before = replace(coarse, status=Status.AMBIGUOUS, stats={"undecided": undecided})
+    before = replace(coarse, status=Status.AMBIGUOUS, diagnostics=Diagnostics(undecided=undecided))
     assert _told(before, refiner, judgement).status is after
 
 

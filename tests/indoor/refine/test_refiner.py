@@ -63,7 +63,7 @@ def test_landmarks_kept_for_the_check_join_an_accepted_fit(refiner, exact, rng):
     shifted[:3, 3] += 0.01
     fitted = Fitted(shifted[None], None, [few], np.eye(6))
     assert one.completed(fitted) is fitted  # no landmarks had led there
-    one.stats["landmarks"] = len(few)
+    one.landmark_matches = len(few)
     whole = one.completed(fitted)
     assert len(whole.sights[0]) > 110
     assert np.linalg.norm(whole.poses[0, :3, 3] - pose[:3, 3]) < 1e-3

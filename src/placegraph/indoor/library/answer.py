@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.estimate import Evidence, ObjectRef, SceneEstimate, SceneMode, Status
+from placegraph.core.estimate import Evidence, ObjectRef, SceneEstimate, SceneMode
 from placegraph.core.geo import EarthPose
 from placegraph.errors import OptionError
 from placegraph.indoor.encode import Encoder
@@ -21,14 +21,13 @@ from placegraph.indoor.library.query import Query, encode
 from placegraph.indoor.library.search import Scores, patch_weights, ratio
 from placegraph.indoor.likelihood.observe import spread
 from placegraph.indoor.pose.query import chosen_frames
+from placegraph.indoor.status import decide_scene
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
 
 if TYPE_CHECKING:
     from placegraph.indoor.library.scenes import Scenes
 
-SURE = 0.9
-"""Probability of the best scene from which on the answer is `OK`."""
 DOUBT, FEW = 1.25, 4
 """Being in none of S scenes is `DOUBT` (S + `FEW`) times as likely, before anything is seen, as being
 in a certain one of them."""
@@ -104,7 +103,7 @@ class Weighed:
     def estimate(self, library: Many, most: int) -> SceneEstimate:
         """The likeliest scenes."""
         rows, modes = self.modes(library, most)
-        status, reason = judge(modes, self.elsewhere)
+        status, reason = decide_scene(modes, self.elsewhere)
         left = () if isinstance(self.asked, Query) else self.asked.ignored
         if left:
             reason += f" Not used: {'; '.join(f'{i.text!r} ({i.reason})' for i in left)}."
@@ -206,21 +205,6 @@ def posterior(
     share = np.exp(logs - logs.max())
     share /= share.sum()
     return share[:count], float(share[count:].sum())
-
-
-def judge(modes: tuple[SceneMode, ...], elsewhere: float) -> tuple[Status, str]:
-    """Status and reason of ranked scenes."""
-    best = modes[0]
-    if elsewhere > best.probability:
-        return Status.LOST, (
-            f"No scene of the library fits ({elsewhere:.0%}); {best.scene} fits best "
-            f"({best.probability:.0%})."
-        )
-    if best.probability >= SURE:
-        return Status.OK, f"{best.scene} fits ({best.probability:.0%})."
-    rivals = [m.scene for m in modes[1:] if m.probability > 0.1 * best.probability]
-    others = f"; so may {', '.join(rivals[:3])}" if rivals else ""
-    return Status.AMBIGUOUS, f"{best.scene} fits best ({best.probability:.0%}){others}."
 
 
 def evidence(

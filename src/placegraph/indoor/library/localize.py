@@ -7,7 +7,7 @@ its neighbours in a map of several.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
@@ -21,15 +21,14 @@ from placegraph.indoor.encode import Encoder
 from placegraph.indoor.encode import encoder as encoder_named
 from placegraph.indoor.language import Sentence, read
 from placegraph.indoor.language.prior import unused
-from placegraph.indoor.library.answer import SURE, Many
+from placegraph.indoor.library.answer import Many
 from placegraph.indoor.library.answer import search as search_in
 from placegraph.indoor.library.options import SearchOptions
 from placegraph.indoor.localize import localized
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.pose.query import chosen_frames
-from placegraph.indoor.pose.trust import SURE as RIGHT
-from placegraph.indoor.pose.trust import TRUST, log_odds
+from placegraph.indoor.status import choose_scene, diagnostics_of, doubt_by_search, fit_odds
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
 
@@ -45,7 +44,6 @@ RIVALS = 2
 ALIKE = 0.5
 """A scene with more than this share of the probability of the one that is sure is looked into in any
 case: it may be its twin."""
-_ERRS = 0.01  # share of searches that are sure and wrong
 
 
 def localize(
@@ -98,7 +96,7 @@ def localize(
         library.holding(found.stats.get("rows", ())), chosen, found,
         description=description, encoder=encoder, **options,
     )  # fmt: skip
-    return doubted(decided(answers), found, len(answers))
+    return doubt_by_search(choose_scene(answers), found, len(answers))
 
 
 def looked_into(
@@ -135,63 +133,10 @@ def _settled(answers: list[PoseEstimate], probabilities: Sequence[float]) -> boo
     first, looked = sure.index(True), len(answers)
     if looked < len(probabilities) and probabilities[looked] > ALIKE * probabilities[first]:
         return False
-    certain = sure[-1] and (_named(answers[-1]) or odds(answers[-1]) >= CERTAIN)
-    return certain or looked - first > RIVALS
-
-
-def decided(answers: list[PoseEstimate], said: Mapping[str, float] | None = None) -> PoseEstimate:
-    """The answer of the scene where frames fit best, `OK` only if they fit nowhere else as well.
-
-    `said`: what else speaks for each scene, by its name [nat].
-    """
-
-    def weight(a: PoseEstimate) -> float:
-        return odds(a) + (said or {}).get(scene_of(a), 0.0)
-
-    best = min(
-        answers, key=lambda a: (a.status is Status.LOST, a.status is not Status.OK, -weight(a))
+    certain = sure[-1] and (
+        diagnostics_of(answers[-1]).labels_only or fit_odds(answers[-1]) >= CERTAIN
     )
-    # labels alone have no odds: what they do not call `OK` is no rival
-    rivals = [
-        a
-        for a in answers
-        if a is not best
-        and (a.status is Status.OK if _named(best) else a.status is not Status.LOST)
-    ]
-    probability = 1.0 / (1.0 + sum(float(np.exp(weight(a) - weight(best))) for a in rivals))
-    if best.status is not Status.OK or probability >= SURE:
-        return best
-    likeliest, other = sorted([best, *rivals], key=weight, reverse=True)[:2]
-    return unsure(likeliest, f"another fits nearly as well in {other.modes[0].scene}.")
-
-
-def scene_of(estimate: PoseEstimate) -> str:
-    """Name of the library's scene that an answer is of; empty where it has no mode."""
-    return estimate.best.scene.partition("/")[0] if estimate.best else ""
-
-
-def odds(estimate: PoseEstimate) -> float:
-    """Log odds that frames fit where an estimate has them, by which scenes are told apart.
-
-    Labels alone are judged by rules; what passes them is as good as what just passes by odds. What
-    tones add is taken away: rooms of one kind have the same.
-    """
-    if _named(estimate):
-        return log_odds(RIGHT, 0.0)
-    trust = estimate.stats["trust"]
-    tone = trust.get("tone")
-    return float(trust["odds"] - (0.0 if tone is None else TRUST.toned(tone)))
-
-
-def _named(estimate: PoseEstimate) -> bool:
-    """Whether labels decided, which have no odds."""
-    trust = estimate.stats.get("trust", {})
-    return trust.get("odds") is None or (trust["depth"] is None and trust["semantic"] is not None)
-
-
-def unsure(estimate: PoseEstimate, doubt: str) -> PoseEstimate:
-    """Estimate that is AMBIGUOUS, and why."""
-    return replace(estimate, status=Status.AMBIGUOUS, reason=f"{estimate.reason} But {doubt}")
+    return certain or looked - first > RIVALS
 
 
 def _check(most: int, options: dict[str, Any]) -> None:
@@ -236,31 +181,6 @@ def _useful(description: str | Sentence | None, scene: Scene) -> Sentence | None
     sentence = read(description) if isinstance(description, str) else description
     useful = len(unused(sentence, scene)) < len(sentence.statements)
     return sentence if useful else None
-
-
-def doubted(estimate: PoseEstimate, found: SceneEstimate, looked: int) -> PoseEstimate:
-    """Estimate with the doubts of the search, as far as they outweigh its odds."""
-    if estimate.status is not Status.OK or estimate.best is None:
-        return estimate
-    lean, left_out = doubts(scene_of(estimate), found, looked)
-    if odds(estimate) + lean >= log_odds(RIGHT, 0.0):
-        return estimate
-    if left_out > found.elsewhere:
-        doubt = f"it may be another scene ({left_out:.0%}) than the {looked} looked into."
-    else:
-        doubt = f"it may be in no scene of the library ({found.elsewhere:.0%})."
-    return unsure(estimate, doubt)
-
-
-def doubts(name: str, found: SceneEstimate, looked: int) -> tuple[float, float]:
-    """What a search adds to the odds of a scene [nat], at most 0; and how probably it left the right out.
-
-    A search errs: it is believed no further than `_ERRS`.
-    """
-    here = next(m.probability for m in found.modes if m.scene == name)
-    left_out = 1.0 - found.elsewhere - sum(m.probability for m in found.modes[:looked])
-    lean = np.log((here + _ERRS) / (found.elsewhere + left_out + _ERRS))
-    return min(0.0, float(lean)), left_out
 
 
 def _in_its_own(

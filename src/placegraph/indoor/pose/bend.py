@@ -20,13 +20,13 @@ from placegraph.indoor.likelihood.observe import FINE
 from placegraph.indoor.likelihood.score import Scorer
 from placegraph.indoor.likelihood.view import View
 from placegraph.indoor.pose.chain import Course, Told, bent
+from placegraph.indoor.pose.covariance import WIDENED
 from placegraph.indoor.pose.polish import (
     FINEST,
     GAP,
     NARROWEST,
     SOFT,
     SPREAD,
-    WIDENED,
     Fit,
     Round,
     round_of,

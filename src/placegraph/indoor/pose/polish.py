@@ -22,6 +22,7 @@ from placegraph.indoor.likelihood.score import Scorer
 from placegraph.indoor.likelihood.score_kernels import DEPTH
 from placegraph.indoor.likelihood.view import View
 from placegraph.indoor.pose.chain import Chain
+from placegraph.indoor.pose.covariance import WIDENED
 from placegraph.indoor.pose.particles import (
     APART,
     TURNED,
@@ -39,8 +40,6 @@ from placegraph.indoor.rays.layout import LANES
 SPREAD = np.array([0.12, 0.12, 0.08, 0.05])
 """First standard deviations: x, y, z [m], yaw [rad]; about a cell of the table."""
 NARROWEST = np.array([0.004, 0.004, 0.004, 0.0015])
-WIDENED = 3.0
-"""Factor on the covariance that brought normalised errors to what they should be (benchmark)."""
 GAP = 400.0
 """Modes further behind the best [nat] are not fitted to the last level."""
 SOFT = 6.0  # nats that count as one: neighbouring samples of an image err together
@@ -248,18 +247,3 @@ def probabilities(values: Floats, temperature: float) -> Floats:
     """Probabilities (M,) of modes by log-likelihoods (M,): witnesses are not independent."""
     logs = values / temperature
     return np.asarray(np.exp(logs - log_sum(logs)))
-
-
-TILT = 0.006
-"""Standard deviation of the tilt that gravity gives [rad]: a third of a degree, as of a phone."""
-
-
-def covariance_of(fit: Fit) -> Floats:
-    """Covariance (6, 6) of a fit: x, y, z, and a turn about the map's axes."""
-    whole = np.diag([0.0, 0.0, 0.0, WIDENED * TILT**2, WIDENED * TILT**2, 0.0])
-    whole[np.ix_(FITTED, FITTED)] = fit.covariance
-    return whole
-
-
-FITTED = [0, 1, 2, 5]
-"""What is fitted of x, y, z, and a turn about the map's axes."""

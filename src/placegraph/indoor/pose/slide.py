@@ -14,6 +14,7 @@ from numpy.random import Generator
 from placegraph.core.geometry import Floats, between
 from placegraph.indoor.likelihood.observe import COARSE, FINE
 from placegraph.indoor.pose.chain import Chain
+from placegraph.indoor.pose.covariance import least_certain
 from placegraph.indoor.pose.polish import (
     MERGED,
     SPREAD,
@@ -35,15 +36,9 @@ _RIVAL = 0.003
 """Share from which on a place along the way is fitted."""
 
 
-def least_known(covariance: Floats) -> tuple[float, Floats]:
-    """Standard deviation [m] and unit vector (3,) of the direction that holds a position least."""
-    variances, axes = np.linalg.eigh(covariance[:3, :3])
-    return float(np.sqrt(variances[-1])), axes[:, -1]
-
-
 def slid(window: Window, fit: Fit, rng: Generator) -> tuple[Fit, Floats | None]:
     """The fit, as uncertain as sliding it shows, and where else (4,) it is likeliest to stand."""
-    sd, axis = least_known(fit.covariance)
+    sd, axis = least_certain(fit.covariance)
     if sd < FIRM:
         return fit, None
     poses, shares = _along(window, fit, axis, rng)

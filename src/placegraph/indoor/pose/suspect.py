@@ -17,11 +17,10 @@ from placegraph.core.geometry import Floats, between, level_from_camera, split_p
 from placegraph.indoor.likelihood.depth_unit import mended, suspected_factor
 from placegraph.indoor.likelihood.observe import FINE, Sighting, sight, spread
 from placegraph.indoor.likelihood.score import Scorer
-from placegraph.indoor.pose.evidence import agreement
+from placegraph.indoor.pose.agreement import SPEAK, agreement
 from placegraph.indoor.pose.polish import polished
 from placegraph.indoor.pose.query import PoseQuery
 from placegraph.indoor.pose.search import search
-from placegraph.indoor.pose.trust import SPEAK
 from placegraph.indoor.pose.window import Window
 
 _FLAT = 2.0

@@ -32,6 +32,7 @@ from placegraph.indoor.refine.calibrate import (
 from placegraph.indoor.refine.mend import Mend, brought, share_view
 from placegraph.indoor.refine.refiner import Fitted, Refiner
 from placegraph.indoor.refine.stages import stages_of
+from placegraph.indoor.status import diagnostics_of
 
 if TYPE_CHECKING:
     from placegraph.indoor.refine.match import Sights
@@ -103,7 +104,8 @@ def _asked(estimate: PoseEstimate) -> bool:
     told = estimate.refinement
     if estimate.status is not Status.OK or told is None or not told.accepted:
         return True
-    return "camera" in told.stats
+    found = diagnostics_of(estimate).refinement
+    return found is not None and bool(found.camera)
 
 
 def _starts(window: Window, estimate: PoseEstimate) -> list[Floats]:

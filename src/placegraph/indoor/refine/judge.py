@@ -14,6 +14,7 @@ from placegraph.indoor.refine.camera import DULL, OFF, SUSPECT, scale_off
 from placegraph.indoor.refine.check import Evidence, depth_evidence, image_evidence, surely
 from placegraph.indoor.refine.landmarks import kept_scores
 from placegraph.indoor.refine.solve import odometry_errors
+from placegraph.indoor.status import BENT
 
 if TYPE_CHECKING:
     from placegraph.indoor.refine.refiner import Fitted, Refiner
@@ -22,8 +23,6 @@ FARTHEST = (1.0, 0.6)
 """A refinement that moves the pose farther than this [m], [rad] has found another place ..."""
 FARTHEST_BLIND = (0.6, 0.4)
 """... and so has one without depth."""
-BENT = 6.0
-"""Root mean square of odometry's normalised errors beyond which the motion was not like that."""
 SURE = 1.0
 """Standard errors by which held-back samples must be more likely on the refined trajectory ..."""
 SURER = 3.0
@@ -45,6 +44,16 @@ class Judgement:
     stats: dict[str, Any]
     doubt: str = ""
     """What speaks against the coarse pose too, as half a sentence."""
+    shift: float = 0.0
+    """Way from the coarse pose [m] ..."""
+    turn_deg: float = 0.0
+    """... and turn [deg]."""
+    motion: float = 0.0
+    """Root mean square of the odometry's normalised errors."""
+    correlation: float | None = None
+    """Of held-back parts of the images with the map; None: they were not compared."""
+    camera: str = ""
+    """Hint that the camera is wrong; empty: none."""
 
 
 def judged(refiner: Refiner, coarse: Floats, fitted: Fitted) -> Judgement:
@@ -62,7 +71,8 @@ def judged(refiner: Refiner, coarse: Floats, fitted: Fitted) -> Judgement:
         return replace(judgement, reason=f"{by}, unchecked.")
     with timed(refiner.seconds, "check"):
         way, against = _confirmed(refiner, coarse, ways)
-        doubt = _suspect_camera(refiner, way.fitted, way.stats)
+        doubt, camera = _suspect_camera(refiner, way)
+        way = replace(way, camera=camera, stats=way.stats | ({"camera": camera} if camera else {}))
     against = doubt or against
     if against:
         return replace(way, accepted=False, reason=f"Not refined: {against}.", doubt=doubt)
@@ -79,15 +89,19 @@ def _looked_at(refiner: Refiner, coarse: Floats, fitted: Fitted) -> Judgement:
         "shift_m": round(shift, 4),
         "turn_deg": round(float(np.degrees(turn)), 3),
     }
-    against, doubt = _unfounded(refiner, fitted, inliers), ""
+    against, doubt, motion = _unfounded(refiner, fitted, inliers), "", 0.0
     if not against and refiner.options.joint:
-        doubt = _elsewhere(refiner, shift, turn)
-        against = doubt or _bent(refiner, fitted.poses, stats)
-    if against:
-        # what depth backs, images alone do not shake
-        doubt = "" if refiner.has_depth else doubt
-        return Judgement(False, f"Not refined: {against}.", fitted, stats, doubt)
-    return Judgement(True, f"Refined by {_by(refiner, inliers)}.", fitted, stats)
+        doubt = against = _elsewhere(refiner, shift, turn)
+        if not against:
+            motion = stats["motion"] = _motion_error(refiner, fitted.poses)
+            against = "it contradicts the odometry" if motion > BENT else ""
+    # what depth backs, images alone do not shake
+    doubt = "" if refiner.has_depth else doubt
+    by = f"Not refined: {against}." if against else f"Refined by {_by(refiner, inliers)}."
+    return Judgement(
+        not against, by, fitted, stats, doubt,
+        shift=stats["shift_m"], turn_deg=stats["turn_deg"], motion=motion,
+    )  # fmt: skip
 
 
 def _late(refiner: Refiner, fitted: Fitted) -> str:
@@ -153,9 +167,10 @@ def _confirmed(
     }
     if "images" in senses and senses["images"].samples:
         alike = np.sqrt(-np.expm1(-2.0 * senses["images"].scores[row + 1]))
-        way.stats["held_back"]["images"]["alike"] = round(float(alike.mean()), 3)
+        way = replace(way, correlation=round(float(alike.mean()), 3))
+        way.stats["held_back"]["images"]["alike"] = way.correlation
     # landmarks were found in the whole map: unlike renderings they are not wrong together
-    needed = SURE if refiner.has_depth or "landmarks" in refiner.stats else SURER
+    needed = SURE if refiner.has_depth or refiner.landmark_matches is not None else SURER
     if z < needed:
         return way, "held-back pixels are not explained better than by the coarse pose"
     return way, ""
@@ -181,22 +196,21 @@ def _evidence(refiner: Refiner, coarse: Floats, fits: Sequence[Fitted]) -> dict[
     return found
 
 
-def _suspect_camera(refiner: Refiner, fitted: Fitted, stats: dict[str, Any]) -> str:
-    """What seems wrong with the camera; noted, too, where `wrong_camera` should look closer."""
-    factor = scale_off(refiner, fitted)
-    images = stats.get("held_back", {}).get("images", {}).get("alike")
+def _suspect_camera(refiner: Refiner, way: Judgement) -> tuple[str, str]:
+    """Return what is wrong with the camera, and a hint where `wrong_camera` should look closer."""
+    factor, hint = scale_off(refiner, way.fitted), ""
     if abs(factor) > SUSPECT:
-        stats["camera"] = f"a scale looks {factor:+.1%} off"
-    elif refiner.has_depth and images is not None and images < DULL:
-        stats["camera"] = "images do not show what depth does"
+        hint = f"a scale looks {factor:+.1%} off"
+    elif refiner.has_depth and way.correlation is not None and way.correlation < DULL:
+        hint = "images do not show what depth does"
     if abs(factor) <= OFF:
-        return ""
+        return "", hint
     what = "depth readings or their image" if refiner.has_depth else "images"
     how = "larger" if factor > 0 else "smaller"
     return (
         f"the map fits clearly better if the {what} are some {abs(factor):.0%} {how}; check scale and "
         "intrinsics in camera.json"
-    )
+    ), hint
 
 
 def moved(before: Floats, after: Floats) -> tuple[float, float]:
@@ -205,13 +219,12 @@ def moved(before: Floats, after: Floats) -> tuple[float, float]:
     return float(np.linalg.norm(after[:3, 3] - before[:3, 3])), float(np.linalg.norm(turn))
 
 
-def _bent(refiner: Refiner, poses: Floats, stats: dict[str, Any]) -> str:
-    """Whether the frames would have moved otherwise than odometry says."""
-    stats["motion"] = 0.0
-    if len(poses) > 1:
-        errors, deviations = odometry_errors(refiner.problem(), poses)
-        stats["motion"] = round(float(np.sqrt(np.mean((errors / deviations) ** 2))), 2)
-    return "it contradicts the odometry" if stats["motion"] > BENT else ""
+def _motion_error(refiner: Refiner, poses: Floats) -> float:
+    """Return the root mean square of the odometry's normalised errors."""
+    if len(poses) < 2:
+        return 0.0
+    errors, deviations = odometry_errors(refiner.problem(), poses)
+    return round(float(np.sqrt(np.mean((errors / deviations) ** 2))), 2)
 
 
 def _by(refiner: Refiner, inliers: int) -> str:

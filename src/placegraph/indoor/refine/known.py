@@ -6,18 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from placegraph.core.estimate import PoseEstimate, PoseMode, Status
+from placegraph.core.estimate import PoseEstimate, PoseMode
 from placegraph.core.geometry import Floats, between, compose, pose_matrix, split_pose, wrap
 from placegraph.indoor.likelihood.observe import COARSE, FINE
 from placegraph.indoor.pose import polish
 from placegraph.indoor.pose.chain import Chain
+from placegraph.indoor.pose.covariance import FITTED
+from placegraph.indoor.pose.estimate import estimate_pose
 from placegraph.indoor.pose.query import PoseQuery
-from placegraph.indoor.pose.verdict import verdict
 from placegraph.indoor.pose.window import Window, observe
 from placegraph.indoor.refine.camera import wrong_camera
 from placegraph.indoor.refine.options import RefineOptions
 from placegraph.indoor.refine.refinement import MOST, Refining, tried
 from placegraph.indoor.refine.refiner import Refiner
+from placegraph.indoor.status import UNDECIDED, decide_given
 
 _NEARLY = np.array([0.03, 0.03, 0.02, 0.015])
 _SHARPEST = 1e-3  # nobody knows a pose better than this [m], [rad]
@@ -48,20 +50,12 @@ def _refined(query: PoseQuery, given: Floats, refining: Refining) -> tuple[Windo
     refiner = Refiner.of(window, refining.options, refining.matcher)
     refiner.known = coarse, np.maximum(_reach(refining.options), _SHARPEST)
     told = tried(window, _given(window, coarse, refining.options), refiner, start, explained=True)
-    status, reason = _status(window, told)
-    return window, replace(told, status=status, reason=reason)
-
-
-def _status(window: Window, told: PoseEstimate) -> tuple[Status, str]:
-    """What the filter's verdict says of the pose, were it the only one; not OK where it was given."""
-    assert told.best is not None and told.refinement is not None  # noqa: S101, PT018  made so
+    assert told.best is not None  # noqa: S101  it was given
+    # the status that the window has at this pose, were it the only one
     chain = Chain.of(split_pose(told.trajectory)[0], window.options.motion)
-    covariance = told.best.covariance[np.ix_(polish.FITTED, polish.FITTED)]
+    covariance = told.best.covariance[np.ix_(FITTED, FITTED)]
     fit = replace(polish.Fit.at(chain, told.best.pose), covariance=covariance)
-    alone = verdict(window, [fit])
-    if alone.status is Status.OK and not told.refinement.accepted:
-        return Status.AMBIGUOUS, told.refinement.reason
-    return alone.status, alone.reason
+    return window, decide_given(told, estimate_pose(window, [fit]))
 
 
 def _searched(window: Window, given: Floats, options: RefineOptions) -> Floats:
@@ -100,4 +94,4 @@ def _given(window: Window, coarse: Floats, options: RefineOptions) -> PoseEstima
         scene_from_camera=scene.scene_from_map[row] @ matrix,
     )
     rows = np.array([f.index for f in window.query.frames])
-    return PoseEstimate(Status.AMBIGUOUS, (mode,), "", trajectory=coarse, frames=rows, map=scene)
+    return PoseEstimate(UNDECIDED, (mode,), "", trajectory=coarse, frames=rows, map=scene)

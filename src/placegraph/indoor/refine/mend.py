@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.estimate import Calibration, PoseEstimate, Status
+from placegraph.core.estimate import Calibration, PoseEstimate
 from placegraph.core.geometry import Camera, Floats
 from placegraph.indoor.pose.query import PoseQuery
 from placegraph.indoor.refine.calibrate import (
@@ -21,6 +21,7 @@ from placegraph.indoor.refine.calibrate import (
     depth_from_camera,
     turned_gravity,
 )
+from placegraph.indoor.status import choose_camera
 from placegraph.io.capture.frame import Frame, Images
 from placegraph.io.capture.frame_files import LazyImages
 
@@ -77,24 +78,11 @@ class Mend:
         )
 
     def chosen(self, asked: PoseQuery, before: PoseEstimate, after: PoseEstimate) -> PoseEstimate:
-        """Of the answers before and after mending the better one, which says what was found.
-
-        The mended answer is taken where it is `OK`, its refinement confirmed and the camera one that
-        can be; else the camera is a doubt about the other, if there is anything to doubt. Gravity is
-        none, since poses may lean: if it alone is mended, an answer that is `OK` gives way only to one
-        that fits better.
-        """
-        ratios = [answer.stats.get("trust", {}).get("ratio") or 0.0 for answer in (before, after)]
-        leans = not self.values[: TILT[0]].any()
-        if leans and before.status is Status.OK and ratios[1] <= ratios[0]:
-            return before
-        said = self.sentence(asked.frames[-1])
-        told = after.refinement
-        if after.status is Status.OK and told is not None and told.accepted and not self._late:
-            return replace(after, reason=f"{after.reason} {said}", calibration=self.calibration())
-        if leans or before.status is Status.LOST:
-            return before
-        return replace(before, status=Status.AMBIGUOUS, reason=f"{before.reason} Perhaps: {said}")
+        """Return the better answer of those before and after mending, with what was found."""
+        return choose_camera(
+            before, after, self.calibration(), self.sentence(asked.frames[-1]),
+            tilt_only=not self.values[: TILT[0]].any(), implausible=self._late,
+        )  # fmt: skip
 
     @property
     def _late(self) -> bool:

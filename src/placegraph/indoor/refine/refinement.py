@@ -9,25 +9,17 @@ import numpy as np
 from placegraph.core.estimate import PoseEstimate, PoseMode, Refinement, Status
 from placegraph.core.geometry import Floats, split_pose
 from placegraph.errors import MissingExtraError, OptionError, ServiceError
-from placegraph.indoor.pose.verdict import evidence_at
+from placegraph.indoor.pose.estimate import evidence_at
 from placegraph.indoor.pose.window import Window
-from placegraph.indoor.refine.judge import BENT, Judgement, judged
+from placegraph.indoor.refine.judge import Judgement, judged
 from placegraph.indoor.refine.matching import Matcher
 from placegraph.indoor.refine.matching import matcher as matcher_named
 from placegraph.indoor.refine.options import RefineOptions
 from placegraph.indoor.refine.refiner import Fitted, Refiner
+from placegraph.indoor.status import RefinementDiagnostics, decide_refined, diagnostics_of
 
 MOST = 30
 """Frames that are refined together, the newest."""
-_BENT = (
-    "One place fits, but there the frames contradict the odometry, or the camera's intrinsics do."
-)
-_PARTED = (0.25, 5.0)
-"""Way [m] and turn [deg] by which images alone may move a pose that is `OK`: half of what that promises."""
-_CONTRADICTED = (
-    "One place fits, but images matched with the map move it by {:.1f} m and {:.0f} degrees: check the "
-    "camera's intrinsics."
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,21 +121,17 @@ def _told(estimate: PoseEstimate, refiner: Refiner, judgement: Judgement) -> Pos
     stats = {**judgement.stats, **refiner.stats, "matcher": matcher, "seconds": seconds}
     if fitted.solution is not None and not judgement.accepted:
         stats["candidate"] = fitted.poses[-1].tolist()  # what was refused
-    status, reason = estimate.status, estimate.reason
-    if status is Status.OK and stats.get("motion", 0.0) > BENT:
-        status, reason = Status.AMBIGUOUS, _BENT
-    if status is Status.OK and judgement.doubt:
-        status, reason = Status.AMBIGUOUS, f"One place fits, but {judgement.doubt}."
-    images = judgement.accepted and not refiner.has_depth and "landmarks" not in stats
-    if status is Status.OK and images:
-        parted = stats["shift_m"], stats["turn_deg"]
-        if any(np.greater(parted, _PARTED)):
-            status, reason = Status.AMBIGUOUS, _CONTRADICTED.format(*parted)
-    told = "landmarks" in stats and estimate.stats.get("undecided", False)
-    if told and judgement.accepted and len({mode.scene for mode in estimate.modes}) == 1:
-        # they were looked for in the whole map, and led to where the likelihood is largest
-        agreed = f"{stats['landmarks']} landmarks of the map agree on it"
-        status, reason = Status.OK, f"One place fits: {agreed}."
+    found = RefinementDiagnostics(
+        accepted=judgement.accepted,
+        doubt=judgement.doubt,
+        motion=judgement.motion,
+        has_depth=refiner.has_depth,
+        landmarks=refiner.landmark_matches,
+        shift=judgement.shift,
+        turn_deg=judgement.turn_deg,
+        camera=judgement.camera,
+    )
+    status, reason = decide_refined(estimate, found)
     return replace(
         estimate,
         status=status,
@@ -153,6 +141,7 @@ def _told(estimate: PoseEstimate, refiner: Refiner, judgement: Judgement) -> Pos
         refinement=Refinement(
             judgement.accepted, judgement.reason, coarse, estimate.trajectory, stats
         ),
+        diagnostics=replace(diagnostics_of(estimate), refinement=found),
     )
 
 

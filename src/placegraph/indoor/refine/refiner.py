@@ -110,6 +110,7 @@ class Refiner:
         self.surfaces, self.seconds = Surfaces.of(self.scene), dict[str, float]()
         self.renderer = Renderer(self.scene, device=self.device)
         self._readings: dict[int, list[Readings | None]] = {}
+        self.landmark_matches: int | None = None  # where landmarks alone decided
         self.drift = (1.0, 1.0)  # `Problem.drift`, of where the frames are thought to be
 
     @cached_property
@@ -168,14 +169,14 @@ class Refiner:
             poses = solution.poses
             if stage.matcher is None and plenty(sights):
                 if firm(sights):
-                    self.stats["landmarks"] = sum(map(len, sights))
+                    self.landmark_matches = self.stats["landmarks"] = sum(map(len, sights))
                 break
         tell("checking", 0, 1)
         return replace(self._finished(poses, solution, sights), by_depth=by_depth)
 
     def completed(self, fitted: Fitted) -> Fitted:
         """An accepted fit, with those landmarks too that were kept for its check."""
-        if "landmarks" not in self.stats or not any(map(len, fitted.sights)):
+        if self.landmark_matches is None or not any(map(len, fitted.sights)):
             return fitted
         with timed(self.seconds, "solving"):
             sights = self._inliers(list(self.landmarks), fitted.poses)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from placegraph.core.estimate import PoseEstimate, Status
 from placegraph.core.geometry import Floats, vector_from_rotation
+from placegraph.indoor.status import await_confirmation
 from placegraph.io.capture.frame import Frame
 
 NEAR, TURNED = 0.3, 0.17
@@ -32,8 +31,7 @@ class Again:
         before, self._before = self._before, (scene, found @ np.linalg.inv(frame.odometry))
         if before is not None and before[0] == scene and _one(before[1] @ frame.odometry, found):
             return estimate
-        reason = f"{estimate.reason.rstrip('.')}; it is believed when another image finds it again."
-        return replace(estimate, status=Status.AMBIGUOUS, reason=reason)
+        return await_confirmation(estimate)
 
 
 def _one(pose: Floats, other: Floats) -> bool:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from placegraph.core.estimate import PoseEstimate, Status
+from placegraph.core.estimate import Status
 from placegraph.core.geometry import Floats
 from placegraph.indoor.options import MotionNoise
+from placegraph.indoor.status import LiveState, decide_live
 from placegraph.indoor.track.follower import Placed, Said
 from placegraph.indoor.track.live_pose import Anchor, LivePose, predicted
-from placegraph.indoor.track.odometry import AHEAD, JUMP, KEPT, TWITCH, Odometry, Sample
+from placegraph.indoor.track.odometry import AHEAD, KEPT, TWITCH, Odometry, Sample
 from placegraph.io.capture.frame import Frame
 
 BROKEN = np.diag([0.25, 0.25, 0.01, 0.0, 0.0, 0.25])
@@ -34,13 +37,13 @@ class Belief:
         self.anchor: Anchor | None = None
         self.near: Placed | None = None
         """Where images are to look first."""
-        self._last: tuple[Status, str, PoseEstimate | None] = Status.LOST, NOTHING, None
+        self._last = LiveState.lost(NOTHING)
         self._placed: tuple[Floats, Floats, str] | None = None
 
     @property
     def status(self) -> Status:
         """What the last image said."""
-        return self._last[0]
+        return self._last.status
 
     def tell(self, stamp: float, pose: Floats, covariance: Floats | None, *, own: bool) -> bool:
         """A sample of odometry, of its `own` or an image's; whether it had to begin anew."""
@@ -57,7 +60,7 @@ class Belief:
             return False
         odometry.tell(stamp, pose, covariance)
         if self._placed is not None:
-            self.believe(*self._placed, self._last[1])
+            self.believe(*self._placed, self._last.reason)
         return False
 
     def _break(self, why: str, stamp: float, pose: Floats, covariance: Floats | None) -> None:
@@ -84,17 +87,17 @@ class Belief:
             return
         self.anchor = Anchor.of(now, pose, covariance, scene)
         self.near = Placed(self.anchor.map_from_odom, covariance, scene)
-        self._last = Status.AMBIGUOUS, why, None
+        self._last = LiveState.unconfirmed(why)
 
     def forget(self, why: str) -> None:
         """Begin anew."""
         self.epoch += 1
         self.anchor = self.near = self._placed = None
-        self._last = Status.LOST, why, None
+        self._last = LiveState.lost(why)
 
     def carried(self, why: str) -> None:
         """An image told nothing: what was known goes on."""
-        self._last = self._last[0], why, self._last[2]
+        self._last = replace(self._last, reason=why)
 
     def placing(self, frame: Frame) -> tuple[Sample | None, str]:
         """Odometry at an image's time; or None, and why there is none."""
@@ -111,7 +114,7 @@ class Belief:
 
     def hear(self, said: Said) -> None:
         """What an image told counts from its own time on."""
-        status, _, estimate = self._last
+        status, estimate = self._last.status, self._last.estimate
         if said.estimate is not None:
             status, estimate = said.estimate.status, said.estimate
         newest = self.odometry.newest
@@ -123,21 +126,20 @@ class Belief:
             self.anchor = Anchor.of(at, best.map_from_camera, best.covariance, said.scene)
         elif said.over:
             self.anchor = None
-        self._last = status, said.reason, estimate
+        self._last = LiveState(status, said.reason, estimate)
 
     def pose(self, stamp: float | None) -> LivePose:
         """The pose at a time, or at that of the newest odometry."""
         newest = self.odometry.newest
         now = newest if stamp is None else self.odometry.at(stamp)
-        status, reason, estimate = self._last
-        silent = 0.0 if stamp is None or newest is None else stamp - newest.stamp
-        if silent > JUMP and status is Status.OK:
-            status = Status.AMBIGUOUS
-            reason = f"Odometry has been silent for {silent:.0f} s: nobody knows how far the camera went."
+        last, silent = self._last, 0.0
+        if stamp is not None and newest is not None:
+            silent = stamp - newest.stamp
         if self.anchor is not None and now is not None:
-            return predicted(self.anchor, now, self.noise, (status, reason, estimate))
+            return predicted(self.anchor, now, self.noise, last, silent)
         when = now.stamp if now is not None else np.nan if stamp is None else stamp
+        forgotten = ""
         if self.anchor is not None:
-            reason = f"Odometry is remembered for {KEPT:g} s, and tells nothing of {stamp}."
-        status = Status.LOST if status is Status.OK else status
-        return LivePose(when, status, reason, None, None, None, estimate, "", np.inf)
+            forgotten = f"Odometry is remembered for {KEPT:g} s, and tells nothing of {stamp}."
+        status, reason = decide_live(last, silent, None, forgotten)
+        return LivePose(when, status, reason, None, None, None, last.estimate, "", np.inf)

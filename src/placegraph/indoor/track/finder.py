@@ -15,13 +15,13 @@ from placegraph.indoor.likelihood.depth_unit import check_unit
 from placegraph.indoor.likelihood.observe import sight
 from placegraph.indoor.likelihood.score import Scorer
 from placegraph.indoor.map.scene import Scene
+from placegraph.indoor.pose.estimate import estimate_pose
 from placegraph.indoor.pose.placed import placed
 from placegraph.indoor.pose.polish import Fit, polished
 from placegraph.indoor.pose.prior import Prior
 from placegraph.indoor.pose.query import PoseQuery
 from placegraph.indoor.pose.search import search
 from placegraph.indoor.pose.slide import freed
-from placegraph.indoor.pose.verdict import verdict
 from placegraph.indoor.pose.window import Window, own_encoder, shows_something
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ def look_up(window: Window, rng: Generator) -> tuple[PoseEstimate, Fit]:
     """Estimate of a window's last frame in the whole map, or around the query's prior, and its best fit."""
     seeds = search(window, rng)
     fits = freed(window, polished(window, seeds, rng), rng)
-    return verdict(window, fits), fits[0]
+    return estimate_pose(window, fits), fits[0]
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,6 +14,7 @@ from numpy.random import Generator
 from placegraph.core.estimate import PoseEstimate, Status
 from placegraph.core.geometry import Camera, Floats
 from placegraph.errors import PlacegraphError
+from placegraph.indoor.status import diagnostics_of
 from placegraph.indoor.track.again import Again
 from placegraph.indoor.track.finder import Finder, prior_of
 from placegraph.indoor.track.tracker import KEPT, PATIENCE, WAIT, Tracker, apart
@@ -128,7 +129,7 @@ class Follower:
         self._strayed += 1
         self._remember(frame)
         over = not self._tracker.following
-        fits = not over and bool(estimate.stats.get("fits"))
+        fits = not over and diagnostics_of(estimate).consistent
         return Said(frame, estimate.reason, self._scene, estimate, told=fits, over=over)
 
     def question(self) -> Question | None:

@@ -10,8 +10,7 @@ import numpy as np
 from placegraph.core.estimate import PoseEstimate, Status
 from placegraph.core.geometry import Floats, cross_matrix
 from placegraph.indoor.options import MotionNoise
-from placegraph.indoor.pose.slide import least_known
-from placegraph.indoor.pose.verdict import LOOSE
+from placegraph.indoor.status import LiveState, decide_live
 from placegraph.indoor.track.odometry import Sample
 
 
@@ -97,17 +96,11 @@ class Anchor:
 
 
 def predicted(
-    anchor: Anchor, now: Sample, noise: MotionNoise, last: tuple[Status, str, PoseEstimate | None]
+    anchor: Anchor, now: Sample, noise: MotionNoise, last: LiveState, silent: float
 ) -> LivePose:
-    """The pose where odometry is now; `last`: what the last image said."""
-    status, reason, estimate = last
+    """Return the pose where odometry is now, by the last image; `silent`: seconds without odometry."""
     covariance = anchor.spread(now, noise)
-    loose, _ = least_known(covariance)
-    if status is Status.OK and loose > LOOSE:
-        status = Status.AMBIGUOUS
-        reason = (
-            f"Followed by odometry since the last image that told it: known only to {loose:.1f} m."
-        )
+    status, reason = decide_live(last, silent, covariance)
     return LivePose(
         stamp=now.stamp,
         status=status,
@@ -115,7 +108,7 @@ def predicted(
         map_from_camera=anchor.pose(now),
         map_from_odom=anchor.map_from_odom,
         covariance=covariance,
-        estimate=estimate,
+        estimate=last.estimate,
         scene=anchor.scene,
         age=max(0.0, now.stamp - anchor.at.stamp),
     )

@@ -23,13 +23,14 @@ from placegraph.errors import OptionError
 from placegraph.indoor.likelihood.observe import FINE, Cut, Sighting, sight
 from placegraph.indoor.likelihood.score import Scorer
 from placegraph.indoor.pose.chain import Chain
+from placegraph.indoor.pose.covariance import FITTED
+from placegraph.indoor.pose.estimate import estimate_pose
 from placegraph.indoor.pose.motion import deviations
 from placegraph.indoor.pose.placed import placed
-from placegraph.indoor.pose.polish import FITTED, NARROWEST, Fit, refine, round_of
+from placegraph.indoor.pose.polish import NARROWEST, Fit, refine, round_of
 from placegraph.indoor.pose.query import PoseQuery, leveled
-from placegraph.indoor.pose.slide import least_known
-from placegraph.indoor.pose.verdict import LOOSE, verdict
 from placegraph.indoor.pose.window import Window, own_encoder, shows_something
+from placegraph.indoor.status import decide_followed, diagnostics_of, give_up
 from placegraph.indoor.track.again import Again
 from placegraph.indoor.track.finder import look_up
 from placegraph.io.capture.frame import Frame
@@ -166,13 +167,14 @@ class Tracker:
         spread = np.clip(np.hypot(self._fit.spread, erred), NEAREST, FARTHEST)
         level = round_of(window, FINE, rounds=ROUNDS, samples=SAMPLES)
         fit = refine(self.scorer, compose(self._fit.pose, step), spread, level, self.rng)
-        estimate = self._believed(verdict(window, [fit]), erred)
-        against = estimate.status is not Status.OK and not estimate.stats["fits"]
+        estimate = self._believed(estimate_pose(window, [fit]), erred)
+        consistent = diagnostics_of(estimate).consistent
+        against = estimate.status is not Status.OK and not consistent
         self._doubts = self._doubts + 1 if against else 0
         if self._doubts >= PATIENCE:
             self._fit, self._doubts = None, 0
             self.keyframes.clear()  # they led to a wrong belief
-            return replace(estimate, status=Status.LOST, reason=f"Lost: {estimate.reason}")
+            return give_up(estimate)
         self._settle(fit)
         return estimate
 
@@ -185,19 +187,13 @@ class Tracker:
         if estimate.status is Status.OK:
             self._since = np.zeros(4)
             return estimate
-        if not estimate.stats["fits"]:
+        if not diagnostics_of(estimate).consistent:
             return estimate
         self._since = self._since + erred**2
         best = estimate.modes[0]
         covariance = best.covariance.copy()
         covariance[FITTED, FITTED] += self._since
-        mode = replace(best, covariance=covariance)
-        loose, _ = least_known(covariance)
-        status, known = Status.OK, "followed here from where it was sure"
-        if loose > LOOSE:
-            status, known = Status.AMBIGUOUS, f"by odometry known only to {loose:.1f} m"
-        reason = f"What is seen fits, but is too bare to tell the place alone; {known}."
-        return replace(estimate, status=status, modes=(mode, *estimate.modes[1:]), reason=reason)
+        return decide_followed(estimate, replace(best, covariance=covariance))
 
     def _settle(self, fit: Fit) -> None:
         """Follow a fit; what was said was of where the stream began."""

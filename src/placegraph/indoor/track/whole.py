@@ -45,12 +45,12 @@ def follow(tracker: Tracker, frames: Sequence[Frame]) -> PoseEstimate:
     rows = [i for i, matrix in enumerate(known) if matrix is not None]
     stats = {"known": len(rows), "frames": len(frames)} | tracker.scorer.stats()
     if not rows:
-        return replace(estimate, stats=stats)
+        return replace(estimate, stats=stats, diagnostics=None)
     trajectory = _filled(known, rows, frames)
     if estimate.best is not None:
         trajectory[-1] = estimate.best.map_from_camera
     stamped = np.array([f.index for f in frames])
-    return replace(estimate, trajectory=trajectory, frames=stamped, stats=stats)
+    return replace(estimate, trajectory=trajectory, frames=stamped, stats=stats, diagnostics=None)
 
 
 def _filled(known: list[Floats | None], rows: list[int], frames: Sequence[Frame]) -> Floats:

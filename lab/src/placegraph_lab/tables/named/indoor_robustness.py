@@ -13,8 +13,9 @@ from typing import Annotated, Any
 import numpy as np
 
 from placegraph.core.geometry import Floats
-from placegraph.indoor.pose.trust import SURE, Trust, features
-from placegraph.indoor.pose.verdict import ALONE
+from placegraph.indoor.pose.agreement import ConfidenceModel as Trust
+from placegraph.indoor.pose.agreement import features
+from placegraph.indoor.status import ALONE, SURE
 from placegraph_lab.tables.indoor.bench import chosen
 from placegraph_lab.tables.indoor.metrics import NEAR, rounded
 from placegraph_lab.tables.indoor.robustness import (

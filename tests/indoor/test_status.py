@@ -1,17 +1,21 @@
 """The status: what makes it worse, what never does, and what it says."""
 
+import ast
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import placegraph
 from placegraph.core.estimate import PoseMode, Status
-from placegraph.indoor.pose.evidence import Agreement
-from placegraph.indoor.pose.trust import SURE, TRUST
-from placegraph.indoor.pose.verdict import believed, judge
+from placegraph.indoor.pose.agreement import CONFIDENCE, Agreement
+from placegraph.indoor.status import SURE, decide_fit
+
+INDOOR = Path(placegraph.__file__).parent / "indoor"
 
 ORDER = [Status.LOST, Status.AMBIGUOUS, Status.OK]
 GOOD = Agreement(1.0, 0.95, 0.97, 0.2, np.full(8, 5.0), np.full(8, 4.0), held=0.1)
@@ -27,7 +31,7 @@ def modes(*shares, spread=0.05):
 
 
 def test_all_agrees():
-    answer, reason = judge(GOOD, modes(0.99, 0.01), TOLD)
+    answer, reason = decide_fit(GOOD, modes(0.99, 0.01), TOLD)
     assert answer is Status.OK
     assert "95% of the labelled patches" in reason
     assert "97% of the depth readings" in reason
@@ -48,12 +52,12 @@ def test_all_agrees():
 def test_fewer_cues_can_be_enough(cue):
     """Where no more was there to be compared; but all of it at its worst is never enough."""
     agreed = replace(GOOD, **cue)
-    assert judge(agreed, modes(1.0), TOLD)[0] is Status.OK
+    assert decide_fit(agreed, modes(1.0), TOLD)[0] is Status.OK
     worst = {
         name: 0.0 for name in ("semantic", "depth", "colour")
         if not math.isnan(getattr(agreed, name))
     }  # fmt: skip
-    assert judge(replace(agreed, **worst), modes(1.0), 0.0)[0] is not Status.OK
+    assert decide_fit(replace(agreed, **worst), modes(1.0), 0.0)[0] is not Status.OK
 
 
 @pytest.mark.parametrize(
@@ -67,7 +71,7 @@ def test_fewer_cues_can_be_enough(cue):
     ],
 )
 def test_what_cannot_be_is_lost(change, says):
-    answer, reason = judge(replace(GOOD, **change), modes(1.0), TOLD)
+    answer, reason = decide_fit(replace(GOOD, **change), modes(1.0), TOLD)
     assert answer is Status.LOST
     assert reason.startswith("Nowhere on the map fits")
     assert says in reason
@@ -77,28 +81,28 @@ def test_a_wall_and_a_floor_are_no_place():
     """Labels alone must be those of several objects: large ones are seen everywhere."""
     few = np.where(np.arange(8) < 2, 5.0, 0.0)
     agreed = replace(GOOD, depth=math.nan, colour=math.nan, weights=few)
-    answer, reason = judge(agreed, modes(1.0), TOLD)
+    answer, reason = decide_fit(agreed, modes(1.0), TOLD)
     assert answer is Status.AMBIGUOUS
     assert "only 2" in reason
-    assert judge(replace(agreed, colour=0.5), modes(1.0), TOLD)[0] is Status.OK
+    assert decide_fit(replace(agreed, colour=0.5), modes(1.0), TOLD)[0] is Status.OK
 
 
 def test_rivals_make_it_ambiguous():
-    answer, reason = judge(GOOD, modes(0.55, 0.45), TOLD)
+    answer, reason = decide_fit(GOOD, modes(0.55, 0.45), TOLD)
     assert answer is Status.AMBIGUOUS
     assert "another place" in reason
     assert "55%" in reason
-    _, reason = judge(GOOD, modes(0.4, 0.3, 0.295, 0.005), TOLD)
+    _, reason = decide_fit(GOOD, modes(0.4, 0.3, 0.295, 0.005), TOLD)
     assert "2 other places" in reason
 
 
 def test_a_place_known_to_a_metre_only_is_not_ok():
-    answer, reason = judge(GOOD, modes(1.0, spread=1.0), TOLD)
+    answer, reason = decide_fit(GOOD, modes(1.0, spread=1.0), TOLD)
     assert answer is Status.AMBIGUOUS
     assert reason == "One place fits best, but it is known only to 1.0 m."
     (best,) = modes(1.0)
     best.covariance[2, 2] = 0.3**2
-    answer, reason = judge(GOOD, [best], TOLD)
+    answer, reason = decide_fit(GOOD, [best], TOLD)
     assert answer is Status.AMBIGUOUS
     assert "its height is known only to 0.3 m" in reason
 
@@ -120,7 +124,7 @@ maybe = st.one_of(st.just(math.nan), shares)
 )  # fmt: skip
 def test_better_agreement_never_makes_it_worse(agreed, probability, told, spread, what, more):
     """Each number raised by itself, the others as they are."""
-    before = judge(agreed, modes(probability, 1 - probability, spread=spread), told)[0]
+    before = decide_fit(agreed, modes(probability, 1 - probability, spread=spread), told)[0]
     if what == "probability":
         probability += more * (1 - probability)
     elif what == "told":
@@ -130,7 +134,7 @@ def test_better_agreement_never_makes_it_worse(agreed, probability, told, spread
     else:
         value = getattr(agreed, what)
         agreed = replace(agreed, **{what: value + more * (1 - value)})
-    after = judge(agreed, modes(probability, 1 - probability, spread=spread), told)[0]
+    after = decide_fit(agreed, modes(probability, 1 - probability, spread=spread), told)[0]
     assert ORDER.index(after) >= ORDER.index(before)
 
 
@@ -143,7 +147,7 @@ def test_better_agreement_never_makes_it_worse(agreed, probability, told, spread
 def test_every_verdict_is_one_sentence(agreed, weights, told, spread):
     weights = sorted(weights, reverse=True)
     found = modes(*(w / sum(weights) for w in weights), spread=spread)
-    answer, reason = judge(agreed, found, told)
+    answer, reason = decide_fit(agreed, found, told)
     assert answer in Status
     assert reason.endswith(".")
     assert "nan" not in reason
@@ -155,39 +159,47 @@ def test_every_verdict_is_one_sentence(agreed, weights, told, spread):
 )
 def test_images_alone_must_be_clear(colour, status):
     agreed = replace(GOOD, semantic=math.nan, depth=math.nan, colour=colour)
-    assert judge(agreed, modes(1.0), TOLD)[0].value == status
+    assert decide_fit(agreed, modes(1.0), TOLD)[0].value == status
 
 
 @pytest.mark.parametrize("weights", [np.zeros(8), np.r_[5.0, np.zeros(7)]])
 def test_a_bare_wall_has_no_cliff(weights):
     """Log odds grow with what colours tell, in small steps; one label lifts no more than its share."""
     bare = replace(GOOD, held=0.0, weights=weights)
-    odds = [TRUST.odds(replace(bare, colour=c)) for c in np.linspace(0.0, 0.12, 121)]
+    odds = [CONFIDENCE.odds(replace(bare, colour=c)) for c in np.linspace(0.0, 0.12, 121)]
     steps = np.diff(odds)
     assert steps.min() > 0
     assert steps.max() < 1.0
-    assert TRUST.of(replace(bare, colour=0.0), 1.0) < SURE
+    assert CONFIDENCE.probability(replace(bare, colour=0.0), 1.0) < SURE
 
 
 def test_tones_tell_a_place_whose_depth_has_changed():
     """The office's other half: chairs moved, steps of colour blurred, and the right pose was `LOST`."""
     moved = replace(GOOD, semantic=math.nan, depth=0.7, colour=0.015, held=0.19)
-    assert judge(replace(moved, tone=0.05), modes(1.0), TOLD)[0] is not Status.OK
-    assert judge(replace(moved, tone=0.35), modes(1.0), TOLD)[0] is Status.OK
+    assert decide_fit(replace(moved, tone=0.05), modes(1.0), TOLD)[0] is not Status.OK
+    assert decide_fit(replace(moved, tone=0.35), modes(1.0), TOLD)[0] is Status.OK
     # a wall and a floor of a wrong room, seen from low above the ground
     floor = replace(moved, depth=0.72, colour=0.009, tone=0.33, held=0.06)
-    assert judge(floor, modes(1.0), TOLD)[0] is not Status.OK
+    assert decide_fit(floor, modes(1.0), TOLD)[0] is not Status.OK
     denied = replace(GOOD, semantic=math.nan, depth=0.3, tone=1.0)
-    assert judge(denied, modes(1.0), TOLD)[0] is Status.LOST
+    assert decide_fit(denied, modes(1.0), TOLD)[0] is Status.LOST
 
 
-def test_the_likeliest_pose_is_not_where_frames_do_not_fit():
-    """Depth alone put cameras of the office before bare walls, whatever the colours said."""
-    shares = np.array([0.9, 0.08, 0.015, 0.005])
-    got = believed(shares, np.array([-8.2, 1.3, -8.0]))
-    assert got.argmax() == 1
-    assert got[1] > 0.95
-    assert got[3] <= min(got[0], got[2])  # nobody looked
-    np.testing.assert_allclose(believed(shares, np.full(3, 5.0)), shares)
-    np.testing.assert_allclose(believed(shares, np.full(3, -np.inf)), shares)  # labels alone
-    assert got.sum() == pytest.approx(1.0)
+def test_only_one_file_sets_a_status():
+    """Other indoor files compare statuses, and read no public numbers to decide."""
+    for path in INDOOR.rglob("*.py"):
+        if path == INDOOR / "status.py":
+            continue
+        tree = ast.parse(path.read_text())
+        compared = {
+            id(part)
+            for node in ast.walk(tree)
+            if isinstance(node, ast.Compare)
+            for side in (node.left, *node.comparators)
+            for part in ast.walk(side)
+        }
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Attribute) and getattr(node.value, "id", "") == "Status":
+                assert id(node) in compared, f"{path.name}:{node.lineno} sets {node.attr}"
+            if isinstance(node, ast.Subscript) and isinstance(node.slice, ast.Constant):
+                assert node.slice.value not in {"trust", "rival", "undecided", "fits"}, path

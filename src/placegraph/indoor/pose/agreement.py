@@ -1,4 +1,4 @@
-"""Why a pose is believed: what each object, the depth and the colours said of it."""
+"""Agreement of a pose with what frames show, and the confidence that follows from it."""
 
 from __future__ import annotations
 
@@ -15,9 +15,97 @@ from placegraph.indoor.likelihood.score import Scorer
 from placegraph.indoor.likelihood.score_kernels import COLOUR, DEPTH, SEMANTIC, TONE, look
 from placegraph.indoor.likelihood.view import View
 from placegraph.indoor.map.scene import Scene, ref
-from placegraph.indoor.pose.trust import SPEAK, TELLING, TRUST
 
-_MOST = 12  # objects named
+SPEAK = 0.02
+"""What colours tell from which on they speak, so that depth is not alone [nat a sample] ..."""
+CLEAR = 0.035
+"""... from which on they speak clearly enough to be believed alone ..."""
+_MOST_COLOUR = 0.12
+"""... and what counts at most."""
+_MOST_TONE = 0.2
+"""The same of tones: a wall and a floor have those of any room."""
+TELLING = 1.0
+"""Log-likelihood ratio below which an object says nothing [nat]."""
+WITNESSES = 4
+"""Objects whose labels speak for a pose as firmly as a surface."""
+_SLIM = 0.01
+"""Added to how firmly surfaces hold a pose, before its logarithm is taken."""
+
+
+@dataclass(frozen=True, slots=True)
+class ConfidenceModel:
+    """Coefficients of the log odds that frames fit, of a pose without a rival.
+
+    By logistic regression over even windows of house and office, asked in their own maps and in those of
+    other places, as `placegraph-lab table indoor_robustness --fit` does it. Those of tones were fitted
+    later, to windows with depth and colours and their wrong rivals; the others stayed as they were, so
+    that what one sense alone says is what it was.
+    """
+
+    level: float
+    depth: tuple[float, float, float]
+    """That depth is there; log odds of its share that agrees; the log of how firmly surfaces hold the
+    pose, as far as depth speaks alone."""
+    colour: tuple[float, float]
+    """That colours are there; what their steps tell [1 / nat]."""
+    tone: tuple[float, float]
+    """That they stand beside depth; what they tell themselves [1 / nat]."""
+
+    @property
+    def coefficients(self) -> tuple[float, ...]:
+        """(8,) what stands before `features`."""
+        return (self.level, *self.depth, *self.colour, *self.tone)
+
+    def tone_odds(self, tone: float) -> float:
+        """Log odds that tones add which tell so much [nat]."""
+        return self.tone[0] + self.tone[1] * min(max(tone, 0.0), _MOST_TONE)
+
+    def odds(self, agreed: Agreement) -> float:
+        """Log odds; minus infinity where there is neither depth nor colour."""
+        if np.isnan(agreed.depth) and np.isnan(agreed.colour):
+            return -np.inf
+        return float(np.dot(self.coefficients, features(agreed)))
+
+    def probability(self, agreed: Agreement, probability: float) -> float:
+        """Probability that a pose is right which is the best with a probability."""
+        return probability / (1.0 + float(np.exp(-self.odds(agreed))))
+
+
+def features(agreed: Agreement) -> list[float]:
+    """(8,) what the coefficients of `ConfidenceModel` stand before."""
+    depth = [0.0, 0.0, 0.0]
+    if not np.isnan(agreed.depth):
+        bare = _alone(agreed) * float(np.log(agreed.held + _SLIM))
+        depth = [1.0, log_odds(agreed.depth, 0.01), bare]
+    colour = [0.0, 0.0]
+    if not np.isnan(agreed.colour):
+        colour = [1.0, float(np.clip(agreed.colour, 0.0, _MOST_COLOUR))]
+    tone = [0.0, 0.0]
+    if not np.isnan(agreed.tone):
+        tone = [1.0, float(np.clip(agreed.tone, 0.0, _MOST_TONE))]
+    return [1.0, *depth, *colour, *tone]
+
+
+def _alone(agreed: Agreement) -> float:
+    """How far depth speaks alone, 0 to 1: clear colours lift it, and several objects that tell."""
+    colour = 0.0 if np.isnan(agreed.colour) else (agreed.colour - SPEAK) / (CLEAR - SPEAK)
+    named = 0.0 if np.isnan(agreed.semantic) else np.clip(agreed.weights / TELLING, 0.0, 1.0).sum()
+    lifted = np.clip([colour, named / WITNESSES], 0.0, 1.0)
+    return float(np.prod(1.0 - lifted))
+
+
+def log_odds(share: float, least: float) -> float:
+    """Log odds of a share, no nearer to 0 and 1 than `least`."""
+    share = min(max(share, least), 1.0 - least)
+    return float(np.log(share / (1.0 - share)))
+
+
+CONFIDENCE = ConfidenceModel(
+    level=6.44, depth=(-3.0, 1.77, 2.26), colour=(-5.54, 31.36), tone=(2.12, 21.28)
+)
+
+
+_NAMED = 12  # objects named
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,7 +140,7 @@ class Agreement:
         names = ("covered", "semantic", "depth", "colour", "tone", "ratio", "held")
         values = {name: float(getattr(self, name)) for name in names}
         values["witnesses"] = float((self.weights > TELLING).sum())
-        values["odds"] = TRUST.odds(self)
+        values["odds"] = CONFIDENCE.odds(self)
         return {name: value if np.isfinite(value) else None for name, value in values.items()}
 
 
@@ -142,7 +230,7 @@ def _concerned(
 def explain(scene: Scene, agreed: Agreement) -> tuple[Evidence, ...]:
     """Evidence in words, the heaviest first."""
     order = np.argsort(-np.abs(agreed.weights), kind="stable")
-    rows = order[agreed.told[order] > 0][:_MOST].tolist()
+    rows = order[agreed.told[order] > 0][:_NAMED].tolist()
     out = [_of_object(scene, n, float(agreed.weights[n])) for n in rows]
     if not np.isnan(agreed.depth):
         out.append(

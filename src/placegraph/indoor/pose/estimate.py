@@ -1,0 +1,157 @@
+"""Pose estimates from fits: probabilities, covariance, evidence and diagnostics."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from placegraph.core.estimate import Evidence, PoseEstimate, PoseMode, Status
+from placegraph.core.geometry import Floats, between, pose_matrix
+from placegraph.indoor.likelihood.depth_unit import hint
+from placegraph.indoor.likelihood.observe import FINE
+from placegraph.indoor.map.scene import Scene
+from placegraph.indoor.pose.agreement import CONFIDENCE, Agreement, agreement, explain
+from placegraph.indoor.pose.covariance import pose_covariance
+from placegraph.indoor.pose.polish import Fit, probabilities
+from placegraph.indoor.pose.prior import Leaning
+from placegraph.indoor.pose.suspect import divided, spoiled, unmoved
+from placegraph.indoor.pose.window import Window, timed
+from placegraph.indoor.status import RIVAL, Diagnostics, decide_pose
+
+_EXPLAINED = 3
+"""Modes that can be explained."""
+
+
+def estimate_pose(window: Window, fits: list[Fit]) -> PoseEstimate:
+    """Estimate of the last frame from fits, best first."""
+    with timed(window.seconds, "verdict"):
+        judging, looked = window.judging, window.newest
+        told_apart = [judging.views(FINE)[i] for i in looked]
+
+        def agreed_at(fit: Fit) -> Agreement:
+            steps = between(fit.pose, fit.poses[looked])
+            return agreement(judging.scorer, fit.pose, told_apart, steps)
+
+        fits, shares = _shared(window, fits, window.scorer.model.heat(told_apart))
+        count = max(_EXPLAINED, int((shares > RIVAL).sum()))
+        agreed = [agreed_at(fit) for fit in fits[:count]]
+        if window.options.likelihood.tempered:
+            shares = believed(shares, np.array([CONFIDENCE.odds(a) for a in agreed]))
+            order = np.argsort(-shares, kind="stable")
+            shares, fits = shares[order], [fits[i] for i in order]
+            agreed = [agreed[i] for i in order[: len(agreed)]]
+        modes = tuple(
+            _mode(window, fit, share, agreed[i] if i < len(agreed) else None)
+            for i, (fit, share) in enumerate(zip(fits, shares.tolist(), strict=True))
+        )
+        poses = fits[0].poses
+        steps = between(poses[-1], poses[looked])
+        told = judging.scorer.together(poses[-1][None], told_apart, steps)[0]
+        frames = _agreement_of_frames(judging, poses, agreed[0])
+        sightings, prior = window.sightings, window.leaning
+        found = Diagnostics(
+            agreement=agreed[0],
+            frames=frames,
+            ratio_per_frame=float(told) / len(looked),
+            spoiled=spoiled(judging),
+            unmoved=unmoved(sightings),
+            divided=divided(judging, frames),
+            unnamed=any(s.patches is not None and not s.patches.named for s in sightings),
+            unmet="" if prior is None else prior.against(modes[0].pose),
+        )
+        status, reason, found = decide_pose(found, modes)
+        if status is not Status.OK and not (found.spoiled or found.unmoved or found.divided):
+            # depth may look to be in another unit
+            unit = hint(judging.views(FINE), window.table.background, sightings[-1].frame)
+            reason = f"{reason} {unit}".rstrip()
+        return PoseEstimate(
+            status=status,
+            modes=modes,
+            reason=reason,
+            trajectory=pose_matrix(poses, window.levels),
+            frames=np.array([s.frame.index for s in sightings]),
+            stats={
+                "trust": agreed[0].numbers() | {"probability": modes[0].probability},
+                "rival": agreed[1].numbers() if len(agreed) > 1 else {},
+                "undecided": found.undecided,
+                "fits": found.consistent,
+            },
+            diagnostics=found,
+            map=window.scene,
+        )
+
+
+def _agreement_of_frames(window: Window, poses: Floats, agreed: Agreement) -> Floats:
+    """Return how far each frame of the window agrees with its pose (T, 4): (T, 3)."""
+    older = len(window) - len(agreed.frames)
+    if not older:
+        return agreed.frames
+    steps = between(poses[-1], poses[:older])
+    before = agreement(window.scorer, poses[-1], window.views(FINE)[:older], steps)
+    return np.concatenate([before.frames, agreed.frames])
+
+
+def _shared(window: Window, fits: list[Fit], heat: float) -> tuple[list[Fit], Floats]:
+    """Fits, likeliest first, and their probabilities.
+
+    What somebody said of the place is no image: it is a witness of its own, and counts in full.
+    Particles have heard it already, and their weights are probabilities.
+    """
+    logs = np.array([f.log_likelihood for f in fits])
+    if window.options.answer == "mle":
+        return fits, np.exp(logs)
+    shares = probabilities(logs, heat)
+    if window.leaning is None:
+        return fits, shares
+    shares *= np.exp(window.leaning.at(np.stack([f.pose for f in fits])))
+    order = np.argsort(-shares, kind="stable")
+    return [fits[i] for i in order], shares[order] / shares.sum()
+
+
+def believed(shares: Floats, odds: Floats) -> Floats:
+    """Probabilities (M,) of fits by their shares (M,), falling, and the log odds (K,) of the first.
+
+    A pose is right where frames fit, and no other place fits better: both are multiplied. Depth may
+    lie on the surfaces of a wrong place while colours contradict, and outweigh a place half of which
+    the map does not show. Those left are no likelier than the least of the first.
+    """
+    if not np.isfinite(odds).all():
+        return shares
+    out = shares / (1.0 + np.exp(-odds.max()))
+    out[: len(odds)] = shares[: len(odds)] / (1.0 + np.exp(-odds))
+    out[len(odds) :] = np.minimum(out[len(odds) :], out[: len(odds)].min())
+    return np.asarray(out / out.sum())
+
+
+def _mode(window: Window, fit: Fit, share: float, agreed: Agreement | None) -> PoseMode:
+    scene, matrix = window.scene, pose_matrix(fit.pose, window.levels[-1])
+    row = scene.scene_at(fit.pose[:2])
+    return PoseMode(
+        map_from_camera=matrix,
+        pose=fit.pose,
+        covariance=pose_covariance(fit.covariance),
+        probability=share,
+        scene=scene.scenes[row],
+        scene_from_camera=scene.scene_from_map[row] @ matrix,
+        explain=tuple
+        if agreed is None
+        else partial(_explained, window.leaning, scene, agreed, fit.pose),
+    )
+
+
+def _explained(
+    leaning: Leaning | None, scene: Scene, agreed: Agreement, pose: Floats
+) -> tuple[Evidence, ...]:
+    said = () if leaning is None else leaning.evidence(pose)
+    return said + explain(scene, agreed)
+
+
+def evidence_at(window: Window, poses: Floats) -> Callable[[], tuple[Evidence, ...]]:
+    """Finds what the newest frames say of poses (T, 4) of all; the frames are let go."""
+    judging, looked = window.judging, window.newest
+    views = [judging.views(FINE)[i] for i in looked]
+    steps = between(poses[-1], poses[looked])
+    agreed = agreement(judging.scorer, poses[-1], views, steps)
+    return partial(_explained, window.leaning, window.scene, agreed, poses[-1])

@@ -1,0 +1,548 @@
+"""Status decisions indoors: `OK`, `AMBIGUOUS` or `LOST`, and the reason, from typed diagnostics.
+
+Stages fill `Diagnostics` and pass it along in `PoseEstimate.diagnostics`. Only functions here set a status.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from placegraph.core.estimate import (
+    Calibration,
+    PoseEstimate,
+    PoseMode,
+    SceneEstimate,
+    SceneMode,
+    Status,
+)
+from placegraph.core.geometry import Floats
+from placegraph.indoor.pose.agreement import (
+    CLEAR,
+    CONFIDENCE,
+    SPEAK,
+    TELLING,
+    WITNESSES,
+    Agreement,
+    log_odds,
+)
+from placegraph.indoor.pose.covariance import least_certain
+
+SURE = 0.75
+"""Probability of being right from which on a pose is `OK`."""
+FITS_NOWHERE = -1.0
+"""Log odds below which nothing on the map fits."""
+LOOSE = 0.2
+"""A pose known no better than this [m] in any direction is not `OK`: one in a hundred would err by more
+than the 0.5 m that `OK` promises."""
+ALONE = 0.98
+"""Probability among its rivals that a pose needs to be `OK`, whatever agrees with it: places that are
+the same differ by as much as their fits were lucky."""
+RIVAL = 0.01
+"""Probability of a mode from which on it counts as a rival."""
+_UPRIGHT = 0.8
+"""Cosine from which on a direction is called height."""
+_BLIND = 0.2
+"""Share of the view that the map has to show."""
+_PATCHES_AGREE, _PATCHES_TELL = 0.5, 15.0
+"""Of labels: the share that agrees, and the log-likelihood ratio of a frame without depth [nat]."""
+_DEPTH_AGREES = 0.85
+"""Share of the depth readings from which on they are not what is doubted."""
+_HALF, _LENIENT = 0.55, 0.15
+"""Share of the newest frame's readings that has to agree, and how much less where other senses do, or
+of all frames together."""
+BENT = 6.0
+"""Root mean square of odometry's normalised errors beyond which the motion was not like that."""
+_PARTED = (0.25, 5.0)
+"""Way [m] and turn [deg] by which images alone may move a pose that is `OK`: half of what that promises."""
+SURE_SCENE = 0.9
+"""Probability from which on a scene is sure."""
+_SEARCH_ERRS = 0.01
+"""Share of searches of a library that are sure and wrong."""
+SILENT = 1.0
+"""Seconds without odometry after which a live pose is not `OK`."""
+
+UNDECIDED = Status.AMBIGUOUS
+"""Status of an estimate that no stage has decided yet."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class RefinementDiagnostics:
+    """Measurements of one refinement that the status depends on."""
+
+    accepted: bool = False
+    """Whether held-back samples confirm the refined pose."""
+    doubt: str = ""
+    """Evidence against the coarse pose too, as half a sentence."""
+    motion: float = 0.0
+    """Root mean square of the odometry's normalised errors on the refined trajectory."""
+    has_depth: bool = True
+    """Whether depth takes part."""
+    landmarks: int | None = None
+    """Matches with landmarks of the map; None: landmarks take no part."""
+    shift: float = 0.0
+    """Way from the coarse to the refined pose [m] ..."""
+    turn_deg: float = 0.0
+    """... and turn [deg]."""
+    camera: str = ""
+    """Hint that the camera is wrong, for a closer look; empty: none."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Diagnostics:
+    """Measurements of the stages of one localization, from which its status is decided."""
+
+    agreement: Agreement | None = None
+    """Agreement of the best mode with the newest frames; None: nothing was compared."""
+    frames: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+    """(T, 3) agreement of each frame of the window: semantic and depth [share], colour [nat a sample]."""
+    ratio_per_frame: float = 0.0
+    """Log-likelihood ratio of the best mode against anywhere, a frame [nat]."""
+    spoiled: str = ""
+    """Fault of the frames on any map, such as a covered lens, as a sentence; empty: none."""
+    unmoved: str = ""
+    """Fault of odometry that stands still, as a sentence; empty: none."""
+    divided: str = ""
+    """Frames that contradict the others, as a sentence; empty: none."""
+    unnamed: bool = False
+    """Whether patches are compared by looks, without the names of objects."""
+    unmet: str = ""
+    """Statements of the description that are not so at the best mode; empty: none."""
+    undecided: bool = False
+    """Whether only a clear winner is missing (`decide_pose` fills it)."""
+    consistent: bool = False
+    """Whether nothing that was seen contradicts the best mode (`decide_pose` fills it)."""
+    refinement: RefinementDiagnostics | None = None
+    """Of the refinement; None: there was none."""
+
+    @property
+    def ratio(self) -> float:
+        """Log-likelihood ratio of what is seen against anywhere in the map, a frame [nat]; 0: unknown."""
+        known = self.agreement is not None and np.isfinite(self.agreement.ratio)
+        return self.agreement.ratio if self.agreement is not None and known else 0.0
+
+    @property
+    def semantic(self) -> float | None:
+        """Share of the labelled patches that see their object; None: there are none."""
+        agreed = self.agreement
+        return None if agreed is None or np.isnan(agreed.semantic) else agreed.semantic
+
+    @property
+    def odds(self) -> float:
+        """Log odds that the frames fit at the best mode; minus infinity without depth and colours."""
+        return -np.inf if self.agreement is None else CONFIDENCE.odds(self.agreement)
+
+    @property
+    def labels_only(self) -> bool:
+        """Whether labels alone speak, which have no odds."""
+        agreed = self.agreement
+        return agreed is None or not np.isfinite(self.odds) or _labels_only(agreed)
+
+
+def diagnostics_of(estimate: PoseEstimate) -> Diagnostics:
+    """Return the diagnostics of an estimate; empty ones where no stage has filled any."""
+    found = estimate.diagnostics
+    return found if isinstance(found, Diagnostics) else Diagnostics()
+
+
+def add_note(estimate: PoseEstimate, note: str) -> PoseEstimate:
+    """Return the estimate with a sentence added to its reason."""
+    return replace(estimate, reason=f"{estimate.reason} {note}".rstrip())
+
+
+# ------------------------------------------------------------------------------------ one window
+
+
+def decide_pose(found: Diagnostics, modes: Sequence[PoseMode]) -> tuple[Status, str, Diagnostics]:
+    """Return status, reason and completed diagnostics of the modes (best first) of a window of frames.
+
+    All frames together, the newest frame alone, and the description each have a say.
+    """
+    agreed = found.agreement
+    assert agreed is not None  # noqa: S101  a window compares something
+    consistent = _is_consistent(found, agreed)
+    if found.spoiled:
+        return Status.LOST, found.spoiled, replace(found, consistent=consistent)
+    status, reason = decide_fit(agreed, modes, found.ratio_per_frame)
+    undecided = status is Status.AMBIGUOUS
+    fault = found.unmoved or found.divided
+    if fault:
+        status = Status.LOST if status is Status.LOST else Status.AMBIGUOUS
+        return status, fault, replace(found, consistent=consistent)
+    if status is Status.OK and len(found.frames) > 1:
+        against = _contradicts_newest(agreed.frames[-1])
+        if against:
+            status, reason = Status.LOST, f"The newest frame contradicts those before: {against}."
+    without_looks = replace(agreed, semantic=np.nan)
+    if status is Status.OK and found.unnamed and not _is_sure(without_looks, modes[0].probability):
+        status = Status.AMBIGUOUS
+        reason = "One place fits best, but what patches look like says too little of it alone."
+    if status is Status.OK and found.unmet:
+        status = Status.AMBIGUOUS
+        reason = f"{reason} But that is not what was said: {found.unmet}."
+    consistent = consistent or status is Status.OK
+    return status, reason, replace(found, undecided=undecided, consistent=consistent)
+
+
+def decide_fit(
+    agreed: Agreement, modes: Sequence[PoseMode], ratio_per_frame: float
+) -> tuple[Status, str]:
+    """Return status and reason: the best mode must agree with what was seen, and beat all others.
+
+    `ratio_per_frame`: log-likelihood ratio of the best mode against anywhere [nat].
+    """
+    against = _contradicts(agreed, ratio_per_frame)
+    if against:
+        return Status.LOST, f"Nowhere on the map fits: {against}."
+    best = modes[0]
+    loose, axis = least_certain(best.covariance)
+    if loose > LOOSE:
+        what = "its height is" if abs(axis[2]) > _UPRIGHT else "it is"
+        return Status.AMBIGUOUS, f"One place fits best, but {what} known only to {loose:.1f} m."
+    if _is_sure(agreed, 1.0) and not _is_sure(agreed, best.probability):
+        rivals = sum(m.probability > RIVAL for m in modes[1:])
+        others = "another place fits" if rivals <= 1 else f"{rivals} other places fit"
+        return Status.AMBIGUOUS, f"{others} nearly as well ({best.probability:.0%} for the best)."
+    if not _is_sure(agreed, best.probability):
+        return Status.AMBIGUOUS, f"One place fits best, but {_describe_weakness(agreed)}."
+    return Status.OK, f"One place fits: {_describe_agreement(agreed)}."
+
+
+def reject_frames(fault: str, frames: Sequence[int]) -> PoseEstimate:
+    """Return a lost estimate of frames (rows in the capture) with a fault that no search could mend."""
+    return PoseEstimate(Status.LOST, (), reason=fault, frames=np.array(frames))
+
+
+def _labels_only(agreed: Agreement) -> bool:
+    """Return whether labels speak, and no depth."""
+    return bool(np.isnan(agreed.depth) and not np.isnan(agreed.semantic))
+
+
+def _is_sure(agreed: Agreement, probability: float) -> bool:
+    """Return whether a pose with this probability among its rivals can be relied on."""
+    if _labels_only(agreed):
+        seen = int((agreed.weights > TELLING).sum()) >= WITNESSES or agreed.colour > SPEAK
+        return probability >= ALONE and seen
+    if np.isnan(agreed.depth) and not agreed.colour > CLEAR:
+        return False
+    return probability >= ALONE and CONFIDENCE.probability(agreed, probability) >= SURE
+
+
+def _is_consistent(found: Diagnostics, agreed: Agreement) -> bool:
+    """Return whether nothing seen contradicts the best mode, however little it says of it."""
+    fault = found.spoiled or found.divided
+    if fault or agreed.semantic < _PATCHES_AGREE or _contradicts_newest(agreed.frames[-1]):
+        return False
+    mute = np.isnan(agreed.depth)
+    return bool(agreed.colour > SPEAK / 2.0 if mute else agreed.depth >= _DEPTH_AGREES)
+
+
+def _contradicts_newest(frame: Floats) -> str:
+    """Return why the newest frame, by its agreements (3,), contradicts the pose; empty: it does not."""
+    semantic, depth, colour = frame.tolist()
+    if semantic < _PATCHES_AGREE - _LENIENT:
+        return f"only {semantic:.0%} of its labelled patches see their object"
+    if depth < (_HALF - _LENIENT if colour > SPEAK else _HALF):
+        return f"only {depth:.0%} of its depth readings lie on the map's surfaces"
+    return ""
+
+
+def _contradicts(agreed: Agreement, ratio_per_frame: float) -> str:
+    """Return why the best pose cannot be right; empty where it can."""
+    if agreed.covered < _BLIND:
+        return f"the map shows only {agreed.covered:.0%} of what the frames see"
+    if agreed.semantic < _PATCHES_AGREE:
+        return f"only {agreed.semantic:.0%} of the labelled patches see their object"
+    if _labels_only(agreed):
+        poor = ratio_per_frame < _PATCHES_TELL
+        return "the labels seen fit many places as badly" if poor else ""
+    mute = np.isnan(agreed.depth) and not agreed.colour > SPEAK / 2.0
+    denied = agreed.depth < _HALF - _LENIENT
+    if mute or denied or CONFIDENCE.odds(agreed) < FITS_NOWHERE:
+        return _describe_weakness(agreed)
+    return ""
+
+
+def _describe_weakness(agreed: Agreement) -> str:
+    """Return what keeps a pose from being trusted."""
+    if _labels_only(agreed):
+        return f"only {int((agreed.weights > TELLING).sum())} of its objects were seen"
+    if np.isnan(agreed.depth):
+        return "the colours hardly correlate with the map's"
+    if agreed.depth < _DEPTH_AGREES:
+        return f"only {agreed.depth:.0%} of the depth readings lie on the map's surfaces"
+    if np.isnan(agreed.colour) or agreed.colour > SPEAK:
+        return "what is seen is too bare to tell where along its surfaces the camera is"
+    return "depth alone speaks for it, and the colours do not agree"
+
+
+def _describe_agreement(agreed: Agreement) -> str:
+    """Return the senses that agree with the map."""
+    parts = []
+    if not np.isnan(agreed.semantic):
+        parts.append(f"{agreed.semantic:.0%} of the labelled patches")
+    if not np.isnan(agreed.depth):
+        parts.append(f"{agreed.depth:.0%} of the depth readings")
+    if agreed.colour > SPEAK:
+        parts.append("the colours")
+    return f"{', '.join(parts) or 'what was seen'} agree with the map"
+
+
+# -------------------------------------------------------------------------- faults of the input
+
+
+def needs_fault_search(estimate: PoseEstimate) -> bool:
+    """Return whether a fault of the input may explain the status: no pose is sure, nor a rival in the way."""
+    found = diagnostics_of(estimate)
+    doubted = np.isfinite(found.odds) and found.odds < log_odds(SURE, 0.0)
+    return estimate.status is not Status.OK and not (found.undecided and not doubted)
+
+
+def explain_by_fault(estimate: PoseEstimate, fault: str) -> PoseEstimate:
+    """Return an estimate that is not `OK` with the fault of the input that explains it."""
+    return replace(estimate, reason=f"As they are, the frames fit nowhere. {fault}")
+
+
+def doubt_tracked(estimate: PoseEstimate, fault: str) -> PoseEstimate:
+    """Return the estimate of a tracked capture some frames of which contradict the others, if any do."""
+    if not fault:
+        return estimate
+    return replace(estimate, status=Status.AMBIGUOUS, reason=fault)
+
+
+# ---------------------------------------------------------------------------------- refinement
+
+
+def decide_refined(estimate: PoseEstimate, found: RefinementDiagnostics) -> tuple[Status, str]:
+    """Return status and reason after a refinement of an estimate."""
+    status, reason = estimate.status, estimate.reason
+    if status is Status.OK and found.motion > BENT:
+        status = Status.AMBIGUOUS
+        reason = (
+            "One place fits, but there the frames contradict the odometry, or the camera's intrinsics "
+            "do."
+        )
+    if status is Status.OK and found.doubt:
+        status, reason = Status.AMBIGUOUS, f"One place fits, but {found.doubt}."
+    images_alone = found.accepted and not found.has_depth and found.landmarks is None
+    parted = (found.shift, found.turn_deg)
+    if status is Status.OK and images_alone and any(np.greater(parted, _PARTED)):
+        status = Status.AMBIGUOUS
+        reason = (
+            "One place fits, but images matched with the map move it by "
+            f"{found.shift:.1f} m and {found.turn_deg:.0f} degrees: check the camera's intrinsics."
+        )
+    undecided = diagnostics_of(estimate).undecided
+    one_scene = len({mode.scene for mode in estimate.modes}) == 1
+    if found.landmarks is not None and undecided and found.accepted and one_scene:
+        # they were looked for in the whole map, and led to where the likelihood is largest
+        status = Status.OK
+        reason = f"One place fits: {found.landmarks} landmarks of the map agree on it."
+    return status, reason
+
+
+def decide_given(estimate: PoseEstimate, window: PoseEstimate) -> PoseEstimate:
+    """Return a refined pose that somebody gave, with the status of its `window`; `OK` only if refined."""
+    told = estimate.refinement
+    if window.status is Status.OK and told is not None and not told.accepted:
+        return replace(estimate, status=Status.AMBIGUOUS, reason=told.reason)
+    return replace(estimate, status=window.status, reason=window.reason)
+
+
+def choose_camera(
+    before: PoseEstimate,
+    after: PoseEstimate,
+    calibration: Calibration,
+    correction: str,
+    *,
+    tilt_only: bool,
+    implausible: bool,
+) -> PoseEstimate:
+    """Return the better one of the answers before and after a camera correction.
+
+    The corrected answer is taken where it is `OK`, its refinement confirmed and the camera one that
+    can be; else the camera is a doubt about the other, if there is anything to doubt. Gravity is
+    none, since poses may lean: if it alone is corrected, an answer that is `OK` gives way only to one
+    that fits better. `correction`: a sentence that says what was wrong.
+    """
+    ratios = [diagnostics_of(answer).ratio for answer in (before, after)]
+    if tilt_only and before.status is Status.OK and ratios[1] <= ratios[0]:
+        return before
+    told = after.refinement
+    if after.status is Status.OK and told is not None and told.accepted and not implausible:
+        return replace(after, reason=f"{after.reason} {correction}", calibration=calibration)
+    if tilt_only or before.status is Status.LOST:
+        return before
+    reason = f"{before.reason} Perhaps: {correction}"
+    return replace(before, status=Status.AMBIGUOUS, reason=reason)
+
+
+# ------------------------------------------------------------------------------------- tracking
+
+
+def await_confirmation(estimate: PoseEstimate) -> PoseEstimate:
+    """Return a place found in the whole map for the first time, which another image must find again."""
+    reason = f"{estimate.reason.rstrip('.')}; it is believed when another image finds it again."
+    return replace(estimate, status=Status.AMBIGUOUS, reason=reason)
+
+
+def decide_followed(estimate: PoseEstimate, mode: PoseMode) -> PoseEstimate:
+    """Return the estimate of a followed pose whose frames fit, but are too bare to tell the place alone.
+
+    `mode`: the best one with the covariance that it has by odometry.
+    """
+    loose, _ = least_certain(mode.covariance)
+    status, known = Status.OK, "followed here from where it was sure"
+    if loose > LOOSE:
+        status, known = Status.AMBIGUOUS, f"by odometry known only to {loose:.1f} m"
+    reason = f"What is seen fits, but is too bare to tell the place alone; {known}."
+    return replace(estimate, status=status, modes=(mode, *estimate.modes[1:]), reason=reason)
+
+
+def give_up(estimate: PoseEstimate) -> PoseEstimate:
+    """Return the estimate of a pose that frames have contradicted for too long."""
+    return replace(estimate, status=Status.LOST, reason=f"Lost: {estimate.reason}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LiveState:
+    """Status of a live pose by the last image, or by what a person said."""
+
+    status: Status
+    reason: str
+    estimate: PoseEstimate | None = None
+
+    @classmethod
+    def lost(cls, reason: str) -> LiveState:
+        """Return the state of a pose that nobody knows."""
+        return cls(Status.LOST, reason)
+
+    @classmethod
+    def unconfirmed(cls, reason: str) -> LiveState:
+        """Return the state of a pose that no image has confirmed."""
+        return cls(Status.AMBIGUOUS, reason)
+
+
+def decide_live(
+    last: LiveState, silent: float, covariance: Floats | None, unplaced: str = ""
+) -> tuple[Status, str]:
+    """Return status and reason of a live pose.
+
+    `silent`: seconds beyond the newest odometry; `covariance`: (6, 6) of the pose now, None: it is not
+    known; `unplaced`: why odometry tells no pose, if so.
+    """
+    status, reason = last.status, last.reason
+    if silent > SILENT and status is Status.OK:
+        status = Status.AMBIGUOUS
+        reason = (
+            f"Odometry has been silent for {silent:.0f} s: nobody knows how far the camera went."
+        )
+    if covariance is None:
+        return Status.LOST if status is Status.OK else status, unplaced or reason
+    loose, _ = least_certain(covariance)
+    if status is Status.OK and loose > LOOSE:
+        status = Status.AMBIGUOUS
+        reason = (
+            f"Followed by odometry since the last image that told it: known only to {loose:.1f} m."
+        )
+    return status, reason
+
+
+# -------------------------------------------------------------------------------------- library
+
+
+def decide_scene(modes: Sequence[SceneMode], elsewhere: float) -> tuple[Status, str]:
+    """Return status and reason of ranked scenes; `elsewhere`: probability that it is none of them."""
+    best = modes[0]
+    if elsewhere > best.probability:
+        return Status.LOST, (
+            f"No scene of the library fits ({elsewhere:.0%}); {best.scene} fits best "
+            f"({best.probability:.0%})."
+        )
+    if best.probability >= SURE_SCENE:
+        return Status.OK, f"{best.scene} fits ({best.probability:.0%})."
+    rivals = [m.scene for m in modes[1:] if m.probability > 0.1 * best.probability]
+    others = f"; so may {', '.join(rivals[:3])}" if rivals else ""
+    return Status.AMBIGUOUS, f"{best.scene} fits best ({best.probability:.0%}){others}."
+
+
+def scene_of(estimate: PoseEstimate) -> str:
+    """Return the name of the library's scene that an answer is of; empty where it has no mode."""
+    return estimate.best.scene.partition("/")[0] if estimate.best else ""
+
+
+def fit_odds(estimate: PoseEstimate) -> float:
+    """Return the log odds that frames fit where an estimate has them, by which scenes are told apart.
+
+    Labels alone are judged by rules; what passes them is as good as what just passes by odds. What
+    tones add is taken away: rooms of one kind have the same.
+    """
+    found = diagnostics_of(estimate)
+    if found.labels_only or found.agreement is None:
+        return log_odds(SURE, 0.0)
+    tone = found.agreement.tone
+    return float(found.odds - (0.0 if np.isnan(tone) else CONFIDENCE.tone_odds(tone)))
+
+
+def choose_scene(
+    answers: Sequence[PoseEstimate], prior: Mapping[str, float] | None = None
+) -> PoseEstimate:
+    """Return the answer of the scene where frames fit best, `OK` only if they fit nowhere else as well.
+
+    `prior`: what else speaks for each scene, by its name [nat].
+    """
+
+    def weight(answer: PoseEstimate) -> float:
+        return fit_odds(answer) + (prior or {}).get(scene_of(answer), 0.0)
+
+    best = min(
+        answers, key=lambda a: (a.status is Status.LOST, a.status is not Status.OK, -weight(a))
+    )
+    # labels alone have no odds: what they do not call `OK` is no rival
+    by_labels = diagnostics_of(best).labels_only
+    rivals = [
+        a
+        for a in answers
+        if a is not best and (a.status is Status.OK if by_labels else a.status is not Status.LOST)
+    ]
+    probability = 1.0 / (1.0 + sum(float(np.exp(weight(a) - weight(best))) for a in rivals))
+    if best.status is not Status.OK or probability >= SURE_SCENE:
+        return best
+    likeliest, other = sorted([best, *rivals], key=weight, reverse=True)[:2]
+    doubt = f"another fits nearly as well in {other.modes[0].scene}."
+    return _doubt(likeliest, doubt)
+
+
+def doubt_by_search(estimate: PoseEstimate, found: SceneEstimate, looked: int) -> PoseEstimate:
+    """Return the estimate with the doubts of the search that proposed its scene, if they outweigh its odds.
+
+    `looked`: scenes of the search that were looked into.
+    """
+    if estimate.status is not Status.OK or estimate.best is None:
+        return estimate
+    lean, left_out = search_odds(scene_of(estimate), found, looked)
+    if fit_odds(estimate) + lean >= log_odds(SURE, 0.0):
+        return estimate
+    if left_out > found.elsewhere:
+        doubt = f"it may be another scene ({left_out:.0%}) than the {looked} looked into."
+    else:
+        doubt = f"it may be in no scene of the library ({found.elsewhere:.0%})."
+    return _doubt(estimate, doubt)
+
+
+def search_odds(name: str, found: SceneEstimate, looked: int) -> tuple[float, float]:
+    """Return what a search adds to the odds of a scene [nat], at most 0, and the probability left out.
+
+    A search errs: it is believed no further than one in a hundred.
+    """
+    here = next(m.probability for m in found.modes if m.scene == name)
+    left_out = 1.0 - found.elsewhere - sum(m.probability for m in found.modes[:looked])
+    lean = np.log((here + _SEARCH_ERRS) / (found.elsewhere + left_out + _SEARCH_ERRS))
+    return min(0.0, float(lean)), left_out
+
+
+def _doubt(estimate: PoseEstimate, doubt: str) -> PoseEstimate:
+    """Return the estimate as ambiguous, with the doubt."""
+    return replace(estimate, status=Status.AMBIGUOUS, reason=f"{estimate.reason} But {doubt}")
