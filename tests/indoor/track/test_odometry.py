@@ -9,6 +9,7 @@ from placegraph.core.estimate import Status
 from placegraph.core.geometry import rotation_from_vector
 from placegraph.errors import OptionError
 from placegraph.indoor.options import MotionNoise
+from placegraph.indoor.status import LiveState
 from placegraph.indoor.track.live_pose import Anchor, predicted
 from placegraph.indoor.track.odometry import (
     AHEAD,
@@ -117,8 +118,10 @@ def test_a_pose_is_less_sure_the_further_odometry_leads():
     here = rigid(np.array([0, 0, 0.3, 1.0, 2.0, 0.0]))
     odometry = told(*((i / 10, rigid(np.array([0, 0, 0, i / 10, 0, 0]))) for i in range(100)))
     anchor = Anchor.of(odometry.at(0.0), here, 1e-4 * np.eye(6), "room")
-    last = (Status.OK, "One place fits.", None)
-    found = [predicted(anchor, odometry.at(t), MotionNoise(), last) for t in (0.0, 1.0, 4.0, 9.0)]
+    last = LiveState(Status.OK, "One place fits.")
+    found = [
+        predicted(anchor, odometry.at(t), MotionNoise(), last, 0.0) for t in (0.0, 1.0, 4.0, 9.0)
+    ]
     spread = [np.trace(p.covariance[:3, :3]) for p in found]
     assert np.all(np.diff(spread) > 0)
     np.testing.assert_allclose(found[0].covariance, 1e-4 * np.eye(6))
