@@ -79,7 +79,7 @@ def diff(
     if out is not None:
         found.save(out)
     if png is not None:
-        from placegraph.view.scene.diff_plan import write_diff
+        from placegraph.view.scene.change_plans import write_diff
 
         write_diff(scene, found, png)
     if as_json:

@@ -207,7 +207,7 @@ def _write(
     """Write all pictures; returns their files."""
     from PIL import Image
 
-    from placegraph.view.draw.sheet import write_image
+    from placegraph.view.draw.painter import write_image
     from placegraph.view.scene.overlay import colours_of, overlay
 
     if len(scene) >= _MOST:
@@ -317,7 +317,7 @@ def view(
     Example: placegraph scene view house.scene --capture walk/ --frames 0:10
     """
     from placegraph.maps import open_scene
-    from placegraph.view.viewer.viewer import open_viewer
+    from placegraph.view.scene_viewer import open_viewer
 
     if capture is not None and run is not None:
         raise OptionError("--capture and --run both bring particles; give one of them.")

@@ -84,7 +84,7 @@ def _changes(
     say: Callable[[str], None],
 ) -> Path:
     """Say what the film shows to have changed, and write the map that has taken it over."""
-    from placegraph.view.scene.diff_plan import write_diff
+    from placegraph.view.scene.change_plans import write_diff
 
     found = scene.diff(capture, estimate)
     say("What changed since the map was made, as the walk shows it:")

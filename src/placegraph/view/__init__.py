@@ -2,9 +2,9 @@
 
 from placegraph.view.city.page import write_page
 from placegraph.view.city.picture import draw_city, write_picture
-from placegraph.view.scene.anchor_plan import draw_anchors
+from placegraph.view.scene.change_plans import draw_anchors
 from placegraph.view.scene.overlay import write_overlay
-from placegraph.view.scene.scene_plan import draw_scene, write_plan, write_plan_animation
+from placegraph.view.scene.plan import draw_scene, write_plan, write_plan_animation
 
 __all__ = [
     "draw_anchors",

@@ -17,7 +17,7 @@ from placegraph.indoor.library import SceneLibrary
 from placegraph.indoor.map.scene import Scene
 from placegraph.outdoor.map.city import City
 from placegraph.view.city.picture import draw_city, write_picture
-from placegraph.view.scene.scene_plan import draw_scene, write_plan
+from placegraph.view.scene.plan import draw_scene, write_plan
 
 WIDTH = 640
 """Of a picture [px]."""

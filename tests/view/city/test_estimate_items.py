@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from placegraph.core.estimate import Status
-from placegraph.view.city.estimate_items import (
+from placegraph.view.city.city_items import (
     SIGMAS,
     ellipse,
     evidence_marks,

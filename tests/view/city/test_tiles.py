@@ -5,8 +5,7 @@ import pytest
 
 from placegraph.demo.world import TOWN, unpack
 from placegraph.outdoor.city import build_city
-from placegraph.view.city.examples import examples
-from placegraph.view.city.tiles import FINEST, SIDE, UNIT, CityTiles
+from placegraph.view.city.page import FINEST, SIDE, UNIT, CityTiles, examples
 from placegraph.view.draw.style import LAYER, PAINTS
 from placegraph_lab.worlds.town.town import Town
 

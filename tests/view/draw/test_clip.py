@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph.view.draw.clip import clip_line, clip_ring, dashes
+from placegraph.view.draw.canvas import clip_line, clip_ring, dashes
 
 BOUNDS = (0.0, 0.0, 100.0, 60.0)
 coordinate = st.integers(-300, 300).map(float)

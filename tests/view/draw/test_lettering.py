@@ -6,8 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph.view.draw.canvas import Area, Dot, Line
-from placegraph.view.draw.fonts import Face, face_for
+from placegraph.view.draw.canvas import Area, Dot, Face, Line, face_for
 from placegraph.view.draw.lettering import REPEAT, Taken, covering, letter
 
 BUILT_IN = Face("")

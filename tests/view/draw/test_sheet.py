@@ -6,8 +6,8 @@ import pytest
 from PIL import Image
 
 from placegraph.errors import InputError, OptionError
-from placegraph.view.draw.fonts import LONGEST, Face
-from placegraph.view.draw.sheet import Sheet, write_image
+from placegraph.view.draw.canvas import LONGEST, Face
+from placegraph.view.draw.painter import Sheet, write_image
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full: a disk without room")

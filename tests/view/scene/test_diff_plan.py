@@ -9,7 +9,7 @@ from placegraph.indoor.build import build_scene
 from placegraph.indoor.mapping.change.align import rigid
 from placegraph.indoor.mapping.change.changes import Change, Piece, SceneDiff
 from placegraph.view.draw.canvas import Stroke, Text
-from placegraph.view.scene.diff_plan import COLOR, marks_of, write_diff
+from placegraph.view.scene.change_plans import COLOR, marks_of, write_diff
 from placegraph.view.scene.room_plan import RoomPlan
 
 

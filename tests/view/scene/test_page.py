@@ -12,7 +12,7 @@ from placegraph.core.geo import Anchor
 from placegraph.errors import OptionError
 from placegraph.view.draw.style import PALETTE
 from placegraph.view.scene.page import FINE, MOST, picture, plan_of, told
-from placegraph.view.scene.room_style import ROOM_PAINTS
+from placegraph.view.scene.room_plan import ROOM_PAINTS
 
 
 @pytest.fixture(scope="module")

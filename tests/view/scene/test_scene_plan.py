@@ -14,16 +14,31 @@ from placegraph.errors import OptionError
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.view import draw_scene, write_plan, write_plan_animation
-from placegraph.view.draw.canvas import Frame
-from placegraph.view.draw.fonts import face_for
+from placegraph.view.draw.canvas import Frame, face_for
 from placegraph.view.draw.lettering import Taken, covering
 from placegraph.view.draw.painter import SUPERSAMPLE, paint_picture
 from placegraph.view.draw.style import PALETTE
-from placegraph.view.scene.plan_layout import CAPTION, FOOT, HEAD, Layout, evenly
-from placegraph.view.scene.pose_items import MOST_FRAMES, core, levels, swarm, way, wedge, witnesses
-from placegraph.view.scene.room_painter import paint_room
-from placegraph.view.scene.room_plan import RoomPlan
-from placegraph.view.scene.room_style import ROOM_PAINTS, plain_words, room_paint
+from placegraph.view.scene.plan import (
+    CAPTION,
+    FOOT,
+    HEAD,
+    MOST_FRAMES,
+    Layout,
+    core,
+    evenly,
+    levels,
+    swarm,
+    way,
+    wedge,
+    witnesses,
+)
+from placegraph.view.scene.room_plan import (
+    ROOM_PAINTS,
+    RoomPlan,
+    paint_room,
+    plain_words,
+    room_paint,
+)
 
 BOXES = {
     # label: lower corner, upper corner

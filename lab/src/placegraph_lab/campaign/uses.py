@@ -105,7 +105,7 @@ def use_scene(bench: Bench, scene: SceneMap, rng: Generator) -> None:
     if chance(rng, 0.05):
         found = scene.localize(bench.frames, refine=False)
         found.to_dict()
-        from placegraph.view.scene.scene_plan import write_plan
+        from placegraph.view.scene.plan import write_plan
 
         write_plan(scene, found, bench.file("plan.png"), width=480)
     if chance(rng, 0.05):
@@ -247,7 +247,7 @@ def run(bench: Bench, path: Path, rng: Generator) -> None:
     found.to_dict()
     write_run(bench.file("again.run"), found)
     if chance(rng, 0.3):
-        from placegraph.view.scene.scene_plan import write_plan
+        from placegraph.view.scene.plan import write_plan
 
         write_plan(bench.room, found, bench.file("plan.png"), width=480)
 

@@ -17,7 +17,7 @@ from fastapi.staticfiles import StaticFiles
 
 from placegraph import view
 from placegraph.errors import RequestError
-from placegraph.view.city.tiles import TOP_LEVEL, CityTiles
+from placegraph.view.city.page import TOP_LEVEL, CityTiles
 from placegraph.view.draw.style import style_sheet
 from placegraph.view.scene.page import picture, plan_of, told
 from placegraph_serve.places import Places, state_of
@@ -91,7 +91,7 @@ def drawing_router(places: Places) -> APIRouter:
     def index(name: str, request: Request, scene: str = "") -> Response:
         """What a page must know before it asks for tiles, or a scene's picture.
 
-        Of a city plane, bounds, levels and paints, see `placegraph.view.city.tiles`; of a scene its
+        Of a city plane, bounds, levels and paints, see `placegraph.view.city.page`; of a scene its
         bounds and things, see `placegraph.view.scene.page`.
         """
         entry = places.entry(name)
@@ -111,7 +111,7 @@ def drawing_router(places: Places) -> APIRouter:
 
     @router.get("/v1/maps/{name}/drawing/{level}/{x}/{y}")
     def tile(name: str, level: int, x: int, y: int, request: Request) -> Response:
-        """One tile of a city, see `placegraph.view.city.tiles`."""
+        """One tile of a city, see `placegraph.view.city.page`."""
         number, tiles = tiles_of(name)
         if not (0 <= level <= TOP_LEVEL and abs(x) < FARTHEST and abs(y) < FARTHEST):
             raise RequestError(

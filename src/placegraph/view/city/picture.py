@@ -10,21 +10,21 @@ import numpy as np
 from placegraph.core.estimate import CityEstimate, Evidence, Place, Status
 from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
-from placegraph.view.city.estimate_items import (
+from placegraph.view.city.city_items import (
+    city_bounds,
+    common_name,
     ellipse,
     evidence_marks,
     heat_of,
+    map_items,
     mode_bounds,
     place_of,
     rivals,
     witnesses,
 )
-from placegraph.view.city.items import city_bounds, common_name, map_items
-from placegraph.view.draw.canvas import Disc, Frame, Item, Stroke, Text
-from placegraph.view.draw.fonts import Face, face_for
+from placegraph.view.draw.canvas import Disc, Face, Frame, Item, Stroke, Text, face_for
 from placegraph.view.draw.lettering import Taken, covering, letter
-from placegraph.view.draw.painter import paint_picture
-from placegraph.view.draw.sheet import Sheet
+from placegraph.view.draw.painter import Sheet, paint_picture
 
 if TYPE_CHECKING:
     from placegraph.outdoor.city import CityMap

@@ -1,4 +1,4 @@
-"""The drawing model: a display list in metres, which `painter` draws.
+"""The drawing model: a display list in metres, clipping, and typefaces.
 
 Map items (`Area`, `Line`, `Dot`) name a paint of `style.PAINTS`; marks that stand on the map
 (`Stroke`, `Disc`, `Text`, `Glow`) name colours of `style.PALETTE` and have sizes in pixels.
@@ -7,13 +7,17 @@ Positions are east, north [m].
 
 from __future__ import annotations
 
+import unicodedata
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cache, lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import ImageFont
 
+from placegraph.core.geometry import Floats
 from placegraph.view.draw.style import LAYER
 
 Points = NDArray[np.floating[Any]]
@@ -173,3 +177,144 @@ def in_painters_order(items: Iterable[Item]) -> list[tuple[str, list[MapItem]]]:
         if isinstance(item, MapItem):
             layers.setdefault(item.paint, []).append(item)
     return sorted(layers.items(), key=lambda layer: LAYER[layer[0]])
+
+
+def overlap(a: Bounds, b: Bounds) -> bool:
+    """Whether two rectangles have an area in common."""
+    return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]
+
+
+def clip_line(points: Points, bounds: Bounds) -> list[Floats]:
+    """Pieces (n, 2) of a line (N, 2) that lie within bounds, by Liang and Barsky's parameters."""
+    line = np.asarray(points, np.float64)
+    low, high = np.array(bounds[:2]), np.array(bounds[2:])
+    if ((line >= low) & (line <= high)).all():
+        return [line]
+    start, delta = line[:-1], np.diff(line, axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        at_low, at_high = (low - start) / delta, (high - start) / delta
+    still = delta == 0.0
+    inside = (start >= low) & (start <= high)
+    enter = np.where(still, np.where(inside, -np.inf, np.inf), np.minimum(at_low, at_high))
+    leave = np.where(still, np.where(inside, np.inf, -np.inf), np.maximum(at_low, at_high))
+    first, last = np.maximum(enter.max(axis=1), 0.0), np.minimum(leave.min(axis=1), 1.0)
+    pieces: list[list[Floats]] = []
+    through = False
+    for i in np.flatnonzero(first < last):
+        a, b = start[i] + first[i] * delta[i], start[i] + last[i] * delta[i]
+        if through and first[i] == 0.0:
+            pieces[-1].append(b)
+        else:
+            pieces.append([a, b])
+        through = last[i] == 1.0
+    return [np.array(piece) for piece in pieces]
+
+
+def clip_ring(ring: Points, bounds: Bounds) -> Floats:
+    """Part (n, 2) of a closed ring (N, 2) in bounds, by Sutherland and Hodgman; may be empty."""
+    corners: Floats = np.asarray(ring, np.float64)
+    sides = ((0, 1, bounds[0]), (1, 1, bounds[1]), (0, -1, bounds[2]), (1, -1, bounds[3]))
+    for axis, sign, limit in sides:
+        inside = sign * corners[:, axis] >= sign * limit
+        if inside.all():
+            continue
+        ahead, ahead_inside = np.roll(corners, -1, axis=0), np.roll(inside, -1)
+        kept: list[Floats] = []
+        for a, b, a_in, b_in in zip(corners, ahead, inside, ahead_inside, strict=True):
+            if a_in:
+                kept.append(a)
+            if a_in != b_in:
+                kept.append(a + (limit - a[axis]) / (b[axis] - a[axis]) * (b - a))
+        if not kept:
+            return np.zeros((0, 2))
+        corners = np.array(kept)
+    return corners if (corners[0] == corners[-1]).all() else np.concatenate([corners, corners[:1]])
+
+
+def dashes(points: Points, drawn: float, blank: float) -> list[Floats]:
+    """Cut a polyline into dashes; the dashed length starts and ends with half a dash."""
+    steps = np.hypot(*np.diff(points, axis=0).T)
+    along = np.concatenate(([0.0], np.cumsum(steps)))
+    starts = np.arange(-drawn / 2, along[-1], drawn + blank)
+    pieces = []
+    for start in starts:
+        a, b = max(start, 0.0), min(start + drawn, along[-1])
+        inner = along[(along > a) & (along < b)]
+        at = np.concatenate(([a], inner, [b]))
+        pieces.append(np.stack([np.interp(at, along, points[:, k]) for k in range(2)], axis=1))
+    return pieces
+
+
+FACES = ("", "DejaVuSans.ttf", "NotoSans-Regular.ttf", "LiberationSans-Regular.ttf", "Arial.ttf")
+"""Files by preference; the empty one is Pillow's built-in face, which knows little beyond ASCII."""
+LONGEST = 1000
+"""Letters of a text that are drawn."""
+
+_PLAIN = str.maketrans({"ß": "ss", "ı": "i", "ø": "o", "ł": "l", "đ": "d", "æ": "ae", "œ": "oe",
+                        "Ø": "O", "Ł": "L", "Đ": "D", "–": "-", "—": "-", "’": "'", "“": '"',
+                        "”": '"', "„": '"', "…": "...", "•": "·"})  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Face:
+    """A typeface."""
+
+    file: str
+
+    def font(self, size: float) -> ImageFont.FreeTypeFont:
+        """Font of a size [px]."""
+        return _font(self.file, max(1, round(size)))
+
+    def width(self, text: str, size: float) -> float:
+        """Width of a text [px]."""
+        return self.font(32).getlength(self.drawable(text)) * size / 32
+
+    def draws(self, text: str) -> bool:
+        """Whether the face has every letter of a text."""
+        return all(_has(self.file, letter) for letter in set(text) if not letter.isspace())
+
+    def drawable(self, text: str) -> str:
+        """Return the text, without accents where the face lacks them; "" where that is no help.
+
+        Of a longer text as many letters as the widest picture has room for: drawing costs by letters.
+        """
+        text = text[:LONGEST]
+        if self.draws(text):
+            return text
+        apart = unicodedata.normalize("NFKD", text.translate(_PLAIN))
+        plain = "".join(letter for letter in apart if not unicodedata.combining(letter))
+        return plain if self.draws(plain) else ""
+
+
+@cache
+def _installed() -> tuple[Face, ...]:
+    """Faces that can be opened here."""
+    found = []
+    for file in FACES:
+        try:
+            _font(file, 16)
+        except OSError:
+            continue
+        found.append(Face(file))
+    return tuple(found)
+
+
+def face_for(texts: Iterable[str]) -> Face:
+    """Return the first face that has every letter of all texts, or that draws most of them."""
+    wanted = list(texts)
+    return max(_installed(), key=lambda face: sum(map(face.draws, wanted)))
+
+
+@lru_cache(maxsize=256)
+def _font(file: str, size: int) -> ImageFont.FreeTypeFont:
+    font = ImageFont.truetype(file, size) if file else ImageFont.load_default(size)
+    if not isinstance(font, ImageFont.FreeTypeFont):
+        raise OSError("this Pillow was built without FreeType; install Pillow's own wheel")
+    return font
+
+
+@lru_cache(maxsize=8192)
+def _has(file: str, letter: str) -> bool:
+    """Whether a letter has a picture of its own, other than that of a letter that is missing."""
+    font = _font(file, 16)
+    return bytes(font.getmask(letter)) != bytes(font.getmask("\U0010ffff"))

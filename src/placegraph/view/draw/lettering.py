@@ -14,8 +14,7 @@ import numpy as np
 
 from placegraph.core.geometry import Floats
 from placegraph.outdoor.map.objects import CityObjects
-from placegraph.view.draw.canvas import Area, Dot, Line, MapItem, Points, Text
-from placegraph.view.draw.fonts import Face
+from placegraph.view.draw.canvas import Area, Dot, Face, Line, MapItem, Points, Text
 from placegraph.view.draw.style import PAINTS
 
 SIZES = {2: 13.0, 3: 12.0, 4: 12.0}

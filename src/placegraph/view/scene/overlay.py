@@ -15,8 +15,8 @@ from placegraph.core.estimate import PoseEstimate
 from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
 from placegraph.io.capture.frame import Frame
-from placegraph.view.draw.fonts import face_for
-from placegraph.view.draw.sheet import write_image
+from placegraph.view.draw.canvas import face_for
+from placegraph.view.draw.painter import write_image
 
 if TYPE_CHECKING:
     from placegraph.indoor.render import Rendering

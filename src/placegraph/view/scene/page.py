@@ -10,9 +10,7 @@ from placegraph.errors import OptionError
 from placegraph.indoor.map.floor import is_floor
 from placegraph.view.draw.canvas import Frame
 from placegraph.view.draw.painter import paint_picture
-from placegraph.view.scene.room_painter import paint_room
-from placegraph.view.scene.room_plan import NAMED, RoomPlan
-from placegraph.view.scene.room_style import plain_words
+from placegraph.view.scene.room_plan import NAMED, RoomPlan, paint_room, plain_words
 
 if TYPE_CHECKING:
     from placegraph.indoor.scene_map import SceneMap

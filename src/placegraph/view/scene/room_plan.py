@@ -1,25 +1,102 @@
-"""A scene map seen from above, as an architect draws it: walls cut, furniture from above."""
+"""Plan of the rooms of a scene map, seen from above: its parts, their looks, and how they are painted."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image, ImageColor, ImageDraw, ImageFilter
 
 from placegraph.core.geometry import Floats
 from placegraph.indoor.map.floor import is_floor
-from placegraph.view.draw.canvas import Bounds, Frame, Text
-from placegraph.view.draw.fonts import Face
+from placegraph.view.draw.canvas import Bounds, Face, Frame, Picture, Text
 from placegraph.view.draw.lettering import Taken, covering
-from placegraph.view.scene.room_style import ROOM_PAINTS, plain_words, room_paint
-from placegraph.view.scene.top_view import section
+from placegraph.view.draw.painter import SUPERSAMPLE
+from placegraph.view.draw.style import PALETTE
+from placegraph.view.scene.top_view import look_down, section, solid
 
 if TYPE_CHECKING:
     from placegraph.indoor.scene_map import SceneMap
+
+
+@dataclass(frozen=True, slots=True)
+class RoomPaint:
+    """How one class of things in rooms is drawn."""
+
+    role: str
+    """``thing``, ``floor`` (lies below all), ``structure`` (cut as on an architect's plan), or
+    ``ceiling`` (left out)."""
+    light: str
+    dark: str
+    """Colours on a light and on a dark page."""
+
+
+ROOM_PAINTS: dict[str, RoomPaint] = {
+    "floor": RoomPaint("floor", "#fdfbf6", "#20252c"),
+    "ceiling": RoomPaint("ceiling", "", ""),
+    "wall": RoomPaint("structure", "#4d4943", "#aeb4bd"),
+    "window": RoomPaint("structure", "#8fc1d6", "#4d8aa5"),
+    "door": RoomPaint("structure", "#c08a52", "#a87b4c"),
+    "curtain": RoomPaint("structure", "#c9b8a6", "#776c61"),
+    "carpet": RoomPaint("thing", "#f1e3d8", "#2b2a2d"),
+    "seat": RoomPaint("thing", "#b7c9e2", "#3a4d68"),
+    "table": RoomPaint("thing", "#e8d2ab", "#5c4e37"),
+    "bed": RoomPaint("thing", "#d9c6e0", "#51445b"),
+    "storage": RoomPaint("thing", "#d8bc98", "#5d4a37"),
+    "appliance": RoomPaint("thing", "#c5cfd6", "#46525c"),
+    "bath": RoomPaint("thing", "#bfe1df", "#30514f"),
+    "plant": RoomPaint("thing", "#b5d49f", "#35522f"),
+    "sport": RoomPaint("thing", "#d3c3bb", "#4c4440"),
+    "thing": RoomPaint("thing", "#ddd7cc", "#444a52"),
+}
+"""Paints by name; structure is laid in this order, the later on top."""
+
+WORDS = {
+    "floor": "floor ground parquet tile",
+    "ceiling": "ceiling roof beam",
+    "wall": "wall pillar column partition",
+    "window": "window windowpane glass skylight",
+    "door": "door doorframe doorway gate",
+    "curtain": "curtain blind shutter drape",
+    "carpet": "carpet rug mat doormat runner",
+    "seat": "chair armchair sofa couch stool ottoman bench pouf seat beanbag sofachair cushion",
+    "table": "table desk coffeetable nightstand nighttable counter countertop island stand",
+    "bed": "bed mattress crib cot pillow blanket duvet",
+    "storage": "cabinet cupboard wardrobe shelf bookshelf bookcase shelves rack dresser commode "
+    "drawer drawers chest closet sideboard locker credenza box basket crate",
+    "appliance": "refrigerator fridge freezer oven stove cooker microwave dishwasher machine washer "
+    "dryer tv television monitor screen computer laptop printer airconditioner conditioner radiator "
+    "heater heating hood rangehood extractor speaker piano boiler projector fireplace cookingbench",
+    "bath": "sink basin washbasin washstand bath bathtub tub toilet shower bidet urinal",
+    "plant": "plant flower flowers tree bush pot flowerpot",
+    "sport": "dumbbell equipment treadmill bicycle bike trainer",
+}
+"""By paint: words of labels."""
+
+_PAINT_OF_WORD = {word: paint for paint, words in WORDS.items() for word in words.split()}
+
+
+def plain_words(label: str) -> str:
+    """Words of a label as one says them: ``CoffeeTable_01`` is a coffee table."""
+    apart = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", label)
+    return " ".join(word for word in re.split(r"[\W_\d]+", apart.lower()) if word)
+
+
+@cache
+def room_paint(label: str) -> str:
+    """Paint of a thing with this label: its last word says what it is; a floor lamp is no floor."""
+    words = plain_words(re.split(r"[/(,]", label)[0]).split()
+    for word in ("".join(words), *words[-1:]):
+        for form in (word, word.removesuffix("s"), word.removesuffix("es")):
+            if paint := _PAINT_OF_WORD.get(form):
+                return paint
+    return "thing"
+
 
 CUT = 1.4
 """Walls are cut this high above the floor [m]: through windows and doors, above most furniture."""
@@ -252,3 +329,95 @@ def _inside(text: Text, width: float, frame: Frame) -> bool:
     x, y = frame.to_px(np.asarray(text.at, np.float64)) + text.shift
     half = 0.6 * text.size
     return bool(width / 2 <= x <= frame.width - width / 2 and half <= y <= frame.height - half)
+
+
+WALL = 0.07
+"""Surfaces that are cut and enclose nothing, as in a scan, are drawn this thick [m]."""
+VIVID = 0.5
+"""Share of a scan's own colours; the rest is paper, so that marks stand out."""
+BAND = 256
+"""Rows that are coloured at a time: as floats, all of them would take most of the memory."""
+
+
+def paint_room(plan: RoomPlan, frame: Frame, *, dark: bool = False) -> Picture:
+    """Paint a plan as a picture that fills a frame, for `painter` to lay under the marks."""
+    frame = Frame(
+        frame.center,
+        frame.scale * SUPERSAMPLE,
+        frame.width * SUPERSAMPLE,
+        frame.height * SUPERSAMPLE,
+    )
+    view = look_down(plan.scene.mesh.vertices, plan.triangles, plan.lifts(), frame)
+    seen = view.triangle >= 0
+    owner = np.where(seen, plan.object_of[view.triangle], -1) if seen.any() else view.triangle
+    height = np.where(seen, np.clip(view.height - np.float32(plan.floor), 0.0, CUT), 0.0)
+    masks = {paint: _mask(segments, frame, paint) for paint, segments in plan.cuts.items()}
+    for paint, mask in masks.items():
+        if paint != "curtain":
+            height[mask] = CUT
+    light = _light(height.astype(np.float32), owner, frame.scale)
+    fills = _fills(plan, dark=dark)
+    scanned = np.array([*(paint == SCAN for paint in plan.paints), False])
+    picture = np.empty((*owner.shape, 3), np.uint8)
+    for top in range(0, len(owner), BAND):
+        rows = slice(top, top + BAND)
+        pixels, bare = fills[owner[rows]], scanned[owner[rows]]
+        if bare.any():
+            own = plan.colours(view.triangle[rows][bare].astype(np.int64))
+            pixels[bare] = VIVID * own + (1.0 - VIVID) * pixels[bare]
+        pixels *= light[rows, :, None]
+        picture[rows] = np.clip(pixels, 0.0, 255.0, out=pixels)
+    for paint, mask in masks.items():
+        picture[mask] = _color(paint, dark=dark)
+    return Picture(picture, frame.bounds)
+
+
+def _color(paint: str, *, dark: bool) -> tuple[int, ...]:
+    look = ROOM_PAINTS["wall" if paint == SCAN else paint]
+    return ImageColor.getrgb(look.dark if dark else look.light)
+
+
+def _fills(plan: RoomPlan, *, dark: bool) -> NDArray[np.float32]:
+    """Colour (N + 1, 3) of each object seen from above; the last row is the paper's."""
+    fills = np.zeros((len(plan.scene) + 1, 3), np.float32)
+    for row in plan.rows:
+        flat = plan.role(row) in ("thing", "floor")
+        fills[row] = _color(plan.paints[row] if flat else "thing", dark=dark)
+    fills[-1] = ImageColor.getrgb(PALETTE["land"][dark])
+    return fills
+
+
+def _mask(segments: Floats, frame: Frame, paint: str) -> NDArray[np.bool_]:
+    """Pixels (rows, columns) of what is cut: its inside, or, of open surfaces, a line."""
+    inside = np.zeros((frame.height, frame.width), np.bool_)
+    if paint != SCAN:
+        inside = solid(segments, frame)
+    px = frame.to_px(segments)
+    length = np.hypot(*(px[:, 1] - px[:, 0]).T).sum()
+    is_closed = inside.sum() > length
+    width = SUPERSAMPLE if is_closed else max(SUPERSAMPLE, round(WALL * frame.scale))
+    image = Image.fromarray(inside.astype(np.uint8) * 255)
+    draw = ImageDraw.Draw(image)
+    for line in px.reshape(-1, 4).tolist():
+        draw.line(line, 255, width)
+    return np.asarray(image) > 127
+
+
+def _light(
+    height: NDArray[np.float32], owner: NDArray[np.int32], scale: float
+) -> NDArray[np.float32]:
+    """Brightness (rows, columns): slopes to the light, shadows at the feet of things, outlines."""
+    down, right = np.gradient(height * np.float32(scale))
+    down += right
+    down *= 0.06
+    light: NDArray[np.float32] = 1.0 + np.clip(down, -0.10, 0.06, out=down)
+    foot = Image.fromarray((height * (255.0 / CUT)).astype(np.uint8))
+    around = np.asarray(foot.filter(ImageFilter.GaussianBlur(0.16 * scale))) * np.float32(CUT / 255)
+    around -= height
+    around *= 0.30
+    light -= np.clip(around, 0.0, 0.22, out=around)
+    outline = np.zeros(height.shape, np.bool_)
+    outline[1:] |= owner[1:] != owner[:-1]
+    outline[:, 1:] |= owner[:, 1:] != owner[:, :-1]
+    light[outline] *= 0.72
+    return light

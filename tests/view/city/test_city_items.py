@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from placegraph.view.city.coast import _inside, sea
+from placegraph.view.city.city_items import _inside, sea
 
 BOUNDS = (0.0, 0.0, 1000.0, 1000.0)
 

@@ -11,8 +11,8 @@ from placegraph.core.estimate import PassRecord, PoseEstimate, PoseMode, Status
 from placegraph.errors import MissingExtraError, OptionError
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.scene_map import SceneMap
-from placegraph.view.viewer import viewer as showing
-from placegraph.view.viewer.viewer import open_viewer
+from placegraph.view import scene_viewer as showing
+from placegraph.view.scene_viewer import open_viewer
 
 pytest.importorskip("viser", reason="needs viser: pip install 'placegraph[view]'")
 

@@ -1,0 +1,432 @@
+"""Display lists of a city: its objects, its coast, and an estimate on it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from placegraph.core.estimate import CityEstimate, ObjectRef, Place
+from placegraph.core.geometry import Floats
+from placegraph.outdoor.map.objects import CityObjects
+from placegraph.outdoor.map.raster_kernels import nearest_on_parts
+from placegraph.view.draw.canvas import (
+    Area,
+    Bounds,
+    Disc,
+    Dot,
+    Glow,
+    Line,
+    MapItem,
+    Mark,
+    Stroke,
+    clip_line,
+    clip_ring,
+)
+from placegraph.view.draw.style import AREA, LINE, PAINTS, POINT, paint_of
+
+if TYPE_CHECKING:
+    from placegraph.outdoor.city import CityMap
+
+COASTLINE = "natural=coastline"
+
+
+def sea(objects: CityObjects, bounds: Bounds) -> list[Floats]:
+    """Rings whose even-odd inside is the sea in a rectangle.
+
+    Empty where there is no sea, or where the coast is too fragmentary to tell.
+    """
+    chains = _chains(objects)
+    if not chains:
+        return []
+    low, high = np.percentile(objects.center, (0.5, 99.5), axis=0)
+    known = (
+        max(bounds[0], float(low[0])),
+        max(bounds[1], float(low[1])),
+        min(bounds[2], float(high[0])),
+        min(bounds[3], float(high[1])),
+    )
+    for window in (bounds, known):  # beyond what an extract holds, chains may tangle
+        if window[0] < window[2] and window[1] < window[3]:
+            rings = _sea(chains, window)
+            if _agrees(rings, chains, window):
+                return rings
+    return []
+
+
+def _sea(chains: list[Floats], bounds: Bounds) -> list[Floats]:
+    islands = [chain for chain in chains if (chain[0] == chain[-1]).all()]
+    shores = [_prolonged(chain, bounds) for chain in chains if (chain[0] != chain[-1]).any()]
+    pieces = [piece for shore in shores for piece in clip_line(shore, bounds)]
+    rings = _closed(pieces, bounds)
+    if not pieces:
+        corner = np.array([bounds[:2]])
+        if _is_seaward(chains, bounds[:2]) != _inside(islands, corner)[0]:
+            rings = [_corners(bounds)]
+    return rings + [ring for island in islands if len(ring := clip_ring(island, bounds)) > 3]
+
+
+def _agrees(rings: list[Floats], chains: list[Floats], bounds: Bounds) -> bool:
+    """Whether the rings hold the right hand of the coast in a rectangle, and not the left."""
+    start = np.concatenate([chain[:-1] for chain in chains])
+    delta = np.concatenate([np.diff(chain, axis=0) for chain in chains])
+    length = np.hypot(*delta.T)
+    middle = start + delta / 2
+    low, high = np.array(bounds[:2]) + 5.0, np.array(bounds[2:]) - 5.0
+    seen = np.flatnonzero(((middle > low) & (middle < high)).all(axis=1) & (length > 4.0))
+    seen = seen[:: 1 + len(seen) // 300]
+    if not len(seen):
+        return True
+    right = np.stack([delta[seen, 1], -delta[seen, 0]], axis=1) / length[seen, None]
+    wrong = ~_inside(rings, middle[seen] + right) | _inside(rings, middle[seen] - right)
+    return bool(wrong.mean() < 0.05)
+
+
+def _inside(rings: list[Floats], points: Floats) -> NDArray[np.bool_]:
+    """Whether points (N, 2) lie within rings, by the even-odd rule."""
+    odd = np.zeros(len(points), np.bool_)
+    for ring in rings:
+        (x0, y0), (x1, y1) = ring[:-1].T, ring[1:].T
+        crosses = (y0 > points[:, 1:]) != (y1 > points[:, 1:])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            at = x0 + (points[:, 1:] - y0) / (y1 - y0) * (x1 - x0)
+        odd ^= (crosses & (points[:, :1] < at)).sum(axis=1) % 2 == 1
+    return odd
+
+
+def _chains(objects: CityObjects) -> list[Floats]:
+    """Coastlines (n, 2) joined where one ends and the next begins."""
+    if COASTLINE not in objects.labels:
+        return []
+    label = objects.labels.index(COASTLINE)
+    entries = np.flatnonzero(objects.label_values == label)
+    rows = np.searchsorted(objects.label_starts, entries, side="right") - 1
+    lines = [
+        part.astype(np.float64)
+        for row in rows
+        if objects.kind[row] != POINT
+        for part in objects.parts(int(row))
+    ]
+    begins = {tuple(line[0]): k for k, line in enumerate(lines)}
+    ends = {tuple(line[-1]) for line in lines}
+    # first those that nothing leads to, then what is left: closed chains
+    order = sorted(range(len(lines)), key=lambda k: tuple(lines[k][0]) in ends)
+    chains, used = [], set[int]()
+    for first in order:
+        if first in used:
+            continue
+        chain, k = [lines[first]], first
+        used.add(k)
+        while (following := begins.get(tuple(lines[k][-1]))) is not None and following not in used:
+            k = following
+            used.add(k)
+            chain.append(lines[k][1:])
+        chains.append(np.concatenate(chain))
+    return chains
+
+
+def _prolonged(chain: Floats, bounds: Bounds) -> Floats:
+    """Return a chain that reaches out of the rectangle at both ends."""
+    low, high = np.array(bounds[:2]), np.array(bounds[2:])
+    outward = chain[-1] - chain[0]
+    far = 2.0 * np.hypot(*(high - low)) / max(float(np.hypot(*outward)), 1e-9)
+    before, after = ((end >= low) & (end <= high) for end in (chain[0], chain[-1]))
+    head = [chain[:1] - far * outward] if before.all() else []
+    tail = [chain[-1:] + far * outward] if after.all() else []
+    return np.concatenate([*head, chain, *tail])
+
+
+def _corners(bounds: Bounds) -> Floats:
+    """Corners (5, 2) of a rectangle, clockwise from its south-west."""
+    west, south, east, north = bounds
+    return np.array(
+        [(west, south), (west, north), (east, north), (east, south), (west, south)], np.float64
+    )
+
+
+def _closed(pieces: list[Floats], bounds: Bounds) -> list[Floats]:
+    """Close pieces that run from border to border, going clockwise along the border."""
+    corners = _corners(bounds)
+    side = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(corners, axis=0).T))))
+
+    def along(point: Floats) -> float:
+        """Way from the south-west corner, clockwise along the border [m]."""
+        gaps = [abs(point[k % 2] - corners[k][k % 2]) for k in range(4)]
+        k = int(np.argmin(gaps))
+        return float(side[k] + np.hypot(*(point - corners[k])))
+
+    starts = [along(piece[0]) for piece in pieces]
+    rings, left = [], set(range(len(pieces)))
+    while left:
+        first = k = min(left)
+        ring: list[Floats] = []
+        while k in left:
+            left.discard(k)
+            ring.append(pieces[k])
+            here = along(pieces[k][-1])
+            ahead = [(start - here) % side[-1] for start in starts]
+            k = min(
+                (j for j in range(len(pieces)) if j in left or j == first), key=ahead.__getitem__
+            )
+            turns = [
+                (corner, (at - here) % side[-1])
+                for corner, at in zip(corners, side[:-1], strict=False)
+            ]
+            passed = sorted((way, tuple(corner)) for corner, way in turns if way < ahead[k])
+            ring.extend(np.array([corner]) for _, corner in passed)
+        ring.append(ring[0][:1])
+        rings.append(np.concatenate(ring))
+    return rings
+
+
+def _is_seaward(chains: list[Floats], point: tuple[float, float]) -> bool:
+    """Whether a point lies on the right hand of the coast nearest to it."""
+    nearest, seaward = np.inf, False
+    for chain in chains:
+        start, delta = chain[:-1], np.diff(chain, axis=0)
+        to = np.array(point) - start
+        t = np.clip((to * delta).sum(axis=1) / np.maximum((delta**2).sum(axis=1), 1e-9), 0.0, 1.0)
+        away = np.hypot(*(to - t[:, None] * delta).T)
+        k = int(np.argmin(away))
+        if away[k] < nearest:
+            nearest = float(away[k])
+            seaward = bool(delta[k][0] * to[k][1] - delta[k][1] * to[k][0] < 0.0)
+    return seaward
+
+
+def labels_of(objects: CityObjects, row: int) -> list[str]:
+    """Labels of an object, most specific first."""
+    start, end = objects.label_starts[row : row + 2]
+    return [objects.labels[k] for k in objects.label_values[start:end]]
+
+
+def common_name(label: str) -> str:
+    """Words for a label: ``amenity=post_box`` is a post box, ``building=yes`` a building."""
+    key, _, value = label.partition("=")
+    return (key if value in ("yes", "*", "") else value).replace("_", " ")
+
+
+def extents(objects: CityObjects) -> Floats:
+    """Bounding boxes (N, 4) of the objects: west, south, east, north [m]."""
+    starts = objects.point_starts[objects.part_starts[:-1]]
+    if not len(starts):
+        return np.zeros((0, 4))
+    low = np.minimum.reduceat(objects.points, starts)
+    high = np.maximum.reduceat(objects.points, starts)
+    return np.concatenate([low, high], axis=1).astype(np.float64)
+
+
+def city_bounds(objects: CityObjects) -> Bounds:
+    """Rectangle that holds all but the outermost hundredth of a city: west, south, east, north."""
+    west, south = np.percentile(objects.center, 0.5, axis=0).tolist()
+    east, north = np.percentile(objects.center, 99.5, axis=0).tolist()
+    margin = 30.0 + 0.02 * max(east - west, north - south)
+    return west - margin, south - margin, east + margin, north + margin
+
+
+def rows_within(objects: CityObjects, bounds: Bounds) -> list[int]:
+    """Rows of the objects whose bounding boxes touch a rectangle, large ones first."""
+    boxes = extents(objects)
+    west, south, east, north = bounds
+    hit = (
+        (boxes[:, 0] <= east)
+        & (boxes[:, 2] >= west)
+        & (boxes[:, 1] <= north)
+        & (boxes[:, 3] >= south)
+    )
+    spread = (boxes[:, 2] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 1])
+    rows = np.flatnonzero(hit)
+    return [int(row) for row in rows[np.lexsort((rows, -spread[rows]))]]
+
+
+def map_items(city: CityMap, bounds: Bounds, scale: float) -> list[MapItem]:
+    """Objects in a rectangle, cut to it, for a map drawn at `scale` [px/m]; large ones first."""
+    objects = city.objects
+    found = (item_of(objects, row, bounds) for row in rows_within(objects, bounds))
+    items = [item for item in found if item and PAINTS[item.paint].since <= scale]
+    water = sea(objects, bounds)
+    return [Area(water, "sea"), *items] if water else items
+
+
+def item_of(
+    objects: CityObjects, row: int, bounds: Bounds, paint: str | None = None
+) -> MapItem | None:
+    """One object, cut to a rectangle; None where nothing of it is to be drawn there."""
+    kind = int(objects.kind[row])
+    paint = paint_of(labels_of(objects, row), kind) if paint is None else paint
+    if not paint:
+        return None
+    if kind == AREA:
+        rings = [clip_ring(ring, bounds) for ring in objects.parts(row) if len(ring) > 2]
+        rings = [ring for ring in rings if len(ring) > 3]
+        return Area(rings, paint, row) if rings else None
+    if kind == LINE:
+        parts = [p for part in objects.parts(row) for p in clip_line(part, bounds)]
+        return Line(parts, paint, row) if parts else None
+    west, south, east, north = bounds
+    x, y = objects.center[row].tolist()
+    if not (west <= x <= east and south <= y <= north):
+        return None
+    return Dot(objects.center[row], paint, row)
+
+
+BANDWIDTH = 9.0
+"""Standard deviation of the kernel that makes heat of the posterior's points [m]."""
+FAINT = 0.1
+"""Probability of one spot that is still painted as hot as can be; below, heat is fainter."""
+SIGMAS = 2.0
+"""Ellipses hold 86 % of a mode."""
+SHOWN = 120.0
+"""Of long or wide evidence the stretch this close to the mode is marked [m]."""
+VERDICT_COLOR = {"for": "for", "against": "against"}
+
+
+@dataclass(frozen=True)
+class Witness:
+    """A map object that spoke for or against a mode."""
+
+    ref: ObjectRef
+    row: int
+    verdict: str
+    weight: float
+    """Largest weight of the statements it served [nat]."""
+    at: Floats
+    """Its point nearest to the mode, east, north (2,) [m]."""
+    middle: Floats
+    """Its centre (2,) [m]."""
+
+    @property
+    def words(self) -> str:
+        """Name, or what it is."""
+        return self.ref.name or common_name(self.ref.label)
+
+
+def place_of(city: CityMap, mode: Place) -> Floats:
+    """East, north (2,) [m] of a mode."""
+    return city.plane.to_plane((mode.longitude, mode.latitude))
+
+
+def row_of(objects: CityObjects, osm: str) -> int:
+    """Row of the object with OpenStreetMap's id, or -1."""
+    kind, _, number = osm.partition("/")
+    if kind not in ("node", "way", "relation") or not number.isdecimal() or len(number) > 18:
+        return -1
+    osm_type = ("node", "way", "relation").index(kind)
+    rows = np.flatnonzero((objects.osm_id == int(number)) & (objects.osm_type == osm_type))
+    return int(rows[0]) if len(rows) else -1
+
+
+def witnesses(city: CityMap, mode: Place) -> list[Witness]:
+    """Objects that spoke for or against a mode, each once, weightiest first."""
+    objects, at = city.objects, place_of(city, mode)
+    found: dict[str, Witness] = {}
+    for evidence in sorted(mode.evidence, key=lambda e: -abs(e.weight)):
+        if evidence.verdict not in VERDICT_COLOR:
+            continue
+        for ref in evidence.objects:
+            if ref.id in found:
+                continue
+            middle = city.plane.to_plane((ref.longitude, ref.latitude))
+            row = row_of(objects, ref.id)
+            nearest = middle
+            if row >= 0:
+                east, north, _ = nearest_on_parts(
+                    objects.part_starts,
+                    objects.point_starts,
+                    objects.points,
+                    objects.kind[row],
+                    row,
+                    float(at[0]),
+                    float(at[1]),
+                )
+                nearest = at + np.array([east, north])
+            weight = abs(evidence.weight)
+            found[ref.id] = Witness(ref, row, evidence.verdict, weight, nearest, middle)
+    return list(found.values())
+
+
+def heat_of(city: CityMap, estimate: CityEstimate, bounds: Bounds, pixel: float) -> Glow | None:
+    """Posterior in a rectangle on a grid of `pixel` [m]; None where there is nothing of it."""
+    support = estimate.support
+    if not len(support):
+        return None
+    at, weight = city.plane.to_plane(support[:, :2]), support[:, 2]
+    west, south, east, north = bounds
+    reach = 3.5 * BANDWIDTH
+    near = (
+        (at[:, 0] > west - reach)
+        & (at[:, 0] < east + reach)
+        & (at[:, 1] > south - reach)
+        & (at[:, 1] < north + reach)
+    )
+    if not near.any():
+        return None
+    columns = max(2, round((east - west) / pixel))
+    rows = max(2, round((north - south) / pixel))
+    x = west + (np.arange(columns) + 0.5) * (east - west) / columns
+    y = north - (np.arange(rows) + 0.5) * (north - south) / rows
+    across = np.exp(-0.5 * ((x[None] - at[near, :1]) / BANDWIDTH) ** 2)
+    along = np.exp(-0.5 * ((y[None] - at[near, 1:]) / BANDWIDTH) ** 2)
+    density = (along * weight[near, None]).T @ across
+    heaviest = np.argsort(-weight, kind="stable")[:256]
+    apart = ((at[heaviest, None] - at[None]) ** 2).sum(axis=2)
+    peak = float((np.exp(-0.5 * apart / BANDWIDTH**2) @ weight).max())
+    return Glow(density / max(peak, FAINT), bounds)
+
+
+def rivals(estimate: CityEstimate, most: int) -> tuple[Place, ...]:
+    """Modes that compete with the best one: a tenth as probable, or more."""
+    if not estimate.modes:
+        return ()
+    least = 0.1 * estimate.modes[0].probability
+    others = (mode for mode in estimate.modes[1:] if mode.probability >= least)
+    return (estimate.modes[0], *others)[:most]
+
+
+def ellipse(city: CityMap, mode: Place) -> Floats:
+    """Return a closed ring (49, 2) [m] around a mode: `SIGMAS` standard deviations."""
+    turn = np.linspace(0.0, 2.0 * np.pi, 49)
+    variances, axes = np.linalg.eigh(np.asarray(mode.covariance, np.float64))
+    radii = SIGMAS * np.sqrt(np.maximum(variances, 1.0))
+    circle = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    ring: Floats = place_of(city, mode) + (circle * radii) @ axes.T
+    return ring
+
+
+def mode_bounds(city: CityMap, mode: Place, *, least: float = 90.0, most: float = 160.0) -> Bounds:
+    """Rectangle that shows a mode and its evidence: west, south, east, north [m]."""
+    at = place_of(city, mode)
+    shown = [ellipse(city, mode), *(w.at[None] for w in witnesses(city, mode))]
+    offsets = np.abs(np.concatenate(shown) - at)
+    offsets = offsets[(offsets < most).all(axis=1)]
+    half = np.clip(1.25 * offsets.max(axis=0, initial=0.0), least, most)
+    return (*(at - half).tolist(), *(at + half).tolist())
+
+
+def evidence_marks(city: CityMap, mode: Place) -> list[Mark]:
+    """Lines from a mode to its witnesses, and marks on these."""
+    at = place_of(city, mode)
+    marks: list[Mark] = []
+    for witness in reversed(witnesses(city, mode)):  # the weightiest on top
+        color = VERDICT_COLOR[witness.verdict]
+        dash = (5.0, 4.0) if witness.verdict == "against" else None
+        marks += _outline(city.objects, witness, at, color)
+        if np.hypot(*(witness.at - at)) > 1.0:
+            marks.append(Stroke(np.stack([at, witness.at]), color, 1.8, dash))
+        marks.append(Disc(witness.at, 4.0, color))
+    return marks
+
+
+def _outline(objects: CityObjects, witness: Witness, at: Floats, color: str) -> list[Mark]:
+    """Outline of a witness that is a line or an area, near the mode."""
+    if witness.row < 0 or objects.kind[witness.row] not in (LINE, AREA):
+        return []
+    far = max(SHOWN, float(np.abs(witness.at - at).max()) + 40.0)
+    window = (*(at - far).tolist(), *(at + far).tolist())
+    parts = objects.parts(witness.row)
+    if objects.kind[witness.row] == LINE:
+        return [Stroke(piece, color, 3.0) for part in parts for piece in clip_line(part, window)]
+    rings = [ring for part in parts if len(ring := clip_ring(part, window)) > 3]
+    return [Stroke(ring, color, 2.0, fill=0.0 if k else 0.14) for k, ring in enumerate(rings)]

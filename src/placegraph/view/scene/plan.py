@@ -1,0 +1,624 @@
+"""Plan of a scene map with an estimate: poses, particles, passes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import product
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageColor
+
+from placegraph.core.estimate import PassRecord, PoseEstimate, PoseMode, Status
+from placegraph.core.geometry import Camera, Floats
+from placegraph.errors import OptionError
+from placegraph.view.city.city_items import SIGMAS
+from placegraph.view.city.picture import STATUS_COLOR, length_words, round_length
+from placegraph.view.draw.canvas import (
+    Bounds,
+    Disc,
+    Frame,
+    Item,
+    Mark,
+    Picture,
+    Stroke,
+    Swarm,
+    Text,
+    face_for,
+)
+from placegraph.view.draw.lettering import Taken
+from placegraph.view.draw.painter import SUPERSAMPLE, Sheet, likely, paint_picture, write_image
+from placegraph.view.draw.style import PALETTE
+from placegraph.view.scene.room_plan import RoomPlan, paint_room, plain_words
+
+if TYPE_CHECKING:
+    from placegraph.indoor.scene_map import SceneMap
+
+POSE_COLOR = {Status.OK: "mode", Status.AMBIGUOUS: "amber", Status.LOST: "soft-ink"}
+"""Colours of modes and ways."""
+TRUTH = "transit"
+"""Colour of the true way, where it is known."""
+REACH = 3.5
+"""Length of the wedge that shows what a mode sees [m]."""
+ANYWHERE, CERTAIN = 3e-4, 0.3
+"""Probabilities around a particle that are painted as unlikely and as certain."""
+CELL, SECTOR = 0.4, np.pi / 6
+"""What lies around a particle: this far [m], turned by this much [rad]."""
+VERDICTS = ("for", "against")
+"""Verdicts that are drawn; each is also the name of its colour."""
+OPENING = 1.1
+"""Horizontal field of view where the camera is not known [rad]."""
+MOST_FRAMES = 5000
+"""Of a longer way some are left out."""
+
+
+def levels(poses: Floats, weights: Floats) -> Floats:
+    """How likely (N,), 0 to 1, it is to be around each particle.
+
+    `poses`: (N, 4), x, y, z [m], yaw [rad]; `weights`: (N,), of any sum. What counts is the weight
+    of all particles in a cell around: after resampling the weight of one says nothing.
+    """
+    total = weights.sum()
+    if not total > 0.0:  # none, or none that is worth anything
+        return np.zeros(len(poses))
+    turns = round(2.0 * np.pi / SECTOR)
+    low = poses[:, :2].min(axis=0)
+    edge = max(CELL, float(np.ptp(poses[:, :2], axis=0).max()) / 500)
+    spots = np.column_stack([(poses[:, :2] - low) / edge, poses[:, 3] / SECTOR % turns])
+    shape = np.floor(spots.max(axis=0)).astype(np.int64) + 2
+    shape[2] = turns
+    # linear in x, y and yaw on the way to the cells, and on the way back
+    corners = []
+    for corner in product((0, 1), repeat=3):
+        cells = np.floor(spots).astype(np.int64) + corner
+        cells[:, 2] %= turns
+        near = np.prod(1.0 - np.abs((spots - np.floor(spots)) - corner), axis=1)
+        corners.append((np.ravel_multi_index(tuple(cells.T), tuple(shape)), near))
+    density = np.zeros(int(np.prod(shape)))
+    for cell, near in corners:
+        density += np.bincount(cell, near * weights / total, len(density))
+    share = sum((near * density[cell] for cell, near in corners), np.zeros(len(poses)))
+    with np.errstate(divide="ignore"):
+        level = np.log(share / ANYWHERE) / np.log(CERTAIN / ANYWHERE)
+    clipped: Floats = np.clip(level, 0.0, 1.0)
+    return clipped
+
+
+def swarm(poses: Floats, weights: Floats) -> Swarm:
+    """Particles (N, 4) with weights (N,) as marks, the smaller the more there are."""
+    poses, weights = np.asarray(poses, np.float64), np.asarray(weights, np.float64)
+    radius = float(np.interp(len(poses), [200, 1000, 5000], [2.0, 1.5, 0.7]))
+    tick = 4.0 if len(poses) < 2500 else 0.0
+    return Swarm(poses[:, :2], poses[:, 3], levels(poses, weights), radius, tick)
+
+
+def core(poses: Floats, weights: Floats) -> Bounds:
+    """Rectangle that holds 96 % of the weight along either axis: low x, low y, high x, high y."""
+    weights = weights if weights.sum() > 0.0 else np.ones(len(poses))
+    box = []
+    for axis in (0, 1):
+        order = np.argsort(poses[:, axis], kind="stable")
+        share = np.cumsum(weights[order]) / weights.sum()
+        ends = poses[order[np.searchsorted(share, (0.02, 0.98)).clip(0, len(order) - 1)], axis]
+        box.append(ends.tolist())
+    return box[0][0], box[1][0], box[0][1], box[1][1]
+
+
+def opening_of(camera: Camera | None) -> float:
+    """Horizontal field of view [rad]."""
+    if camera is None:
+        return OPENING
+    return float(
+        np.arctan(camera.cx / camera.fx) + np.arctan((camera.width - camera.cx) / camera.fx)
+    )
+
+
+def wedge(plan: RoomPlan, pose: Floats, opening: float, reach: float = REACH) -> Floats:
+    """Closed ring (A + 2, 2) [m] of what a camera at a pose (4,) sees on the plan."""
+    at = np.asarray(pose[:2], np.float64)
+    angles = pose[3] + np.linspace(-opening / 2, opening / 2, 65)
+    far = plan.sight(at, angles, reach)
+    rim = at + far[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    return np.concatenate([at[None], rim, at[None]])
+
+
+def ellipse(mode: PoseMode) -> Floats:
+    """Closed ring (49, 2) [m] around a mode: `SIGMAS` standard deviations in the plane."""
+    turn = np.linspace(0.0, 2.0 * np.pi, 49)
+    variances, axes = np.linalg.eigh(np.asarray(mode.covariance[:2, :2], np.float64))
+    radii = SIGMAS * np.sqrt(np.maximum(variances, 0.0))
+    ring: Floats = mode.pose[:2] + (np.stack([np.cos(turn), np.sin(turn)], axis=1) * radii) @ axes.T
+    return ring
+
+
+def way(
+    map_from_camera: Floats, color: str, *, width: float = 2.0, looks: float = 0.0
+) -> list[Mark]:
+    """A way (T, 4, 4) through the map: a line with a dot, and where it looks `looks` [m], a frame."""
+    shown = map_from_camera[evenly(len(map_from_camera), MOST_FRAMES)]
+    at = shown[:, :2, 3]
+    marks: list[Mark] = [Stroke(at, color, width)] if len(at) > 1 else []
+    for matrix in shown:
+        forward = matrix[:2, 2] / max(float(np.hypot(*matrix[:2, 2])), 1e-6)
+        if looks:
+            ends = np.stack([matrix[:2, 3], matrix[:2, 3] + looks * forward])
+            marks.append(Stroke(ends, color, 0.6 * width))
+        marks.append(Disc(matrix[:2, 3], 1.1 * width, color))
+    return marks
+
+
+def ring(map_from_camera: Floats, color: str, radius: float) -> list[Mark]:
+    """A ring of a radius [m] around a camera (4, 4), with a line where it looks."""
+    turn = np.linspace(0.0, 2.0 * np.pi, 33)
+    at, forward = map_from_camera[:2, 3], map_from_camera[:2, 2]
+    forward = forward / max(float(np.hypot(*forward)), 1e-6)
+    circle = at + radius * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    look = np.stack([at + radius * forward, at + 2.0 * radius * forward])
+    halo_first = (("paper", 4.0), (color, 2.0))
+    return [Stroke(line, name, width) for name, width in halo_first for line in (look, circle)]
+
+
+def sight(plan: RoomPlan, estimate: PoseEstimate, number: int, opening: float) -> Mark:
+    """What a mode of an estimate (0 is the best) sees."""
+    color, pose = POSE_COLOR[estimate.status], estimate.modes[number].pose
+    best = number == 0
+    return Stroke(
+        wedge(plan, pose, opening), color, 1.2 if best else 0.8, fill=0.2 if best else 0.1
+    )
+
+
+def mode_marks(estimate: PoseEstimate, number: int, *, numbered: bool) -> list[Mark]:
+    """A mode of an estimate (0 is the best): its ellipse, or that with number and probability."""
+    mode, color = estimate.modes[number], POSE_COLOR[estimate.status]
+    marks: list[Mark] = [Stroke(ellipse(mode), color, 1.6, (5.0, 3.0))]
+    if not numbered:
+        return [*marks, Disc(mode.pose[:2], 6.0, color)]
+    percent = f"{mode.probability:.0%}"
+    label = Text(mode.pose[:2], percent, 13.0, color, anchor="l", shift=(15.0, -1.0))
+    return [*marks, Disc(mode.pose[:2], 10.0, color, text=str(number + 1)), label]
+
+
+def witnesses(plan: RoomPlan, mode: PoseMode, most: int = 8) -> list[tuple[int, str]]:
+    """Rows of the objects that spoke for or against a mode, and their verdicts, weightiest first.
+
+    Walls, floors and ceilings are everywhere, and left out.
+    """
+    row_of = {id_: row for row, id_ in enumerate(plan.scene.graph.ids)}
+    found: dict[int, str] = {}
+    for evidence in sorted(mode.evidence, key=lambda e: -abs(e.weight)):
+        for ref in evidence.objects if evidence.verdict in VERDICTS else ():
+            row = row_of.get(ref.id, -1)
+            if row >= 0 and plan.role(row) == "thing":
+                found.setdefault(row, evidence.verdict)
+    return list(found.items())[:most]
+
+
+def witness_marks(plan: RoomPlan, mode: PoseMode) -> list[Item]:
+    """Lines from a mode to the objects that spoke for it (whole) or against it (dashed)."""
+    marks: list[Item] = []
+    for row, verdict in reversed(witnesses(plan, mode)):
+        ends = np.stack([mode.pose[:2], plan.middle(row)])
+        marks.append(Stroke(ends, verdict, 1.4, (5.0, 4.0) if verdict == "against" else None))
+        marks.append(Disc(ends[1], 3.5, verdict))
+    return marks
+
+
+def in_words(estimate: PoseEstimate) -> str:
+    """The best mode in numbers; empty where there is none."""
+    best = estimate.best
+    if best is None:
+        return ""
+    x, y, z, yaw = best.pose.tolist()
+    deviation = np.sqrt(np.maximum(np.diagonal(best.covariance), 0.0))
+    spread = 100.0 * float(np.hypot(*deviation[:2]))
+    turn = float(np.degrees(deviation[5]))
+    return (
+        f"x {x:.2f}  y {y:.2f}  z {z:.2f} m,  yaw {np.degrees(yaw):.1f}°  "
+        f"(± {spread:.{int(spread < 10)}f} cm, ± {turn:.1f}°)"
+    )
+
+
+def error_in_words(estimate: PoseEstimate, truth: Floats) -> str:
+    """How far the last frame's pose is from the truth; empty where there is no pose."""
+    if estimate.best is None or not len(truth):
+        return ""
+    off = np.linalg.inv(truth[-1]) @ estimate.best.map_from_camera
+    turn = np.arccos(np.clip((np.trace(off[:3, :3]) - 1.0) / 2.0, -1.0, 1.0))
+    return f"{100 * np.linalg.norm(off[:3, 3]):.0f} cm and {np.degrees(turn):.1f}° off the truth"
+
+
+HEAD, FOOT, GAP = 64, 46, 4
+"""Height of the strips above and below the panels, and what lies between panels [px]."""
+CAPTION = 20
+"""Height of the strip above a small panel [px]."""
+MOST_ROWS, MOST_COLUMNS = 4, 3
+"""Passes that are shown, and frames of each."""
+NARROWEST, WIDEST_PAGE = 320, 6000
+"""Widths of pictures [px]."""
+TALLEST, WIDEST = 1.6, 2.4
+"""Panels have the scene's proportions up to these: height by width, and width by height."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Sizes and places in pixels."""
+
+    width: int
+    height: int
+    rows: tuple[int, ...]
+    """Numbers of the passes that have a row."""
+    columns: int
+    small: tuple[int, int]
+    """Width and height of a small panel."""
+    large: tuple[int, int]
+    large_corner: tuple[int, int]
+
+    @classmethod
+    def of(cls, bounds: Bounds, steps: Sequence[int], *, width: int | None = None) -> Layout:
+        """Layout for a scene with these bounds and so many steps in each pass.
+
+        One pass stands above the large panel, several stand to its left: then rows and columns of
+        small panels and the large one are as high as each other.
+
+        Raises `OptionError` where the width is no width of a picture.
+        """
+        if width is not None and not (isinstance(width, int) and NARROWEST <= width <= WIDEST_PAGE):
+            raise OptionError(f"width is {width}; give {NARROWEST} to {WIDEST_PAGE} px.")
+        west, south, east, north = bounds
+        shape = min(max((east - west) / (north - south), 1.0 / TALLEST), WIDEST)
+        passes = [k for k, count in enumerate(steps) if count]
+        rows = tuple(passes[k] for k in evenly(len(passes), MOST_ROWS))
+        columns = min(MOST_COLUMNS + (len(rows) == 1), max((steps[k] for k in rows), default=0))
+        if len(rows) > 1:
+            width = width or 1600
+            unit = (width - columns * GAP) // (columns + len(rows))
+            small = unit, round(unit / shape)
+            left = columns * (unit + GAP)
+            tall = len(rows) * (CAPTION + small[1])
+            return cls(
+                width, HEAD + tall + FOOT, rows, columns, small, (width - left, tall), (left, HEAD)
+            )
+        width = width or 1200
+        small, top = (0, 0), HEAD
+        if rows:
+            unit = (width - (columns - 1) * GAP) // max(columns, 3)
+            small = unit, round(unit / shape)
+            top += CAPTION + small[1] + GAP
+        large = width, round(width / shape)
+        return cls(width, top + large[1] + FOOT, rows, columns, small, large, (0, top))
+
+    def corner(self, row: int, column: int) -> tuple[int, int]:
+        """Upper left corner of a small panel."""
+        wide, tall = self.small
+        return column * (wide + GAP), HEAD + row * (tall + CAPTION) + CAPTION
+
+
+def evenly(count: int, most: int) -> list[int]:
+    """At most so many of `count` indices, first and last among them, the others evenly between."""
+    if count <= most:
+        return list(range(count))
+    if most == 1:
+        return [count - 1]
+    return sorted({round(k * (count - 1) / (most - 1)) for k in range(most)})
+
+
+LEAST = 0.01
+"""Probability of a mode that is drawn."""
+NEAREST = 3.0
+"""Smallest width of what a panel shows [m]."""
+MOST_MOVES = 60
+"""Pictures of an animation; of a longer history some are left out."""
+
+
+class Drawing:
+    """What all pictures of one estimate share."""
+
+    def __init__(
+        self,
+        scene: SceneMap,
+        estimate: PoseEstimate,
+        truth: Floats | None,
+        title: str | None,
+        camera: Camera | None,
+    ) -> None:
+        best = estimate.best
+        which = scene.scenes.index(best.scene) if best and best.scene in scene.scenes else 0
+        self.plan = RoomPlan(scene, which)
+        self.scene, self.estimate, self.which = scene, estimate, which
+        self.title = title
+        self.truth = None if truth is None else np.asarray(truth, np.float64).reshape(-1, 4, 4)
+        self.opening = opening_of(camera)
+
+    def passes(self, sheet: Sheet, layout: Layout) -> None:
+        """A row of panels for each pass; late passes are seen from nearer by."""
+        for row, k in enumerate(layout.rows):
+            record = self.estimate.history[k]
+            steps = evenly(len(record.steps), layout.columns)
+            frame = self.near(record, layout.small)
+            room = paint_room(self.plan, frame)
+            for column, step in enumerate(steps):
+                left, top = layout.corner(row, column)
+                sheet.paste(self.step(room, frame, record, step), (left, top))
+                words = f"frame {record.steps[step][0]}"
+                if column == 0:
+                    words = f"pass {k + 1}, stride {record.stride:g}: {words}"
+                    metres = round_length(0.2 * frame.width / frame.scale)
+                    bar = left + 8, top + frame.height - 8
+                    sheet.bar(bar, metres * frame.scale, length_words(metres))
+                sheet.text((left + 6, top - CAPTION / 2), words, 12, "ink", room=frame.width - 12)
+
+    def near(self, record: PassRecord, size: tuple[int, int]) -> Frame:
+        """Frame that holds all particles of a pass, but for stray ones."""
+        cores = [core(poses, weights) for _, poses, weights in record.steps if len(poses)]
+        if not cores:
+            return Frame.around(self.plan.bounds, *size)
+        boxes = np.array(cores, np.float64)
+        low, high = boxes[:, :2].min(axis=0), boxes[:, 2:].max(axis=0)
+        middle, half = (low + high) / 2, np.maximum(0.625 * (high - low), NEAREST / 2)
+        west, south = (middle - half).tolist()
+        east, north = (middle + half).tolist()
+        zoomed = Frame.around((west, south, east, north), *size)
+        whole = Frame.around(self.plan.bounds, *size)
+        return zoomed if zoomed.scale > 1.5 * whole.scale else whole
+
+    def step(self, room: Picture, frame: Frame, record: PassRecord, step: int) -> Image.Image:
+        """Particles after one frame of a pass, and a ring around where that frame truly was."""
+        index, poses, weights = record.steps[step]
+        items: list[Item] = [room, swarm(poses, weights)]
+        if self.truth is not None:
+            for matrix in self.truth[np.flatnonzero(self.estimate.frames == index)[:1]]:
+                items += ring(matrix, TRUTH, 9.0 / frame.scale)
+        return paint_picture(items, frame, reduce=False)
+
+    def result(self, frame: Frame) -> Image.Image:
+        """Modes, the objects that spoke for or against the best one, and the way that was gone."""
+        estimate, taken = self.estimate, Taken()
+        color = POSE_COLOR[estimate.status]
+        marks: list[Item] = []
+        shown = [
+            k
+            for k, mode in enumerate(estimate.modes)
+            if mode.scene == self.name and (k == 0 or mode.probability >= LEAST)
+        ]
+        for k in reversed(shown):
+            marks.append(sight(self.plan, estimate, k, self.opening))
+            x, y = estimate.modes[k].pose[:2] * frame.scale * (1.0, -1.0)
+            taken.claim([(x, y, 14.0), (x + 28.0, y, 14.0)], force=True)
+        if self.truth is not None:
+            marks += way(self.truth, TRUTH, width=2.0)
+        marked: dict[int, str] = {}
+        if shown:
+            marked = dict(witnesses(self.plan, estimate.modes[shown[0]]))
+            marks += witness_marks(self.plan, estimate.modes[shown[0]])
+            marks += way(estimate.trajectory, color, width=2.4)
+        for k in reversed(shown):
+            marks += mode_marks(estimate, k, numbered=len(shown) > 1)
+        room = paint_room(self.plan, frame)
+        items = [room, *names(self.plan, frame, taken, marked), *marks]
+        return paint_picture(items, frame, reduce=False)
+
+    @property
+    def name(self) -> str:
+        """Of the scene that is drawn."""
+        return self.scene.scenes[self.which]
+
+    def head(self, sheet: Sheet) -> None:
+        """Status, reason, the pose in numbers, and what was localized where."""
+        estimate = self.estimate
+        end = sheet.chip((14, 12), estimate.status.name, STATUS_COLOR[estimate.status])
+        sheet.text((end + 12, 22), estimate.reason, 14, "ink", room=sheet.width - end - 26)
+        scene = self.name
+        if len(self.scene.scenes) > 1:
+            scene += f", one of {len(self.scene.scenes)} merged scenes"
+        count = len(estimate.frames)
+        frames = f"{count} frame{'s' * (count != 1)} in {scene}"
+        said = [in_words(estimate), f"{self.title}, {frames}" if self.title else frames]
+        if self.truth is not None:
+            said.insert(1, error_in_words(estimate, self.truth))
+        words = "     ".join(filter(None, said))
+        sheet.text((14, 47), words, 13, "soft-ink", room=sheet.width - 28)
+
+    def foot(self, sheet: Sheet, frame: Frame, *, particles: bool, result: bool = True) -> None:
+        """Keys, as many as there is room for, scale bar and axes."""
+        color = POSE_COLOR[self.estimate.status]
+        best = self.estimate.best
+        verdicts = {verdict for _, verdict in witnesses(self.plan, best)} if best else set[str]()
+        keys: list[tuple[bool, str, Callable[..., float]]] = [
+            (result, "way, and what is seen", partial(sheet.key_line, color=color)),
+            (self.truth is not None, "true way", partial(sheet.key_line, color=TRUTH)),
+            (particles, "particles, darker where it is likely", sheet.key_likely),
+            (result and "for" in verdicts, "agrees", partial(sheet.key_line, color="for")),
+            (
+                result and "against" in verdicts,
+                "disagrees",
+                partial(sheet.key_line, color="against", dashed=True),
+            ),
+        ]
+        x, y = 14.0, sheet.height - FOOT / 2
+        end = measures(sheet, frame)
+        for wanted, words, draw in keys:
+            if wanted and x + 60.0 + face_for([words]).width(words, 12.0) < end:
+                x = draw((x, y), words=words)
+
+    def moves(self, width: int) -> list[Image.Image]:
+        """Pictures of an animation."""
+        layout = Layout.of(self.plan.bounds, [], width=width)
+        frame = Frame.around(self.plan.bounds, *layout.large)
+        room = paint_room(self.plan, frame)
+        steps = [
+            (k, step)
+            for k, record in enumerate(self.estimate.history)
+            for step in range(len(record.steps))
+        ]
+        pictures = []
+        for k, step in (steps[i] for i in evenly(len(steps), MOST_MOVES)):
+            record = self.estimate.history[k]
+            index, poses, _ = record.steps[step]
+            sheet = Sheet(layout.width, layout.height)
+            sheet.paste(self.step(room, frame, record, step), layout.large_corner)
+            words = f"pass {k + 1} of {len(self.estimate.history)}, stride {record.stride:g}"
+            sheet.text((14, 22), words, 14, "ink")
+            sheet.text((14, 47), f"frame {index}, {len(poses):,} particles", 13, "soft-ink")
+            self.foot(sheet, frame, particles=True, result=False)
+            pictures.append(sheet.image.reduce(SUPERSAMPLE))
+        sheet = Sheet(layout.width, layout.height)
+        sheet.paste(self.result(frame), layout.large_corner)
+        self.head(sheet)
+        self.foot(sheet, frame, particles=False)
+        return [*pictures, sheet.image.reduce(SUPERSAMPLE)]
+
+
+def names(
+    plan: RoomPlan,
+    frame: Frame,
+    taken: Taken,
+    marked: dict[int, str] | None = None,
+    *,
+    small: bool = False,
+) -> list[Item]:
+    """Names of the larger things of a plan, or of all, where there is room; `marked` ones first."""
+    face = face_for(plain_words(label) for label in plan.scene.graph.labels)
+    return [*plan.names(frame, face, taken, marked, small=small)]
+
+
+def measures(sheet: Sheet, frame: Frame) -> float:
+    """Scale bar and axes of a plan, at the right end of the strip below it; where they begin."""
+    x = sheet.width - 50.0
+    sheet.axes((x, sheet.height - 10.0))
+    return scale_bar(sheet, frame, x - 24.0)
+
+
+def scale_bar(sheet: Sheet, frame: Frame, end: float) -> float:
+    """Scale bar of a plan in the strip below it, to an end [px]; where it begins."""
+    metres = round_length(0.15 * frame.width / frame.scale)
+    length = metres * frame.scale
+    sheet.bar((end - length, sheet.height - 10.0), length, length_words(metres))
+    return end - length
+
+
+MOVING_WIDTH = 760
+"""Of an animation [px]."""
+COLOURS = 128
+"""Of an animation."""
+PAUSE, REST = 220, 3000
+"""Time of one picture of an animation, and of the last [ms]."""
+
+
+def write_plan(
+    scene: SceneMap,
+    estimate: PoseEstimate,
+    path: str | Path,
+    *,
+    truth: Floats | None = None,
+    title: str | None = None,
+    camera: Camera | None = None,
+    width: int | None = None,
+) -> Path:
+    """Draw an estimate on the plan of its scene as a PNG.
+
+    Where the estimate has a history (`FilterOptions.record`), a row of panels for each pass shows
+    how the particles gathered; the large panel shows modes, the way through the map, and why the
+    estimate has its status. x grows to the right, y upwards.
+
+    Parameters
+    ----------
+    scene
+        The map the estimate was made on. Of merged scenes the best mode's is drawn.
+    truth
+        (T, 4, 4) map_from_camera of the frames, where it is known.
+    title
+        What was localized, such as the name of the capture.
+    camera
+        Whose field of view is drawn; 63 degrees where not given.
+    width
+        Of the picture [px]; 1600 with several passes, else 1200 where not given.
+
+    Raises
+    ------
+    OptionError
+        The width is no width of a picture.
+
+    """
+    drawing = Drawing(scene, estimate, truth, title, camera)
+    steps = [len(record.steps) for record in estimate.history]
+    layout = Layout.of(drawing.plan.bounds, steps, width=width)
+    sheet = Sheet(layout.width, layout.height)
+    drawing.passes(sheet, layout)
+    frame = Frame.around(drawing.plan.bounds, *layout.large)
+    sheet.paste(drawing.result(frame), layout.large_corner)
+    drawing.head(sheet)
+    drawing.foot(sheet, frame, particles=bool(layout.rows))
+    return sheet.save(path)
+
+
+def write_plan_animation(
+    scene: SceneMap,
+    estimate: PoseEstimate,
+    path: str | Path,
+    *,
+    truth: Floats | None = None,
+    title: str | None = None,
+    camera: Camera | None = None,
+    width: int = MOVING_WIDTH,
+) -> Path:
+    """Draw the particles of every pass and frame as an animated GIF that ends with the result.
+
+    Parameters as of `write_plan`.
+
+    Raises
+    ------
+    OptionError
+        The estimate has no history, or the width is no width of a picture.
+
+    """
+    if not any(record.steps for record in estimate.history):
+        raise OptionError(
+            "The estimate has no history to animate; localize with FilterOptions(record=True)."
+        )
+    drawing = Drawing(scene, estimate, truth, title, camera)
+    pictures = drawing.moves(width)
+    # one palette for all, so that what stands still costs nothing
+    few = [pictures[k] for k in evenly(len(pictures), 4)]
+    width, height = few[0].size
+    swatch = Image.new("RGB", (width, height * (len(few) + 1)))
+    for k, picture in enumerate([*few, Image.fromarray(_swatch(width, height))]):
+        swatch.paste(picture, (0, k * height))
+    palette = swatch.quantize(COLOURS)
+    flat = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
+    times = [PAUSE] * (len(flat) - 1) + [REST]
+    moving = {"save_all": True, "append_images": flat[1:], "duration": times, "loop": 0}
+    return write_image(flat[0], path, "GIF", **moving)
+
+
+def draw_scene(scene: SceneMap, path: str | Path, *, width: int = 1200) -> Path:
+    """Draw the plan of a scene, or of the first of a merged map, as a PNG."""
+    plan = RoomPlan(scene)
+    layout = Layout.of(plan.bounds, [], width=width)
+    sheet = Sheet(layout.width, layout.height - HEAD)
+    frame = Frame.around(plan.bounds, *layout.large)
+    items: list[Item] = [
+        paint_room(plan, frame),
+        *names(plan, frame, Taken(), small=True),
+    ]
+    sheet.paste(paint_picture(items, frame, reduce=False), (0, 0))
+    measures(sheet, frame)
+    count = len(plan.rows)
+    rooms = len({room for row in plan.rows if (room := scene.attributes[row].get("room"))})
+    within = f" in {rooms} room{'s' * (rooms != 1)}" if rooms else ""
+    things = f"{count:,} object{'s' * (count != 1)}{within}, {len(plan.triangles):,} triangles"
+    sheet.text((14, sheet.height - FOOT / 2), f"{scene.scenes[0]}: {things}", 12, "soft-ink")
+    return sheet.save(path)
+
+
+def _swatch(width: int, height: int) -> NDArray[np.uint8]:
+    """Picture (height, width, 3) of the colours that marks have, so that a palette holds them."""
+    ramp = likely(np.linspace(0.0, 1.0, width))[:, :3]
+    named = [PALETTE[name][0] for name in (*POSE_COLOR.values(), TRUTH, "for", "against", "ink")]
+    inks = np.array([ImageColor.getrgb(color) for color in named], np.uint8)
+    blocks = inks[np.arange(width) * len(inks) // width]
+    half = np.tile(ramp, (height - height // 2, 1, 1)), np.tile(blocks, (height // 2, 1, 1))
+    return np.concatenate(half).astype(np.uint8)

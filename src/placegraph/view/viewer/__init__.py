@@ -1,1 +1,0 @@
-"""The viewer in 3D."""
