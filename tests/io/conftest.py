@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from placegraph.core.geometry import Camera
-from placegraph.io.capture.frame_files import quarter_turn
+from placegraph.io.capture.frame import quarter_turn
 from placegraph_lab.worlds.flat.render import Stage
 from placegraph_lab.worlds.flat.walks import stroll
 

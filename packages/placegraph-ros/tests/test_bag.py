@@ -101,7 +101,7 @@ def test_what_is_written_is_read_back_field_by_field(tmp_path, everything, name,
 
 
 def test_a_database_alone_is_a_bag_too(tmp_path, everything):
-    from placegraph_io.ros.files.bag import open_bag
+    from placegraph_io.ros.containers import open_bag
 
     with BagWriter(tmp_path / "out.db3") as bag:
         for message in everything:

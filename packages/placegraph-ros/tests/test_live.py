@@ -12,7 +12,7 @@ import pytest
 
 import placegraph as pg
 from placegraph.errors import InputError
-from placegraph_io.ros.files.bag import open_bag
+from placegraph_io.ros.containers import open_bag
 from placegraph_lab.worlds.bags import BagWriter, Layout, write_capture
 from placegraph_ros.cli.live import ending, keys, live
 from placegraph_ros.pace import Pace

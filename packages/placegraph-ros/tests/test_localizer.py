@@ -10,7 +10,7 @@ import pytest
 
 from placegraph.core.geometry import rotation_from_quaternion
 from placegraph_io.ros.decode import typestore
-from placegraph_io.ros.packets import Fault, packets_of
+from placegraph_io.ros.stream import Fault, packets_of
 from placegraph_lab.worlds.bags import BASE_FROM_CAMERA
 from placegraph_ros.localizer import Localizer
 from placegraph_ros.loop import run

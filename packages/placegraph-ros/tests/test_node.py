@@ -11,7 +11,7 @@ from ruamel.yaml import YAML
 
 from fake_rclpy import World
 from placegraph_io.ros.decode import typestore
-from placegraph_io.ros.packets import Packet, packets_of
+from placegraph_io.ros.stream import Packet, packets_of
 from placegraph_ros import node as ros_node
 from placegraph_ros.localizer import Localizer
 from placegraph_ros.node import PARAMETERS, LocalizerNode, Ros, main

@@ -238,7 +238,7 @@ def _source(given: list[str], bbox: str | None, confidence: float) -> Any:  # no
     from placegraph.io.osm.urls import of_osm
 
     if not any(map(of_osm, given)):
-        overture = load_module("placegraph_io.overture.overture", "overture")
+        overture = load_module("placegraph_io.overture", "overture")
         if all(map(overture.is_overture, given)):
             box = None if bbox is None else overture.Box.of(numbers_of(bbox, "--bbox", (4,), EDGES))
             return overture.Overture(tuple(given), box, confidence)

@@ -14,7 +14,7 @@ from placegraph.cli.command import Option
 from placegraph.cli.common import AsJson, Quiet, numbers_of, progress_of, table
 from placegraph.cli.scene_options import MapFile
 from placegraph.errors import OptionError
-from placegraph.io.osm.levels import levels_of
+from placegraph.io.osm.indoor_osm import levels_of
 
 if TYPE_CHECKING:
     from placegraph.core.geo import Anchor

@@ -194,7 +194,7 @@ def read_estimate(path: Path) -> tuple[list[Floats], list[int], Floats]:
     """
     import numpy as np
 
-    from placegraph.io.capture.camera import read_json
+    from placegraph.io.capture.json_files import read_json
 
     told = read_json(path)
     try:

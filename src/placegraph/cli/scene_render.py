@@ -152,7 +152,7 @@ def _camera(camera: Path | None, capture: Path | None) -> tuple[Capture | None, 
 
         clip = open_capture(capture)
         return clip, clip.camera
-    from placegraph.io.capture.camera import read_camera
+    from placegraph.io.capture.json_files import read_camera
 
     assert camera is not None  # noqa: S101  # `_check` saw to it
     return None, read_camera(camera).camera

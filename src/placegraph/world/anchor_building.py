@@ -12,7 +12,7 @@ from placegraph.core.geo import Anchor
 from placegraph.core.geometry import Floats, rotation_z, wrap
 from placegraph.errors import OptionError
 from placegraph.indoor.map.scene import Scene
-from placegraph.io.osm.levels import level_text, levels_of
+from placegraph.io.osm.indoor_osm import level_text, levels_of
 from placegraph.world.anchor_points import UNKNOWN_HEIGHT, Fitted
 from placegraph.world.footprints import Footprint, footprints
 from placegraph.world.outer_walls import outer_walls

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from placegraph.core.evidence import Evidence
-from placegraph.io.osm.levels import levels_of
+from placegraph.io.osm.indoor_osm import levels_of
 
 WRONG = 0.12
 """Share of floors said that are wrong, as of other statements."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from placegraph.core.geo import Anchor
 from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
-from placegraph.io.osm.levels import levels_of
+from placegraph.io.osm.indoor_osm import levels_of
 from placegraph.io.osm.osm import POINT, read_osm
 
 _KEYS = ("building", "entrance", "door", "name", "addr:housenumber")

@@ -5,8 +5,7 @@ import pytest
 
 from placegraph.indoor.build import scene_of_model
 from placegraph.io.capture.capture import open_capture
-from placegraph_io.dataset.scannet import read_scannet
-from placegraph_io.dataset.scannet_files import axis_alignment
+from placegraph_io.dataset.scannet import axis_alignment, read_scannet
 
 
 @pytest.fixture(scope="module")

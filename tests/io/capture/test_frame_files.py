@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from placegraph.core.geometry import Camera, rotation_from_vector
 from placegraph.errors import InputError
-from placegraph.io.capture.frame_files import (
+from placegraph.io.capture.frame import (
     LazyImages,
     check_shape,
     depth_file,

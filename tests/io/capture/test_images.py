@@ -9,8 +9,8 @@ from PIL import Image
 
 from placegraph.errors import InputError
 from placegraph.io.capture import images
-from placegraph.io.capture.camera import read_json
 from placegraph.io.capture.images import read_rgb, read_whole
+from placegraph.io.capture.json_files import read_json
 from placegraph.io.capture.tum import read_tum
 from placegraph.io.mesh.gltf import read_glb
 from placegraph.io.mesh.ply import read_ply

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from placegraph.errors import InputError, OptionError
-from placegraph.io.capture.labels import Entry
+from placegraph.io.capture.json_files import LabelEntry
 from placegraph.io.mesh import obj as obj_lines
 from placegraph.io.mesh.obj import fans, is_obj, read_obj
 
@@ -130,7 +130,7 @@ def test_a_name_that_comes_back_is_the_same_thing(tmp_path):
 
 
 def test_a_table_names_things(room):
-    table = {"chair": Entry("armchair", "mine", {"colour": "red"})}
+    table = {"chair": LabelEntry("armchair", "mine", {"colour": "red"})}
     chair = read_obj(room, table=table).things[1]
     assert (chair.id, chair.label, chair.name) == ("chair", "armchair", "mine")
     assert chair.attributes == {"colour": "red"}

@@ -9,7 +9,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from placegraph.errors import InputError
-from placegraph.io.capture.labels import Entry, label_table
+from placegraph.io.capture.json_files import LabelEntry as Entry
+from placegraph.io.capture.json_files import label_table
 from placegraph.io.mesh.ply import read_ply
 
 FORMS = ("ascii", "binary_little_endian", "binary_big_endian")

@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from placegraph.errors import InputError
-from placegraph.io.osm.indoor_osm import IndoorShape, read_indoor_osm, room_names
-from placegraph.io.osm.indoor_osm_write import encode_rooms
+from placegraph.io.osm.indoor_osm import IndoorShape, encode_rooms, read_indoor_osm, room_names
 
 NODES = """<node id='-1' lat='50.0' lon='10.0'/><node id='-2' lat='50.0' lon='10.0001'/>
 <node id='-3' lat='50.0001' lon='10.0001'/><node id='-4' lat='50.0001' lon='10.0'/>

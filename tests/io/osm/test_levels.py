@@ -2,7 +2,7 @@
 
 import pytest
 
-from placegraph.io.osm.levels import level_text, levels_of
+from placegraph.io.osm.indoor_osm import level_text, levels_of
 
 
 @pytest.mark.parametrize(

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph.io.osm import osm_nodes
-from placegraph.io.osm.osm_nodes import Nodes
+from placegraph.io.osm import pbf
+from placegraph.io.osm.pbf import NodeIndex as Nodes
 
 ids = st.integers(-3, 30) | st.integers(2**33, 2**33 + 5)
 
@@ -31,12 +31,12 @@ def test_what_was_added_last_is_found(on_disk, at_once, chunks, asked, tmp_path_
 
 def test_many_in_no_order_are_merged_run_by_run(tmp_path, monkeypatch):
     """No more are sorted at once than may be, about; the file is what it is of nodes in order."""
-    monkeypatch.setattr(osm_nodes, "SAMPLE", 4)
+    monkeypatch.setattr(pbf, "SAMPLE", 4)
     rng, most = np.random.default_rng(3), []
     ids = rng.permutation(np.append(np.arange(0, 9000, 3), 2**34 + 3 * np.arange(40)))
     steps = np.stack([ids % 1000, ids % 77], 1).astype(np.int32)
-    sort = osm_nodes._in_order
-    monkeypatch.setattr(osm_nodes, "_in_order", lambda i, s: (most.append(len(i)), sort(i, s))[1])
+    sort = pbf._in_order
+    monkeypatch.setattr(pbf, "_in_order", lambda i, s: (most.append(len(i)), sort(i, s))[1])
     nodes = Nodes(tmp_path / "a", at_once=200)
     for at in range(0, len(ids), 50):
         nodes.add(ids[at : at + 50], steps[at : at + 50])

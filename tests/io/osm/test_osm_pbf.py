@@ -12,11 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.errors import InputError
-from placegraph.io.osm import osm_areas
-from placegraph.io.osm import osm_pbf as pbf
-from placegraph.io.osm import osm_pbf_kernels as kernels
+from placegraph.io.osm import osm_areas, pbf
+from placegraph.io.osm import osm_kernels as kernels
 from placegraph.io.osm.osm import AREA, LINE, POINT, LeftOut, is_area, read_osm
-from placegraph.io.osm.osm_reader import _rings
+from placegraph.io.osm.reader import _rings
 
 KEYS = ("building", "highway", "name", "natural")
 CUT, NONE = "ways cut where members are missing", "ways without positions"
@@ -95,9 +94,7 @@ tags = st.dictionaries(st.sampled_from(["building", "highway", "name", "source",
 places = st.tuples(st.integers(-1800, 1801), st.integers(-900, 901)) | st.tuples(
     st.integers(0, 3), st.integers(0, 3)
 )
-nodes = st.dictionaries(
-    st.integers(-5, 40) | st.integers(2**40, 2**40 + 3), st.tuples(places, tags)
-)
+nodes = st.dictionaries(st.integers(1, 40) | st.integers(2**40, 2**40 + 3), st.tuples(places, tags))
 refs = st.lists(st.integers(-5, 20), max_size=7) | st.sampled_from(
     [[1, 2, 3, 1], [3, 4, 1], [5, 5]]
 )
@@ -279,7 +276,7 @@ def test_a_message_of_countless_fields_is_refused(monkeypatch, tmp_path):
 
 
 def test_ways_of_a_small_file_are_shared_out_over_its_blobs(monkeypatch, tmp_path):
-    monkeypatch.setattr(pbf, "AT_ONCE", 8)
+    monkeypatch.setattr(pbf, "NODES_A_BLOCK", 8)
     n = 12
     block = pbf.Block(np.frombuffer(pbf.text(1, b""), np.uint8))
     made = pbf.written(

@@ -20,7 +20,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.errors import InputError, MissingExtraError, OptionError, ServiceError
-from placegraph.io.osm import nominatim, overpass, services
+from placegraph.io.osm import overpass
+from placegraph.io.osm import overpass as nominatim
+from placegraph.io.osm import overpass as services
 from placegraph.io.osm.osm import AREA, NODE, POINT, RELATION, WAY, read_osm
 from placegraph.io.osm.overpass import FetchSummary
 from placegraph.outdoor.city import build_city

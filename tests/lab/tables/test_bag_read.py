@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from placegraph.core.geometry import Camera
-from placegraph.io.capture.frame import Frame
-from placegraph.io.capture.frames import Capture
+from placegraph.io.capture.frame import Capture, Frame
 from placegraph_lab.tables.named.bag_read import (
     KINDS,
     Row,

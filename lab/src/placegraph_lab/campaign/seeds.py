@@ -19,8 +19,7 @@ from numpy.typing import ArrayLike
 from PIL import Image
 
 from placegraph.core.geometry import Camera
-from placegraph.io.capture.frame import Frame
-from placegraph.io.capture.frames import Capture
+from placegraph.io.capture.frame import Capture, Frame
 from placegraph.io.capture.tum import write_tum
 from placegraph_lab.worlds.bags import BagWriter, Layout, write_capture
 

@@ -15,7 +15,7 @@ from placegraph.indoor.build import scene_of_model
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.frame import Frame
-from placegraph.io.osm.indoor_osm_write import encode_rooms
+from placegraph.io.osm.indoor_osm import encode_rooms
 from placegraph.outdoor.city import CityMap, build_city
 from placegraph_lab.campaign.seeds import Drawn, writer
 from placegraph_lab.worlds.town.town import Town

@@ -119,7 +119,7 @@ def osm(bench: Bench, path: Path, rng: Generator) -> None:
 
 def overture(bench: Bench, path: Path, rng: Generator) -> None:
     """Build a city of Overture's tables, of all or of a box."""
-    from placegraph_io.overture.overture import Box, Overture
+    from placegraph_io.overture import Box, Overture
 
     box = Box(9.9, 49.9, 10.1, 50.1) if chance(rng, 0.7) else None
     use_city(bench, build_city(Overture((str(path),), box), bench.file("built.city")), rng)
@@ -165,7 +165,7 @@ def capture(bench: Bench, path: Path, rng: Generator) -> None:
 
 def stream(_bench: Bench, path: Path, _rng: Generator) -> None:
     """Take an MCAP as it comes through a pipe."""
-    from placegraph_io.ros.files.mcap_stream import mcap_packets
+    from placegraph_io.ros.mcap_stream import mcap_packets
 
     file = next(iter(sorted(path.glob("*.mcap"))), path)
     try:
@@ -274,7 +274,7 @@ def nominatim(bench: Bench, path: Path, _rng: Generator) -> None:
     """Find a place by what Nominatim answers."""
     import osmnx as ox
 
-    from placegraph.io.osm.nominatim import find, rings
+    from placegraph.io.osm.overpass import find, rings
     from placegraph_lab.campaign.answers import answering
 
     # osmnx waits a second before each question, as Nominatim asks of who asks it

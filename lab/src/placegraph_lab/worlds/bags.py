@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.geometry import Camera
-from placegraph.io.capture.frames import Capture
+from placegraph.io.capture.frame import Capture
 from placegraph_ros import bag
 from placegraph_ros.image import info_fields
 from placegraph_ros.message import Message, header, pose, transform, xyz

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from placegraph.core.geometry import Camera, quaternion_from_rotation, rotation_from_vector
 from placegraph.errors import InputError, OptionError
 from placegraph.io.capture.capture import open_capture
-from placegraph_io.dataset.colmap_files import read_depth_map, read_model
+from placegraph_io.dataset.colmap import read_depth_map, read_model
 
 TILT = rotation_from_vector([1.9, -0.6, 0.8])
 UP = TILT[:, 2]

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from placegraph.errors import InputError, OptionError
-from placegraph_io.dataset.scan3r import is_scan3r, read_scan3r
-from placegraph_io.dataset.scan3r_rooms import read_rooms
+from placegraph_io.dataset.scan3r import is_scan3r, read_rooms, read_scan3r
 
 REFERENCE = "0cac7578-8d6f-2d13-8c2d-bfa7a04f8af3"
 RESCAN = "ddc73793-765b-241a-9f9e-e1d7f4d1c1fe"

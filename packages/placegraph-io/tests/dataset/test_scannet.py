@@ -9,8 +9,13 @@ from hypothesis import strategies as st
 
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.build import scene_of_model
-from placegraph_io.dataset.scannet import is_scannet, patches, read_scannet
-from placegraph_io.dataset.scannet_files import axis_alignment, read_label_map
+from placegraph_io.dataset.scannet import (
+    axis_alignment,
+    is_scannet,
+    patches,
+    read_label_map,
+    read_scannet,
+)
 
 SEGMENTS = "_vh_clean_2.0.010000.segs.json"
 

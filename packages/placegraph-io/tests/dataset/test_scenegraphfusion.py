@@ -9,8 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from placegraph.errors import InputError
-from placegraph_io.dataset.scenegraphfusion import is_scenegraphfusion, read_scenegraphfusion
-from placegraph_io.dataset.scenegraphfusion_surfels import GRID
+from placegraph_io.dataset.scenegraphfusion import GRID, is_scenegraphfusion, read_scenegraphfusion
 
 HEADER = """\
 ply

@@ -16,9 +16,16 @@ from placegraph import build_city
 from placegraph.errors import InputError, MissingExtraError, OptionError
 from placegraph.io.osm.osm import AREA, LINE, NODE, POINT, RELATION, WAY, LeftOut
 from placegraph.outdoor.language.vocabulary import Vocabulary
-from placegraph_io.overture import overture_files
-from placegraph_io.overture.overture import Box, Overture, identity, is_overture, read_overture
-from placegraph_io.overture.overture_tags import table, tags_of
+from placegraph_io import overture as overture_files
+from placegraph_io.overture import (
+    Box,
+    Overture,
+    identity,
+    is_overture,
+    read_overture,
+    table,
+    tags_of,
+)
 
 BBOX = pa.struct([(edge, pa.float32()) for edge in ("xmin", "xmax", "ymin", "ymax")])
 BETWEEN = pa.list_(pa.float64())

@@ -11,7 +11,7 @@ import pytest
 from placegraph.core.geometry import Camera
 from placegraph.errors import InputError
 from placegraph.io.capture.capture import open_capture
-from placegraph_io.phone.multiscan import Deflated
+from placegraph_io.dataset.multiscan import Deflated
 
 write_video = pytest.importorskip("tests.io.video", reason="needs OpenCV").write_video
 LARGE = Camera(192, 144, 160.0, 161.0, 97.5, 71.0)  # a codec's blocks blur small ones

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from placegraph.io.capture.frame import Frame
-from placegraph.io.capture.frames import Capture
+from placegraph.io.capture.frame import Capture, Frame
 from placegraph_lab.worlds.bags import BagWriter, Layout, write_capture
 
 

@@ -16,8 +16,7 @@ from hypothesis import strategies as st
 import placegraph as pg
 from placegraph.core.geometry import Camera
 from placegraph.errors import InputError, MissingExtraError, PlacegraphError
-from placegraph.io.capture.frame import Frame
-from placegraph.io.capture.frames import Capture
+from placegraph.io.capture.frame import Capture, Frame
 from placegraph_lab.worlds.bags import BASE_FROM_CAMERA, OPTICAL, BagWriter, Layout, write_capture
 from placegraph_ros.message import Message, header
 

@@ -19,8 +19,8 @@ from placegraph.core.geometry import (
 )
 from placegraph.errors import InputError, OptionError
 from placegraph.io.capture.tum import write_tum
-from placegraph_io.ros.register import Registration
-from placegraph_io.ros.transforms import LONGEST, Edge, Tree
+from placegraph_io.ros.decode import Registration
+from placegraph_io.ros.poses import LONGEST, Edge, Tree
 from placegraph_lab.worlds.bags import BASE_FROM_CAMERA, OPTICAL, BagWriter, Layout, write_capture
 
 START = Layout().start

@@ -8,8 +8,9 @@ import pytest
 from backports import zstd
 
 from placegraph.errors import InputError
-from placegraph_io.ros.files import packed
-from placegraph_io.ros.files.packed import MOST, Packed
+from placegraph_io import storage as packed
+from placegraph_io.storage import LARGEST_MESSAGE as MOST
+from placegraph_io.storage import CompressedBytes as Packed
 
 DATA = np.random.default_rng(0).integers(0, 40, 1_000_000).astype(np.uint8).tobytes()
 PACK = {"zstd": zstd.compress, "lz4": lz4.frame.compress, "bz2": bz2.compress}

@@ -8,7 +8,7 @@ import pytest
 from tests.io.rvl import rvl
 
 from placegraph.errors import InputError
-from placegraph_io.ros.pixels import colours, depths, size_of
+from placegraph_io.ros.decode import colours, depths, size_of
 from placegraph_lab.worlds.bags import png
 
 RNG = np.random.default_rng(0)

@@ -11,13 +11,11 @@ import placegraph as pg
 from placegraph.core.geometry import quaternion_from_rotation, rotation_from_vector
 from placegraph.errors import InputError
 from placegraph.io.capture.frame import Frame
-from placegraph_io.ros.assembly import SILENT, Assembly, Move
-from placegraph_io.ros.discovery import Discovery
-from placegraph_io.ros.files.bag import open_bag
-from placegraph_io.ros.files.mcap_stream import mcap_packets
-from placegraph_io.ros.packets import Fault, packets_of
-from placegraph_io.ros.plan import Wishes, plan_of
-from placegraph_io.ros.transforms import Tree
+from placegraph_io.ros.containers import open_bag
+from placegraph_io.ros.mcap_stream import mcap_packets
+from placegraph_io.ros.poses import Tree
+from placegraph_io.ros.stream import SILENT, Assembly, Discovery, Fault, Move, packets_of
+from placegraph_io.ros.topics import Wishes, plan_of
 from placegraph_lab.worlds.bags import BASE_FROM_CAMERA, OPTICAL, BagWriter, Layout, write_capture
 from placegraph_ros.message import pose
 from placegraph_ros.pose import based

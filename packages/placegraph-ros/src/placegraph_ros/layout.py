@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from placegraph.core.files import write_file
-from placegraph_io.ros.files.bag import open_bag
-from placegraph_io.ros.views import chosen_views, info_names, views_of
+from placegraph_io.ros.containers import open_bag
+from placegraph_io.ros.topics import chosen_views, info_names, views_of
 
 _IMAGE = "/localization/image"
 

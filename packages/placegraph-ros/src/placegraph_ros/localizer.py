@@ -18,10 +18,8 @@ from placegraph.errors import InputError, OptionError
 from placegraph.indoor.track.live import LiveTracker
 from placegraph.indoor.track.live_pose import LivePose
 from placegraph.io.capture.frame import Frame
-from placegraph_io.ros.assembly import Assembly, Move
-from placegraph_io.ros.discovery import Discovery
-from placegraph_io.ros.packets import Fault, Packet
-from placegraph_io.ros.plan import Plan, Wishes
+from placegraph_io.ros.stream import Assembly, Discovery, Fault, Move, Packet
+from placegraph_io.ros.topics import Plan, Wishes
 from placegraph_ros.image import image_messages
 from placegraph_ros.message import Message, nanoseconds
 from placegraph_ros.options import LiveOptions, Summary

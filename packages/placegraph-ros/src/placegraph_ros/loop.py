@@ -11,7 +11,7 @@ from placegraph_ros.message import Message
 from placegraph_ros.options import Summary
 
 if TYPE_CHECKING:
-    from placegraph_io.ros.packets import Fault, Packet
+    from placegraph_io.ros.stream import Fault, Packet
     from placegraph_ros.localizer import Localizer
 
     Asked = Callable[[Localizer], list[Message]]

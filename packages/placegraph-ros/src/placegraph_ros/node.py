@@ -16,9 +16,9 @@ from typing import Any
 
 from placegraph.errors import MissingExtraError, OptionError, PlacegraphError
 from placegraph.maps import open_rooms
-from placegraph_io.ros.discovery import WANTED
-from placegraph_io.ros.packets import Packet, is_static
-from placegraph_io.ros.plan import Wishes, wishes_of
+from placegraph_io.ros.poses import is_static
+from placegraph_io.ros.stream import WANTED, Packet
+from placegraph_io.ros.topics import Wishes, wishes_of
 from placegraph_ros.encode import cdr
 from placegraph_ros.localizer import Localizer
 from placegraph_ros.loop import run

@@ -17,8 +17,8 @@ from placegraph.errors import InputError, PlacegraphError
 from placegraph.io.capture.posed import pose_of
 from placegraph.maps import open_rooms
 from placegraph_io.ros.decode import frame_of
-from placegraph_io.ros.packets import Packet
-from placegraph_io.ros.views import IMAGES
+from placegraph_io.ros.stream import Packet
+from placegraph_io.ros.topics import IMAGES
 from placegraph_ros.localizer import Localizer
 from placegraph_ros.message import Message
 

@@ -14,11 +14,10 @@ from placegraph.errors import InputError, OptionError
 from placegraph.io.capture.capture import open_capture
 from placegraph.io.capture.frame import Frame
 from placegraph_io.ros.capture import is_bag
-from placegraph_io.ros.files.bag import open_bag
-from placegraph_io.ros.files.mcap import is_whole
-from placegraph_io.ros.files.mcap_stream import mcap_packets
-from placegraph_io.ros.packets import Fault, Packet, packets_of
-from placegraph_io.ros.plan import Plan, Wishes, plan_of, wishes_of
+from placegraph_io.ros.containers import is_whole, open_bag
+from placegraph_io.ros.mcap_stream import mcap_packets
+from placegraph_io.ros.stream import Fault, Packet, packets_of
+from placegraph_io.ros.topics import Plan, Wishes, plan_of, wishes_of
 
 Happening = Packet | Fault | Frame | None
 

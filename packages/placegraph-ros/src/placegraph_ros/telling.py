@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from placegraph.indoor.library.library import SceneLibrary
     from placegraph.indoor.scene_map import SceneMap
     from placegraph.indoor.track.live_pose import LivePose
-    from placegraph_io.ros.assembly import Assembly
+    from placegraph_io.ros.stream import Assembly
 
 STATUS = "localization/status"
 

@@ -13,7 +13,7 @@ from placegraph.core.geo import EarthPose, poses_of
 from placegraph.core.geometry import Camera
 from placegraph.errors import InputError, RequestError
 from placegraph.io.capture.frame import Frame
-from placegraph_io.dataset.colmap_files import model_camera
+from placegraph_io.dataset.colmap import model_camera
 from placegraph_serve.asked import LEVEL, Hints, Images
 from placegraph_serve.localize import found, notes
 from placegraph_serve.options import ServeOptions
@@ -81,7 +81,7 @@ def frame_of(
     given = camera_of(reading, photo)
     turns = -round(number(reading["imageOrientation"], "rotation", 0.0) / 90.0) % 4
     rgb, camera = np.rot90(photo.rgb, turns), photo.camera(given, "imageBytes")
-    from placegraph.io.capture.frame_files import turned_camera
+    from placegraph.io.capture.frame import turned_camera
 
     gravity = gravity_of(moved[-1]) if moved else None
     metres = depth_of(depth[-1], options) if depth else None

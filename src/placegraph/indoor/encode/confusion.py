@@ -18,9 +18,9 @@ from placegraph.core.files import put, regular
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.encode.words import spelled
 from placegraph.indoor.map.scene import Scene
-from placegraph.io.capture.camera import read_json
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
+from placegraph.io.capture.json_files import read_json
 
 STEP = 8
 """Pixels between those whose labels are compared with the map."""

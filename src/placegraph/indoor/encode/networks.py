@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from placegraph.core.files import regular
 from placegraph.errors import InputError, MissingExtraError, OptionError
-from placegraph.io.capture.camera import read_json
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Images
+from placegraph.io.capture.json_files import read_json
 
 Answer = Callable[["NDArray[np.uint8]"], "NDArray[Any]"]
 """What a network says (h, w) of an image (H, W, 3) sRGB."""

@@ -16,8 +16,7 @@ from placegraph.core.geometry import Floats
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.likelihood.observe import Sighting
 from placegraph.indoor.likelihood.view import Background, View
-from placegraph.io.capture.frame import Frame
-from placegraph.io.capture.frame_files import LazyImages
+from placegraph.io.capture.frame import Frame, LazyImages
 
 FACTORS = (1000.0, 100.0, 39.37, 10.0, 5.0, 3.281)
 """What units are mistaken by: mm, cm, inches, 0.1 mm for mm, TUM's 1/5000 m for mm, feet."""

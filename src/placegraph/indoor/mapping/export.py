@@ -24,7 +24,7 @@ from placegraph.io.mesh.gltf import OWN
 from placegraph.io.mesh.gltf_write import Material, Part, Surface, encode_glb
 from placegraph.io.mesh.model import Model, Picture, Thing
 from placegraph.io.mesh.ply import write_ply
-from placegraph.io.osm.indoor_osm_write import OSMAG_ENDINGS, encode_rooms
+from placegraph.io.osm.indoor_osm import OSMAG_ENDINGS, encode_rooms
 from placegraph_io.graphs.spark_dsg_write import MOST_PATHS, encode_spark_dsg
 
 Paths = Mapping[str, ArrayLike]

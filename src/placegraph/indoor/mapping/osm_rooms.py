@@ -20,8 +20,15 @@ from placegraph.errors import InputError, OptionError
 from placegraph.indoor.mapping.from_capture import Source
 from placegraph.indoor.mapping.outlines import polygons, triangulated
 from placegraph.io.mesh.model import Model, Picture, Thing
-from placegraph.io.osm.indoor_osm import ROOMS, IndoorOsm, IndoorShape, read_indoor_osm, room_names
-from placegraph.io.osm.levels import level_text, levels_of
+from placegraph.io.osm.indoor_osm import (
+    ROOMS,
+    IndoorOsm,
+    IndoorShape,
+    level_text,
+    levels_of,
+    read_indoor_osm,
+    room_names,
+)
 
 HEIGHT = 2.8
 """Of rooms, where nobody said [m]."""

@@ -24,7 +24,8 @@ from placegraph.indoor.mapping.from_capture import (
 )
 from placegraph.indoor.mapping.osm_rooms import rooms_source
 from placegraph.io.capture.capture import FORMATS, is_capture
-from placegraph.io.capture.labels import Entry, label_table
+from placegraph.io.capture.json_files import LabelEntry as Entry
+from placegraph.io.capture.json_files import label_table
 from placegraph.io.mesh.model import Model, Thing
 from placegraph.io.osm.indoor_osm import is_indoor_osm
 

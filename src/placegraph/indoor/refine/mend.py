@@ -22,8 +22,7 @@ from placegraph.indoor.refine.calibrate import (
     turned_gravity,
 )
 from placegraph.indoor.status import choose_camera
-from placegraph.io.capture.frame import Frame, Images
-from placegraph.io.capture.frame_files import LazyImages
+from placegraph.io.capture.frame import Frame, Images, LazyImages
 
 _SAME = 1e-3  # of an image's width: intrinsics of one view
 _ALIKE = 0.01  # focal lengths that are off by one factor

@@ -19,9 +19,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from placegraph.errors import InputError, OptionError
-from placegraph.io.capture.frame import ArrayImages, Frame, LabelKind
-from placegraph.io.capture.frame_files import LazyImages, quarter_turn
-from placegraph.io.capture.frames import Capture
+from placegraph.io.capture.frame import (
+    ArrayImages,
+    Capture,
+    Frame,
+    LabelKind,
+    LazyImages,
+    quarter_turn,
+)
 from placegraph.io.capture.posed import SAME_MOMENT, nearest_stamps
 from placegraph.io.capture.tum import read_tum
 
@@ -141,35 +146,33 @@ FORMATS = (
     Format(
         "Stray Scanner",
         "rgb.mp4, odometry.csv and camera_matrix.csv",
-        "placegraph_io.phone.stray",
+        "placegraph_io.phone",
         "stray",
     ),
     Format(
         "Polycam",
         "keyframes/ with images/, cameras/ and depth/",
-        "placegraph_io.phone.polycam",
+        "placegraph_io.phone",
         "polycam",
     ),
     Format(
         "Record3D",
         "metadata.json and rgbd/ or rgb/ and depth/, or .r3d",
-        "placegraph_io.phone.record3d",
+        "placegraph_io.phone",
         "record3d",
     ),
-    Format("MultiScan", "X.jsonl and X.mp4", "placegraph_io.phone.multiscan", "multiscan"),
+    Format("MultiScan", "X.jsonl and X.mp4", "placegraph_io.dataset.multiscan", "multiscan"),
     Format(
         "ios_logger",
         "Frames.m4v, Frames.txt and ARposes.txt",
-        "placegraph_io.phone.ios_logger",
+        "placegraph_io.phone",
         "ios_logger",
     ),
-    Format(
-        "3D Scanner App", "frame_00000.json and .jpg", "placegraph_io.phone.arkit_app", "arkit_app"
-    ),
+    Format("3D Scanner App", "frame_00000.json and .jpg", "placegraph_io.phone", "arkit_app"),
     Format(
         "ARKitScenes",
         "lowres_wide.traj and lowres_wide/",
-        "placegraph_io.phone.arkit_scenes",
+        "placegraph_io.dataset.arkit_scenes",
         "arkit_scenes",
     ),
     Format(
@@ -210,7 +213,7 @@ FORMATS = (
     Format(
         "a video with a trajectory",
         "a video, camera.json and odometry.tum or .csv",
-        "placegraph.io.capture.video_folder",
+        "placegraph.io.capture.video",
         "video_folder",
     ),
     Format(

@@ -12,18 +12,19 @@ from numpy.typing import NDArray
 
 from placegraph.core.geometry import Camera
 from placegraph.errors import InputError
-from placegraph.io.capture.camera import CameraFile, read_camera, read_json
-from placegraph.io.capture.frame import Frame, LabelKind
-from placegraph.io.capture.frame_files import (
+from placegraph.io.capture.frame import (
+    Capture,
     DepthUnit,
+    Frame,
+    LabelKind,
     LazyImages,
     Meanings,
     colour_file,
     depth_file,
     label_file,
 )
-from placegraph.io.capture.frames import Capture
 from placegraph.io.capture.images import image_size, images_of
+from placegraph.io.capture.json_files import CameraFile, read_camera, read_json
 from placegraph.io.capture.tum import read_table, read_tum
 
 _GRAVITY_COLUMNS = ("stamp", "gx", "gy", "gz")

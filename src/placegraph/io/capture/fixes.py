@@ -7,8 +7,7 @@ from math import isfinite, nan
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from placegraph.io.capture.frame_files import ColourFile, LazyImages
-from placegraph.io.capture.frames import Capture
+from placegraph.io.capture.frame import Capture, ColourFile, LazyImages
 from placegraph.io.capture.images import opened
 from placegraph.io.capture.posed import nearest_stamps
 from placegraph.io.capture.tum import read_table

@@ -1,17 +1,23 @@
-"""One frame of a capture, and frames of arrays in memory; `frame_files` has those of files."""
+"""Frames of captures, in memory or read from files when asked for, and captures as sequences of frames."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol
+import itertools
+import operator
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, Protocol, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from placegraph.core.geometry import Camera
 from placegraph.core.pickling import Portable
-from placegraph.errors import OptionError
+from placegraph.errors import InputError, OptionError
+from placegraph.io.capture.images import WHOLE_MODES, read_rgb, read_whole
 
 LabelKind = Literal["labels", "instances"]
 """What the values of label images are: ids of labels, or ids of objects of the map."""
@@ -224,3 +230,348 @@ def _locked(array: NDArray[Any]) -> NDArray[Any]:
     view = array.view()
     view.flags.writeable = False
     return view
+
+
+DEPTH_MODES = ("I;16", "I;16B", "I;16L", "I")
+"""Pillow's modes of a depth image."""
+
+_UNNAMED = -2
+
+
+class DepthUnit(NamedTuple):
+    """Where the unit of depth images is said, for messages on depth that cannot be right."""
+
+    said: str
+    """As it stands in a sentence: "`depth.scale` in walk/camera.json"."""
+    per_metre: float
+    """Units in a metre."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LazyImages:
+    """Images of one frame behind functions: read, checked and turned each time they are asked for.
+
+    The functions return the images as they are stored, of the size of their cameras as stored, and
+    raise `InputError` where that fails (`check_shape` says so for arrays from elsewhere).
+    """
+
+    colours: Callable[[], NDArray[np.uint8]]
+    """() -> (H, W, 3) uint8, sRGB."""
+    metres: Callable[[], NDArray[np.float32]] | None = None
+    """() -> (h, w) float32 along the optical axis [m], NaN: no reading; None: no such image."""
+    ids: Callable[[], NDArray[np.int32]] | None = None
+    """() -> (h, w) int32, -1: nothing; None: no such image."""
+    unit: DepthUnit | None = None
+    """Where the unit of depth is said."""
+    turns: int = 0
+    """Quarter turns, counter-clockwise, of the stored images."""
+
+    def rgb(self) -> NDArray[np.uint8]:
+        """As `Frame.rgb`."""
+        return self._turned(self.colours())
+
+    def depth(self) -> NDArray[np.float32] | None:
+        """As `Frame.depth`."""
+        return None if self.metres is None else self._turned(self.metres())
+
+    def labels(self) -> NDArray[np.int32] | None:
+        """As `Frame.labels`."""
+        return None if self.ids is None else self._turned(self.ids())
+
+    def _turned(self, image: NDArray[Any]) -> NDArray[Any]:
+        return np.ascontiguousarray(np.rot90(image, self.turns)) if self.turns % 4 else image
+
+
+def posed_frame(
+    index: int,
+    stamp: float,
+    odometry: ArrayLike,
+    camera: Camera,
+    images: LazyImages,
+    *,
+    depth_camera: Camera | None = None,
+    label_camera: Camera | None = None,
+    label_kind: LabelKind = "labels",
+    label_names: Mapping[int, str] | None = None,
+    gravity: ArrayLike | None = None,
+    turns: int = 0,
+) -> Frame:
+    """Frame of images, cameras and pose as they are stored, turned by quarters.
+
+    Parameters
+    ----------
+    index, stamp
+        Number of the frame; seconds, or its number.
+    odometry
+        (4, 4) odometry_from_camera [m] of the stored image, odometry z up.
+    camera, depth_camera, label_camera
+        Of the stored images; None where there is no depth, no label.
+    images
+        Where the stored images come from.
+    label_kind, label_names
+        As of `Frame`.
+    gravity
+        (3,) in the stored camera's axes, of any length; -z of the odometry's frame if not given.
+    turns
+        Quarter turns, counter-clockwise, that the frame is of.
+
+    """
+    stored = np.array(odometry, np.float64)
+    down = -stored[2, :3] if gravity is None else np.asarray(gravity, np.float64)
+    turned_from_stored = quarter_turn(turns)
+    pose = stored.copy()
+    pose[:3, :3] = stored[:3, :3] @ turned_from_stored.T
+    down = turned_from_stored @ down / np.linalg.norm(down)
+    pose.flags.writeable = down.flags.writeable = False
+    return Frame(
+        index=index,
+        stamp=float(stamp),
+        odometry=pose,
+        gravity=down,
+        camera=turned_camera(camera, turns),
+        depth_camera=None if depth_camera is None else turned_camera(depth_camera, turns),
+        label_camera=None if label_camera is None else turned_camera(label_camera, turns),
+        label_kind=None if label_camera is None else label_kind,
+        label_names=dict(label_names or {}),
+        images=replace(images, turns=turns) if turns else images,
+    )
+
+
+# -------------------------------------------------------------------------------- quarter turns
+
+
+def upright_turns(gravity: ArrayLike) -> int:
+    """Quarter turns (0 to 3, counter-clockwise) that stand most images of a capture upright.
+
+    `gravity`: (..., 3), direction of gravity in the cameras' axes as they are stored. One number
+    for a whole capture keeps its images of one size.
+    """
+    x, y, _ = np.asarray(gravity, np.float64).reshape(-1, 3).sum(axis=0)
+    return int(np.argmax([y, -x, -y, x]))
+
+
+def quarter_turn(turns: int) -> NDArray[np.float64]:
+    """Rotation (3, 3), turned_from_stored, of a camera whose image `np.rot90` turns."""
+    c, s = ((1, 0), (0, 1), (-1, 0), (0, -1))[turns % 4]
+    return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def turned_camera(camera: Camera, turns: int) -> Camera:
+    """Intrinsics of a camera whose images are turned as `np.rot90` does."""
+    for _ in range(turns % 4):
+        bent = camera.distortion
+        if camera.model == "opencv" and bent:  # a fisheye's is the same all around
+            k1, k2, p1, p2, *more = bent
+            bent = (k1, k2, -p2, p1, *more)
+        camera = Camera(
+            width=camera.height,
+            height=camera.width,
+            fx=camera.fy,
+            fy=camera.fx,
+            cx=camera.cy,
+            cy=camera.width - camera.cx,
+            distortion=bent,
+            model=camera.model,
+        )
+    return camera
+
+
+# ---------------------------------------------------------------------------------------- files
+
+
+@dataclass(frozen=True, slots=True)
+class ColourFile:
+    """Reads the colours of an image file, which must have this width and height [px]."""
+
+    path: Path
+    size: tuple[int, int]
+
+    def __call__(self) -> NDArray[np.uint8]:
+        """(H, W, 3)."""
+        return read_rgb(self.path, self.size)
+
+
+def colour_file(path: Path, camera: Camera) -> ColourFile:
+    """Reads the colours of an image file, which must have the camera's size."""
+    return ColourFile(path, _size(camera))
+
+
+def depth_file(
+    path: Path, camera: Camera, per_metre: float, *, confidence: Path | None = None
+) -> Callable[[], NDArray[np.float32]]:
+    """Reads the depth of a PNG of 16 bits, 0: no reading, that must have the camera's size.
+
+    Where the image `confidence`, of the same size, is 0, the sensor did not trust its reading, and
+    there is none.
+    """
+    return partial(_depth, path, _size(camera), per_metre, confidence)
+
+
+def _depth(
+    path: Path, size: tuple[int, int], per_metre: float, confidence: Path | None
+) -> NDArray[np.float32]:
+    units = read_whole(path, size, DEPTH_MODES)
+    metres = (units / per_metre).astype(np.float32)
+    metres[units <= 0] = np.nan
+    if confidence is not None:
+        metres[read_whole(confidence, size, WHOLE_MODES) == 0] = np.nan
+    return metres
+
+
+def label_file(
+    path: Path, camera: Camera, offset: int = 0, known: Meanings | None = None
+) -> Callable[[], NDArray[np.int32]]:
+    """Reads ids of labels or objects, of 8 or 16 bits; below `offset`, which is subtracted: none.
+
+    `known` says what the ids mean; `InputError` where an id of the image has no name.
+    """
+    return partial(_labels, path, _size(camera), offset, known)
+
+
+def _labels(
+    path: Path, size: tuple[int, int], offset: int, known: Meanings | None
+) -> NDArray[np.int32]:
+    ids = np.maximum(read_whole(path, size, WHOLE_MODES) - offset, -1)
+    return ids if known is None else known.of(ids, path)
+
+
+class Meanings(NamedTuple):
+    """What label ids mean."""
+
+    names: Mapping[int, str | None]
+    """By id; None or empty: says nothing."""
+    path: Path
+    """File that says so."""
+    offset: int
+    """Was subtracted from the ids."""
+
+    def of(self, ids: NDArray[np.int32], image: Path) -> NDArray[np.int32]:
+        """Ids (h, w) of an image, -1 where they say nothing; `InputError`: one has no name."""
+        table = np.full(1 << 16, _UNNAMED, np.int32)
+        if not self.offset:
+            table[0] = -1  # by custom 0 is "unlabelled", where no name says otherwise
+        for number, name in self.names.items():
+            table[number] = number if name else -1
+        meant: NDArray[np.int32] = np.where(ids < 0, -1, table[np.minimum(ids, len(table) - 1)])
+        if meant.min() == _UNNAMED:
+            nameless = np.unique(ids[meant == _UNNAMED]).tolist()
+            listed = ", ".join(map(str, nameless[:8])) + (" ..." if len(nameless) > 8 else "")
+            raise InputError(
+                f"{image} holds label ids without a name in {self.path}: {listed}; "
+                "name them there (null: says nothing)."
+            )
+        return meant
+
+
+def check_shape(image: NDArray[Any], camera: Camera, name: object) -> None:
+    """Refuse an image (h, w, ...) of another size than its camera's; `name` says which it is."""
+    if image.shape[:2] != (camera.height, camera.width):
+        raise InputError(
+            f"{name} has {image.shape[1]} x {image.shape[0]} pixels, but its camera says "
+            f"{camera.width} x {camera.height}; give the intrinsics of the images as they are."
+        )
+
+
+def _size(camera: Camera) -> tuple[int, int]:
+    return camera.width, camera.height
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Capture:
+    """Frames in order of time. `capture[i]` is a `Frame`, `capture[5:10]` a `Capture`.
+
+    Made by `open_capture`, or of frames in memory by `Capture.from_frames`.
+    """
+
+    path: Path | None
+    """Folder, or None for frames in memory."""
+    frames: tuple[Frame, ...]
+    camera: Camera
+    """Of the colour images; of the first, where the recorder refocuses from frame to frame."""
+    depth_camera: Camera | None
+    """Of the depth images; None where the capture has none."""
+    label_camera: Camera | None
+    """Of the label or instance images; None where the capture has none."""
+    label_kind: LabelKind | None
+    label_names: dict[int, str]
+    """Names of label ids, from `labels.json`."""
+    notes: tuple[str, ...] = ()
+    """What a reader found out or took for granted, in sentences: a scale, a direction."""
+    left_out: Counter[str] = field(default_factory=Counter)
+    """Frames that the recorder has and the capture has not, by reason."""
+
+    @classmethod
+    def from_frames(cls, frames: Iterable[Frame]) -> Capture:
+        """Capture of frames in memory; `OptionError` where they are none or differ in size."""
+        held = tuple(frames)
+        if not held:
+            raise OptionError("frames: there is none; a capture needs at least one frame.")
+        first = held[0]
+        views = {
+            (_shape(f.camera), _shape(f.depth_camera), _shape(f.label_camera), f.label_kind)
+            for f in held
+        }
+        if len(views) > 1:
+            raise OptionError("frames: their cameras differ; a capture is of images of one size.")
+        if any(b.stamp <= a.stamp for a, b in itertools.pairwise(held)):
+            raise OptionError("frames: their stamps do not ascend; sort them, drop repeated ones.")
+        names = {i: name for f in held for i, name in f.label_names.items()}
+        return cls(
+            None,
+            held,
+            first.camera,
+            first.depth_camera,
+            first.label_camera,
+            first.label_kind,
+            names,
+        )
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __iter__(self) -> Iterator[Frame]:
+        return iter(self.frames)
+
+    @overload
+    def __getitem__(self, which: int) -> Frame: ...
+    @overload
+    def __getitem__(self, which: slice) -> Capture: ...
+    def __getitem__(self, which: int | slice) -> Frame | Capture:
+        if isinstance(which, slice):
+            return replace(self, frames=self.frames[which])
+        return self.frames[operator.index(which)]
+
+    @cached_property
+    def stamps(self) -> NDArray[np.float64]:
+        """(T,) seconds, or frame numbers; strictly ascending."""
+        return _read_only(np.array([f.stamp for f in self.frames], np.float64))
+
+    @cached_property
+    def odometry(self) -> NDArray[np.float64]:
+        """(T, 4, 4) odometry_from_camera [m], in the odometry's own frame, drifting."""
+        poses = np.array([f.odometry for f in self.frames], np.float64)
+        return _read_only(poses.reshape(-1, 4, 4))
+
+    @cached_property
+    def gravity(self) -> NDArray[np.float64]:
+        """(T, 3) unit direction of gravity in the camera's axes."""
+        return _read_only(np.array([f.gravity for f in self.frames], np.float64).reshape(-1, 3))
+
+    def __repr__(self) -> str:
+        with_ = [
+            what
+            for what, there in (("depth", self.depth_camera), (self.label_kind, self.label_camera))
+            if there is not None
+        ]
+        where = repr(str(self.path)) if self.path else "in memory"
+        size = f"{self.camera.width} x {self.camera.height}"
+        return f"Capture({where}, {len(self)} frames of {size}{''.join(f', {w}' for w in with_)})"
+
+
+def _shape(camera: Camera | None) -> tuple[int, int] | None:
+    return None if camera is None else (camera.width, camera.height)
+
+
+def _read_only(array: NDArray[np.float64]) -> NDArray[np.float64]:
+    array.flags.writeable = False
+    return array

@@ -20,8 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from placegraph.core.files import regular
 from placegraph.core.geometry import Camera, rotation_from_quaternion
 from placegraph.errors import InputError, OptionError
-from placegraph.io.capture.frame_files import LazyImages, posed_frame, upright_turns
-from placegraph.io.capture.frames import Capture
+from placegraph.io.capture.frame import Capture, LazyImages, posed_frame, upright_turns
 
 MAP_FROM_Y_UP = np.array(
     [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]

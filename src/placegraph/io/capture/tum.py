@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from placegraph.core.files import put, regular
 from placegraph.core.geometry import quaternion_from_rotation, rotation_from_quaternion
 from placegraph.errors import InputError, OptionError
-from placegraph.io.capture.camera import read_json
+from placegraph.io.capture.json_files import read_json
 
 POSE_COLUMNS = ("stamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
 UNIT_TOLERANCE = 1e-3

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from placegraph.core.files import regular
 from placegraph.errors import InputError, OptionError
-from placegraph.io.capture.labels import Entry
+from placegraph.io.capture.json_files import LabelEntry
 from placegraph.io.mesh.gltf import Z_UP
 from placegraph.io.mesh.model import Model, Picture, Thing
 from placegraph.io.mesh.ply import UNKNOWN
@@ -472,7 +472,7 @@ def read_obj(
     *,
     up: Literal["y", "z"] = "z",
     groups: Groups = "auto",
-    table: Mapping[str, Entry] | None = None,
+    table: Mapping[str, LabelEntry] | None = None,
 ) -> Model:
     """Read an OBJ mesh, its material files and their textures.
 
@@ -488,7 +488,7 @@ def read_obj(
         Which keyword parts the file into things; auto: the first of `o`, `g` and `usemtl` that
         names two or more, else the first that names any.
     table
-        What the names are called: `placegraph.io.capture.labels.label_table`.
+        What the names are called: `placegraph.io.capture.json_files.label_table`.
 
     Raises
     ------
@@ -562,7 +562,7 @@ def _one_each(rows: Rows, mapped: Rows, count: int) -> bool:
 
 
 def _things(
-    text: ObjText, groups: Groups, face: Rows, table: Mapping[str, Entry]
+    text: ObjText, groups: Groups, face: Rows, table: Mapping[str, LabelEntry]
 ) -> tuple[tuple[Thing, ...], Rows]:
     """Things, and the thing of each triangle."""
     keyword = groups if groups != "auto" else _parting(text, face)
@@ -579,7 +579,7 @@ def _parting(text: ObjText, face: Rows) -> str:
     return (several or named or ["o"])[0]
 
 
-def _thing(name: str, table: Mapping[str, Entry]) -> Thing:
+def _thing(name: str, table: Mapping[str, LabelEntry]) -> Thing:
     entry = table.get(name)
     if entry is not None:
         return Thing(name, entry.label, entry.name or name, entry.attributes)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from placegraph.core.files import regular, write_file
 from placegraph.errors import InputError, OptionError
-from placegraph.io.capture.labels import Entry
+from placegraph.io.capture.json_files import LabelEntry
 from placegraph.io.mesh.gltf import Z_UP
 from placegraph.io.mesh.model import Model, Picture, Thing
 
@@ -312,7 +312,7 @@ def read_ply(
     *,
     up: Literal["y", "z"] = "z",
     object_property: str | None = None,
-    table: Mapping[str, Entry] | None = None,
+    table: Mapping[str, LabelEntry] | None = None,
 ) -> Model:
     """Read a PLY mesh, text or binary.
 
@@ -327,7 +327,7 @@ def read_ply(
     object_property
         Property of faces or vertices that holds object ids; one of `OBJECT_PROPERTIES` if not given.
     table
-        What the ids are called: `placegraph.io.capture.labels.label_table`.
+        What the ids are called: `placegraph.io.capture.json_files.label_table`.
 
     Raises
     ------
@@ -448,7 +448,7 @@ def _colours(path: Path, columns: Mapping[str, NDArray[Any]]) -> NDArray[np.uint
 
 
 def things_of_ids(
-    ids: NDArray[np.int64] | None, count: int, table: Mapping[str, Entry]
+    ids: NDArray[np.int64] | None, count: int, table: Mapping[str, LabelEntry]
 ) -> tuple[tuple[Thing, ...], NDArray[np.int64], Counter[str]]:
     """Things, the thing of each of `count` triangles, and what was left out.
 

@@ -131,7 +131,7 @@ def read_columns(
         There is no room for `index`, or for a PBF of what is none.
 
     """
-    from placegraph.io.osm.osm_reader import Reader  # which makes what is described here
+    from placegraph.io.osm.reader import Reader  # which makes what is described here
 
     path, left_out = checked_osm(Path(path)), LeftOut() if left_out is None else left_out
     try:

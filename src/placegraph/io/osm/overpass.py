@@ -1,39 +1,164 @@
-"""Download of a place's OpenStreetMap data: a name goes in, a file for `read_osm` comes out.
-
-OSMnx finds the place's outline and knows the servers, their limits and how to be polite (its
-`settings`). Its `features` module is not asked: it turns ways into polygons without vertex ids, goes
-on with half a city when the server ran out of time, and writes the outline into the query once for
-each key and type, where 33 keys and a detailed boundary exceed the 1 MiB that Overpass reads. A
-`.osm` file is Overpass's own answer to the letter, which goes to disk without ever being whole in
-memory, with the date of the data and their licence.
-"""
+"""What the services that OSMnx asks have in common: who asks, and answers that are none."""
 
 from __future__ import annotations
 
 import errno
+import html
+import math
 import os
 import re
 import shutil
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from placegraph.errors import InputError, OptionError, ServiceError
-from placegraph.io.osm.nominatim import find, rings
-from placegraph.io.osm.services import (
-    accept,
-    agent,
-    gist,
-    nonsense,
-    osmnx_or_what_installs_it,
-    unreachable,
-)
+import numpy as np
+
+from placegraph.errors import InputError, MissingExtraError, OptionError, ServiceError
+
+MEND = {
+    "Nominatim": "Try again in some minutes.",
+    "Overpass": "Try again in some minutes, or name another server (--overpass-url).",
+}
+
+
+def osmnx_or_what_installs_it() -> Any:  # noqa: ANN401 - the module itself, which may not be there
+    """OSMnx; `MissingExtraError` where it is not installed."""
+    try:
+        import osmnx as ox
+    except ImportError as error:
+        raise MissingExtraError(
+            "OSMnx is not installed; `pip install 'placegraph[osmnx]'` brings it."
+        ) from error
+    return ox
+
+
+def agent(ox: Any) -> str:  # noqa: ANN401 - the module osmnx
+    """Say who asks, as both services want it."""
+    return f"placegraph, {ox.settings.http_user_agent}"
+
+
+def accept(response: Any, service: str) -> None:  # noqa: ANN401 - requests, loaded late
+    """Raise `ServiceError` where the service did not answer what was asked."""
+    if not response.ok:
+        said = gist(response.content[:4096])
+        raise ServiceError(
+            f"{service} answered {response.status_code} {response.reason}"
+            f"{f' ({said})' if said else ''}. {MEND[service]}"
+        )
+
+
+def unreachable(service: str, error: Exception) -> ServiceError:
+    """Error of a service that nobody answers for."""
+    return ServiceError(
+        f"{service} cannot be reached, or broke off: {gist(str(error).encode())}. "
+        "Check the network and the server's address, and try again."
+    )
+
+
+def nonsense(service: str, said: bytes) -> ServiceError:
+    """Error of a service that answers something else."""
+    return ServiceError(
+        f"{service} answered something else than was asked for: {gist(said) or 'nothing'}. "
+        f"{MEND[service]}"
+    )
+
+
+def gist(text: bytes, most: int = 200) -> str:
+    """Return what a page or message says, on one line, without its markup."""
+    plain = re.sub(r"<(style|script|title)\b.*?</\1>|<[^>]*>", " ", text.decode(errors="replace"),
+                   flags=re.DOTALL)  # fmt: skip
+    line = " ".join(html.unescape(plain).split()).rstrip(".")
+    return line if len(line) <= most else line[: most - 1] + "…"
+
+
+PAD = 0.001
+"""A place is fetched with its surroundings, this wide [deg]: from its edge one sees beyond it."""
+PARTS, CORNERS = 16, 600
+"""An outline is coarsened until it has no more parts and corners than these."""
+METRES_A_DEGREE = 111_320.0
+
+
+def find(ox: Any, place: str) -> tuple[str, Any]:  # noqa: ANN401 - osmnx and shapely, loaded late
+    """Full name of a place and its outline, a polygon or several, longitude/latitude.
+
+    Raises `InputError` where it is unknown, has no outline or is too large, `ServiceError` where
+    Nominatim does not say.
+    """
+    import requests
+
+    shapes: list[str] = []  # of all places of this name
+
+    def hear(response: requests.Response, **_: object) -> None:
+        """Stop at a failure: OSMnx itself asks a busy server for ever, and reads errors as data."""
+        if response.is_redirect:
+            return
+        accept(response, "Nominatim")
+        try:
+            shapes.extend(str.strip(found["geojson"]["type"]) for found in response.json())
+        except (LookupError, TypeError, ValueError, RecursionError) as error:
+            raise nonsense("Nominatim", response.content[:4096]) from error
+
+    hooks = ox.settings.requests_kwargs | {"hooks": {"response": hear}}
+    try:
+        with _settings(ox, use_cache=False, requests_kwargs=hooks, http_user_agent=agent(ox)):
+            found = ox.geocode_to_gdf(place)
+        name, outline = str(found["display_name"].iloc[0]), found.geometry.iloc[0]
+    except requests.RequestException as error:
+        raise unreachable("Nominatim", error) from error
+    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
+        if not shapes:
+            raise InputError(
+                f"No place is called {place!r}; check the spelling, or add the region or country."
+            ) from error
+        if not {"Polygon", "MultiPolygon"} & set(shapes):
+            raise InputError(
+                f"{place!r} is known as a point or line only; name a town or district that has an "
+                "outline, or download an extract for `placegraph city build`."
+            ) from error
+        raise nonsense("Nominatim", repr(error).encode()) from error
+    if outline.is_empty:
+        raise nonsense("Nominatim", b"an outline of nothing")
+    area = outline.area * METRES_A_DEGREE**2 * math.cos(math.radians(outline.centroid.y))
+    if not area <= ox.settings.max_query_area_size:
+        raise InputError(
+            f"{name!r} covers {area / 1e6:,.0f} km2, which is too much for Overpass (limit: "
+            f"{ox.settings.max_query_area_size / 1e6:,.0f} km2). Name a part of it, or download an "
+            "extract for `placegraph city build`."
+        )
+    return name, outline
+
+
+@contextmanager
+def _settings(ox: Any, **changes: object) -> Iterator[None]:  # noqa: ANN401 - the module osmnx
+    """Change settings of OSMnx for a while: they are global, and the user's."""
+    before = {name: getattr(ox.settings, name) for name in changes}
+    try:
+        for name, value in changes.items():
+            setattr(ox.settings, name, value)
+        yield
+    finally:
+        for name, value in before.items():
+            setattr(ox.settings, name, value)
+
+
+def rings(outline: Any) -> list[str]:  # noqa: ANN401 - shapely's geometry, untyped
+    """Rings around a place, as Overpass's polygon filter wants them: "lat lon lat lon ..."."""
+    pad = PAD
+    while True:  # widened by twice what the simplification may cut off
+        wide = outline.buffer(pad).simplify(pad / 2)
+        rings = [np.array(part.exterior.coords) for part in getattr(wide, "geoms", [wide])]
+        if len(rings) <= PARTS and sum(map(len, rings)) <= CORNERS:
+            earth = [np.clip(ring, (-180, -90), (180, 90)) for ring in rings]
+            return [" ".join(f"{y:.5f} {x:.5f}" for x, y in ring) for ring in earth]
+        pad *= 2
+
 
 Progress = Callable[[str, int], None]
 

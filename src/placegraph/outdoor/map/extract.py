@@ -73,7 +73,7 @@ def read_extract(
     if isinstance(path, str | PathLike):
         blocks = read_columns(path, keys_read(vocabulary), left_out)
     else:
-        overture = load_module("placegraph_io.overture.overture", "overture")
+        overture = load_module("placegraph_io.overture", "overture")
         blocks = _in_columns(overture.read_overture(path, left_out))
     tables = list(labelled(blocks, vocabulary, progress or (lambda _step, _n: None)))
     things = without_largest(Things.joined(tables), left_out) if tables else ()

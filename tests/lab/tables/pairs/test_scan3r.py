@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from placegraph.errors import InputError, OptionError
-from placegraph_io.dataset.scan3r_rooms import read_rooms
+from placegraph_io.dataset.scan3r import read_rooms
 from placegraph_lab.tables.indoor.windows import drifting_windows
 from placegraph_lab.tables.pairs.scan3r import (
     candidates,
@@ -133,7 +133,7 @@ def test_points_of_the_room_agree(rooms):
 
 @given(seed=st.integers(0, 1000))
 def test_one_drawn_pair_a_scan(seed):
-    from placegraph_io.dataset.scan3r_rooms import Room, Scan
+    from placegraph_io.dataset.scan3r import Room, Scan
 
     room = Room("r", "test", tuple(Scan(i, np.eye(4)) for i in "rstu"))
     pairs = cross_temporal_pairs([room], "one", rng=np.random.default_rng(seed))

@@ -26,8 +26,7 @@ from placegraph.core.geometry import (
 )
 from placegraph.errors import OptionError
 from placegraph.indoor.scene_map import SceneMap
-from placegraph.io.capture.frame import ArrayImages, Frame
-from placegraph.io.capture.frame_files import quarter_turn, turned_camera
+from placegraph.io.capture.frame import ArrayImages, Frame, quarter_turn, turned_camera
 
 WIDE = 640
 """Width of the image that shifts in pixels are meant for."""

@@ -23,8 +23,7 @@ import numpy as np
 
 from placegraph.core.geometry import Camera
 from placegraph.io.capture.capture import open_capture
-from placegraph.io.capture.frame import Frame
-from placegraph.io.capture.frames import Capture
+from placegraph.io.capture.frame import Capture, Frame
 from placegraph_lab.tables.runner import Quick, Run, markdown, number, option, table
 from placegraph_lab.worlds.bags import BagWriter, Layout, write_capture
 from placegraph_ros.bag import Container

@@ -22,7 +22,7 @@ from placegraph.indoor.rays import RayCaster
 from placegraph.indoor.rays.caster import Backend
 from placegraph.indoor.render import Renderer, camera_rays
 from placegraph.indoor.scene_map import SceneMap
-from placegraph.io.capture.camera import read_camera
+from placegraph.io.capture.json_files import read_camera
 from placegraph_lab.tables.indoor import maps as indoor_maps
 from placegraph_lab.tables.indoor.windows import HALVES, true_poses
 from placegraph_lab.tables.named.indoor_speed import no_cuda

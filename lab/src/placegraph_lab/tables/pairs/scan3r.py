@@ -23,9 +23,9 @@ from numpy.random import Generator
 from placegraph.core.geometry import Floats
 from placegraph.errors import InputError, OptionError
 from placegraph.io.capture.capture import Capture
-from placegraph_io.dataset.scan3r_rooms import Room, Rooms, Scan
+from placegraph_io.dataset.scan3r import Room, Rooms, Scan
 from placegraph_io.dataset.scan3r_sequence import read_scan3r_sequence
-from placegraph_io.dataset.scannet_files import read_text
+from placegraph_io.dataset.scannet import read_text
 from placegraph_lab.tables.indoor.windows import sampled
 
 Split = Literal["train", "validation", "test"]

@@ -24,7 +24,7 @@ from placegraph.errors import InputError, OptionError
 from placegraph.indoor.mapping.change.align import Registration, about, register, sample
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture, open_capture
-from placegraph_io.dataset.scannet_files import axis_alignment, is_rigid, read_text
+from placegraph_io.dataset.scannet import axis_alignment, is_rigid, read_text
 from placegraph_lab.tables.indoor.windows import sampled
 
 WITHIN = 0.05

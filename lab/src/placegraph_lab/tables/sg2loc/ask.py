@@ -25,8 +25,8 @@ from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.refine import RefineOptions
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture, open_capture
-from placegraph_io.dataset.scan3r_rooms import read_rooms
-from placegraph_io.dataset.scannet_files import axis_alignment
+from placegraph_io.dataset.scan3r import read_rooms
+from placegraph_io.dataset.scannet import axis_alignment
 from placegraph_lab.tables.indoor import maps as indoor_maps
 from placegraph_lab.tables.indoor.bench import NoisyEncoder, NoisyLabels
 from placegraph_lab.tables.indoor.maps import place

@@ -1,38 +1,388 @@
-"""Reader of 3RScan's annotated scans, with what 3DSSG says of their objects.
-
-The textured mesh (`mesh.refined.v2.obj`) gives form and colour, the annotated mesh
-(`labels.instances.annotated.v2.ply`, whose own colours are those of labels) or the segments the
-objects; `semseg.v2.json` and 3DSSG's `objects.json` their names and attributes, 3DSSG's
-`relationships.json` their relations. Scans are z up, in metres.
-"""
+"""What lies beside a 3RScan scan: names of its files, 3DSSG's objects and relations."""
 
 from __future__ import annotations
 
+import json
 from collections import Counter
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.files import regular
 from placegraph.errors import InputError, OptionError
+from placegraph.io.capture.json_files import LabelEntry as Entry
+from placegraph.io.capture.json_files import label_table, read_json
 from placegraph.io.mesh.model import Model
 from placegraph.io.mesh.nearest_kernels import nearest
 from placegraph.io.mesh.obj import read_obj
 from placegraph.io.mesh.ply import majority, read_columns, read_ply, things_of_ids, whole
-from placegraph_io.dataset.scan3r_files import (
-    GROUPS,
-    LABELLED,
-    MESHES,
-    SEGMENTS,
-    Annotation,
-    around,
-    first_of,
-    read_annotation,
-    segment_objects,
-)
-from placegraph_io.dataset.scan3r_rooms import NAME, Rooms, read_rooms
+from placegraph_io.dataset.scannet import is_rigid
+
+MESHES = ("mesh.refined.v2.obj", "mesh.refined.obj")
+LABELLED = ("labels.instances.annotated.v2.ply", "labels.instances.annotated.ply")
+SEGMENTS = ("mesh.refined.0.010000.segs.v2.json", "mesh.refined.0.010000.segs.json")
+GROUPS = ("semseg.v2.json", "semseg.json")
+OBJECTS = ("objects.json",)
+RELATIONS = (
+    "relationships.json", "relationships_train.json", "relationships_validation.json",
+    "relationships_test.json",
+)  # fmt: skip
+BESIDE = (".", "3DSSG", "3DSSG_subset", "files")
+"""Folders in which files on all scans are looked for, of the scan's folder and its parents."""
+_PARENTS = 3
+_NO_RELATION = "none"
+
+
+@dataclass(frozen=True, slots=True)
+class Annotation:
+    """What is said of a scan's objects."""
+
+    objects: dict[str, Entry]
+    """By the object's id."""
+    relations: tuple[tuple[str, str, str], ...]
+    """(id, 3DSSG's name of the relation, id), sorted."""
+
+
+def first_of(folder: Path, names: tuple[str, ...]) -> Path | None:
+    """The first of these files that a folder holds."""
+    return next((folder / name for name in names if (folder / name).is_file()), None)
+
+
+def around(folder: Path, names: tuple[str, ...], given: Path | None = None) -> Iterator[Path]:
+    """Files of these names that are given, or in the scan's folder, its parents, or beside them."""
+    if given is not None:
+        places = [given]
+    else:
+        near = [folder, *folder.absolute().parents[:_PARENTS]]
+        places = [parent / beside for parent in near for beside in BESIDE]
+    for place in places:
+        yield from (place / name for name in names if (place / name).is_file())
+
+
+def read_annotation(folder: Path, given: Path | None, left_out: Counter[str]) -> Annotation:
+    """Objects of `semseg.v2.json` and 3DSSG's `objects.json`, and 3DSSG's relations, of one scan.
+
+    `given` is the folder of 3DSSG's files, if they are not around the scan's. What there is not is
+    counted; raises `InputError` where no file names the objects, or one is damaged.
+    """
+    scan = folder.absolute().name
+    groups = first_of(folder, GROUPS)
+    objects = label_table(groups) if groups else {}
+    described = next(
+        (found for file in around(folder, OBJECTS, given) if (found := _objects(file, scan))), {}
+    )
+    for id_, entry in described.items():
+        known = objects.get(id_)
+        objects[id_] = Entry(known.label if known else entry.label, "", entry.attributes)
+    if not objects:
+        raise InputError(
+            f"{folder} has no {GROUPS[0]}, and no {OBJECTS[0]} around it names the objects of the scan "
+            f"{scan}; download one, or name 3DSSG's folder."
+        )
+    files = list(around(folder, RELATIONS, given))
+    relations = next((told for file in files if (told := _relations(file, scan))), set())
+    if not described:
+        left_out["3DSSG's attributes, which no objects.json has for this scan"] += 1
+    if not relations:
+        left_out["3DSSG's relations, which no relationships.json has for this scan"] += 1
+    return Annotation(objects, tuple(sorted(relations)))
+
+
+def segment_objects(segments: Path, groups: Path) -> list[int]:
+    """Id of the object of each vertex, -1: none, by over-segmentation and its groups."""
+    content, named = read_json(segments), read_json(groups)
+    listed = content.get("segIndices") if isinstance(content, dict) else None
+    members = named.get("segGroups") if isinstance(named, dict) else None
+    if not isinstance(listed, list) or not isinstance(members, list):
+        raise InputError(f"{segments} has no list segIndices, or {groups} no list segGroups.")
+    owner: dict[object, int] = {}
+    for group in members:
+        own = group.get("segments") if isinstance(group, dict) else None
+        id_ = group.get("objectId", group.get("id")) if isinstance(group, dict) else None
+        if not isinstance(own, list) or type(id_) is not int:
+            raise InputError(f"{groups}: a group lacks objectId or segments; download it again.")
+        owner |= {s: id_ for s in own if type(s) is int}
+    return [owner.get(s, -1) if type(s) is int else -1 for s in listed]
+
+
+def _objects(path: Path, scan: str) -> dict[str, Entry]:
+    found = {}
+    for entry in _of_scan(path, scan):
+        for listed in _list(path, entry, "objects"):
+            id_, label = listed.get("id"), listed.get("label")
+            if not isinstance(id_, str | int) or not isinstance(label, str) or not label:
+                raise InputError(
+                    f"{path}: an object of {scan} lacks id or label; download it again."
+                )
+            found[str(id_)] = Entry(label, "", _attributes(listed))
+    return found
+
+
+def _attributes(listed: dict[str, Any]) -> dict[str, str]:
+    """Attributes as 3DSSG names them (color, material, ...), and what the object affords."""
+    said = listed.get("attributes")
+    values = dict(said) if isinstance(said, dict) else {}
+    if listed.get("affordances"):
+        values["affordances"] = listed["affordances"]
+    return {
+        str(key): ", ".join(map(str, value)) if isinstance(value, list) else str(value)
+        for key, value in values.items()
+        if value
+    }
+
+
+def _relations(path: Path, scan: str) -> set[tuple[str, str, str]]:
+    """Of all parts of a scan: 3DSSG's subset lists a scan once a split."""
+    found = set()
+    for entry in _of_scan(path, scan):
+        listed = entry.get("relationships")
+        if not isinstance(listed, list):
+            raise InputError(f"{path}: `relationships` of {scan} is no list; download it again.")
+        for row in listed:
+            if not (isinstance(row, list) and len(row) == 4 and isinstance(row[3], str)):
+                raise InputError(
+                    f"{path}: {str(row)[:60]} of {scan} is no relation; it must be [subject, object, "
+                    "number, name]."
+                )
+            if row[3] and row[3] != _NO_RELATION and row[0] != row[1]:
+                found.add((str(row[0]), row[3], str(row[1])))
+    return found
+
+
+def _of_scan(path: Path, scan: str) -> list[dict[str, Any]]:
+    """Entries of a scan in a file on all of them: cut out, as the whole would take seconds."""
+    try:
+        text = regular(path).read_bytes()
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror}.") from error
+    found, at = [], -1
+    name = json.dumps(scan).encode()
+    while (at := text.find(name, at + 1)) >= 0:
+        try:
+            entry = json.loads(text[slice(*_around(text, at))])
+        except (ValueError, RecursionError):  # a brace in a name, or damage
+            return _of_scan_by_all(path, scan)
+        if entry.get("scan") == scan:
+            found.append(entry)
+    return found
+
+
+def _around(text: bytes, at: int) -> tuple[int, int]:
+    """Where the object of a JSON file begins and ends that a place is in; ValueError: nowhere."""
+    ends = []
+    for step, opening, closing in ((-1, b"{", b"}"), (1, b"}", b"{")):
+        depth, place = 1, at
+        while depth:
+            seek = text.rfind if step < 0 else text.find
+            span = (0, place) if step < 0 else (place,)
+            one, other = seek(opening, *span), seek(closing, *span)
+            if one < 0:
+                raise ValueError(at)
+            nearer = other < 0 or (one > other if step < 0 else one < other)
+            depth += -1 if nearer else 1
+            place = (one if nearer else other) + (step > 0)
+        ends.append(place)
+    return ends[0], ends[1]
+
+
+def _of_scan_by_all(path: Path, scan: str) -> list[dict[str, Any]]:
+    content = read_json(path)
+    scans = content.get("scans") if isinstance(content, dict) else None
+    if not isinstance(scans, list):
+        raise InputError(f"{path} is not 3DSSG's: it must hold a list `scans`; download it again.")
+    return [entry for entry in scans if isinstance(entry, dict) and entry.get("scan") == scan]
+
+
+def _list(path: Path, entry: dict[str, Any], key: str) -> list[dict[str, Any]]:
+    listed = entry.get(key)
+    if not isinstance(listed, list) or not all(isinstance(v, dict) for v in listed):
+        raise InputError(f"{path}: `{key}` of {entry['scan']} is no list of objects.")
+    return listed
+
+
+NAME = "3RScan.json"
+_RIGID = 1e-2  # matrices are written with few digits
+_FARTHEST = 100.0
+"""Two scans of a room whose origins lie farther apart [m] are told in another unit."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Move:
+    """An object that stands elsewhere in a rescan."""
+
+    reference_id: str
+    """Its id in the reference."""
+    scan_id: str
+    """Its id in the rescan."""
+    scan_from_reference: NDArray[np.float64]
+    """(4, 4) of the object's points [m], from the reference's axes to the rescan's."""
+    symmetry: int
+    """0: none; else 3RScan's code of the rotations that look alike."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scan:
+    """One scan of a room."""
+
+    id: str
+    reference_from_scan: NDArray[np.float64] | None
+    """(4, 4) [m]; None where the file keeps it back, as of the hidden test scans."""
+    moves: tuple[Move, ...] = ()
+    nonrigid: tuple[str, ...] = ()
+    """Ids, in the reference, of objects that changed their form."""
+    removed: tuple[str, ...] = ()
+    """Ids, in the reference, of objects that are gone."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Room:
+    """Scans of the same room at different times, the reference first."""
+
+    reference: str
+    kind: str
+    """3RScan's `type`: train, validation or test."""
+    scans: tuple[Scan, ...]
+
+
+@dataclass(frozen=True)
+class Rooms:
+    """What a `3RScan.json` says."""
+
+    path: Path
+    rooms: tuple[Room, ...]
+
+    @cached_property
+    def _places(self) -> dict[str, tuple[Room, Scan]]:
+        return {scan.id: (room, scan) for room in self.rooms for scan in room.scans}
+
+    def room_of(self, scan: str) -> Room:
+        """Room that a scan shows; `InputError` where the file does not know the scan."""
+        return self._place(scan)[0]
+
+    def scan(self, scan: str) -> Scan:
+        """Scan by its id; `InputError` where the file does not know it."""
+        return self._place(scan)[1]
+
+    def reference_from(self, scan: str) -> NDArray[np.float64]:
+        """(4, 4) reference_from_scan [m]; `InputError` where the file does not say it."""
+        found = self.scan(scan).reference_from_scan
+        if found is None:
+            raise InputError(
+                f"{self.path} gives no transform for the rescan {scan} (those of hidden test scans are "
+                "kept back); use it in its own axes."
+            )
+        return found
+
+    def _place(self, scan: str) -> tuple[Room, Scan]:
+        if scan not in self._places:
+            raise InputError(
+                f"{self.path} knows no scan {scan!r}; name the scan's folder as 3RScan does, by its id."
+            )
+        return self._places[scan]
+
+
+def read_rooms(path: str | PathLike[str]) -> Rooms:
+    """Read a `3RScan.json`; `InputError` where it is missing, or is not what this module says."""
+    path = Path(path)
+    content = read_json(path)
+    if not isinstance(content, list):
+        raise InputError(f"{path} is no 3RScan.json: it must be a list of rooms.")
+    rooms = Rooms(path, tuple(_room(path, entry) for entry in content))
+    seen: set[str] = set()
+    for room in rooms.rooms:
+        for scan in room.scans:
+            if scan.id in seen:
+                raise InputError(f"{path} lists the scan {scan.id} twice; keep one of them.")
+            seen.add(scan.id)
+    return rooms
+
+
+def _room(path: Path, entry: object) -> Room:
+    reference = _text(path, entry, "reference")
+    scans = entry.get("scans", []) if isinstance(entry, dict) else []
+    kind = entry.get("type", "") if isinstance(entry, dict) else ""
+    if not isinstance(scans, list) or not isinstance(kind, str):
+        raise InputError(f"{path}: `scans` of {reference} is no list, or `type` no text.")
+    first = Scan(reference, np.eye(4))
+    return Room(reference, kind, (first, *(_scan(path, rescan) for rescan in scans)))
+
+
+def _scan(path: Path, entry: Any) -> Scan:  # noqa: ANN401  # of a JSON list
+    name = _text(path, entry, "reference")
+    matrix = entry.get("transform")
+    moves = entry.get("rigid") or []
+    if not isinstance(moves, list):
+        raise InputError(f"{path}: `rigid` of {name} is no list.")
+    return Scan(
+        name,
+        None if matrix is None else _matrix(path, matrix, name),
+        tuple(_move(path, move, name) for move in moves),
+        _room_ids(entry.get("nonrigid")),
+        _room_ids(entry.get("removed")),
+    )
+
+
+def _move(path: Path, entry: Any, scan: str) -> Move:  # noqa: ANN401  # of a JSON list
+    if not isinstance(entry, dict) or "transform" not in entry:
+        raise InputError(f"{path}: an entry of `rigid` of {scan} lacks its transform.")
+    reference, own = (entry.get(key) for key in ("instance_reference", "instance_rescan"))
+    if not all(isinstance(v, int | str) for v in (reference, own)):
+        raise InputError(f"{path}: an entry of `rigid` of {scan} lacks its instances.")
+    where = f"{scan}, instance {reference}"
+    symmetry = entry.get("symmetry")
+    return Move(
+        str(reference),
+        str(own),
+        _matrix(path, entry["transform"], where),
+        symmetry if isinstance(symmetry, int) else 0,
+    )
+
+
+def _matrix(path: Path, numbers: object, where: str) -> NDArray[np.float64]:
+    good = isinstance(numbers, list) and len(numbers) == 16
+    if not good or not all(type(v) in {int, float} for v in numbers):  # type: ignore[attr-defined]
+        raise InputError(f"{path}: the transform of {where} is not 16 numbers; download it again.")
+    with np.errstate(over="ignore"):
+        matrix = np.array([float(min(max(v, -1e300), 1e300)) for v in numbers])  # type: ignore[attr-defined]
+    matrix = matrix.reshape(4, 4).T
+    if not is_rigid(matrix, _RIGID):
+        raise InputError(
+            f"{path}: the transform of {where} is no rigid one; it must stand column by column, as "
+            "3RScan has it. Download it again."
+        )
+    if np.abs(matrix[:3, 3]).max() > _FARTHEST:
+        raise InputError(
+            f"{path}: the transform of {where} shifts by {np.abs(matrix[:3, 3]).max():.0f} m; is it in "
+            "millimetres? Divide its translation by 1000."
+        )
+    u, _, vt = np.linalg.svd(matrix[:3, :3])
+    matrix[:3, :3] = u @ vt
+    matrix[3] = (0, 0, 0, 1)
+    matrix.flags.writeable = False
+    return matrix
+
+
+def _room_ids(listed: object) -> tuple[str, ...]:
+    """Ids of a list of numbers, or of objects with `instance_reference`."""
+    ids = [
+        entry.get("instance_reference") if isinstance(entry, dict) else entry
+        for entry in (listed if isinstance(listed, list) else [])
+    ]
+    return tuple(str(i) for i in ids if isinstance(i, int | str))
+
+
+def _text(path: Path, entry: object, key: str) -> str:
+    value = entry.get(key) if isinstance(entry, dict) else None
+    if not isinstance(value, str) or not value:
+        raise InputError(f"{path}: an entry lacks {key!r}, the id of its scan; download it again.")
+    return value
+
 
 REACH = 0.05
 """A vertex has the label of the annotated mesh's nearest one within this [m]."""

@@ -23,17 +23,17 @@ from numpy.typing import NDArray
 from placegraph.core.files import regular
 from placegraph.core.geometry import Camera
 from placegraph.errors import InputError
-from placegraph.io.capture.archive import Archive
-from placegraph.io.capture.frame_files import (
+from placegraph.io.capture.frame import (
+    Capture,
     DepthUnit,
     LazyImages,
     check_shape,
     posed_frame,
     upright_turns,
 )
-from placegraph.io.capture.frames import Capture
 from placegraph.io.capture.images import opened, rgb_of
-from placegraph_io.dataset.scannet_files import camera_of_matrix, is_rigid
+from placegraph_io.dataset.scannet import camera_of_matrix, is_rigid
+from placegraph_io.storage import Archive
 
 INFO = "_info.txt"
 _FRAME = re.compile(r"frame-(\d{1,9})\.(color\.jpg|depth\.pgm|pose\.txt)", re.ASCII)

@@ -1,35 +1,372 @@
-"""Reader of ScanNet's annotated meshes: one folder, one scan.
-
-Objects are ScanNet's: `<scan>.aggregation.json` says which segments make one, and
-`<scan>_vh_clean_2.0.010000.segs.json` which segment a vertex of `<scan>_vh_clean_2.ply` is of.
-"""
+"""What lies in a ScanNet scan's folder beside mesh and images: names, alignment, cameras, labels."""
 
 from __future__ import annotations
 
+import csv
 from collections import Counter
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.errors import InputError
-from placegraph.io.capture.camera import read_json
+from placegraph.core.files import regular
+from placegraph.core.geometry import Camera
+from placegraph.errors import InputError, OptionError
+from placegraph.io.capture.frame import LabelKind, Meanings, label_file
+from placegraph.io.capture.images import image_size
+from placegraph.io.capture.json_files import read_json
 from placegraph.io.mesh.model import Model, Thing
 from placegraph.io.mesh.ply import UNKNOWN, majority, read_columns, read_ply
-from placegraph_io.dataset.scannet_files import (
-    TABLES,
-    Group,
-    LabelMap,
-    Scan,
-    alignment_of,
-    find_scan,
-    find_table,
-    read_aggregation,
-    read_label_map,
-    scan_names,
-)
+
+FILES = (
+    "_vh_clean_2.0.010000.segs.json", "_vh_clean_2.labels.ply", "_vh_clean.aggregation.json",
+    "_vh_clean.segs.json", ".aggregation.json", "_vh_clean_2.ply", "_vh_clean.ply",
+)  # fmt: skip
+"""How files of a scan are called after its name; the longer of two that fit comes first."""
+TABLES = ("scannetv2-labels.combined.tsv", "scannet-labels.combined.tsv")
+"""Names of ScanNet's label table."""
+_RIGID = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Scan:
+    """A scan's folder, and the name that its files begin with."""
+
+    folder: Path
+    name: str
+
+    def file(self, ending: str) -> Path:
+        """`scene0000_00` and `.txt`: `scene0000_00/scene0000_00.txt`."""
+        return self.folder / f"{self.name}{ending}"
+
+
+def scan_names(folder: Path) -> list[str]:
+    """Names of the scans whose meshes or annotations lie in a folder; none where it is none."""
+    try:
+        files = [path.name for path in folder.iterdir()]
+    except (OSError, ValueError):
+        return []
+    ends = ((file, next((end for end in FILES if file.endswith(end)), None)) for file in files)
+    return sorted({file.removesuffix(end) for file, end in ends if end} - {""})
+
+
+def find_scan(path: Path) -> Scan:
+    """Scan of a folder; `InputError` where it holds several, none of which is called as it is."""
+    names = scan_names(path)
+    own = path.absolute().name
+    if len(names) > 1 and own not in names:
+        raise InputError(
+            f"{path} holds several scans ({', '.join(names[:3])}, ...); give each a folder of its name."
+        )
+    return Scan(path, own if own in names or not names else names[0])
+
+
+def axis_alignment(path: str | PathLike[str]) -> NDArray[np.float64]:
+    """Rigid transform (4, 4) map_from_scan [m] that `<scan>.txt` of a scan's folder says.
+
+    It stands the scan's walls along x and y and its floor at z = 0; the meshes and poses of ScanNet
+    come without it. The identity where there is no such file, or no such line: ScanNet's test scans
+    have none.
+
+    Raises
+    ------
+    InputError
+        The line is not a rigid 4 x 4 matrix.
+
+    """
+    return alignment_of(find_scan(Path(path)))
+
+
+def alignment_of(scan: Scan) -> NDArray[np.float64]:
+    """As `axis_alignment`, of a scan that was found."""
+    file = scan.file(".txt")
+    said = read_meta(file).get("axisAlignment")
+    if said is None:
+        return np.eye(4)
+    matrix = _matrix(said)
+    if matrix is None or not is_rigid(matrix):
+        raise InputError(
+            f"{file}: axisAlignment is no rigid transform of 16 numbers; download the file again, or "
+            "delete the line to keep the scan's own axes."
+        )
+    return matrix
+
+
+def read_meta(path: Path) -> dict[str, str]:
+    """Lines `key = value` of a `<scan>.txt`; empty where there is no such file."""
+    if not path.is_file():
+        return {}
+    pairs = (line.partition("=") for line in read_text(path).splitlines())
+    return {key.strip(): value.strip() for key, sign, value in pairs if sign}
+
+
+def read_matrix(path: Path) -> NDArray[np.float64]:
+    """4 x 4 numbers of a text file, infinite ones included; `InputError` where they are not that."""
+    matrix = _matrix(read_text(path))
+    if matrix is None:
+        raise InputError(f"{path} does not hold 4 x 4 numbers; export it again.")
+    return matrix
+
+
+def is_rigid(matrix: NDArray[np.float64], tolerance: float = _RIGID) -> bool:
+    """Whether a matrix (4, 4) is a rotation and a translation."""
+    if not np.isfinite(matrix).all() or np.abs(matrix).max() > 1e6:
+        return False
+    r = matrix[:3, :3]
+    last = np.abs(matrix[3] - (0, 0, 0, 1)).max()
+    return bool(np.abs(r @ r.T - np.eye(3)).max() < tolerance > last and np.linalg.det(r) > 0)
+
+
+def camera_of_matrix(
+    name: object,
+    intrinsic: NDArray[np.float64],
+    size: tuple[int, int],
+    said: tuple[int, int] | None = None,
+) -> Camera:
+    """Camera of images of this width and height [px] by ScanNet's 4 x 4 intrinsics.
+
+    ScanNet puts the centre of the first pixel at (0, 0), we at (0.5, 0.5). Where the intrinsics are
+    `said` to be of another size, they are brought to the images'. `InputError` about `name` where
+    that makes no camera.
+    """
+    k = intrinsic
+    try:
+        camera = Camera(*(said or size), k[0, 0], k[1, 1], k[0, 2] + 0.5, k[1, 2] + 0.5)
+        camera = camera.resized(*size)
+    except (OptionError, ZeroDivisionError) as error:
+        raise InputError(f"{name}: {error} Export the intrinsics again.") from error
+    if not (0 < camera.cx < camera.width and 0 < camera.cy < camera.height):
+        raise InputError(
+            f"{name}: the principal point lies outside the images of {size[0]} x {size[1]} pixels; are "
+            "they made smaller? Then put the scan's <scan>.txt, which says their first size, beside."
+        )
+    return camera
+
+
+# ------------------------------------------------------------------------------------ labels
+
+
+@dataclass(frozen=True, slots=True)
+class LabelMap:
+    """ScanNet's table of labels, in one of its columns."""
+
+    path: Path
+    of_raw: Mapping[str, str]
+    """Label of a raw category; those without one are left out."""
+    of_id: Mapping[int, str]
+    """Label of a ScanNet label id, the raw category where the column is empty."""
+
+
+def find_table(folder: Path) -> Path | None:
+    """ScanNet's label table in a scan's folder or one of the two above it."""
+    around = (folder, *folder.absolute().parents[:2])
+    return next((at / name for at in around for name in TABLES if (at / name).is_file()), None)
+
+
+def read_label_map(path: str | PathLike[str], column: str = "raw_category") -> LabelMap:
+    """Read `scannetv2-labels.combined.tsv`; labels are those of `column`, such as `nyu40class`.
+
+    Raises
+    ------
+    InputError
+        The file is missing, lacks the columns `id` and `raw_category`, or an id is no number.
+    OptionError
+        It has no such column.
+
+    """
+    path = Path(path)
+    rows = list(csv.reader(read_text(path).splitlines(), delimiter="\t", quoting=csv.QUOTE_NONE))
+    head = rows[0] if rows else []
+    if not {"id", "raw_category"} <= set(head):
+        raise InputError(
+            f"{path} has no columns `id` and `raw_category`; use ScanNet's {TABLES[0]}."
+        )
+    if column not in head:
+        raise OptionError(f"label_column is {column!r}; {path} has {', '.join(head)}.")
+    at, raw_at, id_at = (head.index(name) for name in (column, "raw_category", "id"))
+    of_raw, of_id = {}, {}
+    for line, row in enumerate(rows[1:], 2):
+        if not any(row):
+            continue
+        cells = [cell.strip() for cell in row] + [""] * (len(head) - len(row))
+        raw, label, number = cells[raw_at], cells[at], cells[id_at]
+        if not (number.isascii() and number.isdigit() and len(number) < 6):
+            raise InputError(f"{path}, line {line}: the id is {number[:40]!r}, not a number.")
+        if label:
+            of_raw[raw] = label
+        of_id[int(number)] = label or raw
+    return LabelMap(path, of_raw, {i: name for i, name in of_id.items() if i < 1 << 16})
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """One object of an aggregation."""
+
+    id: int
+    label: str
+    segments: list[int]
+
+
+def read_aggregation(path: Path) -> list[Group]:
+    """Objects of an `.aggregation.json`; `InputError` where it is missing or not that."""
+    content = read_json(path)
+    listed = content.get("segGroups") if isinstance(content, dict) else None
+    if not isinstance(listed, list):
+        raise InputError(f"{path} has no list `segGroups`; download the file again.")
+    groups = [_group(path, row, entry) for row, entry in enumerate(listed)]
+    if len({group.id for group in groups}) < len(groups):
+        raise InputError(f"{path}: two objects have one objectId; download the file again.")
+    return groups
+
+
+def _group(path: Path, row: int, entry: object) -> Group:
+    if isinstance(entry, dict):
+        id_ = entry.get("objectId", entry.get("id"))
+        label, segments = entry.get("label"), entry.get("segments")
+        whole = isinstance(segments, list) and all(type(s) is int for s in segments)
+        if type(id_) is int and isinstance(label, str) and isinstance(segments, list) and whole:
+            return Group(id_, label.strip() or "unknown", segments)
+    raise InputError(
+        f"{path}: entry {row} of segGroups lacks objectId (a number), label (text) or segments (a list "
+        "of numbers); download the file again."
+    )
+
+
+def read_text(path: Path) -> str:
+    """Text of a file in any encoding; `InputError` where it cannot be read."""
+    try:
+        return regular(path).read_bytes().decode("utf-8-sig", errors="replace")
+    except FileNotFoundError as error:
+        raise InputError(f"{path} does not exist.") from error
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise InputError(f"{path} cannot be read: {why}.") from error
+
+
+def _matrix(text: str) -> NDArray[np.float64] | None:
+    try:
+        numbers = [float(word) for word in text.split()]
+    except ValueError:
+        return None
+    return np.array(numbers).reshape(4, 4) if len(numbers) == 16 else None
+
+
+Wanted = Literal["auto", "labels", "instances"] | None
+END = ".aggregation.json"
+FOLDERS: dict[LabelKind, str] = {"instances": "instance-filt", "labels": "label-filt"}
+
+
+@dataclass(frozen=True, slots=True)
+class LabelImages:
+    """Label images of a scan, by number of the frame."""
+
+    files: dict[int, Path] = field(default_factory=dict)
+    camera: Camera | None = None
+    kind: LabelKind = "labels"
+    names: dict[int, str] = field(default_factory=dict)
+    known: Meanings | None = None
+    notes: tuple[str, ...] = ()
+    """Why label images are not used."""
+
+    def reader(self, index: int) -> Callable[[], NDArray[np.int32]] | None:
+        """Function that reads a frame's label image; None where it has none."""
+        if self.camera is None or index not in self.files:
+            return None
+        offset = 1 if self.kind == "instances" else 0
+        return label_file(self.files[index], self.camera, offset, self.known)
+
+
+def find_labels(
+    folder: Path,
+    wanted: Wanted,
+    camera: Camera,
+    *,
+    label_column: str | None = None,
+) -> LabelImages:
+    """Label images that lie in a scan's folder; "auto" takes instances, else labels, else none.
+
+    They show what the colour images show, whose camera is given. Names of labels are those of a
+    column of ScanNet's table, the raw categories if none is given.
+
+    Raises
+    ------
+    InputError
+        What is wanted is not there or cannot be read; labels lack ScanNet's table.
+    OptionError
+        `wanted` is none of its values; the table has no such column.
+
+    """
+    if wanted not in {"auto", "labels", "instances", None}:
+        raise OptionError(f"labels is {wanted!r}; it is 'auto', 'labels', 'instances' or None.")
+    if wanted is None:
+        return LabelImages()
+    for kind, name in FOLDERS.items():
+        if wanted not in {"auto", kind}:
+            continue
+        files = numbered(folder / name, (".png",))
+        if not files:
+            if wanted == kind:
+                raise InputError(
+                    f"{folder / name} holds no image `0.png`, but labels={kind!r} asks for it; unpack "
+                    f"the scan's _2d-{name}.zip there."
+                )
+            continue
+        if kind == "labels" and wanted == "auto" and find_table(folder) is None:
+            note = (
+                f"{folder / name} is not used: its numbers need ScanNet's {TABLES[0]}, which lies "
+                "neither there nor above."
+            )
+            return LabelImages(notes=(note,))
+        size = image_size(next(iter(files.values())))
+        view = camera if size == (camera.width, camera.height) else camera.resized(*size)
+        names, known = _meanings(folder, kind, label_column)
+        return LabelImages(files, view, kind, names, known)
+    return LabelImages()
+
+
+def _meanings(
+    folder: Path, kind: LabelKind, column: str | None
+) -> tuple[dict[int, str], Meanings | None]:
+    """Names by id, and what ids mean."""
+    table = find_table(folder)
+    labels = read_label_map(table, column or "raw_category") if table else None
+    if kind == "instances":
+        above = folder.absolute().parent
+        files = (find_scan(folder).file(END), above / f"{above.name}{END}")
+        groups = next((read_aggregation(file) for file in files if file.is_file()), [])
+        said = labels.of_raw if labels and column else {}
+        return {group.id: said.get(group.label, group.label) for group in groups}, None
+    if labels is None:
+        raise InputError(
+            f"{folder / FOLDERS[kind]} holds numbers that ScanNet's {TABLES[0]} explains; put it in "
+            f"{folder} or above."
+        )
+    names = dict(labels.of_id)
+    return names, Meanings(names, labels.path, 0)
+
+
+def numbered(folder: Path, endings: tuple[str, ...]) -> dict[int, Path]:
+    """Files of a folder whose stem is a number, by it; `InputError` where two have the same."""
+    try:
+        files = sorted(folder.iterdir()) if folder.is_dir() else []
+    except OSError as error:
+        raise InputError(f"{folder} cannot be read: {error.strerror}.") from error
+    found: dict[int, Path] = {}
+    for file in files:
+        stem = file.stem
+        if file.suffix.lower() not in endings or not (stem.isascii() and stem.isdigit()):
+            continue
+        if len(stem) > 12:
+            raise InputError(f"{file}: {stem[:40]} is no number of a frame; rename it.")
+        if int(stem) in found:
+            raise InputError(f"{file} and {found[int(stem)].name} are one frame; keep one of them.")
+        found[int(stem)] = file
+    return dict(sorted(found.items()))
+
 
 ANNOTATED = (
     ("_vh_clean_2.ply", ".aggregation.json", "_vh_clean_2.0.010000.segs.json"),

@@ -20,11 +20,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from placegraph.core.geometry import Camera
 from placegraph.errors import InputError, OptionError
-from placegraph.io.capture.camera import read_json
-from placegraph.io.capture.frame_files import DepthUnit, LazyImages, colour_file, depth_file
-from placegraph.io.capture.frames import Capture
+from placegraph.io.capture.frame import Capture, DepthUnit, LazyImages, colour_file, depth_file
 from placegraph.io.capture.images import ENDINGS, image_size
-from placegraph.io.capture.level import upright
+from placegraph.io.capture.json_files import read_json
 from placegraph.io.capture.posed import (
     ARKIT_FROM_OPENCV,
     Shot,
@@ -34,6 +32,7 @@ from placegraph.io.capture.posed import (
     number,
     smaller_view,
 )
+from placegraph_io.up import upright
 
 _FILE = "transforms.json"
 _BENT = {"opencv": ("k1", "k2", "p1", "p2"), "fisheye": ("k1", "k2", "k3", "k4")}

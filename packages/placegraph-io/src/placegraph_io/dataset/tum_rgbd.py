@@ -15,9 +15,8 @@ import numpy as np
 
 from placegraph.core.geometry import Camera
 from placegraph.errors import InputError
-from placegraph.io.capture.camera import read_camera
-from placegraph.io.capture.frame_files import DepthUnit, LazyImages, colour_file, depth_file
-from placegraph.io.capture.frames import Capture
+from placegraph.io.capture.frame import Capture, DepthUnit, LazyImages, colour_file, depth_file
+from placegraph.io.capture.json_files import read_camera
 from placegraph.io.capture.posed import (
     SAME_MOMENT,
     Shot,

@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 
 from placegraph.core.geometry import rotation_z
 from placegraph.errors import InputError
-from placegraph.io.capture.camera import read_json
+from placegraph.io.capture.json_files import read_json
 from placegraph.io.capture.posed import numbers
 from placegraph.io.mesh.model import Model, Picture, Thing
-from placegraph_io.graphs.spark_dsg_mesh import MARGIN, box_corners, box_piece, joined
+from placegraph_io.graphs.spark_dsg import MARGIN, box_corners, box_piece, joined
 
 Floats = NDArray[np.float64]
 Up = Literal["y", "z"]

@@ -1,7 +1,7 @@
 """Captures from bags of ROS 1 and ROS 2; nothing of ROS needs to be installed.
 
 `walk.mcap`, `walk.db3`, `walk.bag`, or a folder of rosbag2. `walk.mcap.json` beside it may say what
-the bag does not (`wishes`). Poses are those of the camera's optical frame, whose axes are OpenCV's
+the bag does not (`wishes_of`). Poses are those of the camera's optical frame, whose axes are OpenCV's
 (REP 103), in `odom`, whose z points up (REP 105).
 """
 
@@ -17,17 +17,13 @@ from numpy.typing import NDArray
 
 from placegraph.core.geometry import Camera
 from placegraph.errors import InputError
-from placegraph.io.capture.frame_files import DepthUnit, LazyImages, check_shape
-from placegraph.io.capture.frames import Capture
+from placegraph.io.capture.frame import Capture, DepthUnit, LazyImages, check_shape
 from placegraph.io.capture.posed import SAME_MOMENT, Shot, capture_of, nearest_stamps
 from placegraph.io.capture.tum import read_tum
-from placegraph_io.ros.decode import decoded
-from placegraph_io.ros.files.bag import looks_like_bag, open_bag
-from placegraph_io.ros.files.storage import Message, Topic
-from placegraph_io.ros.pixels import colours, depths
-from placegraph_io.ros.plan import Plan, plan_of, wishes_of
+from placegraph_io.ros.containers import Message, Topic, looks_like_bag, open_bag
+from placegraph_io.ros.decode import Registration, colours, decoded, depths
 from placegraph_io.ros.poses import Placing
-from placegraph_io.ros.register import Registration
+from placegraph_io.ros.topics import Plan, plan_of, wishes_of
 
 
 def is_bag(path: Path) -> bool:

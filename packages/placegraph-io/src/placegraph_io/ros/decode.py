@@ -7,21 +7,24 @@ definitions are what nav2_msgs and foxglove_msgs say; a bag carries them along.
 
 from __future__ import annotations
 
+import io
 import struct
 from collections.abc import Iterable
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from struct import unpack_from
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.geometry import Camera
 from placegraph.errors import InputError
-from placegraph_io.ros.files.storage import Message, Topic
+from placegraph.io.capture.images import opened, rgb_of
+from placegraph_io.ros.containers import Message, Topic
+from placegraph_io.storage import rvl_image, rvl_size
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
-
 
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 _SOLID = "geometry_msgs/Pose pose\ngeometry_msgs/Vector3 size\n{}foxglove_msgs/Color color"
@@ -135,3 +138,243 @@ def stamp_of(header: Any) -> float:  # noqa: ANN401  # rosbags'
 def frame_of(name: str) -> str:
     """Name of a frame without the slash that ROS 1 wrote before it."""
     return name.lstrip("/")
+
+
+_PLAIN: dict[str, tuple[str, int, tuple[int, ...]]] = {
+    "rgb8": ("u1", 3, (0, 1, 2)), "bgr8": ("u1", 3, (2, 1, 0)), "8UC3": ("u1", 3, (2, 1, 0)),
+    "rgba8": ("u1", 4, (0, 1, 2)), "bgra8": ("u1", 4, (2, 1, 0)), "8UC4": ("u1", 4, (2, 1, 0)),
+    "mono8": ("u1", 1, (0, 0, 0)), "8UC1": ("u1", 1, (0, 0, 0)), "rgb16": ("u2", 3, (0, 1, 2)),
+    "bgr16": ("u2", 3, (2, 1, 0)), "mono16": ("u2", 1, (0, 0, 0)),
+}  # fmt: skip
+"""Type, channels, and which of them are red, green, blue."""
+_YUV = {"yuv422": (1, 0, 2), "uyvy": (1, 0, 2), "yuv422_yuy2": (0, 1, 3), "yuyv": (0, 1, 3)}
+"""Where the first luminance, U and V stand in four bytes of two pixels."""
+_BAYER = {"rggb": (0, 0), "grbg": (0, 1), "gbrg": (1, 0), "bggr": (1, 1)}
+"""Row and column of the first red pixel."""
+DEPTHS = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}
+"""Encodings of depth, and their numbers."""
+GREYS = ("mono8", "8UC1", "mono16")
+_LARGEST = 1 << 16
+_PACKED_HEAD = 12  # bytes of compressed_depth_image_transport: its format, and two numbers
+
+
+def is_colour(encoding: str) -> bool:
+    """Whether images of this encoding are read as colours."""
+    return encoding in _PLAIN or encoding in _YUV or _bayer(encoding) is not None
+
+
+def colours(image: Any, name: str) -> NDArray[np.uint8]:  # noqa: ANN401  # rosbags'
+    """Colours (H, W, 3) uint8, sRGB, of an image; `InputError` names what cannot be read."""
+    if hasattr(image, "format"):
+        return _unpacked_colours(image, name)
+    encoding = image.encoding
+    if encoding in _PLAIN:
+        kind, channels, rgb = _PLAIN[encoding]
+        pixels = _rows(image, np.dtype(kind), channels, name)
+        if kind == "u2":
+            pixels = (pixels >> 8).astype(np.uint8)
+        if rgb == (0, 1, 2) and channels == 3:
+            return np.ascontiguousarray(pixels)
+        if channels == 1:
+            return np.repeat(pixels, 3, axis=2)
+        if rgb == (0, 1, 2):
+            return np.ascontiguousarray(pixels[..., :3])
+        return np.ascontiguousarray(pixels[..., 2::-1])
+    if encoding in _YUV:
+        return _from_yuv(_rows(image, np.dtype("u1"), 2, name), *_YUV[encoding], name)
+    red = _bayer(encoding)
+    if red is not None:
+        wide = encoding.endswith("16")
+        raw = _rows(image, np.dtype("u2" if wide else "u1"), 1, name)[..., 0]
+        return demosaiced((raw >> 8).astype(np.uint8) if wide else raw, red)
+    raise InputError(
+        f"{name}: encoding {encoding[:40]!r} is no colour that is read; record {', '.join(_PLAIN)}, "
+        "Bayer, yuv422 or a compressed image."
+    )
+
+
+def depths(image: Any, per_metre: float | None, name: str) -> NDArray[np.float32]:  # noqa: ANN401
+    """Depth (h, w) float32 [m], NaN: no reading; `per_metre`: units, 1000 or 1 if not given."""
+    units = _unpacked_depth(image, name) if hasattr(image, "format") else _depth_rows(image, name)
+    whole = units.dtype.kind == "u"
+    scale = np.float32(per_metre or (1000.0 if whole else 1.0))
+    metres: NDArray[np.float32] = np.divide(units, scale, dtype=np.float32)
+    if whole:
+        metres[units == 0] = np.nan
+    else:
+        metres[~(np.isfinite(metres) & (metres > 0))] = np.nan
+    return metres
+
+
+def size_of(image: Any, name: str) -> tuple[int, int, str]:  # noqa: ANN401  # rosbags'
+    """Width, height [px] and encoding of an image; of a compressed one, what lies in it."""
+    if not hasattr(image, "format"):
+        return int(image.width), int(image.height), str(image.encoding)
+    said, data = image.format.partition(";")[0].strip(), bytes(image.data)
+    if "compressedDepth" in image.format:
+        said, data = said or "16UC1", data[_PACKED_HEAD:]
+        if _is_rvl(image):
+            return *rvl_size(data), said
+    with opened(io.BytesIO(data), f"{name} ({image.format[:40]!r})") as picture:
+        inside = {"L": "mono8", "I;16": "16UC1", "I;16B": "16UC1", "I": "16UC1"}.get(
+            picture.mode, "rgb8"
+        )
+        stands = said in DEPTHS or _bayer(said) is not None
+        return picture.width, picture.height, said if stands else inside
+
+
+def demosaiced(raw: NDArray[np.uint8], red: tuple[int, int]) -> NDArray[np.uint8]:
+    """Colours (H, W, 3) of a Bayer image (H, W): of each colour the mean of the nearest that saw it.
+
+    `red`: row and column, 0 or 1, of the first red pixel.
+    """
+    height, width = raw.shape
+    rows, columns = np.arange(height)[:, None] % 2, np.arange(width)[None] % 2
+    reds = (rows == red[0]) & (columns == red[1])
+    blues = (rows != red[0]) & (columns != red[1])
+    weights = np.array([1, 2, 1], np.uint16)
+    out = np.empty((height, width, 3), np.uint8)
+    for channel, seen in enumerate((reds, ~(reds | blues), blues)):
+        held = [np.where(seen, raw, 0).astype(np.uint16), seen.astype(np.uint16)]
+        sums = []
+        for plane in held:
+            padded = np.pad(plane, 1)
+            across = sum(w * padded[:, i : i + width] for i, w in enumerate(weights))
+            sums.append(sum(w * across[i : i + height] for i, w in enumerate(weights)))
+        mean = sums[0] // np.maximum(sums[1], 1)
+        out[..., channel] = np.where(seen, raw, mean)
+    return out
+
+
+def _bayer(encoding: str) -> tuple[int, int] | None:
+    name = encoding.removeprefix("bayer_")
+    return _BAYER.get(name[:4]) if name != encoding and name[4:] in {"8", "16"} else None
+
+
+def _rows(image: Any, kind: np.dtype[Any], channels: int, name: str) -> NDArray[Any]:  # noqa: ANN401
+    """Pixels (H, W, channels) of an image; no number of it is believed that its data do not bear out."""
+    width, height, step = int(image.width), int(image.height), int(image.step)
+    row = width * channels * kind.itemsize
+    data = np.asarray(image.data, np.uint8).reshape(-1)
+    if not (0 < width <= _LARGEST and 0 < height <= _LARGEST):
+        raise InputError(f"{name}: width and height are {width} and {height} pixels.")
+    if step < row or step * (height - 1) + row > data.size:
+        raise InputError(
+            f"{name}: {width} x {height} of {image.encoding!r} with a step of {step} do not fit "
+            f"{data.size} bytes of data; record that topic again."
+        )
+    lines = np.lib.stride_tricks.as_strided(data, (height, row), (step, 1), writeable=False)
+    pixels = np.ascontiguousarray(lines).view(kind.newbyteorder(">" if image.is_bigendian else "<"))
+    return pixels.reshape(height, width, channels)
+
+
+def _depth_rows(image: Any, name: str) -> NDArray[Any]:  # noqa: ANN401  # rosbags'
+    kind = DEPTHS.get(image.encoding)
+    if kind is None:
+        raise InputError(
+            f"{name}: encoding {image.encoding[:40]!r} is no depth; it is 16UC1 (mm) or 32FC1 (m)."
+        )
+    return _rows(image, np.dtype(kind), 1, name)[..., 0]
+
+
+def _from_yuv(
+    pairs: NDArray[np.uint8], luminance: int, u: int, v: int, name: str
+) -> NDArray[np.uint8]:
+    """Colours of two bytes a pixel, every second U or V (BT.601, 16 to 235)."""
+    height, width, _ = pairs.shape
+    if width % 2:
+        raise InputError(f"{name}: a YUV 4:2:2 image of {width} columns; they are even.")
+    four = pairs.reshape(height, width // 2, 4).astype(np.float32)
+    y = 1.164 * (pairs[..., luminance].astype(np.float32) - 16)
+    cb, cr = (np.repeat(four[..., i] - 128, 2, axis=1) for i in (u, v))
+    rgb = np.stack([y + 1.596 * cr, y - 0.392 * cb - 0.813 * cr, y + 2.017 * cb], axis=-1)
+    return np.clip(np.rint(rgb), 0, 255).astype(np.uint8)
+
+
+def _unpacked_colours(image: Any, name: str) -> NDArray[np.uint8]:  # noqa: ANN401  # rosbags'
+    with opened(io.BytesIO(bytes(image.data)), f"{name} ({image.format[:40]!r})") as picture:
+        red = _bayer(image.format.partition(";")[0].strip())
+        if red is not None and picture.mode == "L":
+            return demosaiced(np.asarray(picture), red)
+        return rgb_of(picture)
+
+
+def _unpacked_depth(image: Any, name: str) -> NDArray[Any]:  # noqa: ANN401  # rosbags'
+    """Units of a compressed depth image: mm as uint16, or metres as float32."""
+    data, said = bytes(image.data), image.format
+    packed, what = "compressedDepth" in said, f"{name} ({said[:40]!r})"
+    pixels = data[_PACKED_HEAD if packed else 0 :]
+    if packed and _is_rvl(image):
+        units = rvl_image(pixels, what)
+    else:
+        with opened(io.BytesIO(pixels), what) as held:
+            if not held.mode.startswith("I"):
+                raise InputError(
+                    f"{name}: format {said[:40]!r} holds pixels of mode {held.mode!r}, which is no "
+                    "depth; record the raw image, or compressedDepth."
+                )
+            units = np.asarray(held).astype(np.uint16)
+    if packed and said.startswith("32FC1"):  # 1 / depth in steps, of which the head says the size
+        a, b = unpack_from("<ff", data, 4)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            metres = np.float32(a) / (units.astype(np.float32) - np.float32(b))
+        metres[units == 0] = np.nan
+        return metres.astype(np.float32)
+    return units
+
+
+def _is_rvl(image: Any) -> bool:  # noqa: ANN401  # rosbags'
+    return "rvl" in image.format.lower()
+
+
+_WIDER = 1.1  # of the image's farthest corner: beyond it a lens model says nothing true
+
+
+class Registration:
+    """From a depth camera to the colour camera's place, in images that keep the depth's density."""
+
+    def __init__(self, colour: Camera, depth: Camera) -> None:
+        self.colour, self.depth = colour, depth
+        part = min(1.0, depth.fx / colour.fx, depth.fy / colour.fy)
+        size = (max(1, round(colour.width * part)), max(1, round(colour.height * part)))
+        self.camera = colour.resized(*size)
+        """Of the registered images: the colour camera in their size."""
+
+    def __reduce__(self) -> tuple[type[Registration], tuple[Camera, Camera]]:
+        return Registration, (self.colour, self.depth)
+
+    @cached_property
+    def _rays(self) -> NDArray[np.float64]:
+        """(h, w, 3) of the depth camera's pixels, z = 1."""
+        v, u = np.mgrid[: self.depth.height, : self.depth.width]
+        return self.depth.directions(np.stack([u + 0.5, v + 0.5], axis=-1))
+
+    @cached_property
+    def _reach(self) -> float:
+        """How far from the axis, where z is 1, the colour camera sees."""
+        w, h = self.camera.width, self.camera.height
+        edge = np.array([(x, y) for x in (0.0, w / 2, w) for y in (0.0, h / 2, h)])
+        rays = self.camera.directions(edge)[:, :2]
+        return _WIDER * float(np.nanmax(np.linalg.norm(rays, axis=1)))
+
+    def __call__(
+        self, depth: NDArray[np.float32], colour_from_depth: NDArray[np.float64]
+    ) -> NDArray[np.float32]:
+        """Depth (H, W) [m] of `camera` from depth (h, w) [m]; where two meet, the nearer hides the other."""
+        read = np.isfinite(depth)
+        points = self._rays[read] * depth[read, None]
+        points = points @ colour_from_depth[:3, :3].T + colour_from_depth[:3, 3]
+        z = points[:, 2]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            seen = (z > 0) & (np.hypot(points[:, 0], points[:, 1]) < self._reach * z)
+        places = self.camera.project(points[seen])
+        z = z[seen].astype(np.float32)
+        out = np.full((self.camera.height, self.camera.width), np.inf, np.float32)
+        with np.errstate(invalid="ignore"):
+            cells = np.floor(places)
+            inside = (cells >= 0) & (cells < (self.camera.width, self.camera.height))
+            kept = inside.all(axis=1)
+        columns, rows = cells[kept].astype(np.intp).T
+        np.minimum.at(out, (rows, columns), z[kept])
+        out[np.isinf(out)] = np.nan
+        return out

@@ -1,26 +1,297 @@
-"""When the images of a bag were taken, and where their camera was: stamps, transforms, odometry."""
+"""Poses of a bag's camera: the tree of transforms between frames, odometry, and stamps of images."""
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from collections import Counter, defaultdict, deque
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from struct import unpack_from
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.geometry import cross_matrix, rotation_from_quaternion
 from placegraph.errors import InputError
-from placegraph.io.capture.level import upright
+from placegraph_io.ros.containers import Bag, Topic, read_all
 from placegraph_io.ros.decode import HEAD, decode, frame_of, stamp_of, stamps
-from placegraph_io.ros.files.bag import Bag
-from placegraph_io.ros.files.storage import Topic, read_all
-from placegraph_io.ros.moves import Moves, numbers_of, samples_of, transforms
-from placegraph_io.ros.packets import is_static
-from placegraph_io.ros.transforms import Tree
-from placegraph_io.ros.views import View
+from placegraph_io.up import upright
 
 if TYPE_CHECKING:
-    from placegraph_io.ros.plan import Wishes
+    from placegraph_io.ros.topics import View, Wishes
+
+LONGEST = 0.5
+"""Between samples of a transform [s], beyond which nothing is said of what happened between them."""
+BEYOND = 0.05
+"""Time before the first and after the last sample [s] for which it still holds."""
+_STILL = 1e-9
+_UNIT = 1e-2  # quaternions are written with few digits
+
+Samples = dict[tuple[str, str], list[NDArray[np.float64]]]
+"""By parent and child: rows (N, 8) of stamp [s], x, y, z [m], qx, qy, qz, qw."""
+
+
+def is_static(topic: str) -> bool:
+    """Whether a topic's transforms never change."""
+    return topic.endswith("tf_static")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Edge:
+    """Samples of one transform, parent_from_child."""
+
+    stamps: NDArray[np.float64]
+    """(N,) strictly ascending [s]."""
+    position: NDArray[np.float64]
+    """(N, 3) [m]"""
+    xyzw: NDArray[np.float64]
+    """(N, 4) of unit length."""
+    fixed: bool
+    """Whether it never changes."""
+
+    @classmethod
+    def of(cls, stamps: NDArray[np.float64], values: NDArray[np.float64], *, static: bool) -> Edge:
+        """Edge of samples in any order, with x y z qx qy qz qw (N, 7)."""
+        stamps, first = np.unique(
+            stamps[::-1], return_index=True
+        )  # of equal stamps the last counts
+        values = values[::-1][first]
+        xyzw = values[:, 3:] / np.linalg.norm(values[:, 3:], axis=1, keepdims=True)
+        flip = np.cumprod(np.where((xyzw[1:] * xyzw[:-1]).sum(axis=1) < 0, -1.0, 1.0))
+        xyzw[1:] *= flip[:, None]
+        same = bool((np.ptp(np.c_[values[:, :3], xyzw], axis=0) <= _STILL).all())
+        return cls(stamps, values[:, :3], xyzw, static or same)
+
+    def joined(self, newer: Edge, since: float) -> Edge:
+        """Samples of this one after a time [s], and newer ones; where those are older, all in order."""
+        first = int(np.searchsorted(self.stamps, since, "right"))
+        same = 1.0 if (self.xyzw[-1] * newer.xyzw[0]).sum() >= 0 else -1.0
+        stamps = np.concatenate([self.stamps[first:], newer.stamps])
+        position = np.concatenate([self.position[first:], newer.position])
+        xyzw = np.concatenate([self.xyzw[first:], same * newer.xyzw])
+        if newer.stamps[0] > self.stamps[-1]:
+            return Edge(stamps, position, xyzw, fixed=False)
+        return replace(Edge.of(stamps, np.c_[position, xyzw], static=False), fixed=False)
+
+    def at(self, stamps: NDArray[np.float64]) -> NDArray[np.float64]:
+        """parent_from_child (T, 4, 4) at stamps (T,); NaN where it is not known."""
+        poses = np.tile(np.eye(4), (len(stamps), 1, 1))
+        if self.fixed:
+            poses[:, :3, :3] = rotation_from_quaternion(self.xyzw[-1])
+            poses[:, :3, 3] = self.position[-1]
+            return poses
+        if len(self.stamps) == 1:
+            poses[:] = replace(self, fixed=True).at(stamps)
+            poses[np.abs(stamps - self.stamps[0]) > BEYOND] = np.nan
+            return poses
+        after = np.clip(np.searchsorted(self.stamps, stamps), 1, len(self.stamps) - 1)
+        before = after - 1
+        gap = self.stamps[after] - self.stamps[before]
+        part = np.clip((stamps - self.stamps[before]) / gap, 0.0, 1.0)[:, None]
+        poses[:, :3, 3] = self.position[before] * (1 - part) + self.position[after] * part
+        # samples are so near to each other that the chord, made a unit again, is the arc
+        xyzw = self.xyzw[before] * (1 - part) + self.xyzw[after] * part
+        poses[:, :3, :3] = rotation_from_quaternion(xyzw)
+        outside = np.maximum(self.stamps[0] - stamps, stamps - self.stamps[-1])
+        on = np.minimum(np.abs(stamps - self.stamps[before]), np.abs(stamps - self.stamps[after]))
+        unknown = (outside > BEYOND) | ((gap > LONGEST) & (outside < 0) & (on > BEYOND))
+        poses[unknown] = np.nan
+        return poses
+
+
+@dataclass(slots=True, eq=False)
+class Tree:
+    """Frames and the edges between them; a child that has two parents keeps both."""
+
+    edges: dict[tuple[str, str], Edge] = field(default_factory=dict)
+    """By parent and child."""
+    broken: int = 0
+    """Samples that were no transform: a number that is not finite, a quaternion of no length."""
+
+    def add(self, samples: Samples, *, static: bool = False) -> None:
+        """Take in samples, in order of their recording."""
+        for key, held in samples.items():
+            table = np.concatenate(held)
+            with np.errstate(over="ignore", invalid="ignore"):
+                length = np.linalg.norm(table[:, 4:], axis=1)
+                good = np.isfinite(table).all(axis=1) & (np.abs(length - 1.0) < _UNIT)
+            good &= key[0] != key[1]
+            self.broken += int((~good).sum())
+            if good.any():
+                self.edges[key] = Edge.of(table[good, 0], table[good, 1:], static=static)
+
+    def extend(self, key: tuple[str, str], rows: NDArray[np.float64], keep: float) -> None:
+        """Take in newer samples (N, 8) of a transform of a stream, and forget those `keep` [s] before.
+
+        It may change at any time, however long it stood still. Where stamps go back by more than
+        `LONGEST`, the clock was set: what was known is forgotten.
+        """
+        edge = self.edges.pop(key, None)
+        self.add({key: [rows]})
+        newer = self.edges.get(key)
+        if newer is None:
+            if edge is not None:
+                self.edges[key] = edge
+            return
+        newer = replace(newer, fixed=False)
+        if edge is not None and newer.stamps[0] > edge.stamps[-1] - LONGEST:
+            newer = edge.joined(newer, newer.stamps[-1] - keep)
+        self.edges[key] = newer
+
+    @property
+    def names(self) -> list[str]:
+        """Of all frames."""
+        return sorted({name for edge in self.edges for name in edge})
+
+    def parents(self) -> dict[str, list[str]]:
+        """Parents of each child."""
+        out: dict[str, list[str]] = defaultdict(list)
+        for parent, child in self.edges:
+            out[child].append(parent)
+        return dict(out)
+
+    def above(self, frame: str) -> dict[str, bool]:
+        """Ancestors of a frame, nearest first, and whether it moves in them."""
+        parents = self.parents()
+        out: dict[str, bool] = {}
+        todo = deque([(frame, False)])
+        while todo:
+            child, moves = todo.popleft()
+            for parent in parents.get(child, []):
+                if parent not in out and parent != frame:
+                    out[parent] = moves or not self.edges[parent, child].fixed
+                    todo.append((parent, out[parent]))
+        return out
+
+    def path(self, target: str, source: str) -> list[tuple[str, str]] | None:
+        """Frames in pairs (nearer to the target, nearer to the source) that lead there; None: none."""
+        near: dict[str, list[str]] = defaultdict(list)
+        for parent, child in self.edges:
+            near[parent].append(child)
+            near[child].append(parent)
+        came: dict[str, str] = {target: ""}
+        todo = deque([target])
+        while todo and source not in came:
+            here = todo.popleft()
+            for there in near[here]:
+                if there not in came:
+                    came[there] = here
+                    todo.append(there)
+        if source not in came:
+            return None
+        steps = []
+        while source != target:
+            steps.append((came[source], source))
+            source = came[source]
+        return steps[::-1]
+
+    def between(
+        self, target: str, source: str, stamps: NDArray[np.float64]
+    ) -> NDArray[np.float64] | None:
+        """target_from_source (T, 4, 4) at stamps (T,), NaN in gaps; None where nothing joins them."""
+        steps = self.path(target, source)
+        if steps is None:
+            return None
+        out = np.tile(np.eye(4), (len(stamps), 1, 1))
+        for near, far in steps:
+            down = (near, far) in self.edges
+            edge = self.edges[(near, far) if down else (far, near)].at(stamps)
+            out = out @ (edge if down else inverse(edge))
+        return out
+
+
+def inverse(poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Inverses (T, 4, 4) of rigid transforms."""
+    out = np.tile(np.eye(4), (len(poses), 1, 1))
+    out[:, :3, :3] = poses[:, :3, :3].swapaxes(1, 2)
+    out[:, :3, 3] = -np.einsum("nji,nj->ni", poses[:, :3, :3], poses[:, :3, 3])
+    return out
+
+
+Moves = dict[tuple[str, str], list[NDArray[np.float64]]]
+"""By parent and child: rows (N, 9) of time of recording and stamp [s], x, y, z [m], qx, qy, qz, qw."""
+_NUMBERS = 56  # bytes of a transform's numbers, which stand last
+_STAMP = 8  # where the stamp of a message's first transform stands, in ROS 1 and ROS 2
+
+
+def transforms(
+    data: list[bytes], topic: Topic, path: Path, window: tuple[int, int] | None
+) -> Moves:
+    """Transforms of a topic's messages that were recorded within a window [ns] (None: always).
+
+    Messages of one transform between the same frames differ in stamp and numbers alone: of those
+    the first is decoded, and of the others these are taken.
+    """
+    groups: dict[bytes | int, list[tuple[int, bytes]]] = defaultdict(list)
+    ros1 = topic.encoding == "ros1"
+    head = b"\1\0\0\0" if ros1 else b"\0\1\0\0\1\0\0\0"  # one transform, little-endian
+    for row, (time, raw) in enumerate(zip(topic.times.tolist(), data, strict=True)):
+        if window is None or window[0] < time < window[1]:
+            one = raw.startswith(head) and len(raw) >= _STAMP + 8 + _NUMBERS
+            groups[raw[_STAMP + 8 : -_NUMBERS] if one else row].append((time, raw))
+    out: Moves = defaultdict(list)
+    for group in groups.values():
+        where = f"{path}, {topic.name}"
+        for t in decode(group[0][1], where, topic.type, topic.encoding).transforms:
+            rows = np.empty((len(group), 9))
+            rows[:, 0] = np.array([time for time, _ in group]) * 1e-9
+            rows[0, 1:] = (
+                stamp_of(t.header),
+                *numbers_of(t.transform.translation, t.transform.rotation),
+            )
+            _fill(rows[1:], [raw for _, raw in group[1:]], signed=not ros1)
+            out[frame_of(t.header.frame_id), frame_of(t.child_frame_id)].append(rows)
+    return dict(out)
+
+
+def _fill(rows: NDArray[np.float64], raws: list[bytes], *, signed: bool) -> None:
+    """Stamps and numbers of messages of one transform each."""
+    form = "<iI" if signed else "<II"
+    rows[:, 1] = [s + n * 1e-9 for s, n in (unpack_from(form, raw, _STAMP) for raw in raws)]
+    numbers = b"".join(raw[-_NUMBERS:] for raw in raws)
+    rows[:, 2:] = np.frombuffer(numbers, "<f8").reshape(-1, 7)
+
+
+def samples_of(held: Iterable[Moves], *, recorded: bool) -> Samples:
+    """Samples of the transforms of all topics, by their stamps or by the times of recording."""
+    out: Samples = defaultdict(list)
+    for moves in held:
+        for key, rows in moves.items():
+            out[key] += [np.delete(r, 1 if recorded else 0, axis=1) for r in rows]
+    return out
+
+
+def numbers_of(move: Any, turn: Any) -> tuple[float, ...]:  # noqa: ANN401  # rosbags'
+    """x, y, z, qx, qy, qz, qw of a position and a quaternion."""
+    return move.x, move.y, move.z, turn.x, turn.y, turn.z, turn.w
+
+
+class Spread(NamedTuple):
+    """How far odometry may be off, by its own account, and where it has the robot."""
+
+    covariance: NDArray[np.float64]
+    """(6, 6) of x, y, z [m] and a turn about its frame's axes [rad]; it may hold anything."""
+    position: NDArray[np.float64]
+    """(3,) [m]"""
+
+    @classmethod
+    def of(cls, said: Any) -> Self:  # noqa: ANN401  # rosbags'
+        """Of a `geometry_msgs/PoseWithCovariance`."""
+        at = said.pose.position
+        covariance = np.array(said.covariance, np.float64).reshape(6, 6)
+        return cls(covariance, np.array([at.x, at.y, at.z]))
+
+    def at(
+        self, odometry_from_camera: NDArray[np.float64], lean: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """(6, 6) of a camera on the robot, in axes that `lean` leads odometry's to; both are (4, 4)."""
+        swing = np.eye(6)
+        swing[:3, 3:] = -cross_matrix(odometry_from_camera[:3, 3] - self.position)
+        swing = np.kron(np.eye(2), lean[:3, :3]) @ swing
+        with np.errstate(over="ignore", invalid="ignore"):
+            return np.asarray(swing @ self.covariance @ swing.T)
+
 
 BACK = 0.5
 """Stamps that go back by more [s] are of another run of the clock."""

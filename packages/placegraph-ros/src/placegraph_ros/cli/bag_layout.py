@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from placegraph_io.cli.bag_info import BagFile
+from placegraph_io.info import BagFile
 
 
 def layout(bag: BagFile) -> None:

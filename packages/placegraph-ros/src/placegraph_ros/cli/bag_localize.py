@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from placegraph.cli.command import Option
 from placegraph.cli.common import AsJson, Quiet, progress_of
 from placegraph.cli.scene_options import Device, Seed
-from placegraph_io.cli.bag_info import BagFile
+from placegraph_io.info import BagFile
 from placegraph_ros.cli.following import RerunFile, RoomsFile, carriers, show_summary
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from placegraph.core.files import put
 from placegraph.core.geometry import Floats, vector_from_rotation
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.options import check_numbers, check_positive, check_whole
-from placegraph.io.capture.camera import read_json
+from placegraph.io.capture.json_files import read_json
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,9 +23,8 @@ from numpy.typing import NDArray
 from placegraph.core.files import regular
 from placegraph.core.geometry import Camera
 from placegraph.errors import InputError
-from placegraph.io.capture.camera import read_json
-from placegraph.io.capture.frame_files import DepthUnit, LazyImages
-from placegraph.io.capture.frames import Capture
+from placegraph.io.capture.frame import Capture, DepthUnit, LazyImages
+from placegraph.io.capture.json_files import read_json
 from placegraph.io.capture.posed import (
     ARKIT_FROM_OPENCV,
     MAP_FROM_Y_UP,

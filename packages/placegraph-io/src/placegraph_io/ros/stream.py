@@ -1,34 +1,178 @@
-"""Frames and moves out of the messages of a stream, by what was found to make them of.
-
-Nothing waits for ever: a frame comes as soon as its depth and its transforms have come, and is left
-out, and counted, where they do not come.
-"""
+"""Messages as a stream brings them, one after the other: of a bag in the order of their recording."""
 
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
+from struct import error as struct_error
+from struct import unpack_from
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.io.capture.frame import Frame
-from placegraph.io.capture.frame_files import (
-    LazyImages,
-    posed_frame,
-    quarter_turn,
-    upright_turns,
-)
+from placegraph.errors import InputError, PlacegraphError
+from placegraph.io.capture.frame import Frame, LazyImages, posed_frame, quarter_turn, upright_turns
 from placegraph.io.capture.posed import SAME_MOMENT
 from placegraph_io.ros.capture import Source, metres_of, picture, unit_of
+from placegraph_io.ros.containers import Bag, Message, Topic
 from placegraph_io.ros.decode import decode, frame_of, stamp_of
-from placegraph_io.ros.moves import Spread, numbers_of
-from placegraph_io.ros.packets import Packet, is_static
-from placegraph_io.ros.plan import Plan
-from placegraph_io.ros.poses import BACK
-from placegraph_io.ros.transforms import Edge, Tree
+from placegraph_io.ros.poses import BACK, TRANSFORM_TYPES, Edge, Spread, Tree, is_static, numbers_of
+from placegraph_io.ros.topics import IMAGES, Plan, Wishes, plan_of
+
+
+class Packet(NamedTuple):
+    """One message, and when it came."""
+
+    topic: str
+    type: str
+    """As ROS 2 names it: `sensor_msgs/msg/Image`."""
+    time: float
+    """When it was recorded, or received [s]."""
+    data: bytes
+    encoding: str = "cdr"
+    """`cdr` (ROS 2) or `ros1`."""
+
+    @property
+    def stamp(self) -> float:
+        """Stamp of its header [s]; where unset (0), the time at which it came; `InputError`: it has none."""
+        at, form = (4, "<II") if self.encoding == "ros1" else (4, "<iI")
+        if self.encoding == "cdr" and self.data[1:2] in {b"\x00", b"\x02"}:
+            form = ">iI"
+        try:
+            seconds, nanos = unpack_from(form, self.data, at)
+        except struct_error as error:
+            raise InputError(f"{self.topic}: a message has no header; record again.") from error
+        return float(seconds + nanos * 1e-9) or self.time
+
+    def message(self, path: Path) -> Message:
+        """The same as a message of a bag of this name."""
+        return Message(Held(path, (self.data,)), 0)
+
+
+class Fault(NamedTuple):
+    """A message that could not be read."""
+
+    topic: str
+    reason: str
+    """A sentence."""
+
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """Messages in memory, as what messages of a bag lie in (`storage.Place`)."""
+
+    path: Path
+    """What they are called in messages."""
+    data: Sequence[bytes]
+
+    def read(self, offset: int, most: int | None = None) -> bytes:
+        """As `storage.Place.read`; the offset counts messages."""
+        return self.data[offset][:most]
+
+
+def packets_of(bag: Bag, topics: Collection[str]) -> Iterator[Packet | Fault]:
+    """Messages of some topics of a bag in the order of their recording, `tf_static` before all others.
+
+    As for those who subscribe to it: transforms that never change are told to whoever comes.
+    """
+    chosen = [bag.topics[name] for name in sorted(topics) if name in bag.topics]
+    times = np.concatenate([t.times for t in chosen] or [np.zeros(0, np.int64)])
+    which = np.repeat(np.arange(len(chosen)), [len(t) for t in chosen])
+    rows = np.concatenate([np.arange(len(t)) for t in chosen] or [np.zeros(0, np.intp)])
+    moving = np.array([not is_static(t.name) for t in chosen], bool)[which]
+    for i in np.lexsort((times, moving)).tolist():
+        topic = chosen[which[i]]
+        try:
+            data = topic[int(rows[i])].read()
+        except InputError as error:
+            yield Fault(topic.name, str(error))
+            continue
+        yield Packet(topic.name, topic.type, float(times[i]) * 1e-9, data, topic.encoding)
+
+
+LISTEN = 1.0
+"""Seconds of a stream that are heard before something is chosen, and between two tries."""
+_IMAGES, _OTHERS = 16, 2000  # messages of a topic that are kept until then
+OTHERS = ("sensor_msgs/CameraInfo", "nav_msgs/Odometry", "sensor_msgs/Imu")
+WANTED = frozenset((*IMAGES, *TRANSFORM_TYPES, *OTHERS))
+"""Types of messages that are listened to, such as `sensor_msgs/Image`."""
+
+
+class Discovery:
+    """Listens to a stream until it is known what frames are made of.
+
+    Parameters
+    ----------
+    path
+        What the stream is called in messages; a file of this name with ``.json`` behind it is where
+        they say that what is missing can be written.
+    wishes
+        What the user says of it.
+
+    """
+
+    def __init__(self, path: Path, wishes: Wishes) -> None:
+        self.path, self.wishes = path, wishes
+        self.lacks: tuple[str, ...] = ()
+        """Sentences on what is missing still."""
+        self._heard: dict[tuple[str, str, str], deque[Packet]] = {}
+        self._next: float | None = None
+
+    def take(self, packet: Packet) -> Plan | None:
+        """Take in a message; what frames are made of, as soon as that is known."""
+        if packet.type.replace("/msg/", "/") not in WANTED:
+            return None
+        key = packet.topic, packet.type, packet.encoding
+        if key not in self._heard:
+            short = packet.type.replace("/msg/", "/")
+            self._heard[key] = deque(maxlen=_IMAGES if short in IMAGES else _OTHERS)
+        self._heard[key].append(packet)
+        if (
+            self._next is None or packet.time < self._next - LISTEN
+        ):  # the first, or the clock was set
+            self._next = packet.time + LISTEN
+        return self.found() if packet.time >= self._next else None
+
+    def found(self) -> Plan | None:
+        """What frames are made of by what was heard, or None, and what is missing is told in `lacks`."""
+        held = [packet for packets in self._heard.values() for packet in packets]
+        if not held:
+            self.lacks = (f"{self.path}: no message of a camera has come yet.",)
+            return None
+        self._next = max(packet.time for packet in held) + LISTEN
+        try:
+            plan = plan_of(self._bag(), self.wishes)
+        except PlacegraphError as error:
+            self.lacks = (str(error),)
+            return None
+        self.lacks = tuple(plan.lacks.values())
+        return None if plan.lacks else plan
+
+    def heard(self) -> list[Packet]:
+        """The messages that were heard, transforms that never change first, then in order."""
+        held = [packet for packets in self._heard.values() for packet in packets]
+        return sorted(held, key=lambda p: (not is_static(p.topic), p.time))
+
+    def _bag(self) -> Bag:
+        """What was heard, as a bag."""
+        topics: dict[str, Topic] = {}
+        for (name, kind, encoding), packets in self._heard.items():
+            times = np.array([p.time for p in packets])
+            order = np.argsort(times, kind="stable")
+            if name in topics and len(topics[name]) >= len(packets):
+                continue  # of types that share a name, the most frequent
+            topics[name] = Topic(
+                name=name, type=kind, encoding=encoding,
+                times=np.rint(times[order] * 1e9).astype(np.int64),
+                places=(Held(self.path, [p.data for p in packets]),),
+                which=np.zeros(len(packets), np.int64), offsets=order.astype(np.int64),
+            )  # fmt: skip
+        return Bag(self.path, dict(sorted(topics.items())), ())
+
 
 PATIENCE = 0.5
 """A frame waits so long for its depth and its transforms [s]."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from placegraph.core.mapfile import spans
 from placegraph.core.mapfile import starts as starts_of
 from placegraph.errors import InputError
-from placegraph.io.osm import osm_pbf as pbf
+from placegraph.io.osm import pbf
 from placegraph.io.osm.osm import (
     AREA,
     LINE,
@@ -30,9 +30,9 @@ from placegraph.io.osm.osm import (
     is_area,
 )
 from placegraph.io.osm.osm_areas import Assembler
-from placegraph.io.osm.osm_nodes import Nodes
-from placegraph.io.osm.osm_nodes_kernels import lines
-from placegraph.io.osm.osm_pbf import NONE, Block, Rows
+from placegraph.io.osm.osm_kernels import lines
+from placegraph.io.osm.pbf import NONE, Block, Rows
+from placegraph.io.osm.pbf import NodeIndex as Nodes
 
 Numbers = NDArray[np.int64]
 Steps = NDArray[np.int32]

@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterator
 from struct import unpack_from
 
 from placegraph.errors import InputError
-from placegraph_io.ros.files.bag import ros2_type
-from placegraph_io.ros.files.mcap import CHUNK, MAGIC, MESSAGE, Channels, Cut, records
-from placegraph_io.ros.files.packed import MOST, Packed
-from placegraph_io.ros.packets import Fault, Packet
+from placegraph_io.ros.containers import CHUNK, MAGIC, MESSAGE, Channels, Cut, records, ros2_type
+from placegraph_io.ros.stream import Fault, Packet
+from placegraph_io.storage import LARGEST_MESSAGE as MOST
+from placegraph_io.storage import CompressedBytes as Packed
 
 _FOOTER, _DATA_END = 2, 15
 

@@ -1,28 +1,29 @@
-"""Blocks of an `.osm.pbf` file as columns, read by compiled code that believes no length.
+"""Blocks of an `.osm.pbf` file as columns, and positions of its nodes by id.
 
 A file is a row of blobs, each with a head; a blob holds a block of strings and of groups of nodes, ways
-or relations, compressed by zlib. `DamagedError` says what is wrong with one.
+or relations, compressed by zlib. `DamagedError` says what is wrong with one: no length is trusted.
 """
 
 from __future__ import annotations
 
+import mmap
 import struct
 import zlib
+from collections.abc import Iterator
+from contextlib import closing, suppress
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from pathlib import Path
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from placegraph.core.files import cannot_write
 from placegraph.core.mapfile import starts
-from placegraph.io.osm import osm_pbf_kernels as kernels
+from placegraph.io.osm import osm_kernels as kernels
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from typing import BinaryIO
-
-    from numpy.typing import NDArray
-
-    Numbers = NDArray[np.int64]
+Numbers = NDArray[np.int64]
+Steps = NDArray[np.int32]
 
 HEAD_MOST, BLOB_MOST = 64 << 10, 32 << 20
 """Bytes of a blob's head, and of what a blob holds, by the format's own rules."""
@@ -30,7 +31,7 @@ KNOWN = {b"OsmSchema-V0.6", b"DenseNodes", b"HistoricalInformation"}
 """Features without which a file cannot be understood."""
 FARTHEST = np.array([1_800_000_000, 900_000_000])
 """Longitudes and latitudes reach so far, in steps of 1e-7 degrees."""
-AT_ONCE = 1 << 18
+NODES_A_BLOCK = 1 << 18
 """Nodes of a block that is written, or of its ways, about."""
 MOST_FIELDS = 1 << 21
 """Fields of one message: a block has thousands of strings, and 32 MiB room for 16 million."""
@@ -250,8 +251,8 @@ def written(
 ) -> bytes:  # fmt: skip
     """A file of ways, the known ones of their points as nodes of their own, and relations of a block."""
     blobs, numbers = [], 1 + np.arange(len(steps))
-    for at in range(0, len(steps), AT_ONCE):
-        rows = at + np.flatnonzero(known[at : at + AT_ONCE])
+    for at in range(0, len(steps), NODES_A_BLOCK):
+        rows = at + np.flatnonzero(known[at : at + NODES_A_BLOCK])
         lon, lat = (differences(steps[rows, axis].astype(np.int64)) for axis in (0, 1))
         dense = text(1, differences(numbers[rows])) + text(8, lat) + text(9, lon)
         blobs.append(text(1, text(1, b"")) + text(2, text(2, dense)))
@@ -260,7 +261,7 @@ def written(
     for identity, a, b in zip(ids.tolist(), starts[:-1].tolist(), starts[1:].tolist(), strict=True):
         refs = differences(numbers[a : min(a + 1, b)]) + b"\2" * (b - a - 1)
         ways.append(text(3, b"\x08" + number(identity % 2**64) + text(8, refs)))
-        if b - first + len(ways) >= AT_ONCE:
+        if b - first + len(ways) >= NODES_A_BLOCK:
             blobs.append(text(1, text(1, b"")) + text(2, b"".join(ways)))
             ways, first = [], b
     blobs.append(text(1, text(1, b"")) + text(2, b"".join(ways)))
@@ -298,3 +299,146 @@ def differences(values: Numbers) -> bytes:
     steps = np.diff(values, prepend=0)
     made: bytes = kernels.varints((steps << 1) ^ (steps >> 63)).tobytes()
     return made
+
+
+WIDE = 1 << 32
+"""Ids of a chunk are less than this apart."""
+TOUCHED = 256 << 20
+"""Bytes of a file that are looked at until the system may have their memory back, about."""
+SORTED_AT_ONCE = 1 << 22
+"""Nodes in no order that are sorted in memory at once: some 50 bytes each."""
+SAMPLE = 256
+"""Of so many nodes one tells where the others of its chunk may be cut."""
+
+
+class NodeIndex:
+    """Positions of nodes, 12 bytes each, in `index` where that is named; it is made, and removed by `close`.
+
+    They stand in chunks by rising id: `first` (C,) ids, `bounds` (C + 1,) of nodes, and of each chunk in
+    `words` how far ids lie behind the first, and then longitudes and latitudes by turns. What is added
+    in no order is sorted `at_once` nodes at a time, and such runs are merged before any is looked for.
+    """
+
+    def __init__(self, index: Path | None = None, at_once: int = SORTED_AT_ONCE) -> None:
+        self.index, self.at_once = index, at_once
+        self.first: list[int] = []
+        self.last: list[int] = []
+        self.counts: list[int] = []
+        self.words: list[Steps] = []
+        self.file: BinaryIO | None = None
+        self._ready: tuple[Numbers, Numbers, Steps] | None = None
+        self._map: mmap.mmap | None = None
+        self._looked = 0
+        self._run: list[tuple[Numbers, Steps]] = []  # what waits to be sorted
+
+    def add(self, ids: Numbers, steps: Steps) -> None:
+        """Add nodes (N,) at steps (N, 2); `MapError` where there is no room for them."""
+        self._ready = None
+        rising = bool((np.diff(ids) > 0).all())
+        if rising and not self._run and not (len(ids) and self.last and ids[0] <= self.last[-1]):
+            self.put(ids, steps)
+            return
+        self._run.append((ids, steps))
+        if sum(len(some) for some, _ in self._run) >= self.at_once:
+            self._end_run()
+
+    def _end_run(self) -> None:
+        """Sort what waits, and put it down."""
+        if self._run:
+            ids, steps = (np.concatenate(column) for column in zip(*self._run, strict=True))
+            self._run = []
+            self.put(*_in_order(ids, steps))
+
+    def put(self, ids: Numbers, steps: Steps) -> None:
+        """Put down nodes whose ids rise."""
+        while len(ids):
+            n = (
+                int(np.searchsorted(ids, int(ids[0]) + WIDE))
+                if int(ids[-1]) - int(ids[0]) >= WIDE
+                else len(ids)
+            )
+            offsets = (ids[:n] - ids[0]).astype(np.uint32).view(np.int32)
+            self.first.append(int(ids[0]))
+            self.last.append(int(ids[n - 1]))
+            self.counts.append(n)
+            self._write(np.concatenate([offsets, steps[:n].reshape(-1)]))
+            ids, steps = ids[n:], steps[n:]
+
+    def find(self, ids: Numbers) -> tuple[Steps, NDArray[np.bool_]]:
+        """Positions (K, 2) of nodes by id in steps of 1e-7 degrees, and which are known."""
+        first, bounds, words = self._ready or self._settled()
+        found: tuple[Steps, NDArray[np.bool_]] = kernels.placed(first, bounds, words, ids)
+        self._looked += 64 * len(ids)
+        if self._map is not None and self._looked > TOUCHED:
+            self._map.madvise(mmap.MADV_DONTNEED)
+            self._looked = 0
+        return found
+
+    def close(self) -> None:
+        """Remove the file."""
+        self._ready = self._map = None
+        with suppress(OSError):  # what was not written yet
+            if self.file is not None:
+                self.file.close()
+        with suppress(OSError):
+            if self.index is not None:
+                self.index.unlink(missing_ok=True)
+
+    def _write(self, words: Steps) -> None:
+        if self.index is None:
+            self.words.append(words)
+            return
+        try:
+            if self.file is None:
+                self.index.unlink(missing_ok=True)
+                self.file = self.index.open("xb+")
+            self.file.write(words.data)
+        except OSError as error:
+            raise cannot_write(self.index, error) from error
+
+    def _settled(self) -> tuple[Numbers, Numbers, Steps]:
+        self._end_run()
+        if any(a >= b for a, b in zip(self.last, self.first[1:], strict=False)):
+            self._merge()
+        bounds = np.concatenate(([0], np.cumsum(self.counts, dtype=np.int64)))
+        self._ready = np.array(self.first, np.int64), bounds, self.all_words()
+        return self._ready
+
+    def all_words(self) -> Steps:
+        """What was put down so far."""
+        if self.file is not None and self.index is not None:
+            try:
+                self.file.flush()
+            except OSError as error:
+                raise cannot_write(self.index, error) from error
+            self._map = mmap.mmap(self.file.fileno(), 0, access=mmap.ACCESS_READ)
+            return np.frombuffer(self._map, np.int32)
+        self.words = [np.concatenate(self.words)] if self.words else []
+        return self.words[0] if self.words else np.zeros(0, np.int32)
+
+    def _merge(self) -> None:
+        """Write chunks that overlap anew, in order: of all of them what lies between two ids, and so on."""
+        first, counts = np.array(self.first, np.int64), np.array(self.counts, np.int64)
+        bounds, words = np.concatenate(([0], np.cumsum(counts))), self.all_words()
+        some = np.sort(kernels.sampled(first, bounds, words, SAMPLE))
+        cuts = np.unique(some[:: max(1, self.at_once // SAMPLE)])
+        beside = None if self.index is None else self.index.with_name(f"{self.index.name}.sorted")
+        with closing(NodeIndex(beside)) as made:
+            for low, high in zip(cuts, np.append(cuts[1:], max(self.last) + 1), strict=True):
+                made.put(*_in_order(*kernels.between(first, bounds, words, low, high)))
+                if self._map is not None:
+                    self._map.madvise(mmap.MADV_DONTNEED)
+            del words
+            made.all_words()
+            self.close()
+            self.first, self.last, self.counts = made.first, made.last, made.counts
+            self.words, self.file, made.file = made.words, made.file, None
+            if self.index is not None and made.index is not None:
+                made.index.rename(self.index)
+
+
+def _in_order(ids: Numbers, steps: Steps) -> tuple[Numbers, Steps]:
+    """NodeIndex by rising id; of one id the last."""
+    order = np.argsort(ids, kind="stable")
+    order = order[np.append(np.diff(ids[order]) > 0, True)]
+    return ids[order], steps[order]

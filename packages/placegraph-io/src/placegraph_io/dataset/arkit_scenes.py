@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from placegraph.core.geometry import Camera, rotation_from_vector
 from placegraph.errors import InputError
-from placegraph.io.capture.frame_files import DepthUnit, LazyImages, colour_file, depth_file
-from placegraph.io.capture.frames import Capture
+from placegraph.io.capture.frame import Capture, DepthUnit, LazyImages, colour_file, depth_file
 from placegraph.io.capture.images import image_size, images_of
 from placegraph.io.capture.posed import (
     Shot,

@@ -7,7 +7,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from placegraph.errors import InputError
-from placegraph.io.capture.archive import Archive
+from placegraph_io.storage import Archive
 
 FILES = {"a/one.txt": b"one" * 50, "b/two.bin": bytes(range(256)), "empty": b""}
 
@@ -35,7 +35,7 @@ def test_files_by_name(compression, tmp_path):
 
 def test_what_is_too_large_is_refused(tmp_path, monkeypatch):
     archive = Archive(zipped(tmp_path / "a.zip"))
-    monkeypatch.setattr("placegraph.io.capture.archive._MOST", 200)
+    monkeypatch.setattr("placegraph_io.storage._LARGEST_FILE", 200)
     assert archive.read("a/one.txt") == FILES["a/one.txt"]
     with pytest.raises(InputError, match="would have 256 bytes"):
         archive.read("b/two.bin")

@@ -1,1 +1,0 @@
-"""Captures of phone apps."""
