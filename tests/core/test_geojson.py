@@ -18,7 +18,8 @@ from placegraph.core.estimate import (
     SceneMode,
     Status,
 )  # fmt: skip
-from placegraph.core.geo import SHARE, Anchor
+from placegraph.core.geo import Anchor
+from placegraph.core.geojson_new import SHARE
 from placegraph.core.geometry import LocalPlane, level_from_camera, pose_matrix
 from placegraph.errors import GeoPoseError
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 import placegraph as pg
-from placegraph.core.estimate import Evidence, Place, Status
-from placegraph.core.evidence import Explained
+from placegraph.core.estimate import Evidence, Explained, Place, Status
 from placegraph.core.geometry import Camera
 from placegraph.io.capture.capture import Frame
 

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from placegraph.core.estimate import PoseEstimate, PoseMode, Status
-from placegraph.core.evidence import Evidence, ObjectRef
+from placegraph.core.estimate import Evidence, ObjectRef, PoseEstimate, PoseMode, Status
 from placegraph.core.geometry import level_from_camera, pose_matrix
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.scene_map import SceneMap

@@ -1,11 +1,12 @@
-"""What is sent to other processes: what a thing was made of, without what was derived from it since.
+"""Pickling and HTML display of dataclasses.
 
-Files of this form are never written, and none is ever opened: a pickle is code, a map file is data.
+Pickles go to other processes only: none is written to a file, and none is opened.
 """
 
 from __future__ import annotations
 
 from dataclasses import fields
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -40,3 +41,18 @@ def made_again(cls: type[Any], values: dict[str, Any], kept: tuple[str, ...]) ->
             value.flags.writeable = False
         object.__setattr__(made, name, value)
     return made
+
+
+class Shown:
+    """What Jupyter shows as a picture.
+
+    The one place below the faces that names one. It does so by text, as `placegraph` itself names
+    what it offers: nothing of `placegraph.view` is imported before a notebook asks, and nothing
+    here depends on it.
+    """
+
+    __slots__ = ()
+
+    def _repr_html_(self) -> str:
+        drawn: str = import_module("placegraph.view.notebook").html(self)
+        return drawn

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
-from placegraph.core.html import Shown
+from placegraph.core.pickling import Shown
 from placegraph.errors import OptionError
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.map.scene_file import open_scene, save_scene

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, Unpack
 from numpy.typing import NDArray
 
 from placegraph.core.files import real_path
-from placegraph.core.html import Shown
+from placegraph.core.pickling import Shown
 from placegraph.errors import OptionError
 from placegraph.io.osm.urls import is_url, name_of, on_disk
 from placegraph.outdoor.map.cells import LARGEST, SMALLEST

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
-from placegraph.core.estimate import Estimate, Status
-from placegraph.core.evidence import Explained
+from placegraph.core.estimate import Estimate, Explained, Status
 from placegraph.world.ask import question_of
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from placegraph.core.evidence import Evidence
+from placegraph.core.estimate import Evidence
 from placegraph.io.osm.indoor_osm import levels_of
 
 WRONG = 0.12

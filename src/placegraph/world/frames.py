@@ -28,8 +28,7 @@ from placegraph.world.standing import nowhere
 from placegraph.world.words import IN_TOWN, LEAST, MAPPED, by_words
 
 if TYPE_CHECKING:
-    from placegraph.core.estimate import PoseEstimate, PoseMode
-    from placegraph.core.evidence import Evidence
+    from placegraph.core.estimate import Evidence, PoseEstimate, PoseMode
     from placegraph.io.capture.frame import Frame
     from placegraph.world.known import Known
     from placegraph.world.witnesses import Witness, Witnesses

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.evidence import Evidence
+from placegraph.core.estimate import Evidence
 from placegraph.indoor.language import Sentence
 from placegraph.indoor.language.index import Columns
 from placegraph.indoor.language.likeness import table

@@ -23,8 +23,7 @@ from placegraph.world.buildings import Buildings
 from placegraph.world.streets import roads_called
 
 if TYPE_CHECKING:
-    from placegraph.core.estimate import CityEstimate
-    from placegraph.core.evidence import Evidence
+    from placegraph.core.estimate import CityEstimate, Evidence
     from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.language.description import Description
     from placegraph.outdoor.likelihood.query import Query

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.evidence import Evidence
+from placegraph.core.estimate import Evidence
 from placegraph.indoor.map.floor import storeys
 from placegraph.outdoor.language.description import SPEAKER, WITHIN
 from placegraph.outdoor.language.words import tokens

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from placegraph.core.estimate import PoseEstimate
-from placegraph.core.evidence import Evidence
+from placegraph.core.estimate import Evidence, PoseEstimate
 from placegraph.core.geometry import Floats
 from placegraph.indoor.map.scene import Scene
 from placegraph_ros.message import Fields, FrameIds, Message, colour, header, points, xyz

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.core.estimate import PoseEstimate, PoseMode, Status
-from placegraph.core.evidence import Evidence
+from placegraph.core.estimate import Evidence, PoseEstimate, PoseMode, Status
 from placegraph.core.geometry import Floats, pose_matrix, rotation_from_vector, split_pose
 from placegraph.indoor.map.scene import Scene
 from placegraph_ros.map import map_messages

@@ -11,8 +11,8 @@ from placegraph.core.estimate import PoseEstimate, SceneEstimate
 from placegraph.core.files import real_path
 from placegraph.core.geo import EarthPose
 from placegraph.core.geometry import Camera
-from placegraph.core.html import Shown
 from placegraph.core.mapfile import MapFile, pack_strings, read_map, sound, write_map
+from placegraph.core.pickling import Shown
 from placegraph.errors import InputError, MapError, MissingExtraError, OptionError
 from placegraph.indoor.encode import ENCODERS, Encoder, encoder
 from placegraph.indoor.library.answer import Many, search

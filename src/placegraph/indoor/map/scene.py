@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from placegraph.core.evidence import ObjectRef
+from placegraph.core.estimate import ObjectRef
 from placegraph.core.features import areas, collection, feature
 from placegraph.core.geo import Anchor, ranked, unplaced
 from placegraph.core.graph import SceneGraph

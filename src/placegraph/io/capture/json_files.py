@@ -9,9 +9,8 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from placegraph.core.camera_models import MODELS
 from placegraph.core.files import regular
-from placegraph.core.geometry import Camera
+from placegraph.core.geometry import MODELS, Camera
 from placegraph.errors import InputError, OptionError
 
 _INTRINSICS = ("fx", "fy", "cx", "cy")

@@ -28,7 +28,7 @@ from placegraph.world.outside import Outside, Told
 from placegraph_scale.shards.lexicon import distance
 
 if TYPE_CHECKING:
-    from placegraph.core.evidence import Evidence
+    from placegraph.core.estimate import Evidence
     from placegraph.outdoor.search.posterior import Mode
     from placegraph_scale.shards.merged import Merged
     from placegraph_scale.shards.search import Search

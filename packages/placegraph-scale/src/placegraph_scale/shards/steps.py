@@ -24,8 +24,7 @@ from placegraph.world.buildings import Buildings
 from placegraph_scale.shards.lexicon import Thing, joined
 
 if TYPE_CHECKING:
-    from placegraph.core.estimate import CityEstimate
-    from placegraph.core.evidence import Evidence
+    from placegraph.core.estimate import CityEstimate, Evidence
     from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.likelihood.query import Query
     from placegraph.outdoor.map.city import City

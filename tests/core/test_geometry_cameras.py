@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph.core.camera_models import Camera
+from placegraph.core.geometry import Camera
 from placegraph.errors import OptionError
 
 PLAIN = Camera(640, 360, 460.0, 455.0, 318.0, 181.5)
