@@ -19,7 +19,7 @@ from placegraph.core.estimate import (
     Status,
 )  # fmt: skip
 from placegraph.core.geo import Anchor
-from placegraph.core.geojson_new import SHARE
+from placegraph.core.geojson import SHARE
 from placegraph.core.geometry import LocalPlane, level_from_camera, pose_matrix
 from placegraph.errors import GeoPoseError
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.geo import EarthPose
-from placegraph.core.geojson_new import OnEarth
+from placegraph.core.geojson import OnEarth
 from placegraph.core.pickling import Shown
 
 if TYPE_CHECKING:

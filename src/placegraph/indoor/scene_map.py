@@ -248,7 +248,7 @@ class SceneMap(Shown, Scene):
 
     def to_geopandas(self) -> gpd.GeoDataFrame:
         """`to_geojson` as a table in WGS84; raises `MissingExtraError` without GeoPandas."""
-        from placegraph.core.features import geopandas_of
+        from placegraph.core.geojson import geopandas_of
 
         return geopandas_of(self.to_geojson())
 

@@ -137,7 +137,7 @@ class CityMap(Shown, City):
 
     def to_geopandas(self, what: Literal["objects", "cells"] = "objects") -> gpd.GeoDataFrame:
         """`to_geojson` as a table in WGS84; raises `MissingExtraError` without GeoPandas."""
-        from placegraph.core.features import geopandas_of
+        from placegraph.core.geojson import geopandas_of
 
         return geopandas_of(self.to_geojson(what))
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.features import inside
+from placegraph.core.geojson import inside
 from placegraph.outdoor.language.description import SPEAKER, WITHIN, Relation
 from placegraph.outdoor.map.objects import AREA, POINT
 from placegraph.outdoor.map.raster_kernels import nearest_on_parts

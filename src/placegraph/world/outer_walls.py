@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.features import nested
+from placegraph.core.geojson import nested
 from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
 from placegraph.indoor.map.floor import label_words

@@ -5,7 +5,7 @@ import json
 import pytest
 
 import placegraph as pg
-from placegraph.core.features import areas
+from placegraph.core.geojson import areas
 from placegraph.errors import OptionError
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from placegraph.core.estimate import Status
 from placegraph.core.geo import EarthPose
-from placegraph.core.geojson_new import poses_of
+from placegraph.core.geojson import poses_of
 from placegraph.core.geometry import Camera
 from placegraph.errors import InputError, RequestError
 from placegraph.io.capture.frame import Frame

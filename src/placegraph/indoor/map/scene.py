@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from placegraph.core.estimate import ObjectRef
-from placegraph.core.features import areas, collection, feature
 from placegraph.core.geo import Anchor, ranked, unplaced
+from placegraph.core.geojson import areas, collection, feature
 from placegraph.core.graph import SceneGraph
 from placegraph.core.mapfile import MapFile
 from placegraph.core.pickling import Portable, made_again

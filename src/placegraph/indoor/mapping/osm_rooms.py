@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.features import inside
 from placegraph.core.geo import Anchor
+from placegraph.core.geojson import inside
 from placegraph.core.geometry import Floats
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.mapping.from_capture import Source

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.features import nested, wound
+from placegraph.core.geojson import nested, wound
 from placegraph.core.geometry import Floats
 
 LEAST_AREA = 0.05

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any, Literal
 
-from placegraph.core.features import areas, collection, feature, lines, point
+from placegraph.core.geojson import areas, collection, feature, lines, point
 from placegraph.errors import OptionError
 from placegraph.outdoor.map.city import City
 from placegraph.outdoor.map.objects import AREA, LINE
