@@ -22,7 +22,7 @@ from placegraph.indoor.map.scene_file import near_box
 from placegraph.indoor.map.textures import Detail, detail_named
 from placegraph.indoor.mapping.clean import check, cleaned, in_metres, reduced, upright
 from placegraph.indoor.mapping.from_capture import FromCapture, Progress, Source
-from placegraph.indoor.mapping.sources import Reading, Up, read_source
+from placegraph.indoor.mapping.sources import ReadOptions, Up, read_source
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.mesh.model import Model, Thing
 
@@ -98,7 +98,7 @@ def build_scene(
         The map cannot be written.
 
     """
-    how = Reading(labels, up, scale, object_property, segment, capture, reader or {})
+    how = ReadOptions(labels, up, scale, object_property, segment, capture, reader or {})
     detail = detail_named(detail)
     counts = Counter() if left_out is None else left_out
 

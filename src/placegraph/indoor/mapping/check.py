@@ -29,8 +29,7 @@ from placegraph.indoor.options import FilterOptions
 Severity = Literal["error", "warning", "note"]
 SEVERITIES: tuple[Severity, ...] = ("error", "warning", "note")
 
-Found = tuple[Severity, str, Sequence[str], str]
-"""Severity, sentence, ids, mend."""
+Found = tuple[Severity, str, Sequence[str], str]  # Severity, sentence, ids, mend
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,14 +49,10 @@ class Finding:
         return {**asdict(self), "objects": list(self.objects)}
 
 
-_DOUBLES = 0.01
-"""Share of triangles that lie on another."""
-_SOUP = 0.5
-"""Share of edges that belong to one triangle alone: faces that hang on nothing."""
-_CROSSED = 0.02
-"""Share of edges that belong to three triangles or more."""
-_BARE = 0.2
-"""Share of the surface that is white and without texture."""
+_DOUBLES = 0.01  # Share of triangles that lie on another
+_SOUP = 0.5  # Share of edges that belong to one triangle alone: faces that hang on nothing
+_CROSSED = 0.02  # Share of edges that belong to three triangles or more
+_BARE = 0.2  # Share of the surface that is white and without texture
 
 
 def mesh_findings(scene: Scene) -> Iterator[Found]:
@@ -147,15 +142,12 @@ def _colours(scene: Scene) -> Iterator[Found]:
         )
 
 
-_GIANT = 0.8
-"""An object with this share of all surface that is no wall, floor or ceiling ..."""
+_GIANT = 0.8  # An object with this share of all surface that is no wall, floor or ceiling ..
 _TWINS = 0.8
 """Boxes whose common part is this share of what they fill together are one object twice."""
 _MANY_TRIANGLES = 1_000_000
-_LARGE_FILE = 20e6
-"""[bytes]"""
-_SLOW = 2.0
-"""Opening a map beyond this is slow [s]."""
+_LARGE_FILE = 20e6  # [bytes]
+_SLOW = 2.0  # Opening a map beyond this is slow [s]
 
 
 def giant(scene: Scene) -> Iterator[Found]:
@@ -307,24 +299,19 @@ HEIGHTS = {
     "counter": 0.9, "bathtub": 0.58, "stool": 0.55, "nightstand": 0.55, "wall": 2.6,
 }  # fmt: skip
 """Usual heights of things that stand on the floor [m]."""
-_KINDS = 3
-"""Kinds of things that have to agree how far a map's unit is off ..."""
-_AGREE = 1.5
-"""... within this factor: sizes of one kind differ by as much."""
-_STANDS = 0.15
-"""A whole thing begins no higher above the floor than this share of its height."""
+_KINDS = 3  # Kinds of things that have to agree how far a map's unit is off ..
+_AGREE = 1.5  # ... within this factor: sizes of one kind differ by as much
+_STANDS = 0.15  # A whole thing begins no higher above the floor than this share of its height
 UNITS = (
     ("millimetres", 0.001), ("centimetres", 0.01), ("inches", 0.0254), ("feet", 0.3048),
     ("metres", 1.0), ("hundreds of metres", 100.0), ("kilometres", 1000.0),
 )  # fmt: skip
 """Units of files, and metres in each."""
-_LOW, _HIGH = 1.9, 7.0
-"""Height of rooms, halls and a second storey included [m]."""
+_LOW, _HIGH = 1.9, 7.0  # Height of rooms, halls and a second storey included [m]
 _USUAL = 2.6
 _TILTED, _VERY_TILTED = 1.0, 4.0
 """The floor's slope that is told, and the one that spoils poses [deg]: gravity is taken for known."""
-_OFF = 0.1
-"""How far the floor may lie from a level surface [m]."""
+_OFF = 0.1  # How far the floor may lie from a level surface [m]
 
 
 def units(scene: Scene) -> Iterator[Found]:
@@ -496,14 +483,11 @@ def _largest_level(
     return float(bins[best] * 0.1)
 
 
-_PLACES = 24
-"""Places from which holes are looked for."""
-_SKY, _OPEN = 0.03, 0.3
-"""Share of the rays from inside that leave the map: told, and much."""
+_PLACES = 24  # Places from which holes are looked for
+_SKY, _OPEN = 0.03, 0.3  # Share of the rays from inside that leave the map: told, and much
 _LEVEL_RAY = 0.2
 """Rays that rise or fall more steeply than this may pass over low walls, and under none."""
-_BACK = 0.3
-"""Share of the rays from inside that meet the back of a triangle."""
+_BACK = 0.3  # Share of the rays from inside that meet the back of a triangle
 
 
 def places(scene: Scene, options: FilterOptions | None) -> Iterator[Found]:
@@ -596,12 +580,9 @@ def _steep() -> NDArray[np.float32]:
     return both.astype(np.float32)
 
 
-_SURE = 0.9
-"""Probability from which on a candidate is the one."""
-_FAR, _FARTHEST = 1.0, 3.0
-"""What may be left of what was fitted, on the whole and at worst [m]."""
-_NO_HEIGHT = 50.0
-"""A height with a larger standard deviation is unknown [m]."""
+_SURE = 0.9  # Probability from which on a candidate is the one
+_FAR, _FARTHEST = 1.0, 3.0  # What may be left of what was fitted, on the whole and at worst [m]
+_NO_HEIGHT = 50.0  # A height with a larger standard deviation is unknown [m]
 _AGAIN = "Anchor it again with `placegraph scene anchor`"
 
 
@@ -651,8 +632,7 @@ def anchors(scene: Scene) -> Iterator[Found]:
             )
 
 
-_SHOWN = 20
-"""Most objects a finding names."""
+_SHOWN = 20  # Most objects a finding names
 
 
 def check(

@@ -20,16 +20,11 @@ from placegraph.indoor.mapping.simplify import simplify
 from placegraph.io.mesh.gltf import Z_UP
 from placegraph.io.mesh.model import Model, Picture, Thing
 
-TALLEST = 60.0
-"""What is higher than this is not in metres, unless a scale is given [m]."""
-FLATTEST, WIDEST = 0.3, 300.0
-"""What is neither wide nor high by this, or wider, is told [m]."""
-TINIEST = 0.02
-"""What is smaller is refused, unless a scale is given [m]."""
-ROOM = 2.0, 4.0
-"""Rooms are this high [m]."""
-LARGEST = 1e5
-"""Coordinates beyond this [m] are another unit, or damage."""
+TALLEST = 60.0  # What is higher than this is not in metres, unless a scale is given [m]
+FLATTEST, WIDEST = 0.3, 300.0  # What is neither wide nor high by this, or wider, is told [m]
+TINIEST = 0.02  # What is smaller is refused, unless a scale is given [m]
+ROOM = 2.0, 4.0  # Rooms are this high [m]
+LARGEST = 1e5  # Coordinates beyond this [m] are another unit, or damage
 _SOME = 200_000  # triangles that are looked at to tell unit and axis
 
 
@@ -209,12 +204,10 @@ VIVID = 0.1
 """Colours of two ends of an edge that differ by more than this share of the range are a pattern."""
 PATTERNED = 0.03
 """Where more than this share of the edges have a pattern, colours are baked into textures."""
-BAKED = 2.0
-"""Triangles of fewer texels than this have colours enough at their vertices."""
+BAKED = 2.0  # Triangles of fewer texels than this have colours enough at their vertices
 MOST_BAKED = 1_000_000
 """Meshes of more triangles keep the colours of their vertices, to save memory."""
-MOST_TEXELS = 1 << 24
-"""Larger surfaces are coloured by larger texels, to save memory and time."""
+MOST_TEXELS = 1 << 24  # Larger surfaces are coloured by larger texels, to save memory and time
 _SAMPLED = 500_000  # triangles that are looked at for it
 
 

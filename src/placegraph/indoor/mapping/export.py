@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from placegraph.core.files import write_file
+from placegraph.core.plugins import load_module
 from placegraph.errors import OptionError
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.scene import Scene
@@ -25,52 +26,43 @@ from placegraph.io.mesh.gltf_write import Material, Part, Surface, encode_glb
 from placegraph.io.mesh.model import Model, Picture, Thing
 from placegraph.io.mesh.ply import write_ply
 from placegraph.io.osm.indoor_osm import OSMAG_ENDINGS, encode_rooms
-from placegraph_io.graphs.spark_dsg_write import MOST_PATHS, encode_spark_dsg
 
 Paths = Mapping[str, ArrayLike]
-
-
-EYE = 0.12
-"""Length of the pyramid that shows a camera in a .glb [m]."""
-MOST_EYES = 60
-"""Pyramids along one path."""
+_EYE, _MOST_EYES = 0.12, 60  # length of the pyramid that shows a camera [m]; pyramids along a path
 
 
 def path_lines(poses: NDArray[np.float64]) -> NDArray[np.float64]:
     """(L, 2, 3) segments [m] of a camera's way (T, 4, 4), with pyramids that look where it does."""
     at = poses[:, :3, 3]
     way = np.stack([at[:-1], at[1:]], axis=1)
-    corners = EYE * np.array([(-0.5, -0.4, 1), (0.5, -0.4, 1), (0.5, 0.4, 1), (-0.5, 0.4, 1)])
-    some = np.linspace(0, len(poses) - 1, min(len(poses), MOST_EYES)).round().astype(np.int64)
+    corners = _EYE * np.array([(-0.5, -0.4, 1), (0.5, -0.4, 1), (0.5, 0.4, 1), (-0.5, 0.4, 1)])
+    some = np.linspace(0, len(poses) - 1, min(len(poses), _MOST_EYES)).round().astype(np.int64)
     eyes = np.einsum("tij,cj->tci", poses[some, :3, :3], corners) + at[some, None]
     rims = np.stack([eyes, np.roll(eyes, -1, axis=1)], axis=2)
     rays = np.stack([np.broadcast_to(at[some, None], eyes.shape), eyes], axis=2)
     return np.concatenate([way, rims.reshape(-1, 2, 3), rays.reshape(-1, 2, 3)])
 
 
-def checked(paths: Paths) -> dict[str, NDArray[np.float64]]:
-    """Ways (T, 4, 4) by name; raises `OptionError` where they are none."""
-    checked = {}
-    for name, values in paths.items():
-        poses = np.asarray(values, np.float64)
+def _check_paths(paths: Paths) -> dict[str, NDArray[np.float64]]:
+    """Return paths (T, 4, 4) by name; raises `OptionError` where they are none."""
+    checked = {str(name): np.asarray(values, np.float64) for name, values in paths.items()}
+    for name, poses in checked.items():
         if poses.ndim != 3 or poses.shape[1:] != (4, 4) or not len(poses):
             raise OptionError(
                 f"camera_paths: {name!r} has shape {poses.shape}; poses (T, 4, 4) belong."
             )
         if not np.isfinite(poses).all():
             raise OptionError(f"camera_paths: {name!r} holds a pose that is not finite.")
-        checked[str(name)] = poses
     return checked
 
 
 _SAMPLES = np.array(
     [(0.90, 0.05), (0.70, 0.25), (0.70, 0.05), (0.50, 0.40), (0.50, 0.10), (0.40, 0.30)]
-)
-"""Shares of a corner and of the next one at points of the corner's part of a triangle."""
+)  # Shares of a corner and of the next one at points of the corner's part of a triangle
 
 
 def painted(scene: Scene) -> Model:
-    """The map as a model without textures, whose vertices belong to one object each.
+    """Return the map as a model without textures, whose vertices belong to one object each.
 
     A vertex has the mean colour of the texture around it, times its own colour: a wall of two
     triangles becomes even, a finely cut or scanned surface looks as before.
@@ -82,33 +74,27 @@ def painted(scene: Scene) -> Model:
     _, first, corner = np.unique(keys, return_index=True, return_inverse=True)
     row = mesh.triangles.ravel()[first]
     triangles = corner.reshape(-1, 3).astype(np.int64)
+    objects = zip(graph.ids, graph.labels, graph.names, map(dict, scene.attributes), strict=True)
+    edges = zip(graph.sources.tolist(), graph.relations, graph.targets.tolist(), strict=True)
     return Model(
         path=Path(scene.source or "scene"),
-        things=tuple(
-            Thing(id_, label, name, dict(attributes))
-            for id_, label, name, attributes in zip(
-                graph.ids, graph.labels, graph.names, scene.attributes, strict=True
-            )
-        ),
+        things=tuple(Thing(*columns) for columns in objects),
         vertices=mesh.vertices[row].astype(np.float64),
         triangles=triangles,
         thing_of=mesh.object_of.astype(np.int64),
-        colours=_tinted(mesh, triangles, mesh.colours[row]),
+        colours=_tint(mesh, triangles, mesh.colours[row]),
         uv=np.zeros((len(row), 2)),
         picture_of=np.zeros(len(triangles), np.int64),
         pictures=(Picture(None),),
-        relations=tuple(
-            (int(s), relation, int(t))
-            for s, relation, t in zip(graph.sources, graph.relations, graph.targets, strict=True)
-        ),
+        relations=tuple(edges),
         floor=float(scene.floors[0]) if len(scene.floors) == 1 else None,
     )
 
 
-def _tinted(
+def _tint(
     mesh: Mesh, triangles: NDArray[np.int64], colours: NDArray[np.uint8]
 ) -> NDArray[np.uint8]:
-    """Colours (W, 3) of the vertices that triangles (T, 3) name, times the texture around them."""
+    """Multiply colours (W, 3) of the vertices of triangles (T, 3) with the texture around them."""
     white = replace(mesh, colours=np.full_like(mesh.colours, 255))
     count = len(triangles)
     areas = np.maximum(np.linalg.norm(mesh.normals(), axis=1), 1e-12)
@@ -120,21 +106,15 @@ def _tinted(
         shares[:, (k + 2) % 3] = 1.0 - _SAMPLES.sum(axis=1)
         u, v = np.tile(shares[:, 1:], (count, 1)).astype(np.float32).T
         texels = white.colour_at(rows, u, v).reshape(count, -1, 3).mean(axis=1)
-        for channel in range(3):
-            sums[:, channel] += np.bincount(
-                triangles[:, k], areas * texels[:, channel], len(colours)
-            )
+        for c in range(3):
+            sums[:, c] += np.bincount(triangles[:, k], areas * texels[:, c], len(colours))
         weights += np.bincount(triangles[:, k], areas, len(colours))
-    tint = sums / weights[:, None]
-    return np.rint(colours * tint / 255.0).astype(np.uint8)
+    return np.rint(colours * (sums / weights[:, None]) / 255.0).astype(np.uint8)
 
 
 ENDINGS = (".glb", ".ply", ".json", ".osm", *OSMAG_ENDINGS)
 MARK = "placegraph scene export"
 """Stands in the head of every file written here, by which it may be overwritten."""
-QUALITY = 92
-"""Of JPEG, for textures that a map has in WebP."""
-_HEAD = 1 << 12
 
 
 def export(
@@ -180,13 +160,17 @@ def export(
         The file cannot be written.
 
     """
-    path, ending = Path(path), _ending(path)
+    path, ending = Path(path), _ending_of(path)
     if not ending:
         raise OptionError(f"{path} has an unknown ending; a map becomes {', '.join(ENDINGS)}.")
-    paths = checked(camera_paths or {})
+    paths = _check_paths(camera_paths or {})
     files = [path] if ending != ".ply" else [path, path.with_suffix(".labels.json")]
-    if not overwrite:
-        _check_free(files)
+    for file in files if not overwrite else ():
+        if not _is_free(file):
+            raise OptionError(
+                f"{file} is there already, and is no earlier export; name another file, or allow it "
+                "to be overwritten (overwrite=True, or --force)."
+            )
     if paths and ending not in (".glb", ".json"):
         raise OptionError(f"camera_paths: a {ending} has no place for them; export .glb or .json.")
     if ending == ".glb":
@@ -195,37 +179,25 @@ def export(
         shapes, osmag = shapes_of(scene), ending != ".osm"
         write_file(path, [encode_rooms(shapes, osmag=osmag, generator=MARK)])
     elif ending == ".json":
-        if len(paths) > MOST_PATHS:
-            raise OptionError(f"camera_paths: {len(paths)}; a .json holds {MOST_PATHS} at most.")
-        write_file(path, [_spark_dsg(scene, paths)])
+        write_file(path, [_encode_spark_dsg(scene, paths)])
     else:
-        _ply(scene, path, files[1])
+        _write_ply(scene, path, files[1])
     return tuple(files)
 
 
-def _ending(path: str | PathLike[str]) -> str:
-    """The ending that says what a map becomes; empty where it is none of `ENDINGS`."""
+def _ending_of(path: str | PathLike[str]) -> str:
+    """Return the longest of `ENDINGS` that a name has, or an empty string."""
     name = Path(path).name.lower()
     return max((e for e in ENDINGS if name.endswith(e)), key=len, default="")
 
 
-def _check_free(files: Sequence[Path]) -> None:
-    for file in files:
-        if not _ours(file):
-            raise OptionError(
-                f"{file} is there already, and is no earlier export; name another file, or allow it "
-                "to be overwritten (overwrite=True, or --force)."
-            )
-
-
 def losses(scene: Scene, path: str | PathLike[str]) -> tuple[str, ...]:
-    """What of a map a file of this ending has no place for, in sentences."""
-    ending, lost = _ending(path), []
+    """Return what of a map a file of this ending has no place for, in sentences."""
+    ending, lost = _ending_of(path), []
     if ending in (".osm", *OSMAG_ENDINGS):
-        lost.append(
-            "Rooms and doors are written; furniture, surfaces and textures have no place in it."
+        return (
+            "Rooms and doors are written; furniture, surfaces and textures have no place in it.",
         )
-        return tuple(lost)
     relations = len(scene.graph.relations)
     if ending == ".ply" and relations:
         lost.append(f"Relations ({relations}) have no place in a .ply; a .glb or .json keeps them.")
@@ -261,31 +233,42 @@ def object_surfaces(mesh: Mesh, count: int) -> list[list[Surface]]:
 
 
 def materials(scene: Scene, *, webp: bool = False) -> list[Material]:
-    """A material for each texture of a map: the encoded image, or the colour of a single texel.
+    """Return a material for each texture: the encoded image, or the colour of a single texel.
 
     `webp`: keep images in WebP, which browsers show and some programs do not; else they become JPEG.
     """
+    from PIL import Image
+
     made = []
     for texture, blob in zip(scene.mesh.textures, scene.encoded, strict=True):
         if texture.shape[:2] == (1, 1):
             r, g, b = linear_from_srgb(texture[0, 0] / 255.0).tolist()
             made.append(Material(factor=(r, g, b)))
         elif blob.startswith(b"RIFF") and not webp:
-            made.append(Material(_jpeg(texture)))
+            file = io.BytesIO()
+            Image.fromarray(texture).save(file, "JPEG", quality=92, subsampling=0)
+            made.append(Material(file.getvalue()))
         else:
             made.append(Material(blob))
     return made
 
 
 def glb_of(scene: Scene, paths: Paths | None = None) -> bytes:
-    """Bytes of a .glb file, as `export` writes it."""
+    """Return the bytes of a .glb file as `export` writes it."""
     graph = scene.graph
     parts = [
         Part(graph.names[i] or graph.labels[i], surfaces, _extras(scene, i))
         for i, surfaces in enumerate(object_surfaces(scene.mesh, len(graph)))
     ]
-    parts += [Part(name, lines=path_lines(poses)) for name, poses in checked(paths or {}).items()]
-    return encode_glb(parts, materials(scene), extras=_note(scene), generator=MARK)
+    for name, poses in _check_paths(paths or {}).items():
+        parts.append(Part(name, lines=path_lines(poses)))
+    scenes = zip(scene.scenes, scene.floors.tolist(), strict=True)
+    edges = zip(graph.sources, graph.relations, graph.targets, strict=True)
+    note = {
+        "scenes": [{"name": name, "floor": floor} for name, floor in scenes],
+        "relations": [[graph.ids[s], relation, graph.ids[t]] for s, relation, t in edges],
+    }
+    return encode_glb(parts, materials(scene), extras=note, generator=MARK)
 
 
 def _extras(scene: Scene, row: int) -> dict[str, Any]:
@@ -299,68 +282,46 @@ def _extras(scene: Scene, row: int) -> dict[str, Any]:
     return {**plain, "label": label, "id": scene.graph.ids[row], **({OWN: own} if own else {})}
 
 
-def _jpeg(texture: NDArray[np.uint8]) -> bytes:
-    from PIL import Image
-
-    file = io.BytesIO()
-    Image.fromarray(texture).save(file, "JPEG", quality=QUALITY, subsampling=0)
-    return file.getvalue()
-
-
-def _note(scene: Scene) -> dict[str, Any]:
-    """What readers want to know of a map beside its objects."""
-    graph = scene.graph
-    scenes = [
-        {"name": name, "floor": floor}
-        for name, floor in zip(scene.scenes, scene.floors.tolist(), strict=True)
-    ]
-    rows = zip(graph.sources, graph.relations, graph.targets, strict=True)
-    return {
-        "scenes": scenes,
-        "relations": [[graph.ids[s], relation, graph.ids[t]] for s, relation, t in rows],
-    }
-
-
-def _spark_dsg(scene: Scene, paths: dict[str, NDArray[np.float64]]) -> bytes:
+def _encode_spark_dsg(scene: Scene, paths: dict[str, NDArray[np.float64]]) -> bytes:
+    writer = load_module("placegraph_io.graphs.spark_dsg_write", "io")
+    if len(paths) > writer.MOST_PATHS:
+        raise OptionError(f"camera_paths: {len(paths)}; a .json holds {writer.MOST_PATHS} at most.")
     model = painted(scene)
-    several = len(scene.scenes) > 1
     rooms = []
     for thing, row in zip(model.things, scene.scene_of.tolist(), strict=True):
         room, within = thing.attributes.get("room", ""), scene.scenes[row]
-        rooms.append(" ".join(filter(None, [within if several or not room else "", room])))
+        named = len(scene.scenes) > 1 or not room
+        rooms.append(" ".join(filter(None, [within if named else "", room])))
     note: dict[str, Any] = {"written by": MARK, "source": scene.source}
     if model.floor is not None:
         note["floor"] = model.floor
-    return encode_spark_dsg(model, rooms, camera_paths=paths, note=note)
+    encoded: bytes = writer.encode_spark_dsg(model, rooms, camera_paths=paths, note=note)
+    return encoded
 
 
-def _ply(scene: Scene, path: Path, table: Path) -> None:
+def _write_ply(scene: Scene, path: Path, table: Path) -> None:
     model = painted(scene)
-    numbers = _numbers([t.id for t in model.things])
+    numbers = _number_ids([t.id for t in model.things])
     entries = []
     for number, thing in zip(numbers, model.things, strict=True):
-        kept = {} if str(number) == thing.id else {_free("id", thing.attributes): thing.id}
-        entry = {"id": number, "label": thing.label, "name": thing.name}
-        entries.append(entry | {"attributes": {**thing.attributes, **kept}})
+        attributes = dict(thing.attributes)
+        if str(number) != thing.id:
+            key = "id"
+            while key in attributes:
+                key = f"map {key}"
+            attributes[key] = thing.id
+        entry = {"id": number, "label": thing.label, "name": thing.name, "attributes": attributes}
+        entries.append(entry)
     told = {"written by": MARK, "objects": entries}
     write_file(table, [json.dumps(told, ensure_ascii=False, indent=1).encode()])
+    objects = np.array(numbers, np.int64)[model.thing_of]
     write_ply(
-        path,
-        model.vertices,
-        model.triangles,
-        model.colours,
-        objects=np.array(numbers, np.int64)[model.thing_of],
-        comments=(MARK,),
+        path, model.vertices, model.triangles, model.colours, objects=objects, comments=(MARK,)
     )
 
 
-def _free(key: str, taken: Mapping[str, str]) -> str:
-    """The key, or `map key`, `map map key`, ... where an object has an attribute of that name."""
-    return key if key not in taken else _free(f"map {key}", taken)
-
-
-def _numbers(ids: list[str]) -> list[int]:
-    """Whole numbers for ids: the id itself where it is one, else the next beyond all of them."""
+def _number_ids(ids: list[str]) -> list[int]:
+    """Return whole numbers for ids: the id itself where it is one, else the next beyond all."""
     own = {id_ for id_ in ids if id_.isdecimal() and id_.isascii() and str(int(id_)) == id_}
     own = {id_ for id_ in own if int(id_) < 1 << 30}
     last = max((int(id_) for id_ in own), default=-1)
@@ -371,13 +332,13 @@ def _numbers(ids: list[str]) -> list[int]:
     return numbers
 
 
-def _ours(path: Path) -> bool:
-    """Whether a file may be written over: it is not there, is empty, or was written here."""
+def _is_free(path: Path) -> bool:
+    """Return whether a file may be written over: it is missing, empty, or was written here."""
     try:
         if not os.path.lexists(path):
             return True
         with path.open("rb") as file:
-            head = file.read(_HEAD)
+            head = file.read(1 << 12)
     except (OSError, ValueError):
         return True  # a folder, or unreadable: writing says why
     return not head or MARK.encode() in head

@@ -29,10 +29,8 @@ if TYPE_CHECKING:
 
 Progress = Callable[[str, int, int], None]
 """Is told a stage, how much of it is done, and of how much."""
-UNKNOWN = "unknown"
-"""Label of what nobody named."""
-_LOWEST = 0.005
-"""Share of the surface that may lie below a floor that nobody saw."""
+UNKNOWN = "unknown"  # Label of what nobody named
+_LOWEST = 0.005  # Share of the surface that may lie below a floor that nobody saw
 
 
 @dataclass(frozen=True, slots=True)

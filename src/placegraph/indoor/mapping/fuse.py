@@ -20,14 +20,10 @@ from placegraph.indoor.mapping.fuse_kernels import SIDE, SIZE, facets_of, farthe
 from placegraph.indoor.options import check_numbers, check_positive
 from placegraph.io.capture.frame import Frame
 
-FARTHEST = 1e4
-"""Cameras farther from the map's origin than this are damage [m]."""
-JUMP = 0.5
-"""A pose that leaves its neighbours by more, while they stay together, is a slip [m]."""
-AHEAD = 2
-"""Frames that are read while one is fused."""
-WIDEST = 2.0
-"""An undistorted image is at most this much wider and higher than the image."""
+FARTHEST = 1e4  # Cameras farther from the map's origin than this are damage [m]
+JUMP = 0.5  # A pose that leaves its neighbours by more, while they stay together, is a slip [m]
+AHEAD = 2  # Frames that are read while one is fused
+WIDEST = 2.0  # An undistorted image is at most this much wider and higher than the image
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,12 +31,9 @@ class Shot:
     """Images of one frame without distortion, and where they were taken."""
 
     row: int
-    depth: NDArray[np.float32]
-    """(h, w) [m], NaN: no reading."""
-    image: NDArray[np.uint8]
-    """(H, W, 3)"""
-    eyes: Floats
-    """(2, 4) fx, fy, cx, cy [px] of depth and image."""
+    depth: NDArray[np.float32]  # (h, w) [m], NaN: no reading
+    image: NDArray[np.uint8]  # (H, W, 3)
+    eyes: Floats  # (2, 4) fx, fy, cx, cy [px] of depth and image
     map_from_camera: Floats
 
 
@@ -153,22 +146,14 @@ def good_poses(poses: Floats) -> NDArray[np.bool_]:
     return good
 
 
-FIRST = 4096
-"""Blocks that there is room for at first."""
-BLOCK = 24 * SIZE
-"""Bytes of a block, less a few for its place."""
-TILE = 8
-"""Edge of the squares of pixels of which the farthest reading is kept [px]."""
-STEP = 2
-"""Every such line and column of the depth calls for blocks."""
-BRIGHTNESS_STEP = 4
-"""Likewise, for comparing brightness."""
-ENOUGH = 200
-"""Places that brightness must be compared at."""
-DARKEST, BRIGHTEST = 0.5, 2.0
-"""What an image is multiplied by, at most."""
-BAND = 2.0
-"""Colour is taken this near to the surface [voxels]."""
+FIRST = 4096  # Blocks that there is room for at first
+BLOCK = 24 * SIZE  # Bytes of a block, less a few for its place
+TILE = 8  # Edge of the squares of pixels of which the farthest reading is kept [px]
+STEP = 2  # Every such line and column of the depth calls for blocks
+BRIGHTNESS_STEP = 4  # Likewise, for comparing brightness
+ENOUGH = 200  # Places that brightness must be compared at
+DARKEST, BRIGHTEST = 0.5, 2.0  # What an image is multiplied by, at most
+BAND = 2.0  # Colour is taken this near to the surface [voxels]
 
 
 class FullError(Exception):
@@ -281,8 +266,7 @@ Colours = NDArray[np.uint8]
 
 STEEPEST = 1.0
 """Neighbouring voxels differ by one voxel at most, and by noise; not by this much [truncations]."""
-NOTHING = 1e-12
-"""Triangles of no more than this are none [m^2]."""
+NOTHING = 1e-12  # Triangles of no more than this are none [m^2]
 
 
 def surface_of(
@@ -375,20 +359,13 @@ def _starts(sizes: Ints) -> Ints:
     return np.concatenate([[0], np.cumsum(sizes)])
 
 
-VOXEL = 0.03
-"""Edge of a voxel [m]."""
-TRUNCATION = 4.0
-"""Distances beyond this are cut [voxels], but not below `LEAST_TRUNCATION`."""
-LEAST_TRUNCATION = 0.06
-"""About what depth cameras err by at 3 m, three times [m]."""
-REACH = 7.5
-"""Greatest depth that is used [m]."""
-FINEST, COARSEST = 0.002, 1.0
-"""Voxels' edges [m]."""
-COARSER = 1.5
-"""By how much voxels grow where memory ends."""
-WITNESSES = 256
-"""Readings of a frame that are compared with the fused surface."""
+VOXEL = 0.03  # Edge of a voxel [m]
+TRUNCATION = 4.0  # Distances beyond this are cut [voxels], but not below `LEAST_TRUNCATION`
+LEAST_TRUNCATION = 0.06  # About what depth cameras err by at 3 m, three times [m]
+REACH = 7.5  # Greatest depth that is used [m]
+FINEST, COARSEST = 0.002, 1.0  # Voxels' edges [m]
+COARSER = 1.5  # By how much voxels grow where memory ends
+WITNESSES = 256  # Readings of a frame that are compared with the fused surface
 MOST_WITNESSES = 1_000_000
 
 

@@ -14,13 +14,10 @@ from placegraph.core.threads import share
 # mypy: allow-untyped-defs, allow-incomplete-defs
 
 
-SIDE = 8
-"""Voxels along the edge of a block."""
+SIDE = 8  # Voxels along the edge of a block
 SIZE = SIDE**3
-RANGE = 1 << 20
-"""Coordinates of blocks are below this, either way."""
-NEAR = 0.15
-"""Readings and voxels nearer than this are none [m]."""
+RANGE = 1 << 20  # Coordinates of blocks are below this, either way
+NEAR = 0.15  # Readings and voxels nearer than this are none [m]
 
 
 @kernel(inline="always")
@@ -265,8 +262,7 @@ def brightness_ratios(keys, rows, colour, paint, voxel, facets, image, eyes, pos
 # mypy: allow-untyped-defs, allow-incomplete-defs
 
 
-FLAT = 0.1
-"""Least cosine of the angle at which a reading's surface is looked at."""
+FLAT = 0.1  # Least cosine of the angle at which a reading's surface is looked at
 
 
 def facets_of(depth, eye, reach, edges):

@@ -21,10 +21,8 @@ from placegraph.indoor.map.scene import MOST_LANDMARKS, WIDTH, Landmarks
 from placegraph.indoor.refine.landmarks import LARGEST, features_of, finder
 from placegraph.io.capture.frame import Frame
 
-FRAMES = 300
-"""Most frames that are looked at, spread over the capture."""
-FEATURES = 1500
-"""Most features of a frame, the strongest first."""
+FRAMES = 300  # Most frames that are looked at, spread over the capture
+FEATURES = 1500  # Most features of a frame, the strongest first
 _REACH = 4.0  # a landmark falls so near to where it is seen [px of an image `LARGEST` wide]
 _ALIKE = 0.8  # least cosine of two sights of one landmark
 _MISSED = 2.0  # a landmark whose rays miss each other by more is none [px, likewise]
@@ -37,32 +35,23 @@ _STEPS = 6
 class _Look:
     """Features of one frame that have a depth."""
 
-    rays: Floats
-    """(N, 3) in the camera, z = 1."""
-    depth: Floats
-    """(N,) [m]"""
-    vectors: NDArray[np.float32]
-    """(N, WIDTH)"""
+    rays: Floats  # (N, 3) in the camera, z = 1
+    depth: Floats  # (N,) [m]
+    vectors: NDArray[np.float32]  # (N, WIDTH)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Track:
     """Sights of landmarks: M of them, of L landmarks."""
 
-    landmark: NDArray[np.int64]
-    """(M,) row of the landmark."""
-    frame: NDArray[np.int64]
-    """(M,) row of the pose."""
-    rays: Floats
-    """(M, 3) in the camera, z = 1."""
-    depth: Floats
-    """(M,) [m]"""
+    landmark: NDArray[np.int64]  # (M,) row of the landmark
+    frame: NDArray[np.int64]  # (M,) row of the pose
+    rays: Floats  # (M, 3) in the camera, z = 1
+    depth: Floats  # (M,) [m]
 
 
 def landmarks_of(
-    frames: Sequence[Frame],
-    poses: Floats,
-    progress: Callable[[int, int], None] | None = None,
+    frames: Sequence[Frame], poses: Floats, progress: Callable[[int, int], None] | None = None
 ) -> Landmarks:
     """At most `MOST_LANDMARKS` landmarks of RGB-D frames with poses (T, 4, 4), map_from_camera.
 

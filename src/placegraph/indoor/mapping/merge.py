@@ -15,8 +15,7 @@ from placegraph.errors import OptionError
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.scene import Landmarks, S, Scene
 
-GAP = 2.0
-"""Free space between the boxes of neighbouring scenes [m]."""
+GAP = 2.0  # Free space between the boxes of neighbouring scenes [m]
 
 
 def merge_scenes(scenes: Mapping[str, S], out_path: str | PathLike[str] | None = None) -> S:

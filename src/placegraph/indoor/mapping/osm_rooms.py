@@ -30,14 +30,10 @@ from placegraph.io.osm.indoor_osm import (
     room_names,
 )
 
-HEIGHT = 2.8
-"""Of rooms, where nobody said [m]."""
-DOOR = (0.9, 2.05)
-"""Width and height of doors, where nobody said [m]."""
-SLAB = 0.3
-"""Of a storey's height that is no room [m]."""
-SPREAD = 2000.0
-"""Over which the rooms of one building may be spread [m]."""
+HEIGHT = 2.8  # Of rooms, where nobody said [m]
+DOOR = (0.9, 2.05)  # Width and height of doors, where nobody said [m]
+SLAB = 0.3  # Of a storey's height that is no room [m]
+SPREAD = 2000.0  # Over which the rooms of one building may be spread [m]
 SIGMA = (1.0, 1.0, 50.0, np.radians(1.0))
 """How far off a plan in OpenStreetMap may be: east, north [m]; nobody says how high it is; turn [rad]."""
 _LOW, _HIGH = 1.8, 40.0  # of what may be the height of a room [m]
@@ -49,12 +45,9 @@ class Room:
     """A room, corridor or area."""
 
     shape: IndoorShape
-    name: str
-    """Unique among the rooms of the level."""
-    polygons: list[list[Floats]]
-    """Closed rings (n, 2) [m, map]: the outer one, then holes."""
-    height: float
-    """[m]"""
+    name: str  # Unique among the rooms of the level
+    polygons: list[list[Floats]]  # Closed rings (n, 2) [m, map]: the outer one, then holes
+    height: float  # [m]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,12 +55,9 @@ class Door:
     """An opening."""
 
     shape: IndoorShape
-    at: Floats
-    """(2,) its middle [m, map]."""
-    width: float
-    """[m]"""
-    height: float
-    """[m]"""
+    at: Floats  # (2,) its middle [m, map]
+    width: float  # [m]
+    height: float  # [m]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,11 +66,9 @@ class Level:
 
     anchor: Anchor
     rooms: list[Room]
-    walls: list[Floats]
-    """Lines (n, 2) [m, map] of walls that are no room's."""
+    walls: list[Floats]  # Lines (n, 2) [m, map] of walls that are no room's
     doors: list[Door]
-    storey: float
-    """Height of rooms and walls where nobody says [m]."""
+    storey: float  # Height of rooms and walls where nobody says [m]
     notes: tuple[str, ...]
 
 
@@ -216,8 +204,7 @@ def length_of(text: str) -> float | None:
     return metres if metres > 0 else None
 
 
-THICK = 0.1
-"""Of a wall [m]."""
+THICK = 0.1  # Of a wall [m]
 REACH = 0.35
 """Farthest that a door may stand from its wall, and walls of one door from each other [m]."""
 _ON = 0.015  # off an edge that a node may lie to be on it [m]
@@ -228,11 +215,9 @@ _LINTEL = 0.1  # least that is left of a wall above a door [m]
 class Wall:
     """A straight wall."""
 
-    start: Floats
-    """(2,) [m, map]."""
+    start: Floats  # (2,) [m, map]
     end: Floats
-    height: float
-    """[m]"""
+    height: float  # [m]
     shift: Floats
     """(2,) from its line to its middle [m]: a room ends at its outline, and the wall lies beyond;
     zero between two rooms, which share it."""
@@ -366,8 +351,7 @@ def rooms_source(path: Path, options: Mapping[str, Any], left_out: Counter[str])
     return Source(model, notes=level.notes, anchors=(level.anchor,))
 
 
-FRAME = 0.06
-"""Width of a door's frame [m]."""
+FRAME = 0.06  # Width of a door's frame [m]
 _KEPT = ("ref", "amenity", "shop", "office", "highway", "stairs", "access")  # fmt: skip
 _BOX = np.array([(0, 1, 3), (0, 3, 2), (4, 7, 5), (4, 6, 7), (0, 4, 5), (0, 5, 1),
                  (2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)])  # fmt: skip

@@ -12,11 +12,9 @@ from numpy.typing import NDArray
 from placegraph.core.geojson import nested, wound
 from placegraph.core.geometry import Floats
 
-LEAST_AREA = 0.05
-"""Of a ring that is kept [m2]."""
+LEAST_AREA = 0.05  # Of a ring that is kept [m2]
 _TINY = 1e-9
-_FLAT = 1e-4
-"""Twice the area of a triangle that is left out [m2]."""
+_FLAT = 1e-4  # Twice the area of a triangle that is left out [m2]
 _MOST_SPLITS = 200
 
 

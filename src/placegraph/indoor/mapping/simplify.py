@@ -24,28 +24,21 @@ from placegraph.indoor.mapping.simplify_kernels import _grouped, collapse
 Ints = NDArray[np.int64]
 Rows = NDArray[np.int32]
 
-WELD = 1e-4
-"""Vertices of an object that are nearer than this are one [m]."""
-SLIDE = 2.0
-"""A texture may slide on its surface by this many times the error bound."""
+WELD = 1e-4  # Vertices of an object that are nearer than this are one [m]
+SLIDE = 2.0  # A texture may slide on its surface by this many times the error bound
 TILE = 1_000_000
 """Objects of more triangles are simplified tile by tile, to save memory, and then as a whole."""
-TILED = 0.8
-"""Share of the bounds that tiles may use up."""
+TILED = 0.8  # Share of the bounds that tiles may use up
 _BATCH = 50_000  # triangles a thread takes at a time
 
 
 class Wedged(NamedTuple):
     """A mesh whose vertices are places, and whose corners (wedges) know colour and texture."""
 
-    points: Floats
-    """(V, 3) [m]"""
-    corners: Rows
-    """(T, 3) rows of points."""
-    wedges: Rows
-    """(T, 3) rows of values."""
-    values: Floats
-    """(W, 5) u, v, red, green, blue; colours 0 to 1."""
+    points: Floats  # (V, 3) [m]
+    corners: Rows  # (T, 3) rows of points
+    wedges: Rows  # (T, 3) rows of values
+    values: Floats  # (W, 5) u, v, red, green, blue; colours 0 to 1
 
 
 def simplify(

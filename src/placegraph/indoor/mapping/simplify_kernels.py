@@ -327,10 +327,8 @@ def quadrics_of(points, faces, ends, planes):
 # mypy: allow-untyped-defs, allow-incomplete-defs
 
 
-TURN = 0.3
-"""Cosine of the angle that a face may turn in one collapse."""
-RING = 250
-"""Vertices of more faces than this stay where they are."""
+TURN = 0.3  # Cosine of the angle that a face may turn in one collapse
+RING = 250  # Vertices of more faces than this stay where they are
 
 
 @kernel

@@ -87,8 +87,7 @@ MENDS = {
     "KHR_meshopt_compression": "export it without meshopt compression (gltfpack without -c)",
     "KHR_texture_basisu": "export it with JPEG or PNG textures",
     "EXT_mesh_gpu_instancing": "export instances as nodes",
-}
-"""Extensions without which nothing can be drawn, and what to do."""
+}  # Extensions without which nothing can be drawn, and what to do
 _KNOWN = {"KHR_mesh_quantization", "KHR_texture_transform", "EXT_texture_webp"}
 _HARMLESS = ("KHR_materials_", "KHR_lights_", "KHR_xmp", "EXT_lights_")
 
@@ -99,8 +98,7 @@ class Gltf:
 
     path: Path
     content: Json
-    chunk: memoryview
-    """The binary part of a .glb."""
+    chunk: memoryview  # The binary part of a .glb
     _buffers: dict[int, memoryview] = field(default_factory=dict)
 
     @classmethod
@@ -320,12 +318,9 @@ _SRGB_WRITERS = ("trimesh", "open3d")
 class Look:
     """How a primitive is coloured."""
 
-    picture: int
-    """Row of the picture."""
-    texcoord: int = 0
-    """Which TEXCOORD."""
-    affine: NDArray[np.float64] | None = None
-    """(2, 3) to be applied to texture coordinates."""
+    picture: int  # Row of the picture
+    texcoord: int = 0  # Which TEXCOORD
+    affine: NDArray[np.float64] | None = None  # (2, 3) to be applied to texture coordinates
     clamped: tuple[bool, bool] = (False, False)
     mirrored: tuple[bool, bool] = (False, False)
 
@@ -437,8 +432,7 @@ def vertex_colours(gltf: Gltf, values: NDArray[Any]) -> NDArray[np.uint8]:
 OWN = "placegraph"
 """Key of `extras` for what a node cannot say plainly: `attributes` whose names are taken, and the
 `name` "" of an object whose node is called by its label."""
-Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-"""Rotation from y-up to z-up."""
+Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # Rotation from y-up to z-up
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 
 

@@ -47,8 +47,7 @@ def _search(
     return rows
 
 
-_FARTHEST = 1e9
-"""Coordinates beyond this many reaches are damage, and near to nothing."""
+_FARTHEST = 1e9  # Coordinates beyond this many reaches are damage, and near to nothing
 
 
 def nearest(

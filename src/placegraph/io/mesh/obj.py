@@ -162,11 +162,9 @@ NEWLINE, SPACE, SLASH, _HASH = b"\n /#"
 class Lines(NamedTuple):
     """Some lines of a block, one after the other."""
 
-    text: Bytes
-    """Without the keywords and comments."""
+    text: Bytes  # Without the keywords and comments
     starts: Rows
-    rows: Rows
-    """Which lines of the block they are."""
+    rows: Rows  # Which lines of the block they are
 
     def words(self) -> Rows:
         """Where words begin."""
@@ -233,8 +231,7 @@ def resolved(numbers: Rows, count: Rows) -> Rows:
 
 
 _SPACES = bytes.maketrans(b"\t\r\v\f\0", b"     ")
-NAMED = ("o", "g", "usemtl")
-"""Keywords that say what the faces after them belong to."""
+NAMED = ("o", "g", "usemtl")  # Keywords that say what the faces after them belong to
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -242,22 +239,15 @@ class ObjText:
     """What an OBJ file says; rows count from 0."""
 
     path: Path
-    vertices: NDArray[np.float64]
-    """(V, 3)"""
+    vertices: NDArray[np.float64]  # (V, 3)
     colours: NDArray[np.float32]
     """(V, 3) as they stand after the coordinates, NaN where they do not."""
-    uv: NDArray[np.float64]
-    """(U, 2), v up."""
-    lengths: Rows
-    """(F,) corners of each face."""
-    corners: Rows
-    """(C,) rows of vertices, face after face."""
-    corner_uv: Rows
-    """(C,) rows of uv, -1: none."""
-    names: dict[str, tuple[str, ...]]
-    """Of `o`, `g` and `usemtl`: names in their order."""
-    name_of: dict[str, Rows]
-    """(F,) rows of names, -1: none."""
+    uv: NDArray[np.float64]  # (U, 2), v up
+    lengths: Rows  # (F,) corners of each face
+    corners: Rows  # (C,) rows of vertices, face after face
+    corner_uv: Rows  # (C,) rows of uv, -1: none
+    names: dict[str, tuple[str, ...]]  # Of `o`, `g` and `usemtl`: names in their order
+    name_of: dict[str, Rows]  # (F,) rows of names, -1: none
     libraries: tuple[str, ...]
     left_out: Counter[str]
 

@@ -303,8 +303,7 @@ OBJECT_PROPERTIES = (
     "segmentid", "label", "label_id",
 )  # fmt: skip
 """Names of properties that hold object ids, first come first; upper and lower case are alike."""
-UNKNOWN = "unknown"
-"""Id and label of the object made of faces that belong to none."""
+UNKNOWN = "unknown"  # Id and label of the object made of faces that belong to none
 
 
 def read_ply(
@@ -483,8 +482,7 @@ def things_of_ids(
     return tuple(things), row[inverse], left_out
 
 
-OBJECT_ID = "objectId"
-"""Property of a face that holds its object's id, as 3RScan calls it."""
+OBJECT_ID = "objectId"  # Property of a face that holds its object's id, as 3RScan calls it
 
 
 def write_ply(

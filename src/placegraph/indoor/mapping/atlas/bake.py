@@ -31,12 +31,10 @@ from placegraph.indoor.mapping.atlas.bake_kernels import (
 Ints = NDArray[np.int64]
 
 
-CONE = np.cos(np.radians(45.0))
-"""Normals of a chart lie within this of their mean as it grows."""
+CONE = np.cos(np.radians(45.0))  # Normals of a chart lie within this of their mean as it grows
 STEEP = np.cos(np.radians(75.0))
 """No triangle of a chart is steeper than this to its plane: it would get too few texels."""
-SMALL = 150.0
-"""Charts of a smaller area [texels] rather join a neighbour."""
+SMALL = 150.0  # Charts of a smaller area [texels] rather join a neighbour
 ROUNDS = 6
 _ANGLES = np.radians(np.arange(0.0, 90.0, 3.0))
 _GAIN = 0.1  # a rectangle that is not upright must be this much smaller
@@ -46,12 +44,10 @@ _GAIN = 0.1  # a rectangle that is not upright must be this much smaller
 class Charts:
     """C charts of T triangles."""
 
-    of: Ints
-    """(T,) chart of each triangle."""
+    of: Ints  # (T,) chart of each triangle
     corners: Floats
     """(T, 3, 2) corners on the chart's plane, from the lowest corner of its rectangle [m]."""
-    sizes: Floats
-    """(C, 2) width and height of each chart's rectangle [m]."""
+    sizes: Floats  # (C, 2) width and height of each chart's rectangle [m]
 
     def grouped(self) -> tuple[Ints, Ints]:
         """Triangles chart by chart, and where each chart starts (C + 1,)."""
@@ -121,12 +117,9 @@ def neighbours_of(mesh: Mesh) -> Ints:
 class _Laid:
     """How C charts lie. It stays when a triangle is taken out, so that what was checked holds."""
 
-    axes: Floats
-    """(C, 2, 3) right and down, unit vectors."""
-    low: Floats
-    """(C, 2) where each chart's rectangle starts along them [m]."""
-    sizes: Floats
-    """(C, 2) [m]"""
+    axes: Floats  # (C, 2, 3) right and down, unit vectors
+    low: Floats  # (C, 2) where each chart's rectangle starts along them [m]
+    sizes: Floats  # (C, 2) [m]
 
     def corners(self, points: Floats, of: Ints) -> Floats:
         """Corners (T, 3, 2) on the charts' rectangles of triangles (T, 3, 3) [m]."""
@@ -211,12 +204,10 @@ def _grouped(of: Ints, count: int, within: Floats | None) -> tuple[Ints, Ints]:
 Bytes = NDArray[np.uint8]
 
 
-SHADES = 4
-"""Charts of one colour share a texel with those that differ by less than this [of 255]."""
+SHADES = 4  # Charts of one colour share a texel with those that differ by less than this [of 255]
 _PATCH = 4  # texels a side of one shared colour: a block of chroma and its surrounding
 _SHEET = 16  # patches a side of a sheet of shared colours
-GRAIN = 2
-"""Rectangles lie on multiples of this: chroma of 2 x 2 texels is never that of two charts."""
+GRAIN = 2  # Rectangles lie on multiples of this: chroma of 2 x 2 texels is never that of two charts
 SIDE = 16
 """A page's sides are multiples of this: its first four halves are exact, and JPEG's blocks whole."""
 
@@ -225,21 +216,16 @@ SIDE = 16
 class Sheets:
     """Images of C charts."""
 
-    step: Floats
-    """(C,) width of a texel of level 0 [m]."""
+    step: Floats  # (C,) width of a texel of level 0 [m]
     levels: NDArray[np.int32]
     """(C,) halvings of the resolution; FLAT: one colour; DARK: nothing seen."""
-    means: Floats
-    """(C, 3) mean colours."""
+    means: Floats  # (C, 3) mean colours
     sizes: Ints
     """(C, 2) width and height of the images, margins included; 0 of charts of one colour."""
-    texels: list[Bytes]
-    """(h * w, 3) of each batch of charts."""
+    texels: list[Bytes]  # (h * w, 3) of each batch of charts
     known: list[NDArray[np.bool_]]
-    sums: Floats
-    """(T, 3) of the colours seen on each triangle."""
-    counts: Floats
-    """(T,)"""
+    sums: Floats  # (T, 3) of the colours seen on each triangle
+    counts: Floats  # (T,)
 
     def light_up(self, charts: Charts, neighbours: Ints, object_of: NDArray[np.int32]) -> None:
         """Give charts of which nothing is known their neighbours' colour, or their object's."""

@@ -183,13 +183,10 @@ def _mean_of(neighbours, colours, known, row):
 
 REACH = 1.5
 """Texels this far from a chart are coloured like its nearest point: bilinear looks touch them."""
-BLOCK = 8
-"""Errors are means over blocks of so many texels a side, as JPEG's."""
-FEW = 16.0
-"""A block with fewer samples than this counts as if the others had no error."""
+BLOCK = 8  # Errors are means over blocks of so many texels a side, as JPEG's
+FEW = 16.0  # A block with fewer samples than this counts as if the others had no error
 NOTHING, UNSEEN, SEEN = 0, 1, 2
-FLAT, DARK = -1, -2
-"""Instead of a level: a chart of one colour, and one of which nothing is known."""
+FLAT, DARK = -1, -2  # Instead of a level: a chart of one colour, and one of which nothing is known
 
 
 @kernel(error_model="numpy")

@@ -13,37 +13,26 @@ from placegraph.indoor.map.map_kernels import colour_at
 # mypy: allow-untyped-defs, allow-incomplete-defs
 
 
-BEST = 5
-"""Views of a texel that are compared; those that agree are mixed."""
-OBSERVED = 12
-"""Views of a point that take part in solving for the frames' exposures."""
-GRAZING = 0.17
-"""Cosine between ray and normal below which a view shows nothing."""
-SPREAD = 20.0
-"""Difference from the median [of 255] at which a view counts for little."""
-RUN = 64
-"""Points in a row, mostly neighbours, for which views are looked up together."""
-BORDER = 24.0
-"""A view counts fully from this far inside the image on [px]."""
+BEST = 5  # Views of a texel that are compared; those that agree are mixed
+OBSERVED = 12  # Views of a point that take part in solving for the frames' exposures
+GRAZING = 0.17  # Cosine between ray and normal below which a view shows nothing
+SPREAD = 20.0  # Difference from the median [of 255] at which a view counts for little
+RUN = 64  # Points in a row, mostly neighbours, for which views are looked up together
+BORDER = 24.0  # A view counts fully from this far inside the image on [px]
 
 
 class Keyframes(NamedTuple):
     """K images with their poses, ready to be looked up."""
 
-    camera_from_map: NDArray[np.float64]
-    """(K, 3, 4)"""
-    centres: NDArray[np.float64]
-    """(K, 3) of the cameras [m, map]."""
-    pinholes: NDArray[np.float64]
-    """(K, 4) fx, fy, cx, cy [px]."""
-    levels: tuple[NDArray[np.uint8], ...]
-    """(K, H, W, 3) sRGB, and its half, quarter and eighth."""
+    camera_from_map: NDArray[np.float64]  # (K, 3, 4)
+    centres: NDArray[np.float64]  # (K, 3) of the cameras [m, map]
+    pinholes: NDArray[np.float64]  # (K, 4) fx, fy, cx, cy [px]
+    levels: tuple[NDArray[np.uint8], ...]  # (K, H, W, 3) sRGB, and its half, quarter and eighth
     bounds: NDArray[np.float32]
     """(K, 2, h, w) least and greatest depth around each pixel [m]; inf: nothing there."""
     trust: NDArray[np.float32]
     """(K, h, w) 1, or less where the frame has no depth but should: what is there is not known."""
-    gains: NDArray[np.float32]
-    """(K, 3) what the colours are multiplied by."""
+    gains: NDArray[np.float32]  # (K, 3) what the colours are multiplied by
 
 
 @kernel(error_model="numpy")

@@ -36,17 +36,12 @@ if TYPE_CHECKING:
 Bytes = NDArray[np.uint8]
 
 
-STEP = 0.10
-"""Frames nearer than this to each other [m] ..."""
-TURN = np.radians(8.0)
-"""... and turned less than this are of one place: the sharpest is kept."""
-LONGEST = 960
-"""Longer images [px] are made smaller: their pixels are finer than texels."""
-DEPTH_LONGEST = 320
-"""Longest side of the depth against which views are tested [px]."""
+STEP = 0.10  # Frames nearer than this to each other [m] ..
+TURN = np.radians(8.0)  # ... and turned less than this are of one place: the sharpest is kept
+LONGEST = 960  # Longer images [px] are made smaller: their pixels are finer than texels
+DEPTH_LONGEST = 320  # Longest side of the depth against which views are tested [px]
 LEVELS = 4
-UNREAD = 0.05
-"""Worth of a view at a pixel without depth, of a frame that has some."""
+UNREAD = 0.05  # Worth of a view at a pixel without depth, of a frame that has some
 _WIDER = 1.2  # steps grow by this until few enough frames are left
 
 
@@ -218,14 +213,12 @@ def _levels(images: Bytes) -> tuple[Bytes, ...]:
     return tuple(out)
 
 
-VIEWS = 120
-"""Keyframes, at most."""
+VIEWS = 120  # Keyframes, at most
 _POINTS = 20_000  # of the surface, at which exposures are compared
 _PRIOR = 10.0  # observations that speak for an exposure like the others'
 _ROUNDS = 4
 _FAR_OFF = 0.15  # of a logarithm: a highlight or another surface, no exposure
-REACH = 0.10
-"""The other mesh lies within this of the surface [m]."""
+REACH = 0.10  # The other mesh lies within this of the surface [m]
 _STEP = 1e-4  # [m]
 _LAYERS = 3  # of faces that look away
 

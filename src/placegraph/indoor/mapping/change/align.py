@@ -18,8 +18,7 @@ from placegraph.indoor.rays import RayCaster
 from placegraph.io.mesh.nearest_kernels import nearest
 
 _ROUNDS = 30
-_STILL = 1e-5
-"""A step below this [m, rad] ends the search."""
+_STILL = 1e-5  # A step below this [m, rad] ends the search
 _SLIDES = 1e-3
 """A direction along which residuals change less than this share of the best is held fast: a round
 table's turn, a picture's slide along its wall."""
@@ -29,14 +28,10 @@ table's turn, a picture's slide along its wall."""
 class Sampled:
     """Points of a surface, evenly by area."""
 
-    points: Floats
-    """(N, 3) [m]"""
-    normals: Floats
-    """(N, 3) unit."""
-    colours: NDArray[np.uint8]
-    """(N, 3) sRGB"""
-    rows: NDArray[np.int32]
-    """(N,) rows of the triangles they lie on."""
+    points: Floats  # (N, 3) [m]
+    normals: Floats  # (N, 3) unit
+    colours: NDArray[np.uint8]  # (N, 3) sRGB
+    rows: NDArray[np.int32]  # (N,) rows of the triangles they lie on
 
     def __len__(self) -> int:
         return len(self.points)
@@ -84,12 +79,9 @@ def sample(
 class Registration:
     """How well a motion brings points onto a surface."""
 
-    motion: Floats
-    """(4, 4) target_from_source"""
-    share: float
-    """Of the source's points that lie within the reach asked for of the target."""
-    rms: float
-    """Of their distances [m]; infinite where there are none."""
+    motion: Floats  # (4, 4) target_from_source
+    share: float  # Of the source's points that lie within the reach asked for of the target
+    rms: float  # Of their distances [m]; infinite where there are none
 
 
 def register(
@@ -198,46 +190,35 @@ def moved(motion: Floats, points: Floats) -> Floats:
     return out
 
 
-POINTS = 20_000
-"""On each map."""
-DENSITY = 60.0
-"""Most points a square metre."""
+POINTS = 20_000  # On each map
+DENSITY = 60.0  # Most points a square metre
 LEAST = 0.5
 """Share of the smaller map's surface, and of what is upright in it, that has to lie on the other's:
 floors and ceilings of any two rooms do."""
 SURE = 0.8
 """With less an estimate is doubtful: two looks at one place that share half of it, or two rooms."""
-LEAST_GIVEN = 0.2
-"""The same of a transform that is given."""
+LEAST_GIVEN = 0.2  # The same of a transform that is given
 _BINS = 180
 _TURNS = 8
 _SHIFTS = 3
 _CELL = 0.1
-_COARSE = 0.3
-"""What a start may be off [m]."""
-_FINE = 0.4
-"""Share of `within` by which motions that fit are compared."""
+_COARSE = 0.3  # What a start may be off [m]
+_FINE = 0.4  # Share of `within` by which motions that fit are compared
 _BUILDING = 0.2
 """What is built in has to be this share of a map's surface, if the map is to be aligned by it: in a
 map of unlabelled objects it is the rest that no object has."""
-_UPRIGHT = 0.3
-"""What is upright has normals no steeper than this."""
-_FEW = 0.05
-"""A smaller share of upright surface tells nothing."""
-_SOME = 1500
-"""Points by which starts are compared."""
+_UPRIGHT = 0.3  # What is upright has normals no steeper than this
+_FEW = 0.05  # A smaller share of upright surface tells nothing
+_SOME = 1500  # Points by which starts are compared
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Alignment:
     """Rigid transform between two maps, and how well it fits."""
 
-    b_from_a: Floats
-    """(4, 4)"""
-    said: str
-    """In a sentence."""
-    doubtful: bool = False
-    """The two may be different places; nothing that follows from it is sure."""
+    b_from_a: Floats  # (4, 4)
+    said: str  # In a sentence
+    doubtful: bool = False  # The two may be different places; nothing that follows from it is sure
 
 
 def align(a: Scene, b: Scene, options: DiffOptions) -> Alignment:

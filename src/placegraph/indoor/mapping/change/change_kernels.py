@@ -11,8 +11,7 @@ from placegraph.indoor.map.map_kernels import colour_at
 # mypy: allow-untyped-defs, allow-incomplete-defs
 
 
-BITS = 20
-"""Of a cell's number along one axis."""
+BITS = 20  # Of a cell's number along one axis
 
 
 @kernel

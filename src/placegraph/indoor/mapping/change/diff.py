@@ -27,18 +27,14 @@ from placegraph.indoor.rays import RayCaster
 from placegraph.io.mesh.nearest_kernels import nearest
 
 _DENSITY = 400.0  # most points a square metre of an object
-_AROUND = 0.75
-"""What is around an object: surfaces of others this near to its box [m]."""
+_AROUND = 0.75  # What is around an object: surfaces of others this near to its box [m]
 _LEAST_AROUND = 20  # points that tell whether a place is covered
 _YAWS = 12
-_SIZES = 1.5
-"""By how much two objects' sizes may differ and still be one, seen in part."""
-_AGREE = 0.8
-"""Of what has one id in both maps, the share that has to be vouched for."""
+_SIZES = 1.5  # By how much two objects' sizes may differ and still be one, seen in part
+_AGREE = 0.8  # Of what has one id in both maps, the share that has to be vouched for
 _LIES_ON = 0.3
 """Share of an object's points that lie on another: without a label, that vouches for its id."""
-_BESIDE = 0.1
-"""What is in the other map under the same id, this near [m], is there still."""
+_BESIDE = 0.1  # What is in the other map under the same id, this near [m], is there still
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,10 +47,8 @@ class Body:
     label: str
     built_in: bool
     surface: Sampled
-    box: Floats
-    """(2, 3) [m]"""
-    corners: Floats
-    """(3 T, 3) of its triangles [m]."""
+    box: Floats  # (2, 3) [m]
+    corners: Floats  # (3 T, 3) of its triangles [m]
 
     @property
     def middle(self) -> Floats:
@@ -162,12 +156,9 @@ class Cover:
 class Motion:
     """A rigid motion from one body to another."""
 
-    after_from_before: Floats
-    """(4, 4)"""
-    fit: float
-    """Share of the points of both that lie on each other after it."""
-    colour: float
-    """From 1, of one colour, to 0, as different as can be."""
+    after_from_before: Floats  # (4, 4)
+    fit: float  # Share of the points of both that lie on each other after it
+    colour: float  # From 1, of one colour, to 0, as different as can be
 
     @property
     def turn_deg(self) -> float:
@@ -257,14 +248,10 @@ STAYED = 0.6
 """Share of an object's points that lie on one object of the other map: that is it, and it stayed."""
 EXPLAINED = 0.7
 """Share that lies on any surface of the other map: it is there, cut into objects another way."""
-PART = 0.1
-"""The same of walls and floors."""
-COVERED = 0.4
-"""Share of what is around an object that the other map has: it covers the place."""
-FITS = 0.6
-"""Share of two objects' points that have to lie on each other after a motion."""
-SUREST = 0.99
-"""No finding is surer than this."""
+PART = 0.1  # The same of walls and floors
+COVERED = 0.4  # Share of what is around an object that the other map has: it covers the place
+FITS = 0.6  # Share of two objects' points that have to lie on each other after a motion
+SUREST = 0.99  # No finding is surer than this
 UNSURE = 0.3
 """Of what may have been there before, and of all between maps that are doubtfully aligned."""
 

@@ -38,10 +38,8 @@ from placegraph.io.capture.frame import Frame
 
 SUSPECT, SUSPECT_BY_COLOUR = 0.2, 0.35
 """Share of an object's pixels that have to speak for being gone before a motion is looked for."""
-GONE = 0.6
-"""... and without a motion, before it counts as vanished."""
-_AGREE = 0.5
-"""Share of all readings that have to end on the map, whatever changed."""
+GONE = 0.6  # ... and without a motion, before it counts as vanished
+_AGREE = 0.5  # Share of all readings that have to end on the map, whatever changed
 
 
 def diff_capture(

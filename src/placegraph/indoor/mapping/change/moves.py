@@ -37,13 +37,11 @@ from placegraph.indoor.mapping.fuse import Fused
 from placegraph.indoor.rays import RayCaster
 from placegraph.io.capture.frame import Frame
 
-_MARGIN = 0.12
-"""What lies this near to a thing that moved belongs to it [m]."""
+_MARGIN = 0.12  # What lies this near to a thing that moved belongs to it [m]
 _SEEN_THROUGH = 0.5
 """A cell that this share of the frames that look at it see through is not there (any more)."""
 _LEAST_TRIANGLES = 12  # of a surface that is one; a box has as many
-_FINE = 0.02
-"""Voxel of the surface of what appeared [m]."""
+_FINE = 0.02  # Voxel of the surface of what appeared [m]
 _EMPTY = 2  # cells around all, so that a neighbour's number never wraps around
 
 
@@ -51,14 +49,10 @@ _EMPTY = 2  # cells around all, so that a neighbour's number never wraps around
 class Clump:
     """Cells (V, 3) that touch, with a point and a colour each."""
 
-    points: Floats
-    """(V, 3) mean of the readings in each cell [m]."""
-    colours: NDArray[np.uint8]
-    """(V, 3)"""
-    cells: NDArray[np.int64]
-    """(V, 3)"""
-    frames: int
-    """That show some of it."""
+    points: Floats  # (V, 3) mean of the readings in each cell [m]
+    colours: NDArray[np.uint8]  # (V, 3)
+    cells: NDArray[np.int64]  # (V, 3)
+    frames: int  # That show some of it
     pixels: int
 
     @property
@@ -219,43 +213,30 @@ def _touching(cells: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np
     return out
 
 
-POINTS = 120
-"""On a thing, for the first round."""
-DENSE = 3000
-"""On a thing, for the fit."""
+POINTS = 120  # On a thing, for the first round
+DENSE = 3000  # On a thing, for the fit
 YAWS = 18
-GRID = 0.1
-"""Step of positions tried [m]."""
-LOOKS = 6
-"""Frames that the first round asks."""
+GRID = 0.1  # Step of positions tried [m]
+LOOKS = 6  # Frames that the first round asks
 _CHUNK = 200_000
 _LEAST_POINTS = 12  # that a fit takes
 _NUDGE = 0.15  # by how much a placement is turned to be fitted once more [rad]
 _LIFT = 0.08  # what moved up or down less than this is tried at its old height, too [m]
-_THROUGH = 2.0
-"""A reading behind the surface weighs this many on it."""
-_KEPT = 6
-"""Placements of the first round that are fitted."""
-LEAST_FIT = 0.75
-"""Share of the readings that have to end on the thing, of those that reach it."""
-LEAST_COVER = 0.5
-"""Share of the unexplained readings where it stands that it has to explain."""
+_THROUGH = 2.0  # A reading behind the surface weighs this many on it
+_KEPT = 6  # Placements of the first round that are fitted
+LEAST_FIT = 0.75  # Share of the readings that have to end on the thing, of those that reach it
+LEAST_COVER = 0.5  # Share of the unexplained readings where it stands that it has to explain
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Placement:
     """Where a thing may stand now."""
 
-    motion: Floats
-    """(4, 4) after_from_before"""
-    explained: int
-    """Readings that end on it and that nothing else explains."""
-    fit: float
-    """Share of the readings that end on it, of those that reach it."""
-    cover: float
-    """Share of the unexplained readings in its box that it explains."""
-    frames: int
-    """That speak for it."""
+    motion: Floats  # (4, 4) after_from_before
+    explained: int  # Readings that end on it and that nothing else explains
+    fit: float  # Share of the readings that end on it, of those that reach it
+    cover: float  # Share of the unexplained readings in its box that it explains
+    frames: int  # That speak for it
     rivals: tuple[str, ...] = ()
     """Ids of other things that are gone and fit the place nearly as well."""
     share: float = 1.0
@@ -463,10 +444,8 @@ _NEARNESS = 1.0
 """Of things alike the nearest is meant: over this way [m] a fit's worth falls to a third."""
 _RIVAL = 0.7
 """Another thing that is gone and fits a place this well, against the best, may be it as well."""
-_SHARED = 0.3
-"""Two things whose boxes share this much of the smaller stand at one place."""
-_MOVED_GAIN = 1.2
-"""By how much a motion has to explain the frames better than staying does."""
+_SHARED = 0.3  # Two things whose boxes share this much of the smaller stand at one place
+_MOVED_GAIN = 1.2  # By how much a motion has to explain the frames better than staying does
 
 
 def moves(
@@ -540,19 +519,14 @@ def _common(low: Floats, high: Floats, other_low: Floats, other_high: Floats) ->
     return float(np.prod(sides) / max(least, 1e-9))
 
 
-ACROSS, UP = 1.6, 0.4
-"""How far along the wall and up and down it is looked for [m]."""
-COARSE, FINE = 0.04, 0.01
-"""Steps of the two rounds [m]."""
-ALIKE = 0.6
-"""Least correlation with the thing's colours."""
-BETTER = 0.15
-"""How much better than the map without it, and than 0.3 m beside, it has to fit."""
+ACROSS, UP = 1.6, 0.4  # How far along the wall and up and down it is looked for [m]
+COARSE, FINE = 0.04, 0.01  # Steps of the two rounds [m]
+ALIKE = 0.6  # Least correlation with the thing's colours
+BETTER = 0.15  # How much better than the map without it, and than 0.3 m beside, it has to fit
 _EVERY = 8  # of a thing's points one is compared
 _BLUR = 0.025  # its colours are averaged this far around it [m], about what three pixels cover
 _LOOKS = 8
-_SEEN = 0.6
-"""Share of the thing's face that a frame has to see to be asked."""
+_SEEN = 0.6  # Share of the thing's face that a frame has to see to be asked
 
 
 def slid(rest: Rest, thing: Suspect) -> Placement | None:
@@ -583,12 +557,9 @@ def slid(rest: Rest, thing: Suspect) -> Placement | None:
 class _Face:
     """Points of a thing, with colours as blurred as a picture's."""
 
-    points: Floats
-    """(P, 3) [m]"""
-    normals: Floats
-    """(P, 3)"""
-    colours: Floats
-    """(P, 3) sRGB, 0 to 1."""
+    points: Floats  # (P, 3) [m]
+    normals: Floats  # (P, 3)
+    colours: Floats  # (P, 3) sRGB, 0 to 1
 
     def faces(self, look: Look) -> NDArray[np.bool_]:
         """(P,) whether a point's surface looks at a camera; the way there hardly turns it."""

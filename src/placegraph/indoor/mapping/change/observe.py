@@ -21,8 +21,7 @@ from placegraph.indoor.rays import RayCaster
 from placegraph.indoor.render import camera_rays
 from placegraph.io.capture.frame import Frame
 
-WIDTH = 320
-"""Pictures are compared at most this wide [px]."""
+WIDTH = 320  # Pictures are compared at most this wide [px]
 _LAYERS = 12  # surfaces of one object behind each other that are looked through
 _STEP = 1e-4  # beyond a hit the next ray starts this far on [m]
 
@@ -30,31 +29,22 @@ _STEP = 1e-4  # beyond a hit the next ray starts this far on [m]
 class Layer(NamedTuple):
     """What rays hit. H rows, W columns."""
 
-    depth: NDArray[np.float32]
-    """(H, W) along the optical axis [m]; inf: nothing."""
-    objects: NDArray[np.int32]
-    """(H, W) rows of objects; -1: nothing."""
-    colour: NDArray[np.float32]
-    """(H, W, 3) sRGB, 0 to 1."""
+    depth: NDArray[np.float32]  # (H, W) along the optical axis [m]; inf: nothing
+    objects: NDArray[np.int32]  # (H, W) rows of objects; -1: nothing
+    colour: NDArray[np.float32]  # (H, W, 3) sRGB, 0 to 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Look:
     """One frame beside the map."""
 
-    index: int
-    """Of the frame."""
+    index: int  # Of the frame
     camera: Camera
-    map_from_camera: Floats
-    """(4, 4)"""
-    depth: NDArray[np.float32] | None
-    """(H, W) [m], NaN: no reading."""
-    rgb: NDArray[np.float32]
-    """(H, W, 3) sRGB, 0 to 1."""
-    front: Layer
-    """What the map has there."""
-    behind: Layer
-    """What the map has behind the object in front."""
+    map_from_camera: Floats  # (4, 4)
+    depth: NDArray[np.float32] | None  # (H, W) [m], NaN: no reading
+    rgb: NDArray[np.float32]  # (H, W, 3) sRGB, 0 to 1
+    front: Layer  # What the map has there
+    behind: Layer  # What the map has behind the object in front
 
     @property
     def rays(self) -> NDArray[np.float32]:
@@ -205,29 +195,22 @@ def window(look: Look, corners: Floats) -> tuple[slice, slice] | None:
 Mask = NDArray[np.bool_]
 
 
-RING = 7
-"""Width of the surroundings of an object that tell the light on it [px]."""
+RING = 7  # Width of the surroundings of an object that tell the light on it [px]
 _RING_PIXELS = 30
 _CONTRAST = 0.08
 """Colours of object and background that differ less than this cannot be told apart (0 to 1)."""
-_SPEAKING = 0.1
-"""Share of `least_pixels` in a frame from which on it counts as a frame that speaks."""
-_FLAT = 0.6
-"""Colours decide where they can tell at this share of an object's pixels or more."""
+_SPEAKING = 0.1  # Share of `least_pixels` in a frame from which on it counts as a frame that speaks
+_FLAT = 0.6  # Colours decide where they can tell at this share of an object's pixels or more
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tally:
     """T frames, N objects."""
 
-    gone: Floats
-    """(T, N) pixels that speak for being gone."""
-    stays: Floats
-    """(T, N) pixels that speak for being there."""
-    by_colour: NDArray[np.bool_]
-    """(N,) whether these pixels were judged by colour."""
-    least: tuple[int, int]
-    """Pixels in all and frames that are needed."""
+    gone: Floats  # (T, N) pixels that speak for being gone
+    stays: Floats  # (T, N) pixels that speak for being there
+    by_colour: NDArray[np.bool_]  # (N,) whether these pixels were judged by colour
+    least: tuple[int, int]  # Pixels in all and frames that are needed
 
     @property
     def seen(self) -> NDArray[np.bool_]:

@@ -275,8 +275,7 @@ def _nearest(boxes: Floats, row: int, chosen: NDArray[np.bool_]) -> NDArray[np.b
     return chosen & (np.arange(len(boxes)) == gap.argmin())
 
 
-LEAST = 0.5
-"""Findings less sure than this are not taken over, unless that is asked for."""
+LEAST = 0.5  # Findings less sure than this are not taken over, unless that is asked for
 
 
 def update(

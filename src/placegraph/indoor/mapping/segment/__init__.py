@@ -22,8 +22,7 @@ from placegraph.io.capture.frame import Frame
 Ints = NDArray[np.int64]
 
 
-UNKNOWN = "unknown"
-"""Label of what nothing is known of."""
+UNKNOWN = "unknown"  # Label of what nothing is known of
 _FIRST = ("floor", "ceiling", "wall")
 
 

@@ -17,35 +17,24 @@ if TYPE_CHECKING:
 Ints = NDArray[np.int64]
 
 
-_WELD = 1e-4
-"""Corners closer than about this are one [m]: seams of textures come as two."""
+_WELD = 1e-4  # Corners closer than about this are one [m]: seams of textures come as two
 _FARTHEST = 1e9 * _WELD
-_MOST = 6_000_000
-"""More points than this are not spread: their distance grows instead."""
+_MOST = 6_000_000  # More points than this are not spread: their distance grows instead
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Faces:
     """F faces with W corners and P pairs of neighbours."""
 
-    points: Floats
-    """(W, 3) [m]"""
-    corners: Ints
-    """(F, 3) rows of points."""
-    normals: Floats
-    """(F, 3) unit."""
-    areas: Floats
-    """(F,) [m2]"""
-    centres: Floats
-    """(F, 3) [m]"""
-    lab: Floats
-    """(F, 3) CIELAB."""
-    pairs: Ints
-    """(P, 2) rows of faces that share an edge."""
-    lengths: Floats
-    """(P,) of that edge [m]."""
-    turned: NDArray[np.bool_]
-    """(P,) whether the two are wound against each other."""
+    points: Floats  # (W, 3) [m]
+    corners: Ints  # (F, 3) rows of points
+    normals: Floats  # (F, 3) unit
+    areas: Floats  # (F,) [m2]
+    centres: Floats  # (F, 3) [m]
+    lab: Floats  # (F, 3) CIELAB
+    pairs: Ints  # (P, 2) rows of faces that share an edge
+    lengths: Floats  # (P,) of that edge [m]
+    turned: NDArray[np.bool_]  # (P,) whether the two are wound against each other
     of_triangle: Ints
     """(T,) row of each triangle of the mesh; -1: it has no area, or is no triangle at all."""
 
@@ -197,12 +186,9 @@ def _neighbours(points: Floats, corners: Ints) -> tuple[Ints, Floats, NDArray[np
 class Samples:
     """S points, each in one face."""
 
-    spots: Floats
-    """(S, 3) [m]"""
-    face: Ints
-    """(S,) rows of faces."""
-    step: float
-    """About their distance [m]."""
+    spots: Floats  # (S, 3) [m]
+    face: Ints  # (S,) rows of faces
+    step: float  # About their distance [m]
 
     @classmethod
     def of(cls, faces: Faces, rows: Ints, step: float) -> Samples:
@@ -239,38 +225,25 @@ class Samples:
         return np.sort(order[fresh])
 
 
-_CONVEX = 0.4
-"""A convex edge is worth this share of a concave one of the same angle."""
-_CONCAVE = 0.3
-"""Neighbours that bend inwards by more than this are in a concave contact [rad]."""
-_SPECK = 0.1
-"""Patches below this share of `SegmentOptions.patch` are none."""
+_CONVEX = 0.4  # A convex edge is worth this share of a concave one of the same angle
+_CONCAVE = 0.3  # Neighbours that bend inwards by more than this are in a concave contact [rad]
+_SPECK = 0.1  # Patches below this share of `SegmentOptions.patch` are none
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PatchGraph:
     """N patches and E contacts between them."""
 
-    of_face: Ints
-    """(F,)"""
-    areas: Floats
-    """(N,) [m2]"""
-    normals: Floats
-    """(N,) mean, shorter than 1 where the patch is curved (N, 3)."""
-    low: Floats
-    """(N, 3) lowest corner of the box [m]."""
-    high: Floats
-    """(N, 3)"""
-    lab: Floats
-    """(N, 3) mean colour."""
-    plane: Ints
-    """(N,) row of the structure's plane, -1: none."""
-    ends: Ints
-    """(E, 2) rows of patches, each contact in both directions."""
-    lengths: Floats
-    """(E,) of contact [m]."""
-    concave: Floats
-    """(E,) share in which the second lies on the outer side of the first."""
+    of_face: Ints  # (F,)
+    areas: Floats  # (N,) [m2]
+    normals: Floats  # (N,) mean, shorter than 1 where the patch is curved (N, 3)
+    low: Floats  # (N, 3) lowest corner of the box [m]
+    high: Floats  # (N, 3)
+    lab: Floats  # (N, 3) mean colour
+    plane: Ints  # (N,) row of the structure's plane, -1: none
+    ends: Ints  # (E, 2) rows of patches, each contact in both directions
+    lengths: Floats  # (E,) of contact [m]
+    concave: Floats  # (E,) share in which the second lies on the outer side of the first
 
     def __len__(self) -> int:
         return len(self.areas)

@@ -28,8 +28,7 @@ Ints = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 
-UPRIGHT = 0.35
-"""|z| of the normal of an upright face is below this."""
+UPRIGHT = 0.35  # |z| of the normal of an upright face is below this
 _FACING = 0.85  # cosine between the normals of a face and of its plane
 _TURNS = 60  # directions of walls in half a turn
 _CELL = 0.1  # [m] of the grid in which parts of a plane are connected
@@ -80,8 +79,7 @@ class _Wall:
     distance: float
     low: float
     high: float
-    span: tuple[float, float]
-    """From where to where it reaches along the plane [m]."""
+    span: tuple[float, float]  # From where to where it reaches along the plane [m]
     area: float
 
 
@@ -389,12 +387,10 @@ def _touched(group: Ints, patches: PatchGraph) -> list[dict[int, float]]:
     return contacts
 
 
-ROUNDS = 3
-"""How often normals and colours are levelled."""
+ROUNDS = 3  # How often normals and colours are levelled
 _OWN_SHADE = 0.35  # of its plane: a larger patch is the plane's own colour, or its shade
 _CARPET = 8.0  # no carpet is larger [m2]: it is floor of another colour
-LEVEL = 0.9
-"""|z| of the normal of a level face, from here on."""
+LEVEL = 0.9  # |z| of the normal of a level face, from here on
 _STOREY = 1.8  # a ceiling is at least this far above the floor [m]
 
 
@@ -404,8 +400,7 @@ class Cut:
 
     structure: Structure
     patches: PatchGraph
-    groups: Ints
-    """(N,) object of each patch, named by one of its patches."""
+    groups: Ints  # (N,) object of each patch, named by one of its patches
 
 
 def cut_by_geometry(faces: Faces, options: SegmentOptions, tell: Callable[[str], None]) -> Cut:
@@ -491,12 +486,9 @@ def _usual_colours(patches: PatchGraph, count: int) -> Floats:
 class Structure:
     """What holds a building: rows of planes, in order: floor, ceilings, walls."""
 
-    of_face: Ints
-    """(F,) row of the plane, -1: none."""
-    labels: tuple[str, ...]
-    """"floor", "ceiling" or "wall" of each."""
-    floor: float | None
-    """Height of the floor [m]."""
+    of_face: Ints  # (F,) row of the plane, -1: none
+    labels: tuple[str, ...]  # "floor", "ceiling" or "wall" of each
+    floor: float | None  # Height of the floor [m]
     outward: bool
     """Whether the mesh faces free space, as far as its floor tells; else it is inside out."""
 

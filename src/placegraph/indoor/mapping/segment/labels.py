@@ -31,22 +31,18 @@ if TYPE_CHECKING:
 Ints = NDArray[np.int64]
 
 
-NOTHING = 0
-"""What a pixel without a label votes for."""
+NOTHING = 0  # What a pixel without a label votes for
 _RAYS = 20_000  # of a frame: one in so many pixels is asked that there are about these
 _NEAR = 0.05  # a depth reading may differ from the mesh by this [m] ...
 _SLOPE = 0.03  # ... and by this share of the depth, else something else is seen
 _HALF = 3.0  # at this depth a view counts half as much as close by [m]
 _GRAZING = 0.1  # least cosine of incidence that counts
 _HELD = 4_000_000  # votes held before those for one face and label are added up
-_DOUBT = 0.2
-"""Votes that a face has for no label at all: few votes count less than their share."""
-_PATCH = 1.0
-"""What the opinion of the patch around it is worth to the face's own."""
+_DOUBT = 0.2  # Votes that a face has for no label at all: few votes count less than their share
+_PATCH = 1.0  # What the opinion of the patch around it is worth to the face's own
 _CELL = 0.2
 """Side of the cubes that patches fall into for this [m]: pictures may lie in a wall's patch."""
-_NEIGHBOURS = 0.7
-"""What its neighbours' labels are worth."""
+_NEIGHBOURS = 0.7  # What its neighbours' labels are worth
 _ROUNDS = 6
 
 
@@ -55,16 +51,11 @@ class Votes:
     """Votes for the labels of faces; a face seen straight on and close by has one a frame."""
 
     kind: LabelKind
-    words: tuple[str, ...]
-    """Of the labels; the first is `NOTHING`."""
-    ids: tuple[int, ...]
-    """Of the labels, as the images have them; -1 of `NOTHING`."""
-    starts: Ints
-    """(F + 1,) first vote of each face."""
-    labels: Ints
-    """(K,) rows of words."""
-    weights: Floats
-    """(K,)"""
+    words: tuple[str, ...]  # Of the labels; the first is `NOTHING`
+    ids: tuple[int, ...]  # Of the labels, as the images have them; -1 of `NOTHING`
+    starts: Ints  # (F + 1,) first vote of each face
+    labels: Ints  # (K,) rows of words
+    weights: Floats  # (K,)
 
 
 def collect(
