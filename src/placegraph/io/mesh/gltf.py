@@ -1,4 +1,9 @@
-"""Reader of glTF 2.0 files (.glb, .gltf): one object a node, with its label, mesh and colours."""
+"""Reader of glTF 2.0 files (.glb, .gltf): one object a node, with its label, mesh and colours.
+
+The object of a mesh is the nearest node above it, itself included, whose `extras` hold `label` or
+`id`; without such a node it is the mesh's own. glTF is y-up, and x, y, z become x, -z, y. No number
+of a file is believed before it is checked against the file's size.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +13,7 @@ import json
 import re
 import struct
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from math import cos, sin
 from os import PathLike
@@ -18,21 +24,73 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.files import regular
+from placegraph.core.geometry import Floats
 from placegraph.errors import InputError
-from placegraph.io.mesh.model import Model, Picture, Thing
+from placegraph.io.mesh.model import Z_UP, Model, Picture, Thing, read_bytes
 
 Json = dict[str, Any]
 
-MAGIC = 0x46546C67
-_JSON, _BIN = 0x4E4F534A, 0x004E4942
+OWN = "placegraph"
+"""Key of `extras` for what a node cannot say plainly: `attributes` whose names are taken, and the
+`name` "" of an object whose node is called by its label."""
+_MAGIC, _JSON, _BIN = 0x46546C67, 0x4E4F534A, 0x004E4942
+_DTYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+_TRIANGLES, _STRIP, _FAN = 4, 5, 6
+_CLAMP, _MIRROR = 33071, 33648
+_EDGE = 1e-4  # of a texture: within the outermost texel of any texture a map holds
+_SRGB_WRITERS = ("trimesh", "open3d")  # write COLOR_0 as sRGB, where the standard says linear
+_MENDS = {
+    "KHR_draco_mesh_compression": "export it without Draco compression",
+    "EXT_meshopt_compression": "export it without meshopt compression (gltfpack without -c)",
+    "KHR_meshopt_compression": "export it without meshopt compression (gltfpack without -c)",
+    "KHR_texture_basisu": "export it with JPEG or PNG textures",
+    "EXT_mesh_gpu_instancing": "export instances as nodes",
+}  # extensions without which nothing can be drawn, and what to do
+_KNOWN = {"KHR_mesh_quantization", "KHR_texture_transform", "EXT_texture_webp"}
+_HARMLESS = ("KHR_materials_", "KHR_lights_", "KHR_xmp", "EXT_lights_")
 
 
-def chunks_of(path: Path, data: memoryview) -> tuple[Json, memoryview]:
-    """JSON and binary chunk of a .glb file; `InputError` where it is none."""
+def read_glb(path: str | PathLike[str], *, up: Literal["y", "z"] = "y") -> Model:
+    """Read a .glb file, or a .gltf with its buffers and images inside, beside it or below.
+
+    Parameters
+    ----------
+    up
+        Axis that points up in it: y by the standard; z for exporters that forgot to turn.
+
+    Raises
+    ------
+    InputError
+        The file is missing, truncated, damaged, not glTF 2.0, or needs what is not read: Draco or
+        meshopt compression, Basis textures, sparse accessors; a file it names is missing, or
+        outside its folder.
+
+    """
+    gltf = _Gltf.read(Path(path))
+    try:
+        return _ModelReader(gltf).read(np.eye(3) if up == "z" else Z_UP)
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
+        raise gltf.error(f"it is not sound glTF ({error!r}); export it again") from error
+
+
+def _parse_json(path: Path, data: bytes) -> Json:
+    try:
+        content = json.loads(data.decode("utf-8-sig"))
+    except (ValueError, RecursionError) as error:
+        raise InputError(
+            f"{path} has no JSON that can be read; copy or export it again."
+        ) from error
+    if not isinstance(content, dict):
+        raise InputError(f"{path}: its JSON is not an object; export it again.")
+    return content
+
+
+def _split_chunks(path: Path, data: memoryview) -> tuple[Json, memoryview]:
+    """JSON and binary chunk of a .glb file; raises `InputError` where it is none."""
     if not len(data):
         raise InputError(f"{path} is empty; export it again.")
-    if len(data) < 20 or struct.unpack_from("<I", data)[0] != MAGIC:
+    if len(data) < 20 or struct.unpack_from("<I", data)[0] != _MAGIC:
         if bytes(data[:1]) == b"{":
             raise InputError(f"{path} is glTF as text; let its name end in .gltf.")
         raise InputError(f"{path} is not glTF 2.0 binary; export it as one .glb file.")
@@ -51,71 +109,32 @@ def chunks_of(path: Path, data: memoryview) -> tuple[Json, memoryview]:
             raise InputError(f"{path} ends within a chunk: it is damaged; copy it again.")
         parts.setdefault(kind, data[at + 8 : at + 8 + length])
         at += 8 + length + (-length % 4)
-    return json_of(path, bytes(parts.get(_JSON, b""))), parts.get(_BIN, memoryview(b""))
-
-
-def json_of(path: Path, data: bytes) -> Json:
-    """The object that JSON text is; `InputError` where it is none."""
-    try:
-        content = json.loads(data.decode("utf-8-sig"))
-    except (ValueError, RecursionError) as error:
-        raise InputError(
-            f"{path} has no JSON that can be read; copy or export it again."
-        ) from error
-    if not isinstance(content, dict):
-        raise InputError(f"{path}: its JSON is not an object; export it again.")
-    return content
-
-
-def content_of(path: Path) -> bytes:
-    """Bytes of a file; `InputError` where it cannot be read."""
-    try:
-        return regular(path).read_bytes()
-    except FileNotFoundError as error:
-        raise InputError(f"{path} does not exist.") from error
-    except (OSError, ValueError) as error:
-        why = getattr(error, "strerror", None) or error
-        raise InputError(f"{path} cannot be read: {why}.") from error
-
-
-_DTYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
-
-MENDS = {
-    "KHR_draco_mesh_compression": "export it without Draco compression",
-    "EXT_meshopt_compression": "export it without meshopt compression (gltfpack without -c)",
-    "KHR_meshopt_compression": "export it without meshopt compression (gltfpack without -c)",
-    "KHR_texture_basisu": "export it with JPEG or PNG textures",
-    "EXT_mesh_gpu_instancing": "export instances as nodes",
-}  # Extensions without which nothing can be drawn, and what to do
-_KNOWN = {"KHR_mesh_quantization", "KHR_texture_transform", "EXT_texture_webp"}
-_HARMLESS = ("KHR_materials_", "KHR_lights_", "KHR_xmp", "EXT_lights_")
+    return _parse_json(path, bytes(parts.get(_JSON, b""))), parts.get(_BIN, memoryview(b""))
 
 
 @dataclass(frozen=True, slots=True)
-class Gltf:
-    """A .glb or .gltf file, read but not interpreted."""
+class _Gltf:
+    """Container of a file: JSON, buffers, accessors and nodes, checked but not interpreted."""
 
     path: Path
     content: Json
-    chunk: memoryview  # The binary part of a .glb
-    _buffers: dict[int, memoryview] = field(default_factory=dict)
+    chunk: memoryview  # the binary part of a .glb
+    buffers: dict[int, memoryview] = field(default_factory=dict)
 
     @classmethod
-    def read(cls, path: Path) -> Gltf:
+    def read(cls, path: Path) -> _Gltf:
         """Read a file; raises `InputError` where it is not glTF 2.0, or unreadable."""
-        data = memoryview(content_of(path))
-        if path.suffix.lower() == ".gltf" and bytes(data[:4]) != MAGIC.to_bytes(4, "little"):
-            gltf = cls(path, json_of(path, bytes(data)), memoryview(b""))
+        data = memoryview(read_bytes(path))
+        if path.suffix.lower() == ".gltf" and bytes(data[:4]) != _MAGIC.to_bytes(4, "little"):
+            gltf = cls(path, _parse_json(path, bytes(data)), memoryview(b""))
             version = str(gltf.object_of(gltf.content, "asset").get("version"))
             if version.partition(".")[0] != "2":
                 raise InputError(f"{path} is glTF {version[:20]}; export it as glTF 2.0.")
         else:
-            gltf = cls(path, *chunks_of(path, data))
-        content = gltf.content
-        for name in gltf.list_of(content, "extensionsRequired"):
-            if name in MENDS:
-                raise gltf.error(f"it needs {name}; {MENDS[name]}")
+            gltf = cls(path, *_split_chunks(path, data))
+        for name in gltf.list_of(gltf.content, "extensionsRequired"):
+            if name in _MENDS:
+                raise gltf.error(f"it needs {name}; {_MENDS[name]}")
             if name not in _KNOWN and not str(name).startswith(_HARMLESS):
                 raise gltf.error(
                     f"it needs the extension {name!r}, unknown here; export without it"
@@ -123,11 +142,11 @@ class Gltf:
         return gltf
 
     def error(self, what: str) -> InputError:
-        """Error about this file; `what` is half a sentence."""
+        """Return an error about this file; `what` is half a sentence."""
         return InputError(f"{self.path}: {what}.")
 
     def item(self, kind: str, row: object) -> Json:
-        """Entry `row` of a top-level list such as ``meshes``; `InputError` where there is none."""
+        """Return entry `row` of a top-level list such as ``meshes``."""
         items = self.list_of(self.content, kind)
         if type(row) is not int or not 0 <= row < len(items) or not isinstance(items[row], dict):
             raise self.error(f"it names {kind}[{row!r}], which is not there; export it again")
@@ -135,21 +154,40 @@ class Gltf:
         return entry
 
     def list_of(self, entry: Json, key: str) -> list[Any]:
-        """List under `key`, empty where there is none."""
+        """Return the list under `key`, empty where there is none."""
         found = entry.get(key, [])
         if not isinstance(found, list):
             raise self.error(f"{key!r} is not a list; export it again")
         return found
 
     def object_of(self, entry: Json, key: str) -> Json:
-        """Object under `key`, empty where there is none."""
+        """Return the object under `key`, empty where there is none."""
         found = entry.get(key, {})
         if not isinstance(found, dict):
             raise self.error(f"{key!r} is not an object; export it again")
         return found
 
+    def whole(self, entry: Json, key: str) -> int:
+        """Return the whole number from 0 under `key`, 0 where there is none."""
+        value = entry.get(key, 0)
+        if isinstance(value, float) and value.is_integer():
+            value = int(value)
+        if type(value) is not int or not 0 <= value < 1 << 40:
+            raise self.error(f"{key} is {str(value)[:40]!r}; it must be a whole number")
+        return value
+
+    def floats(self, entry: Json, key: str, default: tuple[float, ...]) -> Floats:
+        """Return as many numbers under `key` as `default` has, or `default`."""
+        value = entry.get(key)
+        if value is None:
+            return np.array(default)
+        good = isinstance(value, list) and len(value) == len(default)
+        if not good or any(type(v) not in {int, float} or abs(v) > 1e30 for v in value):
+            raise self.error(f"{key} is {str(value)[:60]!r}; it must be {len(default)} numbers")
+        return np.array(value, np.float64)
+
     def accessor(self, row: object) -> NDArray[Any]:
-        """Numbers (count, width) of an accessor; normalised integers as float32 in [-1, 1]."""
+        """Return numbers (count, width) of an accessor; normalised integers as float32 in [-1, 1]."""
         accessor = self.item("accessors", row)
         if "sparse" in accessor or "bufferView" not in accessor:
             raise self.error(f"accessors[{row}] is sparse; export it without sparse accessors")
@@ -167,42 +205,40 @@ class Gltf:
             raise self.error(
                 f"accessors[{row}] ends beyond its data; it is damaged: export it again"
             )
-        shape = (count, width)
         if not count:
-            return np.zeros(shape, kind)
-        array: NDArray[Any] = np.ndarray(shape, kind, view, offset, (stride, kind.itemsize))
+            return np.zeros((count, width), kind)
+        shape, steps = (count, width), (stride, kind.itemsize)
+        array: NDArray[Any] = np.ndarray(shape, kind, view, offset, steps)
         if accessor.get("normalized") is True and kind.kind in "iu":
             scaled: NDArray[Any] = np.maximum(array.astype(np.float32) / np.iinfo(kind).max, -1.0)
             return scaled
         return array
 
     def view(self, row: object) -> memoryview:
-        """Bytes of a buffer view."""
+        """Return the bytes of a buffer view."""
         entry = self.item("bufferViews", row)
-        for name in MENDS.keys() & self.object_of(entry, "extensions").keys():
-            raise self.error(f"it needs {name}; {MENDS[name]}")
+        for name in _MENDS.keys() & self.object_of(entry, "extensions").keys():
+            raise self.error(f"it needs {name}; {_MENDS[name]}")
         number = self.whole(entry, "buffer")
-        buffer = self._buffer(number)
+        buffer = self.item("buffers", number)
+        if "uri" in buffer:
+            if number not in self.buffers:
+                content = self.resolve(buffer["uri"], f"buffers[{number}]")
+                self.buffers[number] = memoryview(content)
+            data = self.buffers[number]
+        elif number or not len(self.chunk):
+            raise self.error(f"buffers[{number}] is not in the file; export it again")
+        else:
+            data = self.chunk
         start, length = self.whole(entry, "byteOffset"), self.whole(entry, "byteLength")
-        if start + length > len(buffer):
+        if start + length > len(data):
             raise self.error(
                 f"bufferViews[{row}] ends beyond the file; it is truncated: copy it again"
             )
-        return buffer[start : start + length]
+        return data[start : start + length]
 
-    def _buffer(self, row: int) -> memoryview:
-        """Bytes of a buffer: the binary part of a .glb, a data URI, or a file beside this one."""
-        entry = self.item("buffers", row)
-        if "uri" not in entry:
-            if row or not len(self.chunk):
-                raise self.error(f"buffers[{row}] is not in the file; export it again")
-            return self.chunk
-        if row not in self._buffers:
-            self._buffers[row] = memoryview(self._bytes(entry["uri"], f"buffers[{row}]"))
-        return self._buffers[row]
-
-    def _bytes(self, uri: object, what: str) -> bytes:
-        """What a URI of this file names: base64 in it, or a file in the same folder or below."""
+    def resolve(self, uri: object, what: str) -> bytes:
+        """Return what a URI names: base64 in it, or a file in the same folder or below."""
         text = str(uri)
         if text.startswith("data:"):
             head, _, packed = text.partition(",")
@@ -229,39 +265,27 @@ class Gltf:
             raise self.error(
                 f"{what} lies in {name[:60]!r}, which is not there; copy the files beside it too"
             )
-        return content_of(file)
+        return read_bytes(file)
 
-    def image(self, row: object) -> bytes:
-        """Encoded bytes of an image."""
-        entry = self.item("images", row)
-        uri = entry.get("uri")
-        if uri is None:
-            return bytes(self.view(entry.get("bufferView")))
-        return self._bytes(uri, f"images[{row}]")
+    def extras(self, row: int) -> Json:
+        """Return the extras of a node."""
+        extras = self.item("nodes", row).get("extras")
+        return extras if isinstance(extras, dict) else {}
 
-    def whole(self, entry: Json, key: str) -> int:
-        """Whole number from 0 under `key`, 0 where there is none."""
-        value = entry.get(key, 0)
-        if isinstance(value, float) and value.is_integer():
-            value = int(value)
-        if type(value) is not int or not 0 <= value < 1 << 40:
-            raise self.error(f"{key} is {str(value)[:40]!r}; it must be a whole number")
-        return value
-
-    def floats(self, entry: Json, key: str, default: tuple[float, ...]) -> NDArray[np.float64]:
-        """As many numbers under `key` as `default` has, or `default`."""
-        value = entry.get(key)
-        if value is None:
-            return np.array(default)
-        good = isinstance(value, list) and len(value) == len(default)
-        if not good or any(type(v) not in {int, float} or abs(v) > 1e30 for v in value):
-            raise self.error(f"{key} is {str(value)[:60]!r}; it must be {len(default)} numbers")
-        return np.array(value, np.float64)
-
-    def walk(self) -> list[tuple[tuple[int, ...], NDArray[np.float64]]]:
-        """Nodes of the scene, parents first: the path of rows to each, and world_from_node (4, 4)."""
-        stack: list[tuple[tuple[int, ...], NDArray[np.float64]]]
-        stack = [((row,), np.eye(4)) for row in reversed(self._roots())]
+    def walk(self) -> list[tuple[tuple[int, ...], Floats]]:
+        """Return the scene's nodes, parents first: path of rows to each, and world_from_node (4, 4)."""
+        if self.list_of(self.content, "scenes"):
+            scene = self.item("scenes", self.content.get("scene", 0))
+            roots = self.list_of(scene, "nodes")
+        else:  # a library of parts: every node that no other node holds
+            rows = range(len(self.list_of(self.content, "nodes")))
+            held = [c for row in rows for c in self.list_of(self.item("nodes", row), "children")]
+            children = {c for c in held if type(c) is int}
+            roots = [row for row in rows if row not in children]
+        for row in roots:
+            self.item("nodes", row)
+        stack: list[tuple[tuple[int, ...], Floats]]
+        stack = [((row,), np.eye(4)) for row in reversed(roots)]
         found, seen = [], set()
         while stack:
             path, parent = stack.pop()
@@ -269,29 +293,15 @@ class Gltf:
             if path[-1] in seen:
                 raise self.error(f"nodes[{path[-1]}] has two parents; export it again")
             seen.add(path[-1])
-            world = parent @ self._local(node)
+            world = parent @ self.local_transform(node)
             found.append((path, world))
             for child in reversed(self.list_of(node, "children")):
                 self.item("nodes", child)
                 stack.append(((*path, child), world))
         return found
 
-    def _roots(self) -> list[int]:
-        if self.list_of(self.content, "scenes"):
-            scene = self.item("scenes", self.content.get("scene", 0))
-            roots = self.list_of(scene, "nodes")
-        else:  # a library of parts: every node that no other node holds
-            nodes = self.list_of(self.content, "nodes")
-            rows = range(len(nodes))
-            held = [c for row in rows for c in self.list_of(self.item("nodes", row), "children")]
-            children = {c for c in held if type(c) is int}
-            roots = [row for row in rows if row not in children]
-        for row in roots:
-            self.item("nodes", row)
-        return roots
-
-    def _local(self, node: Json) -> NDArray[np.float64]:
-        """parent_from_node (4, 4) from a matrix, or from translation, rotation and scale."""
+    def local_transform(self, node: Json) -> Floats:
+        """Return parent_from_node (4, 4) from a matrix, or translation, rotation and scale."""
         if "matrix" in node:
             return self.floats(node, "matrix", (0.0,) * 16).reshape(4, 4).T
         x, y, z, w = self.floats(node, "rotation", (0.0, 0.0, 0.0, 1.0))
@@ -308,24 +318,18 @@ class Gltf:
         return local
 
 
-_CLAMP, _MIRROR = 33071, 33648
-_EDGE = 1e-4  # of a texture: within the outermost texel of any texture a map holds
-_SRGB_WRITERS = ("trimesh", "open3d")
-"""Generators that write COLOR_0 as sRGB, where the standard says linear."""
-
-
 @dataclass(frozen=True, slots=True)
-class Look:
-    """How a primitive is coloured."""
+class _Shading:
+    """How a primitive is coloured: row of its picture, and how texture coordinates are read."""
 
-    picture: int  # Row of the picture
-    texcoord: int = 0  # Which TEXCOORD
-    affine: NDArray[np.float64] | None = None  # (2, 3) to be applied to texture coordinates
+    picture: int
+    texcoord: int = 0  # which TEXCOORD
+    affine: Floats | None = None  # (2, 3) to be applied to texture coordinates
     clamped: tuple[bool, bool] = (False, False)
     mirrored: tuple[bool, bool] = (False, False)
 
-    def place(self, uv: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Texture coordinates (V, 2) for a picture that is plainly repeated.
+    def transform(self, uv: Floats) -> Floats:
+        """Return texture coordinates (V, 2) for a picture that is plainly repeated.
 
         Coordinates beyond a clamped edge are clamped at the vertices, so inside a triangle that
         reaches beyond it the texture is stretched a little.
@@ -340,209 +344,88 @@ class Look:
         return uv
 
 
-class Materials:
-    """Pictures of a file's materials, each made once."""
+class _ModelReader:
+    """Collects objects, triangles and pictures while walking over the nodes."""
 
-    def __init__(self, gltf: Gltf) -> None:
-        self.gltf = gltf
-        self._looks: dict[int | None, Look] = {}
-        self._pictures: dict[Picture, int] = {}
-        self._images: dict[int, bytes] = {}
-
-    def pictures(self) -> tuple[Picture, ...]:
-        """All pictures that were asked for, one at least."""
-        return tuple(self._pictures) or (Picture(None),)
-
-    def look(self, row: Any) -> Look:  # noqa: ANN401  # whatever the file says
-        """Look of `materials[row]`; plain white where `row` is None."""
-        if row is None:
-            return Look(self._picture(Picture(None)))
-        material = self.gltf.item("materials", row)
-        if row not in self._looks:
-            self._looks[row] = self._make(material)
-        return self._looks[row]
-
-    def _picture(self, picture: Picture) -> int:
-        return self._pictures.setdefault(picture, len(self._pictures))
-
-    def _make(self, material: Json) -> Look:
-        gltf = self.gltf
-        base = gltf.object_of(material, "pbrMetallicRoughness")
-        keys = ("baseColorTexture", "baseColorFactor")
-        older = gltf.object_of(material, "extensions").get("KHR_materials_pbrSpecularGlossiness")
-        if isinstance(older, dict) and keys[0] not in base:
-            base, keys = older, ("diffuseTexture", "diffuseFactor")
-        r, g, b, _ = np.clip(gltf.floats(base, keys[1], (1.0,) * 4), 0.0, 1.0).tolist()
-        info = gltf.object_of(base, keys[0])
-        if not info:
-            return Look(self._picture(Picture(None, (r, g, b))))
-        texture = gltf.item("textures", info.get("index"))
-        wraps = [0, 0]
-        if "sampler" in texture:
-            sampler = gltf.item("samplers", texture["sampler"])
-            wraps = [gltf.whole(sampler, key) for key in ("wrapS", "wrapT")]
-        mirrored = (wraps[0] == _MIRROR, wraps[1] == _MIRROR)
-        data, name = self._image(texture)
-        moved = gltf.object_of(gltf.object_of(info, "extensions"), "KHR_texture_transform")
-        texcoord = moved if "texCoord" in moved else info
-        return Look(
-            picture=self._picture(Picture(data, (r, g, b), mirrored, name)),
-            texcoord=gltf.whole(texcoord, "texCoord"),
-            affine=self._affine(moved) if moved else None,
-            clamped=(wraps[0] == _CLAMP, wraps[1] == _CLAMP),
-            mirrored=mirrored,
-        )
-
-    def _image(self, texture: Json) -> tuple[bytes, str]:
-        source = texture.get("source")
-        webp = self.gltf.object_of(texture, "extensions").get("EXT_texture_webp")
-        if isinstance(webp, dict):
-            source = webp.get("source", source)
-        entry = self.gltf.item("images", source)
-        row = self.gltf.whole({"source": source}, "source")
-        if row not in self._images:
-            self._images[row] = self.gltf.image(row)
-        return self._images[row], f"{self.gltf.path}: images[{row}] {entry.get('name', '')}".strip()
-
-    def _affine(self, moved: Json) -> NDArray[np.float64]:
-        """KHR_texture_transform: scale, then rotation (counter-clockwise of v down), then offset."""
-        scale, offset = (
-            self.gltf.floats(moved, key, default)
-            for key, default in (("scale", (1.0, 1.0)), ("offset", (0.0, 0.0)))
-        )
-        (turn,) = self.gltf.floats({"rotation": [moved.get("rotation", 0.0)]}, "rotation", (0.0,))
-        c, s = cos(turn), sin(turn)
-        return np.column_stack([np.array([[c, s], [-s, c]]) * scale, offset])
-
-
-def vertex_colours(gltf: Gltf, values: NDArray[Any]) -> NDArray[np.uint8]:
-    """Vertex colours (V, 3) uint8, sRGB, of COLOR_0, which is linear by the standard."""
-    if values.shape[1] < 3:
-        raise gltf.error("a COLOR_0 has not three channels; export it again")
-    share = values[:, :3].astype(np.float64)
-    if values.dtype.kind == "u":  # integers that forgot to say that they are normalised
-        share /= np.iinfo(values.dtype).max
-    share = np.clip(np.nan_to_num(share), 0.0, 1.0)
-    generator = str(gltf.object_of(gltf.content, "asset").get("generator", "")).lower()
-    if not any(writer in generator for writer in _SRGB_WRITERS):
-        share = np.where(share <= 0.0031308, 12.92 * share, 1.055 * share ** (1 / 2.4) - 0.055)
-    return np.rint(255.0 * share).astype(np.uint8)
-
-
-OWN = "placegraph"
-"""Key of `extras` for what a node cannot say plainly: `attributes` whose names are taken, and the
-`name` "" of an object whose node is called by its label."""
-Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # Rotation from y-up to z-up
-_TRIANGLES, _STRIP, _FAN = 4, 5, 6
-
-
-def read_glb(path: str | PathLike[str], *, up: Literal["y", "z"] = "y") -> Model:
-    """Read a .glb file, or a .gltf with its buffers and images inside, beside it or below.
-
-    Parameters
-    ----------
-    up
-        Axis that points up in it: y by the standard; z for exporters that forgot to turn.
-
-    Raises
-    ------
-    InputError
-        The file is missing, truncated, damaged, not glTF 2.0, or needs what is not read: Draco or
-        meshopt compression, Basis textures, sparse accessors; a file it names is missing, or
-        outside its folder.
-
-    """
-    gltf = Gltf.read(Path(path))
-    try:
-        return _Reader(gltf).read(np.eye(3) if up == "z" else Z_UP)
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
-        raise gltf.error(f"it is not sound glTF ({error!r}); export it again") from error
-
-
-class _Reader:
-    """Collects things and triangles while walking over the nodes."""
-
-    def __init__(self, gltf: Gltf) -> None:
+    def __init__(self, gltf: _Gltf) -> None:
         self.gltf = gltf
         self.left_out: Counter[str] = Counter()
-        self.materials = Materials(gltf)
         self.things: list[Thing] = []
         self.thing_rows: dict[str, int] = {}
+        self.shadings: dict[int | None, _Shading] = {}
+        self.pictures: dict[Picture, int] = {}
+        self.images: dict[int, bytes] = {}
         self.columns: dict[str, list[NDArray[Any]]] = {
-            name: []
-            for name in ("vertices", "triangles", "thing_of", "colours", "uv", "picture_of")
+            "vertices": [np.zeros((0, 3))],
+            "triangles": [np.zeros((0, 3), np.int64)],
+            "thing_of": [np.zeros(0, np.int64)],
+            "colours": [np.zeros((0, 3), np.uint8)],
+            "uv": [np.zeros((0, 2))],
+            "picture_of": [np.zeros(0, np.int64)],
         }
         self.vertex_count = 0
 
-    def read(self, map_from_gltf: NDArray[np.float64]) -> Model:
-        nodes = self.gltf.walk()
-        meshed = [
-            (path, world) for path, world in nodes if "mesh" in self.gltf.item("nodes", path[-1])
+    def read(self, map_from_gltf: Floats) -> Model:
+        gltf = self.gltf
+        nodes = [(p, world) for p, world in gltf.walk() if "mesh" in gltf.item("nodes", p[-1])]
+        owners = [
+            next((r for r in reversed(path) if {"label", "id"} & gltf.extras(r).keys()), path[-1])
+            for path, _ in nodes
         ]
-        owners = [self._owner(path) for path, _ in meshed]
-        taken = {_id(_extras(self.gltf, row)) for row in owners}
+        taken = {_id_of(gltf.extras(row)) for row in owners}
         free = (str(n) for n in range(len(owners) + len(taken)) if str(n) not in taken)
         rows: dict[int, int] = {}
-        for owner, (path, world) in zip(owners, meshed, strict=True):
+        for owner, (path, world) in zip(owners, nodes, strict=True):
             if owner not in rows:
-                rows[owner] = self._thing(owner, free)
+                rows[owner] = self.add_thing(owner, free)
             turned = world.copy()
             turned[:3] = map_from_gltf @ world[:3]
-            mesh = self.gltf.item("meshes", self.gltf.item("nodes", path[-1])["mesh"])
-            for primitive in self.gltf.list_of(mesh, "primitives"):
-                self._primitive(primitive, turned, rows[owner])
-        joined = {
-            name: np.concatenate([_EMPTY[name], *arrays]) for name, arrays in self.columns.items()
-        }
+            mesh = gltf.item("meshes", gltf.item("nodes", path[-1])["mesh"])
+            for primitive in gltf.list_of(mesh, "primitives"):
+                self.add_primitive(primitive, turned, rows[owner])
+        scenes = gltf.list_of(gltf.content, "scenes")
+        told = gltf.item("scenes", gltf.content.get("scene", 0)).get("extras") if scenes else None
+        relations, floor = self.read_scene(told if isinstance(told, dict) else {})
+        joined = {name: np.concatenate(arrays) for name, arrays in self.columns.items()}
         return Model(
-            path=self.gltf.path,
+            path=gltf.path,
             things=tuple(self.things),
-            pictures=self.materials.pictures(),
+            pictures=tuple(self.pictures) or (Picture(None),),
             left_out=self.left_out,
-            relations=self._relations(),
-            floor=self._floor(),
+            relations=relations,
+            floor=floor,
             **joined,
         )
 
-    def _told(self) -> Json:
-        """`extras` of the scene, as `placegraph scene export` fills them."""
-        scenes = self.gltf.list_of(self.gltf.content, "scenes")
-        row = self.gltf.content.get("scene", 0)
-        extras = self.gltf.item("scenes", row).get("extras") if scenes else None
-        return extras if isinstance(extras, dict) else {}
+    def read_scene(self, extras: Json) -> tuple[tuple[tuple[int, str, int], ...], float | None]:
+        """Return relations by rows of objects, and the floor's height along the map's z.
 
-    def _floor(self) -> float | None:
-        """Height of the floor along the map's z, where the file tells it of a single scene."""
-        scenes = self._told().get("scenes")
-        if not isinstance(scenes, list) or len(scenes) != 1 or not isinstance(scenes[0], dict):
-            return None
-        floor = scenes[0].get("floor")
-        return float(floor) if isinstance(floor, int | float) and abs(floor) < 1e6 else None
-
-    def _relations(self) -> tuple[tuple[int, str, int], ...]:
-        """Relations between objects by their `extras.id`; such of objects that are gone are dropped."""
-        told = self._told().get("relations")
-        rows = [r for r in told if isinstance(r, list)] if isinstance(told, list) else []
-        return tuple(
+        Both as `placegraph scene export` writes them; relations of objects that are gone are
+        dropped, and of several scenes no floor is known.
+        """
+        entries = extras.get("relations")
+        relations = tuple(
             (self.thing_rows[r[0]], r[1], self.thing_rows[r[2]])
-            for r in rows
-            if len(r) == 3
+            for r in (entries if isinstance(entries, list) else [])
+            if isinstance(r, list)
+            and len(r) == 3
             and all(isinstance(word, str) for word in r)
             and {r[0], r[2]} <= self.thing_rows.keys()
         )
+        scenes = extras.get("scenes")
+        if not isinstance(scenes, list) or len(scenes) != 1 or not isinstance(scenes[0], dict):
+            return relations, None
+        floor = scenes[0].get("floor")
+        known = isinstance(floor, int | float) and abs(floor) < 1e6
+        return relations, float(floor) if known else None
 
-    def _owner(self, path: tuple[int, ...]) -> int:
-        for row in reversed(path):
-            if {"label", "id"} & _extras(self.gltf, row).keys():
-                return row
-        return path[-1]
-
-    def _thing(self, row: int, free: Any) -> int:  # noqa: ANN401  # an iterator of free ids
-        """Row of the thing of a node; nodes that share `extras.id` share their thing."""
-        node, extras = self.gltf.item("nodes", row), _extras(self.gltf, row)
+    def add_thing(self, row: int, free: Iterator[str]) -> int:
+        """Return the row of a node's object; nodes that share `extras.id` share their object."""
+        node, extras = self.gltf.item("nodes", row), self.gltf.extras(row)
         name = str(node.get("name") or "")
-        label = str(extras.get("label") or "") or re.sub(r"\.\d{3,}$", "", name) or "unknown"
-        id_ = _id(extras) or next(free)
+        bare = re.sub(r"\.\d{3,}$", "", name)
+        label = str(extras.get("label") or "") or bare or "unknown"
+        id_ = _id_of(extras) or next(free)
         if id_ in self.thing_rows:
             other = self.things[self.thing_rows[id_]]
             if other.label != label:
@@ -553,7 +436,7 @@ class _Reader:
             return self.thing_rows[id_]
         own = extras.get(OWN)
         own = own if isinstance(own, dict) else {}
-        if own.get("name") == "" and re.sub(r"\.\d{3,}$", "", name) == label:
+        if own.get("name") == "" and bare == label:
             name = ""
         plain = {k: v for k, v in extras.items() if k not in {"label", "id"}}
         attributes = {
@@ -565,10 +448,10 @@ class _Reader:
         self.things.append(Thing(id_, label, name, attributes))
         return len(self.things) - 1
 
-    def _primitive(self, primitive: Json, map_from_node: NDArray[np.float64], thing: int) -> None:
+    def add_primitive(self, primitive: Json, map_from_node: Floats, thing: int) -> None:
         gltf = self.gltf
-        for name in MENDS.keys() & gltf.object_of(primitive, "extensions").keys():
-            raise gltf.error(f"it needs {name}; {MENDS[name]}")
+        for name in _MENDS.keys() & gltf.object_of(primitive, "extensions").keys():
+            raise gltf.error(f"it needs {name}; {_MENDS[name]}")
         attributes = gltf.object_of(primitive, "attributes")
         mode = gltf.whole(primitive, "mode") if "mode" in primitive else _TRIANGLES
         if mode not in {_TRIANGLES, _STRIP, _FAN} or "POSITION" not in attributes:
@@ -577,40 +460,32 @@ class _Reader:
         points = gltf.accessor(attributes["POSITION"]).astype(np.float64)
         if points.shape[1] != 3:
             raise gltf.error("a POSITION has not three coordinates; export it again")
-        corners = self._corners(primitive, mode, len(points))
+        corners = self.read_corners(primitive, mode, len(points))
         if np.linalg.det(map_from_node[:3, :3]) < 0:  # a mirrored part is turned inside out
             corners = corners[:, ::-1]
-        look = self.materials.look(primitive.get("material"))
+        material = primitive.get("material")
+        if material not in self.shadings:
+            self.shadings[material] = self.read_shading(material)
+        shading = self.shadings[material]
         uv = np.zeros((len(points), 2))
-        coordinates = attributes.get(f"TEXCOORD_{look.texcoord}")
+        coordinates = attributes.get(f"TEXCOORD_{shading.texcoord}")
         if coordinates is not None:
-            uv = look.place(self._column(coordinates, len(points))[:, :2].astype(np.float64))
+            column = self.read_column(coordinates, len(points))
+            uv = shading.transform(column[:, :2].astype(np.float64))
         colours = np.full(points.shape, 255, np.uint8)
         if "COLOR_0" in attributes:
-            colours = vertex_colours(gltf, self._column(attributes["COLOR_0"], len(points)))
+            colours = self.encode_colours(self.read_column(attributes["COLOR_0"], len(points)))
         with np.errstate(over="ignore", invalid="ignore"):
             placed = points @ map_from_node[:3, :3].T + map_from_node[:3, 3]
-        self._append(placed, corners, thing, colours, uv, look.picture)
-
-    def _append(
-        self,
-        vertices: NDArray[np.float64],
-        corners: NDArray[np.int64],
-        thing: int,
-        colours: NDArray[np.uint8],
-        uv: NDArray[np.float64],
-        picture: int,
-    ) -> None:
-        count = len(corners)
         for name, array in (
-            ("vertices", vertices), ("triangles", corners + self.vertex_count),
-            ("thing_of", np.full(count, thing)), ("colours", colours), ("uv", uv),
-            ("picture_of", np.full(count, picture)),
+            ("vertices", placed), ("triangles", corners + self.vertex_count), ("colours", colours),
+            ("uv", uv), ("thing_of", np.full(len(corners), thing)),
+            ("picture_of", np.full(len(corners), shading.picture)),
         ):  # fmt: skip
             self.columns[name].append(array)
-        self.vertex_count += len(vertices)
+        self.vertex_count += len(points)
 
-    def _column(self, accessor: object, count: int) -> NDArray[Any]:
+    def read_column(self, accessor: object, count: int) -> NDArray[Any]:
         column = self.gltf.accessor(accessor)
         if len(column) != count or column.shape[1] < 2:
             raise self.gltf.error(
@@ -618,15 +493,14 @@ class _Reader:
             )
         return column
 
-    def _corners(self, primitive: Json, mode: int, count: int) -> NDArray[np.int64]:
-        """Triangles (T, 3) of a primitive in rows of its vertices."""
+    def read_corners(self, primitive: Json, mode: int, count: int) -> NDArray[np.int64]:
+        """Return triangles (T, 3) of a primitive in rows of its vertices."""
+        row = np.arange(count)
         if "indices" in primitive:
             rows = self.gltf.accessor(primitive["indices"])
             if rows.dtype.kind != "u" or rows.shape[1] != 1:
                 raise self.gltf.error("indices are not unsigned integers; export it again")
             row = rows[:, 0].astype(np.int64)
-        else:
-            row = np.arange(count)
         if row.size and row.max() >= count:
             raise self.gltf.error(f"an index is {row.max()} of {count} vertices; export it again")
         if mode == _TRIANGLES:
@@ -637,23 +511,79 @@ class _Reader:
         odd = first % 2  # of a strip every other triangle is wound the other way
         return np.stack([row[first], row[first + 1 + odd], row[first + 2 - odd]], axis=1)
 
+    def read_shading(self, row: int | None) -> _Shading:
+        """Return the shading of a material: base colour, and texture; plain white where it is None."""
+        gltf = self.gltf
+        material = {} if row is None else gltf.item("materials", row)
+        base = gltf.object_of(material, "pbrMetallicRoughness")
+        keys = ("baseColorTexture", "baseColorFactor")
+        older = gltf.object_of(material, "extensions").get("KHR_materials_pbrSpecularGlossiness")
+        if isinstance(older, dict) and keys[0] not in base:
+            base, keys = older, ("diffuseTexture", "diffuseFactor")
+        r, g, b, _ = np.clip(gltf.floats(base, keys[1], (1.0,) * 4), 0.0, 1.0).tolist()
+        info = gltf.object_of(base, keys[0])
+        if not info:
+            return _Shading(self.add_picture(Picture(None, (r, g, b))))
+        texture = gltf.item("textures", info.get("index"))
+        wraps = [0, 0]
+        if "sampler" in texture:
+            sampler = gltf.item("samplers", texture["sampler"])
+            wraps = [gltf.whole(sampler, key) for key in ("wrapS", "wrapT")]
+        mirrored = (wraps[0] == _MIRROR, wraps[1] == _MIRROR)
+        data, name = self.read_image(texture)
+        moved = gltf.object_of(gltf.object_of(info, "extensions"), "KHR_texture_transform")
+        affine = None
+        if moved:  # scale, then rotation (counter-clockwise of v down), then offset
+            scale = gltf.floats(moved, "scale", (1.0, 1.0))
+            offset = gltf.floats(moved, "offset", (0.0, 0.0))
+            turn = {"rotation": [moved.get("rotation", 0.0)]}
+            (angle,) = gltf.floats(turn, "rotation", (0.0,))
+            c, s = cos(angle), sin(angle)
+            affine = np.column_stack([np.array([[c, s], [-s, c]]) * scale, offset])
+        return _Shading(
+            picture=self.add_picture(Picture(data, (r, g, b), mirrored, name)),
+            texcoord=gltf.whole(moved if "texCoord" in moved else info, "texCoord"),
+            affine=affine,
+            clamped=(wraps[0] == _CLAMP, wraps[1] == _CLAMP),
+            mirrored=mirrored,
+        )
 
-_EMPTY: dict[str, Any] = {
-    "vertices": np.zeros((0, 3)),
-    "triangles": np.zeros((0, 3), np.int64),
-    "thing_of": np.zeros(0, np.int64),
-    "colours": np.zeros((0, 3), np.uint8),
-    "uv": np.zeros((0, 2)),
-    "picture_of": np.zeros(0, np.int64),
-}
+    def add_picture(self, picture: Picture) -> int:
+        return self.pictures.setdefault(picture, len(self.pictures))
+
+    def read_image(self, texture: Json) -> tuple[bytes, str]:
+        """Return the encoded bytes of a texture's image, and its name for messages."""
+        source = texture.get("source")
+        webp = self.gltf.object_of(texture, "extensions").get("EXT_texture_webp")
+        if isinstance(webp, dict):
+            source = webp.get("source", source)
+        entry = self.gltf.item("images", source)
+        row = self.gltf.whole({"source": source}, "source")
+        if row not in self.images:
+            uri = entry.get("uri")
+            self.images[row] = (
+                bytes(self.gltf.view(entry.get("bufferView")))
+                if uri is None
+                else self.gltf.resolve(uri, f"images[{row}]")
+            )
+        return self.images[row], f"{self.gltf.path}: images[{row}] {entry.get('name', '')}".strip()
+
+    def encode_colours(self, values: NDArray[Any]) -> NDArray[np.uint8]:
+        """Return colours (V, 3) uint8, sRGB, of COLOR_0, which is linear by the standard."""
+        if values.shape[1] < 3:
+            raise self.gltf.error("a COLOR_0 has not three channels; export it again")
+        share = values[:, :3].astype(np.float64)
+        if values.dtype.kind == "u":  # integers that forgot to say that they are normalised
+            share /= np.iinfo(values.dtype).max
+        share = np.clip(np.nan_to_num(share), 0.0, 1.0)
+        asset = self.gltf.object_of(self.gltf.content, "asset")
+        generator = str(asset.get("generator", "")).lower()
+        if not any(writer in generator for writer in _SRGB_WRITERS):
+            share = np.where(share <= 0.0031308, 12.92 * share, 1.055 * share ** (1 / 2.4) - 0.055)
+        return np.rint(255.0 * share).astype(np.uint8)
 
 
-def _extras(gltf: Gltf, row: int) -> Json:
-    extras = gltf.item("nodes", row).get("extras")
-    return extras if isinstance(extras, dict) else {}
-
-
-def _id(extras: Json) -> str:
+def _id_of(extras: Json) -> str:
     """`extras.id` as text; empty where there is none."""
     value = extras.get("id")
     if isinstance(value, float) and value.is_integer():

@@ -1,4 +1,4 @@
-"""What readers of 3D files return: triangles that know their object, pictures, and no opinion.
+"""What readers of 3D files return: triangles that know their object, and pictures.
 
 Floor, relations and the size of pictures are the builder's: `placegraph.indoor.build`.
 """
@@ -12,6 +12,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.files import regular
+from placegraph.errors import InputError
+
+Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+"""Turns y-up axes, as of glTF, into the map's: x, y, z become x, -z, y."""
+UNKNOWN = "unknown"
+"""Id and label of the object made of faces that belong to none."""
 
 @dataclass(frozen=True, slots=True)
 class Thing:
@@ -63,3 +70,26 @@ class Model:
     """(row of a thing, relation, row of another) where the file says so."""
     floor: float | None = None
     """Height of the floor [m] where the file says so."""
+
+
+def read_bytes(path: Path) -> bytes:
+    """Read a file; raises `InputError` where it cannot be read."""
+    try:
+        return regular(path).read_bytes()
+    except FileNotFoundError as error:
+        raise InputError(f"{path} does not exist.") from error
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise InputError(f"{path} cannot be read: {why}.") from error
+
+
+def fans(lengths: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Cut polygons into fans: triangles (T, 3) in rows of all their corners, and the polygon of each.
+
+    `lengths`: (F,) corners of each polygon, whose corners stand one polygon after the other.
+    """
+    count = np.maximum(lengths - 2, 0)
+    face = np.repeat(np.arange(len(lengths)), count)
+    step = np.arange(len(face)) - np.repeat(np.cumsum(count) - count, count)
+    first = (np.cumsum(lengths) - lengths)[face]
+    return np.stack([first, first + step + 1, first + step + 2], axis=1), face

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from placegraph.core.files import regular
 from placegraph.errors import InputError, OptionError
 from placegraph.io.capture.json_files import LabelEntry
-from placegraph.io.mesh.gltf import Z_UP
+from placegraph.io.mesh.model import Z_UP
 from placegraph.io.mesh.model import Model, Picture, Thing
-from placegraph.io.mesh.ply import UNKNOWN
+from placegraph.io.mesh.model import UNKNOWN
 
 _OPTION_VALUES = {
     "-blendu": 1, "-blendv": 1, "-cc": 1, "-clamp": 1, "-imfchan": 1, "-texres": 1, "-boost": 1,
@@ -478,7 +478,7 @@ def read_obj(
         Which keyword parts the file into things; auto: the first of `o`, `g` and `usemtl` that
         names two or more, else the first that names any.
     table
-        What the names are called: `placegraph.io.capture.json_files.label_table`.
+        What the names are called: `placegraph.io.capture.labels.label_table`.
 
     Raises
     ------

@@ -20,7 +20,8 @@ from placegraph.io.capture.frame import LabelKind, Meanings, label_file
 from placegraph.io.capture.images import image_size
 from placegraph.io.capture.json_files import read_json
 from placegraph.io.mesh.model import Model, Thing
-from placegraph.io.mesh.ply import UNKNOWN, majority, read_columns, read_ply
+from placegraph.io.mesh.model import UNKNOWN
+from placegraph.io.mesh.ply import majority, read_columns, read_ply
 
 FILES = (
     "_vh_clean_2.0.010000.segs.json", "_vh_clean_2.labels.ply", "_vh_clean.aggregation.json",
