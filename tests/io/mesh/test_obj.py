@@ -13,7 +13,8 @@ from PIL import Image
 from placegraph.errors import InputError, OptionError
 from placegraph.io.capture.json_files import LabelEntry
 from placegraph.io.mesh import obj as obj_lines
-from placegraph.io.mesh.obj import fans, is_obj, read_obj
+from placegraph.io.mesh.model import fans
+from placegraph.io.mesh.obj import is_obj, read_obj
 
 ROOM = """\
 # made by hand

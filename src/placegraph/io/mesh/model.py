@@ -20,6 +20,7 @@ Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 UNKNOWN = "unknown"
 """Id and label of the object made of faces that belong to none."""
 
+
 @dataclass(frozen=True, slots=True)
 class Thing:
     """One object of a model."""

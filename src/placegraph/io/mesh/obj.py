@@ -1,11 +1,15 @@
-"""Reader of Wavefront OBJ meshes with their materials: objects, groups or materials as objects."""
+"""Reader of Wavefront OBJ meshes with their materials: objects, groups or materials as objects.
+
+The text is told apart, counted and parsed by whole arrays, a block of some megabytes at a time; only
+the few lines that name something (`o`, `g`, `usemtl`, `mtllib`) are looked at one by one.
+"""
 
 from __future__ import annotations
 
 import re
 import warnings
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
@@ -15,12 +19,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.files import regular
+from placegraph.core.geometry import Floats
 from placegraph.errors import InputError, OptionError
 from placegraph.io.capture.json_files import LabelEntry
-from placegraph.io.mesh.model import Z_UP
-from placegraph.io.mesh.model import Model, Picture, Thing
-from placegraph.io.mesh.model import UNKNOWN
+from placegraph.io.mesh.model import UNKNOWN, Z_UP, Model, Picture, Thing, fans, read_bytes
 
+Rows = NDArray[np.int64]
+Groups = Literal["auto", "o", "g", "usemtl"]
+
+BLOCK = 1 << 24
+_LONGEST_LINE = 1 << 22
+_NEWLINE, _SPACE, _SLASH, _HASH = b"\n /#"
+_SPACES = bytes.maketrans(b"\t\r\v\f\0", b"     ")
+_NAMED = ("o", "g", "usemtl")  # keywords that say what the faces after them belong to
 _OPTION_VALUES = {
     "-blendu": 1, "-blendv": 1, "-cc": 1, "-clamp": 1, "-imfchan": 1, "-texres": 1, "-boost": 1,
     "-bm": 1, "-type": 1, "-colorspace": 1, "-mm": 2, "-o": 3, "-s": 3, "-t": 3,
@@ -29,156 +40,152 @@ _OPTION_VALUES = {
 _MOVING = ("-o", "-s", "-t")
 
 
-@dataclass(slots=True)
-class _Material:
-    factor: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    """As the file says it, which is taken as sRGB: so do viewers show it."""
-    picture: Path | None = None
+def is_obj(path: Path) -> bool:
+    """Return whether a path looks like an OBJ file."""
+    return path.suffix.lower() == ".obj" and path.is_file()
 
 
-def read_materials(
-    libraries: Iterable[Path], wanted: Iterable[str], left_out: Counter[str]
-) -> dict[str, Picture]:
-    """Pictures of the materials that are wanted, by name; what is missing is counted.
+def read_obj(
+    path: str | PathLike[str],
+    *,
+    up: Literal["y", "z"] = "z",
+    groups: Groups = "auto",
+    table: Mapping[str, LabelEntry] | None = None,
+) -> Model:
+    """Read an OBJ mesh, its material files and their textures.
 
-    A texture that is missing leaves the material its `Kd`; a material that is missing is not in the
-    answer. `Kd 0 0 0` beside a texture means nothing, as some exporters have it. Raises
-    `InputError` where a library is there but cannot be read, or holds a colour that is no number.
+    Polygons become fans of triangles. Faces of one name are one object, wherever they stand; its id
+    is the name, its label the name without a counter such as Blender's `.001`. Faces without a name
+    are one object "unknown". Colours after coordinates are sRGB, 0 to 1 (or 0 to 255).
+
+    Parameters
+    ----------
+    up
+        Axis that points up in it.
+    groups
+        Which keyword parts the file into objects; auto: the first of `o`, `g` and `usemtl` that
+        names two or more, else the first that names any.
+    table
+        What the names are called: `placegraph.io.capture.labels.label_table`.
+
+    Raises
+    ------
+    InputError
+        The file is missing, holds no vertex, or a vertex or a face that is none; or a material
+        file cannot be read.
+    OptionError
+        `groups` is none of its values.
+
     """
-    materials: dict[str, _Material] = {}
-    for library in libraries:
-        if library.is_file():
-            for name, material in _read(library, left_out).items():
-                materials.setdefault(name, material)
-        else:
-            left_out["material files that are missing"] += 1
-    found: dict[str, Picture] = {}
-    for name in wanted:
-        if name in materials:
-            found[name] = _picture(materials[name], left_out)
-        else:
-            left_out["materials that no material file holds"] += 1
-    return found
+    if groups not in {"auto", *_NAMED}:
+        raise OptionError(f"groups is {groups!r}; it is 'auto', 'o', 'g' or 'usemtl'.")
+    parser = _Parser(Path(path))
+    for block in _read_blocks(parser.path):
+        parser.add(block)
+    text = parser.join()
+    corner, face = fans(text.lengths)
+    if degenerate := int((text.lengths < 3).sum()):
+        text.left_out["faces of fewer than three corners"] += degenerate
+    vertex, uv, triangles = _index_vertices(text, corner)
+    keyword: str = groups
+    if groups == "auto":
+        named = [k for k in _NAMED if text.names[k]]
+        several = [k for k in named if len(np.unique(text.name_of[k][face])) > 1]
+        keyword = (several or named or ["o"])[0]
+    used, thing_of = np.unique(text.name_of[keyword][face], return_inverse=True)
+    names = [text.names[keyword][i] if i >= 0 else "" for i in used.tolist()]
+    pictures, picture_of = _read_pictures(text, face)
+    vertices = text.vertices[vertex]
+    return Model(
+        path=text.path,
+        things=tuple(_make_thing(name, (table or {}).get(name)) for name in names),
+        vertices=vertices @ Z_UP.T if up == "y" else vertices,
+        triangles=triangles,
+        thing_of=thing_of.reshape(-1),
+        colours=_encode_colours(text)[vertex],
+        uv=uv,
+        picture_of=picture_of,
+        pictures=pictures,
+        left_out=text.left_out,
+    )
 
 
-def _read(path: Path, left_out: Counter[str]) -> dict[str, _Material]:
-    try:
-        lines = regular(path).read_text(encoding="utf-8-sig", errors="replace").splitlines()
-    except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror}.") from error
-    materials: dict[str, _Material] = {}
-    current = _Material()
-    for number, line in enumerate(lines, 1):
-        keyword, _, rest = line.strip().partition(" ")
-        rest = rest.strip()
-        if keyword == "newmtl":
-            current = materials.setdefault(rest, _Material())
-        elif keyword == "Kd":
-            current.factor = _colour(path, number, rest)
-        elif keyword == "map_Kd":
-            words = rest.split()
-            if any(option in words for option in _MOVING):
-                left_out["textures whose offset or scale was not applied"] += 1
-            name = _file_name(rest)
-            current.picture = _find(path.parent, name) if name else None
-    return materials
+@dataclass(frozen=True, slots=True, eq=False)
+class _Text:
+    """Columns of an OBJ file; rows count from 0."""
+
+    path: Path
+    vertices: Floats  # (V, 3)
+    colours: NDArray[np.float32]  # (V, 3) as they stand after the coordinates, else NaN
+    uv: Floats  # (U, 2), v up
+    lengths: Rows  # (F,) corners of each face
+    corners: Rows  # (C,) rows of vertices, face after face
+    corner_uv: Rows  # (C,) rows of uv, -1: none
+    names: dict[str, tuple[str, ...]]  # of `o`, `g` and `usemtl`, in their order
+    name_of: dict[str, Rows]  # (F,) rows of names, -1: none
+    libraries: list[str]
+    left_out: Counter[str]
 
 
-def _colour(path: Path, number: int, rest: str) -> tuple[float, float, float]:
-    words = rest.partition("#")[0].split()
-    if words[:1] in (["spectral"], ["xyz"]):
-        return 1.0, 1.0, 1.0
-    try:
-        r, g, b = (min(max(float(w), 0.0), 1.0) for w in (words * 3 if len(words) == 1 else words))
-    except ValueError as error:
-        raise InputError(
-            f"{path}, line {number}: Kd is {rest[:40]!r}; it must be three numbers from 0 to 1."
-        ) from error
-    return r, g, b
+def _index_vertices(text: _Text, corner: Rows) -> tuple[Rows, Floats, Rows]:
+    """Vertex of each of the model's vertices, its texture coordinates (v down), and triangles.
+
+    A vertex that faces give several texture coordinates is there as often.
+    """
+    count = len(text.vertices)
+    rows, mapped = text.corners[corner], text.corner_uv[corner]
+    if (mapped < 0).all():
+        return np.arange(count), np.zeros((count, 2)), rows
+    table = np.concatenate([text.uv * (1.0, -1.0) + (0.0, 1.0), np.zeros((1, 2))])  # -1: the last
+    uv_of = np.zeros(count, np.int64)
+    uv_of[rows] = mapped
+    if (uv_of[rows] == mapped).all():  # no vertex has two texture coordinates
+        uv = np.zeros((count, 2))
+        uv[rows] = table[mapped]
+        return np.arange(count), uv, rows
+    pairs, triangles = np.unique(rows * len(table) + mapped + 1, return_inverse=True)
+    return pairs // len(table), table[pairs % len(table) - 1], triangles.reshape(-1, 3)
 
 
-def _file_name(rest: str) -> str:
-    """What remains of `map_Kd` without its options; a file's name may hold blanks."""
-    while rest:
-        word, _, after = rest.partition(" ")
-        if word not in _OPTION_VALUES:
-            break
-        rest = after.strip()
-        for i in range(_OPTION_VALUES[word]):
-            value, _, after = rest.partition(" ")
-            if i and word in _MOVING and not _is_number(value):  # they have one to three numbers
-                break
-            rest = after.strip()
-    return rest
+def _make_thing(name: str, entry: LabelEntry | None) -> Thing:
+    if entry is not None:
+        return Thing(name, entry.label, entry.name or name, entry.attributes)
+    return Thing(name or UNKNOWN, re.sub(r"\.\d{3,}$", "", name) or UNKNOWN, name)
 
 
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
+def _encode_colours(text: _Text) -> NDArray[np.uint8]:
+    """(V, 3) sRGB; white where there are none."""
+    there = np.isfinite(text.colours).all(axis=1)
+    colours = np.full(text.vertices.shape, 255, np.uint8)
+    if there.any():
+        share: NDArray[Any] = text.colours[there]
+        share = share if share.max() > 1.0 else share * 255.0
+        colours[there] = np.rint(np.clip(share, 0, 255)).astype(np.uint8)
+        if not there.all():
+            text.left_out["vertices without the colour that others have"] += int((~there).sum())
+    return colours
 
 
-def _find(folder: Path, name: str) -> Path:
-    """Texture by its name; of a path from another machine the last part is tried beside the file."""
-    name = name.strip('"').replace("\\", "/")
-    try:
-        there = (folder / name).is_file()
-    except (OSError, ValueError):  # too long, or with a null byte
-        there = False
-    return folder / name if there else folder / name.rsplit("/", 1)[-1]
-
-
-def _picture(material: _Material, left_out: Counter[str]) -> Picture:
-    r, g, b = (_linear(channel) for channel in material.factor)
-    data = None
-    if material.picture is not None:
-        try:
-            data = regular(material.picture).read_bytes()
-        except (OSError, ValueError):
-            left_out["textures that are missing"] += 1
-    if data is None:
-        return Picture(None, (r, g, b))
-    if r == g == b == 0.0:
-        r = g = b = 1.0
-    return Picture(data, (r, g, b), name=str(material.picture))
-
-
-def _linear(channel: float) -> float:
-    """Linear intensity of an sRGB value (IEC 61966-2-1)."""
-    return channel / 12.92 if channel <= 0.04045 else float(((channel + 0.055) / 1.055) ** 2.4)
-
-
-Bytes = NDArray[np.uint8]
-Rows = NDArray[np.int64]
-
-
-BLOCK = 1 << 24
-_LONGEST_LINE = 1 << 22
-NEWLINE, SPACE, SLASH, _HASH = b"\n /#"
-
-
-class Lines(NamedTuple):
+class _Lines(NamedTuple):
     """Some lines of a block, one after the other."""
 
-    text: Bytes  # Without the keywords and comments
+    text: NDArray[np.uint8]  # without the keywords and comments
     starts: Rows
-    rows: Rows  # Which lines of the block they are
+    rows: Rows  # which lines of the block they are
 
     def words(self) -> Rows:
-        """Where words begin."""
-        begins = (self.text != SPACE) & (self.text != NEWLINE)
+        """Return where words begin."""
+        begins = (self.text != _SPACE) & (self.text != _NEWLINE)
         begins[1:] &= ~begins[:-1]
         return np.flatnonzero(begins)
 
-    def held(self, places: Rows) -> Rows:
-        """How many of these places (ascending) each line holds."""
+    def count(self, places: Rows) -> Rows:
+        """Return how many of these places (ascending) each line holds."""
         ends = np.append(self.starts[1:], len(self.text))
         return np.searchsorted(places, ends) - np.searchsorted(places, self.starts)
 
 
-def blocks(path: Path) -> Iterator[bytes]:
+def _read_blocks(path: Path) -> Iterator[bytes]:
     """Whole lines, some megabytes at a time; a line that ends with a backslash goes on."""
     try:
         with regular(path).open("rb") as file:
@@ -202,71 +209,9 @@ def blocks(path: Path) -> Iterator[bytes]:
     yield rest
 
 
-def lines_of(
-    data: Bytes, starts: Rows, first: Rows, ends: Rows, wanted: NDArray[np.bool_], keyword: int
-) -> Lines:
-    """Lines of one kind; `first` is where their keywords of so many letters stand."""
-    rows = np.flatnonzero(wanted)
-    lengths = (ends - starts + 1)[rows]
-    text = data[: ends[-1] + 1 if len(ends) else 0][np.repeat(wanted, ends - starts + 1)].copy()
-    begin = np.cumsum(lengths) - lengths
-    for i in range(keyword):
-        text[begin + (first - starts)[rows] + i] = SPACE
-    if _HASH in text:
-        hashes = np.cumsum(text == _HASH)
-        before = np.where(begin > 0, hashes[begin - 1], 0)
-        text[(hashes > np.repeat(before, lengths)) & (text != NEWLINE)] = SPACE
-    return Lines(text, begin, rows)
-
-
-def following(numbers: NDArray[Any], at: Rows) -> NDArray[Any]:
-    """Numbers after these places, or any where there is none."""
-    after: NDArray[Any] = numbers[np.minimum(at + 1, max(len(numbers) - 1, 0))]
-    return after
-
-
-def resolved(numbers: Rows, count: Rows) -> Rows:
-    """Rows from 0 of numbers from 1, or of negative ones from the last; negative: none."""
-    return np.where(numbers > 0, numbers - 1, np.where(numbers < 0, count + numbers, -1))
-
-
-_SPACES = bytes.maketrans(b"\t\r\v\f\0", b"     ")
-NAMED = ("o", "g", "usemtl")  # Keywords that say what the faces after them belong to
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ObjText:
-    """What an OBJ file says; rows count from 0."""
-
-    path: Path
-    vertices: NDArray[np.float64]  # (V, 3)
-    colours: NDArray[np.float32]
-    """(V, 3) as they stand after the coordinates, NaN where they do not."""
-    uv: NDArray[np.float64]  # (U, 2), v up
-    lengths: Rows  # (F,) corners of each face
-    corners: Rows  # (C,) rows of vertices, face after face
-    corner_uv: Rows  # (C,) rows of uv, -1: none
-    names: dict[str, tuple[str, ...]]  # Of `o`, `g` and `usemtl`: names in their order
-    name_of: dict[str, Rows]  # (F,) rows of names, -1: none
-    libraries: tuple[str, ...]
-    left_out: Counter[str]
-
-
-def read_obj_text(path: Path) -> ObjText:
-    """Read an OBJ file.
-
-    Raises `InputError` where it is missing, unreadable, without a vertex, or holds a vertex or a
-    face that is none; the message names the line.
-    """
-    text = _Text(path)
-    for block in blocks(path):
-        text.add(block)
-    return text.columns()
-
-
 @dataclass(slots=True)
-class _Text:
-    """Columns as they grow."""
+class _Parser:
+    """Columns of an OBJ file as they grow."""
 
     path: Path
     line: int = 0
@@ -274,12 +219,14 @@ class _Text:
     uv_count: int = 0
     parts: dict[str, list[NDArray[Any]]] = field(
         default_factory=lambda: {
-            name: []
-            for name in ("vertices", "colours", "uv", "lengths", "corners", "corner_uv", *NAMED)
+            "vertices": [np.zeros((0, 3))],
+            "colours": [np.zeros((0, 3), np.float32)],
+            "uv": [np.zeros((0, 2))],
+            **{k: [np.zeros(0, np.int64)] for k in ("lengths", "corners", "corner_uv", *_NAMED)},
         }
     )
-    names: dict[str, dict[str, int]] = field(default_factory=lambda: {k: {} for k in NAMED})
-    current: dict[str, int] = field(default_factory=lambda: dict.fromkeys(NAMED, -1))
+    names: dict[str, dict[str, int]] = field(default_factory=lambda: {k: {} for k in _NAMED})
+    current: dict[str, int] = field(default_factory=lambda: dict.fromkeys(_NAMED, -1))
     libraries: list[str] = field(default_factory=list)
     left_out: Counter[str] = field(default_factory=Counter)
 
@@ -288,80 +235,94 @@ class _Text:
             block = block.replace(b"\\\r\n", b"  ").replace(b"\\\n", b" ")
         block = block.translate(_SPACES)
         data = np.frombuffer(block if block.endswith(b"\n") else block + b"\n  ", np.uint8)
-        ends = np.flatnonzero(data == NEWLINE)
+        ends = np.flatnonzero(data == _NEWLINE)
         starts = np.concatenate([[0], ends[:-1] + 1])
         first = starts.copy()
         for _ in range(64):  # indentation
-            blank = data[first] == SPACE
+            blank = data[first] == _SPACE
             if not blank.any():
                 break
             first += blank
         last = len(data) - 1
         a, b, c = (data[np.minimum(first + i, last)] for i in range(3))
-        is_vertex = (a == ord("v")) & (b == SPACE)
-        is_uv = (a == ord("v")) & (b == ord("t")) & (c == SPACE)
-        is_face = (a == ord("f")) & (b == SPACE)
-        lines = (data, starts, first, ends)
-        self._vertices(lines_of(*lines, is_vertex, 1))
-        self._uv(lines_of(*lines, is_uv, 2))
-        faces = lines_of(*lines, is_face, 1)
-        self._faces(faces, np.cumsum(is_vertex), np.cumsum(is_uv))
-        self._named(block, starts, ends, np.flatnonzero(np.isin(a, list(b"ogum"))), faces.rows)
-        flat = int((((a == ord("l")) | (a == ord("p"))) & (b == SPACE)).sum())
+        is_vertex = (a == ord("v")) & (b == _SPACE)
+        is_uv = (a == ord("v")) & (b == ord("t")) & (c == _SPACE)
+        is_face = (a == ord("f")) & (b == _SPACE)
+
+        def select(wanted: NDArray[np.bool_], keyword: int) -> _Lines:
+            """Lines of one kind, whose keywords have so many letters."""
+            lengths = ends - starts + 1
+            text = data[: ends[-1] + 1 if len(ends) else 0][np.repeat(wanted, lengths)].copy()
+            rows = np.flatnonzero(wanted)
+            lengths = lengths[rows]
+            begin = np.cumsum(lengths) - lengths
+            for i in range(keyword):
+                text[begin + (first - starts)[rows] + i] = _SPACE
+            if _HASH in text:
+                hashes = np.cumsum(text == _HASH)
+                before = np.where(begin > 0, hashes[begin - 1], 0)
+                text[(hashes > np.repeat(before, lengths)) & (text != _NEWLINE)] = _SPACE
+            return _Lines(text, begin, rows)
+
+        counts, at, numbers = self.read_rows(
+            select(is_vertex, 1), 3, "a vertex has three coordinates"
+        )
+        corners = at[:, None] + np.arange(3)
+        coloured = counts >= 6  # x y z r g b; x y z w is without colour
+        colours = np.full(corners.shape, np.nan, np.float32)
+        colours[coloured] = numbers[corners[coloured] + (counts[coloured, None] - 3)]
+        self.parts["vertices"].append(numbers[corners])
+        self.parts["colours"].append(colours)
+        counts, at, numbers = self.read_rows(select(is_uv, 2), 1, "a texture vertex has u and v")
+        v = np.where(counts > 1, _following(numbers, at), 0.0)
+        self.parts["uv"].append(np.stack([numbers[at], v], axis=1))
+        faces = select(is_face, 1)
+        self.add_faces(faces, np.cumsum(is_vertex), np.cumsum(is_uv))
+        self.add_names(block, starts, ends, np.flatnonzero(np.isin(a, list(b"ogum"))), faces.rows)
+        flat = int((((a == ord("l")) | (a == ord("p"))) & (b == _SPACE)).sum())
         if flat:
             self.left_out["lines and points, which have no surface"] += flat
         self.line += len(starts)
         self.vertex_count += int(is_vertex.sum())
         self.uv_count += int(is_uv.sum())
 
-    def _vertices(self, lines: Lines) -> None:
+    def read_rows(self, lines: _Lines, least: int, what: str) -> tuple[Rows, Rows, Floats]:
+        """Return how many numbers lines hold, where each line's begin, and all numbers."""
         words = lines.words()
-        counts, numbers = lines.held(words), self._numbers(lines, words, np.float64)
-        self._enough(lines, counts, 3, "a vertex has three coordinates")
-        at = (np.cumsum(counts) - counts)[:, None] + np.arange(3)
-        coloured = counts >= 6  # x y z r g b; x y z w is without colour
-        self.parts["vertices"].append(numbers[at])
-        colours = np.full(at.shape, np.nan, np.float32)
-        colours[coloured] = numbers[at[coloured] + (counts[coloured, None] - 3)]
-        self.parts["colours"].append(colours)
+        counts, numbers = lines.count(words), self.parse(lines, words, np.float64)
+        short = np.flatnonzero(counts < least)
+        if short.size:
+            raise self.error(int(lines.rows[short[0]]), f"it is cut off: {what}")
+        return counts, np.cumsum(counts) - counts, numbers
 
-    def _uv(self, lines: Lines) -> None:
-        words = lines.words()
-        counts, numbers = lines.held(words), self._numbers(lines, words, np.float64)
-        self._enough(lines, counts, 1, "a texture vertex has u and v")
-        at = np.cumsum(counts) - counts
-        v = np.where(counts > 1, following(numbers, at), 0.0)
-        self.parts["uv"].append(np.stack([numbers[at], v], axis=1))
-
-    def _faces(self, lines: Lines, vertices: Rows, uv: Rows) -> None:
-        """Corners `v`, `v/vt`, `v//vn` or `v/vt/vn`; negative ones count back from their line."""
+    def add_faces(self, lines: _Lines, vertices: Rows, uv: Rows) -> None:
+        """Add corners `v`, `v/vt`, `v//vn` or `v/vt/vn`; negative ones count back from their line."""
         text = np.frombuffer(lines.text.tobytes().replace(b"//", b"/0/"), np.uint8).copy()
-        ends = np.flatnonzero(text == NEWLINE)
-        lines = Lines(text, np.append(0, ends + 1)[: len(ends)], lines.rows)
-        corners, slashes = lines.words(), np.flatnonzero(text == SLASH)
+        ends = np.flatnonzero(text == _NEWLINE)
+        lines = _Lines(text, np.append(0, ends + 1)[: len(ends)], lines.rows)
+        corners, slashes = lines.words(), np.flatnonzero(text == _SLASH)
         more = np.diff(np.searchsorted(slashes, np.append(corners, len(text))))
-        text[slashes] = SPACE
+        text[slashes] = _SPACE
         words = lines.words()
-        numbers = self._numbers(lines, words, np.int64, int)
+        numbers = self.parse(lines, words, np.int64, int)
         if len(words) != len(corners) + len(slashes):  # as of 1/ or /1
-            raise self._error(int(lines.rows[0]), "after it a corner lacks a number beside its /")
+            raise self.error(int(lines.rows[0]), "after it a corner lacks a number beside its /")
         at = np.cumsum(1 + more) - (1 + more)
-        lengths = lines.held(corners)
+        lengths = lines.count(corners)
         row = np.repeat(lines.rows, lengths)
-        corner = resolved(numbers[at], self.vertex_count + vertices[row])
-        mapped = np.where(more > 0, following(numbers, at), 0)
-        corner_uv = np.where(mapped == 0, -1, resolved(mapped, self.uv_count + uv[row]))
+        corner = _resolve(numbers[at], self.vertex_count + vertices[row])
+        mapped = np.where(more > 0, _following(numbers, at), 0)
+        corner_uv = np.where(mapped == 0, -1, _resolve(mapped, self.uv_count + uv[row]))
         wrong = (corner < 0) | ((corner_uv < 0) & (mapped != 0))
         if wrong.any():
-            raise self._error(int(row[wrong][0]), "a face names a vertex that is not there")
-        self.parts["lengths"].append(lengths)
-        self.parts["corners"].append(corner)
-        self.parts["corner_uv"].append(corner_uv)
+            raise self.error(int(row[wrong][0]), "a face names a vertex that is not there")
+        for name, column in (("lengths", lengths), ("corners", corner), ("corner_uv", corner_uv)):
+            self.parts[name].append(column)
 
-    def _named(self, block: bytes, starts: Rows, ends: Rows, rows: Rows, faces: Rows) -> None:
-        """What the faces of a block belong to."""
+    def add_names(self, block: bytes, starts: Rows, ends: Rows, rows: Rows, faces: Rows) -> None:
+        """Add what the faces of a block belong to."""
         events: dict[str, tuple[list[int], list[int]]] = {
-            k: ([-1], [self.current[k]]) for k in NAMED
+            k: ([-1], [self.current[k]]) for k in _NAMED
         }
         for row in rows.tolist():
             line = block[starts[row] : ends[row]].decode("utf-8", "replace").strip()
@@ -369,34 +330,30 @@ class _Text:
             name = name.strip()
             if keyword == "mtllib":
                 self.libraries.append(name)
-            elif keyword in NAMED:
+            elif keyword in _NAMED:
                 if keyword == "g":  # of several groups the first
                     name = name.partition(" ")[0]
                 known = self.names[keyword]
-                number = known.setdefault(name, len(known)) if name else -1
                 events[keyword][0].append(row)
-                events[keyword][1].append(number)
+                events[keyword][1].append(known.setdefault(name, len(known)) if name else -1)
         for keyword, (lines, numbers) in events.items():
             place = np.searchsorted(np.array(lines), faces, side="right") - 1
             self.parts[keyword].append(np.array(numbers, np.int64)[place])
             self.current[keyword] = numbers[-1]
 
-    def _numbers(self, lines: Lines, words: Rows, dtype: type, parse: type = float) -> NDArray[Any]:
-        """The number that begins at each of the words, which are all there are."""
+    def parse(self, lines: _Lines, words: Rows, dtype: type, parse: type = float) -> NDArray[Any]:
+        """Return the number that begins at each of the words, which are all there are."""
+        numbers: NDArray[Any] = np.zeros(0, dtype)
         if not len(words):
-            return np.zeros(0, dtype)
+            return numbers
         with warnings.catch_warnings():
             warnings.simplefilter("error", DeprecationWarning)
             try:
-                numbers: NDArray[Any] = np.fromstring(lines.text.tobytes(), dtype, sep=" ")
+                numbers = np.fromstring(lines.text.tobytes(), dtype, sep=" ")
             except (DeprecationWarning, ValueError):
-                raise self._nonsense(lines, parse) from None
-        if len(numbers) != len(words):
-            raise self._nonsense(lines, parse)
-        return numbers
-
-    def _nonsense(self, lines: Lines, parse: type = float) -> InputError:
-        """Error that names the first line among these that holds what is no number."""
+                numbers = numbers[:0]
+        if len(numbers) == len(words):
+            return numbers
         ends = np.append(lines.starts[1:], len(lines.text))
         for row, start, end in zip(lines.rows, lines.starts, ends, strict=True):
             for word in lines.text[start:end].tobytes().split():
@@ -404,27 +361,17 @@ class _Text:
                     parse(word)
                 except ValueError:
                     shown = word[:40].decode("utf-8", "replace")
-                    return self._error(int(row), f"{shown!r} is no number")
-        return InputError(f"{self.path} holds what is no number; export it again.")
+                    raise self.error(int(row), f"{shown!r} is no number") from None
+        raise InputError(f"{self.path} holds what is no number; export it again.")
 
-    def _enough(self, lines: Lines, counts: Rows, least: int, what: str) -> None:
-        short = np.flatnonzero(counts < least)
-        if short.size:
-            raise self._error(int(lines.rows[short[0]]), f"it is cut off: {what}")
-
-    def _error(self, row: int, what: str) -> InputError:
+    def error(self, row: int, what: str) -> InputError:
         return InputError(f"{self.path}, line {self.line + row + 1}: {what}; export it again.")
 
-    def columns(self) -> ObjText:
-        shapes: dict[str, tuple[tuple[int, ...], type]] = {
-            "vertices": ((0, 3), np.float64),
-            "colours": ((0, 3), np.float32),
-            "uv": ((0, 2), np.float64),
-        }
+    def join(self) -> _Text:
+        """Return all columns; raises `InputError` where faces name vertices that are not there."""
         joined = {}
         for name, parts in self.parts.items():
-            shape, kind = shapes.get(name, ((0,), np.int64))
-            joined[name] = np.concatenate([np.zeros(shape, kind), *parts])
+            joined[name] = np.concatenate(parts)
             parts.clear()
         if not len(joined["vertices"]):
             raise InputError(f"{self.path} holds no vertex; export it as an OBJ mesh.")
@@ -434,187 +381,132 @@ class _Text:
                     f"{self.path}: a face names {count} {int(joined[rows].max()) + 1} of "
                     f"{len(joined[count])}; it is truncated or damaged: export it again."
                 )
-        return ObjText(
+        return _Text(
             path=self.path,
-            vertices=joined["vertices"],
-            colours=joined["colours"],
-            uv=joined["uv"],
-            lengths=joined["lengths"],
-            corners=joined["corners"],
-            corner_uv=joined["corner_uv"],
             names={k: tuple(known) for k, known in self.names.items()},
-            name_of={k: joined[k] for k in NAMED},
-            libraries=tuple(self.libraries),
+            name_of={k: joined.pop(k) for k in _NAMED},
+            libraries=self.libraries,
             left_out=self.left_out,
+            **joined,
         )
 
 
-Groups = Literal["auto", "o", "g", "usemtl"]
+def _following(numbers: NDArray[Any], at: Rows) -> NDArray[Any]:
+    """Numbers after these places, or any where there is none."""
+    after: NDArray[Any] = numbers[np.minimum(at + 1, max(len(numbers) - 1, 0))]
+    return after
 
 
-def is_obj(path: Path) -> bool:
-    """Whether a path looks like an OBJ file."""
-    return path.suffix.lower() == ".obj" and path.is_file()
+def _resolve(numbers: Rows, count: Rows) -> Rows:
+    """Rows from 0 of numbers from 1, or of negative ones from the last; negative: none."""
+    return np.where(numbers > 0, numbers - 1, np.where(numbers < 0, count + numbers, -1))
 
 
-def read_obj(
-    path: str | PathLike[str],
-    *,
-    up: Literal["y", "z"] = "z",
-    groups: Groups = "auto",
-    table: Mapping[str, LabelEntry] | None = None,
-) -> Model:
-    """Read an OBJ mesh, its material files and their textures.
+def _read_pictures(text: _Text, face: Rows) -> tuple[tuple[Picture, ...], Rows]:
+    """Pictures of the materials that are used, and the picture of each triangle.
 
-    Polygons become fans of triangles. Faces of one name are one thing, wherever they stand; its id
-    is the name, its label the name without a counter such as Blender's `.001`. Faces without a name
-    are one thing "unknown". Colours after coordinates are sRGB, 0 to 1 (or 0 to 255).
-
-    Parameters
-    ----------
-    up
-        Axis that points up in it.
-    groups
-        Which keyword parts the file into things; auto: the first of `o`, `g` and `usemtl` that
-        names two or more, else the first that names any.
-    table
-        What the names are called: `placegraph.io.capture.labels.label_table`.
-
-    Raises
-    ------
-    InputError
-        The file is missing, holds no vertex, or a vertex or a face that is none; or a material
-        file cannot be read.
-    OptionError
-        `groups` is none of its values.
-
+    A texture that is missing leaves the material its `Kd`; a material that is missing is white.
     """
-    if groups not in {"auto", *NAMED}:
-        raise OptionError(f"groups is {groups!r}; it is 'auto', 'o', 'g' or 'usemtl'.")
-    text = read_obj_text(Path(path))
-    left_out = text.left_out
-    corner, face = fans(text.lengths)
-    degenerate = int((text.lengths < 3).sum())
-    if degenerate:
-        left_out["faces of fewer than three corners"] += degenerate
-    vertex, uv, triangles = _shared(text, corner)
-    things, thing_of = _things(text, groups, face, table or {})
-    pictures, picture_of = _pictures(text, face, left_out)
-    vertices = text.vertices[vertex]
-    return Model(
-        path=text.path,
-        things=things,
-        vertices=vertices @ Z_UP.T if up == "y" else vertices,
-        triangles=triangles,
-        thing_of=thing_of,
-        colours=_colours(text, left_out)[vertex],
-        uv=uv,
-        picture_of=picture_of,
-        pictures=pictures,
-        left_out=left_out,
-    )
-
-
-def fans(lengths: Rows) -> tuple[Rows, Rows]:
-    """Triangles (T, 3) of polygons as fans, in rows of all their corners, and the polygon of each.
-
-    `lengths`: (F,) corners of each polygon, whose corners stand one polygon after the other.
-    """
-    count = np.maximum(lengths - 2, 0)
-    face = np.repeat(np.arange(len(lengths)), count)
-    step = np.arange(len(face)) - np.repeat(np.cumsum(count) - count, count)
-    first = (np.cumsum(lengths) - lengths)[face]
-    return np.stack([first, first + step + 1, first + step + 2], axis=1), face
-
-
-def _shared(text: ObjText, corner: Rows) -> tuple[Rows, NDArray[np.float64], Rows]:
-    """Vertex of each of the model's vertices, its texture coordinates (v down), and triangles.
-
-    A vertex that faces give several texture coordinates is there as often.
-    """
-    rows, mapped = text.corners[corner], text.corner_uv[corner]
-    if (mapped < 0).all():
-        return np.arange(len(text.vertices)), np.zeros((len(text.vertices), 2)), rows
-    table = np.concatenate([text.uv * (1.0, -1.0) + (0.0, 1.0), np.zeros((1, 2))])  # -1: the last
-    if _one_each(rows, mapped, len(text.vertices)):
-        uv = np.zeros((len(text.vertices), 2))
-        uv[rows] = table[mapped]
-        return np.arange(len(text.vertices)), uv, rows
-    pairs, triangles = np.unique(rows * len(table) + mapped + 1, return_inverse=True)
-    return pairs // len(table), table[pairs % len(table) - 1], triangles.reshape(-1, 3)
-
-
-def _one_each(rows: Rows, mapped: Rows, count: int) -> bool:
-    """Whether no vertex has two texture coordinates."""
-    of = np.zeros(count, np.int64)
-    of[rows] = mapped
-    return bool((of[rows] == mapped).all())
-
-
-def _things(
-    text: ObjText, groups: Groups, face: Rows, table: Mapping[str, LabelEntry]
-) -> tuple[tuple[Thing, ...], Rows]:
-    """Things, and the thing of each triangle."""
-    keyword = groups if groups != "auto" else _parting(text, face)
-    names, name_of = text.names[keyword], text.name_of[keyword][face]
-    used = np.unique(name_of)
-    things = tuple(_thing(names[i] if i >= 0 else "", table) for i in used.tolist())
-    return things, np.searchsorted(used, name_of)
-
-
-def _parting(text: ObjText, face: Rows) -> str:
-    """Keyword that parts the triangles into things."""
-    named = [k for k in NAMED if text.names[k]]
-    several = [k for k in named if len(np.unique(text.name_of[k][face])) > 1]
-    return (several or named or ["o"])[0]
-
-
-def _thing(name: str, table: Mapping[str, LabelEntry]) -> Thing:
-    entry = table.get(name)
-    if entry is not None:
-        return Thing(name, entry.label, entry.name or name, entry.attributes)
-    return Thing(name or UNKNOWN, re.sub(r"\.\d{3,}$", "", name) or UNKNOWN, name)
-
-
-def _pictures(
-    text: ObjText, face: Rows, left_out: Counter[str]
-) -> tuple[tuple[Picture, ...], Rows]:
-    """Pictures of the materials that are used, and the picture of each triangle."""
-    material = text.name_of["usemtl"][face]
-    used = np.unique(material)
-    wanted = [text.names["usemtl"][i] for i in used.tolist() if i >= 0]
-    libraries = _libraries(text) if wanted else []
-    found = read_materials(libraries, wanted, left_out) if libraries else {}
-    if wanted and not libraries:
-        left_out["materials that no material file holds"] += len(wanted)
+    used, of = np.unique(text.name_of["usemtl"][face], return_inverse=True)
+    names = [text.names["usemtl"][i] if i >= 0 else None for i in used.tolist()]
+    materials: dict[str, _Material] = {}
+    # a line may name several files, or one whose name holds blanks
+    for line in dict.fromkeys(text.libraries) if any(n is not None for n in names) else ():
+        path = line.replace("\\", "/")
+        for name in [path] if path.lower().count(".mtl") < 2 else path.split():
+            library = text.path.parent / name
+            if name and library.is_file():
+                materials = _read_materials(library, text.left_out) | materials
+            elif name:
+                text.left_out["material files that are missing"] += 1
     rows: dict[Picture, int] = {}
     row_of = []
-    for i in used.tolist():
-        picture = found.get(text.names["usemtl"][i]) if i >= 0 else None
-        row_of.append(rows.setdefault(picture or Picture(None), len(rows)))
-    return tuple(rows) or (Picture(None),), np.array(row_of, np.int64)[
-        np.searchsorted(used, material)
-    ]
+    for name in names:
+        picture = Picture(None)
+        if name in materials:
+            picture = _make_picture(materials[name], text.left_out)
+        elif name is not None:
+            text.left_out["materials that no material file holds"] += 1
+        row_of.append(rows.setdefault(picture, len(rows)))
+    return tuple(rows) or (Picture(None),), np.array(row_of, np.int64)[of.reshape(-1)]
 
 
-def _libraries(text: ObjText) -> list[Path]:
-    """Material files: a line may name several, or one whose name holds blanks."""
-    folder, found = text.path.parent, []
-    for line in dict.fromkeys(text.libraries):
-        whole = line.replace("\\", "/")
-        names = [whole] if whole.lower().count(".mtl") < 2 else whole.split()
-        found += [folder / name for name in names if name]
-    return found
+@dataclass(slots=True)
+class _Material:
+    factor: tuple[float, float, float] = (1.0, 1.0, 1.0)  # taken as sRGB: so do viewers show it
+    picture: Path | None = None
 
 
-def _colours(text: ObjText, left_out: Counter[str]) -> NDArray[np.uint8]:
-    """(V, 3) sRGB; white where there are none."""
-    there = np.isfinite(text.colours).all(axis=1)
-    colours = np.full(text.vertices.shape, 255, np.uint8)
-    if there.any():
-        share: NDArray[Any] = text.colours[there]
-        share = share if share.max() > 1.0 else share * 255.0
-        colours[there] = np.rint(np.clip(share, 0, 255)).astype(np.uint8)
-        if not there.all():
-            left_out["vertices without the colour that others have"] += int((~there).sum())
-    return colours
+def _read_materials(path: Path, left_out: Counter[str]) -> dict[str, _Material]:
+    """Materials of an .mtl file: `Kd` and `map_Kd`; raises `InputError` for senseless colours."""
+    lines = read_bytes(path).decode("utf-8-sig", "replace").splitlines()
+    materials: dict[str, _Material] = {}
+    current = _Material()
+    for number, line in enumerate(lines, 1):
+        keyword, _, rest = line.strip().partition(" ")
+        rest = rest.strip()
+        if keyword == "newmtl":
+            current = materials.setdefault(rest, _Material())
+        elif keyword == "Kd":
+            current.factor = _parse_colour(path, number, rest)
+        elif keyword == "map_Kd":
+            if any(option in rest.split() for option in _MOVING):
+                left_out["textures whose offset or scale was not applied"] += 1
+            name = _skip_options(rest).strip('"').replace("\\", "/")
+            try:
+                there = (path.parent / name).is_file()
+            except (OSError, ValueError):  # too long, or with a null byte
+                there = False
+            # of a path from another machine the last part is tried beside the file
+            file = path.parent / (name if there else name.rsplit("/", 1)[-1])
+            current.picture = file if name else None
+    return materials
+
+
+def _parse_colour(path: Path, number: int, rest: str) -> tuple[float, float, float]:
+    words = rest.partition("#")[0].split()
+    if words[:1] in (["spectral"], ["xyz"]):
+        return 1.0, 1.0, 1.0
+    try:
+        r, g, b = (min(max(float(w), 0.0), 1.0) for w in (words * 3 if len(words) == 1 else words))
+    except ValueError as error:
+        raise InputError(
+            f"{path}, line {number}: Kd is {rest[:40]!r}; it must be three numbers from 0 to 1."
+        ) from error
+    return r, g, b
+
+
+def _skip_options(rest: str) -> str:
+    """Remainder of `map_Kd` without its options; a file's name may hold blanks."""
+    while rest:
+        word, _, after = rest.partition(" ")
+        if word not in _OPTION_VALUES:
+            break
+        rest = after.strip()
+        for i in range(_OPTION_VALUES[word]):
+            value, _, after = rest.partition(" ")
+            if i and word in _MOVING:  # they have one to three numbers
+                try:
+                    float(value)
+                except ValueError:
+                    break
+            rest = after.strip()
+    return rest
+
+
+def _make_picture(material: _Material, left_out: Counter[str]) -> Picture:
+    # linear intensities of sRGB (IEC 61966-2-1)
+    r, g, b = (
+        c / 12.92 if c <= 0.04045 else float(((c + 0.055) / 1.055) ** 2.4) for c in material.factor
+    )
+    data = None
+    if material.picture is not None:
+        try:
+            data = regular(material.picture).read_bytes()
+        except (OSError, ValueError):
+            left_out["textures that are missing"] += 1
+    if data is None:
+        return Picture(None, (r, g, b))
+    if r == g == b == 0.0:  # beside a texture that means nothing, as some exporters have it
+        r = g = b = 1.0
+    return Picture(data, (r, g, b), name=str(material.picture))
