@@ -17,8 +17,7 @@ from placegraph.errors import InputError, MapLockedError, OptionError, Placegrap
 from placegraph.indoor.build import build_scene, scene_of_model
 from placegraph.indoor.map.textures import Detail, linear_from_srgb, srgb_from_linear
 from placegraph.indoor.mapping.from_capture import FromCapture
-from placegraph.io.mesh.model import Z_UP
-from placegraph.io.mesh.model import Picture
+from placegraph.io.mesh.model import Z_UP, Picture
 
 ROOM = {"floor": ((0, 0, -0.1), (5, 4, 0)), "table": ((1, 1, 0), (2, 2, 0.7))}
 

@@ -1,10 +1,15 @@
-"""What a check of a scene map finds."""
+"""What is wrong with a scene map, how badly, and which option of `scene build` mends it.
+
+Nothing here is needed to localize: a map may be odd and still serve. An ``error`` makes localizing
+fail or lie, a ``warning`` makes it worse, a ``note`` is good to know.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from itertools import chain
 from math import sqrt
 from typing import Any, Literal
 
@@ -29,8 +34,6 @@ from placegraph.indoor.options import FilterOptions
 Severity = Literal["error", "warning", "note"]
 SEVERITIES: tuple[Severity, ...] = ("error", "warning", "note")
 
-Found = tuple[Severity, str, Sequence[str], str]  # Severity, sentence, ids, mend
-
 
 @dataclass(frozen=True, slots=True)
 class Finding:
@@ -39,7 +42,7 @@ class Finding:
     severity: Severity
     what: str
     """One sentence."""
-    objects: tuple[str, ...] = ()
+    objects: Sequence[str] = ()
     """Ids of the objects it is about, at most 20; empty where it is about the whole map."""
     mend: str = ""
     """What to do: an option of `placegraph scene build`, or a word about the file."""
@@ -55,35 +58,25 @@ _CROSSED = 0.02  # Share of edges that belong to three triangles or more
 _BARE = 0.2  # Share of the surface that is white and without texture
 
 
-def mesh_findings(scene: Scene) -> Iterator[Found]:
-    """What is odd about the triangles."""
-    corners = _welded(scene)
-    yield from _doubles(scene, corners)
-    yield from _edges(corners)
-    yield from _colours(scene)
-
-
-def _welded(scene: Scene) -> NDArray[np.int64]:
+def _weld_corners(scene: Scene) -> NDArray[np.int64]:
     """(T, 3) corners as numbers of places: vertices at one place are one, whatever their colour."""
     grain, _ = scene.mesh.steps()
     steps = np.rint(scene.mesh.vertices / np.float32(grain)).astype(np.int64)
     steps -= steps.min(axis=0)
     span = steps.max(axis=0) + 1
     keys = (steps[:, 0] * span[1] + steps[:, 1]) * span[2] + steps[:, 2]
-    place = np.unique(keys, return_inverse=True)[1]
-    return place[scene.mesh.triangles]
+    return np.unique(keys, return_inverse=True)[1][scene.mesh.triangles]
 
 
-def _doubles(scene: Scene, corners: NDArray[np.int64]) -> Iterator[Found]:
+def _check_doubles(scene: Scene, corners: NDArray[np.int64]) -> Iterator[Finding]:
     ordered = np.sort(corners, axis=1)
-    count = int(corners.max()) + 1
-    first = ordered[:, 0] * count + ordered[:, 1]
+    first = ordered[:, 0] * (int(corners.max()) + 1) + ordered[:, 1]
     order = np.lexsort([ordered[:, 2], first])
     same = (np.diff(first[order]) == 0) & (np.diff(ordered[order, 2]) == 0)
     share = float(same.sum()) / len(corners)
     if share > _DOUBLES:
         rows = np.unique(scene.mesh.object_of[order[1:][same]])
-        yield (
+        yield Finding(
             "warning" if share > 10 * _DOUBLES else "note",
             f"{share:.0%} of the triangles lie on another one: the mesh is there twice.",
             [scene.graph.ids[i] for i in rows.tolist()],
@@ -91,39 +84,38 @@ def _doubles(scene: Scene, corners: NDArray[np.int64]) -> Iterator[Found]:
         )
 
 
-def _edges(corners: NDArray[np.int64]) -> Iterator[Found]:
+def _check_edges(corners: NDArray[np.int64]) -> Iterator[Finding]:
     edges = np.sort(np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]]), 1)
     keys = np.sort(edges[:, 0] * (int(corners.max()) + 1) + edges[:, 1])
     starts = np.flatnonzero(np.concatenate([[True], keys[1:] != keys[:-1]]))
     uses = np.diff(np.append(starts, len(keys)))
     crossed, alone = float((uses > 2).mean()), float((uses == 1).mean())
     if crossed > _CROSSED:
-        yield (
+        yield Finding(
             "note",
             f"{crossed:.0%} of the edges belong to more than two triangles: the mesh is not manifold.",
-            [],
-            "Placegraph does not mind; programs that need closed surfaces do.",
+            mend="Placegraph does not mind; programs that need closed surfaces do.",
         )
     if alone > _SOUP:
-        yield (
+        yield Finding(
             "note",
             f"{alone:.0%} of the edges belong to a single triangle: the mesh is a soup of faces.",
-            [],
-            "Merge vertices by distance in the file: the map becomes smaller.",
+            mend="Merge vertices by distance in the file: the map becomes smaller.",
         )
 
 
-def _colours(scene: Scene) -> Iterator[Found]:
+def _check_colours(scene: Scene) -> Iterator[Finding]:
     mesh = scene.mesh
     if not scene.coloured:
         white = (mesh.colours == 255).all() and all((t == 255).all() for t in mesh.textures)
         said = "has no colours" if white else "is of one colour all over"
-        yield (
+        yield Finding(
             "warning" if white else "note",
             f"The map {said}: images cannot be compared with it, depth and labels alone can.",
-            [],
-            "Export textures or vertex colours with the file"
-            + ("." if white else ", if it has any."),
+            mend=(
+                "Export textures or vertex colours with the file"
+                + ("." if white else ", if it has any.")
+            ),
         )
         return
     blank = np.array([bool((t == 255).all()) for t in mesh.textures])
@@ -134,7 +126,7 @@ def _colours(scene: Scene) -> Iterator[Found]:
         whole = np.bincount(mesh.object_of, areas, len(scene))
         white = np.bincount(mesh.object_of, areas * bare, len(scene))
         rows = np.flatnonzero(white > 0.9 * np.maximum(whole, 1e-12))
-        yield (
+        yield Finding(
             "note",
             f"{share:.0%} of the surface is pure white without texture: its colour may be missing.",
             [scene.graph.ids[i] for i in rows.tolist()],
@@ -150,7 +142,7 @@ _LARGE_FILE = 20e6  # [bytes]
 _SLOW = 2.0  # Opening a map beyond this is slow [s]
 
 
-def giant(scene: Scene) -> Iterator[Found]:
+def _check_giants(scene: Scene) -> Iterator[Finding]:
     """Whether one object is nearly all of the surface."""
     areas = np.linalg.norm(scene.mesh.normals(), axis=1) / 2.0
     own = np.bincount(scene.mesh.object_of, areas, len(scene))
@@ -158,21 +150,17 @@ def giant(scene: Scene) -> Iterator[Found]:
     share = own[largest] / max(float(own.sum()), 1e-12)
     if share > _GIANT and not structure(scene.graph.labels)[largest]:
         severity: Severity = "warning" if len(scene) > 1 else "error"
-        yield (
+        yield Finding(
             severity,
-            (
-                f"{_name(scene, largest)} holds {share:.0%} of all surface: the map knows no objects "
-                "apart, and objects are what it localizes by."
-            ),
+            f"{_name(scene, largest)} holds {share:.0%} of all surface: the map knows no objects "
+            "apart, and objects are what it localizes by.",
             [scene.graph.ids[largest]],
-            (
-                "Build from a file with one node, group or id an object (--object-property, --labels), "
-                "or from the capture, which cuts the mesh into objects."
-            ),
+            "Build from a file with one node, group or id an object (--object-property, --labels), "
+            "or from the capture, which cuts the mesh into objects.",
         )
 
 
-def twins(scene: Scene) -> Iterator[Found]:
+def _check_twins(scene: Scene) -> Iterator[Finding]:
     """Whether objects fill the same space."""
     low, high = _boxes(scene)
     movable = np.flatnonzero(~structure(scene.graph.labels))
@@ -191,18 +179,16 @@ def twins(scene: Scene) -> Iterator[Found]:
         pairs += [(int(movable[i]), int(movable[j])) for j in later[twin]]
     if pairs:
         a, b = pairs[0]
-        yield (
+        yield Finding(
             "warning",
-            (
-                f"{len(pairs)} pairs of objects fill the same space, such as {_name(scene, a)} and "
-                f"{_name(scene, b)}."
-            ),
+            f"{len(pairs)} pairs of objects fill the same space, such as {_name(scene, a)} and "
+            f"{_name(scene, b)}.",
             [scene.graph.ids[i] for i in dict.fromkeys(i for pair in pairs for i in pair)],
             "Delete one of each pair in the file, or give both one id.",
         )
 
 
-def far(scene: Scene) -> Iterator[Found]:
+def _check_far_objects(scene: Scene) -> Iterator[Finding]:
     """Objects that lie apart from all others by more than the map without them is wide."""
     low, high = _boxes(scene)
     if len(scene) < 3:
@@ -215,23 +201,21 @@ def far(scene: Scene) -> Iterator[Found]:
     jump = jump[jump + 1 > 0.9 * len(order) - 1]
     if jump.size:
         out = order[jump[0] + 1 :]
-        yield (
+        yield Finding(
             "warning",
-            (
-                f"{len(out)} object{'s lie' if len(out) > 1 else ' lies'} far off from the rest, "
-                f"{_name(scene, int(out[0]))} by {reach[out[0]]:.0f} m."
-            ),
+            f"{len(out)} object{'s lie' if len(out) > 1 else ' lies'} far off from the rest, "
+            f"{_name(scene, int(out[0]))} by {reach[out[0]]:.0f} m.",
             [scene.graph.ids[i] for i in out.tolist()],
             "Delete or move it in the file: the map's box is searched, and grows with it.",
         )
 
 
-def words(scene: Scene) -> Iterator[Found]:
+def _check_words(scene: Scene) -> Iterator[Finding]:
     """Whether labels, names and ids say what is what."""
     graph = scene.graph
     bare = [i for i, label in enumerate(graph.labels) if nameless(label)]
     if len(bare) > 0.2 * len(scene):
-        yield (
+        yield Finding(
             "warning" if len(bare) > 0.5 * len(scene) else "note",
             f"{len(bare)} of {len(scene)} objects have no label that says what they are.",
             [graph.ids[i] for i in bare],
@@ -241,7 +225,7 @@ def words(scene: Scene) -> Iterator[Found]:
     twice = {name for name, count in names.items() if count > 1}
     if twice:
         rows = [i for i, name in enumerate(graph.names) if name in twice]
-        yield (
+        yield Finding(
             "note",
             f"{len(twice)} names stand for several objects, such as {min(twice)!r}.",
             [graph.ids[i] for i in rows],
@@ -250,7 +234,7 @@ def words(scene: Scene) -> Iterator[Found]:
     folded = Counter(id_.strip().casefold() for id_ in graph.ids)
     alike = [id_ for id_ in graph.ids if folded[id_.strip().casefold()] > 1]
     if alike:
-        yield (
+        yield Finding(
             "warning",
             f"{len(alike)} ids differ in case or blanks alone, such as {alike[0]!r}.",
             alike,
@@ -258,28 +242,27 @@ def words(scene: Scene) -> Iterator[Found]:
         )
 
 
-def relations(scene: Scene) -> Iterator[Found]:
+def _check_relations(scene: Scene) -> Iterator[Finding]:
     """Whether anything is known of how objects stand to each other."""
     if len(scene) > 1 and not scene.graph.relations:
         many = len(scene) > MOST_OBJECTS
-        yield (
+        yield Finding(
             "note",
             "No relation between objects is known"
             + (f": there are more than {MOST_OBJECTS:,} of them." if many else "."),
-            [],
-            "Cut the scene into fewer objects." if many else "Check --scale: nothing is near.",
+            mend="Cut the scene into fewer objects." if many else "Check --scale: nothing is near.",
         )
 
 
-def costs(scene: Scene, size: int | None, seconds: float | None) -> Iterator[Found]:
+def _check_costs(scene: Scene, size: int | None, seconds: float | None) -> Iterator[Finding]:
     """Whether it is large, or slow to open."""
     mend = "--detail small, or tiny, makes it smaller; so do --error and --texel."
     if len(scene.mesh) > _MANY_TRIANGLES:
-        yield "warning", f"The map has {len(scene.mesh):,} triangles.", [], mend
+        yield Finding("warning", f"The map has {len(scene.mesh):,} triangles.", mend=mend)
     if size is not None and size > _LARGE_FILE:
-        yield "note", f"The file has {size / 1e6:.0f} MB.", [], mend
+        yield Finding("note", f"The file has {size / 1e6:.0f} MB.", mend=mend)
     if seconds is not None and seconds > _SLOW:
-        yield "note", f"Opening it took {seconds:.1f} s.", [], mend
+        yield Finding("note", f"Opening it took {seconds:.1f} s.", mend=mend)
 
 
 def _boxes(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -314,7 +297,7 @@ _TILTED, _VERY_TILTED = 1.0, 4.0
 _OFF = 0.1  # How far the floor may lie from a level surface [m]
 
 
-def units(scene: Scene) -> Iterator[Found]:
+def _check_units(scene: Scene) -> Iterator[Finding]:
     """Is it in metres? By the height of rooms, and of things whose label is known."""
     rooms = height_of_rooms(scene)
     known = _known_ratio(scene)
@@ -329,17 +312,16 @@ def units(scene: Scene) -> Iterator[Found]:
     if scale != 1.0 and abs(np.log(guess * scale)) < 0.7:
         unsure = unit == "feet" and known is None  # or it is a hall
         severity: Severity = "warning" if unsure else "error"
-        yield severity, f"{said}: the file looks to be in {unit}.", [], f"--scale {scale:g}"
+        yield Finding(
+            severity, f"{said}: the file looks to be in {unit}.", mend=f"--scale {scale:g}"
+        )
     else:
-        yield (
-            "warning",
-            f"{said}.",
-            [],
-            "--scale N, metres in one unit of the file, if that is odd.",
+        yield Finding(
+            "warning", f"{said}.", mend="--scale N, metres in one unit of the file, if that is odd."
         )
 
 
-def up_axis(scene: Scene) -> Iterator[Found]:
+def _check_up_axis(scene: Scene) -> Iterator[Finding]:
     """Is z up? Floors and ceilings face along it, and rooms are lower than they are wide."""
     areas, unit = _normals(scene)
     named, standing = labelled_floors(scene.mesh, scene.graph.labels)
@@ -360,26 +342,23 @@ def up_axis(scene: Scene) -> Iterator[Found]:
         severity, sure, what = "warning", 1.3, "most surfaces face"
     best = int(shares.argmax())
     if best != 2 and shares[best] > sure * shares[2]:
-        yield (
+        yield Finding(
             severity,
             f"The map looks to lie on its side: {what} along {'xy'[best]}.",
-            [],
-            "--up y" if best == 1 else "Turn the file so that z points up.",
+            mend="--up y" if best == 1 else "Turn the file so that z points up.",
         )
     elif standing.any():
         many = int(standing.sum())
-        yield (
+        yield Finding(
             "warning",
-            (
-                f"The floor stands upright in {many} object{'s' if many > 1 else ''} labelled so: the "
-                "map's floor was found without."
-            ),
+            f"The floor stands upright in {many} object{'s' if many > 1 else ''} labelled so: the "
+            "map's floor was found without.",
             [scene.graph.ids[i] for i in np.flatnonzero(standing)],
             "Label them for what they are (--labels), or turn the file so that z points up.",
         )
 
 
-def floors(scene: Scene) -> Iterator[Found]:
+def _check_floors(scene: Scene) -> Iterator[Finding]:
     """Is the floor where the map says, and level? For each merged scene."""
     areas, unit = _normals(scene)
     heights = scene.mesh.vertices[scene.mesh.triangles][:, :, 2].mean(axis=1, dtype=np.float64)
@@ -392,25 +371,21 @@ def floors(scene: Scene) -> Iterator[Found]:
         near = own & (np.abs(heights - floor) < _OFF)
         if areas[near].sum() < least:
             where = _largest_level(heights[own], areas[own], floor)
-            yield (
+            yield Finding(
                 "error" if where is None or abs(where - floor) > 0.3 else "warning",
                 f"The floor is said to be at {floor:.2f} m, but hardly any level surface lies there"
                 + ("." if where is None else f"; the next large one is at {where:.2f} m."),
-                [],
-                "--floor H" if where is None else f"--floor {where:.2f}",
+                mend="--floor H" if where is None else f"--floor {where:.2f}",
             )
             continue
         below = own & named & (heights < floor - 3 * _OFF)
         if areas[below].sum() > areas[near].sum():
             where = float(np.average(heights[below], weights=areas[below]))
-            yield (
+            yield Finding(
                 "warning",
-                (
-                    f"More of what is labelled floor lies at {where:.2f} m than at the map's floor, "
-                    f"{floor:.2f} m."
-                ),
-                [],
-                f"--floor {where:.2f}, or cut the storeys apart.",
+                f"More of what is labelled floor lies at {where:.2f} m than at the map's floor, "
+                f"{floor:.2f} m.",
+                mend=f"--floor {where:.2f}, or cut the storeys apart.",
             )
         floor_like = near & named if (near & named).any() else near
         turned = unit[floor_like] * np.sign(unit[floor_like, 2:])
@@ -418,14 +393,11 @@ def floors(scene: Scene) -> Iterator[Found]:
         slope = [quantiles(turned[:, k], areas[floor_like], (0.5,))[0] for k in range(3)]
         tilt = float(np.degrees(np.arctan2(np.hypot(slope[0], slope[1]), slope[2])))
         if tilt > _TILTED:
-            yield (
+            yield Finding(
                 "error" if tilt > _VERY_TILTED else "warning",
-                (
-                    f"The floor slopes by {tilt:.1f} degrees: gravity is not -z of the map, and poses "
-                    "are found with gravity taken for known."
-                ),
-                [],
-                "Level the file (rotate the floor into the plane z = const), and build again.",
+                f"The floor slopes by {tilt:.1f} degrees: gravity is not -z of the map, and poses "
+                "are found with gravity taken for known.",
+                mend="Level the file (rotate the floor into the plane z = const), and build again.",
             )
 
 
@@ -490,7 +462,7 @@ _LEVEL_RAY = 0.2
 _BACK = 0.3  # Share of the rays from inside that meet the back of a triangle
 
 
-def places(scene: Scene, options: FilterOptions | None) -> Iterator[Found]:
+def _check_places(scene: Scene, options: FilterOptions | None) -> Iterator[Finding]:
     """Is there a place for a camera, and is the map closed around it? Are its normals flipped."""
     options = options or FilterOptions()
     table = visibility(scene, options)
@@ -498,14 +470,11 @@ def places(scene: Scene, options: FilterOptions | None) -> Iterator[Found]:
     over = float(scene.floors.min()) + min(options.heights) >= float(scene.bounds[1, 2])
     if not len(table) or over:
         rooms = height_of_rooms(scene)
-        yield (
+        yield Finding(
             "error",
-            (
-                f"At camera heights of {said} m above the floor ({scene.floors[0]:.2f} m) no place is "
-                "free: no particle can start, and nothing is localized."
-            ),
-            [],
-            (
+            f"At camera heights of {said} m above the floor ({scene.floors[0]:.2f} m) no place is "
+            "free: no particle can start, and nothing is localized.",
+            mend=(
                 "--floor H, if the floor lies elsewhere; --scale N, if the map is in another unit; or "
                 f"`scene localize --height {max(0.3, min(0.6 * rooms, 1.0)):.1f}`."
             ),
@@ -523,11 +492,11 @@ def places(scene: Scene, options: FilterOptions | None) -> Iterator[Found]:
     rays = np.concatenate([DIRECTIONS, _steep()])
     hits = scene.caster.cast(origins, np.tile(rays, (len(chosen), 1)))
     missed = (hits.triangle < 0).reshape(len(chosen), -1)
-    yield from _holes(missed, rays)
-    yield from _inside_out(scene, hits.triangle, np.tile(rays, (len(chosen), 1)))
+    yield from _check_holes(missed, rays)
+    yield from _check_normals(scene, hits.triangle, np.tile(rays, (len(chosen), 1)))
 
 
-def _holes(missed: NDArray[np.bool_], rays: NDArray[np.float32]) -> Iterator[Found]:
+def _check_holes(missed: NDArray[np.bool_], rays: NDArray[np.float32]) -> Iterator[Finding]:
     share = float(missed.mean())
     if share <= _SKY:
         return
@@ -536,21 +505,20 @@ def _holes(missed: NDArray[np.bool_], rays: NDArray[np.float32]) -> Iterator[Fou
     shares = {where: float(missed[:, which].mean()) for where, which in parts.items()}
     listed = ", ".join(f"{s:.0%} {where}" for where, s in shares.items() if s > _SKY)
     only_up = shares["above"] > _SKY and shares["below"] <= _SKY and shares["around"] <= _SKY
-    yield (
+    yield Finding(
         "note" if only_up or share < _OPEN else "warning",
         f"From inside, {share:.0%} of all rays leave the map ({listed}): "
         + ("it has no ceiling." if only_up else "walls or floors have holes, or are missing."),
-        [],
-        (
+        mend=(
             "Nothing can be compared there. Keep ceiling and walls when the file is exported, or scan "
             "what is missing."
         ),
     )
 
 
-def _inside_out(
+def _check_normals(
     scene: Scene, triangle: NDArray[np.int32], rays: NDArray[np.float32]
-) -> Iterator[Found]:
+) -> Iterator[Finding]:
     hit = triangle >= 0
     rows = triangle[hit]
     back = np.einsum("nk,nk->n", scene.normals[rows], rays[hit]) > 0.05
@@ -561,7 +529,7 @@ def _inside_out(
     seen = np.bincount(own, minlength=len(scene))
     turned = np.bincount(own, back, len(scene))
     worst = np.argsort(-turned)[: int((turned > 0.5 * np.maximum(seen, 1)).sum())]
-    yield (
+    yield Finding(
         "note",
         f"{share:.0%} of what one sees from inside are backs of triangles: normals are flipped.",
         [scene.graph.ids[i] for i in worst.tolist() if turned[i] > 0.5 * seen[i]],
@@ -586,7 +554,7 @@ _NO_HEIGHT = 50.0  # A height with a larger standard deviation is unknown [m]
 _AGAIN = "Anchor it again with `placegraph scene anchor`"
 
 
-def anchors(scene: Scene) -> Iterator[Found]:
+def _check_anchors(scene: Scene) -> Iterator[Finding]:
     """Does it stand in one place, as well as was measured; does anybody know how well."""
     for name in scene.scenes:
         found = scene.anchors_of(name)
@@ -595,44 +563,33 @@ def anchors(scene: Scene) -> Iterator[Found]:
         of = f" of {name}" if len(scene.scenes) > 1 else ""
         best = found[0]
         if best.probability < _SURE:
-            yield (
+            yield Finding(
                 "warning",
-                (
-                    f"The place{of} on Earth is ambiguous: the likeliest of {len(found)} candidates has "
-                    f"{best.probability:.0%}."
-                ),
-                [],
-                f"{_AGAIN} by point pairs, or keep the right candidate alone.",
+                f"The place{of} on Earth is ambiguous: the likeliest of {len(found)} candidates has "
+                f"{best.probability:.0%}.",
+                mend=f"{_AGAIN} by point pairs, or keep the right candidate alone.",
             )
         left = sqrt(sum(r * r for r in best.residuals) / max(1, len(best.residuals)))
         worst = max(best.residuals, default=0.0)
         if left > _FAR or worst > _FARTHEST:
-            yield (
+            yield Finding(
                 "warning",
-                (
-                    f"What the place{of} on Earth was fitted to is off by {left:.1f} m on the whole, "
-                    f"{worst:.1f} m at worst."
-                ),
-                [],
-                f"{_AGAIN}; a pair may be wrong, or the building another.",
+                f"What the place{of} on Earth was fitted to is off by {left:.1f} m on the whole, "
+                f"{worst:.1f} m at worst.",
+                mend=f"{_AGAIN}; a pair may be wrong, or the building another.",
             )
         if not best.known:
-            yield (
+            yield Finding(
                 "note",
                 f"Nobody said how well the place{of} on Earth is known: poses there look exact.",
-                [],
-                "Give the anchor a covariance.",
+                mend="Give the anchor a covariance.",
             )
         elif best.covariance[2, 2] > _NO_HEIGHT**2:
-            yield (
+            yield Finding(
                 "note",
                 f"The height{of} on Earth is unknown; GeoPoses have it wrong.",
-                [],
-                f"{_AGAIN} and --height.",
+                mend=f"{_AGAIN} and --height.",
             )
-
-
-_SHOWN = 20  # Most objects a finding names
 
 
 def check(
@@ -642,7 +599,7 @@ def check(
     size: int | None = None,
     seconds: float | None = None,
 ) -> list[Finding]:
-    """What is odd about a map, worst first; empty where nothing is.
+    """Find what is odd about a map, worst first; empty where nothing is.
 
     Parameters
     ----------
@@ -654,12 +611,13 @@ def check(
         Of the map file [bytes], and what opening it took [s], where they are known.
 
     """
-    found: list[Finding] = []
-    for checks in (
-        units(scene), up_axis(scene), floors(scene), places(scene, options),
-        mesh_findings(scene), giant(scene), twins(scene), far(scene),
-        words(scene), relations(scene), costs(scene, size, seconds),
-        anchors(scene),
-    ):  # fmt: skip
-        found += [Finding(*f[:2], tuple(f[2])[:_SHOWN], f[3]) for f in checks]
-    return sorted(found, key=lambda f: SEVERITIES.index(f.severity))
+    corners = _weld_corners(scene)
+    found = chain(
+        _check_units(scene), _check_up_axis(scene), _check_floors(scene),
+        _check_places(scene, options), _check_doubles(scene, corners), _check_edges(corners),
+        _check_colours(scene), _check_giants(scene), _check_twins(scene), _check_far_objects(scene),
+        _check_words(scene), _check_relations(scene), _check_costs(scene, size, seconds),
+        _check_anchors(scene),
+    )  # fmt: skip
+    named = [replace(f, objects=tuple(f.objects)[:20]) for f in found]
+    return sorted(named, key=lambda f: SEVERITIES.index(f.severity))

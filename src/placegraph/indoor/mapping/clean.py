@@ -17,8 +17,7 @@ from placegraph.indoor.map.mesh import GRAIN, UV_GRAIN, Mesh, portions
 from placegraph.indoor.map.textures import Detail
 from placegraph.indoor.mapping.atlas.bake import ColourOf
 from placegraph.indoor.mapping.simplify import simplify
-from placegraph.io.mesh.model import Z_UP
-from placegraph.io.mesh.model import Model, Picture, Thing
+from placegraph.io.mesh.model import Z_UP, Model, Picture, Thing
 
 TALLEST = 60.0  # What is higher than this is not in metres, unless a scale is given [m]
 FLATTEST, WIDEST = 0.3, 300.0  # What is neither wide nor high by this, or wider, is told [m]
