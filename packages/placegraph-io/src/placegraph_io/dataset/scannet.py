@@ -19,8 +19,7 @@ from placegraph.errors import InputError, OptionError
 from placegraph.io.capture.frame import LabelKind, Meanings, label_file
 from placegraph.io.capture.images import image_size
 from placegraph.io.capture.json_files import read_json
-from placegraph.io.mesh.model import Model, Thing
-from placegraph.io.mesh.model import UNKNOWN
+from placegraph.io.mesh.model import UNKNOWN, Model, Thing
 from placegraph.io.mesh.ply import majority, read_columns, read_ply
 
 FILES = (
