@@ -11,11 +11,9 @@ from placegraph.errors import MapError, MapLockedError, OptionError
 from placegraph.io.capture.frame import Frame
 from placegraph.io.mesh.gltf import read_glb
 from placegraph_ros.bag import BagWriter
-from placegraph_ros.image import image_messages
-from placegraph_ros.map import map_messages
 from placegraph_ros.message import Message
-from placegraph_ros.pose import rig_message
-from placegraph_ros.telling import estimate_messages
+from placegraph_ros.pose_messages import estimate_messages, rig_message
+from placegraph_ros.scene_messages import image_messages, map_messages
 
 HEAD = {"header": {"stamp": {"sec": 3}, "frame_id": "here"}}
 EMPTY = Message("empty", "std_msgs/msg/Header", 3.0, HEAD["header"])
@@ -137,7 +135,7 @@ def test_the_model_in_the_bag_is_the_map(tmp_path, everything, scene):
 
 
 def test_a_map_of_many_triangles_is_shown_by_boxes(scene, monkeypatch):
-    monkeypatch.setattr("placegraph_ros.map.MOST", 1)
+    monkeypatch.setattr("placegraph_ros.scene_messages.MOST", 1)
     markers = map_messages(scene, 1.0)[0].fields["markers"]
     boxes = scene.mesh.object_bounds(2)
     for marker, (low, high) in zip(markers, boxes, strict=True):

@@ -6,8 +6,7 @@ from mcap_ros2._dynamic import generate_dynamic
 
 from placegraph.errors import OptionError
 from placegraph_io.ros.decode import decode, typestore
-from placegraph_ros.encode import cdr, definition
-from placegraph_ros.message import Message, header, time
+from placegraph_ros.message import Message, cdr, definition, header, time
 
 NUMBERS = st.floats(allow_nan=False)
 

@@ -3,8 +3,7 @@ import pytest
 
 from placegraph.core.estimate import PassRecord, PoseEstimate, Status
 from placegraph.core.geometry import rotation_from_quaternion, vector_from_rotation
-from placegraph_ros.pose import UPRIGHT_BASE, based
-from placegraph_ros.telling import estimate_messages, particles
+from placegraph_ros.pose_messages import UPRIGHT_BASE, base_pose, estimate_messages, particles
 
 
 def by_topic(messages):
@@ -40,7 +39,7 @@ def test_particles_have_the_modes_means_and_covariances(estimate):
         given.modes, np.split(cloud, 2), np.split(weights, 2), strict=True
     ):
         assert heavy.sum() == pytest.approx(mode.probability)
-        center, covariance = based(mode.map_from_camera, mode.covariance, UPRIGHT_BASE)
+        center, covariance = base_pose(mode.map_from_camera, mode.covariance, UPRIGHT_BASE)
         turns = vector_from_rotation(mine[:, :3, :3] @ center[:3, :3].T)
         deltas = np.concatenate([mine[:, :3, 3] - center[:3, 3], turns], axis=1)
         np.testing.assert_allclose(deltas.mean(axis=0), 0.0, atol=1e-12)

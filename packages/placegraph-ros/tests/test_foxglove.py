@@ -9,10 +9,9 @@ from websockets.sync.client import connect
 
 from placegraph.errors import OptionError, ServiceError
 from placegraph_io.ros.decode import typestore
-from placegraph_ros.encode import cdr
 from placegraph_ros.foxglove import FoxgloveServer, _Listener
-from placegraph_ros.message import Message
-from placegraph_ros.pace import Pace
+from placegraph_ros.message import Message, cdr
+from placegraph_ros.sources import PlaybackClock
 
 foxglove = pytest.importorskip("foxglove")
 KIND = "std_msgs/msg/String"
@@ -51,7 +50,7 @@ def test_what_is_latched_is_told_to_whoever_comes_and_the_rest_as_it_comes():
 def test_its_buttons_pause_and_change_the_speed():
     from foxglove.websocket import PlaybackCommand, PlaybackStatus
 
-    pace = Pace()
+    pace = PlaybackClock()
     pace.now = 12.0
     listener = _Listener(SimpleNamespace(), (pace, (10.0, 20.0)))
     asked = SimpleNamespace(

@@ -5,7 +5,7 @@ import pytest
 
 from placegraph.core.geometry import Camera
 from placegraph_lab.worlds.bags import BagWriter
-from placegraph_ros.layout import layout
+from placegraph_ros.foxglove import layout
 
 PANELS = {  # in a layout's file, and in Foxglove's SDK
     "3D": "ThreeDeeConfig", "Image": "ImageConfig", "Indicator": "IndicatorConfig",
@@ -30,8 +30,8 @@ def test_every_setting_is_one_that_foxglove_knows():
 
 
 def test_every_topic_is_one_that_is_written(estimate, scene):
-    from placegraph_ros.map import map_messages
-    from placegraph_ros.telling import estimate_messages
+    from placegraph_ros.pose_messages import estimate_messages
+    from placegraph_ros.scene_messages import map_messages
 
     written = [*map_messages(scene, 1.0), *estimate_messages(estimate(), 1.0)]
     topics = {f"/{message.topic}" for message in written}

@@ -14,9 +14,9 @@ import placegraph as pg
 from placegraph.errors import InputError
 from placegraph_io.ros.containers import open_bag
 from placegraph_lab.worlds.bags import BagWriter, Layout, write_capture
-from placegraph_ros.cli.live import ending, keys, live
-from placegraph_ros.pace import Pace
-from placegraph_ros.sources import Patience
+from placegraph_ros import cli as live
+from placegraph_ros.cli import listen_to_keys, stop_on_interrupt
+from placegraph_ros.sources import PlaybackClock, WaitPolicy
 from ros_world import FRAMES, START, made
 
 
@@ -124,8 +124,8 @@ def test_keys_of_a_terminal(monkeypatch):
     master, slave = os.openpty()
     stdin = SimpleNamespace(isatty=lambda: True, fileno=lambda: slave)
     monkeypatch.setattr(sys, "stdin", stdin)
-    pace, patience, before = Pace(), Patience(0.0), termios.tcgetattr(slave)
-    with keys(pace, patience):
+    pace, patience, before = PlaybackClock(), WaitPolicy(0.0), termios.tcgetattr(slave)
+    with listen_to_keys(pace, patience):
         for key, done in (
             (b" ", lambda: pace.paused), (b"+", lambda: pace.speed == 2.0),
             (b"q", lambda: pace.stopped),
@@ -141,9 +141,9 @@ def test_keys_of_a_terminal(monkeypatch):
 def test_ctrl_c_ends_it_between_two_messages():
     """As `q` does, and what is being written goes on; the second is raised, wherever it falls."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    pace, patience = Pace(), Patience(0.0)
+    pace, patience = PlaybackClock(), WaitPolicy(0.0)
     try:
-        with ending(pace, patience):
+        with stop_on_interrupt(pace, patience):
             signal.raise_signal(signal.SIGINT)
             assert patience.over.wait(20)
             with pace._changed:
@@ -153,7 +153,7 @@ def test_ctrl_c_ends_it_between_two_messages():
         assert list(pace.paced(iter("abc"), lambda _: None)) == []
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-        with ending(pace, patience):
+        with stop_on_interrupt(pace, patience):
             assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN, "a shell may have it ignored"
     finally:
         signal.signal(signal.SIGINT, before)

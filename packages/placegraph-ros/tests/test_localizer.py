@@ -12,11 +12,10 @@ from placegraph.core.geometry import rotation_from_quaternion
 from placegraph_io.ros.decode import typestore
 from placegraph_io.ros.stream import Fault, packets_of
 from placegraph_lab.worlds.bags import BASE_FROM_CAMERA
-from placegraph_ros.localizer import Localizer
-from placegraph_ros.loop import run
+from placegraph_ros.localizer import Localizer, run
 from placegraph_ros.options import LiveOptions
-from placegraph_ros.pose import UPRIGHT_BASE
-from placegraph_ros.sources import Patience, bag_source, open_source
+from placegraph_ros.pose_messages import UPRIGHT_BASE
+from placegraph_ros.sources import WaitPolicy, bag_source, open_source
 from ros_world import FRAMES, START, off
 
 ONE_BY_ONE = LiveOptions(background=False)
@@ -84,7 +83,7 @@ def test_a_folder_and_a_pipe_say_the_same(room):
     for name in ("walk", "bag"):
         with room.bag.open("rb") as pipe:
             path = room.walk if name == "walk" else Path("-")
-            summary, heard[name] = followed(open_source(path, Patience(0.0), pipe), room)
+            summary, heard[name] = followed(open_source(path, WaitPolicy(0.0), pipe), room)
         assert summary.frames == FRAMES
     for message in heard["walk"]["localization/pose"]:
         assert message.fields["header"]["frame_id"] == "map"
@@ -122,7 +121,7 @@ def test_a_folder_that_fills(room, tmp_path):
         else:
             patience.over.set()
 
-    patience = Patience(np.inf, pause)
+    patience = WaitPolicy(np.inf, pause)
     frames = []
     for frame in open_source(walk, patience).happenings:
         if frame is None:
@@ -144,7 +143,7 @@ def test_a_bag_that_is_being_recorded(room, tmp_path):
         else:
             patience.over.set()
 
-    patience = Patience(np.inf, pause)
+    patience = WaitPolicy(np.inf, pause)
     grown = [p for p in open_source(path, patience).happenings if "/camera/color/" in p.topic]
     assert len(grown) == 2 * FRAMES, "images, and intrinsics"
 
@@ -314,7 +313,7 @@ def test_stamps_that_ros_cannot_say(seconds, room):
 
 
 def test_a_folder_lacks_nothing(room):
-    summary, _ = followed(open_source(room.walk, Patience(0.0)), room)
+    summary, _ = followed(open_source(room.walk, WaitPolicy(0.0)), room)
     assert summary.frames == FRAMES
     assert not summary.lacks
 

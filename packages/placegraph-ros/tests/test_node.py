@@ -14,8 +14,7 @@ from placegraph_io.ros.decode import typestore
 from placegraph_io.ros.stream import Packet, packets_of
 from placegraph_ros import node as ros_node
 from placegraph_ros.localizer import Localizer
-from placegraph_ros.node import PARAMETERS, LocalizerNode, Ros, main
-from placegraph_ros.node_services import NEWEST, Inbox
+from placegraph_ros.node import NEWEST, PARAMETERS, Inbox, LocalizerNode, Ros, main
 from placegraph_ros.sources import bag_source
 from ros_world import FRAMES
 

@@ -5,9 +5,8 @@ import itertools
 import pytest
 
 from placegraph.errors import OptionError
-from placegraph_ros.cli.live import pressed
-from placegraph_ros.pace import Pace
-from placegraph_ros.sources import Patience
+from placegraph_ros.cli import handle_key
+from placegraph_ros.sources import PlaybackClock, WaitPolicy
 
 
 def clock(step):
@@ -28,31 +27,31 @@ def waits(pace, times):
 
 
 def test_events_come_when_they_are_due():
-    slow, fast = (waits(Pace(speed, clock(0.05)), [5.0, 5.0, 6.0]) for speed in (1.0, 4.0))
+    slow, fast = (waits(PlaybackClock(speed, clock(0.05)), [5.0, 5.0, 6.0]) for speed in (1.0, 4.0))
     assert slow[0] == fast[0] == 0
     assert slow[2] > 2 * fast[2] > 0
-    assert waits(Pace(float("inf")), [5.0, 6.0, 7.0]) == [0, 0, 0]
-    assert waits(Pace(1.0, clock(0.0)), [5.0, 500.0, 5.0]) == [0, 0, 0], "gaps and jumps"
+    assert waits(PlaybackClock(float("inf")), [5.0, 6.0, 7.0]) == [0, 0, 0]
+    assert waits(PlaybackClock(1.0, clock(0.0)), [5.0, 500.0, 5.0]) == [0, 0, 0], "gaps and jumps"
     with pytest.raises(OptionError, match="speed is 0"):
-        Pace(0.0)
+        PlaybackClock(0.0)
 
 
 def test_pause_speed_and_end():
-    pace, patience = Pace(1.0, clock(0.01)), Patience(0.0)
+    pace, patience = PlaybackClock(1.0, clock(0.01)), WaitPolicy(0.0)
     came = []
     for event in pace.paced([1.0, 1.01, 1.02, 1.03], lambda time: time):
         if event is None and pace.paused:
             assert came == [1.0, 1.01]
-            pressed(" ", pace, patience)
+            handle_key(" ", pace, patience)
         elif event is not None:
             came.append(event)
             if event == 1.01:
-                pressed(" ", pace, patience)
+                handle_key(" ", pace, patience)
                 assert pace.paused
             if event == 1.02:
-                pressed("+", pace, patience)
+                handle_key("+", pace, patience)
                 assert pace.speed == 2.0
-                pressed("-", pace, patience)
-                pressed("q", pace, patience)
+                handle_key("-", pace, patience)
+                handle_key("q", pace, patience)
     assert came == [1.0, 1.01, 1.02]
     assert (pace.speed, pace.stopped, patience.over.is_set()) == (1.0, True, True)

@@ -12,7 +12,7 @@ from placegraph.core.geometry import (
     vector_from_rotation,
 )
 from placegraph_ros.message import FrameIds
-from placegraph_ros.pose import UPRIGHT_BASE, based, pose_messages, rig_message
+from placegraph_ros.pose_messages import UPRIGHT_BASE, base_pose, pose_messages, rig_message
 
 VECTORS = st.lists(st.floats(-3, 3), min_size=3, max_size=3)
 
@@ -35,7 +35,7 @@ def moved(matrix, delta):
 def test_the_covariance_is_that_of_the_base(turn, move, mount_turn, mount_move, seed):
     map_from_camera, base_from_camera = rigid(turn, move), rigid(mount_turn, mount_move)
     root = np.random.default_rng(seed).normal(size=(6, 6)) * 1e-6
-    center, covariance = based(map_from_camera, root @ root.T, base_from_camera)
+    center, covariance = base_pose(map_from_camera, root @ root.T, base_from_camera)
     steps = []
     for delta in root.T:  # every column is one deviation
         there = moved(map_from_camera, delta) @ np.linalg.inv(base_from_camera)

@@ -5,11 +5,9 @@ from placegraph.core.estimate import Status
 from placegraph.core.geometry import Camera
 from placegraph.errors import OptionError
 from placegraph.io.capture.frame import Frame
-from placegraph_ros.image import image_messages
-from placegraph_ros.map import map_messages
-from placegraph_ros.pose import rig_message
+from placegraph_ros.pose_messages import estimate_messages, rig_message
 from placegraph_ros.rerun import RerunWriter
-from placegraph_ros.telling import estimate_messages
+from placegraph_ros.scene_messages import image_messages, map_messages
 
 pytest.importorskip("rerun", reason="needs the extra rerun, 163 MB")
 

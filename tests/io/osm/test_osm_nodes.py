@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.io.osm import pbf
-from placegraph.io.osm.pbf import NodeIndex as Nodes
+from placegraph.io.osm.pbf import NodeIndex
 
 ids = st.integers(-3, 30) | st.integers(2**33, 2**33 + 5)
 
@@ -16,7 +16,7 @@ ids = st.integers(-3, 30) | st.integers(2**33, 2**33 + 5)
 @given(chunks=st.lists(st.lists(ids, min_size=1), max_size=4), asked=st.lists(ids))
 def test_what_was_added_last_is_found(on_disk, at_once, chunks, asked, tmp_path_factory):
     index = tmp_path_factory.getbasetemp() / "nodes.index" if on_disk else None
-    nodes, known, n = Nodes(index, at_once), {}, 0
+    nodes, known, n = NodeIndex(index, at_once), {}, 0
     for chunk in chunks:
         steps = np.arange(n, n + 2 * len(chunk), dtype=np.int32).reshape(-1, 2) - 5
         n += 2 * len(chunk)
@@ -37,7 +37,7 @@ def test_many_in_no_order_are_merged_run_by_run(tmp_path, monkeypatch):
     steps = np.stack([ids % 1000, ids % 77], 1).astype(np.int32)
     sort = pbf._in_order
     monkeypatch.setattr(pbf, "_in_order", lambda i, s: (most.append(len(i)), sort(i, s))[1])
-    nodes = Nodes(tmp_path / "a", at_once=200)
+    nodes = NodeIndex(tmp_path / "a", at_once=200)
     for at in range(0, len(ids), 50):
         nodes.add(ids[at : at + 50], steps[at : at + 50])
     found, known = nodes.find(ids)

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from placegraph.core.geometry import Camera
 from placegraph.io.capture.frame import Capture
 from placegraph_ros import bag
-from placegraph_ros.image import info_fields
 from placegraph_ros.message import Message, header, pose, transform, xyz
+from placegraph_ros.scene_messages import info_fields
 
 OPTICAL = "camera_optical_frame"
 BASE_FROM_CAMERA = np.array(

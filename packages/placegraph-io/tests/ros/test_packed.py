@@ -9,8 +9,7 @@ from backports import zstd
 
 from placegraph.errors import InputError
 from placegraph_io import storage as packed
-from placegraph_io.storage import LARGEST_MESSAGE as MOST
-from placegraph_io.storage import CompressedBytes as Packed
+from placegraph_io.storage import LARGEST_MESSAGE, CompressedBytes
 
 DATA = np.random.default_rng(0).integers(0, 40, 1_000_000).astype(np.uint8).tobytes()
 PACK = {"zstd": zstd.compress, "lz4": lz4.frame.compress, "bz2": bz2.compress}
@@ -19,7 +18,7 @@ PACK = {"zstd": zstd.compress, "lz4": lz4.frame.compress, "bz2": bz2.compress}
 @pytest.mark.parametrize("kind", PACK)
 def test_pieces(kind):
     """Any piece, in any order; nothing behind the end; of what is cut, what is there."""
-    part = Packed(PACK[kind](DATA), kind, "x")
+    part = CompressedBytes(PACK[kind](DATA), kind, "x")
     for offset, count in (
         (0, 31),
         (700_000, 250_000),
@@ -28,7 +27,7 @@ def test_pieces(kind):
         (2_000_000, 5),
     ):
         assert part.read(offset, count) == DATA[offset : offset + count]
-    cut = Packed(PACK[kind](DATA)[:300_000], kind, "x").read(0, len(DATA))
+    cut = CompressedBytes(PACK[kind](DATA)[:300_000], kind, "x").read(0, len(DATA))
     assert DATA.startswith(cut)
     assert len(cut) < len(DATA)
 
@@ -37,19 +36,19 @@ def test_pieces(kind):
 def test_what_is_read_alone_is_unpacked(kind):
     """A bomb does no harm: what nobody reads stays packed, and nobody reads beyond what may be."""
     bomb = PACK[kind](bytes(50_000_000))
-    part = Packed(bomb, kind, "x")
+    part = CompressedBytes(bomb, kind, "x")
     assert part.read(0, 100) == bytes(100)
     assert len(part._content) <= packed._STEP
     with pytest.raises(InputError, match="x would unpack to more than"):
-        part.read(MOST, 1)
+        part.read(LARGEST_MESSAGE, 1)
 
 
 @pytest.mark.parametrize("kind", PACK)
 def test_damaged(kind):
     with pytest.raises(InputError, match="x is damaged"):
-        Packed(b"nothing that was packed" * 10, kind, "x").read(0, 10)
+        CompressedBytes(b"nothing that was packed" * 10, kind, "x").read(0, 10)
 
 
 def test_unknown():
     with pytest.raises(InputError, match="x is compressed by 'xz'; write it with zstd or lz4"):
-        Packed(b"", "xz", "x")
+        CompressedBytes(b"", "xz", "x")

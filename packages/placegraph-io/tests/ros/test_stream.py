@@ -18,7 +18,7 @@ from placegraph_io.ros.stream import SILENT, Assembly, Discovery, Fault, Move, p
 from placegraph_io.ros.topics import Wishes, plan_of
 from placegraph_lab.worlds.bags import BASE_FROM_CAMERA, OPTICAL, BagWriter, Layout, write_capture
 from placegraph_ros.message import pose
-from placegraph_ros.pose import based
+from placegraph_ros.pose_messages import base_pose
 
 START = Layout().start
 
@@ -157,7 +157,7 @@ def test_odometry_between_images_is_told(tmp_path, clip):
 
 
 def test_what_odometry_says_of_its_errors_is_the_cameras(bag, clip, rng):
-    """Led to the camera, and back to the base by `based`: the same."""
+    """Led to the camera, and back to the base by `base_pose`: the same."""
     root = rng.normal(size=(6, 6))
     told = root @ root.T
     poses = [frame.odometry @ np.linalg.inv(BASE_FROM_CAMERA) for frame in clip]
@@ -174,7 +174,7 @@ def test_what_odometry_says_of_its_errors_is_the_cameras(bag, clip, rng):
     moves = [m for m in assembled(assembly, packets) if isinstance(m, Move)]
     assert moves
     for move in moves:
-        _, spread = based(move.odometry_from_camera, move.covariance, BASE_FROM_CAMERA)
+        _, spread = base_pose(move.odometry_from_camera, move.covariance, BASE_FROM_CAMERA)
         np.testing.assert_allclose(spread, told, atol=1e-9)
 
 

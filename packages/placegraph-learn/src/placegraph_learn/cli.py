@@ -37,7 +37,7 @@ WorkFolder = Annotated[
 TrainingDevice = Annotated[str, Option(help="cpu, cuda, or auto.")]
 
 
-def train_city(  # noqa: PLR0917  # options of a command
+def train_city(  # options of a command
     maps: Annotated[list[Path], Argument(help="City maps (.city) to train on, one or several.")],
     out: Annotated[Path, Option("--out", "-o", help="Weights to write: mine.weights.")],
     work: WorkFolder,
@@ -139,7 +139,7 @@ def train_city(  # noqa: PLR0917  # options of a command
     report(facts, weights.fingerprint, as_json=as_json, quiet=quiet)
 
 
-def train_scene(  # noqa: PLR0917
+def train_scene(
     out: Annotated[Path, Option("--out", "-o", help="Weights to write: mine.safetensors.")],
     work: WorkFolder,
     maps: Annotated[

@@ -1,14 +1,48 @@
-"""Messages to Foxglove by a WebSocket: the same bytes as in a bag, and its buttons for pause and speed."""
+"""Messages to Foxglove by a WebSocket, and the layout by which it shows a bag."""
 
 from __future__ import annotations
 
+import json
 import re
+from importlib.resources import files
+from os import PathLike
+from pathlib import Path
 from typing import Any, Self
 
+from placegraph.core.files import write_file
 from placegraph.errors import MissingExtraError, OptionError, ServiceError
-from placegraph_ros.encode import cdr, definition
-from placegraph_ros.message import Message, nanoseconds
-from placegraph_ros.pace import Pace
+from placegraph_io.ros.containers import open_bag
+from placegraph_io.ros.topics import chosen_views, info_names, views_of
+from placegraph_ros.message import Message, cdr, definition, nanoseconds
+from placegraph_ros.sources import PlaybackClock
+
+_IMAGE = "/localization/image"
+
+
+def layout(bag: str | PathLike[str] | None = None) -> dict[str, Any]:
+    """Layout as Foxglove imports it; its image is the bag's colours where the bag holds some.
+
+    Raises `InputError` where the bag is none, `MissingExtraError` without `rosbags`.
+    """
+    text = files("placegraph_ros").joinpath("layout.json").read_text("utf-8")
+    content: dict[str, Any] = json.loads(text)
+    found = None if bag is None else open_bag(Path(bag))
+    views = [] if found is None else [v for v in views_of(found) if v.kind in {"colour", "grey"}]
+    if found is None or not views or any(view.topic.name == _IMAGE for view in views):
+        return content
+    colour, _ = chosen_views(found, views, None, None, with_depth=False)
+    infos = [name for name in info_names(colour) if name in found.topics]
+    shown = content["configById"]["Image!placegraph"]["imageMode"]
+    shown["imageTopic"] = colour.topic.name
+    shown["calibrationTopic"] = infos[0] if infos else ""
+    return content
+
+
+def write_layout(bag: str | PathLike[str]) -> Path:
+    """Write the layout of a bag beside it, as BAG.layout.json; raises as `layout`, or `MapError`."""
+    path = Path(f"{bag}.layout.json")
+    return write_file(path, [json.dumps(layout(bag), indent=2).encode()])
+
 
 DEFAULT = "ws://127.0.0.1:8765"
 _ADDRESS = re.compile(r"ws://(\[[0-9a-fA-F:]+\]|[^:/\[\]]+)(?::(\d{1,5}))?/?")
@@ -40,7 +74,7 @@ class FoxgloveServer:
     def __init__(
         self,
         address: str = DEFAULT,
-        pace: Pace | None = None,
+        pace: PlaybackClock | None = None,
         span: tuple[float, float] | None = None,
     ) -> None:
         found = _ADDRESS.fullmatch(address)
@@ -109,7 +143,7 @@ class _Listener:
     """What viewers ask for (`foxglove.websocket.ServerListener`)."""
 
     def __init__(
-        self, server: FoxgloveServer, player: tuple[Pace, tuple[float, float]] | None
+        self, server: FoxgloveServer, player: tuple[PlaybackClock, tuple[float, float]] | None
     ) -> None:
         self._server, self._player = server, player
 

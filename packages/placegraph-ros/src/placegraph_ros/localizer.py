@@ -7,8 +7,10 @@ viewer (`foxglove`), or a node of ROS 2 (`node`). All of them are one loop (`loo
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -20,10 +22,10 @@ from placegraph.indoor.track.live_pose import LivePose
 from placegraph.io.capture.frame import Frame
 from placegraph_io.ros.stream import Assembly, Discovery, Fault, Move, Packet
 from placegraph_io.ros.topics import Plan, Wishes
-from placegraph_ros.image import image_messages
 from placegraph_ros.message import Message, nanoseconds
 from placegraph_ros.options import LiveOptions, Summary
-from placegraph_ros.telling import Telling, frame_ids
+from placegraph_ros.pose_messages import PoseReporter, frame_ids
+from placegraph_ros.scene_messages import image_messages
 
 if TYPE_CHECKING:
     from placegraph.indoor.library.library import SceneLibrary
@@ -89,7 +91,7 @@ class Localizer:
             maps, seed=options.seed, background=options.background, **self._known
         )
         names = frame_ids(options, self._assembly)
-        self._telling = Telling(maps, names, options.tolerance, whole=options.whole)
+        self._telling = PoseReporter(maps, names, options.tolerance, whole=options.whole)
         self._live: LivePose | None = None  # as it is after the last move
         self._wanted = True  # whether images are to be looked at
         self._moves = False
@@ -294,3 +296,47 @@ class Localizer:
     def close(self) -> None:
         """End the tracker's threads."""
         self.tracker.close()
+
+
+Request = Callable[[Localizer], list[Message]]
+
+
+class Sink(Protocol):
+    """What carries messages: a bag, a recording, a viewer, a node."""
+
+    def write(self, message: Message) -> None:
+        """Take a message."""
+
+
+def run(
+    happenings: Iterable[Packet | Fault | Frame | Request | None],
+    localizer: Localizer,
+    sinks: Sequence[Sink],
+    told: Callable[[Localizer], None] | None = None,
+) -> Summary:
+    """Localize what happens until it ends, and close the localizer.
+
+    Parameters
+    ----------
+    happenings
+        Messages, frames, what somebody asks of the localizer, or None: time has gone by.
+    localizer, sinks
+        Who takes them, and who carries what it says.
+    told
+        Is called after each.
+
+    """
+    with ExitStack() as stack:
+        stack.callback(localizer.close)
+
+        def send(messages: list[Message]) -> None:
+            for message in messages:
+                for sink in sinks:
+                    sink.write(message)
+            if told is not None:
+                told(localizer)
+
+        for event in happenings:
+            send(event(localizer) if callable(event) else localizer.take(event))
+        send(localizer.finish())
+        return localizer.summary

@@ -12,9 +12,9 @@ import numpy as np
 
 from placegraph.core.geometry import Floats
 from placegraph.errors import MissingExtraError, OptionError
+from placegraph_ros.bag import UnfinishedFile, check_free, writing
 from placegraph_ros.message import Fields, Message
-from placegraph_ros.objects import CLEAR, CUBE, LINES, TEXT, TRIANGLES
-from placegraph_ros.unfinished import Unfinished, check_free, writing
+from placegraph_ros.scene_messages import CLEAR, CUBE, LINES, TEXT, TRIANGLES
 
 _LEVELS = ("INFO", "WARN", "ERROR")
 _GAP = 1.0
@@ -55,7 +55,7 @@ class RerunWriter:
         self.path = Path(path)
         check_free(self.path)
         self._rr: Any = rerun
-        self._place: Unfinished | None = None
+        self._place: UnfinishedFile | None = None
         self._to: Any = None
         self._way: list[tuple[float, list[float]]] = []
         self._kinds: dict[str, Callable[[Message], None]] = {
@@ -70,7 +70,7 @@ class RerunWriter:
         }
 
     def __enter__(self) -> Self:
-        self._place = Unfinished(self.path)
+        self._place = UnfinishedFile(self.path)
         self._to = self._rr.RecordingStream("placegraph", send_properties=False)
         self._to.save(self._place.folder / "made", default_blueprint=_blueprint())
         self._to.log("map", self._rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)

@@ -1,14 +1,14 @@
-"""Where messages and frames come from, as if live: bags, what is being recorded, pipes, folders that fill."""
+"""Sources of messages and frames: bags, recordings that go on, pipes and folders that fill."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from threading import Event
+from threading import Condition, Event
 from time import monotonic
-from typing import BinaryIO
+from typing import BinaryIO, TypeVar
 
 from placegraph.errors import InputError, OptionError
 from placegraph.io.capture.capture import open_capture
@@ -19,7 +19,90 @@ from placegraph_io.ros.mcap_stream import mcap_packets
 from placegraph_io.ros.stream import Fault, Packet, packets_of
 from placegraph_io.ros.topics import Plan, Wishes, plan_of, wishes_of
 
-Happening = Packet | Fault | Frame | None
+T = TypeVar("T")
+TICK = 0.02
+"""Longest wait [s] before somebody may look whether there is news."""
+_GAP = 5.0  # without anything: it is not waited for [s]
+
+
+class PlaybackClock:
+    """When what was recorded is due. All methods may be called from any thread.
+
+    Parameters
+    ----------
+    speed
+        Seconds of the recording in one second, above 0; infinite: nothing is waited for.
+    clock
+        Tells seconds.
+
+    Raises
+    ------
+    OptionError
+        The speed is not above 0.
+
+    """
+
+    def __init__(self, speed: float = 1.0, clock: Callable[[], float] = monotonic) -> None:
+        self._changed = Condition()
+        self._clock = clock
+        self._from: tuple[float, float] | None = None
+        self.paused = self.stopped = False
+        self.now = 0.0
+        """Time of the recording that was come to [s]."""
+        self.speed = 1.0
+        self.set(speed=speed)
+
+    def set(self, *, speed: float | None = None, paused: bool | None = None) -> None:
+        """Go on faster or slower, pause, or go on."""
+        if speed is not None and not speed > 0:
+            raise OptionError(f"speed is {speed}; it is above 0: 1 is as it was recorded.")
+        with self._changed:
+            self.speed = self.speed if speed is None else speed
+            self.paused = self.paused if paused is None else paused
+            self._from = None
+            self._changed.notify_all()
+
+    def stop(self) -> None:
+        """End it."""
+        with self._changed:
+            self.stopped = True
+            self._changed.notify_all()
+
+    def waited(self, time: float) -> Iterator[None]:
+        """Wait until a time [s] of the recording is due, with a pause for news every `TICK`."""
+        with self._changed:
+            if self._from is not None:
+                gone = time - self.now
+                if not 0.0 <= gone <= _GAP:
+                    self._from = None
+        while not self.stopped:
+            with self._changed:
+                if self._from is None and not self.paused:
+                    self._from = self._clock(), time
+                left = TICK
+                if self._from is not None and not self.paused:
+                    since, first = self._from
+                    left = since + (time - first) / self.speed - self._clock()
+                    if left <= 0:
+                        break
+                self._changed.wait(min(left, TICK))
+            yield None
+        self.now = time
+
+    def paced(
+        self, events: Iterable[T], time_of: Callable[[T], float | None]
+    ) -> Iterator[T | None]:
+        """Each event when it is due, and None while it is waited for; those of no time at once."""
+        for event in events:
+            time = time_of(event)
+            if time is not None:
+                yield from self.waited(time)
+            if self.stopped:
+                return
+            yield event
+
+
+StreamEvent = Packet | Fault | Frame | None
 
 
 STDIN = Path("stdin")
@@ -32,7 +115,7 @@ class Source:
     """What happens, in order; None: nothing has, for a while."""
 
     path: Path
-    happenings: Iterator[Happening]
+    happenings: Iterator[StreamEvent]
     plan: Plan | None = None
     """What frames are made of, where it is known before."""
     wishes: Wishes | None = None
@@ -42,7 +125,7 @@ class Source:
     """First and last time [s], where they are known."""
 
 
-class Patience:
+class WaitPolicy:
     """Waits for more, until nothing has come for some seconds, or `over` is set.
 
     `pause` waits so many seconds, or less.
@@ -66,7 +149,7 @@ class Patience:
         return not self.over.is_set()
 
 
-def open_source(path: Path, patience: Patience, stdin: BinaryIO | None = None) -> Source:
+def open_source(path: Path, patience: WaitPolicy, stdin: BinaryIO | None = None) -> Source:
     """What happens in a bag, in a recording that goes on, in a folder that fills, or (``-``) in a pipe.
 
     A bag that is whole is read by its index. An MCAP without its end is read as it grows, and a folder
@@ -86,7 +169,7 @@ def open_source(path: Path, patience: Patience, stdin: BinaryIO | None = None) -
     if not path.exists():
         raise InputError(f"{path} does not exist; name a bag, a folder of images, or - for a pipe.")
     if not is_bag(path):
-        return Source(path, _filling(path, patience if path.is_dir() else Patience(0.0)))
+        return Source(path, _filling(path, patience if path.is_dir() else WaitPolicy(0.0)))
     if path.suffix.lower() == ".mcap" and not path.is_dir() and not is_whole(path):
         return Source(path, _growing(path, patience), wishes=wishes_of(path, None))
     return bag_source(path)
@@ -115,14 +198,14 @@ def bag_source(path: Path) -> Source:
     )  # fmt: skip
 
 
-def time_of(event: Happening) -> float | None:
+def time_of(event: StreamEvent) -> float | None:
     """When something happened [s]; None: at no time of its own."""
     if isinstance(event, Frame):
         return event.stamp
     return event.time if isinstance(event, Packet) else None
 
 
-def _filling(path: Path, patience: Patience) -> Iterator[Frame | None]:
+def _filling(path: Path, patience: WaitPolicy) -> Iterator[Frame | None]:
     """Frames of a folder, and those that come into it: it is opened again whenever it has changed.
 
     While it cannot be read it is waited for, as a row may come before its image.
@@ -160,7 +243,7 @@ def _state(path: Path) -> int:
     return hash(tuple(sorted(facts)))
 
 
-def _growing(path: Path, patience: Patience) -> Iterator[Packet | Fault]:
+def _growing(path: Path, patience: WaitPolicy) -> Iterator[Packet | Fault]:
     """Messages of an MCAP that is being written."""
     with path.open("rb") as file:
 

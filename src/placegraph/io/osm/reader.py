@@ -31,8 +31,7 @@ from placegraph.io.osm.osm import (
 )
 from placegraph.io.osm.osm_areas import Assembler
 from placegraph.io.osm.osm_kernels import lines
-from placegraph.io.osm.pbf import NONE, Block, Rows
-from placegraph.io.osm.pbf import NodeIndex as Nodes
+from placegraph.io.osm.pbf import NONE, Block, NodeIndex, Rows
 
 Numbers = NDArray[np.int64]
 Steps = NDArray[np.int32]
@@ -70,7 +69,7 @@ class Reader:
         blobs = [blob for blob in blobs if blob.kind == b"OSMData"]
         relations, passed = self._plan(blobs, ordered=SORTED in says), self.left_out.read
         work = [(blob, self._read) for blob in blobs] + [(blob, self._areas) for blob in relations]
-        with closing(Nodes(index)) as nodes, closing(self.assembler):
+        with closing(NodeIndex(index)) as nodes, closing(self.assembler):
             for n, (blob, read) in enumerate(work, 1):
                 before, block = self.left_out.counts.copy(), Block(pbf.inflated(self.file, blob))
                 if pbf.RELATIONS in block.holds and blob not in relations:
@@ -99,8 +98,8 @@ class Reader:
         self.members = np.unique(np.concatenate(members))
         return dict.fromkeys(found[::-1])
 
-    def _read(self, block: Block, nodes: Nodes) -> list[OsmColumns]:
-        """Nodes and ways of a block."""
+    def _read(self, block: Block, nodes: NodeIndex) -> list[OsmColumns]:
+        """NodeIndex and ways of a block."""
         found = []
         if block.holds & {pbf.NODES, pbf.DENSE}:
             found.append(self._points(block, nodes))
@@ -108,7 +107,7 @@ class Reader:
             found.append(self._lines(block, nodes))
         return found
 
-    def _points(self, block: Block, nodes: Nodes) -> OsmColumns:
+    def _points(self, block: Block, nodes: NodeIndex) -> OsmColumns:
         rows = block.nodes()
         self._one_time(pbf.NODES, rows)
         if len(wrong := rows.ids[(rows.ids < -LARGEST_ID) | (rows.ids > LARGEST_ID)]):
@@ -125,7 +124,7 @@ class Reader:
         steps, tags = rows.steps[hits].astype(np.int32), _tags(block, rows, hits)
         return OsmColumns(_like(kind, NODE), rows.ids[hits], kind, each, each, steps, tags)
 
-    def _lines(self, block: Block, nodes: Nodes) -> OsmColumns:
+    def _lines(self, block: Block, nodes: NodeIndex) -> OsmColumns:
         rows = block.ways()
         self._one_time(pbf.WAYS, rows)
         hits, ((bounds, refs),) = self._wanted(block, rows), rows.lists
@@ -150,7 +149,7 @@ class Reader:
         each = np.arange(len(hits) + 1)
         return OsmColumns(_like(kind, WAY), rows.ids[hits], kind, each, starts, steps, tags)
 
-    def _areas(self, block: Block, _nodes: Nodes) -> list[OsmColumns]:
+    def _areas(self, block: Block, _nodes: NodeIndex) -> list[OsmColumns]:
         """Areas of the relations of a block."""
         rows = block.relations()
         hits = self._areas_among(block, rows)
@@ -272,7 +271,7 @@ def _tags(block: Block, rows: Rows, hits: Numbers) -> list[dict[str, str]]:
 
 
 def _joined(tables: list[OsmColumns]) -> OsmColumns:
-    """Nodes and ways of a block, which may hold both."""
+    """NodeIndex and ways of a block, which may hold both."""
     lengths = [
         [np.diff(getattr(t, name)) for t in tables] for name in ("part_starts", "point_starts")
     ]

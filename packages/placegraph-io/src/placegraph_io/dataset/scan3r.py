@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from placegraph.core.files import regular
 from placegraph.errors import InputError, OptionError
-from placegraph.io.capture.json_files import LabelEntry as Entry
-from placegraph.io.capture.json_files import label_table, read_json
+from placegraph.io.capture.json_files import LabelEntry, label_table, read_json
 from placegraph.io.mesh.model import Model
 from placegraph.io.mesh.nearest_kernels import nearest
 from placegraph.io.mesh.obj import read_obj
@@ -43,7 +42,7 @@ _NO_RELATION = "none"
 class Annotation:
     """What is said of a scan's objects."""
 
-    objects: dict[str, Entry]
+    objects: dict[str, LabelEntry]
     """By the object's id."""
     relations: tuple[tuple[str, str, str], ...]
     """(id, 3DSSG's name of the relation, id), sorted."""
@@ -79,7 +78,7 @@ def read_annotation(folder: Path, given: Path | None, left_out: Counter[str]) ->
     )
     for id_, entry in described.items():
         known = objects.get(id_)
-        objects[id_] = Entry(known.label if known else entry.label, "", entry.attributes)
+        objects[id_] = LabelEntry(known.label if known else entry.label, "", entry.attributes)
     if not objects:
         raise InputError(
             f"{folder} has no {GROUPS[0]}, and no {OBJECTS[0]} around it names the objects of the scan "
@@ -111,7 +110,7 @@ def segment_objects(segments: Path, groups: Path) -> list[int]:
     return [owner.get(s, -1) if type(s) is int else -1 for s in listed]
 
 
-def _objects(path: Path, scan: str) -> dict[str, Entry]:
+def _objects(path: Path, scan: str) -> dict[str, LabelEntry]:
     found = {}
     for entry in _of_scan(path, scan):
         for listed in _list(path, entry, "objects"):
@@ -120,7 +119,7 @@ def _objects(path: Path, scan: str) -> dict[str, Entry]:
                 raise InputError(
                     f"{path}: an object of {scan} lacks id or label; download it again."
                 )
-            found[str(id_)] = Entry(label, "", _attributes(listed))
+            found[str(id_)] = LabelEntry(label, "", _attributes(listed))
     return found
 
 

@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import InputError
-from placegraph.io.capture.json_files import LabelEntry as Entry
-from placegraph.io.capture.json_files import read_json
+from placegraph.io.capture.json_files import LabelEntry, read_json
 from placegraph.io.mesh.model import Model, Picture
 from placegraph.io.mesh.nearest_kernels import nearest
 from placegraph.io.mesh.ply import majority, read_columns, read_ply, things_of_ids, whole
@@ -127,13 +126,15 @@ class _Graph:
         at = np.minimum(np.searchsorted(known, segments), max(len(known) - 1, 0))
         return np.where(known[at] == segments, things[at], -1) if len(known) else segments * 0 - 1
 
-    def table(self) -> dict[str, Entry]:
+    def table(self) -> dict[str, LabelEntry]:
         """Names of things, by their numbers."""
         parts: dict[int, list[float]] = {}
         for segment, thing in self.owner.items():
             parts.setdefault(thing, []).append(self.labels[segment][1])
         return {
-            str(thing): Entry(self.labels[thing][0], "", {"probability": f"{sum(p) / len(p):.3f}"})
+            str(thing): LabelEntry(
+                self.labels[thing][0], "", {"probability": f"{sum(p) / len(p):.3f}"}
+            )
             for thing, p in sorted(parts.items())
         }
 

@@ -26,9 +26,7 @@ from numpy.typing import NDArray
 
 from placegraph.core.files import regular
 from placegraph.errors import InputError, MissingExtraError
-from placegraph_io.storage import LARGEST_MESSAGE as MOST
-from placegraph_io.storage import CompressedBytes as Packed
-from placegraph_io.storage import Database
+from placegraph_io.storage import LARGEST_MESSAGE, CompressedBytes, Database
 
 if TYPE_CHECKING:
     from rosbags.rosbag1 import Reader
@@ -58,7 +56,7 @@ class File:
         self.path = path
         self._handle: int | None = None
         self._lock = Lock()
-        self._unpacked: OrderedDict[int, Packed] = OrderedDict()
+        self._unpacked: OrderedDict[int, CompressedBytes] = OrderedDict()
 
     def __reduce__(self) -> tuple[type[File], tuple[Path]]:
         return File, (self.path,)
@@ -93,8 +91,8 @@ class File:
             packed = self._unpacked.pop(chunk.start, None)
         if packed is None:
             name = f"{self.path}, the chunk at byte {chunk.start},"
-            data = self.read(chunk.start, min(chunk.size, MOST))
-            packed = Packed(data, chunk.compression, name)
+            data = self.read(chunk.start, min(chunk.size, LARGEST_MESSAGE))
+            packed = CompressedBytes(data, chunk.compression, name)
         content = packed.read(offset, count)
         with self._lock:
             self._unpacked[chunk.start] = packed
@@ -138,7 +136,7 @@ class Chunk:
                 skip, length = 31, length - 22 if op == 5 else -1
         except struct.error as error:
             raise self._broken(offset) from error
-        if not 0 <= length < MOST:
+        if not 0 <= length < LARGEST_MESSAGE:
             raise self._broken(offset)
         count = length if most is None else min(length, most)
         enough = len(head) >= skip + count
@@ -170,8 +168,8 @@ class Messages(Database):
         name = f"{self.path}: message {offset}"
         data = self.blob(("messages", "data", offset), name, None if self.packed else most)
         if self.packed:
-            whole = MOST if most is None else most
-            return Packed(data, "zstd", f"{self.path}, message {offset},").read(0, whole)
+            whole = LARGEST_MESSAGE if most is None else most
+            return CompressedBytes(data, "zstd", f"{self.path}, message {offset},").read(0, whole)
         return data
 
 
@@ -329,7 +327,7 @@ class _Index(Channels):
                 whole = False
                 break
             op, length = unpack_from("<BQ", head)
-            if length > MOST or not (length == 0 or chunk.peek(at + 8 + length, 1)):
+            if length > LARGEST_MESSAGE or not (length == 0 or chunk.peek(at + 8 + length, 1)):
                 whole = False
                 break
             if op == MESSAGE and length >= 22:

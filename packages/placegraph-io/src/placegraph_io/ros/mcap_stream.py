@@ -9,8 +9,7 @@ from struct import unpack_from
 from placegraph.errors import InputError
 from placegraph_io.ros.containers import CHUNK, MAGIC, MESSAGE, Channels, Cut, records, ros2_type
 from placegraph_io.ros.stream import Fault, Packet
-from placegraph_io.storage import LARGEST_MESSAGE as MOST
-from placegraph_io.storage import CompressedBytes as Packed
+from placegraph_io.storage import LARGEST_MESSAGE, CompressedBytes
 
 _FOOTER, _DATA_END = 2, 15
 
@@ -41,7 +40,7 @@ def mcap_packets(read: Callable[[int], bytes], name: str) -> Iterator[Packet | F
         op, length = unpack_from("<BQ", head)
         if op in {_FOOTER, _DATA_END}:
             return
-        if length > MOST:
+        if length > LARGEST_MESSAGE:
             yield Fault("", f"{name} is damaged: a record of {length:,} bytes; it ends here.")
             return
         data = read(length)
@@ -64,7 +63,7 @@ def _told(known: Channels, op: int, data: bytes, name: str) -> Iterator[Packet]:
         packing = data[32 : 32 + letters].decode("ascii", "replace")
         content = data[32 + letters + 8 :]
         if packing:
-            content = Packed(content, packing, f"{name}, a chunk").read(0, size)
+            content = CompressedBytes(content, packing, f"{name}, a chunk").read(0, size)
         for inner, at, length in records(content):
             yield from _told(known, inner, content[at : at + length], name)
     elif op == MESSAGE:

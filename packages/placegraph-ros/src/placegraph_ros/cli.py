@@ -1,4 +1,4 @@
-"""`placegraph live`: follow a recording, a folder that fills, or a pipe, as a robot's camera."""
+"""Commands `live`, `bag localize` and `bag layout`."""
 
 from __future__ import annotations
 
@@ -10,23 +10,67 @@ import sys
 import threading
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
 from placegraph.cli.command import Argument, Option
-from placegraph.cli.common import AsJson, Quiet
+from placegraph.cli.common import AsJson, Quiet, console, echo_json, progress_of
 from placegraph.cli.scene_options import Device, Seed
 from placegraph.errors import InputError
-from placegraph_ros.cli.following import RerunFile, RoomsFile, carriers, show_summary
+from placegraph_io.info import BagFile
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from placegraph.indoor.track.live_pose import LivePose
-    from placegraph_ros.localizer import Localizer
-    from placegraph_ros.pace import Pace
-    from placegraph_ros.sources import Patience
+    from placegraph_ros.localizer import Localizer, Sink
+    from placegraph_ros.options import Summary
+    from placegraph_ros.sources import PlaybackClock, WaitPolicy
+
+RoomsFile = Annotated[
+    Path, Argument(help="Scene map (.scene), or library of several.", metavar="MAP")
+]
+RerunFile = Annotated[
+    Path | None, Option(help="Write a recording for Rerun (.rrd) as well; extra `rerun`.")
+]
+
+
+def open_sinks(stack: ExitStack, out: Path | None, rerun: Path | None) -> list[Sink]:
+    """Who writes the messages; errors as of `BagWriter` and `RerunWriter`."""
+    sinks: list[Sink] = []
+    if out is not None:
+        from placegraph_ros.bag import BagWriter
+
+        sinks.append(stack.enter_context(BagWriter(out)))
+    if rerun is not None:
+        from placegraph_ros.rerun import RerunWriter
+
+        sinks.append(stack.enter_context(RerunWriter(rerun)))
+    return sinks
+
+
+def show_summary(summary: Summary, written: dict[str, Any], *, as_json: bool) -> None:
+    """Say what became of the frames, what is missing, and what was written."""
+    told = summary.to_dict()
+    if as_json:
+        echo_json(told | written)
+        return
+    out = console()
+    looked = sum(summary.told.values())
+    shares = ", ".join(f"{n:,} {name} ({n / looked:.0%})" for name, n in summary.told.most_common())
+    out.print(
+        f"{summary.frames:,} frames: {shares or 'nothing was told'}; {summary.dropped:,} dropped"
+    )
+    for sentence in summary.notes:
+        out.print(f"Note: {sentence}")
+    for sentence in summary.lacks:
+        out.print(f"Missing: {sentence}")
+    for reason, count in summary.left_out.items():
+        out.print(f"Left out: {count:,}: {reason}")
+    for name, value in written.items():
+        out.print(f"{name}: {value}")
+
 
 _EVERY = 1.0  # seconds between two lines where nothing but the pose has changed
 
@@ -71,34 +115,32 @@ def live(
     Example: placegraph live house.scene walk.mcap --foxglove ws://127.0.0.1:8765
     """
     from placegraph.maps import open_rooms
-    from placegraph_ros.localizer import Localizer
-    from placegraph_ros.loop import run
+    from placegraph_ros.localizer import Localizer, run
     from placegraph_ros.options import LiveOptions, mode_of
-    from placegraph_ros.pace import Pace
-    from placegraph_ros.sources import Patience, open_source, time_of
+    from placegraph_ros.sources import PlaybackClock, WaitPolicy, open_source, time_of
 
-    pace, patience = Pace(speed), Patience(wait)
-    from_where = open_source(source, patience)
+    clock, wait_policy = PlaybackClock(speed), WaitPolicy(wait)
+    stream = open_source(source, wait_policy)
     with ExitStack() as stack:
-        sinks = carriers(stack, out, rerun)
+        sinks = open_sinks(stack, out, rerun)
         if foxglove is not None:
             from placegraph_ros.foxglove import FoxgloveServer
 
-            server = FoxgloveServer(foxglove, pace, from_where.span)
+            server = FoxgloveServer(foxglove, clock, stream.span)
             sinks.append(stack.enter_context(server))
             click.echo(f"Foxglove: open a connection to {server.address}", err=True)
         options = LiveOptions(mode=mode_of(mode), whole=bool(sinks), seed=seed)
         localizer = Localizer(
-            open_rooms(map_file), options, plan=from_where.plan, name=str(from_where.path),
-            wishes=from_where.wishes, device=device,
+            open_rooms(map_file), options, plan=stream.plan, name=str(stream.path),
+            wishes=stream.wishes, device=device,
         )  # fmt: skip
-        stack.enter_context(keys(pace, patience))
-        stack.enter_context(ending(pace, patience))
+        stack.enter_context(listen_to_keys(clock, wait_policy))
+        stack.enter_context(stop_on_interrupt(clock, wait_policy))
         lines = _Lines(as_json=as_json, quiet=quiet)
-        paced = pace.paced(from_where.happenings, time_of)
+        events = clock.paced(stream.happenings, time_of)
         with suppress(KeyboardInterrupt):  # a second Ctrl-C
-            summary = run(paced, localizer, sinks, lines)
-            if not summary.frames and not pace.stopped:
+            summary = run(events, localizer, sinks, lines)
+            if not summary.frames and not clock.stopped:
                 why = (*summary.lacks, *summary.left_out, f"{source} holds no frame.")
                 raise InputError(why[0])
         written = {name: str(file) for name, file in (("out", out), ("rerun", rerun)) if file}
@@ -145,7 +187,7 @@ _FASTEST, _SLOWEST = 64.0, 1 / 64
 
 
 @contextmanager
-def ending(pace: Pace, patience: Patience) -> Iterator[None]:
+def stop_on_interrupt(clock: PlaybackClock, wait_policy: WaitPolicy) -> Iterator[None]:
     """The first Ctrl-C ends what plays as `q` does, between two messages: what is written of it is whole.
 
     The second is a `KeyboardInterrupt`, wherever it falls.
@@ -159,7 +201,7 @@ def ending(pace: Pace, patience: Patience) -> Iterator[None]:
     def interrupted(*_: object) -> None:
         signal.signal(signal.SIGINT, before)
         # whoever was interrupted may hold the locks that this needs
-        threading.Thread(target=pressed, args=("q", pace, patience)).start()
+        threading.Thread(target=handle_key, args=("q", clock, wait_policy)).start()
 
     signal.signal(signal.SIGINT, interrupted)
     try:
@@ -169,7 +211,7 @@ def ending(pace: Pace, patience: Patience) -> Iterator[None]:
 
 
 @contextmanager
-def keys(pace: Pace, patience: Patience) -> Iterator[None]:
+def listen_to_keys(clock: PlaybackClock, wait_policy: WaitPolicy) -> Iterator[None]:
     """Space pauses, + and - change the speed by two, q ends; without a terminal, nothing does."""
     if not (sys.stdin.isatty() and threading.current_thread() is threading.main_thread()):
         yield
@@ -183,7 +225,7 @@ def keys(pace: Pace, patience: Patience) -> Iterator[None]:
 
     def listen() -> None:
         while read not in select.select([terminal, read], [], [])[0]:
-            pressed(os.read(terminal, 1).decode("ascii", "replace"), pace, patience)
+            handle_key(os.read(terminal, 1).decode("ascii", "replace"), clock, wait_policy)
 
     listener = threading.Thread(target=listen, daemon=True)
     tty.setcbreak(terminal)
@@ -198,14 +240,69 @@ def keys(pace: Pace, patience: Patience) -> Iterator[None]:
         termios.tcsetattr(terminal, termios.TCSADRAIN, before)
 
 
-def pressed(key: str, pace: Pace, patience: Patience) -> None:
+def handle_key(key: str, clock: PlaybackClock, wait_policy: WaitPolicy) -> None:
     """Do what a key stands for."""
     if key == " ":
-        pace.set(paused=not pace.paused)
+        clock.set(paused=not clock.paused)
     elif key in "+=":
-        pace.set(speed=min(pace.speed * 2.0, _FASTEST))
+        clock.set(speed=min(clock.speed * 2.0, _FASTEST))
     elif key in "-_":
-        pace.set(speed=max(pace.speed / 2.0, _SLOWEST))
+        clock.set(speed=max(clock.speed / 2.0, _SLOWEST))
     elif key in "qQ":
-        patience.over.set()
-        pace.stop()
+        wait_policy.over.set()
+        clock.stop()
+
+
+def localize(
+    bag: BagFile,
+    map_file: RoomsFile,
+    out: Annotated[
+        Path,
+        Option("--out", "-o", help="Bag to write: .mcap, .db3, .bag, or a folder of rosbag2."),
+    ],
+    rerun: RerunFile = None,
+    seed: Seed = 0,
+    device: Device = "auto",
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Localize all frames of a bag, one after the other, and write what is known as a bag.
+
+    It holds the pose of the robot's base with its covariance, odometry in the map, the transforms, a
+    particle cloud, the other places that fit, the status with reason and evidence, the objects that
+    agreed and disagreed, the map and the images. `placegraph bag layout OUT` makes a layout for Foxglove.
+
+    Example: placegraph bag localize walk.mcap house.scene -o out.mcap
+    """
+    from placegraph.maps import open_rooms
+    from placegraph_ros.localizer import Localizer, run
+    from placegraph_ros.options import LiveOptions
+    from placegraph_ros.sources import bag_source
+
+    source = bag_source(bag)
+    options = LiveOptions(background=False, seed=seed)
+    with ExitStack() as stack:
+        sinks = open_sinks(stack, out, rerun)
+        localizer = Localizer(open_rooms(map_file), options, plan=source.plan, device=device)
+        tell = stack.enter_context(progress_of(hidden=quiet or as_json))
+
+        def told(localizer: Localizer) -> None:
+            tell("localizing", localizer.frames, source.frames)
+
+        summary = run(source.happenings, localizer, sinks, told)
+    written = {"out": str(out)} | ({"rerun": str(rerun)} if rerun else {})
+    if as_json or not quiet:
+        show_summary(summary, written, as_json=as_json)
+
+
+def layout(bag: BagFile) -> None:
+    """Write BAG.layout.json: a layout for Foxglove or Lichtblick, to be imported there.
+
+    It shows the map, the pose with its covariance, the modes, the objects that agreed and disagreed,
+    the camera's images where BAG holds some, and the status with reason and evidence.
+
+    Example: placegraph bag layout out.mcap
+    """
+    from placegraph_ros.foxglove import write_layout
+
+    click.echo(f"wrote {write_layout(bag)}")

@@ -1,27 +1,129 @@
-"""What a live tracker knows as messages: the pose as often as odometry tells it, the rest by image."""
+"""Poses of a robot's base, their covariance, modes and status as messages."""
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from placegraph.core.estimate import Evidence, PoseEstimate, PoseMode, Status
-from placegraph.core.geometry import Floats, pose_matrix, rotation_from_vector, split_pose
+from placegraph.core.geometry import (
+    Floats,
+    cross_matrix,
+    pose_matrix,
+    rotation_from_vector,
+    split_pose,
+)
 from placegraph.indoor.map.scene import Scene
-from placegraph_ros.map import map_messages
-from placegraph_ros.message import FrameIds, Message, header, poses, sayable, transform
-from placegraph_ros.objects import objects_message
+from placegraph_ros.message import (
+    Fields,
+    FrameIds,
+    Message,
+    header,
+    pose,
+    poses,
+    sayable,
+    transform,
+)
 from placegraph_ros.options import LiveOptions
-from placegraph_ros.pose import UPRIGHT_BASE, based, pose_messages, rig_message, transforms_message
+from placegraph_ros.scene_messages import map_messages, objects_message
 
 if TYPE_CHECKING:
     from placegraph.indoor.library.library import SceneLibrary
     from placegraph.indoor.scene_map import SceneMap
     from placegraph.indoor.track.live_pose import LivePose
     from placegraph_io.ros.stream import Assembly
+
+UPRIGHT_BASE = np.array(
+    [[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+)
+"""base_from_camera of a base that is the camera itself with a body's axes (REP-103): x where it
+looks, y to the left, z up."""
+_UNKNOWN = 1e6
+"""Variance of a speed that nobody measured [m^2/s^2, rad^2/s^2]."""
+
+
+def base_pose(
+    map_from_camera: Floats, covariance: Floats, base_from_camera: Floats
+) -> tuple[Floats, Floats]:
+    """Pose (4, 4) and covariance (6, 6) of the base, of those of a camera on it.
+
+    Both covariances are of x, y, z [m] and of a turn about the map's axes [rad]. A turn w moves
+    the base by w x lever, which leads from the camera to the base in the map's axes.
+    """
+    map_from_base = map_from_camera @ np.linalg.inv(base_from_camera)
+    jacobian = np.eye(6)
+    jacobian[:3, 3:] = -cross_matrix(map_from_base[:3, 3] - map_from_camera[:3, 3])
+    return map_from_base, jacobian @ covariance @ jacobian.T
+
+
+def pose_messages(
+    map_from_camera: Floats,
+    covariance: Floats,
+    stamp: float,
+    frames: FrameIds | None = None,
+    *,
+    map_from_odom: Floats | None = None,
+    base_from_camera: Floats | None = None,
+) -> list[Message]:
+    """`PoseWithCovarianceStamped`, `Odometry`, and where it is known the transform map -> odom.
+
+    Parameters
+    ----------
+    map_from_camera, covariance
+        (4, 4), and (6, 6) of x, y, z [m] and a turn about the map's axes [rad], which is ROS's order.
+    stamp
+        When the camera was there [s].
+    map_from_odom
+        (4, 4), map_from_camera @ inv(odom_from_camera) of one moment.
+    base_from_camera
+        (4, 4) where the camera sits on the robot; `UPRIGHT_BASE` if not given.
+
+    Raises
+    ------
+    OptionError
+        The stamp is none that ROS can say.
+
+    """
+    frames = frames or FrameIds()
+    mount = UPRIGHT_BASE if base_from_camera is None else base_from_camera
+    map_from_base, spread = base_pose(map_from_camera, covariance, mount)
+    told = {"pose": pose(map_from_base), "covariance": spread.ravel()}
+    head = header(stamp, frames.map)
+    moving = {"covariance": np.eye(6).ravel() * _UNKNOWN}
+    ridden = {"header": head, "child_frame_id": frames.base, "pose": told, "twist": moving}
+    kind = "geometry_msgs/msg/PoseWithCovarianceStamped"
+    messages = [
+        Message("localization/pose", kind, stamp, {"header": head, "pose": told}),
+        Message("localization/odometry", "nav_msgs/msg/Odometry", stamp, ridden),
+    ]
+    if map_from_odom is not None:
+        moved = transform(frames.map, frames.odom, map_from_odom, stamp)
+        messages.append(transforms_message([moved], stamp))
+    return messages
+
+
+def rig_message(
+    base_from_camera: Floats | None, stamp: float, frames: FrameIds | None = None
+) -> Message:
+    """Where the camera sits on the robot, once and for all: base -> camera on `tf_static`."""
+    frames = frames or FrameIds()
+    mount = UPRIGHT_BASE if base_from_camera is None else base_from_camera
+    fixed = transform(frames.base, frames.camera, mount, stamp)
+    return transforms_message([fixed], stamp, latched=True)
+
+
+def transforms_message(
+    transforms: Sequence[Fields], stamp: float, *, latched: bool = False
+) -> Message:
+    """`tf2_msgs/TFMessage` of `message.transform`s, on `tf`, or latched on `tf_static`."""
+    topic = "tf_static" if latched else "tf"
+    fields = {"transforms": list(transforms)}
+    return Message(topic, "tf2_msgs/msg/TFMessage", stamp, fields, latched)
+
 
 STATUS = "localization/status"
 
@@ -36,7 +138,7 @@ def frame_ids(options: LiveOptions, parts: Assembly | None) -> FrameIds:
     return FrameIds(name, parts.odometry, options.base_frame or parts.base, parts.camera)
 
 
-class Telling:
+class PoseReporter:
     """Makes messages of poses, and knows what was told already.
 
     Parameters
@@ -142,7 +244,7 @@ class Telling:
         return messages
 
 
-NAME = "placegraph: localization"
+DIAGNOSTIC = "placegraph: localization"
 """Of the diagnostic."""
 _AROUND = 12
 """Particles that stand for a mode: two for each of its six directions."""
@@ -220,7 +322,7 @@ def particles(estimate: PoseEstimate, base_from_camera: Floats) -> tuple[Floats,
 
 def _around(mode: PoseMode, base_from_camera: Floats) -> Floats:
     """Poses (_AROUND, 4, 4) of the base whose mean and covariance are a mode's."""
-    center, covariance = based(mode.map_from_camera, mode.covariance, base_from_camera)
+    center, covariance = base_pose(mode.map_from_camera, mode.covariance, base_from_camera)
     values, vectors = np.linalg.eigh(covariance)
     ahead = (vectors * np.sqrt(6.0 * np.maximum(values, 0.0))).T
     arms = np.concatenate([ahead, -ahead])
@@ -239,16 +341,16 @@ def status_message(
         values["probability"] = f"{best.probability:.4f}"
         values["scene"] = best.scene
     told = [{"key": key, "value": value} for key, value in values.items()]
-    told += [_told(evidence) for evidence in (best.evidence if best else ())]
+    told += [_evidence_value(evidence) for evidence in (best.evidence if best else ())]
     one = {
-        "level": _LEVELS[status], "name": NAME, "message": f"{status.name}: {reason}",
+        "level": _LEVELS[status], "name": DIAGNOSTIC, "message": f"{status.name}: {reason}",
         "values": told,
     }  # fmt: skip
     fields = {"header": header(stamp, ""), "status": [one]}
     return Message("diagnostics", "diagnostic_msgs/msg/DiagnosticArray", stamp, fields)
 
 
-def _told(evidence: Evidence) -> dict[str, str]:
+def _evidence_value(evidence: Evidence) -> dict[str, str]:
     note = f" ({evidence.note})" if evidence.note else ""
     return {
         "key": evidence.statement,
