@@ -8,10 +8,10 @@ from PIL import Image
 
 from placegraph.errors import OptionError
 from placegraph.outdoor.network.weights import read_weights
+from placegraph_lab.worlds.home.lessons import homes
 from placegraph_lab.worlds.town.town import Town
 from placegraph_learn.city.train import TrainOptions
 from placegraph_learn.cli import ShownProgress, choose_worlds, train_city
-from placegraph_learn.scenegraphloc.lessons import homes
 
 TINY = ("--epochs", 2, "--examples", 6, "--steps", 2, "--batch", 3, "--check", 3, "--device", "cpu")
 TEXT = "I am on Speicherweg. The museum is south of me."

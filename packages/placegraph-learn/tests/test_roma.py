@@ -10,7 +10,7 @@ import pytest
 
 from placegraph.errors import InputError, MissingExtraError, OptionError, ServiceError
 from placegraph.indoor.refine.matching import Matcher, matcher
-from placegraph.indoor.refine.matching.dense import to_normalised, to_pixels
+from placegraph.indoor.refine.matching.matches import to_normalised, to_pixels
 
 torch = pytest.importorskip("torch", reason="needs PyTorch: pip install 'placegraph[roma]'")
 pytest.importorskip("kornia", reason="needs kornia: pip install 'placegraph[roma]'")

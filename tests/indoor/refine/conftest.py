@@ -8,10 +8,9 @@ import pytest
 
 from placegraph.core.geometry import Camera, level_from_camera, pose_matrix, rotation_from_vector
 from placegraph.indoor.map.mesh import Mesh
-from placegraph.indoor.refine.depth import Surfaces, readings
-from placegraph.indoor.refine.match import Sights
+from placegraph.indoor.refine.correspondences import Sights, Surfaces, readings
+from placegraph.indoor.refine.fit import Problem
 from placegraph.indoor.refine.options import RefineOptions
-from placegraph.indoor.refine.solve import Problem
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame

@@ -18,7 +18,7 @@ from placegraph.indoor.refine.calibrate import (
     depth_from_camera,
     turned_gravity,
 )
-from placegraph.indoor.refine.match import Sights
+from placegraph.indoor.refine.correspondences import Sights
 from placegraph.indoor.refine.options import RefineOptions
 
 pytestmark = pytest.mark.usefixtures("one_thread")

@@ -16,7 +16,7 @@ from placegraph.indoor.refine.check import (
     image_evidence,
     surely,
 )
-from placegraph.indoor.refine.depth import Surfaces, readings
+from placegraph.indoor.refine.correspondences import Surfaces, readings
 from placegraph.indoor.render import Renderer
 
 pytestmark = pytest.mark.usefixtures("one_thread")

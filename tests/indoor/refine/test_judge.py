@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from placegraph.core.geometry import Camera
+from placegraph.indoor.refine.correspondences import Sights
+from placegraph.indoor.refine.fit import Lags
 from placegraph.indoor.refine.judge import (
     BENT,
     FARTHEST,
@@ -16,8 +18,6 @@ from placegraph.indoor.refine.judge import (
     judged,
     moved,
 )
-from placegraph.indoor.refine.lag import Lags
-from placegraph.indoor.refine.match import Sights
 from placegraph.indoor.refine.options import RefineOptions
 from placegraph.indoor.refine.refiner import Fitted, Refiner
 

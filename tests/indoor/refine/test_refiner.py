@@ -5,7 +5,7 @@ import pytest
 
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.refine.check import held_back
-from placegraph.indoor.refine.match import Sights
+from placegraph.indoor.refine.correspondences import Sights
 from placegraph.indoor.refine.matching import Matches
 from placegraph.indoor.refine.options import RefineOptions
 from placegraph.indoor.refine.refiner import FEW, MANY, Fitted, Refiner, stages_of

@@ -9,8 +9,8 @@ from placegraph.core.estimate import Status
 from placegraph.errors import OptionError
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.refine import RefineOptions, refinement
+from placegraph.indoor.refine.correspondences import MOST, look
 from placegraph.indoor.refine.judge import Judgement
-from placegraph.indoor.refine.match import MOST, look
 from placegraph.indoor.refine.matching import Matches
 from placegraph.indoor.refine.refiner import Fitted
 from placegraph.indoor.render import Renderer

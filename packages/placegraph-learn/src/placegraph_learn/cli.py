@@ -12,13 +12,14 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Annotated
 
 import click
+from rich import progress as rich
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from placegraph.cli.command import Argument, Option
 from placegraph.cli.common import AsJson, Quiet, bare
-from placegraph.errors import OptionError
-from placegraph_learn.training import draw_curves, rows_of
+from placegraph.core.plugins import load_plugin, plugins
+from placegraph.errors import MissingExtraError, OptionError
+from placegraph_learn.training import Progress, draw_curves, rows_of
 
 if TYPE_CHECKING:
     from placegraph_learn.scenegraphloc.lessons import Teacher, World
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
 
 INTERRUPTED = 130
 """Exit code of shells for a process that Ctrl-C ended."""
+WORLDS, HOMES = "placegraph.training_worlds", "homes"
+"""Entry point of another distribution that draws places to learn from."""
 NETWORK = "The network and its losses"
 HELD_OUT = "right, in places not learned"
 """Title of the curves of `scene train`."""
@@ -238,13 +241,19 @@ def train_scene(
 
 def choose_worlds(maps: Path | None, synthetic: int | None, frames: int, seed: int) -> list[World]:
     """Return the places to learn from: a folder of scene maps, or procedural homes."""
-    from placegraph_learn.scenegraphloc.lessons import folder, homes
+    from placegraph_learn.scenegraphloc.lessons import folder
 
     if (maps is None) == (synthetic is None):
         raise OptionError("Give a folder of scene maps, or --synthetic with a number: one of both.")
     if maps is not None:
         return folder(maps)
-    return homes(synthetic or 0, seed=seed, frames=frames)
+    if HOMES not in plugins(WORLDS):
+        raise MissingExtraError(
+            "--synthetic draws homes with placegraph-lab, which is not installed; "
+            "`pip install placegraph-lab` brings it."
+        )
+    worlds: list[World] = load_plugin(WORLDS, HOMES, "lab")(synthetic, seed=seed, frames=frames)
+    return worlds
 
 
 def _teacher(
@@ -289,9 +298,10 @@ def show_training(
     Ctrl-C prints how to go on, and exits as shells do.
     """
     console = Console(file=bare(sys.stderr))
-    bars = Progress(
-        TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total}"),
-        TimeElapsedColumn(), TimeRemainingColumn(), TextColumn("{task.fields[losses]}"),
+    bars = rich.Progress(
+        rich.TextColumn("{task.description}"), rich.BarColumn(),
+        rich.TextColumn("{task.completed}/{task.total}"), rich.TimeElapsedColumn(),
+        rich.TimeRemainingColumn(), rich.TextColumn("{task.fields[losses]}"),
         console=console, transient=True, disable=not (table and console.is_terminal),
         redirect_stdout=sys.stdout.isatty(),
     )  # fmt: skip
@@ -310,11 +320,11 @@ def show_training(
             raise click.exceptions.Exit(INTERRUPTED) from None
 
 
-class ShownProgress:
+class ShownProgress(Progress):
     """Progress of a training on a terminal: bars, figures of epochs, a picture of the curves."""
 
     def __init__(
-        self, bars: Progress, work: Path, epochs: int, *, table: bool, title: str | None = None
+        self, bars: rich.Progress, work: Path, epochs: int, *, table: bool, title: str | None = None
     ) -> None:
         self.bars, self.work, self.epochs, self.table, self.title = bars, work, epochs, table, title
         self.has_header = False
@@ -335,10 +345,12 @@ class ShownProgress:
         text = ", ".join(f"{name} {value:.3f}" for name, value in losses.items())
         self._update(self.learning, f"epoch {epoch + 1} of {self.epochs}", done, total, text)
 
-    def _update(self, task: object, text: str, done: int, total: int, losses: str = "") -> None:
+    def _update(
+        self, task: rich.TaskID, text: str, done: int, total: int, losses: str = ""
+    ) -> None:
         self.bars.update(
             task, description=text, completed=done, total=total, visible=done < total, losses=losses
-        )  # type: ignore[arg-type]
+        )
 
     def epoch(self, row: Mapping[str, float]) -> None:
         """Draw the curves and print the figures of an epoch, with their names above the first."""

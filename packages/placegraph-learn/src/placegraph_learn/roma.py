@@ -23,8 +23,14 @@ from numpy.typing import NDArray
 
 from placegraph.core.networks import device_for, fitting, read_state, torch_for
 from placegraph.errors import MissingExtraError, OptionError, ServiceError
-from placegraph.indoor.refine.matching.dense import Warp, thinned
-from placegraph.indoor.refine.matching.matches import Matches, ViewByView, blank, check_range
+from placegraph.indoor.refine.matching.matches import (
+    Matches,
+    ViewByView,
+    Warp,
+    blank,
+    check_range,
+    thinned,
+)
 
 KINDS = ("indoor", "outdoor", "tiny")
 SETTINGS = ("turbo", "fast", "base", "precise")

@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 from placegraph.core.geometry import Floats
 from placegraph.core.networks import device_for, fitting, read_state, torch_for
 from placegraph.errors import MissingExtraError, ServiceError
-from placegraph.indoor.refine.matching.features import Features, mutual
 from placegraph.indoor.refine.matching.matches import (
+    Features,
     Matches,
     ViewByView,
     blank,
     check_range,
     inside,
+    mutual,
 )
 
 _CENTRE = 4.0

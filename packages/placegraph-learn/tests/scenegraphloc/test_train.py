@@ -7,6 +7,7 @@ import pytest
 
 from placegraph.core.geometry import Camera
 from placegraph.errors import InputError, OptionError
+from placegraph_lab.worlds.home.lessons import homes
 from placegraph_learn.scenegraphloc import SceneGraphLocEncoder
 from placegraph_learn.scenegraphloc.features import ColourFeatures
 from placegraph_learn.scenegraphloc.inputs import Room
@@ -15,7 +16,6 @@ from placegraph_learn.scenegraphloc.lessons import (
     Teacher,
     World,
     folder,
-    homes,
     kept_lesson,
     placed,
     read_lesson,

@@ -16,13 +16,18 @@ import numpy as np
 from placegraph.core.geometry import Floats, cross_matrix, rotation_from_vector
 from placegraph.core.threads import product
 from placegraph.indoor.map.scene import Scene
-from placegraph.indoor.refine.equations import POINTS, READINGS
-from placegraph.indoor.refine.lag import twists, usual_lag
-from placegraph.indoor.refine.solve import Problem, add_beliefs, leaning
+from placegraph.indoor.refine.fit import (
+    POINTS,
+    READINGS,
+    Problem,
+    add_beliefs,
+    leaning,
+    twists,
+    usual_lag,
+)
 
 if TYPE_CHECKING:
-    from placegraph.indoor.refine.depth import Readings
-    from placegraph.indoor.refine.match import Sights
+    from placegraph.indoor.refine.correspondences import Readings, Sights
 
 SCALE, FOCAL, IMAGE, TIME = range(4)
 """Unknowns: logarithms of the factors on depth readings, on the depth camera's focal length and on

@@ -30,14 +30,13 @@ from placegraph.indoor.refine.calibrate import (
     calibrate,
 )
 from placegraph.indoor.refine.mend import Mend, brought, share_view
-from placegraph.indoor.refine.refiner import Fitted, Refiner
-from placegraph.indoor.refine.stages import stages_of
+from placegraph.indoor.refine.refiner import Fitted, Refiner, stages_of
 from placegraph.indoor.status import diagnostics_of
 
 if TYPE_CHECKING:
-    from placegraph.indoor.refine.match import Sights
+    from placegraph.indoor.refine.correspondences import Sights
+    from placegraph.indoor.refine.fit import Problem
     from placegraph.indoor.refine.refinement import Refining
-    from placegraph.indoor.refine.solve import Problem
 
 OFF = 0.04
 """Logarithm of a factor from which on a camera is wrong: depth of real sensors is off by 1 to 3 %."""

@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 
 from placegraph.core.geometry import Camera, Floats
 from placegraph.indoor.rays.layout import LANES
-from placegraph.indoor.refine.depth import Readings, Surfaces, distances
-from placegraph.indoor.refine.fit_kernels import correlations
-from placegraph.indoor.refine.match import smaller
+from placegraph.indoor.refine.correspondences import Readings, Surfaces, distances, smaller
 from placegraph.indoor.refine.matching.guided import lightness, resized
+from placegraph.indoor.refine.refine_kernels import correlations
 from placegraph.indoor.render import Renderer
 from placegraph.indoor.render.render_kernels import TILE
 from placegraph.io.capture.frame import Frame

@@ -12,8 +12,8 @@ from placegraph.core.geometry import Floats, vector_from_rotation
 from placegraph.indoor.pose.window import timed
 from placegraph.indoor.refine.camera import DULL, OFF, SUSPECT, scale_off
 from placegraph.indoor.refine.check import Evidence, depth_evidence, image_evidence, surely
+from placegraph.indoor.refine.fit import odometry_errors
 from placegraph.indoor.refine.landmarks import kept_scores
-from placegraph.indoor.refine.solve import odometry_errors
 from placegraph.indoor.status import BENT
 
 if TYPE_CHECKING:

@@ -23,14 +23,14 @@ from placegraph.indoor.likelihood.observe import spread
 from placegraph.indoor.map.scene import WIDTH, Landmarks
 from placegraph.indoor.pose.window import Window, timed
 from placegraph.indoor.refine.check import held_back, likely
-from placegraph.indoor.refine.match import Consensus, Sights, smaller, solve_rig
+from placegraph.indoor.refine.correspondences import Consensus, Sights, smaller, solve_rig
 from placegraph.indoor.refine.matching.guided import resized
 from placegraph.indoor.refine.matching.sift import SiftMatcher
 from placegraph.indoor.refine.options import RefineOptions
 from placegraph.io.capture.frame import Frame
 
 if TYPE_CHECKING:
-    from placegraph.indoor.refine.matching.features import Features
+    from placegraph.indoor.refine.matching.matches import Features
     from placegraph.indoor.refine.refiner import Refiner
 
 LARGEST = 640

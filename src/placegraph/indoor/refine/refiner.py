@@ -1,4 +1,4 @@
-"""From a coarse trajectory to centimetres: by depth, by images, and by both together (Sec. 3.6)."""
+"""Rounds of matching images with the map, from wide to fine."""
 
 from __future__ import annotations
 
@@ -19,20 +19,64 @@ from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.pose.query import Progress
 from placegraph.indoor.pose.window import Window, timed
 from placegraph.indoor.refine.check import held_back
-from placegraph.indoor.refine.depth import Readings, Surfaces, readings
-from placegraph.indoor.refine.lag import Lags
-from placegraph.indoor.refine.landmarks import firm, kept_out, near, plenty, seen
-from placegraph.indoor.refine.match import Sights, look, solve_frame, solve_rig, turned
+from placegraph.indoor.refine.correspondences import (
+    Readings,
+    Sights,
+    Surfaces,
+    look,
+    readings,
+    solve_frame,
+    solve_rig,
+    turned,
+)
+from placegraph.indoor.refine.covariance import covariance
+from placegraph.indoor.refine.fit import Lags, Problem, Solution, drift_of, solve
+from placegraph.indoor.refine.landmarks import SHARE, SIGMA, firm, kept_out, near, plenty, seen
 from placegraph.indoor.refine.matching.guided import GuidedMatcher
 from placegraph.indoor.refine.options import RefineOptions
-from placegraph.indoor.refine.solve import Problem, Solution, drift_of, solve
-from placegraph.indoor.refine.stages import LANDMARKS, Stage, stages_of
-from placegraph.indoor.refine.worth import covariance
 from placegraph.indoor.render import Renderer
 from placegraph.io.capture.frame import Frame
 
 if TYPE_CHECKING:
     from placegraph.indoor.refine.matching import Matcher
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """One round of matching: at which size, how, and how well matches are placed."""
+
+    matcher: Matcher | None
+    """None: what matches are the map's landmarks, and renderings are not asked."""
+    size: int
+    """Longer side of renderings and queries [px]; images that are smaller stay so."""
+    sigma: float
+    """Standard deviation of a right match [px of an image `REFERENCE` wide]."""
+    turned: bool = False
+    """Views turned in yaw are matched too."""
+    rigid: bool = True
+    """Only matches count that agree on one pose of all frames, tied together by odometry; where all
+    lie near already, the robust kernel tells better."""
+    share: float = 0.0
+    """Least share of the matches that must agree: features do so by chance if few do."""
+
+
+LANDMARKS = Stage(None, 0, SIGMA, share=SHARE)
+"""The round before all others, of a map that carries landmarks."""
+LARGEST = 960
+"""Longer side [px] to which larger images are brought for feature matchers."""
+
+
+def stages_of(matcher: Matcher | None, *, near: bool) -> list[Stage]:
+    """Rounds of matching by a matcher, the guided one if None; `near`: depth has been aligned."""
+    if matcher is not None:
+        first = Stage(matcher, LARGEST, 2.0, turned=True, share=SHARE)
+        return [first, replace(first, turned=False)]
+    fine = [Stage(GuidedMatcher(radius=10, half=7, cell=8), 160, 2.0)]
+    if near:
+        return fine
+    wide = [Stage(GuidedMatcher(radius=34, half=5, cell=8), 160, 3.0)]
+    return [*wide, *fine, Stage(GuidedMatcher(radius=8, half=7, cell=12), 320, 1.0, rigid=False)]
+
 
 DEPTH_WIDTHS = ((10.0, 6.0), (5.0, 3.0), (3.0, 2.0))
 """Kernels of depth and pixels from a start within a hand's breadth, in standard deviations."""

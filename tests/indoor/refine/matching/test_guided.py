@@ -8,7 +8,7 @@ from PIL import Image
 
 from placegraph.errors import OptionError
 from placegraph.indoor.refine.matching.guided import GuidedMatcher, lightness, resized
-from placegraph.indoor.refine.matching.guided_kernels import corners, search
+from placegraph.indoor.refine.refine_kernels import corners, search
 
 
 @pytest.fixture(scope="module")

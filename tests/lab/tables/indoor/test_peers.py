@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from placegraph.core.geometry import Camera
-from placegraph.indoor.refine.matching.features import Features
+from placegraph.indoor.refine.matching.matches import Features
 from placegraph.io.capture.frame import Frame
 from placegraph_lab.tables.named.indoor_colmap import Answer, Row, View, peer, report, vlad
 

@@ -25,7 +25,7 @@ from placegraph.indoor.map.scene_file import bytes_of
 from placegraph.indoor.mapping.from_capture import FromCapture
 from placegraph.indoor.mapping.landmarks import depth_at
 from placegraph.indoor.options import FilterOptions
-from placegraph.indoor.refine.matching.features import Features, mutual
+from placegraph.indoor.refine.matching.matches import Features, mutual
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import open_capture
 from placegraph.io.capture.frame import Frame

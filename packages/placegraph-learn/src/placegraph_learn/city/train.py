@@ -257,8 +257,10 @@ class Trainer:
         self.network.eval()
         self.module = torch.nn.Module()
         self.module.network = self.network
-        self.module.similarity = torch.nn.Parameter(torch.full((1,), 2.0))
-        self.module.embedding = torch.nn.Parameter(torch.full((1,), 2.5))
+        self.similarity = torch.nn.Parameter(torch.full((1,), 2.0))
+        self.embedding = torch.nn.Parameter(torch.full((1,), 2.5))
+        self.module.register_parameter("similarity", self.similarity)
+        self.module.register_parameter("embedding", self.embedding)
         self.module.to(device)
         self.optimizer = torch.optim.AdamW(
             self.module.parameters(), lr=options.rate, weight_decay=options.decay
@@ -287,9 +289,7 @@ class Trainer:
             for group in self.optimizer.param_groups:  # warm up, then a cosine
                 group["lr"] = float(rate * min(1.0, (epoch * options.steps + step + 1) / WARM))
             scores = forward(self.network, lesson, batch, self.device)
-            scales = Temperatures(
-                self.module.similarity, self.module.embedding, self.network.prior[1]
-            )
+            scales = Temperatures(self.similarity, self.embedding, self.network.prior[1])
             found = losses(scores, batch.truth(self.device), scales, options.losses)
             self.optimizer.zero_grad()
             torch.stack(list(found.values())).sum().backward()

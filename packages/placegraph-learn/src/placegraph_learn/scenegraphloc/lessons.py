@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.geometry import Camera
 from placegraph.core.mapfile import pack_strings, read_map, write_map
 from placegraph.errors import InputError, MapError, OptionError
 from placegraph.indoor.scene_map import SceneMap
@@ -191,65 +190,10 @@ def split(lessons: Sequence[Any], held: int) -> tuple[list[Any], list[Any]]:
     return [x for i, x in enumerate(lessons) if i not in rows], [lessons[i] for i in rows]
 
 
-SUFFIX = ".scene"
-
-
 def placed(capture: Capture, map_from_camera: NDArray[np.float64]) -> Capture:
     """Capture whose odometry (T, 4, 4) is map_from_camera: one of the map itself."""
     frames = zip(capture.frames, map_from_camera, strict=True)
     return replace(capture, frames=tuple(replace(f, odometry=pose) for f, pose in frames))
-
-
-def homes(
-    count: int,
-    *,
-    seed: int = 0,
-    frames: int = 16,
-    changes: bool = True,
-    camera: Camera | None = None,
-) -> list[World]:
-    """Procedural homes (`placegraph_lab.worlds.home.home`), each drawn from its own seed.
-
-    Parameters
-    ----------
-    count
-        Number of homes.
-    seed
-        The same seed, the same homes.
-    frames
-        Images of each of the walks: one to know the objects by, one whose patches are learned.
-    changes
-        Whether a home is known as it was months before, too, when things stood elsewhere.
-    camera
-        Of the images; that of `homes.record` if not given.
-
-    """
-    if count < 1 or frames < 1:
-        raise OptionError(f"homes: {count}, frames: {frames}; choose at least one of each.")
-    return [
-        World(f"home-{seed}-{i:04d}", partial(_home, seed, i, frames, camera, changes=changes))
-        for i in range(count)
-    ]
-
-
-def _home(seed: int, index: int, frames: int, camera: Camera | None, *, changes: bool) -> Material:
-    from placegraph_lab.worlds.home.home import CAMERA, changed, home, record, scene_of, visit
-
-    rng = np.random.default_rng([seed, index])
-    flat = home(rng)
-    then = flat.furnish(rng)
-    now = changed(then, rng) if changes else then
-
-    def walk(interior: object) -> Capture:
-        way = visit(flat, interior, rng, frames=frames)  # type: ignore[arg-type]
-        lit = float(rng.random())
-        taken = record(
-            interior, way, rng, camera=camera or CAMERA, daylight=lit, labels=None  # type: ignore[arg-type]
-        )  # fmt: skip
-        return placed(taken, way.map_from_camera)
-
-    earlier = Surveyed(scene_of(then), (walk(then),)) if changes else None
-    return Material(Surveyed(scene_of(now), (walk(now),)), (walk(now),), earlier)
 
 
 def folder(path: str | PathLike[str]) -> list[World]:
@@ -267,11 +211,11 @@ def folder(path: str | PathLike[str]) -> list[World]:
 
     """
     root = Path(path)
-    found = sorted(root.glob(f"*{SUFFIX}")) if root.is_dir() else []
+    found = sorted(root.glob("*.scene")) if root.is_dir() else []
     known = [file for file in found if file.with_suffix("").is_dir()]
     if not known:
         raise OptionError(
-            f"{path}: no NAME{SUFFIX} with captures in a folder NAME beside it; build maps with "
+            f"{path}: no NAME.scene with captures in a folder NAME beside it; build maps with "
             "`placegraph scene build`."
         )
     return [World(file.stem, partial(_opened, file)) for file in known]

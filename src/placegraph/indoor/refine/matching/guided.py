@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.indoor.refine.matching.guided_kernels import corners, search
 from placegraph.indoor.refine.matching.matches import Matches, ViewByView, blank, check_range
+from placegraph.indoor.refine.refine_kernels import corners, search
 
 _PEAK = 3  # pixels around the best place that are no rivals of it
 

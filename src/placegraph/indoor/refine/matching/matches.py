@@ -1,4 +1,4 @@
-"""What a matcher is, what it returns, and what it refuses."""
+"""Matches: what a matcher returns, features that match, and dense warps thinned to matches."""
 
 from __future__ import annotations
 
@@ -184,3 +184,184 @@ def check_range(**options: tuple[float, float, float]) -> None:
     for name, (value, low, high) in options.items():
         if not low <= value <= high:
             raise OptionError(f"{name} is {value}; it must lie between {low:g} and {high:g}.")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Features:
+    """Points of one image with what they look like."""
+
+    points: Floats
+    """(N, 2) float64, x y [px], pixel centres at +0.5."""
+    vectors: NDArray[np.float32]
+    """(N, D) float32, unit vectors."""
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    @classmethod
+    def none(cls, dimension: int = 1) -> Features:
+        """No feature."""
+        return cls(np.empty((0, 2)), np.empty((0, dimension), np.float32))
+
+    def within(self, mask: NDArray[np.bool_] | None, margin: int) -> Features:
+        """Those that lie in a mask (H, W), and `margin` px from its edge."""
+        keep = inside(mask, self.points, margin)
+        return self if keep.all() else Features(self.points[keep], self.vectors[keep])
+
+    def matched(
+        self, view: Features, *, ratio: float = 1.0, least: float = -1.0, apart: float = 0.0
+    ) -> Matches:
+        """Matches with the features of a view; parameters as of `mutual`."""
+        rows, columns, sure = mutual(self, view, ratio=ratio, least=least, apart=apart)
+        return Matches.of(self.points[rows], view.points[columns], sure)
+
+
+def mutual(
+    query: Features, view: Features, *, ratio: float = 1.0, least: float = -1.0, apart: float = 0.0
+) -> tuple[NDArray[np.intp], NDArray[np.intp], Floats]:
+    """Pairs of features that are each other's nearest, and clearly so (Lowe's ratio, both ways).
+
+    Parameters
+    ----------
+    query, view
+        Features with vectors of the same length.
+    ratio
+        Largest ratio of the distance to the nearest vector and to the second nearest; 1: any.
+    least
+        Smallest cosine of two vectors that match.
+    apart
+        Features nearer than this to the match [px] are no rivals of it: one spot may have several
+        features, at several scales.
+
+    Returns
+    -------
+    tuple
+        Rows (K,) of the query, rows (K,) of the view, and how sure each pair is (K,), in [0, 1]: 1
+        less the ratio, or the cosine where every ratio will do.
+
+    """
+    if not len(query) or not len(view):
+        return np.empty(0, np.intp), np.empty(0, np.intp), np.empty(0)
+    cosine = query.vectors @ view.vectors.T
+    nearest = cosine.argmax(axis=1)
+    rows = np.flatnonzero(cosine.argmax(axis=0)[nearest] == np.arange(len(query)))
+    rows = rows[cosine[rows, nearest[rows]] >= least]
+    columns = nearest[rows]
+    best = cosine[rows, columns].astype(np.float64)
+    if ratio >= 1.0:
+        return rows, columns, np.maximum(best, 0.0)
+    rival = np.maximum(
+        _second(cosine[rows], view.points, columns, apart),
+        _second(cosine.T[columns], query.points, rows, apart),
+    )
+    # distances of unit vectors: |a - b|^2 = 2 - 2 a.b
+    ratios = np.sqrt(np.maximum(1.0 - best, 0.0) / np.maximum(1.0 - rival, 1e-9))
+    keep = ratios <= ratio
+    return rows[keep], columns[keep], 1.0 - ratios[keep]
+
+
+def _second(
+    cosine: NDArray[np.float32], points: Floats, best: NDArray[np.intp], apart: float
+) -> NDArray[np.float32]:
+    """Largest cosine (K,) of rows (K, N) elsewhere than near the best feature of each."""
+    spots = points.astype(np.float32)
+    dx = spots[:, 0] - spots[best, :1]
+    dy = spots[:, 1] - spots[best, 1:]
+    away: NDArray[np.float32] = np.where(
+        dx * dx + dy * dy > apart * apart, cosine, np.float32(-1.0)
+    ).max(axis=1, initial=-1.0)
+    return away
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Warp:
+    """Where each pixel of a grid lies in both images.
+
+    Normalised coordinates run from -1 to 1 between the images' edges, so that pixel i of n has
+    its centre at (2 i + 1) / n - 1.
+    """
+
+    query: NDArray[np.float32]
+    """(h, w, 2) normalised x y in the query."""
+    view: NDArray[np.float32]
+    """(h, w, 2) normalised x y in the rendered view."""
+    certainty: NDArray[np.float32]
+    """(h, w) in [0, 1]."""
+
+
+def to_pixels(normalised: NDArray[np.floating], size: tuple[int, int]) -> Floats:
+    """Pixels (..., 2), centres at +0.5, of normalised coordinates (..., 2); size: height, width."""
+    height, width = size
+    return (np.asarray(normalised, np.float64) + 1.0) / 2.0 * (width, height)
+
+
+def to_normalised(pixels: Floats, size: tuple[int, int]) -> Floats:
+    """Normalised coordinates (..., 2) of pixels (..., 2); inverse of `to_pixels`."""
+    height, width = size
+    return np.asarray(pixels, np.float64) * 2.0 / (width, height) - 1.0
+
+
+def thinned(
+    warps: Sequence[Warp],
+    query: tuple[int, int],
+    view: tuple[int, int],
+    *,
+    count: int,
+    least: float,
+    mask: NDArray[np.bool_] | None = None,
+    margin: int = 0,
+) -> Matches:
+    """About `count` matches, spread over the images: the surest of each block of pixels.
+
+    The authors draw theirs at random by certainty and density; this gives the same ones again.
+
+    Parameters
+    ----------
+    warps
+        One, or one for each direction.
+    query, view
+        Height and width of the images [px].
+    count
+        Most matches.
+    least
+        Smallest certainty of a match.
+    mask
+        (H, W) bool of the view; matches lie in it, and `margin` px from its edge.
+    margin
+        [px]
+
+    """
+    parts = [_blocks(warp, max(1, count // len(warps)), least) for warp in warps]
+    ours = to_pixels(np.concatenate([p[0] for p in parts]), query)
+    theirs = to_pixels(np.concatenate([p[1] for p in parts]), view)
+    sure = np.concatenate([p[2] for p in parts])
+    keep = _in_image(ours, query) & _in_image(theirs, view)
+    keep[keep] = inside(mask, theirs[keep], margin)
+    return Matches.of(ours[keep], theirs[keep], sure[keep])
+
+
+def _blocks(
+    warp: Warp, count: int, least: float
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+    """The surest pixel of each of at most `count` blocks: in the query, in the view, certainty."""
+    height, width = warp.certainty.shape
+    side = int(np.ceil(np.sqrt(height * width / count)))
+    while -(-height // side) * -(-width // side) > count and side < max(height, width):
+        side += 1
+    rows, columns = -(-height // side), -(-width // side)
+    sure = np.full((rows * side, columns * side), -1.0, np.float32)
+    sure[:height, :width] = np.nan_to_num(warp.certainty, nan=-1.0)
+    tiles = sure.reshape(rows, side, columns, side).swapaxes(1, 2).reshape(rows * columns, -1)
+    best = tiles.argmax(axis=1)
+    block = np.arange(rows * columns)
+    keep = tiles[block, best] >= max(least, 0.0)
+    y = (block // columns * side + best // side)[keep]
+    x = (block % columns * side + best % side)[keep]
+    return warp.query[y, x], warp.view[y, x], warp.certainty[y, x]
+
+
+def _in_image(points: Floats, size: tuple[int, int]) -> NDArray[np.bool_]:
+    height, width = size
+    x, y = points.T
+    found: NDArray[np.bool_] = (x > 0) & (x < width) & (y > 0) & (y < height)
+    return found

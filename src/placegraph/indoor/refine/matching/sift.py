@@ -15,8 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import MissingExtraError
-from placegraph.indoor.refine.matching.features import Features
-from placegraph.indoor.refine.matching.matches import Matches, ViewByView, blank, check_range, grey
+from placegraph.indoor.refine.matching.matches import (
+    Features,
+    Matches,
+    ViewByView,
+    blank,
+    check_range,
+    grey,
+)
 
 _SMALLEST = 8
 """OpenCV finds no feature in smaller images, and its pyramid may fail there [px]."""

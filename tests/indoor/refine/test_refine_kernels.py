@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from placegraph.core.geometry import rotation_from_vector
-from placegraph.indoor.refine.depth import Kernel, Surfaces, readings
-from placegraph.indoor.refine.fit_kernels import (
+from placegraph.indoor.refine.correspondences import Kernel, Surfaces, readings
+from placegraph.indoor.refine.refine_kernels import (
     add_row,
     correlations,
     depth_system,

@@ -1,23 +1,20 @@
-"""How well a refined trajectory is known, which is more than its fit says.
+"""Covariance of a refined pose: the fit's own, and an error common to all frames.
 
-The fit's own covariance takes errors for independent. What is wrong with a map is not: a wall that
-stands two centimetres off does so for every reading of it, and the pose goes with it; more readings do
-not make a map truer. How far the map is off is not known, but two things tell its order: how far frames,
-each pulled by what it sees, part from what odometry says of their way, and how far right matches miss.
+The fit's own covariance takes errors for independent. Errors of a map are not: a wall that stands two
+centimetres off does so for every reading of it, and the pose goes with it; more readings do not make a
+map truer. Two things tell the order of that error: how far frames, each pulled by what it sees, part
+from the way that odometry tells, and how far right matches miss.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from placegraph.core.geometry import Floats
-from placegraph.indoor.refine.solve import Problem, Solution, odometry_errors
-
-if TYPE_CHECKING:
-    from placegraph.indoor.refine.match import Sights
+from placegraph.indoor.refine.correspondences import Sights
+from placegraph.indoor.refine.fit import Problem, Solution, odometry_errors
 
 PULL = 7.0
 """Error common to all frames, in units of how far they part from their way (benchmark)."""

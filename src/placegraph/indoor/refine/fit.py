@@ -1,19 +1,21 @@
-"""All frames of a sequence in one robust optimisation of their poses.
+"""Robust Gauss-Newton fit of all poses of a sequence.
 
-Unknown are the poses of all frames, six degrees of freedom each. Depth readings and matched points
-tie each frame to the map, odometry ties it to its neighbours, gravity to the vertical; Gauss-Newton
-with weights that are set anew at each step, from a wide robust kernel to a narrow one.
+The poses of all frames are unknown, six degrees of freedom each. Depth readings and matched points
+tie each frame to the map, odometry ties it to its neighbours, gravity to the vertical. Weights are
+set anew at each step, from a wide robust kernel to a narrow one.
 
-Depth and images may lag behind the odometry's clock, each by one unknown (`lag`).
+Depth and images may lag behind the odometry's clock, each by one more unknown of the sequence: a camera
+that turns by a radian a second is two degrees elsewhere after 35 ms, the lag of a Kinect's depth.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.core.geometry import (
     Floats,
@@ -22,13 +24,189 @@ from placegraph.core.geometry import (
     vector_from_rotation,
 )
 from placegraph.errors import InputError
-from placegraph.indoor.refine.equations import ASTRAY, Says, depth_says, matches_say, usual_errors
-from placegraph.indoor.refine.lag import MOST, Lags, clear, in_map_axes, later, twists, usual_lag
+from placegraph.indoor.refine.correspondences import Kernel, Readings, Sights, Surfaces
 from placegraph.indoor.refine.options import RefineOptions
+from placegraph.indoor.refine.refine_kernels import depth_system, pixel_system
 
-if TYPE_CHECKING:
-    from placegraph.indoor.refine.depth import Readings, Surfaces
-    from placegraph.indoor.refine.match import Sights
+USUAL = (0.03, 0.3)
+"""Standard deviation of a lag: in the unit of the stamps [s], or this share of the time between two
+frames where that is more (of frames that are numbered, not timed)."""
+MOST = 4.0
+"""No lag is found that is more of these deviations."""
+CLEAR = 4.0
+"""A lag is told that is so many of its standard deviations ..."""
+TOLD = 0.2
+"""... and no less than this share of `usual_lag`."""
+
+
+DEPTH, IMAGES = range(2)
+"""Rows of what lags."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lags:
+    """How much later than their stamps depth and images were taken."""
+
+    values: Floats
+    """(2,) in the stamps' unit"""
+    deviations: Floats
+    """(2,)"""
+    twist: Floats
+    """(T, 6) as of `twists`"""
+    usual: float
+    """As of `usual_lag`."""
+
+    def of_depth(self, poses: Floats) -> Floats:
+        """Where depth was measured from (T, 4, 4), by poses at the stamps."""
+        return later(poses, self.twist, float(self.values[DEPTH]))
+
+    def of_images(self, poses: Floats) -> Floats:
+        """Where images were taken from (T, 4, 4), by poses at the stamps."""
+        return later(poses, self.twist, float(self.values[IMAGES]))
+
+    def clear(self) -> dict[str, float]:
+        """Lags that the data leave no doubt of: `depth`, `images`, in the stamps' unit."""
+        rows = np.flatnonzero(clear(self))
+        return {("depth", "images")[row]: float(self.values[row]) for row in rows}
+
+
+def clear(lags: Lags | None) -> NDArray[np.bool_]:
+    """Which of depth and images (2,) are late without doubt."""
+    if lags is None:
+        return np.zeros(2, bool)
+    least = np.maximum(CLEAR * lags.deviations, TOLD * lags.usual)
+    return np.asarray(np.abs(lags.values) > least)
+
+
+def usual_lag(stamps: Floats) -> float:
+    """Standard deviation of lags of frames with these stamps (T,), in their unit."""
+    between = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
+    return max(USUAL[0], USUAL[1] * between)
+
+
+def twists(odometry: Floats, stamps: Floats) -> Floats:
+    """Way and turn (T, 6) of a camera a unit of its stamps (T,), in its own axes, at each frame.
+
+    Between the frames before and after; `odometry`: (T, 4, 4). Zero of a single frame.
+    """
+    count = len(odometry)
+    if count < 2:
+        return np.zeros((count, 6))
+    before, after = np.maximum(np.arange(count) - 1, 0), np.minimum(np.arange(count) + 1, count - 1)
+    rotation = np.swapaxes(odometry[:, :3, :3], 1, 2)
+    way = np.einsum("tij,tj->ti", rotation, odometry[after, :3, 3] - odometry[before, :3, 3])
+    turned = np.swapaxes(odometry[before, :3, :3], 1, 2) @ odometry[after, :3, :3]
+    both = np.concatenate([way, vector_from_rotation(turned)], axis=1)
+    return np.asarray(both / (stamps[after] - stamps[before])[:, None])
+
+
+def later(poses: Floats, twist: Floats, lag: float) -> Floats:
+    """Poses (T, 4, 4) a `lag` later on ways (T, 6) as of `twists`."""
+    out = poses.copy()
+    out[:, :3, 3] += lag * np.einsum("tij,tj->ti", poses[:, :3, :3], twist[:, :3])
+    out[:, :3, :3] = poses[:, :3, :3] @ rotation_from_vector(lag * twist[:, 3:])
+    return out
+
+
+def in_map_axes(poses: Floats, twist: Floats) -> NDArray[np.float64]:
+    """Ways and turns (T, 6) of poses (T, 4, 4) in map axes."""
+    rotation = poses[:, :3, :3]
+    parts = [np.einsum("tij,tj->ti", rotation, part) for part in (twist[:, :3], twist[:, 3:])]
+    return np.concatenate(parts, axis=1)
+
+
+READINGS = 200.0
+"""Independent readings that the depth of one frame is worth: neighbours err together."""
+POINTS = 40.0
+"""Independent points that the matches of one frame are worth at most."""
+ASTRAY = (0.006, 0.004)
+"""What a frame sees errs together, as by the map where it looks or by the moment when it looked: usual
+deviations [m], [rad] of a frame as a whole ..."""
+WITNESSES = 4
+"""... which are believed as if so many errors had shown them."""
+
+
+class Says(NamedTuple):
+    """What one sense says of T poses: normal equations of each frame."""
+
+    information: Floats
+    """(T, 6, 6)"""
+    gradient: Floats
+    """(T, 6)"""
+
+    def allowed(self, astray: Floats) -> Says:
+        """The same, where each frame as a whole may be astray by deviations (2,) [m], [rad]."""
+        sure = np.repeat(1.0 / np.square(astray), 3)
+        kept = sure[:, None] * np.linalg.inv(self.information + np.diag(sure))
+        return Says(kept @ self.information, np.einsum("tij,tj->ti", kept, self.gradient))
+
+    def astray(self, before: Floats, step: Floats) -> Floats:
+        """Deviations (2,) by which frames seem astray once their poses have gone a step (T, 6)."""
+        told = self.information.any(axis=(1, 2))
+        left = self.gradient + np.einsum("tij,tj->ti", self.information, step)
+        sure = np.diag(np.repeat(1.0 / np.square(before), 3))
+        off = np.linalg.solve(self.information + sure, left[..., None])[told, :, 0]
+        return usual_errors(off, ASTRAY, WITNESSES)
+
+
+def usual_errors(errors: Floats, before: tuple[float, float], witnesses: int) -> Floats:
+    """Root mean squares (2,) of shifts and turns (N, 6), with what was believed before."""
+    squares = np.square(errors).reshape(-1, 2, 3).sum(axis=(0, 2))
+    count = witnesses + 3 * len(errors)
+    return np.asarray(np.sqrt((witnesses * np.square(before) + squares) / count))
+
+
+def depth_says(
+    problem: Problem, poses: Floats, shares: Floats, width: float
+) -> tuple[Says, Floats, float]:
+    """What depth says at poses (T, 4, 4); parameters as of `matches_say`, and of `Solution`.
+
+    With it: sums of weights and numbers of readings of objects (N, 2), and the mean robust cost.
+    """
+    noise = problem.options.noise
+    kernel = Kernel(noise.floor, noise.slope, noise.surface, noise.facing, width)
+    told, total = np.zeros((problem.objects, 2)), np.zeros(3)
+    h, g = np.zeros((len(poses), 6, 6)), np.zeros((len(poses), 6))
+    for t, seen in enumerate(problem.readings):
+        if seen is None:
+            continue
+        block, slope, of_objects, sums = depth_system(
+            problem.surfaces,
+            shares,
+            np.ascontiguousarray(poses[t, :3, :3]),
+            np.ascontiguousarray(poses[t, :3, 3]),
+            seen.directions,
+            seen.depth,
+            seen.normals,
+            kernel,
+        )
+        # few readings are not worth more than they are
+        worth = READINGS / max(float(sums[0]), 0.25 * len(seen.depth), 1.0)
+        h[t], g[t] = worth * block, worth * slope
+        told += of_objects
+        total += sums
+    return Says(h, g), told, float(total[1] / total[0]) if total[0] else np.nan
+
+
+def matches_say(problem: Problem, poses: Floats, width: float) -> Says:
+    """What matched points say at poses (T, 4, 4), by a kernel of a width in standard deviations."""
+    h, g = np.zeros((len(poses), 6, 6)), np.zeros((len(poses), 6))
+    for t, seen in enumerate(problem.sights):
+        if not len(seen):
+            continue
+        block, slope, total = pixel_system(
+            np.ascontiguousarray(poses[t, :3, :3]),
+            np.ascontiguousarray(poses[t, :3, 3]),
+            seen.points,
+            seen.rays,
+            seen.sigma,
+            seen.focal,
+            width,
+        )
+        worth = min(1.0, POINTS / max(total, 1.0))
+        h[t], g[t] = worth * block, worth * slope
+    return Says(h, g)
+
 
 LOOSE = (1.0, 0.5)
 """Standard deviations [m], [rad] about the start that no data need to overcome: what nothing holds
