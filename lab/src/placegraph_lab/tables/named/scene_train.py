@@ -11,7 +11,8 @@ import numpy as np
 import torch
 
 from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, option, share, table
-from placegraph_learn.scenegraphloc.lessons import Lesson, homes, read_lesson, split
+from placegraph_lab.worlds.home.lessons import homes
+from placegraph_learn.scenegraphloc.lessons import Lesson, read_lesson, split
 from placegraph_learn.scenegraphloc.train import Judged, Trainer, TrainOptions, judge, train
 from placegraph_learn.training import Progress, rows_of
 
