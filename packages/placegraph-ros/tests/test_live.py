@@ -14,8 +14,7 @@ import placegraph as pg
 from placegraph.errors import InputError
 from placegraph_io.ros.containers import open_bag
 from placegraph_lab.worlds.bags import BagWriter, Layout, write_capture
-from placegraph_ros import cli as live
-from placegraph_ros.cli import listen_to_keys, stop_on_interrupt
+from placegraph_ros.cli import listen_to_keys, live, stop_on_interrupt
 from placegraph_ros.sources import PlaybackClock, WaitPolicy
 from ros_world import FRAMES, START, made
 

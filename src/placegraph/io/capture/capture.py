@@ -102,6 +102,8 @@ class Format(NamedTuple):
     """X of its `is_X` and `read_X`."""
     takes: tuple[str, ...] = ()
     """Options of `open_capture` that its reader takes; `poses` else is left to `with_poses`."""
+    rank: int = 0
+    """Formats of a lower rank are asked first: those whose files no other format has."""
 
     def fits(self, path: Path) -> bool:
         """Whether a path looks like one of this recorder's captures."""
