@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 import placegraph as pg
-from placegraph.errors import InputError, OptionError
-from placegraph.io.capture.capture import FORMATS, format_of, is_capture, open_capture
+from placegraph.core.plugins import plugins
+from placegraph.errors import InputError, MissingExtraError, OptionError
+from placegraph.io.capture.capture import capture_formats, format_of, is_capture, open_capture
 from placegraph.io.capture.tum import read_tum, write_tum
 
 
@@ -87,7 +88,7 @@ def test_poses_of_images_as_they_are_stored(recorded, save, tmp_path):
 def test_what_is_known_is_listed(tmp_path):
     with pytest.raises(InputError) as caught:
         open_capture(tmp_path)
-    for known in FORMATS:
+    for known in capture_formats():
         assert known.name in str(caught.value)
     assert not is_capture(tmp_path)
     assert not is_capture(tmp_path / "no")
@@ -118,3 +119,30 @@ def test_options_that_mean_nothing(walk):
     for options in ({"scale": 2.0}, {"up": [0, 0, 1]}):
         with pytest.raises(OptionError, match="not an option of capture folder"):
             open_capture(walk, **options)
+
+
+@pytest.fixture
+def alone(monkeypatch):
+    """The core without placegraph-io."""
+    monkeypatch.setattr("placegraph.core.plugins.entry_points", lambda **_: ())
+    plugins.cache_clear()
+    capture_formats.cache_clear()
+    yield
+    monkeypatch.undo()
+    plugins.cache_clear()
+    capture_formats.cache_clear()
+
+
+@pytest.mark.usefixtures("alone")
+def test_an_extra_that_is_missing_is_named(walk, tmp_path):
+    assert len(open_capture(walk)) == 4
+    for name in ("walk.mcap", "walk.r3d", "a/rgb.txt", "b/rec.db3", "c/keyframes/1", "d/walk.sens"):
+        file = tmp_path / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.touch()
+        at = file if file.parent == tmp_path else tmp_path / name.partition("/")[0]
+        assert is_capture(at)
+        with pytest.raises(MissingExtraError, match=r"pip install 'placegraph\[io\]'"):
+            open_capture(at)
+    with pytest.raises(InputError, match="install the extra `io`"):
+        open_capture(walk / "rgb")

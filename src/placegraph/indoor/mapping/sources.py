@@ -24,7 +24,7 @@ from placegraph.indoor.mapping.from_capture import (
     things_of,
 )
 from placegraph.indoor.mapping.osm_rooms import rooms_source
-from placegraph.io.capture.capture import FORMATS, is_capture
+from placegraph.io.capture.capture import capture_formats, is_capture
 from placegraph.io.capture.json_files import LabelEntry as Entry
 from placegraph.io.capture.json_files import label_table
 from placegraph.io.mesh.model import Model, Thing
@@ -221,5 +221,7 @@ def _describe_unknown(path: Path) -> str:
             " Data sets and other programs' scene graphs are read by placegraph-io, which is not "
             "installed; `pip install 'placegraph[io]'` brings it."
         )
-    kinds = [kind.holds for kind in source_kinds()] + [f"{f.name} ({f.holds})" for f in FORMATS]
+    kinds = [kind.holds for kind in source_kinds()] + [
+        f"{f.name} ({f.holds})" for f in capture_formats()
+    ]
     return f"{path} {what}; a scene is built from {'; '.join(kinds)}.{mend}"

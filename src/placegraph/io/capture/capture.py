@@ -1,4 +1,4 @@
-"""Opening captures: the recorders that `open_capture` knows, and how each is told.
+"""Opening captures: the formats that `open_capture` knows, and how each is recognized.
 
 A reader's module has `is_X(path)`, which looks at names alone and never raises, and
 `read_X(path, ...)`, which returns a `Capture`. Modules are imported where they are needed; what they
@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cache
 from importlib import import_module
 from os import PathLike
 from pathlib import Path
@@ -18,6 +19,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from placegraph.core.plugins import CAPTURES, missing, plugins
 from placegraph.errors import InputError, OptionError
 from placegraph.io.capture.frame import (
     ArrayImages,
@@ -50,7 +52,7 @@ def open_capture(
         A capture folder: `rgb/`, `camera.json`, `odometry.tum`, and optionally `depth/`,
         `instances/` or `labels/` with `labels.json`, and `gravity.txt` (without which gravity is
         -z of the odometry's frame, which must then be gravity-aligned). Or what another recorder
-        wrote: `FORMATS` lists them.
+        wrote: `capture_formats` lists them.
     labels
         Of capture folders: which labels to use; "auto" takes `instances/`, else `labels/`, else
         none.
@@ -137,86 +139,13 @@ class Format(NamedTuple):
         return import_module(self.module)
 
 
-FORMATS = (
-    Format(
-        "TUM RGB-D",
-        "rgb.txt, depth.txt and groundtruth.txt",
-        "placegraph_io.dataset.tum_rgbd",
-        "tum_rgbd",
-        ("poses",),
-    ),
-    Format(
-        "Stray Scanner",
-        "rgb.mp4, odometry.csv and camera_matrix.csv",
-        "placegraph_io.phone",
-        "stray",
-    ),
-    Format(
-        "Polycam",
-        "keyframes/ with images/, cameras/ and depth/",
-        "placegraph_io.phone",
-        "polycam",
-    ),
-    Format(
-        "Record3D",
-        "metadata.json and rgbd/ or rgb/ and depth/, or .r3d",
-        "placegraph_io.phone",
-        "record3d",
-    ),
-    Format("MultiScan", "X.jsonl and X.mp4", "placegraph_io.dataset.multiscan", "multiscan"),
-    Format(
-        "ios_logger",
-        "Frames.m4v, Frames.txt and ARposes.txt",
-        "placegraph_io.phone",
-        "ios_logger",
-    ),
-    Format("3D Scanner App", "frame_00000.json and .jpg", "placegraph_io.phone", "arkit_app"),
-    Format(
-        "ARKitScenes",
-        "lowres_wide.traj and lowres_wide/",
-        "placegraph_io.dataset.arkit_scenes",
-        "arkit_scenes",
-    ),
-    Format(
-        "3RScan",
-        "sequence/ with _info.txt, or sequence.zip",
-        "placegraph_io.dataset.scan3r_sequence",
-        "scan3r_sequence",
-    ),
-    Format(
-        "ScanNet",
-        "a .sens file, or a folder with one",
-        "placegraph_io.dataset.sens",
-        "sens",
-        ("labels", "label_column", "partial"),
-    ),
-    Format(
-        "ScanNet's exporter",
-        "color/, pose/ and intrinsic_color.txt",
-        "placegraph_io.dataset.sens",
-        "scannet_export",
-        ("labels", "label_column"),
-    ),
-    Format(
-        "COLMAP",
-        "cameras, images and points3D (.bin or .txt), in sparse/0 or the folder itself",
-        "placegraph_io.dataset.colmap",
-        "colmap",
-        ("scale", "up"),
-    ),
-    Format("RTAB-Map", "a .db file", "placegraph_io.dataset.rtabmap", "rtabmap"),
-    Format(
-        "NeRFCapture, Spectacular AI and nerfstudio",
-        "transforms.json",
-        "placegraph_io.dataset.transforms",
-        "transforms",
-        ("scale", "up"),
-    ),
+_OWN = (
     Format(
         "a video with a trajectory",
         "a video, camera.json and odometry.tum or .csv",
         "placegraph.io.capture.video",
         "video_folder",
+        rank=1,
     ),
     Format(
         "capture folder",
@@ -224,32 +153,67 @@ FORMATS = (
         "placegraph.io.capture.capture_folder",
         "capture_folder",
         ("labels",),
-    ),
-    Format(
-        "a bag of ROS",
-        ".mcap, .db3, .bag, or a folder of rosbag2",
-        "placegraph_io.ros.capture",
-        "bag",
-        ("poses", "topics"),
+        rank=2,
     ),
 )
-"""In the order in which they are asked: what is told by little comes last."""
+_ELSEWHERE = {
+    0: (
+        "*.r3d", "*.sens", "*.db", "rgb.txt", "camera_matrix.csv", "keyframes", "rgbd", "depth/*.exr",
+        "EXR_RGBD", "*.jsonl", "ARposes.txt", "frame_0*.json", "lowres_wide.traj", "_info.txt",
+        "sequence/_info.txt", "sequence.zip", "intrinsic_color.txt", "intrinsic/intrinsic_color.txt",
+        "cameras.bin", "cameras.txt", "sparse/0", "transforms.json",
+    ),
+    3: ("*.mcap", "*.db3", "*.bag", "*.mcap.zstd", "*.db3.zstd"),
+}  # fmt: skip
+"""Files, or what a folder has, by which formats of the extra `io` are recognized, by their rank."""
 
 
-def format_of(path: Path) -> Format:
-    """Format of a capture; `InputError`, which lists what is known, where none fits."""
+class AbsentFormat(NamedTuple):
+    """Formats that a distribution which is not installed would read."""
+
+    rank: int
+    name: str = "captures of other recorders, data sets and bags"
+    holds: str = "install the extra `io` for them"
+
+    def fits(self, path: Path) -> bool:
+        """Whether a path looks like one of them."""
+        patterns = _ELSEWHERE[self.rank]
+        try:
+            if path.is_dir():
+                return any(next(path.glob(pattern), None) is not None for pattern in patterns)
+            return any(path.match(pattern) for pattern in patterns)
+        except OSError:  # no leave to look there
+            return False
+
+    def open(self, path: Path, options: dict[str, Any]) -> Capture:  # noqa: ARG002  # as `Format.open`
+        """Raise `MissingExtraError`, which names the extra."""
+        raise missing(f"A reader of {path}", "io")
+
+
+@cache
+def capture_formats() -> tuple[Format | AbsentFormat, ...]:
+    """Return all formats, plugins' included, in the order in which they are asked."""
+    points = plugins(CAPTURES)
+    found: list[Format | AbsentFormat] = [f for point in points.values() for f in point.load()]
+    if "io" not in points:
+        found += [AbsentFormat(rank) for rank in _ELSEWHERE]
+    return tuple(sorted([*found, *_OWN], key=lambda format_: format_.rank))
+
+
+def format_of(path: Path) -> Format | AbsentFormat:
+    """Return the format of a capture; raise `InputError`, which lists what is known, where none fits."""
     if not path.exists():
         raise InputError(f"{path} does not exist; a capture is a folder that a recorder wrote.")
-    for known in FORMATS:
+    for known in capture_formats():
         if known.fits(path):
             return known
-    listed = "; ".join(f"{known.name} ({known.holds})" for known in FORMATS)
+    listed = "; ".join(f"{known.name} ({known.holds})" for known in capture_formats())
     raise InputError(f"{path} holds no capture of a known recorder. Known are: {listed}.")
 
 
 def is_capture(path: Path) -> bool:
-    """Whether `open_capture` knows the recorder of what lies there."""
-    return path.exists() and any(known.fits(path) for known in FORMATS)
+    """Return whether `open_capture` knows the recorder of what lies there."""
+    return path.exists() and any(known.fits(path) for known in capture_formats())
 
 
 def with_poses(capture: Capture, path: Path) -> Capture:
