@@ -64,9 +64,7 @@ class Files:
     overlay: Path | None = None
     record: Path | None = None
 
-    def write(
-        self, scene: SceneMap, estimate: PoseEstimate, chosen: Capture, *, device: str
-    ) -> None:
+    def write(self, scene: SceneMap, estimate: PoseEstimate, chosen: Capture) -> None:
         """Write them; of an estimate without a pose there is no overlay, which is said on stderr."""
         if self.tum is not None:
             write_tum_of(estimate, chosen, self.tum)
@@ -85,7 +83,7 @@ class Files:
         if self.overlay is not None and estimate.best is not None:
             from placegraph.view import write_overlay
 
-            write_overlay(scene, estimate, chosen, self.overlay, device=device)
+            write_overlay(scene, estimate, chosen, self.overlay)
         elif self.overlay is not None:
             click.echo(f"{self.overlay} is not written: there is no pose to show.", err=True)
 
@@ -261,7 +259,7 @@ def localize(
             refine=refining or False, matcher=matching, seed=seed, device=device, progress=tell,
         )  # fmt: skip
         tell("drawing", 0, 1)
-        Files(title, png, gif, tum, overlay, record).write(scene, estimate, chosen, device=device)
+        Files(title, png, gif, tum, overlay, record).write(scene, estimate, chosen)
     if as_json:
         click.echo(json.dumps(estimate.to_dict(), ensure_ascii=False))
     else:
@@ -389,7 +387,7 @@ def refine(
         )  # fmt: skip
         tell("drawing", 0, 1)
         files = Files(title, png=png, tum=tum, overlay=overlay)
-        files.write(scene, refined, chosen, device=device)
+        files.write(scene, refined, chosen)
     if as_json:
         click.echo(json.dumps(refined.to_dict(), ensure_ascii=False))
     else:

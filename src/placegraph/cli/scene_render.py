@@ -94,7 +94,7 @@ def render(
         ),
     ] = None,
     samples: Annotated[int, Option(help="Rays a pixel at edges: 1, 2, 4, 8 or 16.")] = 4,
-    device: Annotated[str, Option(help="auto, cpu or cuda.")] = "auto",
+    device: Annotated[str, Option(help="auto or cpu.")] = "auto",
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -112,7 +112,6 @@ def render(
 
     Example: placegraph scene render house.scene -o out --tum walk.tum --capture walk/ --frame 12
     """
-    from placegraph.indoor.render import Renderer
     from placegraph.maps import open_scene
 
     source = Source(pose, tum, estimate, row, mode)
@@ -121,7 +120,7 @@ def render(
     chosen = None if clip is None else _frame(clip, frame, source)
     map_from_camera = _pose(source, chosen, asked=frame is not None)
     scene = open_scene(map_file)
-    drawn = Renderer(scene, device=device).render(map_from_camera, picture_camera, samples=samples)
+    drawn = scene.render(map_from_camera, picture_camera, samples=samples, device=device)
     files = _write(scene, drawn, map_from_camera, chosen, out)
     told = _told(scene, drawn, map_from_camera, chosen, files)
     if as_json:

@@ -13,6 +13,7 @@ from placegraph.errors import OptionError
 from placegraph.indoor.encode.labels import foreign
 from placegraph.indoor.likelihood.observe import sight
 from placegraph.indoor.map.scene import Scene
+from placegraph.indoor.options import check_device
 from placegraph.indoor.pose.bend import bend
 from placegraph.indoor.pose.estimate import estimate_pose
 from placegraph.indoor.pose.passes import run_passes
@@ -49,6 +50,7 @@ def localized(
     *,
     refine: bool | RefineOptions = True,
     matcher: str | Matcher = "auto",
+    device: str = "auto",
     **asked: Any,  # noqa: ANN401  # of `PoseQuery.of`
 ) -> PoseEstimate:
     """The answer to a question in keywords; parameters and errors: `SceneMap.localize`."""
@@ -56,7 +58,8 @@ def localized(
         raise OptionError(f"refine is {refine!r}; it is True, False or RefineOptions.")
     query = PoseQuery.of(scene, capture, **asked)
     options = refine if isinstance(refine, RefineOptions) else None
-    refining = Refining.of(options, matcher, query.device) if refine else None
+    refining = Refining.of(options, matcher, device) if refine else None
+    check_device(device, network=refining is not None and refining.matcher is not None)
     return placed(scene, localize(query, refining))
 
 

@@ -35,6 +35,14 @@ def check_positive(owner: object, *names: str) -> None:
             raise OptionError(f"{name} is {value}; it must be greater than 0.")
 
 
+def check_device(device: str, *, network: bool = False) -> None:
+    """Raise where a device is not the CPU; a matcher that is a `network` may run on CUDA."""
+    if device.startswith("cuda") and not network:
+        raise OptionError(f"device is {device!r}; only matchers that are networks run there.")
+    if device not in {"auto", "cpu"} and not device.startswith("cuda"):
+        raise OptionError(f"device is {device!r}; it is 'auto', 'cpu' or 'cuda'.")
+
+
 @dataclass(frozen=True, slots=True)
 class MotionNoise:
     """Gaussian noise of Eq. 1, per frame: a floor, and a share of the way and of the turn."""

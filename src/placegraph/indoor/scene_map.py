@@ -104,8 +104,8 @@ class SceneMap(Shown, Scene):
             ``roma``, ``romav2`` need theirs; ``auto`` is the guided one, but for several
             `RefineOptions.views` RoMa, or SIFT where that is not at hand; or a `Matcher` of one's own.
         seed, device, progress
-            Seed of all randomness; ``auto``, ``cpu`` or ``cuda`` (extra ``gpu``); called with what is
-            done, how far, and of how much.
+            Seed of all randomness; ``auto`` or ``cpu``, or ``cuda`` for a matcher that is a network;
+            called with what is done, how far, and of how much.
 
         Raises
         ------
@@ -115,7 +115,7 @@ class SceneMap(Shown, Scene):
         MapError, InputError
             The map holds vectors of another encoder; an image is broken.
         MissingExtraError
-            The device or the matcher asked for needs an extra.
+            The matcher asked for needs an extra.
 
         """
         from placegraph.indoor.localize import localized
@@ -166,20 +166,20 @@ class SceneMap(Shown, Scene):
         InputError
             An image is broken, or a matcher's weights are.
         MissingExtraError
-            The matcher or the device asked for needs an extra.
+            The matcher asked for needs an extra.
 
         """
-        from placegraph.indoor.options import FilterOptions
+        from placegraph.indoor.options import FilterOptions, check_device
         from placegraph.indoor.pose.placed import placed
         from placegraph.indoor.pose.query import PoseQuery
         from placegraph.indoor.refine import Refining, refine
         from placegraph.indoor.render import checked_pose
 
         refining = Refining.of(options, matcher, device)
+        check_device(device, network=refining.matcher is not None)
         senses = FilterOptions(depth=refining.options.depth, colour=bool(refining.options.images))
         query = PoseQuery.of(
-            self, capture, frames=frames, options=senses, seed=seed, device=device,
-            progress=progress,
+            self, capture, frames=frames, options=senses, seed=seed, progress=progress,
         )  # fmt: skip
         return placed(self, refine(query, checked_pose(map_from_camera), refining))
 

@@ -194,7 +194,7 @@ def number(value: float | None, digits: int = 0, unit: str = "") -> str:
 
 
 PACKAGES = (
-    "placegraph", "numpy", "numba", "osmium", "rapidfuzz", "lark", "embreex", "warp-lang",
+    "placegraph", "numpy", "numba", "osmium", "rapidfuzz", "lark", "embreex",
     "opencv-python-headless", "poselib", "kornia", "torch", "small_gicp",
 )  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""Scores poses on the device asked for, and keeps count of what it cost."""
+"""Scores of poses against frames in one map, and what they cost."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.geometry import Floats, compose
-from placegraph.errors import OptionError
 from placegraph.indoor.likelihood.model import model_of
 from placegraph.indoor.likelihood.score_kernels import score_poses
 from placegraph.indoor.likelihood.view import View
@@ -19,36 +18,21 @@ from placegraph.indoor.options import Likelihood
 
 
 class Scorer:
-    """Log-likelihoods of poses in one map, under one likelihood.
+    """Log-likelihoods of poses in one map, under one likelihood."""
 
-    `device`: ``cpu``, ``cuda`` (or ``cuda:1``; extra ``gpu``), or ``auto``: the CPU, which for the
-    few hundred particles the visibility table leaves is as quick as a transfer.
-    """
-
-    def __init__(self, scene: Scene, likelihood: Likelihood, device: str = "auto") -> None:
+    def __init__(self, scene: Scene, likelihood: Likelihood) -> None:
         self.scene = scene
         self.model = model_of(likelihood)
         self.rays = 0
         self.poses = 0
         self.seconds = 0.0
-        self.device = "cpu" if device == "auto" else device
-        self._warp = None
-        if self.device != "cpu":
-            if not self.device.startswith("cuda"):
-                raise OptionError(f"device is {device!r}; it is 'auto', 'cpu' or 'cuda'.")
-            from placegraph.indoor.likelihood.warp import WarpScorer
-
-            self._warp = WarpScorer(scene, self.device)
 
     def terms(self, poses: Floats, view: View) -> NDArray[np.float32]:
         """Scores (N, 4) of poses (N, 4), a column a term; see `score_poses`."""
         start = perf_counter()
         poses = np.ascontiguousarray(poses, np.float64)
-        if self._warp is not None:
-            scores = self._warp.score(poses, view, self.model.noise)
-        else:
-            scene = self.scene
-            scores = score_poses(scene.caster.tracer, scene.surface, poses, view, self.model.noise)
+        scene = self.scene
+        scores = score_poses(scene.caster.tracer, scene.surface, poses, view, self.model.noise)
         self.rays += len(poses) * len(view.directions)
         self.poses += len(poses)
         self.seconds += perf_counter() - start
@@ -60,7 +44,6 @@ class Scorer:
             "poses_scored": self.poses,
             "rays": self.rays,
             "seconds_scoring": round(self.seconds, 4),
-            "device": self.device,
         }
 
     def __call__(self, poses: Floats, view: View) -> Floats:

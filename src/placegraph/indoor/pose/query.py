@@ -14,7 +14,7 @@ from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
 from placegraph.indoor.encode import Encoder, MapEncoder, for_map
 from placegraph.indoor.map.scene import Scene
-from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.options import FilterOptions, check_device
 from placegraph.indoor.pose.motion import keyframes, level_poses
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
@@ -45,7 +45,6 @@ class PoseQuery:
     shares: ArrayLike | None = None
     """(S,) share of the first particles of each merged scene."""
     seed: int = 0
-    device: str = "auto"
     progress: Progress | None = None
     """Called with what is done, how far, and of how much."""
 
@@ -58,6 +57,7 @@ class PoseQuery:
         frames: slice | Sequence[int] | None = None,
         options: FilterOptions | None = None,
         encoder: str | Encoder | MapEncoder | None = None,
+        device: str = "auto",
         **known: Any,  # noqa: ANN401  # the other fields
     ) -> PoseQuery:
         """The question about a capture, or about frames to come if there is none.
@@ -65,6 +65,7 @@ class PoseQuery:
         Of the frames chosen those are kept that are keyframes by the options. Terms of the likelihood
         that the map cannot serve are switched off. Parameters and errors: `SceneMap.localize`.
         """
+        check_device(device)
         options = options or FilterOptions()
         if known.get("seed", 0) < 0:
             raise OptionError(f"seed is {known['seed']}; a seed is not negative.")

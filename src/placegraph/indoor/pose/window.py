@@ -145,7 +145,7 @@ def observe(query: PoseQuery) -> Window:
 
     """
     scene = query.scene
-    window = Window(query, Scorer(scene, query.options.likelihood, query.device), [])
+    window = Window(query, Scorer(scene, query.options.likelihood), [])
     with timed(window.seconds, "reading"):
         encoder = query.encoder or own_encoder(scene, query.frames[0])
         window.sightings = [sight(frame, encoder, query.options) for frame in query.frames]

@@ -126,7 +126,6 @@ class Refiner:
     options: RefineOptions
     matcher: Matcher | None
     """None: the guided matcher."""
-    device: str = "auto"
     known: tuple[Floats, Floats] | None = None
     """As `Problem.known`."""
     landmarks: Sequence[Sights] = ()
@@ -145,14 +144,13 @@ class Refiner:
             queries=[s.rgb for s in window.sightings],
             options=options,
             matcher=matcher,
-            device=window.query.device,
             landmarks=seen(window) if options.images else (),
             rng=np.random.default_rng(window.query.seed),
         )
 
     def __post_init__(self) -> None:
         self.surfaces, self.seconds = Surfaces.of(self.scene), dict[str, float]()
-        self.renderer = Renderer(self.scene, device=self.device)
+        self.renderer = Renderer(self.scene)
         self._readings: dict[int, list[Readings | None]] = {}
         self.landmark_matches: int | None = None  # where landmarks alone decided
         self.drift = (1.0, 1.0)  # `Problem.drift`, of where the frames are thought to be

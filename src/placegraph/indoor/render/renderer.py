@@ -7,7 +7,6 @@ covers: of a texture by its mip levels, across edges by several rays.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -19,6 +18,7 @@ from placegraph.core.threads import share
 from placegraph.errors import OptionError
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.scene import Scene
+from placegraph.indoor.options import check_device
 from placegraph.indoor.rays import RayCaster
 from placegraph.indoor.render.render_kernels import TILE, Eye, Picture, World, draw, smooth
 
@@ -96,7 +96,7 @@ def render(
     samples: int = 4,
     device: str = "auto",
 ) -> Rendering:
-    """Picture of the map from one pose; for many on a GPU, make a `Renderer` and keep it.
+    """Return a picture of the map from one pose; for many, keep a `Renderer`.
 
     Parameters
     ----------
@@ -108,42 +108,29 @@ def render(
         Rays a pixel at edges of objects, of materials and of faces, whose colours are mixed: 1, 2,
         4, 8 or 16. 1 leaves stairs.
     device
-        ``cpu``, ``cuda`` (or ``cuda:1``; extra ``gpu``), or ``auto``: the CPU, as for scores.
+        ``auto`` or ``cpu``, which are the same.
 
     Raises
     ------
     OptionError
         The pose is not rigid or not finite, `samples` is another number, there is no such device.
-    MissingExtraError
-        A GPU is asked for and NVIDIA Warp is not installed.
     """
-    return Renderer(scene, device=device).render(map_from_camera, camera, samples=samples)
+    check_device(device)
+    return Renderer(scene).render(map_from_camera, camera, samples=samples)
 
 
 class Renderer:
-    """Renders one map again and again, on the device asked for.
+    """Renders one map again and again.
 
-    The CPU takes as many threads as `threads.limited` lets it, and may be asked by any number of
+    It takes as many threads as `threads.limited` lets it, and may be asked by any number of
     threads. Parameters and errors: `render`; `caster` is the map's own where none is given.
     """
 
-    def __init__(
-        self, scene: Scene, *, device: str = "auto", caster: RayCaster | None = None
-    ) -> None:
-        self.device = "cpu" if device == "auto" else device
-        self._draw: Callable[[Eye, Rendering, NDArray[np.float32]], Rendering]
-        if self.device == "cpu":
-            mesh = scene.mesh
-            coloured = bool((mesh.colours != 255).any())
-            tracer = (caster or scene.caster).tracer
-            self._world = World(tracer, scene.surface, mesh.vertices, coloured)
-            self._draw = self._by_cpu
-        elif self.device.startswith("cuda"):
-            from placegraph.indoor.render.warp import WarpRenderer
-
-            self._draw = WarpRenderer(scene, self.device).draw
-        else:
-            raise OptionError(f"device is {device!r}; it is 'auto', 'cpu' or 'cuda'.")
+    def __init__(self, scene: Scene, *, caster: RayCaster | None = None) -> None:
+        mesh = scene.mesh
+        coloured = bool((mesh.colours != 255).any())
+        tracer = (caster or scene.caster).tracer
+        self._world = World(tracer, scene.surface, mesh.vertices, coloured)
 
     def render(
         self,
@@ -172,7 +159,7 @@ class Renderer:
             drawn.blank(_hidden(camera))
         return drawn
 
-    def _by_cpu(self, eye: Eye, drawn: Rendering, offsets: NDArray[np.float32]) -> Rendering:
+    def _draw(self, eye: Eye, drawn: Rendering, offsets: NDArray[np.float32]) -> Rendering:
         rows = len(drawn.depth)
         picture = Picture(drawn.colour, drawn.depth, drawn.objects, drawn.triangles, drawn.points)
         share(draw, -(-rows // TILE), self._world, eye, picture)

@@ -101,7 +101,7 @@ class Finder:
             raise OptionError("frame: no depth, no known labels, no colours: nothing to compare.")
         shown = [s for s in seen if shows_something(s)]
         check_unit(float(np.linalg.norm(np.ptp(query.scene.bounds, axis=0))), shown)
-        window = Window(query, Scorer(query.scene, query.options.likelihood, query.device), shown)
+        window = Window(query, Scorer(query.scene, query.options.likelihood), shown)
         estimate, _ = look_up(window, rng)
         return name, placed(query.scene, estimate)
 

@@ -85,7 +85,7 @@ class Tracker:
         self.query = query
         self.camera = camera
         self.rng = np.random.default_rng(query.seed)
-        self.scorer = Scorer(query.scene, query.options.likelihood, query.device)
+        self.scorer = Scorer(query.scene, query.options.likelihood)
         self.keyframes: deque[Sighting] = deque(maxlen=KEPT)
         self._cut: Cut = {}
         self._again = Again()

@@ -57,7 +57,6 @@ def write_overlay(
     path: str | Path,
     *,
     samples: int = 4,
-    device: str = "auto",
 ) -> Path:
     """Draw the map over the last frame of an estimate, at its best pose, as a PNG.
 
@@ -69,7 +68,7 @@ def write_overlay(
         The map the estimate was made on.
     capture
         Frames, among them the estimate's last.
-    samples, device
+    samples
         As of `scene.render`.
 
     Raises
@@ -88,7 +87,7 @@ def write_overlay(
     frame = next((frame for frame in capture if frame.index == row), None)
     if frame is None:
         raise OptionError(f"Frame {row}, the estimate's last, is not in the capture that is given.")
-    renderer = Renderer(scene, device=device)
+    renderer = Renderer(scene)
     drawn = []
     coarse = [refinement.coarse] if refinement is not None and refinement.accepted else []
     for mode in (best, *coarse):

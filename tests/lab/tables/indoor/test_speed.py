@@ -18,7 +18,6 @@ from placegraph_lab.tables.named.indoor_speed import (
     cost,
     engines,
     median_time,
-    no_cuda,
     resized,
     scattered_poses,
 )
@@ -56,18 +55,16 @@ def test_costs_are_of_all_rays(scene, shared, monkeypatch):
     monkeypatch.setattr(indoor_speed, "median_time", lambda work: work() is not None and 0.5)
     background = scene.visibility(FilterOptions(spacing=2.0, heights=(1.6,))).background
     row = cost(scene, shared / "data/house/seq00", 20, 40.0, background)
-    assert (row.particles, row.triangles, row.device) == (20, len(scene.mesh), "cpu")
+    assert (row.particles, row.triangles) == (20, len(scene.mesh))
     assert row.rays >= 640 // 40 * 360 // 40
     assert row.rate == 20 * row.rays / 0.5
     assert row.share == 1.0
-    assert Cost("cuda", 9, 5, 4, 2.0, float("nan")).to_dict()["casting_share"] is None
 
 
 def test_engines_that_are_there_are_timed(scene, shared, monkeypatch):
     monkeypatch.setattr(indoor_speed, "median_time", lambda work, **_: work() is not None and 0.5)
     rates = engines(scene, shared / "data/house/seq00", particles=2)
     assert "own tree" in rates
-    assert ("Warp, CUDA" in rates) == (no_cuda() == "")
     assert min(rates.values()) > 0
 
 
@@ -88,19 +85,18 @@ def test_a_command_that_fails_is_no_start():
 
 
 def test_tables_name_the_paper_and_the_reason(monkeypatch, scene, tmp_path):
-    monkeypatch.setattr(script, "costs", lambda *_: [Cost("cpu", 20_000, 1000, 640, 0.04, 0.03)])
-    text, rows = script.scoring(scene, tmp_path, "there is no GPU")
+    monkeypatch.setattr(script, "costs", lambda *_: [Cost(20_000, 1000, 640, 0.04, 0.03)])
+    text, rows = script.scoring(scene, tmp_path)
     assert "16.0" in text.splitlines()[2]  # million rays a second
     assert ".75" in text.splitlines()[2]
-    assert text.endswith("No row for CUDA: there is no GPU")
     assert rows[0]["rays_per_second"] == 16e6
     measured = {
-        "device": "cpu", "frame_seconds": 0.2, "stage_seconds": {"filter": 0.03, "search": 0.1},
+        "frame_seconds": 0.2, "stage_seconds": {"filter": 0.03, "search": 0.1},
         "passes": 3, "particles": 90.0, "rays_a_frame": 2e5, "rays_per_second": 1e7,
         "scoring_share": 0.5, "peak_bytes": 4e8,
     }  # fmt: skip
     monkeypatch.setattr(script, "apart", lambda *_: measured)
-    text, rows = script.methods({"house": tmp_path, "small": tmp_path}, [tmp_path], "none", print)
+    text, rows = script.methods({"house": tmp_path, "small": tmp_path}, [tmp_path], print)
     assert len(rows) == len(script.METHODS) + 2
     assert "10.0 ms" in text  # a frame and pass
     assert "2.90 s" in text

@@ -25,7 +25,6 @@ from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.json_files import read_camera
 from placegraph_lab.tables.indoor import maps as indoor_maps
 from placegraph_lab.tables.indoor.windows import HALVES, true_poses
-from placegraph_lab.tables.named.indoor_speed import no_cuda
 from placegraph_lab.tables.runner import Quick, Run, markdown, number, option, share, table
 
 TIMES = 5
@@ -37,20 +36,16 @@ HEADER += ["90th percentile", "slowest", "of processors"]
 NAMES = {"embree": "Embree", "bvh": "own tree"}
 
 
-def measured(
-    scene: SceneMap, cameras: tuple[Camera, ...], poses: Floats, *, cuda: bool
-) -> list[dict[str, Any]]:
+def measured(scene: SceneMap, cameras: tuple[Camera, ...], poses: Floats) -> list[dict[str, Any]]:
     """One row for each engine, size, number of samples and of threads."""
     backends: tuple[Backend, ...] = ("embree", "bvh")
     mesh = scene.mesh.vertices, scene.mesh.triangles
     engines = {NAMES[b]: Renderer(scene, caster=RayCaster(*mesh, backend=b)) for b in backends}
-    if cuda:
-        engines["CUDA"] = Renderer(scene, device="cuda")
     rows = []
     for name, renderer in engines.items():
         for camera in cameras:
             for samples in (1, 4):
-                for threads in (0,) if name == "CUDA" else range(1, min(processors(), 2) + 1):
+                for threads in range(1, min(processors(), 2) + 1):
                     print(f"{name}, {camera.width}, {samples}, {threads}", file=sys.stderr)
                     row = timed(renderer, camera, poses, samples, threads)
                     rows.append({"engine": name} | row)
@@ -60,7 +55,7 @@ def measured(
 def timed(
     renderer: Renderer, camera: Camera, poses: Floats, samples: int, threads: int
 ) -> dict[str, Any]:
-    """Medians over `TIMES` renderings of each pose; 0 threads: they are not the CPU's."""
+    """Medians over `TIMES` renderings of each pose."""
     before = numba.get_num_threads()
     numba.set_num_threads(max(threads, 1))
     spent, seen = [], []
@@ -137,21 +132,18 @@ def indoor_render(
             true_poses(run.data / "office")[low:high],
         ),
     }
-    reason = no_cuda()
     rows: list[dict[str, Any]] = []
     for name, (scene, cameras, tour) in places.items():
         chosen = tour[np.linspace(0, len(tour) - 1, poses).round().astype(int)]
         rows += [
             {"map": name, "triangles": len(scene.mesh)} | row
-            for row in measured(scene, cameras, chosen, cuda=not reason)
+            for row in measured(scene, cameras, chosen)
         ]
     print(
         f"#### A picture of the map, {poses} true poses each\n\n{markdown(HEADER, map(line, rows))}\n"
     )
-    if reason:
-        print(f"No row for CUDA: {reason}\n")
     lenses = {"no distortion": house.camera, "distorted": distorted(house.camera)}
     first = {lens: fresh_rays(camera) for lens, camera in lenses.items()}
     header = ["rays of a new camera, 640 x 360, once", "ms"]
     print(markdown(header, [[lens, number(1e3 * s, 0)] for lens, s in first.items()]))
-    run.save({"no_cuda": reason, "rows": rows, "camera_seconds": first})
+    run.save({"rows": rows, "camera_seconds": first})

@@ -24,7 +24,6 @@ from placegraph.indoor.likelihood.view import Background, View
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.rays import RayCaster
-from placegraph.indoor.rays.warp import WarpCaster, open_device
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import open_capture
 from placegraph_lab.tables.indoor import maps as indoor_maps
@@ -57,7 +56,6 @@ FRAMES = 10
 class Cost:
     """Time to score poses against one frame."""
 
-    device: str
     triangles: int
     particles: int
     rays: int
@@ -79,7 +77,6 @@ class Cost:
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers, ready for `json.dumps`."""
         return {
-            "device": self.device,
             "triangles": self.triangles,
             "particles": self.particles,
             "rays_per_particle": self.rays,
@@ -148,53 +145,35 @@ def cost(
     particles: int,
     stride: float,
     background: Background,
-    *,
-    device: str = "cpu",
 ) -> Cost:
     """Time to score poses against the first frame of a sequence."""
     view = view_of(scene, folder, stride, background)
     poses = scattered_poses(folder, particles, np.random.default_rng(0))
-    scorer = Scorer(scene, FilterOptions().likelihood, device)
+    scorer = Scorer(scene, FilterOptions().likelihood)
     nothing = view._replace(
         patch=np.full_like(view.patch, -1), terms=np.zeros_like(view.terms)
     )  # every ray is cast, and no hit is looked at
     return Cost(
-        device=device,
         triangles=len(scene.mesh),
         particles=particles,
         rays=len(view.directions),
         seconds=median_time(lambda: scorer.terms(poses, view)),
-        casting=median_time(lambda: scorer.terms(poses, nothing))
-        if device == "cpu"
-        else float("nan"),
+        casting=median_time(lambda: scorer.terms(poses, nothing)),
     )
 
 
-def costs(scene: SceneMap, folder: Path, *, device: str = "cpu") -> list[Cost]:
+def costs(scene: SceneMap, folder: Path) -> list[Cost]:
     """One row for every number of particles, rays and triangles, the others as in `BASE`."""
     particles, stride, triangles = BASE
     background = scene.visibility(FilterOptions()).background
     middle = resized(scene, triangles)
-    rows = [cost(middle, folder, n, stride, background, device=device) for n in PARTICLES]
-    rows += [
-        cost(middle, folder, particles, s, background, device=device)
-        for s in STRIDES
-        if s != stride
-    ]
+    rows = [cost(middle, folder, n, stride, background) for n in PARTICLES]
+    rows += [cost(middle, folder, particles, s, background) for s in STRIDES if s != stride]
     for n in TRIANGLES:
         if n != triangles:
             other = resized(scene, n)
-            rows.append(cost(other, folder, particles, stride, background, device=device))
+            rows.append(cost(other, folder, particles, stride, background))
     return rows
-
-
-def no_cuda() -> str:
-    """Why nothing runs on a CUDA device here; an empty string where something does."""
-    try:
-        open_device("cuda")
-    except PlacegraphError as error:
-        return str(error)
-    return ""
 
 
 def engines(scene: SceneMap, folder: Path, *, particles: int = 1000) -> dict[str, float]:
@@ -213,8 +192,6 @@ def engines(scene: SceneMap, folder: Path, *, particles: int = 1000) -> dict[str
     makers: dict[str, Callable[[], Any]] = {
         "Embree": lambda: RayCaster(*mesh, backend="embree"),
         "own tree": lambda: RayCaster(*mesh, backend="bvh"),
-        "Warp, CPU": lambda: WarpCaster(*mesh, device="cpu"),
-        "Warp, CUDA": lambda: WarpCaster(*mesh, device="cuda"),
     }
     found = {}
     for name, make in makers.items():
@@ -227,15 +204,13 @@ def engines(scene: SceneMap, folder: Path, *, particles: int = 1000) -> dict[str
     return found
 
 
-def localizing(
-    scene: Path, folders: Sequence[Path], options: FilterOptions, device: str
-) -> dict[str, Any]:
+def localizing(scene: Path, folders: Sequence[Path], options: FilterOptions) -> dict[str, Any]:
     """Time a frame, by stage, of the first frames of each sequence; run in a fresh process."""
     opened = SceneMap.open(scene)
     stages: dict[str, float] = {}
     total = {"seconds": 0.0, "rays": 0.0, "poses": 0.0, "scoring": 0.0, "particles": 0.0}
     start = time.perf_counter()
-    ask = partial(opened.localize, options=options, refine=False, device=device)
+    ask = partial(opened.localize, options=options, refine=False)
     ask(open_capture(folders[0])[:FRAMES], seed=1)
     first = time.perf_counter() - start
     for folder in folders:
@@ -252,7 +227,6 @@ def localizing(
         total["particles"] += mean_particles(stats) * FRAMES
     frames = FRAMES * len(folders)
     return {
-        "device": device,
         "frame_seconds": total["seconds"] / frames,
         "stage_seconds": {stage: seconds / frames for stage, seconds in stages.items()},
         "passes": len(options.run),
@@ -330,31 +304,25 @@ METHODS = {
 }
 
 
-def scoring(house: SceneMap, folder: Path, reason: str) -> tuple[str, list[dict[str, Any]]]:
-    """Cost of scoring poses against one frame; on a GPU too where there is one."""
+def scoring(house: SceneMap, folder: Path) -> tuple[str, list[dict[str, Any]]]:
+    """Cost of scoring poses against one frame."""
     found = costs(house, folder)
-    if not reason:
-        found += costs(house, folder, device="cuda")
-    header = ["triangles", "device", "particles", "rays each", "ms", "µs a particle"]
+    header = ["triangles", "particles", "rays each", "ms", "µs a particle"]
     header += ["M rays/s", "casting"]
     lines = [cost_line(c) for c in found]
-    if reason:
-        lines.append(["", "cuda", *["–"] * 6])
-    note = f"\n\nNo row for CUDA: {reason}" if reason else ""
-    return markdown(header, lines) + note, [c.to_dict() for c in found]
+    return markdown(header, lines), [c.to_dict() for c in found]
 
 
 def cost_line(c: Cost) -> list[str]:
     """Cells of one cost."""
     return [
         number(c.triangles),
-        c.device,
         number(c.particles),
         number(c.rays),
         number(1e3 * c.seconds, 1),
         number(1e6 * c.seconds / c.particles, 1),
         number(MEGA * c.rate, 1),
-        share(c.share) if not np.isnan(c.casting) else "–",
+        share(c.share),
     ]
 
 
@@ -373,7 +341,7 @@ def casting(house: SceneMap, folder: Path) -> tuple[str, list[dict[str, Any]]]:
 
 
 def methods(
-    maps: dict[str, Path], folders: list[Path], reason: str, say: Callable[[str], None]
+    maps: dict[str, Path], folders: list[Path], say: Callable[[str], None]
 ) -> tuple[str, list[dict[str, Any]]]:
     """Time a frame of each method on each map, in fresh processes."""
     rows = []
@@ -381,15 +349,14 @@ def methods(
         for name, options in METHODS.items():
             if map_name != "house" and name not in {"all terms", "all terms, without polish"}:
                 continue
-            for device in ("cpu",) if reason else ("cpu", "cuda"):
-                say(f"{name}, {map_name}, {device}")
-                row = apart(localizing, path, folders, options, device)
-                rows.append({"method": name, "map": map_name} | row)
-    header = [f"{FRAMES} frames", "map", "device", "a frame", "reading", "search"]
+            say(f"{name}, {map_name}")
+            row = apart(localizing, path, folders, options)
+            rows.append({"method": name, "map": map_name} | row)
+    header = [f"{FRAMES} frames", "map", "a frame", "reading", "search"]
     header += ["a frame and pass", "polish", "particles", "M rays a frame", "M rays/s"]
     header += ["scoring", "peak"]
     lines = [method_line(row) for row in rows]
-    lines += [[name, "", "", seconds, *["–"] * 9] for name, seconds in PAPER]
+    lines += [[name, "", seconds, *["–"] * 9] for name, seconds in PAPER]
     return markdown(header, lines), rows
 
 
@@ -399,7 +366,6 @@ def method_line(row: dict[str, Any]) -> list[str]:
     return [
         row["method"],
         row["map"],
-        row["device"],
         number(1e3 * row["frame_seconds"], 0, "ms"),
         number(1e3 * stage.get("reading", 0.0), 1, "ms"),
         number(1e3 * stage.get("search", 0.0), 1, "ms"),
@@ -447,7 +413,6 @@ def indoor_speed(
     """What does localizing indoors cost? By particles, rays and triangles; memory, cold starts."""
     wanted = known(parts(only) or (["start"] if quick else []), PARTS, "part")
     folders = sorted((run.data / "house").glob("seq[0-9]*"))
-    reason = no_cuda()
     house = indoor_maps.house(run.data, run.cache)
     indoor_maps.coarse_house(run.data, run.cache)
     maps = {
@@ -458,13 +423,13 @@ def indoor_speed(
         "start": ("Cold start", lambda: started(maps["house"], folders[0])),
         "localizing": (
             "Localizing, first frame and images included",
-            lambda: methods(maps, folders, reason, run.say),
+            lambda: methods(maps, folders, run.say),
         ),
         "tracking": ("Tracking", lambda: tracked(maps["house"], folders)),
-        "scoring": ("Scoring poses against one frame", lambda: scoring(house, folders[0], reason)),
+        "scoring": ("Scoring poses against one frame", lambda: scoring(house, folders[0])),
         "engines": ("Ray casters, hits written to arrays", lambda: casting(house, folders[0])),
     }
-    record: dict[str, Any] = {"no_cuda": reason}
+    record: dict[str, Any] = {}
     for part, (title, measured) in work.items():
         if part in wanted:
             run.say(part)
