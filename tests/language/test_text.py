@@ -7,8 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.errors import DescriptionError
-from placegraph.language.grammar import Chunk
-from placegraph.language.grammar import IslandParser as Islands
+from placegraph.language.grammar import Chunk, IslandParser
 from placegraph.language.measures import metres
 from placegraph.language.text import Phrases, Terminal, check_text, scan_text
 
@@ -18,12 +17,8 @@ pair: A B
 """
 
 
-class Build:
-    def pair(self, children):
-        return tuple(chunk.words for chunk in children)
-
-
-ISLANDS = Islands(GRAMMAR, "pair", Build(), tuple, ("X",))
+BUILD = {"pair": lambda children: tuple(chunk.words for chunk in children)}
+ISLANDS = IslandParser(GRAMMAR, "pair", BUILD, tuple, ("X",))
 
 
 def parsed(types):

@@ -6,16 +6,24 @@ The grammar is a table of states (LALR), made by lark once and kept.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from hashlib import sha256
 from typing import Any, Generic, NamedTuple, TypeVar
 
 from placegraph.core.cache import cached
 
+LONGEST_CLAUSE = 60
+"""Chunks of a clause at most; nobody speaks in longer ones."""
+UNSURE = 0.6
+"""Certainty of a clause that says "maybe"."""
 _BACK = 4
 """How many chunks are given up at most to make sense of those before them."""
-Clause = TypeVar("Clause")
+Result = TypeVar("Result")
+Noun = TypeVar("Noun")
+Builders = Mapping[str, Callable[[list[Any]], Any]]
+"""What becomes of the children of each rule of a grammar."""
 
 
 @dataclass(slots=True)
@@ -32,14 +40,100 @@ class Chunk:
     capital: bool = False
 
 
-class IslandParser(Generic[Clause]):
+@dataclass(slots=True)
+class PlacePhrase(Generic[Noun]):
+    """A phrase that says where something is: "50 m north of the church", "on my left"."""
+
+    how: str
+    """Rule of the grammar: ``towards prep between related ...``."""
+    start: int
+    end: int
+    targets: tuple[Noun, ...] = ()
+    word: str = ""
+    """Preposition: ``ON IN AT TO``, or a relation of the language."""
+    direction: Any = None
+    """Value of a DIR: a direction of the compass or the body."""
+    distance: float | None = None
+    part: str = ""
+    owner: str = ""
+    """``MY YOUR ITS``."""
+    negated: bool = False
+
+
+@dataclass(slots=True)
+class Clause:
+    """A clause: a verb, and the noun and place phrases before it and after it."""
+
+    verb: str
+    """Rule of the grammar: ``fragment is_ exists sees ...``."""
+    before: tuple[Any, ...] = ()
+    after: tuple[Any, ...] = ()
+    negated: bool = False
+    condition: bool = False
+    """"if you see ...", "when you get to ...", "until ..."."""
+    travel: str = ""
+    """Type of the verb: ``GO PASS CROSS FOLLOW REACH``."""
+    start: int = 0
+    end: int = 0
+
+
+def build_clause(children: list[Any], *, verb: str) -> Clause:
+    """Build a clause of phrases (tuples) before and after a verb (a chunk)."""
+    clause = Clause(verb)
+    for child in children:
+        if not isinstance(child, tuple):
+            clause.travel, clause.negated = child.type, child.value == "NOT"
+        elif clause.travel:
+            clause.after = child
+        else:
+            clause.before = child
+    return clause
+
+
+def build_place(children: list[Any], *, how: str) -> PlacePhrase[Any]:
+    """Build a place phrase of chunks and of the noun phrases that it relates to."""
+    # words may have been brought into the order of the grammar from another
+    place: PlacePhrase[Any] = PlacePhrase(
+        how, min(child.start for child in children), max(child.end for child in children)
+    )
+    place.targets = tuple([child for child in children if not isinstance(child, Chunk)])
+    for chunk in children:
+        match chunk.type if isinstance(chunk, Chunk) else "":
+            case "DIR":
+                place.direction = chunk.value
+            case "DIST":
+                place.distance = chunk.value
+            case "PART":
+                place.part = chunk.value
+            case "PREP" | "REL":
+                place.word = chunk.value
+            case "ON" | "IN" | "AT" | "TO":
+                place.word = chunk.type
+            case "MY" | "YOUR" | "ITS":
+                place.owner = chunk.type
+    return place
+
+
+def negate(children: list[Any]) -> PlacePhrase[Any]:
+    """Negate the place phrase behind a NOT."""
+    place: PlacePhrase[Any] = children[1]
+    place.negated = True
+    return place
+
+
+def build_with(build: Callable[..., Any], argument: str, rules: str) -> Builders:
+    """Return a builder for each of some rules of a grammar, told the rule's name as an argument."""
+    return {rule: partial(build, **{argument: rule}) for rule in rules.split()}
+
+
+class IslandParser(Generic[Result]):
     """Parses by islands (LALR): what the grammar does not expect is left out, or ends an island.
 
     Parameters
     ----------
     grammar, start
         Of lark; the terminals are types of chunks.
-    builder
+    build
         Called as soon as a rule is complete; see `Grammar`.
     kind
         What the start rule becomes.
@@ -51,16 +145,16 @@ class IslandParser(Generic[Clause]):
         self,
         grammar: str,
         start: str,
-        builder: object,
-        kind: type[Clause],
+        build: Builders,
+        kind: type[Result],
         skipped: Collection[str],
     ) -> None:
-        self._grammar = Grammar(grammar, start, builder)
+        self._grammar = Grammar(grammar, start, build)
         self._kind, self._skipped = kind, skipped
 
     def parse(
         self, chunks: list[Chunk]
-    ) -> Iterator[tuple[Clause | None, list[Chunk], list[Chunk]]]:
+    ) -> Iterator[tuple[Result | None, list[Chunk], list[Chunk]]]:
         """Parse the chunks of one clause.
 
         Yields
@@ -78,7 +172,7 @@ class IslandParser(Generic[Clause]):
                 yield None, rest[:used], rest[:used]
             rest = rest[used:]
 
-    def _island(self, chunks: list[Chunk]) -> tuple[Clause | None, list[Chunk], int]:
+    def _island(self, chunks: list[Chunk]) -> tuple[Result | None, list[Chunk], int]:
         """Longest clause from the first chunk on, chunks left out of it, and how many it took."""
         parser = self._grammar.parse()
         left_out: list[Chunk] = []
@@ -100,7 +194,7 @@ class IslandParser(Generic[Clause]):
 
     def _shorter(
         self, chunks: list[Chunk], left_out: list[Chunk]
-    ) -> tuple[Clause | None, list[Chunk], int]:
+    ) -> tuple[Result | None, list[Chunk], int]:
         """Parse a beginning of the chunks that cannot be parsed whole."""
         kept = [chunk for chunk in chunks if chunk not in left_out]
         for n in range(len(kept) - 1, max(0, len(kept) - 1 - _BACK), -1):
@@ -116,7 +210,7 @@ class IslandParser(Generic[Clause]):
                 return clause, [chunk for chunk in left_out if chunk in chunks[:used]], used
         return None, left_out, len(chunks)
 
-    def _finish(self, parser: Parse) -> Clause | None:
+    def _finish(self, parser: Parse) -> Result | None:
         try:
             clause = parser.feed(END)
         except UnexpectedTokenError:
@@ -148,20 +242,20 @@ class Grammar:
     ----------
     text, start
         The grammar and its first rule.
-    builder
-        Has a method for each rule, or its alias, that is called with the children once the rule is
-        complete. Rules whose names begin with an underscore have none: their children stand in for
-        them.
+    build
+        By the name of each rule, or its alias, the function that is called with the children once
+        the rule is complete. Rules whose names begin with an underscore have none: their children
+        stand in for them.
     """
 
-    def __init__(self, text: str, start: str, builder: object) -> None:
+    def __init__(self, text: str, start: str, build: Builders) -> None:
         digest = sha256(f"1 {start} {text}".encode()).hexdigest()[:16]
         table = cached(f"grammar-{digest}.json", lambda: _table(text, start), json.loads)
         self._states: list[dict[str, int]] = table["states"]
         self._first: int = table["start"]
         self._last: int = table["end"]
         self._rules = [
-            _Rule(origin, len(inlined), inlined, single, getattr(builder, name) if name else list)
+            _Rule(origin, len(inlined), inlined, single, build[name] if name else list)
             for origin, name, inlined, single in table["rules"]
         ]
 

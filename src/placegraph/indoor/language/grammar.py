@@ -1,18 +1,28 @@
-"""Chunks: the words of a text, grouped into the terminals of the grammar, and cut into clauses."""
+"""From words to clauses: phrases of lexicon.toml become chunks, and the grammar reads them by islands."""
 
 from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cache, partialmethod
+from dataclasses import dataclass, replace
+from functools import cache
 from importlib.resources import files
 from math import atan2, cos, pi, radians, sin
-from typing import Any
+from typing import Any, TypeAlias
 
 from placegraph.indoor.map.floor import label_words
-from placegraph.language.grammar import Chunk
-from placegraph.language.grammar import IslandParser as Islands
+from placegraph.language.grammar import (
+    LONGEST_CLAUSE,
+    UNSURE,
+    Chunk,
+    Clause,
+    IslandParser,
+    PlacePhrase,
+    build_clause,
+    build_place,
+    build_with,
+    negate,
+)
 from placegraph.language.measures import COUNTS, whole
 from placegraph.language.text import Phrases, Terminal, Word
 
@@ -26,62 +36,69 @@ _AMBIGUOUS = frozenset(("STAND", "PART", "FACE", "HERE", "SIGHT", "SEE", "HAVE",
 _STANDS = frozenset(
     ("stands", "sits", "hangs", "lies", "lie", "hang", "run", "runs", "lean", "leans")
 )
-_LONGEST = 60
-"""Chunks in a clause; nobody speaks in longer ones."""
 _MOST = 1000
-"""More of a thing than this, nobody counts."""
-UNSURE = 0.6
-"""Certainty of what is said to be "maybe" so."""
+"""Largest number of things that is counted."""
 _COUNTED = {"couple": 2, "pair": 2, "pairs": 4}
+_SKIPPED = ("WORD", "AND", "OF", "FROM", "NOT", "DET", "A", "NO", "NUM", "SOME", "PART", "SIGHT")
+"""Chunks that may be left out where the grammar expects something else."""
+
+
+@dataclass(slots=True)
+class NounPhrase:
+    """Somebody or something spoken of, in one place of the text."""
+
+    kind: str
+    """``ME IT SPOT PART`` or ``thing``."""
+    start: int
+    end: int
+    determiners: tuple[Chunk, ...] = ()
+    words: tuple[Chunk, ...] = ()
+    owner: NounPhrase | None = None
+    """The whole: "the door of the kitchen"."""
+
+
+Place: TypeAlias = PlacePhrase[NounPhrase]
+Item: TypeAlias = NounPhrase | Place | Chunk
+"""Noun phrase, place phrase, or a joint: a comma, or "and"."""
 
 
 @cache
 def english() -> Phrases:
-    """The phrases of the grammar."""
-    table = tomllib.loads(_file("lexicon.toml"))
+    """Return the phrases of the grammar."""
+    table = tomllib.loads(files(__package__).joinpath("data", "lexicon.toml").read_text("utf-8"))
     known: dict[tuple[str, ...], tuple[Terminal, ...]] = {}
     for section, entries in table.items():
         for key, phrases in entries.items():
-            for phrase in phrases:
-                words = tuple(phrase.split())
-                known.setdefault(words, tuple(_terminals(section, key, words)))
+            for words in [tuple(phrase.split()) for phrase in phrases]:
+                count = next((_COUNTED[w] for w in words if w in _COUNTED), None)
+                if section == "relations":
+                    terminals = (Terminal("REL", key),)
+                elif section == "directions":
+                    terminals = (Terminal("DIR", radians(float(key))),)
+                else:
+                    terminals = tuple([Terminal(kind, count) for kind in key.split()])
+                known.setdefault(words, terminals)
     return Phrases(known)
 
 
-def _terminals(section: str, key: str, words: Sequence[str]) -> Iterator[Terminal]:
-    if section == "relations":
-        yield Terminal("REL", key)
-    elif section == "directions":
-        yield Terminal("DIR", radians(float(key)))
-    else:
-        for terminal in key.split():
-            yield Terminal(terminal, next((_COUNTED[w] for w in words if w in _COUNTED), None))
-
-
-def _file(name: str) -> str:
-    return files(__package__).joinpath("data", name).read_text("utf-8")
-
-
-def chunks(sentence: Sequence[Word], text: str) -> list[Chunk]:
-    """Chunks of a sentence, in order; what says nothing about a place is left out."""
-    lower = [_plain(word) for word in sentence]
+def find_chunks(sentence: Sequence[Word], text: str) -> list[Chunk]:
+    """Return the chunks of a sentence, in order, without what says nothing about a place."""
+    lower = []
+    for word in sentence:  # "the kitchen's door" is the kitchen door
+        plain = word.lower.replace("`", "'").replace("´", "'")
+        owner = plain.removesuffix("'s")
+        lower.append(plain if owner in ("it", "there", "that", "here") else owner)
     found: list[Chunk] = []
     i = 0
     while i < len(sentence):
-        n = _take(sentence, lower, i, text, found)
-        i += n
-    return list(_denied(_paired(list(_settled(found)))))
+        i += _take_phrase(sentence, lower, i, text, found)
+    return list(_deny_both(_mark_pairs(list(_settle_chunks(found)))))
 
 
-def _plain(word: Word) -> str:
-    """A word without a possessive: "the kitchen's door" is the kitchen door."""
-    lower = word.lower.replace("`", "'").replace("´", "'")
-    owner = lower.removesuffix("'s")
-    return lower if owner in ("it", "there", "that", "here") or owner == lower else owner
-
-
-def _take(sentence: Sequence[Word], lower: list[str], i: int, text: str, found: list[Chunk]) -> int:
-    """Append what begins at word i; returns how many words it takes."""
+def _take_phrase(
+    sentence: Sequence[Word], lower: list[str], i: int, text: str, found: list[Chunk]
+) -> int:
+    """Append what begins at word i; return how many words it takes."""
     word = sentence[i]
     if word.kind == "measure":
         found.append(Chunk("DIST", word.start, word.end, word.lower, word.metres))
@@ -90,18 +107,19 @@ def _take(sentence: Sequence[Word], lower: list[str], i: int, text: str, found: 
         found.append(Chunk("AND", word.start, word.end, text[word.start : word.end].strip()))
         return 1
     known = None if word.kind == "label" else english().longest(lower, i)
-    if known and known[0] == 1 and _hyphenated(sentence, i, text):
-        known = None  # "built-in wardrobe"
+    if known and known[0] == 1:
+        ends = [sentence[k : k + 2] for k in (i - 1, i) if 0 <= k < len(sentence) - 1]
+        if any(text[one.end : other.start] == "-" for one, other in ends):
+            known = None  # "built-in wardrobe"
     n, terminals = known or (1, ())
     words = " ".join(lower[i : i + n])
     end = sentence[i + n - 1].end
     if known:
         found.extend([Chunk(t.type, word.start, end, words, t.value) for t in terminals])
     elif words in COUNTS or words.isdecimal():
+        kind = "SOME" if words in ("few", "several") else "NUM"
         count = COUNTS.get(words) or whole(words, _MOST)
-        found.append(
-            Chunk("SOME" if words in ("few", "several") else "NUM", word.start, end, words, count)
-        )
+        found.append(Chunk(kind, word.start, end, words, count))
     else:
         # "KitchenTable" is two words, and so is "kitchen_table"
         written = text[word.start : word.start + len(words)]
@@ -110,39 +128,55 @@ def _take(sentence: Sequence[Word], lower: list[str], i: int, text: str, found: 
     return n
 
 
-def _hyphenated(sentence: Sequence[Word], i: int, text: str) -> bool:
-    """Whether a hyphen ties word i to its neighbour."""
-    before = i > 0 and text[sentence[i - 1].end : sentence[i].start] == "-"
-    after = i + 1 < len(sentence) and text[sentence[i].end : sentence[i + 1].start] == "-"
-    return before or after
-
-
-def _settled(found: list[Chunk]) -> Iterator[Chunk]:
+def _settle_chunks(found: list[Chunk]) -> Iterator[Chunk]:
     """Decide what ambiguous chunks are by their neighbours; drop those that say nothing."""
     before: Chunk | None = None
     for i, chunk in enumerate(found):
         after = found[i + 1].type if i + 1 < len(found) else ""
         settled = _settle(chunk, before.type if before else "", after)
-        if settled is not None and settled.words in _STANDS and _counted(found[:i]):
-            settled = replace(settled, type="WORD")  # "two tv stands in the kitchen"
         if settled is None:
             continue
+        if settled.words in _STANDS:
+            end = next((k for k in range(i, 0, -1) if found[k - 1].type != "WORD"), 0)
+            count = found[end - 1] if end else chunk
+            if count.type in ("NUM", "SOME") and count.value != 1:
+                settled = replace(settled, type="WORD")  # "two tv stands in the kitchen"
         if settled.type == "DIR" and before is not None and before.type == "DIR":
             # "behind me on my left": between the two
-            before.value = _middle(before.value, settled.value)
+            one, other = before.value, settled.value
+            before.value = atan2(sin(one) + sin(other), cos(one) + cos(other))
             before.end = settled.end
             continue
         before = settled
         yield settled
 
 
-def _counted(found: Sequence[Chunk]) -> bool:
-    """Whether chunks end in more than one of a thing: no verb in the singular follows."""
-    end = next((k for k in range(len(found), 0, -1) if found[k - 1].type != "WORD"), 0)
-    return end > 0 and found[end - 1].type in ("NUM", "SOME") and found[end - 1].value != 1
+def _settle(chunk: Chunk, before: str, after: str) -> Chunk | None:
+    """Return what a chunk is between two types; None where it says nothing."""
+    kind, words = chunk.type, chunk.words
+    single = " " not in words
+    opposite = words == "opposite" and after == "WORD"  # "on the opposite wall"
+    if (
+        # "a standing lamp", "the side table"
+        (kind in _AMBIGUOUS and single and after == "WORD" and before in _BEFORE_NOUN)
+        or (kind == "PART" and before == "WORD")
+    ):
+        return replace(chunk, type="WORD")
+    if kind in ("STAND", "SKIP", "THAT"):
+        return None
+    if kind == "REL" and words in ("behind", "before") and after in ("", "AND", "BE"):
+        return replace(chunk, type="DIR", value=pi if words == "behind" else 0.0)
+    if kind == "REL" and words == "around" and after not in _NOUNS | {"ME", "IT"}:
+        return replace(chunk, type="SIGHT")
+    if kind == "DIR" and words == "in front" and after == "OF":
+        return replace(chunk, type="REL", value="in front of")
+    stands = kind == "BE" and words in _STANDS and after not in _PLACES | _DETERMINERS
+    if stands or ((kind == "DIR" or opposite) and before in ("DET", "A") and single):
+        return replace(chunk, type="WORD")  # "two tv stands"
+    return None if kind == "BE" and before in _DETERMINERS else chunk
 
 
-def _paired(found: list[Chunk]) -> list[Chunk]:
+def _mark_pairs(found: list[Chunk]) -> list[Chunk]:
     """Mark the "and" of "between the table and the fridge": it joins no clauses."""
     for i, chunk in enumerate(found):
         if chunk.type != "BETWEEN":
@@ -157,7 +191,7 @@ def _paired(found: list[Chunk]) -> list[Chunk]:
     return found
 
 
-def _denied(found: list[Chunk]) -> Iterator[Chunk]:
+def _deny_both(found: list[Chunk]) -> Iterator[Chunk]:
     """Say no of both: "no tub or shower", "neither a sofa nor table"."""
     no = False
     for i, chunk in enumerate(found):
@@ -168,37 +202,7 @@ def _denied(found: list[Chunk]) -> Iterator[Chunk]:
             yield Chunk("NO", after.start, after.start, "no")
 
 
-def _middle(one: float, other: float) -> float:
-    """The direction between two [rad]."""
-    return atan2(sin(one) + sin(other), cos(one) + cos(other))
-
-
-def _settle(chunk: Chunk, before: str, after: str) -> Chunk | None:
-    kind = chunk.type
-    single = " " not in chunk.words
-    if kind in _AMBIGUOUS and single and after == "WORD" and before in _BEFORE_NOUN:
-        return replace(chunk, type="WORD")  # "a standing lamp", "the side table"
-    if kind == "PART" and before == "WORD":
-        return replace(chunk, type="WORD")
-    if kind in ("STAND", "SKIP", "THAT"):
-        return None
-    if kind == "REL" and chunk.words in ("behind", "before") and after in ("", "AND", "BE"):
-        return replace(chunk, type="DIR", value=pi if chunk.words == "behind" else 0.0)
-    if kind == "REL" and chunk.words == "around" and after not in _NOUNS | {"ME", "IT"}:
-        return replace(chunk, type="SIGHT")
-    if kind == "DIR" and chunk.words == "in front" and after == "OF":
-        return replace(chunk, type="REL", value="in front of")
-    opposite = chunk.words == "opposite" and after == "WORD"  # "on the opposite wall"
-    if (kind == "DIR" or opposite) and before in ("DET", "A") and single:
-        return replace(chunk, type="WORD")
-    if kind == "BE" and chunk.words in _STANDS and after not in _PLACES | _DETERMINERS:
-        return replace(chunk, type="WORD")  # "two tv stands"
-    if kind == "BE" and before in _DETERMINERS:
-        return None
-    return chunk
-
-
-def clauses(found: Sequence[Chunk]) -> Iterator[tuple[list[Chunk], float]]:
+def cut_clauses(found: Sequence[Chunk]) -> Iterator[tuple[list[Chunk], float]]:
     """Cut the chunks of a sentence into clauses, each with its certainty.
 
     A joint (a comma, "and") cuts where a finite verb follows before the next one, and what came
@@ -207,12 +211,11 @@ def clauses(found: Sequence[Chunk]) -> Iterator[tuple[list[Chunk], float]]:
     current: list[Chunk] = []
     certainty, verb = 1.0, False
     for i, chunk in enumerate(found):
-        starts = verb and chunk.type == "EXISTS"
         if (
             chunk.type == "CUT"
-            or len(current) >= _LONGEST
-            or (chunk.type == "AND" and _cuts(current, found[i + 1 :], verb=verb))
-            or starts
+            or len(current) >= LONGEST_CLAUSE
+            or (chunk.type == "AND" and _begins_clause(current, found[i + 1 :], verb=verb))
+            or (verb and chunk.type == "EXISTS")
         ):
             if current:
                 yield current, certainty
@@ -228,172 +231,80 @@ def clauses(found: Sequence[Chunk]) -> Iterator[tuple[list[Chunk], float]]:
         yield current, certainty
 
 
-def _cuts(current: Sequence[Chunk], rest: Sequence[Chunk], *, verb: bool) -> bool:
-    """Whether the joint after `current` begins a clause of its own."""
-    group = []
-    for chunk in rest:
-        if chunk.type in ("AND", "CUT"):
-            break
-        group.append(chunk.type)
-    if not any(kind in VERBS for kind in group):
+def _begins_clause(current: Sequence[Chunk], rest: Sequence[Chunk], *, verb: bool) -> bool:
+    """Tell whether a clause of its own begins at the joint after `current`."""
+    kinds = [chunk.type for chunk in rest]
+    end = next((i for i, kind in enumerate(kinds) if kind in ("AND", "CUT")), len(kinds))
+    if VERBS.isdisjoint(kinds[:end]):
         return False
-    if verb:
-        return True
     placed = sum(chunk.type in _PLACES for chunk in current)
     # "on my left, there is a plant": one place, said of what comes
     leads = placed == 1 and current[0].type in _PLACES
-    return placed > 0 and not (leads and not {"EXISTS", "SEE"}.isdisjoint(group))
+    return verb or (placed > 0 and not (leads and {"EXISTS", "SEE"} & set(kinds[:end])))
 
 
-_SKIPPED = ("WORD", "AND", "OF", "FROM", "NOT", "DET", "A", "NO", "NUM", "SOME", "PART", "SIGHT")
-"""Chunks that may be left out where the grammar expects something else."""
+def _build_back(children: list[Any]) -> Place:
+    """Build "with my back to the wall"."""
+    place = build_place(children, how="faces")
+    place.direction = pi
+    return place
 
 
-@dataclass(slots=True)
-class Noun:
-    """Somebody or something spoken of, in one place of the text."""
-
-    kind: str
-    """``ME IT SPOT PART`` or ``thing``."""
-    start: int
-    end: int
-    determiners: tuple[Chunk, ...] = ()
-    words: tuple[Chunk, ...] = ()
-    owner: Noun | None = None
-    """Of what it is: "the door of the kitchen"."""
+def _build_denied(children: list[Any]) -> NounPhrase:
+    negation, thing = children
+    thing.determiners = (Chunk("NO", negation.start, negation.end), *thing.determiners)
+    return thing
 
 
-@dataclass(slots=True)
-class Where:
-    """What is said of where something is."""
-
-    how: str
-    """Rule of the grammar: ``related alone towards between faces far here sight row with_``."""
-    start: int
-    end: int
-    things: tuple[Noun, ...] = ()
-    relation: str = ""
-    bearing: float = 0.0
-    distance: float | None = None
-    negated: bool = False
+def _build_who(children: list[Any], *, kind: str) -> NounPhrase:
+    return NounPhrase({"scene": "SPOT"}.get(kind, kind.upper()), children[0].start, children[0].end)
 
 
-Joint = Chunk
-"""A comma, or "and"."""
-Item = Noun | Where | Joint
+def _build_named(children: list[Any]) -> NounPhrase:
+    words = tuple([child for child in children if child.type == "WORD"])
+    determiners = tuple([child for child in children if child.type != "WORD"])
+    return NounPhrase("thing", children[0].start, children[-1].end, determiners, words)
 
 
-@dataclass(slots=True)
-class Clause:
-    """One clause: a verb, what stands before it and after it."""
+def _build_owned(children: list[Any]) -> NounPhrase:
+    """Build "the door of the kitchen"."""
+    thing, _, owner = children
+    return NounPhrase("thing", thing.start, owner.end, thing.determiners, thing.words, owner)
 
-    verb: str
-    """Rule of the grammar: ``fragment is_ exists sees has``."""
-    before: list[Item] = field(default_factory=list)
-    after: list[Item] = field(default_factory=list)
+
+def _build_part(children: list[Any]) -> NounPhrase:
+    owner = children[-1]
+    if isinstance(owner, NounPhrase) and owner.kind != "SPOT":
+        return owner  # the corner of the kitchen is in the kitchen
+    words = tuple([c for c in children if isinstance(c, Chunk) and c.type == "PART"])
+    return NounPhrase("PART", children[0].start, owner.end, words=words)
+
+
+_BUILDERS = {
+    **build_with(build_clause, "verb", "is_ exists sees has"),
+    **build_with(
+        build_place, "how", "alone related towards between faces far here sight row with_"
+    ),
+    **build_with(_build_who, "kind", "me it scene"),
+    "clause": lambda children: children[0],
+    "fragment": lambda children: Clause("fragment", after=children[0]),
+    "body": tuple,
+    "not_": negate,
+    "back_to": _build_back,
+    "no_thing": _build_denied,
+    "named": _build_named,
+    "of": _build_owned,
+    "part": _build_part,
+}
 
 
 @cache
-def _grammar() -> Islands[Clause]:
+def _parser() -> IslandParser[Clause]:
     text = files(__package__).joinpath("sentence.lark").read_text("utf-8")
-    return Islands(text, "clause", _Build(), Clause, _SKIPPED)
+    return IslandParser(text, "clause", _BUILDERS, Clause, _SKIPPED)
 
 
 def parse(chunks: list[Chunk]) -> Iterator[tuple[Clause | None, list[Chunk]]]:
     """Parse the chunks of one clause by islands: what was read, and the chunks that were not."""
-    for clause, _, left_out in _grammar().parse(chunks):
+    for clause, _, left_out in _parser().parse(chunks):
         yield clause, left_out
-
-
-class _Build:
-    """Callbacks of the grammar's rules, called as soon as a rule is complete."""
-
-    # clauses
-    def clause(self, children: list[Any]) -> Clause:
-        return children[0]
-
-    def fragment(self, children: list[Any]) -> Clause:
-        return Clause("fragment", after=children[0])
-
-    def _clause(self, children: list[Any], *, verb: str) -> Clause:
-        said = Clause(verb)
-        at_verb = next(i for i, child in enumerate(children) if isinstance(child, Chunk))
-        for i, child in enumerate(children):
-            if isinstance(child, list):
-                if i < at_verb:
-                    said.before = child
-                else:
-                    said.after = child
-        return said
-
-    is_ = partialmethod(_clause, verb="is_")
-    exists = partialmethod(_clause, verb="exists")
-    sees = partialmethod(_clause, verb="sees")
-    has = partialmethod(_clause, verb="has")
-
-    def body(self, children: list[Any]) -> list[Item]:
-        return list(children)
-
-    # places
-    def not_(self, children: list[Any]) -> Where:
-        children[1].negated = True
-        return children[1]
-
-    def _place(self, children: list[Any], *, how: str) -> Where:
-        place = Where(how, children[0].start, children[-1].end)
-        place.things = tuple(child for child in children if isinstance(child, Noun))
-        for child in children:
-            if isinstance(child, Noun):
-                continue
-            if child.type == "REL":
-                place.relation = child.value
-            elif child.type == "DIR":
-                place.bearing = child.value
-            elif child.type == "DIST":
-                place.distance = child.value
-        return place
-
-    alone = partialmethod(_place, how="alone")
-    related = partialmethod(_place, how="related")
-    towards = partialmethod(_place, how="towards")
-    between = partialmethod(_place, how="between")
-    faces = partialmethod(_place, how="faces")
-    far = partialmethod(_place, how="far")
-    here = partialmethod(_place, how="here")
-    sight = partialmethod(_place, how="sight")
-    row = partialmethod(_place, how="row")
-    with_ = partialmethod(_place, how="with_")
-
-    def back_to(self, children: list[Any]) -> Where:
-        place = self._place(children, how="faces")
-        place.bearing = pi
-        return place
-
-    # things
-    def no_thing(self, children: list[Any]) -> Noun:
-        negation, thing = children
-        thing.determiners = (Chunk("NO", negation.start, negation.end), *thing.determiners)
-        return thing
-
-    def _who(self, children: list[Any], *, kind: str) -> Noun:
-        return Noun(kind, children[0].start, children[0].end)
-
-    me = partialmethod(_who, kind="ME")
-    it = partialmethod(_who, kind="IT")
-    scene = partialmethod(_who, kind="SPOT")
-
-    def named(self, children: list[Any]) -> Noun:
-        words = tuple(child for child in children if child.type == "WORD")
-        determiners = tuple(child for child in children if child.type != "WORD")
-        return Noun("thing", children[0].start, children[-1].end, determiners, words)
-
-    def of(self, children: list[Any]) -> Noun:
-        thing, _, owner = children
-        return Noun("thing", thing.start, owner.end, thing.determiners, thing.words, owner)
-
-    def part(self, children: list[Any]) -> Noun:
-        owner = children[-1] if isinstance(children[-1], Noun) else None
-        if owner is not None and owner.kind != "SPOT":
-            return owner  # the corner of the kitchen is in the kitchen
-        words = tuple(c for c in children if isinstance(c, Chunk) and c.type == "PART")
-        return Noun("PART", children[0].start, children[-1].end, words=words)

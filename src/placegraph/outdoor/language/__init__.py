@@ -9,7 +9,7 @@ from placegraph.language.grammar import Chunk
 from placegraph.language.text import Ignored, check_text
 from placegraph.outdoor.language.build import Builder
 from placegraph.outdoor.language.chunks import Chunker
-from placegraph.outdoor.language.clauses import clauses
+from placegraph.outdoor.language.clauses import cut_clauses
 from placegraph.outdoor.language.description import Description, conflicts
 from placegraph.outdoor.language.grammar import parse
 from placegraph.outdoor.language.language_model import LanguageModelDescriber
@@ -159,7 +159,7 @@ def _sentences(
 
 def _take(sentence: list[Chunk], language: Language, builder: Builder) -> None:
     """Add what a sentence says."""
-    for part in clauses(sentence, language):
+    for part in cut_clauses(sentence, language):
         opens = part.opens
         for clause, left_out in parse(part.chunks):
             builder.take(clause, part.certainty, opens=opens)

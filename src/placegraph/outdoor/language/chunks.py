@@ -9,7 +9,7 @@ from placegraph.language.grammar import Chunk
 from placegraph.language.measures import whole
 from placegraph.language.text import Terminal, Word
 from placegraph.outdoor.language.description import Sense
-from placegraph.outdoor.language.grammar import Noun
+from placegraph.outdoor.language.grammar import NounMeaning
 from placegraph.outdoor.language.languages import Language
 from placegraph.outdoor.language.scan import shouting
 from placegraph.outdoor.language.vocabulary.vocabulary import LanguageWords
@@ -77,8 +77,8 @@ class Chunker:
         else:
             common = bool(senses) or not (name[0].isdigit() or self.proper.is_one(name))
         if common:
-            return self._chunk("NOUN", i, 1, Noun(senses, exact=True))
-        return self._chunk("NAME", i, 1, Noun(senses or self.proper.kind(name), name))
+            return self._chunk("NOUN", i, 1, NounMeaning(senses, exact=True))
+        return self._chunk("NAME", i, 1, NounMeaning(senses or self.proper.kind(name), name))
 
     def _word(self, i: int, found: list[Chunk]) -> int:
         """Append what begins at word i, and return how many words it takes."""
@@ -91,7 +91,7 @@ class Chunker:
         n_name = self.proper.length(i, known, n_known, n_noun)
         if n_name:
             written = self.text[self.words[i].start : self.words[i + n_name - 1].end]
-            noun_of = Noun(self.proper.kind(written), self.proper.as_on_the_map(written))
+            noun_of = NounMeaning(self.proper.kind(written), self.proper.as_on_the_map(written))
             found.append(self._chunk("NAME", i, n_name, noun_of))
             return n_name
         if noun is None and (known is None or known[1][0].type in ("PART", "GO", "CROSS")):
@@ -100,7 +100,7 @@ class Chunker:
         if noun and (
             n_noun > n_known or (n_noun == n_known and known and _is_noun_here(known[1][0], before))
         ):
-            found.append(self._chunk("NOUN", i, n_noun, Noun(noun[1])))
+            found.append(self._chunk("NOUN", i, n_noun, NounMeaning(noun[1])))
             return n_noun
         if known:
             found.extend(
@@ -144,7 +144,7 @@ class Chunker:
         if apostrophe:
             senses = self._senses(owner)
             if senses:
-                found.append(self._chunk("NOUN", i, 1, Noun(senses)))
+                found.append(self._chunk("NOUN", i, 1, NounMeaning(senses)))
                 found[-1].words = owner
                 found.append(self._chunk("POSS", i, 1))
                 return 1
@@ -437,7 +437,7 @@ class InflectedChunker(Chunker):
         if word.kind != "quoted":
             return super()._mark(i, word)
         written = self.text[word.start : word.end].strip()
-        return self._chunk("NAME", i, 1, Noun(self.proper.kind(written), written))
+        return self._chunk("NAME", i, 1, NounMeaning(self.proper.kind(written), written))
 
     def _marked(self, chunks: list[Chunk]) -> list[Chunk]:
         """Chunks with what endings and particles stand for behind their things."""

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import lru_cache
 from math import pi
 from typing import TYPE_CHECKING, NamedTuple
 
-from placegraph.language.grammar import Chunk
+from placegraph.language.grammar import LONGEST_CLAUSE, UNSURE, Chunk
 from placegraph.language.measures import Measure
 from placegraph.outdoor.language.description import LOOSE_SIGMA, SHARP_SIGMA, Direction
 
@@ -20,274 +20,18 @@ VERBS = frozenset(
 )
 JOINTS = frozenset(("AND", "CUT", "COND"))
 NEXT_BLOCK = Measure.within(0.0, blocks=1.5)
-"""How far things on "the next block" are at most."""
+"""Greatest distance of things on "the next block"."""
 LOOSE = 0.8
-"""Certainty of what is said to be "mostly" so."""
+"""Certainty of a direction that is "mostly" so."""
 LEADS = frozenset(("ON", "IN", "AT", "TO", "FROM", "OF", "PREP"))
+_BEFORE_DIRECTION = ("DET", "MY", "YOUR", "ITS", "GO")
 _BEFORE_THING = frozenset(("DET", "THIS", "NAME", "MY", "YOUR", "A"))
 _DETERMINED = frozenset(("DET", "THIS", "A", "ANOTHER", "NO", "NUM", "MY", "YOUR", "ITS"))
 _IN_THING = frozenset(("DET", "THIS", "A", "ANOTHER", "NUM", "WORD", "ADVERB"))
 _ENDS = frozenset(("NOUN", "NAME", "ME", "DIR", "HERE", "NEARBY"))
 """What a place may end with: a thing that follows without a joint is what is there."""
-_THINGS = frozenset(("NOUN", "NAME"))
-
-
-def settled(chunks: Sequence[Chunk], language: Language) -> Iterator[Chunk]:
-    """Decide what the ambiguous chunks of a sentence are; drop those that say nothing."""
-    before, hedge, hedged_at = "", "", 0
-    measured: Measure | None = None
-    for i, chunk in enumerate(chunks):
-        if chunk.type == "ADVERB":
-            if chunk.value in ("sharp", "loose"):
-                hedge, hedged_at = chunk.value, i
-            elif chunk.value == "unsure":
-                yield replace(chunk, type="UNSURE")
-            continue
-        if chunk.type == "DIST":
-            measured = chunk.value
-        elif chunk.type == "NUM" and measured and chunk.value and _counts(before, chunks[i + 1 :]):
-            chunk.type, chunk.value = "DIST", measured.again(chunk.value)
-        rule = _RULES.get(chunk.type)
-        if chunk.type == "WORD":
-            rule = partial(_word, language=language)
-        for kept in rule(chunk, before, chunks[i + 1 :]) if rule else (chunk,):
-            if kept.type == "DIR" and hedge and i - hedged_at <= 2:
-                kept.value, hedge = _hedged(kept.value, hedge), ""
-            before = kept.type
-            yield kept
-
-
-def _hedged(direction: Direction, hedge: str) -> Direction:
-    if hedge == "sharp":
-        return direction._replace(sigma=SHARP_SIGMA)
-    return direction._replace(sigma=LOOSE_SIGMA, certainty=LOOSE)
-
-
-def _counts(before: str, rest: Sequence[Chunk]) -> bool:
-    """Tell whether a number stands for a distance whose unit was said before: "then 4 north"."""
-    after = [other.type for other in rest[:4] if other.type != "ADVERB"][:2]
-    if before == "DIR":
-        return not after or after[0] in JOINTS
-    return after[:1] == ["DIR"] and after[1:] not in (["OF"], ["PART"])
-
-
-def _next(rest: Sequence[Chunk]) -> str:
-    """Type of the next chunk that is no adverb, or an empty string."""
-    return next((chunk.type for chunk in rest[:4] if chunk.type != "ADVERB"), "")
-
-
-def _right(chunk: Chunk, before: str, rest: Sequence[Chunk]) -> tuple[Chunk, ...]:
-    """Tell "my right", "right of", "turn right" from the adverb in "right next to"."""
-    if before in ("DET", "MY", "YOUR", "ITS", "GO") or _next(rest) in ("OF", "PART"):
-        return (replace(chunk, type="DIR", value=Direction(pi / 2, facing=True)),)
-    return ()
-
-
-def _short(chunk: Chunk, _before: str, rest: Sequence[Chunk]) -> tuple[Chunk, ...]:
-    """Take "N" as north where it is a capital or stands before "of"."""
-    north = chunk.capital or _next(rest) == "OF"
-    return (replace(chunk, type="DIR" if north else "WORD"),)
-
-
-def _preposition(chunk: Chunk, before: str, rest: Sequence[Chunk]) -> tuple[Chunk, ...]:
-    """Tell "down the street" from "head down south", "opposite the" from "the opposite"."""
-    if chunk.value == "particle":
-        return (replace(chunk, value="along"),) if _next(rest) in _BEFORE_THING else ()
-    if chunk.value == "opposite" and before in ("DET", "A"):
-        return (replace(chunk, type="WORD"),)
-    return (chunk,)
-
-
-def _across(chunk: Chunk, _before: str, rest: Sequence[Chunk]) -> tuple[Chunk, ...]:
-    """Tell "over the road", which is across it, from "head over to"."""
-    if chunk.words == "over" and _next(rest) not in _BEFORE_THING:
-        return ()
-    return (chunk,)
-
-
-def _that_is(chunk: Chunk, before: str, _rest: Sequence[Chunk]) -> tuple[Chunk, ...]:
-    """Tell "that is" that opens a sentence from the one that relates to the thing before."""
-    return () if before else (replace(chunk, type="THIS"), replace(chunk, type="BE"))
-
-
-def _this(chunk: Chunk, before: str, _rest: Sequence[Chunk]) -> tuple[Chunk, ...]:
-    """Drop the "that" of "a garden that borders the lot"."""
-    return () if chunk.words == "that" and before in _THINGS else (chunk,)
-
-
-def _with(chunk: Chunk, before: str, _rest: Sequence[Chunk]) -> tuple[Chunk, ...]:
-    """Take ", with a bakery to my east" as saying that there is one."""
-    return (replace(chunk, type="EXISTS"),) if before in ("", *JOINTS) else (chunk,)
-
-
-def _where(chunk: Chunk, _before: str, rest: Sequence[Chunk]) -> tuple[Chunk, ...]:
-    """Keep "where A meets B", a place; any other "where" opens a clause."""
-    for other in rest[:6]:
-        if other.type in JOINTS:
-            break
-        if other.type == "CROSS":
-            return (chunk,)
-    return (replace(chunk, type="CUT"),)
-
-
-def _not(chunk: Chunk, _before: str, rest: Sequence[Chunk]) -> tuple[Chunk, ...]:
-    """Let the verb in "do not see" say no."""
-    verb = next((other for other in rest[:3] if other.type != "ADVERB"), None)
-    if verb is None or verb.type not in ("SEE", "HAVE"):
-        return (chunk,)
-    verb.value = "NOT"
-    return ()
-
-
-def _have(chunk: Chunk, before: str, rest: Sequence[Chunk]) -> tuple[Chunk, ...]:
-    """Drop the verb of "have gone too far", "we're having coffee at"."""
-    return () if before == "BE" or _next(rest) == "TOOFAR" else (chunk,)
-
-
-def _go(chunk: Chunk, before: str, rest: Sequence[Chunk]) -> tuple[Chunk, ...]:
-    """Take "I am walking along" as where one is, "I am walking north" as where one faces."""
-    if before != "BE":
-        return (chunk,)
-    return (replace(chunk, type="FACE"),) if _next(rest) == "DIR" else ()
-
-
-def _to(chunk: Chunk, before: str, rest: Sequence[Chunk]) -> tuple[Chunk, ...]:
-    """Cut before "to meet me"."""
-    if rest and rest[0].type in VERBS and before:
-        return (replace(chunk, type="CUT"),)
-    return (chunk,)
-
-
-def _article(chunk: Chunk, before: str, rest: Sequence[Chunk]) -> tuple[Chunk, ...]:
-    """Drop what stands before a measure: "a 2 minute walk", "for another 5 m", "a bit south of"."""
-    after = [other.type for other in rest[:4] if other.type != "ADVERB"][:2]
-    if chunk.type == "A" and before in _ENDS and after[:1] in (["NOUN"], ["NAME"], ["WORD"]):
-        return (replace(chunk, type="EXISTS"), chunk)  # "next to me a bank, to the north a park"
-    measured = after[:1] == ["DIST"] or (chunk.type == "OF" and after == ["ANOTHER", "DIST"])
-    return () if measured or (chunk.type == "A" and after == ["DIR", "OF"]) else (chunk,)
-
-
-def _its(chunk: Chunk, before: str, _rest: Sequence[Chunk]) -> tuple[Chunk, ...]:
-    """Read "at it's end" as "at its end"."""
-    if chunk.words == "it's" and before in LEADS:
-        return (replace(chunk, type="ITS"),)
-    return (chunk,)
-
-
-def _its_own(chunk: Chunk, before: str, rest: Sequence[Chunk]) -> tuple[Chunk, ...]:
-    """Read "its next to a school" as "it is next to a school"."""
-    owned = ("NOUN", "NAME", "WORD", "DIR", "PART", "NUM", "")
-    if chunk.words != "its" or before not in ("", *JOINTS) or _next(rest) in owned:
-        return (chunk,)
-    return replace(chunk, type="IT"), replace(chunk, type="BE")
-
-
-def _be(chunk: Chunk, before: str, rest: Sequence[Chunk]) -> tuple[Chunk, ...]:
-    """Drop the verb of "at it's end", of "you are too far", "I'm looking at", "where the bank is"."""
-    return (
-        ()
-        if (chunk.words == "it's" and before == "ITS") or _next(rest) in ("TOOFAR", "SEE", "")
-        else (chunk,)
-    )
-
-
-def _called(_chunk: Chunk, _before: str, rest: Sequence[Chunk]) -> tuple[Chunk, ...]:
-    """Let a name follow its noun: "a bar called The Fox"."""
-    if len(rest) > 1 and rest[0].type == "DET" and rest[1].type == "NAME":
-        rest[0].type, rest[0].value = "ADVERB", "skip"
-    return ()
-
-
-def _block(chunk: Chunk, _before: str, rest: Sequence[Chunk]) -> tuple[Chunk, ...]:
-    """Take "on the next block north" as that far to the north: a block is no thing on a map."""
-    for i, other in enumerate(rest[:-1]):
-        if other.type == "PART" and other.value == "block" and rest[i + 1].type == "DIR":
-            for skipped in rest[: i + 1]:
-                skipped.type, skipped.value = "ADVERB", "skip"
-            return (replace(chunk, type="DIST", value=NEXT_BLOCK),)
-        if other.type not in _IN_THING:
-            break
-    return (chunk,)
-
-
-def _lets(chunk: Chunk, _before: str, rest: Sequence[Chunk]) -> tuple[Chunk, ...]:
-    """Take "let's get some paint at the store" as meeting at the store."""
-    if not rest or _next(rest) in VERBS - {"HAVE"}:  # "let's have a drink at the bar"
-        return ()
-    place = len(rest)
-    for i, other in enumerate(rest):
-        if other.type in JOINTS:
-            break
-        if other.type in ("AT", "IN", "ON") or (other.type == "PREP" and other.value == "near"):
-            place = i
-            break
-        if other.type in ("DET", "THIS"):  # "let's visit the museum"
-            place = i
-            break
-        if other.type in _DETERMINED and place == len(rest):
-            place = i
-    if place == len(rest):
-        return ()
-    for other in rest[:place]:
-        other.type, other.value = "ADVERB", "skip"
-    return (replace(chunk, type="MEET"),)
-
-
-def _word(
-    chunk: Chunk, before: str, rest: Sequence[Chunk], *, language: Language
-) -> tuple[Chunk, ...]:
-    """Mend a misspelt direction where only one can stand; set aside an unknown verb."""
-    after = _next(rest)
-    if after in ("OF", "PART") or before in ("DET", "MY", "YOUR", "ITS", "GO"):
-        direction = misspelt(chunk.words, language, certain=after == "OF")
-        if direction is not None:
-            return (replace(chunk, type="DIR", value=direction),)
-    if after in _DETERMINED and before not in _DETERMINED:
-        return (replace(chunk, type="JUNK"),)
-    return (chunk,)
-
-
-_RULES = {
-    "RIGHT": _right,
-    "ON": _block,
-    "IN": _block,
-    "AT": _block,
-    "SHORT": _short,
-    "PREP": _preposition,
-    "ACROSS": _across,
-    "THAT_IS": _that_is,
-    "THIS": _this,
-    "WITH": _with,
-    "WHERE": _where,
-    "NOT": _not,
-    "GO": _go,
-    "HAVE": _have,
-    "TO": _to,
-    "A": _article,
-    "ANOTHER": _article,
-    "OF": _article,
-    "IT": _its,
-    "ITS": _its_own,
-    "BE": _be,
-    "CALLED": _called,
-    "LETS": _lets,
-}
-
-
-@lru_cache(maxsize=4096)
-def misspelt(word: str, language: Language, *, certain: bool) -> Direction | None:
-    """Direction that a misspelt word means, or None; short words need to be `certain`."""
-    from rapidfuzz import process
-    from rapidfuzz.distance import OSA
-
-    compass = language.compass
-    if len(word) < 4 or word in language.lists["no_compass"]:
-        return None
-    found = process.extractOne(word, compass.keys(), scorer=OSA.distance, score_cutoff=1)
-    if found is None or (len(word) < 5 and not certain and sorted(word) != sorted(found[0])):
-        return None
-    return compass[found[0]]
-
+_OWNED = frozenset(("NOUN", "NAME", "WORD", "DIR", "PART", "NUM", ""))
+_RIGHT = Direction(pi / 2, facing=True)
 
 _STARTS = VERBS - {"BE", "SEE", "HAVE"}
 """Verbs that open a clause of their own even without a joint before them."""
@@ -296,10 +40,6 @@ _BEFORE_TARGET = frozenset(("AND", "COND", "PREP", "OF", "FROM", "BETWEEN"))
 _SUBJECTS = frozenset(("ME", "YOU", "IT", "SPOT", "THIS"))
 _GOVERNS = frozenset(("PREP", "OF", "FROM", "BETWEEN", "ACROSS", "IN", "ON", "AT", "TO", "WITH"))
 """What makes a pronoun no subject of the verb behind it: "next to it is a bakery"."""
-LONGEST = 60
-"""Chunks in a clause; nobody speaks in longer ones."""
-UNSURE = 0.6
-"""Certainty of what is said to be "maybe" so."""
 
 
 class Part(NamedTuple):
@@ -311,12 +51,16 @@ class Part(NamedTuple):
     """Whether it opens its sentence."""
 
 
-def clauses(sentence: list[Chunk], language: Language) -> list[Part]:
+def cut_clauses(sentence: list[Chunk], language: Language) -> list[Part]:
     """Cut the chunks of a sentence into clauses."""
-    chunks = list(settled(sentence, language))
+    chunks = list(settle_chunks(sentence, language))
+    verb_ahead, ahead = [False] * len(chunks), False
+    for i in range(len(chunks) - 1, -1, -1):  # a verb before the next joint
+        verb_ahead[i] = ahead
+        ahead = chunks[i].type in VERBS or (ahead and chunks[i].type not in JOINTS)
     cutter = _Cutter()
-    for chunk, verb_ahead in zip(chunks, _verb_before_joint(chunks), strict=True):
-        cutter.take(chunk, verb_ahead=verb_ahead)
+    for chunk, ahead in zip(chunks, verb_ahead, strict=True):
+        cutter.take(chunk, verb_ahead=ahead)
     cutter.cut()
     return cutter.parts
 
@@ -330,18 +74,23 @@ class _Cutter:
         self.certainty, self.has_verb = 1.0, False
 
     def take(self, chunk: Chunk, *, verb_ahead: bool) -> None:
+        """Add the next chunk, or end the clause before it."""
         kind = chunk.type
         if kind == "UNSURE":
             self.certainty = UNSURE
-        elif kind == "AND":
-            self._joint(chunk, verb_ahead=verb_ahead)
-        elif kind == "CUT":
+        elif kind == "CUT" or (kind == "AND" and self.has_verb and verb_ahead):
             self.cut()
+        elif kind == "AND":
+            if self.current and self.current[-1].type != "AND":
+                gives = chunk.words == ":" and not self.has_verb and not verb_ahead
+                self.current.append(replace(chunk, type="BE") if gives else chunk)
+                self.has_verb = self.has_verb or gives  # "north of me: a church"
         else:
-            if kind == "COND" or len(self.current) >= LONGEST:
+            if kind == "COND" or len(self.current) >= LONGEST_CLAUSE:
                 self.cut()
-            if kind in VERBS and not (kind == "CROSS" and self._has_where()):
-                self._verb(kind)
+            crossing = kind == "CROSS" and any(c.type == "WHERE" for c in self.current[-6:])
+            if kind in VERBS and not crossing:
+                self._begin_verb(kind)
             self.current.append(chunk)
 
     def cut(self) -> None:
@@ -351,18 +100,8 @@ class _Cutter:
             self.parts.append(Part(self.current, self.certainty, not self.parts))
         self.current, self.certainty, self.has_verb = [], 1.0, False
 
-    def _joint(self, chunk: Chunk, *, verb_ahead: bool) -> None:
-        if self.has_verb and verb_ahead:
-            self.cut()
-        elif not self.current or self.current[-1].type == "AND":
-            return
-        elif chunk.words == ":" and not self.has_verb and not verb_ahead:
-            self.current.append(replace(chunk, type="BE"))  # "north of me: a church"
-            self.has_verb = True
-        else:
-            self.current.append(chunk)
-
-    def _verb(self, kind: str) -> None:
+    def _begin_verb(self, kind: str) -> None:
+        """Cut before a second verb, and separate its subject from the place before it."""
         subject = None
         before = self.current[-2].type if len(self.current) > 1 else ""
         if self.current and self.current[-1].type in _SUBJECTS and before not in _GOVERNS:
@@ -381,18 +120,205 @@ class _Cutter:
         while self.current and self.current[-1].type == "AND":
             self.current.pop()
 
-    def _has_where(self) -> bool:
-        """Tell whether a verb says where two streets meet, and is none of the clause."""
-        return any(chunk.type == "WHERE" for chunk in self.current[-6:])
+
+def settle_chunks(chunks: Sequence[Chunk], language: Language) -> Iterator[Chunk]:
+    """Decide what the ambiguous chunks of a sentence are; drop those that say nothing."""
+    before, hedge, hedged_at = "", "", 0
+    measured: Measure | None = None
+    for i, chunk in enumerate(chunks):
+        rest = chunks[i + 1 :]
+        if chunk.type == "ADVERB":
+            if chunk.value in ("sharp", "loose"):
+                hedge, hedged_at = chunk.value, i
+            elif chunk.value == "unsure":
+                yield replace(chunk, type="UNSURE")
+            continue
+        if chunk.type == "DIST":
+            measured = chunk.value
+        elif chunk.type == "NUM" and measured and chunk.value and _is_distance(before, rest):
+            chunk.type, chunk.value = "DIST", measured.again(chunk.value)
+        for settled in _settle(chunk, before, rest, language):
+            if settled.type == "DIR" and hedge and i - hedged_at <= 2:
+                said: Direction = settled.value
+                settled.value = (
+                    said._replace(sigma=SHARP_SIGMA)
+                    if hedge == "sharp"
+                    else said._replace(sigma=LOOSE_SIGMA, certainty=LOOSE)
+                )
+                hedge = ""
+            before = settled.type
+            yield settled
 
 
-def _verb_before_joint(chunks: Sequence[Chunk]) -> list[bool]:
-    """For every chunk, whether a verb follows it before the next joint."""
-    ahead, found = [False] * len(chunks), False
-    for i in range(len(chunks) - 1, -1, -1):
-        ahead[i] = found
-        if chunks[i].type in JOINTS:
-            found = False
-        elif chunks[i].type in VERBS:
-            found = True
-    return ahead
+def _next_types(rest: Sequence[Chunk]) -> list[str]:
+    """Return the types of at most two next chunks that are no adverbs."""
+    return [chunk.type for chunk in rest[:4] if chunk.type != "ADVERB"][:2]
+
+
+def _is_distance(before: str, rest: Sequence[Chunk]) -> bool:
+    """Tell whether a number is a distance whose unit was said before: "then 4 north"."""
+    after = _next_types(rest)
+    if before == "DIR":
+        return not after or after[0] in JOINTS
+    return after[:1] == ["DIR"] and after[1:] not in (["OF"], ["PART"])
+
+
+_TYPES: dict[str, Callable[[Chunk, str, str], str | None]] = {
+    # "my right", "right of", "turn right", and the adverb of "right next to"
+    "RIGHT": lambda _, before, after: (
+        "DIR" if before in _BEFORE_DIRECTION or after in ("OF", "PART") else ""
+    ),
+    # "N" is north where it is a capital or stands before "of"
+    "SHORT": lambda chunk, _, after: "DIR" if chunk.capital or after == "OF" else "WORD",
+    # "the opposite"
+    "PREP": lambda chunk, before, _: (
+        "WORD" if chunk.value == "opposite" and before in ("DET", "A") else None
+    ),
+    # "over the road" is across the road, "head over to" is not
+    "ACROSS": lambda chunk, _, after: (
+        "" if chunk.words == "over" and after not in _BEFORE_THING else None
+    ),
+    # opens a sentence, or relates to the thing before
+    "THAT_IS": lambda _, before, __: "" if before else "THIS BE",
+    # "a garden that borders the lot"
+    "THIS": lambda chunk, before, _: (
+        "" if chunk.words == "that" and before in ("NOUN", "NAME") else None
+    ),
+    # ", with a bakery to my east" says that there is one
+    "WITH": lambda _, before, __: "EXISTS" if before in ("", *JOINTS) else None,
+    # "have gone too far", "we're having coffee at"
+    "HAVE": lambda _, before, after: "" if before == "BE" or after == "TOOFAR" else None,
+    # "I am walking along" says where one is, "I am walking north" which way one faces
+    "GO": lambda _, before, after: None if before != "BE" else "FACE" if after == "DIR" else "",
+    # "at it's end"
+    "IT": lambda chunk, before, _: "ITS" if chunk.words == "it's" and before in LEADS else None,
+    # "its next to a school"
+    "ITS": lambda chunk, before, after: (
+        "IT BE"
+        if chunk.words == "its" and before in ("", *JOINTS) and after not in _OWNED
+        else None
+    ),
+    # "at it's end", "you are too far", "I'm looking at", "where the bank is"
+    "BE": lambda chunk, before, after: (
+        ""
+        if (chunk.words == "it's" and before == "ITS") or after in ("TOOFAR", "SEE", "")
+        else None
+    ),
+}
+"""Types that an ambiguous chunk takes between its neighbours; none: it is dropped, None: it stays."""
+
+
+def _settle(
+    chunk: Chunk, before: str, rest: Sequence[Chunk], language: Language
+) -> tuple[Chunk, ...]:
+    """Return what a chunk is between the type before and the chunks behind it."""
+    following = _next_types(rest)
+    after = following[0] if following else ""
+    if chunk.type == "PREP" and chunk.value == "particle":  # "down the street", "head down south"
+        return (replace(chunk, value="along"),) if after in _BEFORE_THING else ()
+    if chunk.type in _TYPES:
+        types = _TYPES[chunk.type](chunk, before, after)
+        if types is None:
+            return (chunk,)
+        value = _RIGHT if chunk.type == "RIGHT" else chunk.value
+        return tuple([replace(chunk, type=kind, value=value) for kind in types.split()])
+    match chunk.type:
+        case "WORD":
+            return (_settle_word(chunk, before, after, language),)
+        case "A" | "ANOTHER" | "OF":
+            return _settle_article(chunk, before, following)
+        case "ON" | "IN" | "AT":
+            return (_settle_block(chunk, rest),)
+        case "TO" if rest and rest[0].type in VERBS and before:
+            return (replace(chunk, type="CUT"),)  # "to meet me"
+        case "WHERE" | "NOT" | "CALLED" | "LETS":
+            return _settle_by_rest(chunk, rest, after)
+    return (chunk,)
+
+
+def _settle_word(chunk: Chunk, before: str, after: str, language: Language) -> Chunk:
+    """Mend a misspelt direction where only one can stand; set aside an unknown verb."""
+    if after in ("OF", "PART") or before in _BEFORE_DIRECTION:
+        direction = mend_direction(chunk.words, language, certain=after == "OF")
+        if direction is not None:
+            return replace(chunk, type="DIR", value=direction)
+    unknown_verb = after in _DETERMINED and before not in _DETERMINED
+    return replace(chunk, type="JUNK") if unknown_verb else chunk
+
+
+def _settle_article(chunk: Chunk, before: str, after: list[str]) -> tuple[Chunk, ...]:
+    """Drop what stands before a measure: "a 2 minute walk", "for another 5 m", "a bit south of"."""
+    if chunk.type == "A" and before in _ENDS and after[:1] in (["NOUN"], ["NAME"], ["WORD"]):
+        return (replace(chunk, type="EXISTS"), chunk)  # "next to me a bank, to the north a park"
+    measured = after[:1] == ["DIST"] or (chunk.type == "OF" and after == ["ANOTHER", "DIST"])
+    return () if measured or (chunk.type == "A" and after == ["DIR", "OF"]) else (chunk,)
+
+
+def _settle_block(chunk: Chunk, rest: Sequence[Chunk]) -> Chunk:
+    """Take "on the next block north" as that far to the north: no map draws a block."""
+    for i, other in enumerate(rest[:-1]):
+        if other.type == "PART" and other.value == "block" and rest[i + 1].type == "DIR":
+            _skip(rest[: i + 1])
+            return replace(chunk, type="DIST", value=NEXT_BLOCK)
+        if other.type not in _IN_THING:
+            break
+    return chunk
+
+
+def _settle_by_rest(chunk: Chunk, rest: Sequence[Chunk], after: str) -> tuple[Chunk, ...]:
+    """Settle "where", "not", "called" and "let's" by what follows them."""
+    if chunk.type == "WHERE":  # "where A meets B" is a place, any other "where" opens a clause
+        kinds = [other.type for other in rest[:6]]
+        end = next((i for i, kind in enumerate(kinds) if kind in JOINTS), len(kinds))
+        return (chunk,) if "CROSS" in kinds[:end] else (replace(chunk, type="CUT"),)
+    if chunk.type == "NOT":  # the verb of "do not see" is negated
+        verb = next((other for other in rest[:3] if other.type != "ADVERB"), None)
+        if verb is None or verb.type not in ("SEE", "HAVE"):
+            return (chunk,)
+        verb.value = "NOT"
+        return ()
+    if chunk.type == "CALLED":  # "a bar called The Fox": the name follows its noun
+        if [other.type for other in rest[:2]] == ["DET", "NAME"]:
+            _skip(rest[:1])
+        return ()
+    if not rest or after in VERBS - {"HAVE"}:  # "let's have a drink at the bar"
+        return ()
+    place = _find_place(rest)
+    if place == len(rest):
+        return ()
+    _skip(rest[:place])  # "let's get some paint at the store" is meeting at the store
+    return (replace(chunk, type="MEET"),)
+
+
+def _find_place(rest: Sequence[Chunk]) -> int:
+    """Return where the place of "let's ..." begins; the number of chunks if there is none."""
+    place = len(rest)
+    for i, other in enumerate(rest):
+        if other.type in JOINTS:
+            break
+        leads = other.type in ("AT", "IN", "ON", "DET", "THIS")  # "let's visit the museum"
+        if leads or (other.type == "PREP" and other.value == "near"):
+            return i
+        if other.type in _DETERMINED and place == len(rest):
+            place = i
+    return place
+
+
+def _skip(chunks: Sequence[Chunk]) -> None:
+    for chunk in chunks:
+        chunk.type, chunk.value = "ADVERB", "skip"
+
+
+@lru_cache(maxsize=4096)
+def mend_direction(word: str, language: Language, *, certain: bool) -> Direction | None:
+    """Return the direction that a misspelt word means, or None; short words need to be `certain`."""
+    from rapidfuzz import process
+    from rapidfuzz.distance import OSA
+
+    compass = language.compass
+    if len(word) < 4 or word in language.lists["no_compass"]:
+        return None
+    found = process.extractOne(word, compass.keys(), scorer=OSA.distance, score_cutoff=1)
+    if found is None or (len(word) < 5 and not certain and sorted(word) != sorted(found[0])):
+        return None
+    return compass[found[0]]

@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache, partialmethod
+from functools import lru_cache
 from importlib.resources import files
-from typing import Any
+from typing import Any, TypeAlias
 
-from placegraph.language.grammar import Chunk
-from placegraph.language.grammar import IslandParser as Islands
-from placegraph.outdoor.language.description import NORTH, Direction, Sense
+from placegraph.language.grammar import (
+    Chunk,
+    Clause,
+    IslandParser,
+    PlacePhrase,
+    build_clause,
+    build_place,
+    build_with,
+    negate,
+)
+from placegraph.outdoor.language.description import Sense
 
 
 @dataclass(slots=True)
-class Noun:
-    """Value of a NOUN or NAME: what it may be on a map."""
+class NounMeaning:
+    """Value of a NOUN or NAME chunk: what it may be on a map."""
 
     senses: tuple[Sense, ...] = ()
     name: str = ""
@@ -24,7 +32,7 @@ class Noun:
 
 
 @dataclass(slots=True)
-class Thing:
+class NounPhrase:
     """Somebody or something spoken of, in one place of the text."""
 
     kind: str
@@ -46,56 +54,12 @@ class Thing:
     """Of a part of a thing: ``corner middle block ...``."""
 
 
-@dataclass(slots=True)
-class Place:
-    """What is said of where something is: "50 m north of the church"."""
-
-    how: str
-    """Rule of the grammar: ``towards side possessed at prep across between ...``."""
-    start: int
-    end: int
-    targets: tuple[Thing, ...] = ()
-    word: str = ""
-    """Which preposition: ``ON IN AT TO``, or a relation of the language."""
-    direction: Direction = NORTH
-    """Of directions."""
-    distance: float | None = None
-    part: str = ""
-    owner: str = ""
-    """``MY YOUR ITS``."""
-    negated: bool = False
-
-
-@dataclass(slots=True)
-class Clause:
-    """One clause: a verb, what stands before it and after it."""
-
-    verb: str
-    """Rule of the grammar: ``fragment is_ exists sees meets goes too_far``."""
-    before: tuple[Thing | Place, ...] = ()
-    after: tuple[Thing | Place, ...] = ()
-    negated: bool = False
-    condition: bool = False
-    """"if you see ...", "when you get to ...", "until ..."."""
-    travel: str = ""
-    """``GO PASS CROSS FOLLOW REACH``."""
-    certainty: float = 1.0
-    start: int = 0
-    end: int = 0
-
-
-Item = Thing | Place
-Items = tuple[Item, ...]
-_OWNERS = ("MY", "YOUR", "ITS")
-_DETERMINERS = ("DET", "THIS", "A", "ANOTHER", "NO", "NUM", *_OWNERS)
+Place: TypeAlias = PlacePhrase[NounPhrase]
+Item: TypeAlias = NounPhrase | Place
+Items: TypeAlias = tuple[Item, ...]
+_DETERMINERS = ("DET", "THIS", "A", "ANOTHER", "NO", "NUM", "MY", "YOUR", "ITS")
 _SKIPPED = ("WORD", "JUNK", "AND", "TO", "NOT")
 """Chunks that may be left out where the grammar expects something else."""
-
-
-@lru_cache(maxsize=1)
-def _grammar() -> Islands[Clause]:
-    text = files(__package__).joinpath("outdoor.lark").read_text("utf-8")
-    return Islands(text, "clause", _Build(), Clause, _SKIPPED)
 
 
 def parse(chunks: list[Chunk]) -> Iterator[tuple[Clause, list[Chunk]]]:
@@ -107,141 +71,94 @@ def parse(chunks: list[Chunk]) -> Iterator[tuple[Clause, list[Chunk]]]:
         What could be parsed, in order, and the chunks that had to be left out of it. Where nothing
         could be parsed, an empty clause.
     """
-    for clause, used, left_out in _grammar().parse(chunks):
+    for clause, used, left_out in _parser().parse(chunks):
         if clause is None:
             yield Clause("", start=used[0].start, end=used[-1].end), left_out
         else:
-            kept = [chunk for chunk in used if chunk not in left_out]
-            clause.start, clause.end = min(c.start for c in kept), max(c.end for c in kept)
+            parsed = [chunk for chunk in used if chunk not in left_out]
+            clause.start, clause.end = min(c.start for c in parsed), max(c.end for c in parsed)
             yield clause, left_out
 
 
-class _Build:
-    """Callbacks of the grammar's rules, called as soon as a rule is complete."""
-
-    # clauses
-    def clause(self, children: list[Any]) -> Clause:
-        said: Clause = children[-1]
-        said.condition = len(children) > 1
-        return said
-
-    def _clause(self, children: list[Any], *, verb: str) -> Clause:
-        said = Clause(verb)
-        for child in children:
-            if isinstance(child, tuple):
-                if said.travel:
-                    said.after = child
-                else:
-                    said.before = child
-            else:
-                said.travel = child.type
-                said.negated = child.value == "NOT"
-        return said
-
-    def fragment(self, children: list[Any]) -> Clause:
-        return Clause("fragment", before=children[0])
-
-    is_ = partialmethod(_clause, verb="is_")
-    exists = partialmethod(_clause, verb="exists")
-    sees = partialmethod(_clause, verb="sees")
-    meets = partialmethod(_clause, verb="meets")
-    goes = partialmethod(_clause, verb="goes")
-    too_far = partialmethod(_clause, verb="too_far")
-
-    def body(self, children: list[Any]) -> Items:
-        return tuple([child for child in children if not isinstance(child, Chunk)])
-
-    # places
-    def not_(self, children: list[Any]) -> Place:
-        children[1].negated = True
-        return children[1]
-
-    def no_thing(self, children: list[Any]) -> Thing:
-        children[1].determiner = "NO"
-        return children[1]
-
-    def measured(self, children: list[Any]) -> Place:
-        measure: Chunk = children[0]
-        if isinstance(children[-1], Place):
-            place: Place = children[-1]
-            place.start = measure.start
-        else:
-            place = Place("away", measure.start, children[-1].end)
-        place.distance = measure.value
-        return place
-
-    def _place(self, children: list[Any], *, how: str) -> Place:
-        # words may have been brought into the order of the grammar from another
-        start, end = min(c.start for c in children), max(c.end for c in children)
-        place = Place(how, start, end)
-        things = []
-        for child in children:
-            if isinstance(child, Thing):
-                things.append(child)
-            elif child.type == "HERE":
-                things.append(Thing("HERE", child.start, child.end))
-            elif child.type == "DIR":
-                place.direction = child.value
-            elif child.type == "PART":
-                place.part = child.value
-            elif child.type == "PREP":
-                place.word = child.value
-            elif child.type in _OWNERS:
-                place.owner = child.type
-            elif child.type in ("ON", "IN", "AT", "TO"):
-                place.word = child.type
-        place.targets = tuple(things)
-        return place
-
-    towards = partialmethod(_place, how="towards")
-    side = partialmethod(_place, how="side")
-    possessed = partialmethod(_place, how="possessed")
-    at = partialmethod(_place, how="at")
-    prep = partialmethod(_place, how="prep")
-    bare = partialmethod(_place, how="bare")
-    across = partialmethod(_place, how="across")
-    between = partialmethod(_place, how="between")
-    faces = partialmethod(_place, how="faces")
-    at_both = partialmethod(_place, how="at_both")
-    with_ = partialmethod(_place, how="with_")
-    of = partialmethod(_place, how="of")
-    start = partialmethod(_place, how="start")
-    nearby = partialmethod(_place, how="nearby")
-    here = partialmethod(_place, how="here")
-
-    def thing(self, children: list[Any]) -> Thing:
-        start, end = min(c.start for c in children), max(c.end for c in children)
-        thing = Thing("thing", start, end)
-        nouns = [child for child in children if child.type == "NOUN"]
-        words = [child.words for child in children if child.type == "WORD"]
-        for child in children:
-            if child.type in _DETERMINERS:
-                thing.determiner = thing.determiner or child.type
-                thing.count = child.value if child.type == "NUM" else None
-            elif child.type == "NAME":
-                thing.name, thing.senses = child.value.name, child.value.senses
-            elif child.type == "PART" and not nouns:
-                thing.part = child.value
-        thing.head = " ".join(words)
-        if nouns:
-            _take_nouns(thing, nouns)
-        return thing
-
-    def person(self, children: list[Any]) -> Thing:
-        chunk: Chunk = children[0]
-        kind = "IT" if chunk.type == "THIS" else chunk.type
-        return Thing(kind, chunk.start, chunk.end)
+def _build_conditional(children: list[Any]) -> Clause:
+    clause: Clause = children[-1]
+    clause.condition = len(children) > 1
+    return clause
 
 
-def _take_nouns(thing: Thing, nouns: list[Chunk]) -> None:
-    """Take the common nouns of a thing: "alcohol shop" is shop=alcohol, not any shop."""
+def _build_denied(children: list[Any]) -> NounPhrase:
+    thing: NounPhrase = children[1]
+    thing.determiner = "NO"
+    return thing
+
+
+def _build_measured(children: list[Any]) -> Place:
+    """Build "50 m north of the church", "two blocks away"."""
+    measure, last = children[0], children[-1]
+    place: Place = (
+        last if isinstance(last, PlacePhrase) else PlacePhrase("away", measure.start, last.end)
+    )
+    place.start, place.distance = measure.start, measure.value
+    return place
+
+
+def _build_person(children: list[Any]) -> NounPhrase:
+    chunk: Chunk = children[0]
+    return NounPhrase("IT" if chunk.type == "THIS" else chunk.type, chunk.start, chunk.end)
+
+
+def _build_thing(children: list[Any]) -> NounPhrase:
+    """Build a noun phrase of its determiner, words, nouns, name and part."""
+    start, end = min(c.start for c in children), max(c.end for c in children)
+    thing = NounPhrase("thing", start, end)
+    nouns = [child for child in children if child.type == "NOUN"]
+    thing.head = " ".join([child.words for child in children if child.type == "WORD"])
+    for child in children:
+        if child.type in _DETERMINERS:
+            thing.determiner = thing.determiner or child.type
+            thing.count = child.value if child.type == "NUM" else None
+        elif child.type == "NAME":
+            thing.name, thing.senses = child.value.name, child.value.senses
+        elif child.type == "PART" and not nouns:
+            thing.part = child.value
+    if nouns:
+        _take_nouns(thing, nouns)
+    return thing
+
+
+def _take_nouns(thing: NounPhrase, nouns: Sequence[Chunk]) -> None:
+    """Set the common noun of a phrase: "alcohol shop" is shop=alcohol, not any shop."""
     if thing.name and len(nouns) > 1:  # "Cupka's cafe restaurant"
-        thing.name = f"{thing.name} {' '.join(noun.words for noun in nouns[:-1])}"
+        thing.name = " ".join([thing.name, *[noun.words for noun in nouns[:-1]]])
         nouns = nouns[-1:]
-    head: Noun = nouns[-1].value
+    meaning: NounMeaning = nouns[-1].value
     thing.modifiers = (*thing.head.split(), *[noun.words for noun in nouns[:-1]])
-    thing.senses, thing.head, thing.exact = head.senses, nouns[-1].words, head.exact
-    keys = {s.label.partition("=")[0] for s in head.senses if s.label.endswith(("=*", "=yes"))}
+    thing.senses, thing.head, thing.exact = meaning.senses, nouns[-1].words, meaning.exact
+    keys = {s.label.partition("=")[0] for s in meaning.senses if s.label.endswith(("=*", "=yes"))}
     for noun in nouns[:-1]:
         special = tuple([s for s in noun.value.senses if s.label.partition("=")[0] in keys])
         thing.senses = special or thing.senses
+
+
+_BUILDERS = {
+    **build_with(build_clause, "verb", "is_ exists sees meets goes too_far"),
+    **build_with(
+        build_place,
+        "how",
+        "towards side possessed at prep bare across between faces at_both with_ of start nearby here",
+    ),
+    "clause": _build_conditional,
+    "fragment": lambda children: Clause("fragment", before=children[0]),
+    "body": lambda children: tuple([item for item in children if not isinstance(item, Chunk)]),
+    "not_": negate,
+    "no_thing": _build_denied,
+    "measured": _build_measured,
+    "person": _build_person,
+    "thing": _build_thing,
+}
+
+
+@lru_cache(maxsize=1)
+def _parser() -> IslandParser[Clause]:
+    text = files(__package__).joinpath("outdoor.lark").read_text("utf-8")
+    return IslandParser(text, "clause", _BUILDERS, Clause, _SKIPPED)

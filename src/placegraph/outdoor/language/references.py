@@ -11,7 +11,7 @@ from placegraph.outdoor.language.description import LISTENER, SPEAKER, Mention, 
 from placegraph.outdoor.language.words import Words, normalise, tokens
 
 if TYPE_CHECKING:
-    from placegraph.outdoor.language.grammar import Thing
+    from placegraph.outdoor.language.grammar import NounPhrase
     from placegraph.outdoor.language.languages import Language
 
 _NEW = frozenset(("A", "ANOTHER", "NO", "NUM"))
@@ -48,7 +48,7 @@ class Referents:
         self.street: int | None = None
         """The street that was spoken of last."""
 
-    def resolve(self, thing: Thing, *, other_than: Iterable[int] = ()) -> int | None:
+    def resolve(self, thing: NounPhrase, *, other_than: Iterable[int] = ()) -> int | None:
         """Node of a thing; None for a part of something ("the corner") that is no thing itself."""
         match thing.kind:
             case "ME" | "SPOT" | "HERE":
@@ -86,7 +86,7 @@ class Referents:
         return _lemma(found[0]), tuple([Sense(s.label, s.weight * found[1]) for s in senses])
 
     def _known(
-        self, thing: Thing, head: str, senses: tuple[Sense, ...], other_than: Iterable[int]
+        self, thing: NounPhrase, head: str, senses: tuple[Sense, ...], other_than: Iterable[int]
     ) -> int | None:
         """Return the mention that a name or a definite noun speaks of again, or None."""
         skipped = {*other_than, *self.negative}
@@ -114,7 +114,7 @@ class Referents:
                 return n
         return None
 
-    def _introduce(self, thing: Thing, head: str, senses: tuple[Sense, ...]) -> int:
+    def _introduce(self, thing: NounPhrase, head: str, senses: tuple[Sense, ...]) -> int:
         node = len(self.mentions)
         words = self.text[thing.start : thing.end]
         definite = thing.determiner in ("DET", "THIS", "MY", "YOUR", "ITS") or bool(thing.name)
@@ -168,7 +168,7 @@ def name_key(name: str) -> str:
     return normalise(name).removeprefix("the ")
 
 
-def _modifiers(thing: Thing) -> frozenset[str]:
+def _modifiers(thing: NounPhrase) -> frozenset[str]:
     return frozenset(thing.modifiers) - {"same"}
 
 

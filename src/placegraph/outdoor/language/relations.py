@@ -1,4 +1,4 @@
-"""Relations: places said of things become statements (Eq. 4)."""
+"""Relations: places context of things become statements (Eq. 4)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from placegraph.outdoor.language.description import (
     Relation,
     Statement,
 )
-from placegraph.outdoor.language.grammar import Place, Thing
+from placegraph.outdoor.language.grammar import NounPhrase, Place
 
 if TYPE_CHECKING:
     from placegraph.outdoor.language.references import Referents
@@ -28,11 +28,11 @@ BlockLength = Callable[[float | None], float]
 SIDE_SIGMA = 0.6
 """How loosely "on the north side of" is meant [rad]."""
 FROM_YOU = 0.8
-"""Certainty that a direction of which nothing more is said is seen from the listener."""
+"""Certainty that a direction of which nothing more is context is seen from the listener."""
 LEGS = (0.5, 0.25, 0.15)
 """Certainty that the place lies in the direction of the first, second, third leg of a walk."""
 WALKED = 0.7
-"""Certainty that the place is where the legs of a walk end whose lengths were said."""
+"""Certainty that the place is where the legs of a walk end whose lengths were context."""
 ROUTE = 0.4
 """Certainty of what only lies on the way."""
 PASSED = 0.6
@@ -48,7 +48,7 @@ UNKNOWN = "unknown word"
 
 
 @dataclass
-class Said:
+class ClauseContext:
     """The clause at hand, as far as its places need it."""
 
     text: str
@@ -57,7 +57,7 @@ class Said:
     travel: bool = False
     walked: bool = False
     """Whether directions for a walk came before."""
-    shared: Thing | None = None
+    shared: NounPhrase | None = None
     """Target of a direction beside one that has none: "north and slightly west of you"."""
 
 
@@ -93,7 +93,7 @@ class Statements:
 
     def add(
         self,
-        said: Said,
+        context: ClauseContext,
         relation: Relation,
         source: int,
         target: int,
@@ -108,7 +108,7 @@ class Statements:
             self.reason = "relates a thing to itself"
             return
         bearing = None if direction is None else direction.bearing % (2.0 * pi)
-        negated = said.negated or not self.refer.negative.isdisjoint((source, target, target2))
+        negated = context.negated or not self.refer.negative.isdisjoint((source, target, target2))
         self.statements.append(
             Statement(
                 relation,
@@ -121,10 +121,10 @@ class Statements:
                 within=isinstance(distance, Measure) and distance.at_most,
                 negated=negated,
                 certainty=round(
-                    certainty * said.certainty * (direction.certainty if direction else 1.0), 3
+                    certainty * context.certainty * (direction.certainty if direction else 1.0), 3
                 ),
-                far=said.travel or LISTENER in (source, target),
-                text=said.text,
+                far=context.travel or LISTENER in (source, target),
+                text=context.text,
             )
         )
 
@@ -134,12 +134,12 @@ class Statements:
             return distance.blocks * self.block_length(bearing)
         return None if distance is None else float(distance)
 
-    def _implied(self, source: int, said: Said) -> int | None:
-        """What a direction is seen from where nothing is said of it."""
-        if not said.travel and source not in self.goals:
+    def _implied(self, source: int, context: ClauseContext) -> int | None:
+        """What a direction is seen from where nothing is context of it."""
+        if not context.travel and source not in self.goals:
             return SPEAKER
         self.reason = NO_TARGET
-        return LISTENER if said.travel or self.directive else None
+        return LISTENER if context.travel or self.directive else None
 
     def _bearing(self, direction: Direction) -> Direction | None:
         """Direction on the compass; None, with a reason, where the heading is needed but unknown."""
@@ -150,12 +150,12 @@ class Statements:
             return None
         return direction._replace(bearing=direction.bearing + self.heading, facing=False)
 
-    def _at_hand(self, source: int, target: int | None, said: Said) -> None:
+    def _at_hand(self, source: int, target: int | None, context: ClauseContext) -> None:
         """Say that what is to the left, or behind, is there at all, where the heading is not known."""
         if target == SPEAKER and self.reason == NEEDS_HEADING:
-            self.add(said, Relation.VISIBLE, source, target)
+            self.add(context, Relation.VISIBLE, source, target)
 
-    def _target(self, thing: Thing, source: int) -> int | None:
+    def _target(self, thing: NounPhrase, source: int) -> int | None:
         node = self.refer.resolve(thing)
         if node == source and thing.kind == "thing":  # "the bench is north of the bench"
             node = self.refer.resolve(thing, other_than=(source,))
@@ -167,7 +167,7 @@ class Statements:
         return node
 
     def from_listener(self) -> bool:
-        """Tell whether a direction from the listener has been said already."""
+        """Tell whether a direction from the listener has been context already."""
         return any(
             s.relation is Relation.DIRECTION and s.target == LISTENER and s.certainty >= FROM_YOU
             for s in self.statements
@@ -177,38 +177,38 @@ class Statements:
 class Directions(Statements):
     """Makes statements of directions; what a place is called in the grammar names the method."""
 
-    def _towards(self, place: Place, source: int, said: Said) -> None:
+    def _towards(self, place: Place, source: int, context: ClauseContext) -> None:
         direction = place.direction
-        thing = place.targets[0] if place.targets else said.shared
+        thing = place.targets[0] if place.targets else context.shared
         if direction.facing:
-            if said.travel or (thing is not None and thing.kind == "YOU"):
+            if context.travel or (thing is not None and thing.kind == "YOU"):
                 self.reason = "left and right of a walk say nothing on a map"
                 return
             if thing is None and source in self.goals:
                 self.reason = NO_TARGET
                 return
-        target = self._target(thing, source) if thing else self._implied(source, said)
+        target = self._target(thing, source) if thing else self._implied(source, context)
         seen = self._bearing(direction)
         if target is None or seen is None:
-            self._at_hand(source, target, said)
+            self._at_hand(source, target, context)
             return
         sure = 1.0 if thing is not None or target == SPEAKER else FROM_YOU
-        if sure < 1.0 and (said.walked or self.from_listener()):
+        if sure < 1.0 and (context.walked or self.from_listener()):
             sure = LEGS[-1]  # "your destination is to the north": of where the walk has led
         self.add(
-            said, Relation.DIRECTION, source, target,
+            context, Relation.DIRECTION, source, target,
             direction=seen, distance=place.distance, certainty=sure,
         )  # fmt: skip
 
-    def _side(self, place: Place, source: int, said: Said) -> None:
+    def _side(self, place: Place, source: int, context: ClauseContext) -> None:
         """Relate "on the north side of the street"."""
         if not place.targets:
             street = self.refer.street
             if place.direction.facing or street is None or source not in self.goals:
-                self._towards(place, source, said)
+                self._towards(place, source, context)
             else:
                 self.add(
-                    said, Relation.DIRECTION, source, street, certainty=0.6,
+                    context, Relation.DIRECTION, source, street, certainty=0.6,
                     direction=place.direction._replace(sigma=SIDE_SIGMA),
                 )  # fmt: skip
             return
@@ -217,11 +217,11 @@ class Directions(Statements):
         if target is None or seen is None:
             return
         wide = seen._replace(sigma=max(seen.sigma, SIDE_SIGMA))
-        self.add(said, Relation.DIRECTION, source, target, direction=wide, certainty=0.8)
+        self.add(context, Relation.DIRECTION, source, target, direction=wide, certainty=0.8)
         if target > LISTENER:
-            self.add(said, Relation.NEAR, source, target)
+            self.add(context, Relation.NEAR, source, target)
 
-    def _possessed(self, place: Place, source: int, said: Said) -> None:
+    def _possessed(self, place: Place, source: int, context: ClauseContext) -> None:
         """Relate "to my east", "on its north side", "to the garden's northeast"."""
         target: int | None
         if place.targets:
@@ -238,13 +238,13 @@ class Directions(Statements):
             return
         seen = self._bearing(place.direction)
         if target is None or seen is None:
-            self._at_hand(source, target, said)
+            self._at_hand(source, target, context)
         else:
             self.add(
-                said, Relation.DIRECTION, source, target, direction=seen, distance=place.distance
+                context, Relation.DIRECTION, source, target, direction=seen, distance=place.distance
             )
 
-    def _faces(self, place: Place, source: int, _said: Said) -> None:
+    def _faces(self, place: Place, source: int, _said: ClauseContext) -> None:
         if source in self.goals and not place.direction.facing and self.heading is None:
             self.heading = place.direction.bearing
         self.reason = "says which way one faces"
@@ -269,13 +269,13 @@ _SIMPLE = {
 class Relator(Directions):
     """Makes statements of places."""
 
-    def relate(self, place: Place, source: int, said: Said) -> int | None:
-        """Add the statements of a place said of a source; return the node it now speaks of.
+    def relate(self, place: Place, source: int, context: ClauseContext) -> int | None:
+        """Add the statements of a place context of a source; return the node it now speaks of.
 
-        That is the source, or what it was said to stand at ("I'm at a cafe ...").
+        That is the source, or what it was context to stand at ("I'm at a cafe ...").
         """
         before, self.reason = len(self.statements), "says nothing about where things stand"
-        changed: int | None = getattr(self, f"_{place.how}")(place, source, said)
+        changed: int | None = getattr(self, f"_{place.how}")(place, source, context)
         if len(self.statements) == before or self.reason == NEEDS_HEADING:
             left_out = Ignored(self.refer.text[place.start : place.end], self.reason)
             if left_out not in self.ignored[-1:]:
@@ -284,10 +284,10 @@ class Relator(Directions):
             self.statements[before:] = [replace(s, negated=True) for s in self.statements[before:]]
         return source if changed is None else changed
 
-    def _at(self, place: Place, source: int, said: Said) -> int | None:
+    def _at(self, place: Place, source: int, context: ClauseContext) -> int | None:
         thing = place.targets[0]
         if len(place.targets) > 1 and thing.part:
-            self._part(place, source, said)
+            self._part(place, source, context)
             return None
         target = self._target(thing, source)
         if target is None:
@@ -295,10 +295,10 @@ class Relator(Directions):
         if len(place.targets) > 1:
             whole = self._target(place.targets[1], target)
             if whole is not None:
-                self.add(said, Relation.NEAR, target, whole, certainty=WEAK)
-        relation, certainty = self._at_relation(place.word, target, source, said)
-        self.add(said, relation, source, target, distance=place.distance, certainty=certainty)
-        if source == SPEAKER and not (said.negated or place.negated or said.travel):
+                self.add(context, Relation.NEAR, target, whole, certainty=WEAK)
+        relation, certainty = self._at_relation(place.word, target, source, context)
+        self.add(context, relation, source, target, distance=place.distance, certainty=certainty)
+        if source == SPEAKER and not (context.negated or place.negated or context.travel):
             if relation is Relation.SAME:
                 self.goals.add(target)
                 return target
@@ -307,10 +307,10 @@ class Relator(Directions):
         return None
 
     def _at_relation(
-        self, word: str, target: int, source: int, said: Said
+        self, word: str, target: int, source: int, context: ClauseContext
     ) -> tuple[Relation, float]:
         line = self.refer.is_line(target)
-        if said.travel:
+        if context.travel:
             return (Relation.ALONG if line and word == "ON" else Relation.NEAR), 1.0
         if target <= LISTENER:
             return Relation.NEAR, 1.0
@@ -322,24 +322,24 @@ class Relator(Directions):
             return Relation.SAME, 1.0
         return Relation.NEAR, WEAK if word == "TO" else 1.0
 
-    def _part(self, place: Place, source: int, said: Said) -> None:
+    def _part(self, place: Place, source: int, context: ClauseContext) -> None:
         """Relate "at the end of the street", "in the middle of the park"."""
         part, whole = place.targets
         target = self._target(whole, source)
         if target is None:
             return
         if part.part == "block":
-            self.add(said, Relation.NEAR, source, target, distance=BLOCK, certainty=0.8)
+            self.add(context, Relation.NEAR, source, target, distance=BLOCK, certainty=0.8)
         elif part.part == "same_side":
             self.reason = "a side of a street without a direction"
         elif self.refer.is_line(target):
-            self.add(said, Relation.ALONG, source, target, distance=place.distance)
+            self.add(context, Relation.ALONG, source, target, distance=place.distance)
         elif part.part in ("middle", "floor"):
-            self.add(said, Relation.INSIDE, source, target)
+            self.add(context, Relation.INSIDE, source, target)
         else:
-            self.add(said, Relation.NEAR, source, target, distance=place.distance)
+            self.add(context, Relation.NEAR, source, target, distance=place.distance)
 
-    def _prep(self, place: Place, source: int, said: Said) -> int | None:
+    def _prep(self, place: Place, source: int, context: ClauseContext) -> int | None:
         if len(place.targets) > 1 and place.targets[0].part:
             place = replace(place, targets=place.targets[1:])
         thing, word = place.targets[0], place.word
@@ -349,21 +349,21 @@ class Relator(Directions):
         if word in ("front", "behind") and target == SPEAKER:
             seen = self._bearing(Direction(pi if word == "behind" else 0.0, facing=True))
             if seen is None:
-                self._at_hand(source, target, said)
+                self._at_hand(source, target, context)
             else:
                 self.add(
-                    said, Relation.DIRECTION, source, target,
+                    context, Relation.DIRECTION, source, target,
                     direction=seen, distance=place.distance,
                 )  # fmt: skip
         elif word in ("front", "behind") and target == LISTENER:
             self.reason = LISTENER_HEADING
         elif word == "surrounded":
-            self.add(said, Relation.NEAR, target, source)
+            self.add(context, Relation.NEAR, target, source)
         elif word in ("past", "before", "toward"):
-            far = said.travel or word == "toward"
+            far = context.travel or word == "toward"
             sure = ROUTE if far else 0.8 if place.distance else PASSED
             self.add(
-                replace(said, travel=far), Relation.NEAR, source, target,
+                replace(context, travel=far), Relation.NEAR, source, target,
                 distance=place.distance, certainty=sure,
             )  # fmt: skip
         else:
@@ -371,22 +371,22 @@ class Relator(Directions):
             if relation is Relation.ALONG and not self.refer.is_line(target):
                 certainty = 0.8
             self.add(
-                said, relation, source, target,
+                context, relation, source, target,
                 distance=place.distance or distance, certainty=certainty,
             )  # fmt: skip
             if relation is Relation.SAME and source in self.goals:
                 return target
         return None
 
-    def _bare(self, place: Place, source: int, said: Said) -> int | None:
-        """Relate "a bank opposite", of the speaker where nothing more is said."""
+    def _bare(self, place: Place, source: int, context: ClauseContext) -> int | None:
+        """Relate "a bank opposite", of the speaker where nothing more is context."""
         if source in self.goals:
             self.reason = NO_TARGET
             return None
-        me = Thing("ME", place.start, place.end)
-        return self._prep(replace(place, targets=(me,)), source, said)
+        me = NounPhrase("ME", place.start, place.end)
+        return self._prep(replace(place, targets=(me,)), source, context)
 
-    def _across(self, place: Place, source: int, said: Said) -> None:
+    def _across(self, place: Place, source: int, context: ClauseContext) -> None:
         between: int | None = None
         if place.targets:
             between = self.refer.resolve(place.targets[0])
@@ -394,24 +394,24 @@ class Relator(Directions):
             target = self._target(place.targets[1], source)
             if target is not None:
                 self.add(
-                    said, Relation.ACROSS, source, target,
+                    context, Relation.ACROSS, source, target,
                     target2=between, distance=place.distance,
                 )  # fmt: skip
             return
         if between is not None and not self._can_be_crossed(between):
-            self.add(said, Relation.ACROSS, source, between, distance=place.distance)
+            self.add(context, Relation.ACROSS, source, between, distance=place.distance)
             return
         if source not in self.goals:
             self.add(
-                said, Relation.ACROSS, source, SPEAKER, target2=between, distance=place.distance
+                context, Relation.ACROSS, source, SPEAKER, target2=between, distance=place.distance
             )
         elif self.directive and between is not None and not self.refer.is_road(between):
-            self.add(said, Relation.ACROSS, source, LISTENER, target2=between, certainty=0.6)
+            self.add(context, Relation.ACROSS, source, LISTENER, target2=between, certainty=0.6)
         else:
             self.reason = NO_TARGET
-            target = self._target(said.shared, source) if said.shared is not None else None
+            target = self._target(context.shared, source) if context.shared is not None else None
             if target is not None and not self.refer.is_line(target):
-                self.add(said, Relation.ACROSS, source, target, target2=between, certainty=0.8)
+                self.add(context, Relation.ACROSS, source, target, target2=between, certainty=0.8)
 
     def _can_be_crossed(self, node: int) -> bool:
         labels = [sense.label for sense in self.refer.mentions[node].senses]
@@ -419,7 +419,7 @@ class Relator(Directions):
             "water" in label or "bridge" in label for label in labels
         )
 
-    def _between(self, place: Place, source: int, said: Said) -> None:
+    def _between(self, place: Place, source: int, context: ClauseContext) -> None:
         things = place.targets
         if len(things) == 1 and things[0].count == 2:  # "between two churches"
             one = replace(things[0], count=None)
@@ -427,25 +427,25 @@ class Relator(Directions):
         nodes = [self._target(thing, source) for thing in things]
         known = [node for node in nodes if node is not None]
         if len(known) == 2 and known[0] != known[1]:
-            self.add(said, Relation.BETWEEN, source, known[0], target2=known[1])
+            self.add(context, Relation.BETWEEN, source, known[0], target2=known[1])
         elif known:
-            self.add(said, Relation.NEAR, source, known[0], certainty=WEAK)
+            self.add(context, Relation.NEAR, source, known[0], certainty=WEAK)
 
-    def _at_both(self, place: Place, source: int, said: Said) -> None:
+    def _at_both(self, place: Place, source: int, context: ClauseContext) -> None:
         """Relate "where Penn Avenue meets 6th Street"."""
         for thing in place.targets:
             target = self._target(thing, source)
             if target is not None:
-                self.add(said, Relation.NEAR, source, target)
+                self.add(context, Relation.NEAR, source, target)
 
-    def _with_(self, place: Place, source: int, said: Said) -> int | None:
-        """Relate "a park with a pond": what follows is said of the pond."""
+    def _with_(self, place: Place, source: int, context: ClauseContext) -> int | None:
+        """Relate "a park with a pond": what follows is context of the pond."""
         target = self._target(place.targets[0], source)
         if target is not None:
-            self.add(said, Relation.NEAR, target, source, certainty=WEAK)
+            self.add(context, Relation.NEAR, target, source, certainty=WEAK)
         return target
 
-    def _of(self, place: Place, source: int, said: Said) -> None:
+    def _of(self, place: Place, source: int, context: ClauseContext) -> None:
         vague = source == SPEAKER or place.targets[0].kind != "thing"
         if vague and place.distance is None:  # "join me for coffee"
             self.reason = NO_TARGET
@@ -453,33 +453,33 @@ class Relator(Directions):
         target = self._target(place.targets[0], source)
         if target is not None:
             self.add(
-                said, Relation.NEAR, source, target,
+                context, Relation.NEAR, source, target,
                 distance=place.distance, certainty=1.0 if place.distance else WEAK,
             )  # fmt: skip
 
-    def _start(self, place: Place, source: int, said: Said) -> None:
+    def _start(self, place: Place, source: int, context: ClauseContext) -> None:
         """Relate "two blocks from the station"; a bare "from the station" opens a walk."""
         if place.distance is None:
             self.reason = "where a walk starts"
             return
-        self._of(place, source, said)
+        self._of(place, source, context)
 
-    def _away(self, place: Place, source: int, said: Said) -> None:
+    def _away(self, place: Place, source: int, context: ClauseContext) -> None:
         """Relate "two blocks away"."""
-        target = self._implied(source, said)
-        if said.travel:
+        target = self._implied(source, context)
+        if context.travel:
             self.reason = "a distance without a direction"
         elif target is not None:
-            self.add(said, Relation.NEAR, source, target, distance=place.distance)
+            self.add(context, Relation.NEAR, source, target, distance=place.distance)
 
-    def _nearby(self, place: Place, source: int, said: Said) -> None:
+    def _nearby(self, place: Place, source: int, context: ClauseContext) -> None:
         if source in self.goals:
             self.reason = NO_TARGET
         else:
-            self.add(said, Relation.NEAR, source, SPEAKER, distance=place.distance)
+            self.add(context, Relation.NEAR, source, SPEAKER, distance=place.distance)
 
-    def _here(self, _place: Place, source: int, said: Said) -> None:
+    def _here(self, _place: Place, source: int, context: ClauseContext) -> None:
         if source in self.goals:
             self.reason = NO_TARGET
         else:
-            self.add(said, Relation.VISIBLE, source, SPEAKER)
+            self.add(context, Relation.VISIBLE, source, SPEAKER)
