@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from placegraph.language.grammar import Chunk
 from placegraph.language.text import Ignored, check_text
-from placegraph.outdoor.language.build import Builder
+from placegraph.outdoor.language.build import GraphBuilder
 from placegraph.outdoor.language.chunks import Chunker
 from placegraph.outdoor.language.clauses import cut_clauses
 from placegraph.outdoor.language.description import Description, conflicts
@@ -107,29 +107,29 @@ def describe(
     ]
     main = max(parts, key=lambda part: part.end - part.start)
     directive = any(_leads_the_way(sentence) for sentence, _ in sentences)
-    builder = Builder(
+    builder = GraphBuilder(
         cleaned, main.language, vocabulary, heading, directive=directive, block_length=block_length
     )
     for sentence, tongue in sentences:
         _take(sentence, tongue, builder)
     builder.finish()
-    builder.ignored += builder.refer.unknown()
-    if not (builder.relator.statements or builder.ignored):
+    builder.ignored += builder.references.list_unknown()
+    if not (builder.places.statements or builder.ignored):
         builder.ignored.append(Ignored(text.strip(), "says nothing about where things stand"))
     for stretch in parts:
-        if builder.relator.statements and not stretch.certain:
+        if builder.places.statements and not stretch.certain:
             unread = cleaned[stretch.start : stretch.end].strip()
             builder.ignored.append(Ignored(unread, NO_LANGUAGE))
     return Description(
         text,
-        tuple(builder.refer.mentions),
-        tuple(builder.relator.statements),
+        tuple(builder.references.mentions),
+        tuple(builder.places.statements),
         tuple(builder.ignored),
         conflicts(
-            builder.relator.statements,
-            builder.refer.heads,
-            builder.relator.goals,
-            builder.refer.kinds,
+            builder.places.statements,
+            builder.references.heads,
+            builder.places.goals,
+            builder.references.kinds,
         ),
         main.language.code if main.certain else UNKNOWN,
     )
@@ -157,7 +157,7 @@ def _sentences(
         yield chunker.chunks(sentence)
 
 
-def _take(sentence: list[Chunk], language: Language, builder: Builder) -> None:
+def _take(sentence: list[Chunk], language: Language, builder: GraphBuilder) -> None:
     """Add what a sentence says."""
     for part in cut_clauses(sentence, language):
         opens = part.opens

@@ -1,4 +1,4 @@
-"""Referents: which words speak of the same thing."""
+"""References: which words speak of the same thing."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ GENERIC = 0.7
 """How surely a "sandwich place" is what "sandwich" alone stands for."""
 
 
-class Referents:
+class References:
     """The mentions of a text, in the order in which they are introduced.
 
     Parameters
@@ -49,28 +49,25 @@ class Referents:
         """The street that was spoken of last."""
 
     def resolve(self, thing: NounPhrase, *, other_than: Iterable[int] = ()) -> int | None:
-        """Node of a thing; None for a part of something ("the corner") that is no thing itself."""
-        match thing.kind:
-            case "ME" | "SPOT" | "HERE":
-                return SPEAKER
-            case "YOU":
-                return LISTENER
-            case "IT":
-                return SPEAKER if self.topic is None else self.topic
+        """Return the node of a thing; None for a part ("the corner") that is no thing itself."""
+        if thing.kind in ("ME", "SPOT", "HERE"):
+            return SPEAKER
+        if thing.kind == "YOU":
+            return LISTENER
+        if thing.kind == "IT":
+            return SPEAKER if self.topic is None else self.topic
         if thing.part and not thing.name:
             return None
         head, senses = _lemma(thing.head), thing.senses
         if not senses and not thing.name:
-            head, senses = self._mended(thing.head)
+            head, senses = self._mend(thing.head)
             if not senses and not thing.determiner:
                 return None  # an unknown word, and no sign that it is a noun
-        known = None if thing.determiner in _NEW else self._known(thing, head, senses, other_than)
-        if known is None:
-            return self._introduce(thing, head, senses)
-        return known
+        known = None if thing.determiner in _NEW else self._find(thing, head, senses, other_than)
+        return self._introduce(thing, head, senses) if known is None else known
 
-    def _mended(self, words: str) -> tuple[str, tuple[Sense, ...]]:
-        """Noun and senses of unknown words: misspelt, or before a noun that says nothing."""
+    def _mend(self, words: str) -> tuple[str, tuple[Sense, ...]]:
+        """Return noun and senses of unknown words: misspelt, or before a noun that says nothing."""
         if len(words) > LONGEST_NOUN:
             return words, ()
         whole = self.vocabulary.senses(words)
@@ -85,7 +82,7 @@ class Referents:
         senses = self.vocabulary.senses(found[0])
         return _lemma(found[0]), tuple([Sense(s.label, s.weight * found[1]) for s in senses])
 
-    def _known(
+    def _find(
         self, thing: NounPhrase, head: str, senses: tuple[Sense, ...], other_than: Iterable[int]
     ) -> int | None:
         """Return the mention that a name or a definite noun speaks of again, or None."""
@@ -94,12 +91,10 @@ class Referents:
         if thing.name:
             name = name_key(thing.name)
             return next((n for n in nodes if name_key(self.mentions[n].name) == name), None)
-        modifiers = _modifiers(thing)
-        for n in nodes:
-            if (
-                _same_noun(self.heads[n], head, exact=thing.exact)
-                and modifiers <= self.modifiers[n]
-            ):
+        modifiers = frozenset(thing.modifiers) - {"same"}
+        for n in nodes:  # "the lot" is the parking lot
+            longer = not thing.exact and self.heads[n].endswith(f" {head}")
+            if (longer or self.heads[n] == head) and modifiers <= self.modifiers[n]:
                 return n
         if thing.exact:
             return None
@@ -121,7 +116,7 @@ class Referents:
         count = thing.count if thing.count is not None and thing.count >= 2 else None
         self.mentions.append(Mention(node, words, senses, thing.name, count, definite))
         self.heads.append(head)
-        self.modifiers.append(_modifiers(thing))
+        self.modifiers.append(frozenset(thing.modifiers) - {"same"})
         if thing.exact and not thing.name:
             self.kinds.add(node)
         if thing.determiner == "NO":
@@ -130,13 +125,17 @@ class Referents:
             self.street = node
         return node
 
-    def unknown(self) -> list[Ignored]:
-        """Return things spoken of of which nothing is known, each with the reason."""
+    def list_unknown(self) -> list[Ignored]:
+        """Return the things of which nothing is known, each with the reason."""
         return [
             Ignored(mention.words, self.vocabulary.unknown(self.heads[mention.id]))
             for mention in self.mentions
             if mention.id > LISTENER and not mention.senses and not mention.name
         ]
+
+    def is_known(self, node: int) -> bool:
+        """Tell whether a mention has a name, or a noun that a map knows."""
+        return bool(self.mentions[node].senses or self.mentions[node].name)
 
     def is_road(self, node: int) -> bool:
         """Tell whether a mention is a street, by its name or its noun."""
@@ -164,21 +163,12 @@ class Referents:
 
 
 def name_key(name: str) -> str:
-    """Name in normal form, without an article."""
+    """Return a name in normal form, without an article."""
     return normalise(name).removeprefix("the ")
 
 
-def _modifiers(thing: NounPhrase) -> frozenset[str]:
-    return frozenset(thing.modifiers) - {"same"}
-
-
-def _same_noun(known: str, noun: str, *, exact: bool) -> bool:
-    """Tell whether a noun can mean one known: "the lot" is the parking lot."""
-    return known == noun or (not exact and known.endswith(f" {noun}"))
-
-
 def _lemma(noun: str) -> str:
-    """Singular of a noun, by the rules that cover nearly all names of things."""
+    """Return the singular of a noun, by the rules that cover nearly all names of things."""
     if noun.endswith("ies") and len(noun) > 4:
         return noun[:-3] + "y"
     if noun.endswith(("ches", "shes", "xes", "sses")):
