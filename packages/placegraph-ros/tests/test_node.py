@@ -14,11 +14,12 @@ from placegraph_io.ros.decode import typestore
 from placegraph_io.ros.stream import Packet, packets_of
 from placegraph_ros import node as ros_node
 from placegraph_ros.localizer import Localizer
-from placegraph_ros.node import NEWEST, PARAMETERS, Inbox, LocalizerNode, Ros, main
+from placegraph_ros.node import NEWEST, Inbox, LocalizerNode, Ros, main
+from placegraph_ros.options import PARAMETERS
 from placegraph_ros.sources import bag_source
 from ros_world import FRAMES
 
-PACKAGE = Path(__file__).resolve().parents[3] / "ros" / "placegraph_ros"
+PACKAGE = Path(__file__).resolve().parents[1] / "ament"
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections import Counter, deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -21,10 +21,10 @@ from placegraph.maps import open_rooms
 from placegraph_io.ros.decode import frame_of
 from placegraph_io.ros.poses import is_static
 from placegraph_io.ros.stream import WANTED, Packet
-from placegraph_io.ros.topics import IMAGES, Wishes, wishes_of
+from placegraph_io.ros.topics import IMAGES
 from placegraph_ros.localizer import Localizer, Request, run
 from placegraph_ros.message import Message, cdr
-from placegraph_ros.options import LiveOptions, mode_of
+from placegraph_ros.options import PARAMETERS, LiveOptions, stream_name, wishes_of_parameters
 from placegraph_ros.pose_messages import STATUS
 
 NEWEST = 4
@@ -233,7 +233,7 @@ class LocalizerNode:
         self.publish_tf = bool(given["publish_tf"])
         self.inbox = Inbox()
         self.localizer = Localizer(
-            open_rooms(given["map"]), options_of(given), name=str(beside(given, NAME)),
+            open_rooms(given["map"]), LiveOptions.from_parameters(given), name=str(stream_name(given, NAME)),
             wishes=wishes_of_parameters(given, NAME), device=given["device"],
         )  # fmt: skip
         self._subscribed: dict[tuple[str, str], Any] = {}
@@ -388,48 +388,3 @@ def main(args: Sequence[str] | None = None) -> int:
 
 if __name__ == "__main__":
     sys.exit(main())
-
-
-TOPICS = ("colour", "depth", "camera", "depth_camera", "odometry", "imu", "frame")
-PARAMETERS: dict[str, Any] = {
-    "map": "",
-    "mode": "continuous",
-    "map_frame": "map",
-    "base_frame": "",
-    "transform_tolerance": 0.1,
-    "publish_tf": True,
-    "topics": "",
-    **dict.fromkeys(TOPICS, ""),
-    "seed": 0,
-    "device": "auto",
-}
-"""`config/localizer.yaml` of the package says what each means."""
-
-
-def options_of(given: Mapping[str, Any]) -> LiveOptions:
-    """How the localizer works by the parameters; `OptionError` where one is out of its range."""
-    tolerance = given["transform_tolerance"]
-    if type(tolerance) not in {int, float}:
-        raise OptionError(f"transform_tolerance is {tolerance!r}; it is seconds, such as 0.1.")
-    return LiveOptions(
-        mode=mode_of(given["mode"]),
-        map_frame=given["map_frame"].lstrip("/"),
-        base_frame=given["base_frame"].lstrip("/"),
-        tolerance=tolerance,
-        whole=False,
-        seed=given["seed"],
-    )
-
-
-def beside(given: Mapping[str, Any], name: str) -> Path:
-    """What the stream is called: the file `topics` without its ending, or a name."""
-    return Path(given["topics"].removesuffix(".json") or name)
-
-
-def wishes_of_parameters(given: Mapping[str, Any], name: str) -> Wishes:
-    """What is said of topics, by the parameters and by the file `topics` (NAME.json if not given).
-
-    The file is as one beside a bag; empty parameters say nothing. Raises `InputError` of its content.
-    """
-    said = {role: given[role] for role in TOPICS if given[role]}
-    return wishes_of(beside(given, name), said)

@@ -1,31 +1,49 @@
-"""How a localizer works, and what became of a stream's frames."""
+"""Options of a localizer, parameters of its node, and a summary of a stream's frames."""
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import inf
-from typing import Any, Literal
+from pathlib import Path
+from typing import Any, Literal, Self
 
 from placegraph.core.estimate import Status
 from placegraph.errors import OptionError
+from placegraph_io.ros.topics import Wishes, wishes_of
 
 Mode = Literal["continuous", "once"]
+
+TOPICS = ("colour", "depth", "camera", "depth_camera", "odometry", "imu", "frame")
+PARAMETERS: dict[str, Any] = {
+    "map": "",
+    "mode": "continuous",
+    "map_frame": "map",
+    "base_frame": "",
+    "transform_tolerance": 0.1,
+    "publish_tf": True,
+    "topics": "",
+    **dict.fromkeys(TOPICS, ""),
+    "seed": 0,
+    "device": "auto",
+}
+"""Parameters of the node and their defaults; `ament/config/localizer.yaml` explains each."""
 
 
 @dataclass(frozen=True, slots=True)
 class LiveOptions:
-    """How a `Localizer` works, and what it tells."""
+    """Options of a `Localizer`."""
 
     mode: Mode = "continuous"
-    """`once`: images are looked at until the pose is known, and again when somebody asks."""
+    """`once`: images are looked at until the pose is known, and again on request."""
     map_frame: str = "map"
     base_frame: str = ""
     """Of the robot; base_link, base_footprint or what odometry carries, if not given."""
     tolerance: float = 0.1
-    """The transform map -> odom is stamped so far ahead [s], for those who ask for it till then."""
+    """The transform map -> odom is stamped so far ahead [s], for lookups until then."""
     whole: bool = True
-    """Tell also what a robot knows already: images, where its camera sits, its odometry."""
+    """Also write what a robot knows already: images, where its camera sits, its odometry."""
     background: bool = True
     """Images are looked at while others come, and dropped where they come too fast; else one by one."""
     seed: int = 0
@@ -35,13 +53,37 @@ class LiveOptions:
         if not 0.0 <= self.tolerance < inf:
             raise OptionError(f"tolerance is {self.tolerance}; it is seconds, 0 or more.")
 
+    @classmethod
+    def from_parameters(cls, given: Mapping[str, Any]) -> Self:
+        """Return the options of a node's parameters; raise `OptionError` for values out of range."""
+        tolerance = given["transform_tolerance"]
+        if type(tolerance) not in {int, float}:
+            raise OptionError(f"transform_tolerance is {tolerance!r}; it is seconds, such as 0.1.")
+        frames = {name: given[name].lstrip("/") for name in ("map_frame", "base_frame")}
+        mode, seed = mode_of(given["mode"]), given["seed"]
+        return cls(mode=mode, tolerance=tolerance, whole=False, seed=seed, **frames)
+
 
 def mode_of(name: str) -> Mode:
-    """Mode of a name; `OptionError` where it is none."""
+    """Return a mode by its name; raise `OptionError` where there is none."""
     modes: dict[str, Mode] = {"continuous": "continuous", "once": "once"}
     if name in modes:
         return modes[name]
     raise OptionError(f"mode is {name!r}; it is 'continuous' or 'once'.")
+
+
+def stream_name(given: Mapping[str, Any], name: str) -> Path:
+    """Return what messages call a node's stream: the file `topics` without its ending, or `name`."""
+    return Path(given["topics"].removesuffix(".json") or name)
+
+
+def wishes_of_parameters(given: Mapping[str, Any], name: str) -> Wishes:
+    """Return the topics that a node's parameters and its file `topics` (NAME.json if not given) choose.
+
+    The file is as one beside a bag; empty parameters say nothing. Raises `InputError` for its content.
+    """
+    chosen = {role: given[role] for role in TOPICS if given[role]}
+    return wishes_of(stream_name(given, name), chosen)
 
 
 @dataclass(slots=True)

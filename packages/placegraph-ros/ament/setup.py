@@ -1,4 +1,4 @@
-"""The package of ROS 2, for colcon; placegraph itself is installed by pip."""
+"""Package of ROS 2 for colcon; pip installs the code as `placegraph-ros`."""
 
 from setuptools import setup
 
@@ -7,7 +7,7 @@ NAME = "placegraph_ros"
 setup(
     name=NAME,
     version="0.1.0",
-    packages=[NAME],
+    packages=[],
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
