@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.errors import InputError
-from placegraph.io.osm import osm_areas, osm_convert
+from placegraph.io.osm import osm_process
 from placegraph.io.osm.osm import (
     AREA,
     LINE,
@@ -128,7 +128,7 @@ def test_every_ending_gives_the_same_elements(world):
 def test_xml_that_ends_osmium_ends_a_process_of_its_own(tmp_path, monkeypatch):
     dies = tmp_path / "dies.py"
     dies.write_text("import os, signal\nos.kill(os.getpid(), signal.SIGSEGV)\n")
-    monkeypatch.setattr(osm_convert, "__file__", str(dies))
+    monkeypatch.setattr(osm_process, "__file__", str(dies))
     path = tmp_path / "some.osm"
     path.write_text('<osm version="0.6"/>')
     with pytest.raises(InputError, match=r"some\.osm is damaged: .* by Segmentation fault"):
@@ -459,10 +459,10 @@ def test_a_file_that_ends_its_reader_is_refused(tmp_path, monkeypatch, signal):
     """Some damaged files end the process inside osmium, where areas are assembled."""
     dying = tmp_path / "dying.py"
     dying.write_text(f"import os, signal; os.kill(os.getpid(), signal.{signal})")
-    monkeypatch.setattr(osm_areas, "__file__", str(dying))
-    (tmp_path / "bad.osm").write_text(WORLD)
-    with pytest.raises(InputError, match=r"bad\.osm is damaged.*(fault|Abort).*again"):
-        list(read_osm(tmp_path / "bad.osm", KEYS))
+    path = write(tmp_path / "bad.osm.pbf")
+    monkeypatch.setattr(osm_process, "__file__", str(dying))
+    with pytest.raises(InputError, match=r"bad\.osm\.pbf is damaged.*(fault|Abort).*again"):
+        list(read_osm(path, KEYS))
 
 
 def test_where_no_process_can_be_started_files_are_read_as_they_are(tmp_path, monkeypatch):

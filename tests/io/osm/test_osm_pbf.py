@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.errors import InputError
-from placegraph.io.osm import osm_areas, pbf
 from placegraph.io.osm import osm_kernels as kernels
+from placegraph.io.osm import osm_process, pbf
 from placegraph.io.osm.osm import AREA, LINE, POINT, LeftOut, is_area, read_osm
 from placegraph.io.osm.reader import _rings
 
@@ -30,7 +30,7 @@ def here():
         raise OSError
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(osm_areas.subprocess, "Popen", none)
+        patch.setattr(osm_process.subprocess, "Popen", none)
         yield
 
 

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from placegraph.core.files import cannot_write
 from placegraph.errors import InputError
-from placegraph.io.osm import osm_convert
+from placegraph.io.osm import osm_process
 
 NODE, WAY, RELATION = 0, 1, 2
 POINT, LINE, AREA = 0, 1, 2
@@ -165,11 +165,11 @@ def _as_pbf(path: Path) -> Iterator[Path]:
 def _convert(path: Path, made: Path) -> None:
     """Let a process of its own write a file as PBF; where none can be, as in a sandbox, this one does."""
     given = [str(path), _ending(path), str(made)]
-    command = [sys.executable, "-P", osm_convert.__file__, *given]
+    command = [sys.executable, "-P", osm_process.__file__, "convert", *given]
     try:
         done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, check=False)  # noqa: S603  # our own interpreter and file
     except OSError:
-        osm_convert.convert(*given)
+        osm_process.convert(*given)
         return
     if done.returncode < 0:
         raise InputError(

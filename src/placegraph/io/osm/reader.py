@@ -29,8 +29,8 @@ from placegraph.io.osm.osm import (
     OsmColumns,
     is_area,
 )
-from placegraph.io.osm.osm_areas import Assembler
 from placegraph.io.osm.osm_kernels import lines
+from placegraph.io.osm.osm_process import Assembler
 from placegraph.io.osm.pbf import NONE, Block, NodeIndex, Rows
 
 Numbers = NDArray[np.int64]

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from placegraph.errors import DescriptionError, InputError
-from placegraph.io.osm.descriptions import Told, read_descriptions
 from placegraph.io.osm.osm import SUFFIXES
+from placegraph_lab.tables.kitti.descriptions import Description as Told
+from placegraph_lab.tables.kitti.descriptions import read_descriptions
 from placegraph_lab.tables.outdoor.metrics import RADII, RANKS, Answer, Score, measure, score
 from placegraph_lab.tables.runner import markdown, number, share, shares
 

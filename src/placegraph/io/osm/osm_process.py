@@ -1,8 +1,7 @@
-"""Areas of multipolygon relations, assembled by osmium in a process that may die of it.
+"""Osmium in processes of its own: damaged files may end a process in C++, and then end only these.
 
-Osmium assembles them in C++, and some damaged files end the process there. Run as a file, so it imports
-nothing of placegraph and starts in a sixth of a second. It answers small files of relations, their ways and
-their nodes, each behind its length, by the ids of areas and their outlines as WKB, behind the length of all.
+`convert` writes any form of OpenStreetMap data as PBF, `Assembler` assembles areas of multipolygon
+relations. Run as a file, this module imports nothing of placegraph and starts in a sixth of a second.
 """
 
 from __future__ import annotations
@@ -19,8 +18,21 @@ from typing import IO, Any
 _LENGTH, _AREA = struct.Struct("<Q"), struct.Struct("<qI")
 
 
-def assembled(pbf: bytes) -> bytes:
-    """Ids and outlines of the areas of a small file; what has none is left out."""
+def convert(source: str, form: str, made: str) -> None:
+    """Write a file of osmium's format `form` as PBF; raise `ValueError`, `RuntimeError`: it is none."""
+    import osmium
+
+    writer = osmium.WriteHandler(made)
+    try:
+        osmium.apply(osmium.io.Reader(osmium.io.File(source, form)), writer)
+    except osmium.InvalidLocationError as error:  # is none of Python's own
+        raise ValueError(str(error)) from error
+    finally:
+        writer.close()
+
+
+def assemble(pbf: bytes) -> bytes:
+    """Return ids and outlines (WKB) of the areas of a small file; relations without an area are left out."""
     import osmium
 
     factory, found = osmium.geom.WKBFactory(), []
@@ -35,40 +47,39 @@ def assembled(pbf: bytes) -> bytes:
 
 
 class Assembler:
-    """The process, started when it is first asked; where none can be, as in a sandbox, this one does it."""
+    """Process that assembles areas, started at its first use; where none can be, this process does it."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self._process: subprocess.Popen[bytes] | None = None
-        self._alone = False
+        self._is_refused = False
 
     def areas(self, pbf: bytes) -> Iterator[tuple[int, bytes]]:
-        """Ids of relations, and their areas as WKB; `InputError` where the process dies of it."""
-        told = self._told(pbf)
-        at = 0
-        while at < len(told):
-            identity, n = _AREA.unpack_from(told, at)
+        """Yield ids of relations and their areas as WKB; raise `InputError` where the process dies of it."""
+        answer, at = self._ask(pbf), 0
+        while at < len(answer):
+            identity, n = _AREA.unpack_from(answer, at)
             at += _AREA.size
-            yield identity, told[at : at + n]
+            yield identity, answer[at : at + n]
             at += n
 
-    def _told(self, pbf: bytes) -> bytes:
-        if self._process is None and not self._alone:
-            command, pipe = [sys.executable, "-P", __file__], subprocess.PIPE
+    def _ask(self, pbf: bytes) -> bytes:
+        if self._process is None and not self._is_refused:
+            command, pipe = [sys.executable, "-P", __file__, "areas"], subprocess.PIPE
             try:
                 self._process = subprocess.Popen(  # noqa: S603  # our own interpreter and file
                     command, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL
                 )
-            except OSError:
-                self._alone = True
+            except OSError:  # as in a sandbox
+                self._is_refused = True
         process = self._process
         if process is None or process.stdin is None or process.stdout is None:
-            return assembled(pbf)
+            return assemble(pbf)
         with suppress(BrokenPipeError):
             process.stdin.write(_LENGTH.pack(len(pbf)) + pbf)
             process.stdin.flush()
-        told = _message(process.stdout)
-        if told is None:
+        answer = _read_message(process.stdout)
+        if answer is None:
             from placegraph.errors import InputError
 
             died = process.wait()
@@ -77,7 +88,7 @@ class Assembler:
                 f"{self.path} is damaged: assembling its areas ends osmium{why}. Download or export it "
                 "again."
             )
-        return told
+        return answer
 
     def close(self) -> None:
         """End the process."""
@@ -86,7 +97,8 @@ class Assembler:
                 self._process.communicate()
 
 
-def _message(file: IO[bytes]) -> bytes | None:
+def _read_message(file: IO[bytes]) -> bytes | None:
+    """Read bytes behind their length; None where the stream has ended."""
     head = file.read(_LENGTH.size)
     if len(head) < _LENGTH.size:
         return None
@@ -96,7 +108,13 @@ def _message(file: IO[bytes]) -> bytes | None:
 
 
 if __name__ == "__main__":
-    while (asked := _message(sys.stdin.buffer)) is not None:
-        answer = assembled(asked)
-        sys.stdout.buffer.write(_LENGTH.pack(len(answer)) + answer)
-        sys.stdout.buffer.flush()
+    if sys.argv[1] == "convert":
+        try:
+            convert(*sys.argv[2:])
+        except (OSError, RuntimeError, ValueError) as error:
+            sys.exit(str(error))
+    else:
+        while (asked := _read_message(sys.stdin.buffer)) is not None:
+            answer = assemble(asked)
+            sys.stdout.buffer.write(_LENGTH.pack(len(answer)) + answer)
+            sys.stdout.buffer.flush()

@@ -16,7 +16,7 @@ FIELDS = ("id", "text", "longitude", "latitude", "heading_deg", "near")
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class Description:
     """A text, where it was said, and what else was known."""
 
     id: str
@@ -31,7 +31,7 @@ class Told:
     """Longitude, latitude [deg] the speaker was known to be near; a third is the radius [m]."""
 
 
-def read_descriptions(path: str | PathLike[str]) -> tuple[Told, ...]:
+def read_descriptions(path: str | PathLike[str]) -> tuple[Description, ...]:
     """Read a file of descriptions; blank lines are passed over.
 
     Every line is a JSON object with ``id`` (text or a whole number, unique), ``text``,
@@ -55,7 +55,7 @@ def read_descriptions(path: str | PathLike[str]) -> tuple[Told, ...]:
         raise InputError(
             f"{path}, line {before + 1} is not UTF-8; save the file as UTF-8."
         ) from error
-    found: dict[str, Told] = {}
+    found: dict[str, Description] = {}
     for number, line in enumerate(text.split("\n"), 1):
         if line.strip():
             told = _Line(path, number).told(line)
@@ -77,7 +77,7 @@ class _Line:
     path: Path
     number: int
 
-    def told(self, line: str) -> Told:
+    def told(self, line: str) -> Description:
         try:
             row = json.loads(line)
         except (ValueError, RecursionError) as error:
@@ -98,7 +98,7 @@ class _Line:
             raise self.wrong("text is empty, or no text")
         longitude, latitude = self.place(row["longitude"], row["latitude"], "")
         heading = row.get("heading_deg")
-        return Told(
+        return Description(
             str(id_),
             text,
             longitude,
