@@ -19,8 +19,7 @@ from placegraph_lab.campaign.seeds import ROOT, save
 from placegraph_lab.campaign.seeds_maps import POSE, Places
 from placegraph_lab.campaign.uses import INSIDE, SAID, Bench, chance
 
-MARKS = re.compile(r" => .*| @\d+.*")
-"""What the tests expect of a sentence stands behind it."""
+MARKS = re.compile(r" => .*| @\d+.*")  # what the tests expect of a sentence stands behind it
 ODD = ("\u202e", "\x1b[2J", "\0", "\ud800", "½", "٣", "\U0001f468\u200d\U0001f469", "\n\n", "://",
        "ß" * 40, "9" * 5000, "not", "no", "and", "between", "(", ")", '"', "300 m", "-5 km",
        "1e400 m", "north of", "I", "𝔞")  # fmt: skip

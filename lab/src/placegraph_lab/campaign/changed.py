@@ -13,8 +13,7 @@ from numpy.random import Generator
 
 from placegraph.errors import PlacegraphError
 
-TYPED, UNTYPED = 20, 21
-"""Exit codes of a trial."""
+TYPED, UNTYPED = 20, 21  # exit codes of a trial
 CHANGES = ("cut short", "deleted", "replaced", "overwritten", "older")
 SENTENCE = "A bakery is north of me. A church is south of me."
 

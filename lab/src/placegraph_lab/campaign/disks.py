@@ -12,8 +12,7 @@ from placegraph_lab.campaign.kills import Ground, limited, listed, refused, rows
 from placegraph_lab.campaign.row import Effort, Row, total
 from placegraph_lab.campaign.trial import Commands, Limits, read_only, small_disk, when
 
-LEAST = 2048
-"""Smallest disk: the error itself has to be written somewhere [bytes]."""
+LEAST = 2048  # smallest disk: the error itself has to be written somewhere [bytes]
 PAGE = 4096
 
 
@@ -22,7 +21,7 @@ def disks(
 ) -> Iterator[Row]:
     """Rows of every fault of a disk that can be made here."""
     faults: dict[str, Callable[[Ground], None]] = {
-        "a full disk": lambda g: full(g, commands, effort, rng),
+        "a full disk": lambda g: full(g, commands, effort, rng)
     }
     root = os.geteuid() == 0
     if root:

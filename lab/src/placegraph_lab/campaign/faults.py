@@ -20,8 +20,7 @@ from placegraph_lab.campaign.services import services
 from placegraph_lab.campaign.trial import Commands, ended
 from placegraph_lab.campaign.writings import prepare, writings
 
-KILLS = 60
-"""A minute of effort; five minutes are 300, where the machine is quick enough."""
+KILLS = 60  # A minute of effort; five minutes are 300, where the machine is quick enough
 SHARES = {
     "kills": 0.4, "disks": 0.2, "changed": 0.15, "services": 0.05, "load": 0.15, "resumed": 0.05,
 }  # fmt: skip

@@ -22,15 +22,12 @@ from typing import Any
 from placegraph_lab.campaign.row import FAULTS, Effort, Row
 from placegraph_lab.campaign.targets import TARGETS
 
-PATIENCE = 240.0
-"""Wall time in which a worker says something; it is killed then [s]."""
+PATIENCE = 240.0  # wall time in which a worker says something; it is killed then [s]
 BUSY = 1.0
 """CPU time in this by which a worker is waited for on; more than 10 s end it by themselves [s]."""
-STARTING = 900.0
-"""The same of a worker that draws seeds and compiles [s]."""
+STARTING = 900.0  # the same of a worker that draws seeds and compiles [s]
 PROGRAM = ("-m", "placegraph_lab.campaign.worker")
-BATCH = 20
-"""Inputs that a worker is asked for at a time."""
+BATCH = 20  # inputs that a worker is asked for at a time
 LEAST, A_MINUTE = 1000, 40
 """A target ends at so many inputs, or at so many for each minute of all: what it leaves of its time is
 for those behind it, which are slow."""
@@ -43,13 +40,10 @@ class Tally:
     counts: Counter[str] = field(default_factory=Counter)
     found: dict[str, list[int]] = field(default_factory=dict)
     """Numbers of the inputs that broke something, by what they broke."""
-    said: dict[str, str] = field(default_factory=dict)
-    """The message of the first of them."""
-    refused: list[str] = field(default_factory=list)
-    """Seeds that are not taken as they are."""
+    said: dict[str, str] = field(default_factory=dict)  # the message of the first of them
+    refused: list[str] = field(default_factory=list)  # seeds that are not taken as they are
     seconds: float = 0.0
-    most: int = 0
-    """Most memory that an input took [bytes]."""
+    most: int = 0  # most memory that an input took [bytes]
 
     @property
     def tried(self) -> int:

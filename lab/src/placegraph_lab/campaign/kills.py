@@ -15,10 +15,8 @@ from placegraph_lab.campaign.row import Row
 from placegraph_lab.campaign.trial import Commands, Ended, Limits, files_in, when
 from placegraph_lab.campaign.writings import Writing
 
-AGAIN = 6
-"""After so many kills a command is let run."""
-NEAR = 0.02
-"""A kill that is aimed falls within so long after the folder has changed [s]."""
+AGAIN = 6  # after so many kills a command is let run
+NEAR = 0.02  # A kill that is aimed falls within so long after the folder has changed [s]
 
 
 @dataclass
@@ -31,8 +29,7 @@ class Ground:
     room: Path
     new: dict[str, bytes] = field(default_factory=dict)
     """What the command makes, as it was let run first."""
-    seconds: float = 0.0
-    """How long that took."""
+    seconds: float = 0.0  # how long that took
     counts: Counter[str] = field(default_factory=Counter)
     taken: float = 0.0
 
@@ -112,10 +109,7 @@ def killed(ground: Ground, commands: Commands, rng: Generator, say: Callable[[st
 
 
 def tried(
-    grounds: Sequence[Ground],
-    once: Callable[[Ground], None],
-    seconds: float,
-    most: int,
+    grounds: Sequence[Ground], once: Callable[[Ground], None], seconds: float, most: int
 ) -> int:
     """Try each ground in turn until time is over, or all were tried so often; how often that was."""
     end, count = perf_counter() + seconds, 0
@@ -138,12 +132,7 @@ def rows_of(grounds: Sequence[Ground], fault: str, seed: int) -> Iterator[Row]:
 
 
 def refused(
-    ground: Ground,
-    old: dict[str, bytes],
-    ended: Ended,
-    say: Callable[[str], None],
-    *,
-    clean: bool,
+    ground: Ground, old: dict[str, bytes], ended: Ended, say: Callable[[str], None], *, clean: bool
 ) -> None:
     """Judge a command that could not write: a typed error that names the file, all as it was."""
     why = ground.whole(old)

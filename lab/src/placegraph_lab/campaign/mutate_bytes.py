@@ -30,8 +30,7 @@ SAID = (
     b"osmAG:from", b"structure", b"passage", b"\xe2\x80\xae", b"x" * 255, b"",
 )  # fmt: skip
 """What may stand in a tag."""
-STEERING = re.compile("[\x00-\x08\x0b-\x1f\ufffd]")
-"""What XML does not allow."""
+STEERING = re.compile("[\x00-\x08\x0b-\x1f\ufffd]")  # what XML does not allow
 SIZES = ("<B", "<H", "<I", "<Q", ">I", "<q", "<d", "<f")
 
 

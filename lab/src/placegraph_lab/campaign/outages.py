@@ -22,10 +22,12 @@ from numpy.random import Generator
 
 from placegraph_lab.campaign.row import Effort, Row
 
-HONEST = {"worker_died", "busy", "too_long"}
-"""Codes of problems that a client may see while workers die."""
-ASKING = 120.0
-"""A request that is not answered after so long hangs [s]."""
+HONEST = {
+    "worker_died",
+    "busy",
+    "too_long",
+}  # codes of problems that a client may see while workers die
+ASKING = 120.0  # A request that is not answered after so long hangs [s]
 READY = 900.0
 """It is given up after so long: beside other work its processes take minutes to import what they need [s]."""
 

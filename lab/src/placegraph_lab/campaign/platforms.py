@@ -27,8 +27,7 @@ PYTHONS = ("3.11", "3.12", "3.13", "3.14")
 NUMPY = {"oldest": "numpy==1.26.0", "newest": "numpy"}
 """The oldest that pyproject allows, on the oldest Python, and the newest that all others take."""
 _PIP = ("-m", "pip", "--quiet", "--disable-pip-version-check", "install")
-_INSTALL = 900.0
-"""An installation is given up after so long [s]."""
+_INSTALL = 900.0  # an installation is given up after so long [s]
 
 
 @dataclass(frozen=True)
@@ -36,12 +35,9 @@ class Platform:
     """How a process of another kind of machine is started here."""
 
     name: str
-    words: tuple[str, ...] = ()
-    """For the program of `specimen`."""
-    change: dict[str, str] = field(default_factory=dict)
-    """To its environment."""
-    within: tuple[str, ...] = ()
-    """Command that starts it."""
+    words: tuple[str, ...] = ()  # for the program of `specimen`
+    change: dict[str, str] = field(default_factory=dict)  # to its environment
+    within: tuple[str, ...] = ()  # command that starts it
 
 
 def together(*platforms: Platform) -> Platform:

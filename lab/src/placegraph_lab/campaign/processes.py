@@ -17,8 +17,7 @@ from placegraph_lab.campaign import specimen
 
 PROGRAM = str(specimen.__file__)
 FRAMES = 4
-PATIENCE = 1800.0
-"""A process is given up after so long [s]; the first compiles."""
+PATIENCE = 1800.0  # A process is given up after so long [s]; the first compiles
 CLOSE = 0.01
 """So far apart may numbers of two matrices of poses be where rays are cast by another program."""
 LAYERS = ("workqueue", "omp", "tbb")

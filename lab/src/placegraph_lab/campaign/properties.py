@@ -24,12 +24,9 @@ class Property:
     """A property, and how it is tried once."""
 
     name: str
-    world: Callable[[Path], Any]
-    """Makes what its trials are about, in a folder."""
-    trial: Callable[[Any, np.random.Generator], str]
-    """In words how it is broken; empty: it holds."""
-    share: float = 1.0
-    """Of the time, against the others."""
+    world: Callable[[Path], Any]  # makes what its trials are about, in a folder
+    trial: Callable[[Any, np.random.Generator], str]  # in words how it is broken; empty: it holds
+    share: float = 1.0  # of the time, against the others
 
 
 _WORLDS: tuple[tuple[Callable[[Path], Any], float, dict[str, Callable[..., str]]], ...] = (

@@ -15,18 +15,15 @@ from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
 
-_FLIP = np.diag([-1.0, 1.0, 1.0, 1.0])
-"""Of what is seen in a mirror: right is left."""
+_FLIP = np.diag([-1.0, 1.0, 1.0, 1.0])  # of what is seen in a mirror: right is left
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
     """Where a room goes: mirrored west to east before, turned about its up, shifted."""
 
-    yaw: float
-    """[rad]"""
-    shift: NDArray[np.float64]
-    """(3,) [m]"""
+    yaw: float  # [rad]
+    shift: NDArray[np.float64]  # (3,) [m]
     mirrored: bool = False
 
     @property

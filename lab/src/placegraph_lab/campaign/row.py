@@ -24,16 +24,11 @@ class Effort:
 
     seconds: float
     """Wall time in which the part is to end: minutes by default, hours where they are asked for."""
-    seed: int
-    """Of all that is drawn; printed and written down."""
-    folder: Path
-    """Empty, the part's own; deleted when it has ended."""
-    data: Path
-    """Recordings, as of `Run.data`; may be missing, and then the part says what it left out."""
-    say: Callable[[str], None]
-    """Tells the person who waits."""
-    names: Collection[str] = ()
-    """Of the rows that are wanted, as the table has them; none: all."""
+    seed: int  # of all that is drawn; printed and written down
+    folder: Path  # empty, the part's own; deleted when it has ended
+    data: Path  # recordings, as of `Run.data`; may be missing, and then the part says what it left out
+    say: Callable[[str], None]  # tells the person who waits
+    names: Collection[str] = ()  # of the rows that are wanted, as the table has them; none: all
 
     def wants(self, name: str) -> bool:
         """Whether a row of this name is asked for."""
@@ -44,28 +39,18 @@ class Effort:
 class Row:
     """What became of all trials of one kind; they sum up to `tried`."""
 
-    part: str
-    """One of `PARTS`."""
-    what: str
-    """The reader, fault, load, property or platform, in a few words."""
+    part: str  # one of `PARTS`
+    what: str  # the reader, fault, load, property or platform, in a few words
     tried: int
-    accepted: int = 0
-    """Ended as it should, with an answer."""
-    typed: int = 0
-    """Ended as it should, with a `PlacegraphError`."""
-    untyped: int = 0
-    """Ended with another error, or with a wrong answer."""
-    crash: int = 0
-    """The process died."""
-    hang: int = 0
-    """It did not end in its time."""
-    memory: int = 0
-    """It passed its bound of memory, or memory grew."""
+    accepted: int = 0  # ended as it should, with an answer
+    typed: int = 0  # ended as it should, with a `PlacegraphError`
+    untyped: int = 0  # ended with another error, or with a wrong answer
+    crash: int = 0  # the process died
+    hang: int = 0  # it did not end in its time
+    memory: int = 0  # it passed its bound of memory, or memory grew
     seed: int = 0
-    seconds: float = 0.0
-    """Wall time of all trials."""
-    said: str = ""
-    """What was measured beside it, in a few words."""
+    seconds: float = 0.0  # wall time of all trials
+    said: str = ""  # what was measured beside it, in a few words
     mended: int = 0
     """So many of its faults are mended since, each kind with a test and its first input drawn again."""
 

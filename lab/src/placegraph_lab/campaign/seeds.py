@@ -26,10 +26,8 @@ from placegraph_lab.worlds.bags import BagWriter, Layout, write_capture
 Draw = Callable[[Path, "Drawn"], None]
 
 
-ROOT = Path(__file__).parents[4]
-"""Of the repository: tests stand beside the lab."""
-LARGE = Camera(192, 144, 160.0, 161.0, 97.5, 71.0)
-"""A video's blocks blur small images."""
+ROOT = Path(__file__).parents[4]  # of the repository: tests stand beside the lab
+LARGE = Camera(192, 144, 160.0, 161.0, 97.5, 71.0)  # A video's blocks blur small images
 
 
 def writer(name: str) -> Any:  # noqa: ANN401  # a module

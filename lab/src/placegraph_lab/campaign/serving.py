@@ -27,8 +27,7 @@ if TYPE_CHECKING:
     from starlette.testclient import TestClient
 
 
-HONEST = {501, 502, 503}
-"""Statuses from 500 on that say what is wrong."""
+HONEST = {501, 502, 503}  # statuses from 500 on that say what is wrong
 
 
 class Here:

@@ -24,18 +24,14 @@ from placegraph_lab.campaign.outages import Server
 from placegraph_lab.campaign.row import Effort, Row
 from placegraph_lab.campaign.writings import prepare
 
-FLAT = 0.02
-"""Memory may grow by so much of itself after the first quarter."""
-ROUGH = 4e6
-"""And by so much at least: what allocators move to and fro [bytes]."""
-SLOWER = 1.5
-"""So much slower may the slowest hundredth of the last quarter be than that of the second."""
-TRANSIENT = 3
-"""So many more files than before may be open for a moment: a connection, a page."""
-SEEN = 0.5
-"""Memory and files are looked at after so many seconds."""
-FEW = 200
-"""From so many answers a quarter on its slowest hundredth is told."""
+FLAT = 0.02  # memory may grow by so much of itself after the first quarter
+ROUGH = 4e6  # and by so much at least: what allocators move to and fro [bytes]
+SLOWER = (
+    1.5  # so much slower may the slowest hundredth of the last quarter be than that of the second
+)
+TRANSIENT = 3  # so many more files than before may be open for a moment: a connection, a page
+SEEN = 0.5  # memory and files are looked at after so many seconds
+FEW = 200  # from so many answers a quarter on its slowest hundredth is told
 LOADS = {"sentences": 1e6, "localizations": 2e4, "tracker frames": 2e5, "a server": inf}
 """After so many answers a load has borne enough."""
 WORDS = (
@@ -52,14 +48,10 @@ class Worn:
     count: int
     milliseconds: tuple[float, float]
     """The slowest hundredth of the second and of the last quarter, CPU time."""
-    memory: tuple[float, float]
-    """Most bytes held in the second and in the last quarter."""
-    files: tuple[int, int]
-    """Open files, most in the second and in the last quarter."""
-    enough: bool
-    """Whether there were answers enough for the slowest hundredth."""
-    seconds: float = 0.0
-    """Wall time of all."""
+    memory: tuple[float, float]  # most bytes held in the second and in the last quarter
+    files: tuple[int, int]  # open files, most in the second and in the last quarter
+    enough: bool  # whether there were answers enough for the slowest hundredth
+    seconds: float = 0.0  # wall time of all
 
     @classmethod
     def of(

@@ -23,8 +23,7 @@ class Target:
     """A format, and what becomes of its files."""
 
     name: str
-    seeds: dict[str, Any]
-    """What draws each, by its name."""
+    seeds: dict[str, Any]  # what draws each, by its name
     use: Callable[[Bench, Path, Generator], object]
     spoil: Callable[[Path, Generator], None] = spoil
     slow: bool = False

@@ -31,8 +31,7 @@ Floats = NDArray[np.float64]
 
 
 OTHER = "marktstadt"
-ASKED = 12
-"""Descriptions a trial."""
+ASKED = 12  # descriptions a trial
 _WINDS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
 
 
@@ -40,10 +39,8 @@ _WINDS = ("north", "north-east", "east", "south-east", "south", "south-west", "w
 class Within:
     """How far two answers to one question may lie apart."""
 
-    metres: float
-    """Of the best places, where both are `OK`."""
-    probability: float
-    """Of the best place."""
+    metres: float  # of the best places, where both are `OK`
+    probability: float  # of the best place
 
 
 SAME = Within(0.01, 1e-6)

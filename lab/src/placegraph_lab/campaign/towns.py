@@ -26,8 +26,7 @@ Floats = NDArray[np.float64]
 
 
 KINDS = ("node", "way", "relation")
-_SEEN = 24.0
-"""What is said of lies within so far of who says it [m]."""
+_SEEN = 24.0  # what is said of lies within so far of who says it [m]
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,10 +15,8 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-PATIENCE = 120.0
-"""What has neither run nor waited for a processor or a disk for so long hangs [s] ..."""
-MOST = 300.0
-"""... and so does what has taken so much CPU time [s]."""
+PATIENCE = 120.0  # what has neither run nor waited for a processor or a disk for so long hangs [s]
+MOST = 300.0  # ... and so does what has taken so much CPU time [s].
 LOADED = (
     "placegraph.outdoor.city", "placegraph.outdoor.network", "placegraph.view", "placegraph.indoor.library",
     "placegraph.indoor.build", "placegraph.indoor.localize", "placegraph.indoor.mapping.change.update",
@@ -30,21 +28,19 @@ LOADED = (
 _TICK = 0.0005
 POWERS = (1, 2)
 """CAP_DAC_OVERRIDE and CAP_DAC_READ_SEARCH: by them root passes where permissions forbid it."""
-_CAPABILITY, _DROP = 0x20080522, 24
-"""Version of the call, and PR_CAPBSET_DROP."""
+_CAPABILITY, _DROP = 0x20080522, 24  # version of the call, and PR_CAPBSET_DROP
 
 
 @dataclass(frozen=True)
 class Ended:
     """How a command ended."""
 
-    code: int | None
-    """As of a process: negative for a signal; None where it did not end in its time."""
-    said: str
-    """At its error output."""
+    code: (
+        int | None
+    )  # as of a process: negative for a signal; None where it did not end in its time
+    said: str  # at its error output
     seconds: float
-    killed: bool
-    """Whether it was we who ended it."""
+    killed: bool  # whether it was we who ended it
 
     @property
     def outcome(self) -> str:
@@ -63,10 +59,8 @@ class Ended:
 class Limits:
     """What a command may use."""
 
-    file: int | None = None
-    """Largest file that it may write [bytes]; more is as a full disk."""
-    bound: bool = False
-    """Whether permissions bind it, though root started it."""
+    file: int | None = None  # largest file that it may write [bytes]; more is as a full disk
+    bound: bool = False  # whether permissions bind it, though root started it
 
 
 @dataclass

@@ -34,12 +34,9 @@ from placegraph_lab.campaign.uses import Bench
 
 ROOM = 1 << 30
 """Bytes that an input may take beyond what the process has already; beyond, memory is refused."""
-SECONDS = 10.0
-"""CPU time of an input."""
-TRIES = 8
-"""How often each seed is used as it is, so that all that is used by chance is compiled."""
-TIMES, FREE = 10, 300 << 20
-"""An input takes at most so many times its own bytes, and these."""
+SECONDS = 10.0  # CPU time of an input
+TRIES = 8  # how often each seed is used as it is, so that all that is used by chance is compiled
+TIMES, FREE = 10, 300 << 20  # an input takes at most so many times its own bytes, and these
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,12 +44,9 @@ class Outcome:
     """What became of an input."""
 
     number: int
-    outcome: str
-    """One of `row.OUTCOMES`."""
-    said: str
-    """Kind of the error and where it was raised, or nothing."""
-    bytes: int
-    """Memory that it took."""
+    outcome: str  # one of `row.OUTCOMES`
+    said: str  # kind of the error and where it was raised, or nothing
+    bytes: int  # memory that it took
     seconds: float
 
 

@@ -25,16 +25,13 @@ class Writing:
     """A command that writes files: each is the old one or the new one, whole, at any moment."""
 
     what: str
-    words: tuple[str, ...]
-    """Of `placegraph`; files by their names in the folder of the trial."""
-    makes: tuple[str, ...]
-    """Files, or one folder."""
+    words: tuple[str, ...]  # of `placegraph`; files by their names in the folder of the trial
+    makes: tuple[str, ...]  # files, or one folder
     leaves: tuple[str, ...] = ()
     """Patterns of what the docs say that a killed one leaves, beside those of every file."""
     old: str | None = ""
     """Input that is the old file, where the command changes one; else some bytes; None: there is none."""
-    ends: str = ""
-    """File of a folder that is written last: where it is there, all are."""
+    ends: str = ""  # file of a folder that is written last: where it is there, all are
 
     def made(self, name: str) -> bool:
         """Whether it makes a file of this name; what it keeps for itself aside."""

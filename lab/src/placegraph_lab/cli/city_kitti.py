@@ -34,11 +34,7 @@ def convert_kitti360pose(
 
     with progress_of(hidden=quiet or as_json) as tell:
         tell("reading")
-        done = convert(
-            folder,
-            out,
-            progress=lambda step, n: tell(f"{step} {n:,} cells"),
-        )
+        done = convert(folder, out, progress=lambda step, n: tell(f"{step} {n:,} cells"))
     if as_json:
         click.echo(json.dumps(asdict(done)))
     elif not quiet:

@@ -15,8 +15,7 @@ from placegraph.errors import PlacegraphError
 from placegraph_lab.tables.runner import load, names
 
 Folder = Annotated[Path, typer.Option("--out", "-o", help="Folder to write to.")]
-ROOT = Path(__file__).parents[4]
-"""Of the repository, where the lab is used from."""
+ROOT = Path(__file__).parents[4]  # of the repository, where the lab is used from
 
 
 class Tables(TyperGroup):

@@ -21,10 +21,8 @@ from numpy.typing import NDArray
 from placegraph.errors import InputError
 from placegraph_lab.datasets.pickles import Record, Release, finished, read_pickle
 
-RELEASE = Release("GOTPR", "scene_graph", ("SceneGraph", "Node"))
-"""The published classes."""
-LONGEST = 4096
-"""Numbers of a word vector at most."""
+RELEASE = Release("GOTPR", "scene_graph", ("SceneGraph", "Node"))  # the published classes
+LONGEST = 4096  # numbers of a word vector at most
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,22 +30,17 @@ class Graph:
     """A scene graph of n nodes and e edges."""
 
     labels: tuple[str, ...]
-    nodes: NDArray[np.int64]
-    """(n,) rows of `Graphs.vectors`."""
-    ends: NDArray[np.int64]
-    """(2, e) source and target of each edge, rows of nodes."""
-    edges: NDArray[np.int64]
-    """(e,) rows of `Graphs.vectors`: what the relation is called."""
+    nodes: NDArray[np.int64]  # (n,) rows of `Graphs.vectors`
+    ends: NDArray[np.int64]  # (2, e) source and target of each edge, rows of nodes
+    edges: NDArray[np.int64]  # (e,) rows of `Graphs.vectors`: what the relation is called
 
 
 @dataclass(frozen=True, eq=False)
 class Graphs:
     """The graphs of one file."""
 
-    graphs: dict[str, Graph]
-    """By their ids."""
-    vectors: NDArray[np.float32]
-    """(V, d) word vectors, each once."""
+    graphs: dict[str, Graph]  # by their ids
+    vectors: NDArray[np.float32]  # (V, d) word vectors, each once
 
 
 def read_graphs(path: str | PathLike[str]) -> Graphs:

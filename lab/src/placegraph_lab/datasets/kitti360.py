@@ -15,18 +15,15 @@ from numpy.typing import ArrayLike
 
 from placegraph.core.geometry import Floats
 
-RADIUS = 6_378_137.0
-"""Of the sphere that is projected [m]."""
+RADIUS = 6_378_137.0  # of the sphere that is projected [m]
 
 
 @dataclass(frozen=True, slots=True)
 class Mercator:
     """Metric frame of a Mercator projection, true to scale at the latitude of its origin."""
 
-    longitude: float
-    """Origin [deg]."""
-    latitude: float
-    """Origin [deg]."""
+    longitude: float  # origin [deg]
+    latitude: float  # origin [deg]
 
     @property
     def _scale(self) -> float:

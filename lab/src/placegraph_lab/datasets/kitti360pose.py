@@ -25,8 +25,7 @@ from placegraph_lab.datasets.pickles import Record, Release, finished, read_pick
 
 KIND = "kitti360pose"
 VERSION = 1
-GRAIN = 0.05
-"""Positions of objects are stored in these steps [m], from their cell's lower corner."""
+GRAIN = 0.05  # positions of objects are stored in these steps [m], from their cell's lower corner
 
 SPLITS = {
     "train": ("0000", "0002", "0004", "0006", "0007"),
@@ -43,20 +42,13 @@ DIRECTIONS = ("north", "south", "east", "west", "on-top")
 class Cells:
     """Columns of C cells: boxes of the world, with the objects in them."""
 
-    ids: tuple[str, ...]
-    """Drive and number: ``0003_00012``."""
-    scene: NDArray[np.int64]
-    """(C,) row of `Kitti360Pose.scenes`."""
-    boxes: Floats
-    """(C, 6) lower and upper corner [m]."""
-    sizes: Floats
-    """(C,) longest edge [m]."""
-    points: NDArray[np.int64]
-    """(C,) points of the cloud that the objects were made of."""
-    point_bytes: NDArray[np.int64]
-    """(C,) bytes of these points and their colours."""
-    object_starts: NDArray[np.int64]
-    """(C + 1,) objects of a cell."""
+    ids: tuple[str, ...]  # drive and number: ``0003_00012``
+    scene: NDArray[np.int64]  # (C,) row of `Kitti360Pose.scenes`
+    boxes: Floats  # (C, 6) lower and upper corner [m]
+    sizes: Floats  # (C,) longest edge [m]
+    points: NDArray[np.int64]  # (C,) points of the cloud that the objects were made of
+    point_bytes: NDArray[np.int64]  # (C,) bytes of these points and their colours
+    object_starts: NDArray[np.int64]  # (C + 1,) objects of a cell
 
     @property
     def centers(self) -> Floats:
@@ -72,26 +64,18 @@ class Cells:
 class Objects:
     """Columns of N objects; a thing that lies in several cells is an object in each."""
 
-    ids: NDArray[np.int64]
-    """(N,) unique in the cell."""
-    instances: NDArray[np.int64]
-    """(N,) of the segmented scan; the parts of a road or a hedge share one."""
-    labels: NDArray[np.int64]
-    """(N,) row of `Kitti360Pose.labels`."""
-    colours: NDArray[np.int64]
-    """(N,) row of `Kitti360Pose.colours`."""
-    rgb: NDArray[np.uint8]
-    """(N, 3) mean colour."""
-    centers: Floats
-    """(N, 3) mean of the points [m]."""
-    low: Floats
-    """(N, 3) lower corner of the points [m]."""
-    high: Floats
-    """(N, 3) upper corner of the points [m]."""
-    footprint_starts: NDArray[np.int64]
-    """(N + 1,)"""
-    footprints: Floats
-    """(F, 2) a point in each square metre of ground that an object covers [m]."""
+    ids: NDArray[np.int64]  # (N,) unique in the cell
+    instances: NDArray[
+        np.int64
+    ]  # (N,) of the segmented scan; the parts of a road or a hedge share one
+    labels: NDArray[np.int64]  # (N,) row of `Kitti360Pose.labels`
+    colours: NDArray[np.int64]  # (N,) row of `Kitti360Pose.colours`
+    rgb: NDArray[np.uint8]  # (N, 3) mean colour
+    centers: Floats  # (N, 3) mean of the points [m]
+    low: Floats  # (N, 3) lower corner of the points [m]
+    high: Floats  # (N, 3) upper corner of the points [m]
+    footprint_starts: NDArray[np.int64]  # (N + 1,)
+    footprints: Floats  # (F, 2) a point in each square metre of ground that an object covers [m]
 
     def footprint(self, row: int) -> Floats:
         """Points (n, 2) on the ground of an object, about a metre apart [m]."""
@@ -102,14 +86,10 @@ class Objects:
 class Poses:
     """Columns of P poses: places that were described, and what was said of them."""
 
-    scene: NDArray[np.int64]
-    """(P,) row of `Kitti360Pose.scenes`."""
-    positions: Floats
-    """(P, 3) [m]; the truth, for evaluation only."""
-    cells: NDArray[np.int64]
-    """(P,) row of the best cell; the truth, for evaluation only."""
-    hint_starts: NDArray[np.int64]
-    """(P + 1,) hints of a pose."""
+    scene: NDArray[np.int64]  # (P,) row of `Kitti360Pose.scenes`
+    positions: Floats  # (P, 3) [m]; the truth, for evaluation only
+    cells: NDArray[np.int64]  # (P,) row of the best cell; the truth, for evaluation only
+    hint_starts: NDArray[np.int64]  # (P + 1,) hints of a pose
 
     def hints(self, pose: int) -> slice:
         """Rows of the hints of a pose."""
@@ -120,32 +100,25 @@ class Poses:
 class Hints:
     """Columns of H hints, each a sentence "The pose is <direction> of a <colour> <label>"."""
 
-    labels: NDArray[np.int64]
-    """(H,) row of `Kitti360Pose.labels`."""
-    colours: NDArray[np.int64]
-    """(H,) row of `Kitti360Pose.colours`."""
-    directions: NDArray[np.int64]
-    """(H,) row of `DIRECTIONS`."""
+    labels: NDArray[np.int64]  # (H,) row of `Kitti360Pose.labels`
+    colours: NDArray[np.int64]  # (H,) row of `Kitti360Pose.colours`
+    directions: NDArray[np.int64]  # (H,) row of `DIRECTIONS`
     objects: NDArray[np.int64]
     """(H,) id of the object in the best cell, -1 where it has none. No part of what was said."""
-    instances: NDArray[np.int64]
-    """(H,) instance of the object. No part of what was said."""
-    offsets: Floats
-    """(H, 2) from the object's centre to the pose [m]. No part of what was said."""
-    closest: Floats
-    """(H, 2) from the object's closest point to the pose [m]. No part of what was said."""
+    instances: NDArray[np.int64]  # (H,) instance of the object. No part of what was said.
+    offsets: Floats  # (H, 2) from the object's centre to the pose [m]. No part of what was said.
+    closest: (
+        Floats  # (H, 2) from the object's closest point to the pose [m]. No part of what was said.
+    )
 
 
 @dataclass(frozen=True, eq=False)
 class Kitti360Pose:
     """The converted data: opened by `Kitti360Pose.open`, written by `convert_kitti360pose`."""
 
-    source: str
-    """Name of the folder it was made from."""
-    scenes: tuple[str, ...]
-    """Drives: ``0003``."""
-    scene_bytes: tuple[int, ...]
-    """Bytes of the cells' pickle of each drive."""
+    source: str  # name of the folder it was made from
+    scenes: tuple[str, ...]  # drives: ``0003``
+    scene_bytes: tuple[int, ...]  # bytes of the cells' pickle of each drive
     labels: tuple[str, ...]
     colours: tuple[str, ...]
     cells: Cells
@@ -391,12 +364,9 @@ COLOURS = {
     "beige": [(171, 170, 155)],
 }
 """The colours that the published texts speak of, sRGB 0 to 255."""
-PADDING = "pad"
-"""Label of what only fills up a cell; it is left out."""
-SQUARE = 1.0
-"""A footprint has a point in each square of this edge [m]."""
-FARTHEST = 1e5
-"""No point of a cell is farther from its corner [m]."""
+PADDING = "pad"  # label of what only fills up a cell; it is left out
+SQUARE = 1.0  # A footprint has a point in each square of this edge [m]
+FARTHEST = 1e5  # no point of a cell is farther from its corner [m]
 
 _DRIVE = re.compile(r"(?:.*drive_)?(\d{4})(?:_.*)?")
 _CENTRES = np.array([rgb for rgbs in COLOURS.values() for rgb in rgbs], np.float64)
@@ -412,15 +382,11 @@ class Conversion:
     objects: int
     poses: int
     hints: int
-    unmatched: int
-    """Hints about things that the best cell does not hold."""
-    padding: int
-    """Objects left out, for they only fill up a cell."""
+    unmatched: int  # hints about things that the best cell does not hold
+    padding: int  # objects left out, for they only fill up a cell
     points: int
-    source_bytes: int
-    """Of the cells' pickles."""
-    bytes: int
-    """Of the file written."""
+    source_bytes: int  # of the cells' pickles
+    bytes: int  # of the file written
 
 
 def convert_kitti360pose(

@@ -43,8 +43,7 @@ class Release:
 
     name: str
     module: str
-    classes: tuple[str, ...]
-    """Their instances become `Record`s."""
+    classes: tuple[str, ...]  # their instances become `Record`s
 
     @cached_property
     def names(self) -> Mapping[tuple[str, str], str]:
@@ -94,8 +93,7 @@ class RefusedError(Exception):
 class Machine(Protocol):
     """What the calls need to know of the machine that reads the pickle."""
 
-    encoded: int
-    """Bytes that were written as text, so far."""
+    encoded: int  # bytes that were written as text, so far
 
     @property
     def size(self) -> int:

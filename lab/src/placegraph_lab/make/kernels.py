@@ -44,17 +44,14 @@ RUNS = {
     "city embed": ["m.city -o m.vectors"],
     "scene build": ["{data}/house/map/house.glb -o h.scene"],
     "scene build, of frames": ["{data}/office -o o.scene --frames 0:186:6"],
-    "scene localize": [
-        f"h.scene {{data}}/{FIRST}",
-        "o.scene {data}/office --frames 240:260:4",
-    ],
+    "scene localize": [f"h.scene {{data}}/{FIRST}", "o.scene {data}/office --frames 240:260:4"],
     "scene localize, without depth": [f"h.scene {{data}}/{LATER} --no-depth"],
     "scene localize, with a sentence": [
-        f"h.scene {{data}}/{LATER} --description 'I see a fridge. I am facing the window.'",
+        f"h.scene {{data}}/{LATER} --description 'I see a fridge. I am facing the window.'"
     ],
     "scene refine": [f"h.scene {{data}}/{LATER} --pose 2.5,1.3,1.7,12"],
     "scene render": [
-        "h.scene --out seen --pose 2.5,1.3,1.7,12 --camera {data}/house/seq02/camera.json",
+        "h.scene --out seen --pose 2.5,1.3,1.7,12 --camera {data}/house/seq02/camera.json"
     ],
     "scene check": ["h.scene"],
     "scene diff": ["h.scene {data}/house/seq02 --frames ::6 -o changes.json"],

@@ -26,13 +26,10 @@ WORLD = (
     "sk", "sl", "sr", "sv", "th", "tr", "uk", "vi", "zh-CN", "zh-TW",
 )
 # fmt: on
-GENERIC = 0.4
-"""Weight of leisure=pitch for "tennis court", beside sport=tennis."""
-VAGUE = 0.6
-"""Factor for a preset with tags that are not worth naming ("clinic for dialysis")."""
+GENERIC = 0.4  # weight of leisure=pitch for "tennis court", beside sport=tennis
+VAGUE = 0.6  # factor for a preset with tags that are not worth naming ("clinic for dialysis")
 
-Entries = dict[str, dict[tuple[int, str], set[str]]]
-"""Word -> (preset, kind) -> languages."""
+Entries = dict[str, dict[tuple[int, str], set[str]]]  # word -> (preset, kind) -> languages
 
 
 def labels_of(tags: dict[str, str], objects: ObjectTable) -> str:

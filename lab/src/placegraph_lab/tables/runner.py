@@ -229,8 +229,7 @@ def _processor() -> str:
 Item = TypeVar("Item")
 
 
-LAB = Path(__file__).parents[3]
-"""Folder of the lab in the repository."""
+LAB = Path(__file__).parents[3]  # folder of the lab in the repository
 
 
 def option(text: str, *flags: str) -> Any:  # noqa: ANN401
@@ -251,14 +250,10 @@ class Run:
     """One run of a table: where its data lie, and where its rows go."""
 
     name: str
-    shared: Path
-    """Folder with `data` and `weights`."""
-    cache: Path
-    """For maps and answers."""
-    out: Path | None = None
-    """JSON file; `results/NAME.json` of the lab if not given."""
-    options: dict[str, Any] = field(default_factory=dict)
-    """The table's own, as they were given."""
+    shared: Path  # folder with `data` and `weights`
+    cache: Path  # for maps and answers
+    out: Path | None = None  # JSON file; `results/NAME.json` of the lab if not given
+    options: dict[str, Any] = field(default_factory=dict)  # the table's own, as they were given
 
     @property
     def data(self) -> Path:
@@ -323,8 +318,7 @@ class Table:
     """A table that can be run by its name."""
 
     measure: Callable[..., None]
-    paper: str = ""
-    """What it stands beside in the papers."""
+    paper: str = ""  # what it stands beside in the papers
 
     @property
     def name(self) -> str:

@@ -64,20 +64,16 @@ def paired_interval(
     return Interval(float(np.mean(means)), float(low), float(high))
 
 
-ROUNDING = 1e-6
-"""How far a sum of probabilities may stray from 0 to 1."""
+ROUNDING = 1e-6  # how far a sum of probabilities may stray from 0 to 1
 
 
 @dataclass(frozen=True)
 class Reliability:
     """Bins of equal mass, from the least to the most confident."""
 
-    count: Floats
-    """(B,) answers in a bin."""
-    confidence: Floats
-    """(B,) mean confidence."""
-    accuracy: Floats
-    """(B,) share that is right."""
+    count: Floats  # (B,) answers in a bin
+    confidence: Floats  # (B,) mean confidence
+    accuracy: Floats  # (B,) share that is right
 
     @property
     def error(self) -> float:

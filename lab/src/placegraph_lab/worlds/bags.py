@@ -92,8 +92,7 @@ class Layout:
     poses: Literal["tf", "odometry", "none"] = "tf"
     infos: bool = True
     depth: bool = True
-    start: float = 1_700_000_000.0
-    """Added to the stamps [s]."""
+    start: float = 1_700_000_000.0  # added to the stamps [s]
 
 
 def write_capture(writer: BagWriter, capture: Capture, layout: Layout | None = None) -> None:

@@ -19,11 +19,9 @@ from placegraph_lab.worlds.flat.walks import stroll, write_walk
 from placegraph_lab.worlds.home.home import home, scene_of
 from placegraph_lab.worlds.town.town import Town
 
-WAY = "41"
-"""Rooms that the camera comes through."""
+WAY = "41"  # rooms that the camera comes through
 FRAMES = 18
-WINDOW = "o1"
-"""A spot by a window, and where somebody goes from there."""
+WINDOW = "o1"  # A spot by a window, and where somebody goes from there
 HOMES = 4
 
 

@@ -128,8 +128,7 @@ def without_straight_points(line: list[Cell], keep: Iterable[Cell] = ()) -> list
 
 
 BLANKS = " ."
-LARGEST = 1_000_000
-"""Most characters of a drawing."""
+LARGEST = 1_000_000  # most characters of a drawing
 
 _SYMBOL = re.compile(r"(?P<glyph>\S)(?:[ \t]+(?P<kind>\w+))?[ \t]*:(?P<values>.*)$")
 _VALUE = re.compile(r"\s*([\w:]+)=(.*?)(?=\s+[\w:]+=|\s*$)")
@@ -186,12 +185,9 @@ def page(lines: list[tuple[int, str]], source: str, head: str) -> tuple[tuple[st
 class Drawing:
     """What may be asked of any drawn world: where its glyphs are."""
 
-    rows: tuple[str, ...]
-    """The drawing."""
-    source: str
-    """File that it was read from, for messages."""
-    first_line: int
-    """Line of that file that holds ``rows[0]``, for messages."""
+    rows: tuple[str, ...]  # the drawing
+    source: str  # file that it was read from, for messages
+    first_line: int  # line of that file that holds ``rows[0]``, for messages
 
     @cached_property
     def drawn(self) -> dict[Cell, str]:
@@ -237,13 +233,11 @@ class LegendLine:
     """One line ``glyph kind: key=value key=value`` of a legend."""
 
     glyph: str
-    kind: str
-    """The word before the colon, or an empty string."""
+    kind: str  # the word before the colon, or an empty string
     kind_column: int
     values: dict[str, str]
     values_column: int
-    rest: bool
-    """Whether something behind the colon is no ``key=value``."""
+    rest: bool  # whether something behind the colon is no ``key=value``
 
 
 def legend_line(line: str, where: str) -> LegendLine:

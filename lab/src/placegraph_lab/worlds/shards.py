@@ -18,10 +18,8 @@ from placegraph.outdoor.map.objects import POINT, CityObjects
 from placegraph_scale.shards import WorldFile, finish
 from placegraph_scale.shards.table import Counted
 
-SIDE = 8
-"""Viewpoints are kept in squares of so many."""
-DISTINCT = 19
-"""So many copies of a world have labels that are shuffled anew."""
+SIDE = 8  # viewpoints are kept in squares of so many
+DISTINCT = 19  # so many copies of a world have labels that are shuffled anew
 
 
 def write_shards(city: CityMap, folder: Path, zoom: int, overlap: float = 150.0) -> WorldFile:

@@ -58,9 +58,7 @@ def test_names_that_are_none_of_scannet_s_are_refused(wrong):
 
 
 @given(
-    st.sets(
-        st.builds("scene{:04d}_{:02d}".format, st.integers(0, 4), st.integers(0, 4)),
-    ),
+    st.sets(st.builds("scene{:04d}_{:02d}".format, st.integers(0, 4), st.integers(0, 4))),
     st.sampled_from(["first", "next", "all"]),
 )
 def test_whatever_lies_there_no_pair_is_wrong_and_none_missing(scans, which):

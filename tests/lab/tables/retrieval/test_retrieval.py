@@ -252,11 +252,7 @@ def test_vectors_are_kept_and_replayed(tmp_path, world):
         for a, b in zip(known.walk.capture, other.walk.capture, strict=True)
     ]
     assert 0.2 < np.concatenate(differ).mean() < 0.4
-    bare = replace(
-        walk,
-        name="bare",
-        capture=record_without_labels(walk),
-    )
+    bare = replace(walk, name="bare", capture=record_without_labels(walk))
     assert encoded(bare, "labels", encoder, words, tmp_path) is None
 
 

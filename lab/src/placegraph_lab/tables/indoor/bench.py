@@ -175,8 +175,7 @@ def _checked(share: float) -> float:
 
 Labels = Literal["instances", "classes", "none"]
 
-QUICK_EVERY = 13
-"""Frames between windows of the house for a first impression."""
+QUICK_EVERY = 13  # frames between windows of the house for a first impression
 
 SEMANTIC = {
     "semantic": {"semantic": True},
@@ -202,12 +201,10 @@ TITLES = {
 class Job:
     """One row of a table, for windows of any length."""
 
-    table: str
-    """Key of `TITLES`."""
+    table: str  # key of `TITLES`
     row: str
     options: FilterOptions
-    map: str
-    """`house`, `coarse` or a key of `HALVES`."""
+    map: str  # `house`, `coarse` or a key of `HALVES`
     labels: Labels
 
     @property

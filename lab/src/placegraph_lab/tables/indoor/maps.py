@@ -24,8 +24,7 @@ Floats32 = NDArray[np.float32]
 Ints = NDArray[np.int32]
 
 
-SPACING = 0.02
-"""Distance between samples of the colour of a surface [m]."""
+SPACING = 0.02  # distance between samples of the colour of a surface [m]
 MOST_SAMPLES = 4_000_000
 
 
@@ -154,8 +153,7 @@ def quartered(mesh: Mesh, rows: NDArray[np.int64]) -> Mesh:
     )
 
 
-COARSE = 20_000
-"""Triangles of the coarse house."""
+COARSE = 20_000  # triangles of the coarse house
 OFFICE_TRIANGLES = 80_000
 
 

@@ -18,8 +18,10 @@ from placegraph_lab.tables.statistics import Reliability, reliability
 
 THRESHOLDS = ((0.10, 5.0), (0.25, 2.0), (0.25, 10.0), (1.00, 10.0))
 """Position [m] and rotation [deg] that a recall allows."""
-NEAR = (0.5, 10.0)
-"""What `OK` promises, and what a mode's probability speaks of: this near to the truth."""
+NEAR = (
+    0.5,
+    10.0,
+)  # what `OK` promises, and what a mode's probability speaks of: this near to the truth
 AXES = ("x", "y", "z", "turn x", "turn y", "turn z")
 """What the six numbers of a pose's error are, in the order of `PoseMode.covariance`."""
 WITHIN_95 = 12.5916
@@ -83,30 +85,22 @@ def normalised_error(covariance: Floats, map_from_camera: Floats, truth: Floats)
 class Answer:
     """One estimate, measured against the truth."""
 
-    window: str
-    """Which frames were asked about: `seq01 5:10`."""
-    place: str
-    """Which sequence, or which half."""
-    changed: bool | None
-    """Whether the scene differs from its map; None where nobody knows."""
+    window: str  # which frames were asked about: `seq01 5:10`
+    place: str  # which sequence, or which half
+    changed: bool | None  # whether the scene differs from its map; None where nobody knows
     coverage: float | None
     """Share of the last frame's surface that the map holds; None where nobody looked."""
-    position: float
-    """Error of the best pose [m]; infinite where there is none."""
-    rotation: float
-    """Error of the best pose [deg]; 180 where there is none."""
+    position: float  # error of the best pose [m]; infinite where there is none
+    rotation: float  # error of the best pose [deg]; 180 where there is none
     status: str
-    probability: float
-    """Of the best mode; 0 where there is none."""
-    held: bool
-    """Whether the truth is near one of the modes."""
-    whitened: tuple[float, ...]
-    """(6,) `normalised_error` of the best mode; empty where there is none."""
+    probability: float  # of the best mode; 0 where there is none
+    held: bool  # whether the truth is near one of the modes
+    whitened: tuple[
+        float, ...
+    ]  # (6,) `normalised_error` of the best mode; empty where there is none
     frames: int
-    seconds: float
-    """Wall time of the whole estimate."""
-    particles: float = math.nan
-    """Mean number of particles over frames and passes."""
+    seconds: float  # wall time of the whole estimate
+    particles: float = math.nan  # mean number of particles over frames and passes
 
     @property
     def answered(self) -> bool:
@@ -187,30 +181,21 @@ class Score:
     """Mean error of the answers that have a pose [m], [deg]; NaN where none has."""
     median: tuple[float, float]
     """Median error of all answers [m], [deg]; infinite where most have no pose."""
-    recall: tuple[float, ...]
-    """Share of answers within each of `THRESHOLDS`."""
-    status: dict[str, float]
-    """Share of every status."""
-    right: float
-    """Share of `OK` answers that are near the truth; NaN where none is `OK`."""
-    false_ok: float
-    """Share of all answers that are `OK` and not near the truth."""
-    held: float
-    """Share of answers with the truth among their modes."""
+    recall: tuple[float, ...]  # share of answers within each of `THRESHOLDS`
+    status: dict[str, float]  # share of every status
+    right: float  # share of `OK` answers that are near the truth; NaN where none is `OK`
+    false_ok: float  # share of all answers that are `OK` and not near the truth
+    held: float  # share of answers with the truth among their modes
     honest: float
     """Share of answers that are right and `OK`, `AMBIGUOUS` with the truth among the modes, or
     `LOST` where the best pose, if any, is wrong."""
-    calibration: Reliability
-    """Of the best mode's probability to be near the truth."""
+    calibration: Reliability  # of the best mode's probability to be near the truth
     spread: tuple[float, ...]
     """(6,) root mean square of the whitened errors of right answers: 1 if honest, above 1 if
     the covariance is too small."""
-    inside: float
-    """Share of right answers within the 95 % ellipsoid of their covariance."""
-    frame_seconds: float
-    """Mean time per frame [s]."""
-    particles: float
-    """Mean over answers."""
+    inside: float  # share of right answers within the 95 % ellipsoid of their covariance
+    frame_seconds: float  # mean time per frame [s]
+    particles: float  # mean over answers
     worst: tuple[str, ...] = field(default=())
     """Windows whose answers are wrong, farthest first: `seq01 13:18 OK 14.1 m 179 deg`."""
 

@@ -28,8 +28,7 @@ from placegraph.errors import OptionError
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.frame import ArrayImages, Frame, quarter_turn, turned_camera
 
-WIDE = 640
-"""Width of the image that shifts in pixels are meant for."""
+WIDE = 640  # width of the image that shifts in pixels are meant for
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,10 +37,8 @@ class Recording:
 
     name: str
     frames: tuple[Frame, ...]
-    truth: Floats
-    """(T, 4, 4) map_from_camera."""
-    period: float
-    """Seconds from a frame to the next."""
+    truth: Floats  # (T, 4, 4) map_from_camera
+    period: float  # seconds from a frame to the next
     world: Callable[[], SceneMap] | None = None
     """Opens the finest map there is, in the frame of the truth, to render from."""
 
@@ -51,11 +48,9 @@ class Shot:
     """Frames of one window, and where they were truly taken."""
 
     frames: tuple[Frame, ...]
-    truth: Floats
-    """(T, 4, 4) map_from_camera."""
+    truth: Floats  # (T, 4, 4) map_from_camera
     recording: Recording
-    rows: tuple[int, ...]
-    """Of the recording that the frames are."""
+    rows: tuple[int, ...]  # of the recording that the frames are
 
     @classmethod
     def of(cls, recording: Recording, rows: range) -> Self:

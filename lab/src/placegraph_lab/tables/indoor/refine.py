@@ -40,12 +40,9 @@ from placegraph_lab.tables.indoor.windows import Window, start_of, without_depth
 
 Kind = Literal["PLANE_ICP", "GICP"]
 
-STEP = 6
-"""Pixels of the depth image between readings, and between rays."""
-VOXEL = 0.05
-"""Clouds hold one point a voxel of this edge [m]."""
-NEIGHBOURS = 10
-"""Points that a normal is fitted to."""
+STEP = 6  # pixels of the depth image between readings, and between rays
+VOXEL = 0.05  # clouds hold one point a voxel of this edge [m]
+NEIGHBOURS = 10  # points that a normal is fitted to
 REACHES = ((1.0, 0.3), (0.3, 0.1))
 """For each time the rays are cast: how far a point may be from its partner [m], one alignment each.
 small_gicp's Python has no robust kernel: shorter reaches take its place."""
@@ -56,13 +53,10 @@ ITERATIONS = 30
 class Aligned:
     """Where an alignment ended."""
 
-    map_from_camera: Floats
-    """(4, 4) of the last frame."""
+    map_from_camera: Floats  # (4, 4) of the last frame
     converged: bool
-    readings: int
-    """Of the sequence's cloud."""
-    inliers: int
-    """Of these, points with a partner within reach at the end."""
+    readings: int  # of the sequence's cloud
+    inliers: int  # of these, points with a partner within reach at the end
 
 
 def align(
@@ -168,32 +162,28 @@ def _prepared(cloud: Floats, threads: int) -> tuple[Any, Any]:
 
 LIMITS = ((0.10, 5.0), (0.25, 2.0), (0.25, 5.0), (0.25, 10.0))
 """Position [m] and rotation [deg] that a recall allows."""
-WORSE = (0.02, 0.5)
-"""An error counts as larger, or as smaller, from this difference on [m], [deg]."""
+WORSE = (0.02, 0.5)  # an error counts as larger, or as smaller, from this difference on [m], [deg]
 CANDIDATE = "candidate"
 """Key of a refinement's `stats` under which a refused pose may stand: (4, 4) map_from_camera."""
 
-Errors = tuple[float, float]
-"""Of position [m] and rotation [deg]."""
+Errors = tuple[float, float]  # of position [m] and rotation [deg]
 
 
 @dataclass(frozen=True)
 class Refined:
     """One refined estimate, measured against the truth, and where it began."""
 
-    before: Errors
-    """Of the pose before; infinite and 180 where there was none."""
+    before: Errors  # of the pose before; infinite and 180 where there was none
     after: Answer
     """The estimate as the user gets it; `seconds` are those of everything that was asked for."""
-    accepted: bool | None
-    """None: nothing was there to accept, or who refined does not say."""
+    accepted: bool | None  # none: nothing was there to accept, or who refined does not say
     reason: str = ""
-    candidate: Errors | None = None
-    """Of the refused pose, where it was kept."""
+    candidate: Errors | None = None  # of the refused pose, where it was kept
     sigmas: tuple[float, ...] = ()
     """(6,) error of each of `AXES` over the standard deviation that the covariance gives it."""
-    stages: dict[str, float] = field(default_factory=dict)
-    """Seconds of each stage of the refinement."""
+    stages: dict[str, float] = field(
+        default_factory=dict
+    )  # seconds of each stage of the refinement
 
     @property
     def refine_seconds(self) -> float:
@@ -327,12 +317,9 @@ def sigmas_of(mode: PoseMode, truth: Floats) -> tuple[float, ...]:
 class Side:
     """Errors of many poses, before or after."""
 
-    mean: Errors
-    """Of those that have a pose; NaN where none has."""
-    median: Errors
-    """Of all; infinite where most have no pose."""
-    recall: tuple[float, ...]
-    """Share within each of `LIMITS`."""
+    mean: Errors  # of those that have a pose; NaN where none has
+    median: Errors  # of all; infinite where most have no pose
+    recall: tuple[float, ...]  # share within each of `LIMITS`
 
     @classmethod
     def of(cls, errors: Sequence[Errors]) -> Side:
@@ -366,20 +353,18 @@ class RefineScore:
     windows: int
     before: Side
     after: Side
-    accepted: float
-    """Share of accepted refinements among those that were judged; NaN where none was."""
-    harmful: float
-    """Share of all windows whose refinement was accepted, or never judged, and harmful."""
+    accepted: (
+        float  # share of accepted refinements among those that were judged; NaN where none was
+    )
+    harmful: (
+        float  # share of all windows whose refinement was accepted, or never judged, and harmful
+    )
     wrongly_refused: float
     """Share of all windows; NaN where nothing was judged, or no refused pose was kept."""
-    seconds: float
-    """Mean time of everything asked for [s]."""
-    refine_seconds: float
-    """Mean time of the refinement alone [s]; NaN where none says."""
-    stages: dict[str, float]
-    """Mean seconds of each stage of the refinement, where it says."""
-    worst: tuple[str, ...]
-    """Harmful ones, farthest first."""
+    seconds: float  # mean time of everything asked for [s]
+    refine_seconds: float  # mean time of the refinement alone [s]; NaN where none says
+    stages: dict[str, float]  # mean seconds of each stage of the refinement, where it says
+    worst: tuple[str, ...]  # harmful ones, farthest first
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and strings, ready for `json.dumps`; infinity and nan become None."""
@@ -430,16 +415,13 @@ EDGES = (-3.0, -2.5, -2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
 class Spread:
     """How errors compare with the covariances that were to announce them."""
 
-    count: int
-    """Results with a sound covariance."""
+    count: int  # results with a sound covariance
     rms: tuple[float, ...]
     """(6,) root mean square of `sigmas`: 1 if honest, above 1 if the covariance is too small."""
     within: tuple[tuple[float, ...], ...]
     """(3, 6) share of each of `AXES` within 1, 2 and 3 standard deviations (.68, .95, .997)."""
-    inside: float
-    """Share within the 95 % ellipsoid of all six; an unsound covariance holds nothing."""
-    histogram: tuple[int, ...]
-    """(14,) errors of all axes by `EDGES`, those beyond at both ends."""
+    inside: float  # share within the 95 % ellipsoid of all six; an unsound covariance holds nothing
+    histogram: tuple[int, ...]  # (14,) errors of all axes by `EDGES`, those beyond at both ends
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers, ready for `json.dumps`; nan becomes None."""
@@ -494,10 +476,7 @@ def _plain(errors: Errors) -> list[float | None]:
 
 def _errors(row: Sequence[float | None]) -> Errors:
     metres, degrees = row
-    return (
-        math.inf if metres is None else metres,
-        180.0 if degrees is None else degrees,
-    )
+    return (math.inf if metres is None else metres, 180.0 if degrees is None else degrees)
 
 
 Start = Literal["found", "disturbed"]
@@ -522,15 +501,12 @@ STARTS: dict[Start, str] = {
 class RefineJob:
     """One row of a table, for windows of any length."""
 
-    place: str
-    """Key of `PLACES`."""
+    place: str  # key of `PLACES`
     start: Start
-    seen: str
-    """What localizing looks at: `all`; from a disturbed start `depth` or `no depth`."""
+    seen: str  # what localizing looks at: `all`; from a disturbed start `depth` or `no depth`
     by: str
     """`auto`, `none`, the word for a matcher, the same with `PAPER` behind it, or a key of `GICP`."""
-    coarse: Job | None = None
-    """How the pose is found; None from a disturbed start."""
+    coarse: Job | None = None  # how the pose is found; None from a disturbed start
 
     @property
     def name(self) -> str:

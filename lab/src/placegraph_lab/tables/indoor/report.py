@@ -12,8 +12,7 @@ from placegraph_lab.tables.indoor.metrics import AXES, THRESHOLDS, Answer, Score
 from placegraph_lab.tables.indoor.windows import COVERED, HALVES
 from placegraph_lab.tables.runner import markdown, number, share, shares
 
-AIM = (0.25, 2.0)
-"""Limits [m], [deg] of most aims."""
+AIM = (0.25, 2.0)  # limits [m], [deg] of most aims
 AIM_ROW = THRESHOLDS.index(AIM)
 OFFICE_ROW = THRESHOLDS.index((0.25, 10.0))
 RECALLS = " / ".join(

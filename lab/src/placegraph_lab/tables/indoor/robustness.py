@@ -42,11 +42,9 @@ _RPY_SEED = 5
 class Asked:
     """One window of a set."""
 
-    map: str
-    """Name of its own map, of `Places.scene`."""
+    map: str  # name of its own map, of `Places.scene`
     shot: Shot
-    number: int
-    """Among all windows of the set: even ones may be tuned on, odd ones are held out."""
+    number: int  # among all windows of the set: even ones may be tuned on, odd ones are held out
 
 
 @dataclass(frozen=True)
@@ -55,15 +53,13 @@ class Told:
 
     window: str
     number: int
-    position: float
-    """Error of the best pose [m]; infinite where there is none, or none can be right."""
-    rotation: float
-    """The same [deg]; infinite."""
-    status: str
-    """`OK`, `AMBIGUOUS`, `LOST`, or the name of an error."""
+    position: (
+        float  # error of the best pose [m]; infinite where there is none, or none can be right
+    )
+    rotation: float  # the same [deg]; infinite
+    status: str  # `OK`, `AMBIGUOUS`, `LOST`, or the name of an error
     reason: str
-    milliseconds: float
-    """CPU time a frame; NaN of an error."""
+    milliseconds: float  # CPU time a frame; NaN of an error
     trust: dict[str, float | None] = field(default_factory=dict)
     """What the verdict was made of (`PoseEstimate.stats`); None: that sense was not there."""
     rival: dict[str, float | None] = field(default_factory=dict)
@@ -250,21 +246,16 @@ BOTH = ("depth", "colour")
 class Case:
     """One row: a set, spoiled in one way by one strength."""
 
-    set: str
-    """One of `SETS`."""
+    set: str  # one of `SETS`
     family: str
     strength: float = 0.0
-    told: str = ""
-    """The strength, as it is printed."""
+    told: str = ""  # the strength, as it is printed
     make: Make | None = None
     frames: int = FRAMES
     senses: tuple[str, ...] = BOTH
-    map: str = ""
-    """Foreign map that is asked; empty: its own."""
-    other: str = ""
-    """Set of which half of the images are."""
-    part: str = "spoiled"
-    """Which of the tables: `spoiled`, `senses`, `bad` or `absent`."""
+    map: str = ""  # foreign map that is asked; empty: its own
+    other: str = ""  # set of which half of the images are
+    part: str = "spoiled"  # which of the tables: `spoiled`, `senses`, `bad` or `absent`
 
     @property
     def name(self) -> str:
@@ -318,8 +309,10 @@ BAD: dict[str, Make] = {
     "gravity up": perturb_images.gravity_up,
     "time backwards": perturb_images.backwards,
 }
-OUTSIDE = {"below the floor": -0.6, "above the ceiling": 3.4}
-"""Heights of cameras where none can be [m]."""
+OUTSIDE = {
+    "below the floor": -0.6,
+    "above the ceiling": 3.4,
+}  # heights of cameras where none can be [m]
 SENSES = (BOTH, ("depth",), ("colour",))
 LENGTHS = (1, 5, 25)
 ABSENT = {

@@ -24,11 +24,9 @@ from placegraph_lab.tables.runner import markdown, share
 if TYPE_CHECKING:
     from placegraph_lab.tables.indoor.windows import Window
 
-SAID = ("nothing", "true", "wrong")
-"""Sentences: none, of the true pose, of another frame's."""
+SAID = ("nothing", "true", "wrong")  # sentences: none, of the true pose, of another frame's
 TERMS = {"colour": {"colour": True}, "depth + colour": {"depth": True, "colour": True}}
-FACTS = 2
-"""Statements in a sentence, where there is that much to say."""
+FACTS = 2  # statements in a sentence, where there is that much to say
 _NEXT_TO = 1.3  # what is nearer is next to one [m]
 _SIDES = {"facing the {}": 0.0, "the {} is on my left": 90.0, "the {} is on my right": -90.0,
           "the {} is behind me": 180.0}  # fmt: skip
@@ -43,8 +41,7 @@ class Spoken:
     """One localization."""
 
     terms: str
-    said: str
-    """One of `SAID`."""
+    said: str  # one of `SAID`
     text: str
     answer: Answer
 

@@ -25,17 +25,16 @@ from placegraph.io.capture.tum import read_tum
 from placegraph_lab.worlds.flat.walks import drifted
 
 LENGTHS = (5, 10, 25)
-EVERY = 5
-"""Frames from the start of a window of the house to the next."""
-HARD = 13
-"""One more start: from this frame of seq01 the paper's recipe always failed."""
+EVERY = 5  # frames from the start of a window of the house to the next
+HARD = 13  # one more start: from this frame of seq01 the paper's recipe always failed
 HALVES = {"b in a": ((0, 186), (186, 373)), "a in b": ((186, 373), (0, 186))}
 """Frames of the office that make the map, and those that are asked about."""
 OFFICE_EVERY = 9
 OFFICE_STRIDE = 2
 OFFICE_LENGTH = 10
-COVERED = 0.6
-"""A window of the office counts as covered if the map holds this share of its last frame."""
+COVERED = (
+    0.6  # A window of the office counts as covered if the map holds this share of its last frame
+)
 TILT = np.radians(0.2)
 """Noise of gravity where a recording has none of its own, as the office's is [rad]."""
 DRIFT = (0.01, np.radians(0.1))
@@ -48,11 +47,9 @@ TOLERANCE = 0.10
 class Window:
     """Consecutive frames of a capture, and the truth of the last."""
 
-    place: str
-    """Sequence or half: `seq01`."""
+    place: str  # sequence or half: `seq01`
     capture: Capture
-    truth: Floats
-    """(4, 4) map_from_camera of the last frame."""
+    truth: Floats  # (4, 4) map_from_camera of the last frame
     changed: bool | None = None
     coverage: float | None = None
 
@@ -205,14 +202,10 @@ def is_changed(path: Path) -> bool | None:
         raise InputError(f'{path} must be a JSON object with "changed".') from error
 
 
-SHIFT = 0.2
-"""Length of the step from the true position [m]."""
-TURN = 10.0
-"""Angle between the true rotation and the start's [deg]."""
-RISE = 0.3
-"""Most that the step climbs or falls, as a share of its horizontal way."""
-LEAN = 10.0
-"""Most that the axis of the turn is away from the vertical [deg]."""
+SHIFT = 0.2  # length of the step from the true position [m]
+TURN = 10.0  # angle between the true rotation and the start's [deg]
+RISE = 0.3  # most that the step climbs or falls, as a share of its horizontal way
+LEAN = 10.0  # most that the axis of the turn is away from the vertical [deg]
 
 
 def disturbed(

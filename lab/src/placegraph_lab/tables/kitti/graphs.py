@@ -27,8 +27,7 @@ from placegraph_lab.datasets.kitti360pose import DIRECTIONS, Hints, Kitti360Pose
 from placegraph_lab.tables.outdoor.nearby import DIRECTIONS as WINDS
 from placegraph_lab.tables.outdoor.nearby import relations
 
-Reading = Literal["honest", "paper"]
-"""What the query graph of a pose is made of."""
+Reading = Literal["honest", "paper"]  # what the query graph of a pose is made of
 
 EDGE_DISTANCE = 15.0
 """Objects nearer than this are joined by an edge [m]: as far as a pose's own objects may be."""

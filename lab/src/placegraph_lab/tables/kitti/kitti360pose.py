@@ -29,18 +29,14 @@ from placegraph_lab.tables.kitti.matchers import EditDistance, Matcher, Transfor
 from placegraph_lab.tables.kitti.relational import Relational
 from placegraph_lab.tables.runner import markdown, number, share, shares
 
-RANKS = (1, 3, 5)
-"""k of the retrieval recall."""
-TOPS = (1, 5, 10)
-"""k of the localization recall."""
-RADII = (5.0, 10.0, 15.0)
-"""A place within this distance of the truth is a hit [m]."""
+RANKS = (1, 3, 5)  # k of the retrieval recall
+TOPS = (1, 5, 10)  # k of the localization recall
+RADII = (5.0, 10.0, 15.0)  # A place within this distance of the truth is a hit [m]
 
 BAG, EDIT, EDIT_PLAIN = "triple bag", "edit distance", "edit distance, plain"
 TRANSFORMER, RELATIONAL = "transformer", "relational"
 MATCHERS = (BAG, EDIT_PLAIN, EDIT, TRANSFORMER, RELATIONAL)
-SLOW = (EDIT, EDIT_PLAIN)
-"""Those that only get some of the queries."""
+SLOW = (EDIT, EDIT_PLAIN)  # those that only get some of the queries
 
 PAPER = {
     "Text2Pos": ((0.14, 0.28, 0.37), (0.12, 0.25, 0.33)),
@@ -59,8 +55,7 @@ PAPER = {
 """Published recall@1/3/5 on validation and test: Table II of the paper, and later work."""
 POINT_CLOUD = {110: 1310.67, 220: 2618.63, 330: 3898.24, 447: 5546.19}
 """Table V: MB of the point cloud of drive 0003 by cells ..."""
-SCENE_GRAPH = {110: 0.13, 220: 0.23, 330: 0.35, 447: 0.71}
-"""... and of the paper's scene graphs."""
+SCENE_GRAPH = {110: 0.13, 220: 0.23, 330: 0.35, 447: 0.71}  # ... and of the paper's scene graphs.
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,10 +65,8 @@ class Split:
     name: str
     data: Kitti360Pose
     reading: Reading
-    cells: NDArray[np.int64]
-    """(K,) rows of the data."""
-    poses: NDArray[np.int64]
-    """(P,) rows of the data."""
+    cells: NDArray[np.int64]  # (K,) rows of the data
+    poses: NDArray[np.int64]  # (P,) rows of the data
     edge_distance: float = EDGE_DISTANCE
 
     @classmethod
@@ -169,14 +162,12 @@ class Result:
     reading: Reading
     queries: int
     cells: int
-    retrieval: dict[int, float]
-    """Recall of the exact cell by rank."""
+    retrieval: dict[int, float]  # recall of the exact cell by rank
     centered: dict[int, dict[float, float]]
     """Recall by rank and radius [m], a cell's centre being the pose."""
     placed: dict[int, dict[float, float]]
     """The same, the pose being where in the cell the statements fit best."""
-    p50: float
-    """Median time for a query, all cells [s]."""
+    p50: float  # median time for a query, all cells [s]
     off: dict[str, float] = field(default_factory=dict)
     """Median distance of the first place [m], by how it is placed."""
     on_osm: bool = False

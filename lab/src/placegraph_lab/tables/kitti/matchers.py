@@ -47,8 +47,7 @@ def places_of_graphs(graphs: Sequence[SceneGraph], centers: NDArray[np.float64])
 
 
 Word = tuple[str, str, str]
-HERE = "<speaker>"
-"""Stands for the speaker in a word of a bag; no label is called so."""
+HERE = "<speaker>"  # stands for the speaker in a word of a bag; no label is called so
 
 
 class Matcher(Protocol):
@@ -65,11 +64,9 @@ class TripleBag:
     What is said of the speaker is compared with the directions from a cell's centre.
     """
 
-    rows: dict[Word, Any]
-    """Cells that hold a word, as an array."""
+    rows: dict[Word, Any]  # cells that hold a word, as an array
     idf: dict[Word, float]
-    tie_breaks: Floats
-    """(K,) below every weight; equals are ranked by them."""
+    tie_breaks: Floats  # (K,) below every weight; equals are ranked by them
 
     @classmethod
     def of(
@@ -116,13 +113,13 @@ class EditDistance:
     """The rules of the paper: minus the edit distance, of the first candidates of another matcher."""
 
     graphs: Sequence[SceneGraph]
-    centers: Floats | None
-    """(K, 2) [m]: the speaker stands there. Without them the speaker is left out."""
+    centers: (
+        Floats | None
+    )  # (K, 2) [m]: the speaker stands there. Without them the speaker is left out.
     first: Matcher
     candidates: int = 20
     timeout: float = 0.1
-    plain: bool = False
-    """Every edit costs 1, as in the paper."""
+    plain: bool = False  # every edit costs 1, as in the paper
 
     def scores(self, description: Description) -> Floats:
         """Minus the distance (K,); equals in the order of the first matcher."""
@@ -143,12 +140,9 @@ class Transformer:
     """The joint network (Eq. 9-17): log odds of the candidates nearest by embedding."""
 
     graphs: Sequence[SceneGraph]
-    centers: Floats
-    """(K, 2) [m]"""
-    network: Any
-    """A `GraphTransformer`."""
-    candidates: int | None = None
-    """How many are looked at closely; all where None."""
+    centers: Floats  # (K, 2) [m]
+    network: Any  # A `GraphTransformer`
+    candidates: int | None = None  # how many are looked at closely; all where None
 
     @cached_property
     def places(self) -> Any:  # noqa: ANN401  # `PlaceGraphs`

@@ -32,24 +32,22 @@ from placegraph_lab.tables.outdoor.nearby import DIRECTIONS as WINDS
 from placegraph_lab.tables.outdoor.nearby import Around, Bins, relations
 from placegraph_lab.tables.outdoor.raw import KEYS, RawCity, read_raw
 
-REACH = 15.0
-"""Things this near to a cell's centre are in it [m]: half of KITTI360Pose's 30 m."""
-SIGHT = 15.0
-"""Things this near to a pose are spoken of [m]: as far as KITTI360Pose's own texts look."""
-TOLD = 6
-"""Things that a text speaks of, the nearest ones; where fewer are in sight, there is no text."""
-ON_TOP = 0.05
-"""Nearer to a thing than this, a pose is on top of it [m]."""
+REACH = 15.0  # things this near to a cell's centre are in it [m]: half of KITTI360Pose's 30 m
+SIGHT = (
+    15.0  # things this near to a pose are spoken of [m]: as far as KITTI360Pose's own texts look
+)
+TOLD = (
+    6  # things that a text speaks of, the nearest ones; where fewer are in sight, there is no text
+)
+ON_TOP = 0.05  # nearer to a thing than this, a pose is on top of it [m]
 
 
 @dataclass(frozen=True)
 class Crop:
     """How OpenStreetMap is cut."""
 
-    reach: float = REACH
-    """Things this near to a cell's centre are in it [m]."""
-    sight: float = SIGHT
-    """Things this near to a pose are spoken of [m]."""
+    reach: float = REACH  # things this near to a cell's centre are in it [m]
+    sight: float = SIGHT  # things this near to a pose are spoken of [m]
     names: bool = True
     """Things are called by their names where they have one, as the paper has it; else by tags."""
 

@@ -35,8 +35,7 @@ MAPS = tuple(f"map{ending}" for ending in SUFFIXES)
 class OwnPairs:
     """Answers to all descriptions of a folder."""
 
-    source: str
-    """Name of the map."""
+    source: str  # name of the map
     told: tuple[Told, ...]
     answers: tuple[Answer, ...]
     outside: tuple[str, ...]

@@ -27,18 +27,15 @@ from placegraph.outdoor.likelihood.fit_kernels import DIRECTION, INSIDE, directi
 from placegraph_lab.datasets.kitti360pose import Kitti360Pose
 from placegraph_lab.tables.kitti.kitti_kernels import between, from_speaker, nearest_owner, sighted
 
-SPACING = 2.5
-"""Distance of viewpoints [m]."""
-REACH = 15.0
-"""Objects up to this far are spoken of [m]: half a cell, as in the published texts."""
-SLIP = 0.02
-"""Share of stated directions that are simply wrong."""
-NOISE = 0.15
-"""Share of statements about things that the cell does not hold: it was cut out elsewhere."""
+SPACING = 2.5  # distance of viewpoints [m]
+REACH = 15.0  # objects up to this far are spoken of [m]: half a cell, as in the published texts
+SLIP = 0.02  # share of stated directions that are simply wrong
+NOISE = (
+    0.15  # share of statements about things that the cell does not hold: it was cut out elsewhere
+)
 OTHER_COLOUR = 0.15
 """How well a thing of the right kind fits where its part in this cell has another colour."""
-CROWD = 5.0
-"""Added to the number of things in sight, so that lonely places are not preferred."""
+CROWD = 5.0  # added to the number of things in sight, so that lonely places are not preferred
 FLOOR = 1e-6
 
 
@@ -47,22 +44,14 @@ class Relational:
     """Scores the cells of a split against statements; the columns are those of K cells."""
 
     data: Kitti360Pose
-    cells: NDArray[np.int64]
-    """(K,) rows of the data."""
-    object_starts: NDArray[np.int64]
-    """(K + 1,) objects of a cell, counted within the split."""
-    objects: NDArray[np.int64]
-    """(N,) rows of the data."""
-    points: Floats
-    """(V, 2) viewpoints [m], sorted by their cell."""
-    owner: NDArray[np.int64]
-    """(V,) the cell, one of K, whose centre is nearest."""
-    starts: NDArray[np.int64]
-    """(V + 1,)"""
-    seen: NDArray[np.int64]
-    """Objects in sight of a viewpoint, counted within the split."""
-    offsets: NDArray[np.float32]
-    """Where they are, seen from it [m]."""
+    cells: NDArray[np.int64]  # (K,) rows of the data
+    object_starts: NDArray[np.int64]  # (K + 1,) objects of a cell, counted within the split
+    objects: NDArray[np.int64]  # (N,) rows of the data
+    points: Floats  # (V, 2) viewpoints [m], sorted by their cell
+    owner: NDArray[np.int64]  # (V,) the cell, one of K, whose centre is nearest
+    starts: NDArray[np.int64]  # (V + 1,)
+    seen: NDArray[np.int64]  # objects in sight of a viewpoint, counted within the split
+    offsets: NDArray[np.float32]  # where they are, seen from it [m]
 
     @classmethod
     def of(

@@ -38,12 +38,9 @@ if TYPE_CHECKING:
     from placegraph.indoor.track.live import LiveTracker
     from placegraph.indoor.track.live_pose import LivePose
 
-PERIOD = 0.2
-"""Seconds from an image to the next."""
-RATE = 10
-"""Samples of odometry an image: 50 Hz."""
-RIGHT = (0.1, 10.0)
-"""A right pose is this near [m], [deg]."""
+PERIOD = 0.2  # seconds from an image to the next
+RATE = 10  # samples of odometry an image: 50 Hz
+RIGHT = (0.1, 10.0)  # A right pose is this near [m], [deg]
 SENSES = FilterOptions().only(depth=True, colour=True)
 """Labels of objects, which the recordings have, are not for robots."""
 
@@ -53,8 +50,7 @@ class Walk:
     """Frames in order of time, where they were taken, and at which the camera was kidnapped."""
 
     frames: tuple[Frame, ...]
-    truth: Floats
-    """(T, 4, 4)"""
+    truth: Floats  # (T, 4, 4)
     kidnapped: tuple[int, ...]
 
     def pieces(self) -> Iterator[list[tuple[float, Floats]]]:
@@ -136,14 +132,10 @@ class Seen:
     """What became of one frame."""
 
     status: str
-    right: bool
-    """Whether its pose is `RIGHT`."""
-    foretold: bool
-    """Whether the pose that odometry told just before its image was looked at is."""
-    false: bool
-    """Whether it is `OK`, and not what `OK` promises."""
-    milliseconds: float
-    """CPU time."""
+    right: bool  # whether its pose is `RIGHT`
+    foretold: bool  # whether the pose that odometry told just before its image was looked at is
+    false: bool  # whether it is `OK`, and not what `OK` promises
+    milliseconds: float  # CPU time
     kidnapped: bool
 
     @property
@@ -204,23 +196,16 @@ class Row:
     place: str
     degrees: float
     frames: int
-    right: float
-    """Share of all frames whose pose is right ..."""
-    sure: float
-    """... that are `OK` ..."""
-    tracked: float
-    """... and of those the share that is right."""
+    right: float  # share of all frames whose pose is right
+    sure: float  # ... that are `OK` ...
+    tracked: float  # ... and of those the share that is right.
     foretold: float
     """Of frames after one that was `OK`, kidnapped ones left out: share right before its image came."""
-    false: float
-    """Share of all frames that are `OK` and wrong, and ..."""
-    longest: int
-    """... most of them in a row."""
+    false: float  # share of all frames that are `OK` and wrong, and
+    longest: int  # ... most of them in a row.
     recovered: list[int | None]
-    milliseconds: float
-    """CPU time a frame, median, ..."""
-    worst: float
-    """... and the worst."""
+    milliseconds: float  # CPU time a frame, median,
+    worst: float  # ... and the worst.
 
     @classmethod
     def of(cls, place: str, degrees: float, walks: Sequence[Sequence[Seen]]) -> Row:
@@ -259,8 +244,7 @@ def _mean(values: Iterator[bool]) -> float:
     return float(np.mean(found)) if found else float("nan")
 
 
-ODOMETRY = 100.0
-"""Samples a second."""
+ODOMETRY = 100.0  # samples a second
 
 
 @dataclass(frozen=True)

@@ -29,8 +29,7 @@ from placegraph_lab.worlds.bags import BagWriter, Layout, write_capture
 from placegraph_ros.bag import Container
 
 IMAGES = ("/camera/color/image_raw", "/camera/aligned_depth_to_color/image_raw")
-AIM = 1.3
-"""Of the CPU time of `rosbags` alone."""
+AIM = 1.3  # of the CPU time of `rosbags` alone
 KINDS: tuple[tuple[str, Container, bool], ...] = (
     ("MCAP", "mcap", False),
     ("MCAP, zstd", "mcap", True),
@@ -44,19 +43,13 @@ class Row:
     """Figures of one container; seconds of CPU."""
 
     container: str
-    megabytes: float
-    """Of the pixels that are read."""
+    megabytes: float  # of the pixels that are read
     frames: int
-    open: float
-    """Until there is a capture."""
-    messages: float
-    """Opening, and colour and depth as messages, as `rosbags` gives them."""
-    arrays: float
-    """Opening, and colour and depth as arrays: RGB and metres."""
-    rosbags: float
-    """`rosbags` alone: opening, and the same messages."""
-    mcap: float | None
-    """`mcap` with `mcap-ros2-support`; None where it is no MCAP."""
+    open: float  # until there is a capture
+    messages: float  # opening, and colour and depth as messages, as `rosbags` gives them
+    arrays: float  # opening, and colour and depth as arrays: RGB and metres
+    rosbags: float  # `rosbags` alone: opening, and the same messages
+    mcap: float | None  # `mcap` with `mcap-ros2-support`; None where it is no MCAP
 
     @property
     def ratio(self) -> float:

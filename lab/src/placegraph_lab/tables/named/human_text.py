@@ -31,8 +31,7 @@ from placegraph_lab.tables.statistics import reliability
 if TYPE_CHECKING:
     from placegraph.outdoor.city import CityMap
 
-NEAR, WIDE = 100.0, 250.0
-"""Radii of the table [m]."""
+NEAR, WIDE = 100.0, 250.0  # radii of the table [m]
 QUOTED = {
     "rarest landmark named": ".23/.37, 930 m",
     "700 m in the stated direction": ".02/.13, 586 m",
@@ -46,8 +45,7 @@ QUOTED = {
 class Guess:
     """One answer; no answer is infinitely far."""
 
-    distance: float
-    """From the goal [m]."""
+    distance: float  # from the goal [m]
     probability: float | None = None
     status: str = ""
     seconds: float = float("nan")

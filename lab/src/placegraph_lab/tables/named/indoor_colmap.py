@@ -46,14 +46,10 @@ from placegraph_lab.tables.runner import (
 )
 from placegraph_learn.xfeat import XFeatMatcher
 
-WORDS = 64
-"""Of VLAD."""
-CANDIDATES = 10
-"""Mapped views that a query is matched with."""
-ERROR = 12.0
-"""Reprojection error of an inlier of PnP [px]."""
-LEAST = 12
-"""Fewest inliers of a pose."""
+WORDS = 64  # of VLAD
+CANDIDATES = 10  # mapped views that a query is matched with
+ERROR = 12.0  # reprojection error of an inlier of PnP [px]
+LEAST = 12  # fewest inliers of a pose
 RATIO = 0.8
 _ROUNDS = 8
 _SOME = 20_000
@@ -63,10 +59,8 @@ _SOME = 20_000
 class View:
     """A mapped view: features of known points."""
 
-    points: Floats
-    """(N, 3) [m, map]"""
-    vectors: NDArray[np.float32]
-    """(N, D) unit vectors."""
+    points: Floats  # (N, 3) [m, map]
+    vectors: NDArray[np.float32]  # (N, D) unit vectors
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,13 +68,10 @@ class Peer:
     """A map of features, ready to be asked."""
 
     views: Sequence[View]
-    words: NDArray[np.float32]
-    """(WORDS, D)"""
-    images: NDArray[np.float32]
-    """(V, WORDS D) VLAD of each view."""
+    words: NDArray[np.float32]  # (WORDS, D)
+    images: NDArray[np.float32]  # (V, WORDS D) VLAD of each view
     bytes_a_feature: float
-    features: Callable[[Frame], Features]
-    """Of a query's image: points [px], vectors."""
+    features: Callable[[Frame], Features]  # of a query's image: points [px], vectors
     ratio: float
 
     @property
@@ -266,10 +257,8 @@ def pycolmap() -> Any:  # noqa: ANN401  # it is untyped
     return library
 
 
-LIMITS = (0.10, 5.0)
-"""Position [m] and rotation [deg] that the recall allows."""
-BESIDE = slice(0, None, 2), slice(1, None, 2)
-"""Every other frame makes the map, those between ask."""
+LIMITS = (0.10, 5.0)  # position [m] and rotation [deg] that the recall allows
+BESIDE = slice(0, None, 2), slice(1, None, 2)  # every other frame makes the map, those between ask
 
 
 @dataclass(frozen=True)
@@ -298,16 +287,11 @@ class Answer:
     """What became of one frame."""
 
     frame: int
-    position: float
-    """Error [m]; infinite of no pose."""
-    rotation: float
-    """Error [deg]; infinite of no pose."""
-    sure: bool
-    """Whether the pose was given as certain: `OK`, or enough inliers of PnP."""
-    wrong: bool
-    """Sure, and farther off than `NEAR`."""
-    milliseconds: float
-    """CPU time."""
+    position: float  # error [m]; infinite of no pose
+    rotation: float  # error [deg]; infinite of no pose
+    sure: bool  # whether the pose was given as certain: `OK`, or enough inliers of PnP
+    wrong: bool  # sure, and farther off than `NEAR`
+    milliseconds: float  # CPU time
 
     @property
     def right(self) -> bool:

@@ -45,36 +45,28 @@ if TYPE_CHECKING:
     from placegraph.indoor.render import Rendering
     from placegraph_lab.tables.indoor.windows import Window
 
-PIXELS = (3.0, 5.0, 10.0)
-"""A match is right to within so many pixels of the query."""
-TURNS_DEG = (15.0, 30.0, 45.0)
-"""Views are turned by so much, to the left and to the right."""
+PIXELS = (3.0, 5.0, 10.0)  # A match is right to within so many pixels of the query
+TURNS_DEG = (15.0, 30.0, 45.0)  # views are turned by so much, to the left and to the right
 KINDS = ("true", "disturbed", *(f"turned {degrees:.0f}" for degrees in TURNS_DEG))
 """Where views are rendered from."""
-OFF = 0.2
-"""How far a disturbed pose is from the true one [m]."""
-OFF_TURN_DEG = 10.0
-"""And by how much it is turned about the vertical, to either side."""
+OFF = 0.2  # how far a disturbed pose is from the true one [m]
+OFF_TURN_DEG = 10.0  # and by how much it is turned about the vertical, to either side
 OFF_TILT_DEG = 0.5
 """And about the level axes, normally distributed: gravity is known, but not better than this."""
 NEAREST = 0.03
 """The surface of a match is visible to the query where no other is nearer by more than this [m],
 and `SLOPE` of its depth."""
 SLOPE = 0.02
-LIMITS = ((0.10, 5.0), (0.25, 2.0))
-"""Recall of the single view: within [m] and [deg]."""
-REPROJECTION = 8.0
-"""RANSAC's threshold [px]."""
-FEWEST = 6
-"""A pose is not sought from fewer matches."""
+LIMITS = ((0.10, 5.0), (0.25, 2.0))  # recall of the single view: within [m] and [deg]
+REPROJECTION = 8.0  # RANSAC's threshold [px]
+FEWEST = 6  # A pose is not sought from fewer matches
 
 
 @dataclass(frozen=True, eq=False)
 class Start:
     """A pose to render from."""
 
-    kind: str
-    """`true`, `disturbed`, or `turned 15` (degrees, to either side)."""
+    kind: str  # `true`, `disturbed`, or `turned 15` (degrees, to either side)
     map_from_camera: Floats
 
 
@@ -112,8 +104,7 @@ def turned(pose: Floats, yaw: float) -> Floats:
 class Query:
     """One frame, its truth and what the map looks like around it."""
 
-    window: Window
-    """Of one frame."""
+    window: Window  # of one frame
     scene: SceneMap
     starts: tuple[Start, ...]
 
@@ -179,11 +170,9 @@ class Found:
     covered: float | None
     kind: str
     matches: int
-    right: tuple[int, ...]
-    """Matches within each of `PIXELS`."""
+    right: tuple[int, ...]  # matches within each of `PIXELS`
     inliers: int
-    metres: float
-    """Error of the single view's pose; inf: none was found."""
+    metres: float  # error of the single view's pose; inf: none was found
     degrees: float
 
     def within(self, metres: float, degrees: float) -> bool:
@@ -262,10 +251,8 @@ class Trial:
 
     name: str
     found: tuple[Found, ...]
-    seconds: tuple[float, ...]
-    """Of each query with one view, features of both included."""
-    view_seconds: tuple[float, ...] = field(default=())
-    """Of each further view."""
+    seconds: tuple[float, ...]  # of each query with one view, features of both included
+    view_seconds: tuple[float, ...] = field(default=())  # of each further view
 
     @classmethod
     def joined(cls, name: str, parts: Sequence[Trial]) -> Trial:

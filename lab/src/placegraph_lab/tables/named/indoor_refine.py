@@ -278,8 +278,7 @@ def histograms(rows: Sequence[RefineRow]) -> list[str]:
     return parts
 
 
-BAR = 200
-"""Characters of a bar for a share of 1; a bin of half a sigma rarely holds more than .2."""
+BAR = 200  # characters of a bar for a share of 1; a bin of half a sigma rarely holds more than .2
 
 
 def histogram(s: Spread) -> str:
@@ -350,8 +349,7 @@ def harmful_list(rows: Sequence[RefineRow]) -> str:
     )
 
 
-WORDS = ("auto", "guided", *GICP)
-"""What refines without a matcher of its own being made."""
+WORDS = ("auto", "guided", *GICP)  # what refines without a matcher of its own being made
 
 
 class Matchers:

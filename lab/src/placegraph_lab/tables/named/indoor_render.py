@@ -27,10 +27,8 @@ from placegraph_lab.tables.indoor import maps as indoor_maps
 from placegraph_lab.tables.indoor.windows import HALVES, true_poses
 from placegraph_lab.tables.runner import Quick, Run, markdown, number, option, share, table
 
-TIMES = 5
-"""Renderings of each pose, of which the median counts."""
-WIDE = (-0.28, 0.09, 0.0, 0.0, -0.015)
-"""Distortion of a wide lens."""
+TIMES = 5  # renderings of each pose, of which the median counts
+WIDE = (-0.28, 0.09, 0.0, 0.0, -0.015)  # distortion of a wide lens
 HEADER = ["map", "triangles", "picture", "filled", "engine", "samples", "threads", "median"]
 HEADER += ["90th percentile", "slowest", "of processors"]
 NAMES = {"embree": "Embree", "bvh": "own tree"}

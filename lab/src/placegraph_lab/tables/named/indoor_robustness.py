@@ -179,8 +179,7 @@ def honesty(rows: Sequence[Row]) -> str:
 
 _RIDGE = 0.01
 _UNRIVALLED = 0.8
-TUNED = ("house", "office")
-"""Sets that may be tuned on, even windows of them."""
+TUNED = ("house", "office")  # sets that may be tuned on, even windows of them
 
 
 def samples(rows: Sequence[Row]) -> list[tuple[Told, bool]]:
@@ -229,8 +228,7 @@ def toned(
     return replace(trust, tone=(there, max(tells, 0.0)))
 
 
-_TONES = 6
-"""Where the features of tones begin."""
+_TONES = 6  # where the features of tones begin
 _GROWING = np.array([False, False, True, True, False, True, False, True])
 """Features of which more never makes an answer worse."""
 

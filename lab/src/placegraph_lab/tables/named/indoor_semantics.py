@@ -57,8 +57,7 @@ OTHERS = "labels, other words"
 INSTANCES = "instances"
 WITH_LABELS = (INSTANCES, TABLE, LABELS, OTHERS)
 """Encoders of a capture that brings labels; those of the house do."""
-OF_IMAGES = ("appearance",)
-"""Encoders of colour images that need no weights from elsewhere."""
+OF_IMAGES = ("appearance",)  # encoders of colour images that need no weights from elsewhere
 
 TERMS = {
     "semantic": {"semantic": True},
@@ -94,8 +93,7 @@ OTHER_WORDS = {
 class Case:
     """One row of a table: an encoder, the terms beside it, and where."""
 
-    place: str
-    """`house`, or a key of `HALVES`."""
+    place: str  # `house`, or a key of `HALVES`
     encoder: str
     terms: str
 

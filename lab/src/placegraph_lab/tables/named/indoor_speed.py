@@ -48,8 +48,7 @@ STRIDES = (40.0, 20.0, 10.0, 5.0)
 TRIANGLES = (1_000, 5_000, 20_000, 80_000, 300_000, 1_000_000)
 BASE = (1000, 20.0, 20_000)
 """Particles, stride and triangles of the row that the others differ from in one thing."""
-FRAMES = 10
-"""Frames of a sequence that are localized."""
+FRAMES = 10  # frames of a sequence that are localized
 
 
 @dataclass(frozen=True)
@@ -58,11 +57,11 @@ class Cost:
 
     triangles: int
     particles: int
-    rays: int
-    """Of a particle."""
+    rays: int  # of a particle
     seconds: float
-    casting: float
-    """The same rays cast and nothing compared [s]; NaN where that cannot be told apart."""
+    casting: (
+        float  # the same rays cast and nothing compared [s]; NaN where that cannot be told apart
+    )
 
     @property
     def rate(self) -> float:

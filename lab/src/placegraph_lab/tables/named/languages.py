@@ -95,8 +95,10 @@ class Tongue:
         return " ".join(told)
 
 
-VARIANTS = {"zh": ("zh-CN", "zh-TW"), "pt": ("pt-BR",)}
-"""How the presets call varieties of a language."""
+VARIANTS = {
+    "zh": ("zh-CN", "zh-TW"),
+    "pt": ("pt-BR",),
+}  # how the presets call varieties of a language
 
 
 def spoken() -> tuple[str, ...]:

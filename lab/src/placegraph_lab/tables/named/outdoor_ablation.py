@@ -51,10 +51,8 @@ Hits = dict[str, NDArray[np.bool_]]
 """By what was done (Q, 3): whether the true cell is the best, one of three, one of five."""
 
 
-GIVEN = (5, 10, 20, 50)
-"""Numbers of cells, the true one among them, that every network ranks."""
-CANDIDATES = 10
-"""The paper's n of Eq. 12."""
+GIVEN = (5, 10, 20, 50)  # numbers of cells, the true one among them, that every network ranks
+CANDIDATES = 10  # the paper's n of Eq. 12.
 
 
 @dataclass(frozen=True)
@@ -63,8 +61,7 @@ class Task:
 
     city: CityMap
     queries: tuple[Query, ...]
-    truth: NDArray[np.int64]
-    """(Q,) rows of `city.cells.points`: the cell that covers the viewpoint."""
+    truth: NDArray[np.int64]  # (Q,) rows of `city.cells.points`: the cell that covers the viewpoint
     others: tuple[NDArray[np.int64], ...]
     """For each query (K,) rows of wrong cells, best of the bag first."""
 

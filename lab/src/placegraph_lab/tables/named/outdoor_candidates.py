@@ -52,8 +52,7 @@ from placegraph_lab.tables.statistics import peak
 
 PAPER = {447: (1.06, 0.03), 1616: (3.34, 0.07), 3409: (6.67, 0.13), 5225: (10.71, 0.17)}
 """Table IV: seconds without and with candidates, by cells."""
-PAPER_RATIO = 71.94
-"""How much steeper the paper's line is without candidates."""
+PAPER_RATIO = 71.94  # how much steeper the paper's line is without candidates
 LARGER = (52_911, 200_000, 1_000_000)
 HIT = 50.0
 

@@ -35,10 +35,8 @@ from placegraph_lab.tables.outdoor.queries import Query, load, make_queries
 from placegraph_lab.tables.outdoor.raw import AREA, KEYS, RawCity
 from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, option, share, table
 
-SIGHT = 35.0
-"""The speaker sees things up to this far [m]."""
-RIGHT = 50.0
-"""An answer is right within this distance of the truth [m]."""
+SIGHT = 35.0  # the speaker sees things up to this far [m]
+RIGHT = 50.0  # an answer is right within this distance of the truth [m]
 
 Asking = Literal["best", "random"]
 """The most informative question, or any question about what is around the places that fit."""
@@ -49,8 +47,7 @@ class Speaker:
     """Somebody at a viewpoint, who sees what the raw extract has there."""
 
     bins: Bins
-    viewpoint: Floats
-    """(2,) east, north [m] in the plane of `bins`."""
+    viewpoint: Floats  # (2,) east, north [m] in the plane of `bins`
 
     def answer(self, question: Question) -> Answer:
         """Answer truthfully from the raw data; "don't know" where the question has no such answer."""

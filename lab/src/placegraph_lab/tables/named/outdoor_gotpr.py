@@ -25,12 +25,9 @@ from placegraph_lab.tables.runner import Quick, Run, markdown, option, share, ta
 
 Floats = NDArray[np.float32]
 
-SIDES = ("TSALayers", "GSALayers", "TCALayers", "GCALayers")
-"""Text and graph, within and across."""
-SLOPE = 0.01
-"""Of the leaky rectifiers."""
-CANDIDATES = 10
-"""Cells that the published evaluation compares closely."""
+SIDES = ("TSALayers", "GSALayers", "TCALayers", "GCALayers")  # text and graph, within and across
+SLOPE = 0.01  # of the leaky rectifiers
+CANDIDATES = 10  # cells that the published evaluation compares closely
 _MEND = "give the released model_osm.pt"
 
 

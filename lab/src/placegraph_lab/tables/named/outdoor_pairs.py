@@ -31,10 +31,8 @@ from placegraph_lab.tables.outdoor.queries import Query
 from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, number, option, table
 from placegraph_lab.tables.statistics import apart
 
-EVERYTHING = 1e9
-"""Margin [nat] that leaves nothing out: every pair is scored in full."""
-TOGETHER_IN_TORCH = 250
-"""Pairs a batch in PyTorch."""
+EVERYTHING = 1e9  # margin [nat] that leaves nothing out: every pair is scored in full
+TOGETHER_IN_TORCH = 250  # pairs a batch in PyTorch
 
 
 def rate(work: Callable[[], int], *, seconds: float, least: int = 3) -> float:
@@ -70,8 +68,7 @@ class Pairs:
 
     city: CityMap
     descriptions: tuple[Description, ...]
-    rows: tuple[np.ndarray, ...]
-    """For each text (K,) rows of `city.cells.points`."""
+    rows: tuple[np.ndarray, ...]  # for each text (K,) rows of `city.cells.points`
 
     @classmethod
     def of(cls, city: CityMap, queries: Sequence[Query], cells: int, rng: Generator) -> Pairs:

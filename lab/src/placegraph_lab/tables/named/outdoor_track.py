@@ -48,14 +48,11 @@ Shape = Literal["straight", "bent"]
 """On in the same direction, give or take `STRAIGHT`, or with turns to any side."""
 Method = Literal["last place alone", "all as one text", "track, told", "track, measured"]
 METHODS: tuple[Method, ...] = get_args(Method)
-NEAREST, FARTHEST = 30.0, 150.0
-"""Distance of neighbouring places [m]."""
-STRAIGHT, BENT = 0.2, 1.6
-"""Deviation of the direction from one leg to the next [rad]."""
+NEAREST, FARTHEST = 30.0, 150.0  # distance of neighbouring places [m]
+STRAIGHT, BENT = 0.2, 1.6  # deviation of the direction from one leg to the next [rad]
 DISTANCE_ERROR, BEARING_ERROR = 0.15, np.deg2rad(20.0)
 """Deviations of what people say of their way: share of the distance, angle [rad]."""
-ODOMETRY = 0.03
-"""Deviation of measured motion along each axis, as a share of the distance."""
+ODOMETRY = 0.03  # deviation of measured motion along each axis, as a share of the distance
 TRIES = 60
 WINDS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
 
@@ -65,10 +62,8 @@ class Step:
     """A place of a walk: how it was reached, and what is said there."""
 
     query: Query
-    told: str
-    """What the speaker says of the way from the place before; empty at the first."""
-    measured: tuple[float, float]
-    """What an odometer says of it, east and north [m]."""
+    told: str  # what the speaker says of the way from the place before; empty at the first
+    measured: tuple[float, float]  # what an odometer says of it, east and north [m]
 
 
 @dataclass(frozen=True)
@@ -132,11 +127,7 @@ def make_walks(
 
 
 def _walk(
-    teller: Teller,
-    center: Floats,
-    places: int,
-    shape: Shape,
-    rng: tuple[Generator, Generator],
+    teller: Teller, center: Floats, places: int, shape: Shape, rng: tuple[Generator, Generator]
 ) -> Walk | None:
     """One walk from around a centre (2,) [m], or None where it finds nothing to say."""
     path, speech = rng

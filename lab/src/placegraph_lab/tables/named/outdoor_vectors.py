@@ -23,18 +23,18 @@ from placegraph.vectors import EmbeddedStore
 from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, number, option, parts, table
 
 Floats = NDArray[np.float32]
-Search = Callable[[Floats, int], NDArray[np.int64]]
-"""One query (D,) and n to ids (n,)."""
-Build = Callable[[Floats], tuple[Search, int]]
-"""Vectors (C, D) to the search and its memory in bytes."""
+Search = Callable[[Floats, int], NDArray[np.int64]]  # one query (D,) and n to ids (n,)
+Build = Callable[
+    [Floats], tuple[Search, int]
+]  # vectors (C, D) to the search and its memory in bytes
 
 
 DIMENSION = 64
-BLOCK = 1_000_000
-"""Rows that are drawn at once."""
+BLOCK = 1_000_000  # rows that are drawn at once
 NEIGHBOURS = (10, 50)
-SEVERAL = 100_000
-"""Up to this size every kind of graph is built, beyond it one: it takes ten minutes."""
+SEVERAL = (
+    100_000  # up to this size every kind of graph is built, beyond it one: it takes ten minutes
+)
 
 
 def clustered(rng: np.random.Generator, count: int, queries: int) -> tuple[Floats, Floats]:
@@ -162,10 +162,8 @@ class Row:
     name: str
     build_s: float
     bytes: int
-    ms: dict[int, float]
-    """Median of a query, by n."""
-    recall: dict[int, float]
-    """Share of the exact neighbours found, by n."""
+    ms: dict[int, float]  # median of a query, by n
+    recall: dict[int, float]  # share of the exact neighbours found, by n
 
 
 def race(

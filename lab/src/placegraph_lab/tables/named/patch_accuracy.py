@@ -24,8 +24,7 @@ from placegraph_lab.tables.runner import Quick, Run, markdown, number, option, p
 from placegraph_lab.worlds.home.home import home, record, scene_of, visit
 
 HOMES = 8
-WALK = 15
-"""Frames of a walk through a home."""
+WALK = 15  # frames of a walk through a home
 _FIRST_HOME = 7_000  # seeds of homes from here on
 
 
@@ -33,13 +32,11 @@ _FIRST_HOME = 7_000  # seeds of homes from here on
 class Place:
     """A map, frames whose poses are known, and images of the map itself."""
 
-    kind: str
-    """`house`, `office` or `homes`."""
+    kind: str  # `house`, `office` or `homes`
     name: str
     scene: SceneMap
     frames: tuple[Frame, ...]
-    map_from_camera: Floats
-    """(T, 4, 4) of the frames."""
+    map_from_camera: Floats  # (T, 4, 4) of the frames
     captures: tuple[Capture, ...]
     """Of the map, for encoders that need some; other frames, their odometry being map_from_camera."""
 
@@ -122,8 +119,7 @@ def posed(capture: Capture, map_from_camera: Floats) -> Capture:
     )
 
 
-RAYS = 6
-"""Rays cast through a patch, across and down."""
+RAYS = 6  # rays cast through a patch, across and down
 TEMPERATURES = (0.02, 0.03, 0.05, 0.07, 0.1, 0.14, 0.2, 0.3, 0.5)
 """Temperatures that are tried for the best."""
 
@@ -133,24 +129,17 @@ class Accuracy:
     """How good an encoder is in one place, over patches of which half or more show one object."""
 
     patches: int
-    telling: float
-    """Share of patches that say anything."""
-    best: float
-    """Share of patches whose best object is the true one."""
-    auc: float
-    """Share of the other objects that the true one is put before; a half by chance."""
+    telling: float  # share of patches that say anything
+    best: float  # share of patches whose best object is the true one
+    auc: float  # share of the other objects that the true one is put before; a half by chance
     nats: float
     """Mean log-likelihood ratio of a patch as the particle filter weighs it, which takes a share
     of patches for wrong (`Likelihood.wrong`)."""
-    bare: float
-    """The same of softmax(cosines / temperature) alone."""
-    temperature: float
-    """Of the encoder."""
-    ideal: float
-    """Temperature of `TEMPERATURES` with the most nats here."""
+    bare: float  # the same of softmax(cosines / temperature) alone
+    temperature: float  # of the encoder
+    ideal: float  # temperature of `TEMPERATURES` with the most nats here
     ideal_nats: float
-    milliseconds: float
-    """To encode a frame and compare it with the objects."""
+    milliseconds: float  # to encode a frame and compare it with the objects
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers."""

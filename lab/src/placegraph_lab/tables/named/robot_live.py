@@ -54,10 +54,8 @@ from placegraph_lab.tables.runner import (
 )
 from placegraph_lab.tables.statistics import apart
 
-DRIFT = 0.5
-"""Of odometry [deg a frame]."""
-LOOKS = 20
-"""Times at which memory is looked at."""
+DRIFT = 0.5  # of odometry [deg a frame]
+LOOKS = 20  # times at which memory is looked at
 
 
 @dataclass(frozen=True)
@@ -65,10 +63,8 @@ class Life:
     """A long run."""
 
     row: Row
-    wall: dict[str, float]
-    """Milliseconds a frame, odometry of its time included."""
-    memory: list[tuple[int, float]]
-    """Frames, and what the process holds then [MB], resident."""
+    wall: dict[str, float]  # milliseconds a frame, odometry of its time included
+    memory: list[tuple[int, float]]  # frames, and what the process holds then [MB], resident
     kidnapped: int
 
     def to_dict(self) -> dict[str, Any]:
@@ -112,12 +108,9 @@ def resident() -> float:
 
 
 PARTS = ("walks", "paced", "ways", "lifelong")
-DRIFTS = (0.2, 0.5, 1.0)
-"""Degrees a frame."""
-RATES = (10.0, 30.0)
-"""Images a second."""
-SECONDS = 20.0
-"""Of each."""
+DRIFTS = (0.2, 0.5, 1.0)  # degrees a frame
+RATES = (10.0, 30.0)  # images a second
+SECONDS = 20.0  # of each
 WALKED = ["", "drift", "frames", "right", "OK", "right of OK", "foretold", "false OK", "longest",
           "found after", "most", "CPU ms", "worst"]  # fmt: skip
 

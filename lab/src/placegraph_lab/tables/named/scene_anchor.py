@@ -30,18 +30,13 @@ from placegraph_lab.worlds.home.home import home, scene_of, visit
 
 DRAWN, CORNER = 0.5, 0.2
 """Standard deviations of a whole footprint and of each of its corners [m]: pictures from above, a hand."""
-THICK = (2, 4)
-"""Cells that outer walls are thick."""
-BESIDE = (40, 80)
-"""Cells of building beside a home that is a part of it."""
+THICK = (2, 4)  # cells that outer walls are thick
+BESIDE = (40, 80)  # cells of building beside a home that is a part of it
 GPS, WRONG, FAR, FIXES = 5.0, 0.1, (30.0, 100.0), 60
 """Standard deviation of a fix [m], share of reflections, how far off they are [m], fixes of a capture."""
-WANDERS = 0.9
-"""Correlation of a fix's error with that of the fix before, where errors wander."""
-AROUND = 5.0
-"""From the walls, of those who walk around a house [m]."""
-RIGHT, TURN = 1.8, np.radians(15.0)
-"""A candidate is right within these."""
+WANDERS = 0.9  # correlation of a fix's error with that of the fix before, where errors wander
+AROUND = 5.0  # from the walls, of those who walk around a house [m]
+RIGHT, TURN = 1.8, np.radians(15.0)  # A candidate is right within these
 BUILDINGS = {
     f"{shape}, {part}{', entrance' if entrance else ''}": (shape, part, entrance)
     for shape in ("rectangle", "other shape")
@@ -64,12 +59,10 @@ class House:
     interior: Interior
     scene: SceneMap
     stands: Anchor
-    whole: Floats
-    """(n, 2) outline of the home's outer walls [m, map]."""
+    whole: Floats  # (n, 2) outline of the home's outer walls [m, map]
     part: Floats | None
     """The same of a building that the home is a part of; None: no side of it is free of windows."""
-    doors: Floats
-    """(E, 2) middles of outer doors [m, map]."""
+    doors: Floats  # (E, 2) middles of outer doors [m, map]
 
     @property
     def shape(self) -> str:
@@ -122,11 +115,7 @@ def _grown(mask: NDArray[np.bool_], cells: int) -> NDArray[np.bool_]:
 
 
 def _extended(
-    mask: NDArray[np.bool_],
-    origin: Floats,
-    cell: float,
-    openings: Sequence[Any],
-    rng: Generator,
+    mask: NDArray[np.bool_], origin: Floats, cell: float, openings: Sequence[Any], rng: Generator
 ) -> Floats | None:
     """Outline of a building that goes on beyond a side of the home that has no window and no door."""
     x, y = np.nonzero(mask)

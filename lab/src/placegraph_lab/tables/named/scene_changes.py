@@ -43,8 +43,7 @@ from placegraph_lab.tables.runner import (
     table,
 )
 
-GONE = ("moved", "vanished")
-"""Kinds that say that an object is not where the map has it."""
+GONE = ("moved", "vanished")  # kinds that say that an object is not where the map has it
 NEAR_NEW = 0.1
 """What appeared is right where it lies this near to the box of a thing that moved there [m]."""
 
@@ -57,30 +56,23 @@ class Told:
     first: int
     frames: int
     status: str
-    changed: bool
-    """Whether anything in the sequence was."""
+    changed: bool  # whether anything in the sequence was
     visible: tuple[str, ...]
     """Ids of what was truly moved or removed, and whose old place enough pixels show."""
-    found: tuple[str, ...]
-    """Of these, what is reported as moved or vanished."""
-    moves: int
-    """Of `found`, what truly moved ..."""
-    moves_found: int
-    """... and is reported as moved."""
+    found: tuple[str, ...]  # of these, what is reported as moved or vanished
+    moves: int  # of `found`, what truly moved
+    moves_found: int  # ... and is reported as moved.
     removed: int
-    removed_found: int
-    """Of `found`, what was truly removed, and is reported as vanished."""
+    removed_found: int  # of `found`, what was truly removed, and is reported as vanished
     errors: tuple[tuple[float, float], ...]
     """Of the motions of those: metres of the box's middle, and degrees."""
-    right: tuple[float, ...]
-    """Confidences of reports (moved, vanished) of things that truly changed ..."""
-    wrong: tuple[float, ...]
-    """... and of things that did not."""
-    new_right: int
-    """Appeared, where something truly stands now that did not."""
+    right: tuple[
+        float, ...
+    ]  # confidences of reports (moved, vanished) of things that truly changed
+    wrong: tuple[float, ...]  # ... and of things that did not.
+    new_right: int  # appeared, where something truly stands now that did not
     new_wrong: int
-    seconds: float
-    """Of comparing, without localizing."""
+    seconds: float  # of comparing, without localizing
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and strings."""
@@ -150,10 +142,7 @@ def ask(scene: SceneMap, folder: Path, first: int, frames: int, *, seed: int = 0
 
 
 def _verdicts(
-    scene: SceneMap,
-    reports: dict[str, Change],
-    changed: dict[str, Floats | None],
-    seen: set[str],
+    scene: SceneMap, reports: dict[str, Change], changed: dict[str, Floats | None], seen: set[str]
 ) -> dict[str, Any]:
     """What became of the visible changes: fields of `Told`."""
     found = sorted(id_ for id_ in seen if id_ in reports)
@@ -248,8 +237,7 @@ def _cells(told: Sequence[Told]) -> list[str]:
     ]
 
 
-STARTS = {25: (0,), 10: (0, 8, 15)}
-"""First frames of windows, by length."""
+STARTS = {25: (0,), 10: (0, 8, 15)}  # first frames of windows, by length
 
 
 @table()

@@ -29,19 +29,13 @@ from placegraph_lab.tables.statistics import apart, peak
 Fuser = Callable[[Sequence[Frame], Floats], Mesh]
 
 
-SEQUENCES = ("seq00", "seq03", "seq04", "seq07")
-"""Of the house, in which nothing was moved."""
-SEEN = 6.0
-"""What cameras see nearer than this should be in the mesh [m]."""
-GRAIN = 0.03
-"""Of what they see, one point in a cube of this edge counts [m]."""
+SEQUENCES = ("seq00", "seq03", "seq04", "seq07")  # of the house, in which nothing was moved
+SEEN = 6.0  # what cameras see nearer than this should be in the mesh [m]
+GRAIN = 0.03  # of what they see, one point in a cube of this edge counts [m]
 SAMPLES = 100_000
-EVERY = 6
-"""Of the office, every such frame is left out and asked about."""
-NEAR = 0.10
-"""A reading is in the mesh where the mesh is this near to it along the optical axis [m]."""
-SAME = 0.05
-"""Colours are compared where it is this near [m]."""
+EVERY = 6  # of the office, every such frame is left out and asked about
+NEAR = 0.10  # A reading is in the mesh where the mesh is this near to it along the optical axis [m]
+SAME = 0.05  # colours are compared where it is this near [m]
 
 
 @dataclass(frozen=True)
@@ -216,8 +210,7 @@ def rays_of(camera: Camera, pose: Floats, step: int) -> Floats:
     return rays
 
 
-TIMES = 3
-"""Runs, of which the quickest counts: what else the machine does only slows them."""
+TIMES = 3  # runs, of which the quickest counts: what else the machine does only slows them
 WAYS = (
     Way("defaults", own()),
     Way("voxels of 2 cm", own(voxel=0.02)),

@@ -52,8 +52,7 @@ from placegraph_lab.tables.scene.maps import (
 from placegraph_lab.tables.scene.maps_surface import Apart
 
 KILO, MEGA, MILLI = 1e-3, 1e-6, 1e3
-ROOM = 30
-"""Objects of a usual room."""
+ROOM = 30  # objects of a usual room
 STORAGE = {
     "HLoc": (294.4, 283.3), "MeshLoc": (1433.6, 589.7), "Loc-NeRF": (143.9, 66.6),
     "SG2Loc": (9.8, 28.2), "ACE": (4.2, 4.2),

@@ -242,8 +242,7 @@ def _of_kind(kind: str) -> Callable[[Answer], bool]:
     return lambda answer: answer.place.split()[0] == kind
 
 
-LARGE = BOTH
-"""The row that is asked in the large library, too: what a library does by default."""
+LARGE = BOTH  # the row that is asked in the large library, too: what a library does by default
 
 
 def asked(run: Run, first: int, *, thin: bool) -> tuple[list[Place], list[Walk]]:

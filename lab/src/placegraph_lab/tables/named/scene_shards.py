@@ -50,18 +50,15 @@ from placegraph_scale.library.shards import SceneShards
 
 WRONG = (0.0, 0.1, 0.3)
 FRAMES, FACTS = 5, 6
-DRAWN = 60
-"""Homes that are drawn."""
-SIDE = 2
-"""Patches of a bin of a panorama: this by this."""
-VIEW = 6
-"""Bins of azimuth in sight: 90 degrees."""
-NOISE = 0.3
-"""Length of the noise in what patches look like, against that of what the object looks like."""
+DRAWN = 60  # homes that are drawn
+SIDE = 2  # patches of a bin of a panorama: this by this
+VIEW = 6  # bins of azimuth in sight: 90 degrees
+NOISE = (
+    0.3  # length of the noise in what patches look like, against that of what the object looks like
+)
 LOOKED, WIDELY = SearchOptions().shortlist, 4_000
 """Scenes compared closely, half by labels and half by looks, and so many to see what is lost."""
-READ = 5_000
-"""Scenes of a library that is read, for comparison."""
+READ = 5_000  # scenes of a library that is read, for comparison
 
 
 def drawn(run: Run, encoders: Sequence[Encoder], seed: int) -> list[Signature]:

@@ -31,8 +31,7 @@ from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, number, opt
 SCRIPT = Path(__file__).parents[1] / "data/requests.lua"
 TICK = 1.0 / os.sysconf("SC_CLK_TCK")
 PAGE = os.sysconf("SC_PAGE_SIZE")
-STARTING = 300.0
-"""A server that is not ready after so long is given up [s]."""
+STARTING = 300.0  # A server that is not ready after so long is given up [s]
 
 
 @dataclass(frozen=True)

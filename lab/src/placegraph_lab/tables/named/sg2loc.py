@@ -114,10 +114,8 @@ class Spec(NamedTuple):
     lengths: tuple[int, ...] = (5,)
     rows: tuple[tuple[str, str, bool], ...] = ()
     """Name, recipe, and whether what comes after the filter counts."""
-    pace: float = 0.0
-    """Seconds in which a frame is done with (Table 6); 0: as measured."""
-    rooms: int = 1
-    """Fewest rooms that a set shows."""
+    pace: float = 0.0  # seconds in which a frame is done with (Table 6); 0: as measured
+    rooms: int = 1  # fewest rooms that a set shows
 
 
 FULL = (

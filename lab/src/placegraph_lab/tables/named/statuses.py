@@ -46,8 +46,7 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 TRAPS = Path(__file__).parents[1] / "data/traps.toml"
-MADE = EXTRACTS | {"manhattan": "manhattan_2025.osm.pbf"}
-"""Extracts that templates speak of."""
+MADE = EXTRACTS | {"manhattan": "manhattan_2025.osm.pbf"}  # extracts that templates speak of
 TOLD = {"pittsburgh": "rvs_pittsburgh.jsonl", "manhattan": "rvs_manhattan.jsonl"}
 """What people wrote, by the map it is about."""
 PROTOCOLS = (
@@ -59,8 +58,7 @@ ABROAD = {"ankara": "vancouver", "vancouver": "toronto", "monaco": "manhattan"}
 """Templates of one town, asked in another."""
 ASTRAY = {"pittsburgh": "manhattan", "manhattan": "pittsburgh"}
 """People's words about one town, asked in another."""
-LURED = ("toronto", "monaco", "manhattan")
-"""Maps on which traps with gaps are set."""
+LURED = ("toronto", "monaco", "manhattan")  # maps on which traps with gaps are set
 THINGS = ("bank", "cafe", "pharmacy", "bus stop", "bench", "church", "school", "restaurant")
 STREET = re.compile(r"\b(street|avenue|road|drive|lane|boulevard)\b", re.IGNORECASE)
 RADIUS = {"templates": 50.0, "people": 250.0, "traps": 50.0}
@@ -75,20 +73,17 @@ class Told:
     text: str
     goal: tuple[float, float] | None = None
     """Longitude, latitude [deg]; None where no place on the map is right."""
-    start: tuple[float, float] | None = None
-    """Where the listener is, if that is told [deg]."""
+    start: tuple[float, float] | None = None  # where the listener is, if that is told [deg]
 
 
 @dataclass(frozen=True)
 class TextSet:
     """Texts of one kind for one map."""
 
-    kind: str
-    """templates, people or traps."""
+    kind: str  # templates, people or traps
     name: str
     city: str
-    half: str
-    """Whether it was looked at while statuses were tuned."""
+    half: str  # whether it was looked at while statuses were tuned
     texts: tuple[Told, ...]
 
     @property
@@ -260,12 +255,9 @@ def logistic(share: Floats, right: NDArray[np.bool_]) -> Calibration:
     return Calibration(float(weights[0]), float(weights[1]))
 
 
-SIDE = 100.0
-"""Of the square of a diagram, in units of the drawing; a probability of 1 is as long."""
-STEP = 130.0
-"""From one diagram to the next."""
-PIXELS = 2.2
-"""A unit, drawn [px]."""
+SIDE = 100.0  # of the square of a diagram, in units of the drawing; a probability of 1 is as long
+STEP = 130.0  # from one diagram to the next
+PIXELS = 2.2  # A unit, drawn [px]
 
 
 def diagrams(panels: dict[str, Reliability]) -> Image:
@@ -306,12 +298,9 @@ KINDS = {
 class Verdict:
     """What became of one text."""
 
-    status: str
-    """`OK`, `AMBIGUOUS`, `LOST`, or the name of an error."""
-    probability: float
-    """Of the best place."""
-    off: float
-    """How far the best place is from the truth [m]; infinite where there is none."""
+    status: str  # `OK`, `AMBIGUOUS`, `LOST`, or the name of an error
+    probability: float  # of the best place
+    off: float  # how far the best place is from the truth [m]; infinite where there is none
 
 
 def judge(city: CityMap, told: Told) -> Verdict:

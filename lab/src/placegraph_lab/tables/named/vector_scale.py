@@ -28,8 +28,7 @@ from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, number, opt
 from placegraph_lab.tables.statistics import apart, peak
 
 WORD_BATCH = 10_000
-HIT = 50.0
-"""A cell whose centre is no farther from the place than this is right [m]."""
+HIT = 50.0  # A cell whose centre is no farther from the place than this is right [m]
 AMONG = (1, 10, 50)
 
 
@@ -143,8 +142,7 @@ def hybrid(city: CityMap, queries: Sequence[Query], folder: Path) -> list[dict[s
 
 
 Floats = NDArray[np.float32]
-Search = Callable[[Floats, int], Sequence[int]]
-"""One query (D,) and n to ids (n,)."""
+Search = Callable[[Floats, int], Sequence[int]]  # one query (D,) and n to ids (n,)
 
 
 NEIGHBOURS = 10
@@ -158,18 +156,13 @@ class Row:
 
     store: str
     count: int
-    rows_a_second: float
-    """Sent, indexed and ready to be asked."""
+    rows_a_second: float  # sent, indexed and ready to be asked
     p50_ms: float
     p95_ms: float
-    recall: float
-    """Share of the exact ten that are found."""
-    cpu_ms: float
-    """Of all threads of this process, a query."""
-    bytes_a_row: float
-    """On disk."""
-    peak: int = 0
-    """Largest memory of this process so far [bytes]."""
+    recall: float  # share of the exact ten that are found
+    cpu_ms: float  # of all threads of this process, a query
+    bytes_a_row: float  # on disk
+    peak: int = 0  # largest memory of this process so far [bytes]
 
 
 def nearest(vectors: Floats, queries: Floats) -> NDArray[np.int64]:
@@ -281,8 +274,11 @@ def on_lite(vectors: Floats, queries: Floats, wanted: NDArray[np.int64], folder:
     return Row("Milvus Lite 3, HNSW", len(vectors), len(vectors) / spent, *told, size)
 
 
-MEASURES = {"": embedded, "milvus_lite": on_lite, "milvus": on_server}
-"""By the module that each needs."""
+MEASURES = {
+    "": embedded,
+    "milvus_lite": on_lite,
+    "milvus": on_server,
+}  # by the module that each needs
 
 
 def measured(module: str, size: int, queries: int, seed: int, cache: Path) -> Row:

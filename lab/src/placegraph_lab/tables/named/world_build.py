@@ -30,12 +30,9 @@ from placegraph_lab.tables.outdoor.extracts import EXTRACTS
 from placegraph_lab.tables.outdoor.tiling import GAP, Extract, Tags, shifts_of, shuffled
 from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, number, option, parts, table
 
-VERSIONS = 2
-"""Of an extract."""
-BLOCK = 8000
-"""Elements of a block, as other writers have it."""
-_ID = 7
-"""Bytes of an id: 49 bits, whether they are needed or not."""
+VERSIONS = 2  # of an extract
+BLOCK = 8000  # elements of a block, as other writers have it
+_ID = 7  # bytes of an id: 49 bits, whether they are needed or not
 NAMES = frozenset({"name", "addr:street", "addr:housenumber", "brand", "operator", "name:en"})
 
 
@@ -66,14 +63,10 @@ class _Block:
 
     group: bytes
     strings: list[bytes]
-    names: NDArray[np.int64]
-    """Rows of `strings` that are names."""
-    gaps: NDArray[np.int64]
-    """Where in `group` ids stand ..."""
-    ids: NDArray[np.int64]
-    """... in the copy whose ids begin at 0 ..."""
-    signed: NDArray[np.bool_]
-    """... and whether they are written so that they may be negative."""
+    names: NDArray[np.int64]  # rows of `strings` that are names
+    gaps: NDArray[np.int64]  # where in `group` ids stand
+    ids: NDArray[np.int64]  # ... in the copy whose ids begin at 0 ...
+    signed: NDArray[np.bool_]  # ... and whether they are written so that they may be negative.
 
     def placed(self, first: int, shift: Floats, rng: Generator) -> bytes:
         group, strings = np.frombuffer(self.group, np.uint8).copy(), list(self.strings)
@@ -239,10 +232,8 @@ def _blob(kind: bytes, data: bytes) -> bytes:
 
 
 CITIES = ("liechtenstein", "vancouver", "andorra", "ankara")
-AFTER = 1000
-"""Tiles after which a build that is done once is killed."""
-EVERY = 0.5
-"""Memory is looked at in steps of this time [s]."""
+AFTER = 1000  # tiles after which a build that is done once is killed
+EVERY = 0.5  # memory is looked at in steps of this time [s]
 
 
 class Watch(Thread):

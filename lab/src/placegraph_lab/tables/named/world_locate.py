@@ -44,8 +44,7 @@ NAMES = (
     "Kastanienallee", "Lindenstraße", "Mühlenweg", "Nelkenweg", "Obstgasse", "Pappelallee",
 )  # fmt: skip
 FRAMES, WITHIN, TURN = 3, 0.25, np.radians(5.0)
-GPS = 15.0
-"""Standard deviation of a fix [m]."""
+GPS = 15.0  # standard deviation of a fix [m]
 ROWS = {
     f"{what}{', fix' if fix else ''}": ("text" in what, "frames" in what, fix)
     for fix in (False, True)
@@ -61,8 +60,7 @@ class Visit:
     room: str
     text: str
     frames: Capture
-    pose: NDArray[np.float64]
-    """(4, 4) map_from_camera of the last frame."""
+    pose: NDArray[np.float64]  # (4, 4) map_from_camera of the last frame
     near: tuple[float, float]
 
 

@@ -23,8 +23,7 @@ from placegraph_lab.tables.outdoor.queries import Query, load, make_queries
 from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, number, option, table
 from placegraph_lab.tables.statistics import apart, peak
 
-GAP = 400.0
-"""Space between copies [m], in steps of the grid of cells."""
+GAP = 400.0  # space between copies [m], in steps of the grid of cells
 FARTHEST_IN = 1e-3
 """Share of objects to either side that stick out of a city and do not count for its size."""
 
@@ -98,10 +97,10 @@ def _starts(counts: NDArray[np.integer]) -> NDArray[np.int32]:
     return np.concatenate(([0], np.cumsum(counts, dtype=np.int64))).astype(np.int32)
 
 
-SAME = 40.0
-"""Best places nearer than this are one [m]: as far apart as modes are at least."""
-COMMONER = 8
-"""Of so many times as many texts those are kept that speak of the commonest things alone."""
+SAME = 40.0  # best places nearer than this are one [m]: as far apart as modes are at least
+COMMONER = (
+    8  # of so many times as many texts those are kept that speak of the commonest things alone
+)
 
 
 def build(small: Path, path: Path, copies: int, seed: int) -> dict[str, Any]:

@@ -18,17 +18,14 @@ from placegraph_lab.tables.outdoor.nearby import (
     encode,
     relations,
 )
-from placegraph_lab.tables.outdoor.outdoor_kernels import (
-    SHORTEST,
-)
+from placegraph_lab.tables.outdoor.outdoor_kernels import SHORTEST
 from placegraph_lab.tables.outdoor.queries import Query
 from placegraph_lab.tables.outdoor.raw import Ints
 
 Words = Literal["labels", "triples", "speaker"]
 """What a bag holds: labels, triples of two objects, or triples of an object and the speaker."""
 
-CELL = 50.0
-"""Edge of a cell [m]."""
+CELL = 50.0  # edge of a cell [m]
 
 
 @dataclass(frozen=True)
@@ -38,16 +35,11 @@ class Bag:
     kind: Words
     plane: LocalPlane
     label_number: dict[str, int]
-    centers: Floats
-    """(C, 2) centres of the cells that hold anything; east, north [m]."""
-    words: Ints
-    """(W,) distinct words, rising."""
-    starts: Ints
-    """(W + 1,) cells of a word."""
-    cells: NDArray[np.int32]
-    """(P,)"""
-    idf: Floats
-    """(W,) log(cells / cells that hold the word)."""
+    centers: Floats  # (C, 2) centres of the cells that hold anything; east, north [m]
+    words: Ints  # (W,) distinct words, rising
+    starts: Ints  # (W + 1,) cells of a word
+    cells: NDArray[np.int32]  # (P,)
+    idf: Floats  # (W,) log(cells / cells that hold the word)
     tie_breaks: Floats
     """(C,) random numbers below every idf; cells that score the same are ranked by them."""
 

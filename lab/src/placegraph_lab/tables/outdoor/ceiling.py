@@ -15,10 +15,8 @@ from placegraph_lab.tables.outdoor.outdoor_kernels import _likeliest, _rank
 from placegraph_lab.tables.outdoor.queries import CELL, NOISE, SIGHT, Query
 from placegraph_lab.tables.outdoor.raw import Ints
 
-STEP = 12.5
-"""Edge of the grid of viewpoints that compete with the truth [m]."""
-CHUNK = 50_000
-"""Viewpoints looked at in one go: keeps memory small."""
+STEP = 12.5  # edge of the grid of viewpoints that compete with the truth [m]
+CHUNK = 50_000  # viewpoints looked at in one go: keeps memory small
 
 
 @dataclass(frozen=True)
@@ -28,21 +26,16 @@ class Contest:
     asked: Ints
     """(A, 4) words of all queries, one query after the other: as said, and in the three other
     directions."""
-    asked_starts: Ints
-    """(Q + 1,)"""
-    served_starts: Ints
-    """(W + 1,) viewpoints that serve a word."""
+    asked_starts: Ints  # (Q + 1,)
+    served_starts: Ints  # (W + 1,) viewpoints that serve a word
     served: NDArray[np.int32]
-    sayable: NDArray[np.int32]
-    """(V,) different statements that the generator could make at a viewpoint."""
-    own: Ints
-    """(Q,) statements that hold at the true viewpoint itself."""
-    truth: Floats
-    """(Q, 2) true viewpoints, in steps of the grid."""
-    column: NDArray[np.int32]
-    """(V, 2) viewpoints, in steps of the grid."""
-    square: NDArray[np.int32]
-    """Viewpoint of every square of the grid, -1 where there is none."""
+    sayable: NDArray[
+        np.int32
+    ]  # (V,) different statements that the generator could make at a viewpoint
+    own: Ints  # (Q,) statements that hold at the true viewpoint itself
+    truth: Floats  # (Q, 2) true viewpoints, in steps of the grid
+    column: NDArray[np.int32]  # (V, 2) viewpoints, in steps of the grid
+    square: NDArray[np.int32]  # viewpoint of every square of the grid, -1 where there is none
     step: float
 
     @classmethod
@@ -119,8 +112,7 @@ def _all_directions(words: Ints, labels: int) -> Ints:
     return np.asarray((source[:, None] * len(DIRECTIONS) + turned) * labels + target[:, None])
 
 
-MODE = 45.0
-"""The oracle sums the probability of viewpoints within this distance of a place's middle [m]."""
+MODE = 45.0  # the oracle sums the probability of viewpoints within this distance of a place's middle [m]
 
 
 SLIP = 0.05
@@ -132,10 +124,8 @@ a grid, a few metres from the true one."""
 class Ceiling:
     """Places that fit better than the true one, and others that fit as well, for each query."""
 
-    better: Ints
-    """(Q,)"""
-    tied: Ints
-    """(Q,)"""
+    better: Ints  # (Q,)
+    tied: Ints  # (Q,)
 
     def recall(self, k: int) -> float:
         """Share of queries whose true place is among the first k, ties broken at random."""

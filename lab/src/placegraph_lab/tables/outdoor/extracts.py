@@ -119,8 +119,7 @@ Rows = NDArray[np.int64]
 Starts = NDArray[np.signedinteger[Any]]
 
 
-GAP = 200.0
-"""Between copies at the least [m]."""
+GAP = 200.0  # between copies at the least [m]
 
 
 def take(objects: CityObjects, rows: Rows) -> CityObjects:

@@ -19,10 +19,10 @@ from placegraph.core.geometry import Floats, LocalPlane
 from placegraph.errors import InputError
 from placegraph_lab.tables.outdoor.raw import Ints
 
-APART = 100.0
-"""Points of one name that are nearer to each other are one landmark to the baselines [m]."""
-WALK = 700.0
-"""How far the direction baseline walks from the start [m]."""
+APART = (
+    100.0  # points of one name that are nearer to each other are one landmark to the baselines [m]
+)
+WALK = 700.0  # how far the direction baseline walks from the start [m]
 
 _COMPASS = {"north": (0.0, 1.0), "south": (0.0, -1.0), "east": (1.0, 0.0), "west": (-1.0, 0.0)}
 _DIRECTION = re.compile(
@@ -36,12 +36,9 @@ class Record:
     """One description."""
 
     text: str
-    goal: tuple[float, float]
-    """What is described: longitude, latitude [deg]."""
-    start: tuple[float, float]
-    """Where the reader stands ("you"): longitude, latitude [deg]."""
-    landmarks: tuple[tuple[str, float, float], ...]
-    """Name, longitude, latitude [deg]."""
+    goal: tuple[float, float]  # what is described: longitude, latitude [deg]
+    start: tuple[float, float]  # where the reader stands ("you"): longitude, latitude [deg]
+    landmarks: tuple[tuple[str, float, float], ...]  # name, longitude, latitude [deg]
 
 
 def read_records(path: str | Path) -> list[Record]:

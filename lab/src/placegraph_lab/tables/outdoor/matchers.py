@@ -24,17 +24,14 @@ from placegraph_lab.tables.outdoor.nearby import Bins
 from placegraph_lab.tables.outdoor.queries import Query, Setting
 
 STAGES = ("read", "embed", "search", "match")
-AT_ONCE = 2000
-"""Pairs matched in one call where all cells are: memory stays small."""
+AT_ONCE = 2000  # pairs matched in one call where all cells are: memory stays small
 
 
 class Run(NamedTuple):
     """One query through the pipeline."""
 
-    seconds: dict[str, float]
-    """By stage."""
-    rows: NDArray[np.int64]
-    """Rows of `city.cells.points`, best first."""
+    seconds: dict[str, float]  # by stage
+    rows: NDArray[np.int64]  # rows of `city.cells.points`, best first
 
     @property
     def total(self) -> float:
@@ -112,19 +109,15 @@ PIPELINES: dict[str, MatchingOptions] = {
     LOGIT: {"matcher": "transformer", **_SPARSE},
 }
 """What ranks ten cells: found by their embeddings, as in the paper, or by the inverted index."""
-MATCHERS = (*BAGS, *PIPELINES, RELATIONAL, FUSED)
-"""All, in the order of the table."""
-SLOW = (PAPER_EDITS, EDIT_PLAIN)
-"""Those that only get some of the queries, of some of the cities."""
+MATCHERS = (*BAGS, *PIPELINES, RELATIONAL, FUSED)  # all, in the order of the table
+SLOW = (PAPER_EDITS, EDIT_PLAIN)  # those that only get some of the queries, of some of the cities
 
 
 class Places(NamedTuple):
     """Ranked places, best first."""
 
-    positions: Floats
-    """(k, 2) longitude, latitude [deg]."""
-    cells: tuple[str, ...]
-    """(k,) cells of the map."""
+    positions: Floats  # (k, 2) longitude, latitude [deg]
+    cells: tuple[str, ...]  # (k,) cells of the map
 
 
 class Matcher(Protocol):

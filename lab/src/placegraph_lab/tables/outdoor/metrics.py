@@ -20,26 +20,19 @@ if TYPE_CHECKING:
     from placegraph_lab.tables.outdoor.queries import Setting
 
 RANKS = (1, 3, 5)
-RADII = (25.0, 50.0)
-"""A place within this distance of the truth is a hit [m]."""
-HIT = 50.0
-"""What a place's probability speaks of: the truth lies within this distance of it [m]."""
+RADII = (25.0, 50.0)  # A place within this distance of the truth is a hit [m]
+HIT = 50.0  # what a place's probability speaks of: the truth lies within this distance of it [m]
 
 
 @dataclass(frozen=True)
 class Answer:
     """Ranked places for one query, measured against the truth."""
 
-    distance: Floats
-    """(K,) from the truth [m], best place first."""
-    exact: tuple[bool, ...]
-    """(K,) whether the place lies in the truth's cell of the queries' grid."""
-    seconds: float
-    """Wall time, reading the text included."""
-    status: str = ""
-    """Name of the estimate's status; empty for a method that has none."""
-    probability: float | None = None
-    """Of the best place; None for a method that gives none."""
+    distance: Floats  # (K,) from the truth [m], best place first
+    exact: tuple[bool, ...]  # (K,) whether the place lies in the truth's cell of the queries' grid
+    seconds: float  # wall time, reading the text included
+    status: str = ""  # name of the estimate's status; empty for a method that has none
+    probability: float | None = None  # of the best place; None for a method that gives none
     own_cell: tuple[bool, ...] | None = None
     """(K,) whether the map's own cell of the place is the truth's; None where there is no map."""
 
@@ -85,23 +78,19 @@ class Score:
     """Row of a table."""
 
     queries: int
-    exact: dict[int, float]
-    """Recall of the exact cell of the queries' grid by rank."""
-    within: dict[float, dict[int, float]]
-    """Recall by radius [m] and rank."""
-    median: float
-    """Median distance of the best place [m]; infinite where most answers have none."""
-    calibration: Reliability | None
-    """Of the best place's probability to lie within 50 m of the truth."""
-    status: dict[str, float] = field(default_factory=dict)
-    """Share of every status."""
+    exact: dict[int, float]  # recall of the exact cell of the queries' grid by rank
+    within: dict[float, dict[int, float]]  # recall by radius [m] and rank
+    median: float  # median distance of the best place [m]; infinite where most answers have none
+    calibration: (
+        Reliability | None
+    )  # of the best place's probability to lie within 50 m of the truth
+    status: dict[str, float] = field(default_factory=dict)  # share of every status
     right: dict[str, float] = field(default_factory=dict)
     """Share of a status's best places that lie within 50 m of the truth."""
     own_cell: dict[int, float] = field(default_factory=dict)
     """Recall of the map's own cell by rank; its grid need not be that of the queries."""
     p50: float = float("nan")
-    p95: float = float("nan")
-    """Median and 95th percentile of the time for a query [s]."""
+    p95: float = float("nan")  # median and 95th percentile of the time for a query [s]
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and strings, ready for `json.dumps`; infinity and nan become None."""
@@ -223,10 +212,8 @@ class Row:
     city: str
     protocol: Protocol
     method: str
-    recall: dict[str, list[float]]
-    """Recall@1/3/5 by "exact", "25 m", "50 m"."""
-    score: Score | None
-    """None for the ceiling."""
+    recall: dict[str, list[float]]  # recall@1/3/5 by "exact", "25 m", "50 m"
+    score: Score | None  # none for the ceiling
     answers: tuple[Answer, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:

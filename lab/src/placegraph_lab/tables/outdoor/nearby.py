@@ -32,12 +32,9 @@ Position = Literal["nearest", "centroid"]
 class Around:
     """Objects around V viewpoints; the entries of viewpoint v are `starts[v]:starts[v + 1]`."""
 
-    starts: Ints
-    """(V + 1,)"""
-    objects: NDArray[np.int32]
-    """(E,) rows of the `RawCity`, rising within a viewpoint."""
-    points: Floats
-    """(E, 2) where they stand: east, north [m]."""
+    starts: Ints  # (V + 1,)
+    objects: NDArray[np.int32]  # (E,) rows of the `RawCity`, rising within a viewpoint
+    points: Floats  # (E, 2) where they stand: east, north [m]
 
 
 @dataclass(frozen=True)
@@ -45,13 +42,10 @@ class Bins:
     """Segments of a city by the square they pass; made once a city."""
 
     city: RawCity
-    low: Floats
-    """(2,) corner of the first bin [m]."""
+    low: Floats  # (2,) corner of the first bin [m]
     shape: tuple[int, int]
-    starts: Ints
-    """(bins + 1,)"""
-    owners: NDArray[np.int32]
-    """Objects that pass the bin, rising."""
+    starts: Ints  # (bins + 1,)
+    owners: NDArray[np.int32]  # objects that pass the bin, rising
 
     @classmethod
     def of(cls, city: RawCity) -> Bins:
@@ -145,14 +139,10 @@ def relations(delta: ArrayLike) -> NDArray[np.int8]:
 class Triples:
     """Ordered pairs of objects around V viewpoints; viewpoint v has `starts[v]:starts[v + 1]`."""
 
-    starts: Ints
-    """(V + 1,)"""
-    source: NDArray[np.int32]
-    """(T,) entry of the `Around`: what is described."""
-    target: NDArray[np.int32]
-    """(T,) entry of the `Around`: what it is described by."""
-    relation: NDArray[np.int8]
-    """(T,) index into `DIRECTIONS`: the source seen from the target."""
+    starts: Ints  # (V + 1,)
+    source: NDArray[np.int32]  # (T,) entry of the `Around`: what is described
+    target: NDArray[np.int32]  # (T,) entry of the `Around`: what it is described by
+    relation: NDArray[np.int8]  # (T,) index into `DIRECTIONS`: the source seen from the target
 
     @classmethod
     def of(cls, around: Around, longest: float = LONGEST) -> Triples:

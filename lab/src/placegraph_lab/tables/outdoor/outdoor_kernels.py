@@ -12,8 +12,7 @@ from placegraph_lab.tables.outdoor.raw import Ints
 # mypy: allow-untyped-defs, allow-incomplete-defs
 
 
-BIN = 50.0
-"""Edge of the bins that segments are looked up by [m]."""
+BIN = 50.0  # edge of the bins that segments are looked up by [m]
 
 
 @kernel
@@ -144,8 +143,7 @@ def _centers_around(
 NORTH, SOUTH, EAST, WEST = range(4)
 
 
-SHORTEST, LONGEST = 1.0, 25.0
-"""Two objects are related where they stand this far apart [m]."""
+SHORTEST, LONGEST = 1.0, 25.0  # two objects are related where they stand this far apart [m]
 
 
 @kernel
@@ -183,8 +181,7 @@ def _pairs(
 # mypy: allow-untyped-defs, allow-incomplete-defs
 
 
-UNSAID = 5e-5
-"""Probability of a statement that the generator would not make at a viewpoint."""
+UNSAID = 5e-5  # probability of a statement that the generator would not make at a viewpoint
 
 
 @kernel

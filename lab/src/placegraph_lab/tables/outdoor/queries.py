@@ -201,35 +201,25 @@ words for tag values; names kept (everywhere else they are removed); sentences a
 """
 SETTINGS: tuple[Setting, ...] = get_args(Setting)
 
-CELL = 50.0
-"""Edge of the grid that viewpoints are drawn from [m]."""
-JITTER = 10.0
-"""A viewpoint's largest distance from the centre of its cell [m]."""
-SIGHT = 25.0
-"""Objects within this distance of the viewpoint are spoken of [m]."""
-FEWEST = 6
-"""Objects that a cell must hold for a viewpoint in it."""
-NOWHERE = 60.0
-"""A thing "that is not there" is at least this far from the viewpoint [m]."""
-NOISE = 0.2
-"""Share of statements that noise changes."""
+CELL = 50.0  # edge of the grid that viewpoints are drawn from [m]
+JITTER = 10.0  # A viewpoint's largest distance from the centre of its cell [m]
+SIGHT = 25.0  # objects within this distance of the viewpoint are spoken of [m]
+FEWEST = 6  # objects that a cell must hold for a viewpoint in it
+NOWHERE = 60.0  # A thing "that is not there" is at least this far from the viewpoint [m]
+NOISE = 0.2  # share of statements that noise changes
 
 
 @dataclass(frozen=True, slots=True)
 class Said:
     """One statement of a query: the source lies in a direction, seen from the target."""
 
-    source: str
-    """Label, as the raw data have it."""
-    direction: str
-    """One of `DIRECTIONS`."""
-    target: str
-    """Label; empty where it is the speaker."""
+    source: str  # label, as the raw data have it
+    direction: str  # one of `DIRECTIONS`
+    target: str  # label; empty where it is the speaker
     source_osm: str
     target_osm: str
     """The objects it was made from; empty for the speaker and for things that are not there."""
-    noisy: bool = False
-    """Changed by the noise setting."""
+    noisy: bool = False  # changed by the noise setting
 
 
 @dataclass(frozen=True, slots=True)
@@ -238,8 +228,7 @@ class Query:
 
     text: str
     longitude: float
-    latitude: float
-    """The true viewpoint [deg]."""
+    latitude: float  # the true viewpoint [deg]
     said: tuple[Said, ...]
 
 

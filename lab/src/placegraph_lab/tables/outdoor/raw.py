@@ -20,8 +20,7 @@ from placegraph.errors import InputError
 
 Ints = NDArray[np.int64]
 
-Bounds = tuple[float, float, float, float]
-"""West, south, east, north [deg]."""
+Bounds = tuple[float, float, float, float]  # west, south, east, north [deg]
 
 POINT, LINE, AREA = 0, 1, 2
 
@@ -70,24 +69,17 @@ class RawCity:
     """Tagged objects of an extract; row i of every column is one object."""
 
     plane: LocalPlane
-    osm: tuple[str, ...]
-    """OpenStreetMap's own ids: ``node/1``, ``way/2``, ``relation/3``."""
-    kind: NDArray[np.uint8]
-    """(N,) POINT, LINE or AREA."""
-    key: NDArray[np.int16]
-    """(N,) index into `KEYS`."""
-    label: NDArray[np.int32]
-    """(N,) index into `labels`: tag values."""
-    named: NDArray[np.int32]
-    """(N,) index into `labels`: the name where there is one, else the tag value."""
-    labels: tuple[str, ...]
-    """Tag values and names, sorted."""
-    center: Floats
-    """(N, 2) east, north [m]: the point, the middle of the line, the centroid of the area."""
-    segment_starts: Ints
-    """(N + 1,) segments of an object; a point is one segment without length."""
-    segments: Floats
-    """(S, 4) east, north of both ends [m]."""
+    osm: tuple[str, ...]  # openStreetMap's own ids: ``node/1``, ``way/2``, ``relation/3``
+    kind: NDArray[np.uint8]  # (N,) POINT, LINE or AREA
+    key: NDArray[np.int16]  # (N,) index into `KEYS`
+    label: NDArray[np.int32]  # (N,) index into `labels`: tag values
+    named: NDArray[
+        np.int32
+    ]  # (N,) index into `labels`: the name where there is one, else the tag value
+    labels: tuple[str, ...]  # tag values and names, sorted
+    center: Floats  # (N, 2) east, north [m]: the point, the middle of the line, the centroid of the area
+    segment_starts: Ints  # (N + 1,) segments of an object; a point is one segment without length
+    segments: Floats  # (S, 4) east, north of both ends [m]
 
     def __len__(self) -> int:
         return len(self.osm)

@@ -11,8 +11,7 @@ from numpy.random import Generator
 from placegraph.core.geometry import Floats
 from placegraph_lab.tables.outdoor.raw import read_raw, tag_label
 
-GAP = 0.005
-"""Space between copies [deg]."""
+GAP = 0.005  # space between copies [deg]
 
 Tags = dict[str, str]
 

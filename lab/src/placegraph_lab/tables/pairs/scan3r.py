@@ -36,26 +36,19 @@ LISTS: dict[Split, str] = {
     "test": "test_resplit_scans.txt",
 }
 """SceneGraphLoc's names of its lists."""
-VALIDATION_ROOMS = 17
-"""Of 3RScan's 47 rooms for validation, those that remain it (Sec. 5)."""
-LENGTHS = (5, 10, 25, 50)
-"""Images of a sequence (Tables 1 and 2)."""
-CANDIDATES = (10, 50)
-"""Scenes from which the right one is retrieved (Table 5)."""
+VALIDATION_ROOMS = 17  # of 3RScan's 47 rooms for validation, those that remain it (Sec. 5).
+LENGTHS = (5, 10, 25, 50)  # images of a sequence (Tables 1 and 2)
+CANDIDATES = (10, 50)  # scenes from which the right one is retrieved (Table 5)
 
 
 @dataclass(frozen=True, eq=False)
 class ScanPair:
     """Two scans of one room."""
 
-    map: str
-    """Scan the map is made of, in its own axes."""
-    query: str
-    """Scan whose images are asked about."""
-    room: str
-    """Reference of the room."""
-    map_from_query: Floats
-    """(4, 4) [m]"""
+    map: str  # scan the map is made of, in its own axes
+    query: str  # scan whose images are asked about
+    room: str  # reference of the room
+    map_from_query: Floats  # (4, 4) [m]
     changed: bool
     """Whether `3RScan.json` tells of a change of an object between the room's reference and either."""
 

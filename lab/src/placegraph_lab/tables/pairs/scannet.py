@@ -27,14 +27,16 @@ from placegraph.io.capture.capture import Capture, open_capture
 from placegraph_io.dataset.scannet import axis_alignment, is_rigid, read_text
 from placegraph_lab.tables.indoor.windows import sampled
 
-WITHIN = 0.05
-"""Surfaces fit where they are this near [m]: two reconstructions differ by as much."""
-LEAST = 0.5
-"""Least share of the query's surface that fits the map's."""
-LEAD = 0.08
-"""Least lead of the best quarter turn over the next, in that share."""
-SHIFTS = (-1.0, -0.5, 0.0, 0.5, 1.0)
-"""Shifts along x and y that are tried, from middle to middle [m]."""
+WITHIN = 0.05  # surfaces fit where they are this near [m]: two reconstructions differ by as much
+LEAST = 0.5  # least share of the query's surface that fits the map's
+LEAD = 0.08  # least lead of the best quarter turn over the next, in that share
+SHIFTS = (
+    -1.0,
+    -0.5,
+    0.0,
+    0.5,
+    1.0,
+)  # shifts along x and y that are tried, from middle to middle [m]
 _REACH = 0.6
 _FINE, _TARGET = 5_000, 20_000
 _COARSE, _COARSE_TARGET, _COARSE_WITHIN = 300, 3_000, 0.15
@@ -74,10 +76,8 @@ def _middle(points: Floats) -> Floats:
     return np.array([*(low + high)[:2] / 2.0, 0.0])
 
 
-EVERY = 25
-"""Images from one query to the next (Sec. 5)."""
-LENGTHS = (5, 10, 25, 50)
-"""Images of a sequence (Tables 1 and 2)."""
+EVERY = 25  # images from one query to the next (Sec. 5).
+LENGTHS = (5, 10, 25, 50)  # images of a sequence (Tables 1 and 2)
 _SCAN = re.compile(r"(scene\d{4})_\d{2}")
 _RIGID = 1e-2
 
@@ -86,10 +86,8 @@ _RIGID = 1e-2
 class ScanPair:
     """Two scans of one room."""
 
-    map: str
-    """Scan the map is made of."""
-    query: str
-    """Scan whose images are asked about."""
+    map: str  # scan the map is made of
+    query: str  # scan whose images are asked about
     map_from_query: Floats | None = None
     """(4, 4) [m], from the axis-aligned query to the axis-aligned map; None: nobody knows."""
 

@@ -30,14 +30,16 @@ from placegraph.io.capture.capture import Capture
 if TYPE_CHECKING:
     from placegraph_lab.tables.retrieval.retrieval_places import Place, Walk
 
-LENGTHS = (1, 5, 10, 25, 50)
-"""Frames of a query."""
-EVERY = {1: 25, 5: 25, 10: 25, 25: 25, 50: 50}
-"""Frames from one query of a walk to the next, by length."""
-POOLS = {"10": 10, "50": 50}
-"""Scenes searched, the right one among them."""
-ABSENT = "absent"
-"""A pool of 50 scenes without the right one."""
+LENGTHS = (1, 5, 10, 25, 50)  # frames of a query
+EVERY = {
+    1: 25,
+    5: 25,
+    10: 25,
+    25: 25,
+    50: 50,
+}  # frames from one query of a walk to the next, by length
+POOLS = {"10": 10, "50": 50}  # scenes searched, the right one among them
+ABSENT = "absent"  # A pool of 50 scenes without the right one
 _EQUAL = 1e-6  # relative: sums in other orders differ by less
 
 
@@ -49,19 +51,13 @@ class Answer:
     place: str
     changed: bool
     frames: int
-    rank: int
-    """Of the right scene, from 1 on, where no other is as good; 0: it is not there."""
-    tied: int
-    """Scenes as good as the right one, itself among them."""
-    right: float
-    """Probability of the right scene."""
-    probability: float
-    """Of the scene named first."""
-    elsewhere: float
-    """Probability of being in none of the scenes."""
+    rank: int  # of the right scene, from 1 on, where no other is as good; 0: it is not there
+    tied: int  # scenes as good as the right one, itself among them
+    right: float  # probability of the right scene
+    probability: float  # of the scene named first
+    elsewhere: float  # probability of being in none of the scenes
     status: str
-    milliseconds: float
-    """Of searching, all frames encoded."""
+    milliseconds: float  # of searching, all frames encoded
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and strings."""
@@ -76,8 +72,7 @@ class Found:
     scores: tuple[float, ...]
     probabilities: tuple[float, ...]
     elsewhere: float
-    status: str
-    """Empty of a method that does not judge itself."""
+    status: str  # empty of a method that does not judge itself
 
 
 class Searcher(Protocol):

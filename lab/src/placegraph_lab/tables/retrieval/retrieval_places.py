@@ -30,12 +30,9 @@ from placegraph_lab.worlds.flat.interior import Interior
 from placegraph_lab.worlds.home.catalogue import SYNONYMS
 from placegraph_lab.worlds.home.home import STYLES, changed, home, record, scene_of, visit
 
-LENGTH = 50
-"""Frames of a walk through a home."""
-RATE = 5.0
-"""Frames a second."""
-QUALITY = 92
-"""Of the JPEG images, as in capture folders."""
+LENGTH = 50  # frames of a walk through a home
+RATE = 5.0  # frames a second
+QUALITY = 92  # of the JPEG images, as in capture folders
 _NOTHING = 255  # in label images
 
 
@@ -150,13 +147,10 @@ def _jpeg(colours: NDArray[np.uint8]) -> bytes:
 
 _Number = TypeVar("_Number", bound=np.generic)
 
-FIRST = 1000
-"""Seed of the first home that figures are reported of; those below are for development."""
+FIRST = 1000  # seed of the first home that figures are reported of; those below are for development
 HOMES = 56
-FINE = 0.4
-"""Triangles of what several rooms share are cut to edges no longer than this [m]."""
-NEAR = 0.3
-"""What is shared belongs to a room whose floor is no farther away than this [m]."""
+FINE = 0.4  # triangles of what several rooms share are cut to edges no longer than this [m]
+NEAR = 0.3  # what is shared belongs to a room whose floor is no farther away than this [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,11 +168,9 @@ class Walk:
     """Frames taken in one place, some time after its map was made."""
 
     name: str
-    place: str
-    """Name of the place: the truth."""
+    place: str  # name of the place: the truth
     capture: Capture
-    changed: bool
-    """Whether things were moved, taken away or brought in since."""
+    changed: bool  # whether things were moved, taken away or brought in since
 
 
 def homes(seeds: Sequence[int], cache: Path) -> Iterator[tuple[Place, list[Walk]]]:

@@ -25,10 +25,8 @@ if TYPE_CHECKING:
     from placegraph_lab.tables.retrieval.retrieval_vectors import Encoded
 
 SCENES = 10_000
-VARIED = 0.5
-"""Share of a variation's objects that are exchanged."""
-MOVED = 0.2
-"""Standard deviation of where its objects are [m]."""
+VARIED = 0.5  # share of a variation's objects that are exchanged
+MOVED = 0.2  # standard deviation of where its objects are [m]
 APART = 0.2
 """Length of what is added to each vector of what things look like; the vectors of labels are few by
 nature, and stay."""
@@ -41,15 +39,11 @@ class Scale:
 
     encoder: str
     scenes: int
-    objects: float
-    """Of a scene."""
+    objects: float  # of a scene
     frames: int
-    milliseconds: float
-    """Of searching with the frames encoded; the median."""
-    recall: float
-    """At 1, of scenes beside which there are many like them."""
-    vectors: tuple[int, ...]
-    """Distinct ones of the library, by encoder."""
+    milliseconds: float  # of searching with the frames encoded; the median
+    recall: float  # at 1, of scenes beside which there are many like them
+    vectors: tuple[int, ...]  # distinct ones of the library, by encoder
 
 
 def varied(
@@ -68,10 +62,8 @@ def varied(
 class Stock:
     """All objects of some scenes, to be exchanged for those of others."""
 
-    labels: tuple[str, ...]
-    """(M,)"""
-    vectors: Mapping[str, NDArray[np.float32]]
-    """(M, d) by the key of the encoder."""
+    labels: tuple[str, ...]  # (M,)
+    vectors: Mapping[str, NDArray[np.float32]]  # (M, d) by the key of the encoder
 
     @classmethod
     def of(cls, signatures: Sequence[Signature]) -> Stock:

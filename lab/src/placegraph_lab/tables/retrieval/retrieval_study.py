@@ -37,8 +37,7 @@ from placegraph_lab.tables.runner import INDOOR, WORLDS, Journal, code_key
 
 WHOLE = ("paper", "ours")
 """Methods that are asked in every pool; the others, ablations, are asked among 50."""
-ABLATED = (NOISY,)
-"""Rows that are asked without parts of the method, too."""
+ABLATED = (NOISY,)  # rows that are asked without parts of the method, too
 
 
 @dataclass(frozen=True)
@@ -46,14 +45,10 @@ class Row:
     """What one encoder came to."""
 
     name: str
-    answers: dict[tuple[str, str, int], list[Answer]]
-    """By method, pool and length."""
-    encoding: float
-    """Milliseconds of a frame; the median."""
-    kilobytes: float
-    """Of a scene in a library's file."""
-    objects: float
-    """Of a scene."""
+    answers: dict[tuple[str, str, int], list[Answer]]  # by method, pool and length
+    encoding: float  # milliseconds of a frame; the median
+    kilobytes: float  # of a scene in a library's file
+    objects: float  # of a scene
 
 
 class Study:

@@ -134,10 +134,8 @@ def noisy(encoder: Encoder, part: str, vocabulary: Sequence[str], walk: Walk) ->
 class Encoded:
     """What an encoder said of a walk."""
 
-    walk: Walk
-    """Its frames bring the vectors that `Replay` says."""
-    seconds: float
-    """Of encoding a frame; the median."""
+    walk: Walk  # its frames bring the vectors that `Replay` says
+    seconds: float  # of encoding a frame; the median
 
 
 class Replay:
@@ -187,8 +185,7 @@ class _Said:
     """Images of a frame, and what was said of it."""
 
     images: Images
-    vectors: dict[str, NDArray[np.float32]]
-    """By the key of the encoder."""
+    vectors: dict[str, NDArray[np.float32]]  # by the key of the encoder
 
     def rgb(self) -> NDArray[np.uint8]:
         """As `Frame.rgb`."""

@@ -40,10 +40,8 @@ from placegraph_lab.tables.indoor.windows import (
 from placegraph_lab.tables.runner import INDOOR, Journal, code_key
 from placegraph_lab.tables.scene.maps_surface import Apart, compare
 
-EMBEDDING = 512
-"""Length of the embeddings whose bytes are measured."""
-CHEAP = 30.0
-"""What takes less than this is built three times, and the median told [s]."""
+EMBEDDING = 512  # length of the embeddings whose bytes are measured
+CHEAP = 30.0  # what takes less than this is built three times, and the median told [s]
 _LAUNCHER = """
 import json, os, subprocess, sys, time
 start = time.perf_counter()
@@ -59,16 +57,12 @@ class Size(NamedTuple):
     """How much of a source a map keeps."""
 
     name: str
-    options: tuple[str, ...]
-    """Of `placegraph scene build`."""
+    options: tuple[str, ...]  # of `placegraph scene build`
 
 
 FULL = Size("full", ("--detail", "full"))
 """The source's own triangles and textures: what the others are compared with."""
-NAMED = (
-    FULL,
-    *(Size(name, ("--detail", name)) for name in ("fine", "default", "small", "tiny")),
-)
+NAMED = (FULL, *(Size(name, ("--detail", name)) for name in ("fine", "default", "small", "tiny")))
 VERTICES = Size("coarse", ())
 """20,000 triangles whose vertices alone have colours, of `tables.indoor.decimate`; from the full map."""
 LABELLED = Size("labelled", ())
@@ -84,11 +78,9 @@ class Place(NamedTuple):
     """What maps are made of."""
 
     title: str
-    source: str
-    """Below the folder of the data."""
+    source: str  # below the folder of the data
     options: tuple[str, ...]
-    warm_up: tuple[str, ...]
-    """Options of a build that shows all compiled code once, quickly."""
+    warm_up: tuple[str, ...]  # options of a build that shows all compiled code once, quickly
 
 
 PLACES = {
@@ -111,25 +103,20 @@ class Made:
 
     place: str
     size: str
-    digest: str
-    """Of the map file's bytes."""
+    digest: str  # of the map file's bytes
     bytes: int
     parts: dict[str, int]
     """Bytes of graph, surface, colour; and of embeddings of 512 random numbers an object, which
     are not among `bytes`: a map that is just built has none."""
     objects: int
-    labelled: int
-    """Objects whose label says something."""
+    labelled: int  # objects whose label says something
     triangles: int
     textures: int
-    open_seconds: float
-    """Median of 5, ray-casting structure included, compiled code warm."""
+    open_seconds: float  # median of 5, ray-casting structure included, compiled code warm
     build_seconds: float | None = None
     """Of the build itself, in a fresh process, compiled code cached; median of 3 where cheap."""
-    command_seconds: float | None = None
-    """Of the whole command."""
-    peak_bytes: int | None = None
-    """Largest memory of the command; the largest of those measured."""
+    command_seconds: float | None = None  # of the whole command
+    peak_bytes: int | None = None  # largest memory of the command; the largest of those measured
     left_out: dict[str, int] | None = None
     notes: list[str] | None = None
 
@@ -250,8 +237,7 @@ class Run(NamedTuple):
 
     out: str
     seconds: float
-    peak: int
-    """Largest memory [bytes]."""
+    peak: int  # largest memory [bytes]
 
 
 def run(arguments: Sequence[str]) -> Run:
@@ -328,8 +314,7 @@ REFINED_ROWS = (
 )  # fmt: skip
 """Of the protocol of `indoor_refine`: where textures matter, images refine alone."""
 REFINED_SIZES = ("full", "default", "small")
-LENGTHS = (5, 10)
-"""Frames of the house's windows; refining gets the longer ones."""
+LENGTHS = (5, 10)  # frames of the house's windows; refining gets the longer ones
 LIMITS = {"house": ((0.10, 5.0), (0.25, 2.0)), "office": ((0.10, 5.0), (0.25, 10.0))}
 """Position [m] and rotation [deg] that a recall allows; the second is what the aims count."""
 

@@ -14,12 +14,10 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-SAMPLES = 50_000
-"""Points on either surface."""
+SAMPLES = 50_000  # points on either surface
 
 
-REACH = 1.0
-"""What lies farther away counts as this far [m]."""
+REACH = 1.0  # what lies farther away counts as this far [m]
 
 
 @dataclass(frozen=True)
@@ -27,13 +25,10 @@ class Apart:
     """Distances of two surfaces [m], of samples of the one and of the other."""
 
     mean: float
-    most: float
-    """95 % are nearer than this."""
+    most: float  # 95 % are nearer than this
     maximum: float
-    there: list[float]
-    """The same three of samples of the first alone ..."""
-    back: list[float]
-    """... and of the second."""
+    there: list[float]  # the same three of samples of the first alone
+    back: list[float]  # ... and of the second.
 
 
 def compare(one: Mesh, other: Mesh, rng: np.random.Generator, samples: int = SAMPLES) -> Apart:

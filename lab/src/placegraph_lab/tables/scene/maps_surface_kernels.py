@@ -20,18 +20,12 @@ _CELL = 0.1  # [m]
 class Grid(NamedTuple):
     """Triangles by the cells that they may touch."""
 
-    corners: Floats
-    """(T, 3, 3) [m]"""
-    low: Floats
-    """(3,) lowest corner of cell 0 [m]."""
-    shape: Ints
-    """(3,) cells an axis."""
-    cells: Ints
-    """(C,) numbers of those that hold a triangle, ascending."""
-    starts: Ints
-    """(C + 1,) first row of each in `rows`."""
-    rows: Ints
-    """Triangles."""
+    corners: Floats  # (T, 3, 3) [m]
+    low: Floats  # (3,) lowest corner of cell 0 [m]
+    shape: Ints  # (3,) cells an axis
+    cells: Ints  # (C,) numbers of those that hold a triangle, ascending
+    starts: Ints  # (C + 1,) first row of each in `rows`
+    rows: Ints  # triangles
 
 
 @kernel

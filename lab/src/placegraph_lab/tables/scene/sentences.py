@@ -24,12 +24,9 @@ from placegraph.indoor.map.relations import SAME_ROOM
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.runner import markdown, shares
 
-FACTS = (1, 2, 3, 4, 6)
-"""Facts in a sentence."""
-WRONG = (0.0, 0.2)
-"""Share of them that are of another scene."""
-AMONG = (10, 50)
-"""Scenes that a sentence is asked of, its own among them."""
+FACTS = (1, 2, 3, 4, 6)  # facts in a sentence
+WRONG = (0.0, 0.2)  # share of them that are of another scene
+AMONG = (10, 50)  # scenes that a sentence is asked of, its own among them
 AT = (1, 3, 5)
 _NUMBERS = ("no", "a", "two", "three", "four", "five", "six", "seven", "eight", "nine")
 _WORDS = {
@@ -49,8 +46,7 @@ class Scene(NamedTuple):
 
     name: str
     graph: SceneGraph
-    rooms: tuple[str, ...]
-    """(N,) room of each object, empty where it is in none."""
+    rooms: tuple[str, ...]  # (N,) room of each object, empty where it is in none
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,8 +58,7 @@ class Asked:
     facts: int
     wrong: float
     among: int
-    rank: int
-    """1 if the scene was first; of equal scores the mean."""
+    rank: int  # 1 if the scene was first; of equal scores the mean
 
 
 def scenes_of(scene: SceneMap, name: str) -> Scene:

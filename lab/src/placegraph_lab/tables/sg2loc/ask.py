@@ -78,14 +78,10 @@ class Set:
     name: str
     walks: tuple[Walk, ...]
     scene: Callable[[str], SceneMap]
-    rooms: dict[str, str]
-    """Which room each map shows: maps of one room are not to be told apart."""
-    rate: float
-    """Frames a second of a recording."""
-    own_ids: bool = False
-    """Instances of its label images are ids of the map's objects."""
-    frames: int = 0
-    """Of a walk, where that is known before one is opened."""
+    rooms: dict[str, str]  # which room each map shows: maps of one room are not to be told apart
+    rate: float  # frames a second of a recording
+    own_ids: bool = False  # instances of its label images are ids of the map's objects
+    frames: int = 0  # of a walk, where that is known before one is opened
 
     @cached_property
     def longest(self) -> int:
@@ -308,8 +304,7 @@ class _Scans:
         return replace(pair, map_from_query=motion)
 
 
-IMAGES = "appearance"
-"""Encoder of images that bring no labels, if none is named."""
+IMAGES = "appearance"  # encoder of images that bring no labels, if none is named
 GRID = tuple(np.arange(0.2, 2.5, 0.2).tolist())
 """Heights of the ablation *Uniform sampling*: a grid of 0.2 m upwards, too [m]."""
 
@@ -347,14 +342,10 @@ def recipes() -> dict[str, Recipe]:
 class Reply:
     """What a recipe answered about a window."""
 
-    filter: Answer
-    """Of the filter alone; its seconds are the filter's."""
-    whole: Answer
-    """After refinement, where there is any."""
-    refining: float
-    """[s]"""
-    right: bool
-    """Whether it named the right one of merged scenes."""
+    filter: Answer  # of the filter alone; its seconds are the filter's
+    whole: Answer  # after refinement, where there is any
+    refining: float  # [s]
+    right: bool  # whether it named the right one of merged scenes
 
     @classmethod
     def from_dict(cls, row: dict[str, Any]) -> Reply:
@@ -367,8 +358,7 @@ class Reply:
 class How:
     """What is the same in all rows of a table."""
 
-    frames: int
-    """Most frames asked of a set, a state and a length; 0: all."""
+    frames: int  # most frames asked of a set, a state and a length; 0: all
     encoder: str
     matcher: str
     seed: int

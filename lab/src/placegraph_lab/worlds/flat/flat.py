@@ -71,11 +71,9 @@ from placegraph_lab.worlds.flat.legend import (
 if TYPE_CHECKING:
     from placegraph_lab.worlds.flat.interior import Interior
 
-HEADROOM = 1.9
-"""What hangs higher than this is walked under [m]."""
+HEADROOM = 1.9  # what hangs higher than this is walked under [m]
 OUTSIDE = -1
-SOLID = -2
-"""Entries of `Flat.room_of` that are no room: outside, and walls with what is in them."""
+SOLID = -2  # entries of `Flat.room_of` that are no room: outside, and walls with what is in them
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,8 +92,7 @@ class Blot:
     glyph: str
     symbol: Symbol
     cells: frozenset[Cell]
-    own: Cell
-    """First cell, in reading order, that is drawn with this very glyph."""
+    own: Cell  # first cell, in reading order, that is drawn with this very glyph
 
 
 @dataclass(frozen=True)
@@ -103,18 +100,12 @@ class Flat(Drawing):
     """A flat drawn in characters: make it an `Interior` with `furnish`."""
 
     name: str
-    metres: tuple[float, float]
-    """Width and height of a character [m]."""
-    height: float
-    """Height of the rooms [m]."""
-    rows: tuple[str, ...]
-    """The drawing."""
-    legend: dict[str, Symbol]
-    """Meaning of every glyph."""
-    source: str = "<text>"
-    """File the flat was read from, for messages."""
-    first_line: int = 1
-    """Line of that file that holds ``rows[0]``, for messages."""
+    metres: tuple[float, float]  # width and height of a character [m]
+    height: float  # height of the rooms [m]
+    rows: tuple[str, ...]  # the drawing
+    legend: dict[str, Symbol]  # meaning of every glyph
+    source: str = "<text>"  # file the flat was read from, for messages
+    first_line: int = 1  # line of that file that holds ``rows[0]``, for messages
 
     @classmethod
     def parse(cls, text: str, *, source: str = "<text>") -> Self:

@@ -17,8 +17,7 @@ from placegraph_lab.worlds.flat.textures import WHOLE, Look
 Floats = NDArray[np.float64]
 Size = tuple[float, float]
 
-SQUARE: Size = (1.0, 1.0)
-"""Extent of a texture that repeats [m]."""
+SQUARE: Size = (1.0, 1.0)  # extent of a texture that repeats [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -414,20 +413,15 @@ class Model:
     """A kind of furniture: how it is built, and what it is by default."""
 
     build: Callable[[Body], list[Part]]
-    height: float
-    """Own height [m]."""
+    height: float  # own height [m]
     look: str
     trim: str
     base: float | None = None
     """Height of its lower edge above the floor [m]; None: it stands on what carries it."""
-    depth: float | None = None
-    """Depth from its back [m]; None: as drawn."""
-    glow: float = 0.0
-    """How brightly it shines of itself; a white wall in good light has 1."""
-    hung: bool = False
-    """Whether it hangs on the wall behind it and needs one."""
-    above: float = 0.02
-    """How far something of it, such as a tap, reaches above its height [m]."""
+    depth: float | None = None  # depth from its back [m]; None: as drawn
+    glow: float = 0.0  # how brightly it shines of itself; a white wall in good light has 1
+    hung: bool = False  # whether it hangs on the wall behind it and needs one
+    above: float = 0.02  # how far something of it, such as a tap, reaches above its height [m]
 
     def made(self, body: Body) -> list[Part]:
         """Parts of a piece of furniture, none of which sticks out of its footprint.

@@ -16,8 +16,7 @@ from PIL import Image
 from placegraph.io.mesh.gltf_write import Material, Part, Surface, encode_glb
 from placegraph_lab.worlds.flat.interior import Interior
 
-QUALITY = 90
-"""Of the textures' JPEG images."""
+QUALITY = 90  # of the textures' JPEG images
 
 
 def write_glb(interior: Interior, path: str | Path) -> Path:

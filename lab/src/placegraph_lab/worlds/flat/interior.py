@@ -24,8 +24,7 @@ from placegraph_lab.worlds.flat.walls import Piece, rectangles, shell
 
 Rectangle = tuple[float, float, float, float]
 
-GAP = 0.01
-"""Distance of furniture from the edges of its cells, and so from walls [m]."""
+GAP = 0.01  # distance of furniture from the edges of its cells, and so from walls [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,13 +46,11 @@ class Thing:
     """One object of the flat."""
 
     id: int
-    name: str
-    """Label, and a number where several have it: ``chair 2``."""
+    name: str  # label, and a number where several have it: ``chair 2``
     label: str
     room: str
     surfaces: tuple[Surface, ...]
-    glow: float = 0.0
-    """How brightly it shines of itself."""
+    glow: float = 0.0  # how brightly it shines of itself
     is_window: bool = False
 
     @property
@@ -79,8 +76,7 @@ class Thing:
 class Lamp:
     """Where light comes from: a lamp in the evening, a window by day."""
 
-    position: tuple[float, float, float]
-    """x, y, z [m]."""
+    position: tuple[float, float, float]  # x, y, z [m]
     is_window: bool = False
 
 
@@ -89,8 +85,7 @@ class Interior:
     """Things and lamps of a flat, in map coordinates: x right, y up the page, z up, floor z = 0."""
 
     things: tuple[Thing, ...]
-    lamps: tuple[Lamp, ...]
-    """Every room has one or more."""
+    lamps: tuple[Lamp, ...]  # every room has one or more
 
     def thing(self, name: str) -> Thing:
         """Return the thing of this name.
@@ -185,11 +180,7 @@ def _furniture(flat: Flat, blot: Blot) -> Piece:
         width, depth = _extent(rectangle, facing)
         depth = min(depth, symbol.depth or depth)
         body = Body(
-            width - 2 * GAP,
-            depth - GAP,
-            symbol.height,
-            symbol.looks["look"],
-            symbol.looks["trim"],
+            width - 2 * GAP, depth - GAP, symbol.height, symbol.looks["look"], symbol.looks["trim"]
         )
         parts += _stand(model.made(body), rectangle, facing, base)
         if model.glow > 0.0:  # what hangs shines from under its shade, others from over it

@@ -16,10 +16,8 @@ from placegraph_lab.worlds.flat.textures import PAINTERS, Look
 COMPASS = {"north": (0, 1), "east": (1, 0), "south": (0, -1), "west": (-1, 0)}
 """Directions on the page as x to the right and y upwards."""
 
-METRES = "0.25"
-"""Side of a character of a flat that says nothing of its own [m]."""
-HEIGHT = "2.6"
-"""Height of its rooms [m]."""
+METRES = "0.25"  # side of a character of a flat that says nothing of its own [m]
+HEIGHT = "2.6"  # height of its rooms [m]
 
 WALL, WINDOW, DOOR, DOORWAY, ROOM, SPOT = "wall", "window", "door", "doorway", "room", "spot"
 OPENINGS = frozenset({WINDOW, DOOR, DOORWAY})
@@ -48,19 +46,13 @@ _DEFAULTS: dict[str, dict[str, str]] = {
 class Symbol:
     """Meaning of a glyph."""
 
-    kind: str
-    """A model of furniture, or ``wall``, ``window``, ``door``, ``doorway``, ``room``, ``spot``."""
+    kind: str  # A model of furniture, or ``wall``, ``window``, ``door``, ``doorway``, ``room``, ``spot``
     label: str
-    height: float = 0.0
-    """Own height [m]."""
-    base: float | None = None
-    """Lower edge above the floor [m]; None: it stands on what carries it."""
-    depth: float | None = None
-    """Depth from its back [m]; None: as drawn."""
-    faces: str = ""
-    """A direction of the page, a glyph to look at, or empty: away from the wall."""
-    host: str = ""
-    """Glyph of what it stands on or in."""
+    height: float = 0.0  # own height [m]
+    base: float | None = None  # lower edge above the floor [m]; None: it stands on what carries it
+    depth: float | None = None  # depth from its back [m]; None: as drawn
+    faces: str = ""  # A direction of the page, a glyph to look at, or empty: away from the wall
+    host: str = ""  # glyph of what it stands on or in
     looks: Mapping[str, Look] = field(default_factory=dict)
     """``look`` and ``trim``; of rooms ``walls``, ``floor`` and ``ceiling``."""
 

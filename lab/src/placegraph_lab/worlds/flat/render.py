@@ -23,12 +23,9 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float32]
 
-AMBIENT = 0.22
-"""Light that comes from everywhere, as a share of a well lit white wall's."""
-SOFTEN = 0.3
-"""Added to squared distances [m2]: lamps are no points."""
-FAINT = 0.02
-"""Light of one lamp below this is left out."""
+AMBIENT = 0.22  # light that comes from everywhere, as a share of a well lit white wall's
+SOFTEN = 0.3  # added to squared distances [m2]: lamps are no points
+FAINT = 0.02  # light of one lamp below this is left out
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,8 +200,7 @@ def _spread(
     return full.reshape(*shape, *values.shape[1:])
 
 
-FARTHEST = 9.5
-"""Beyond this the depth camera reads nothing [m]."""
+FARTHEST = 9.5  # beyond this the depth camera reads nothing [m]
 
 
 def develop(

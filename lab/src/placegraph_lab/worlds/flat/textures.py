@@ -13,12 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 Image = NDArray[np.uint8]
-Shades = NDArray[np.float64]
-"""Images (h, w, 3) sRGB from 0 to 1."""
+Shades = NDArray[np.float64]  # images (h, w, 3) sRGB from 0 to 1
 
 PIXELS_PER_METRE = 96.0
-LARGEST = 320
-"""Most pixels along an edge of a texture."""
+LARGEST = 320  # most pixels along an edge of a texture
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,12 +30,9 @@ from placegraph_lab.worlds.flat.render import develop, measured
 
 Floats64 = NDArray[np.float64]
 
-STEP = 0.1
-"""Side of the cells that a path is planned on [m]."""
-BODY = 0.2
-"""Least distance of a path from walls and furniture [m]."""
-COMFORT = 0.55
-"""Distance at which they no longer matter [m]."""
+STEP = 0.1  # side of the cells that a path is planned on [m]
+BODY = 0.2  # least distance of a path from walls and furniture [m]
+COMFORT = 0.55  # distance at which they no longer matter [m]
 
 
 class FloorPlan:
@@ -163,10 +160,8 @@ def _blurred(line: Floats64, sigma: float) -> Floats64:
 
 Floats = NDArray[np.float64]
 
-TURN = 1.3
-"""How fast a person turns [rad/s]."""
-CAMERA = Camera(320, 180, 230.0, 230.0, 160.0, 90.0)
-"""70 degrees wide."""
+TURN = 1.3  # how fast a person turns [rad/s]
+CAMERA = Camera(320, 180, 230.0, 230.0, 160.0, 90.0)  # 70 degrees wide
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,12 +21,11 @@ from placegraph_lab.worlds.flat.furniture import Floats, Part, Size, box, quad
 from placegraph_lab.worlds.flat.legend import DOOR, WINDOW
 from placegraph_lab.worlds.flat.textures import Look
 
-CASING = 0.07
-"""Width of the boards around an opening [m]."""
-BOARD = 0.015
-"""How far they stand out of the wall [m]."""
-SEAM = 0.005
-"""How far floors and ceilings reach under walls, so that no ray passes between them [m]."""
+CASING = 0.07  # width of the boards around an opening [m]
+BOARD = 0.015  # how far they stand out of the wall [m]
+SEAM = (
+    0.005  # how far floors and ceilings reach under walls, so that no ray passes between them [m]
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,10 +35,8 @@ class Piece:
     label: str
     room: str
     parts: list[Part]
-    glow: float = 0.0
-    """How brightly it shines of itself."""
-    lamp: Floats | None = None
-    """Where the light that it gives starts from (3,) [m]."""
+    glow: float = 0.0  # how brightly it shines of itself
+    lamp: Floats | None = None  # where the light that it gives starts from (3,) [m]
     is_window: bool = False
 
 
@@ -50,10 +47,8 @@ class Hole:
     blot: Blot
     rectangle: tuple[float, float, float, float]
     heights: tuple[float, float]
-    through_y: bool
-    """Whether it leads up and down the page; else from left to right."""
-    rooms: tuple[int, int]
-    """Entries of `Flat.room_of` below and above, or right and left."""
+    through_y: bool  # whether it leads up and down the page; else from left to right
+    rooms: tuple[int, int]  # entries of `Flat.room_of` below and above, or right and left
 
 
 def shell(flat: Flat) -> list[Piece]:

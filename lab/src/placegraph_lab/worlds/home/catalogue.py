@@ -16,18 +16,15 @@ class Some(NamedTuple):
     """How many of a kind there may be."""
 
     what: str
-    chance: float
-    """Probability of the first one."""
-    most: int = 1
-    """Each further one, up to this many, is as likely as not."""
+    chance: float  # probability of the first one
+    most: int = 1  # each further one, up to this many, is as likely as not
 
 
 @dataclass(frozen=True, slots=True)
 class Kind:
     """A kind of thing."""
 
-    model: str
-    """Of `flat_furniture.MODELS`."""
+    model: str  # of `flat_furniture.MODELS`
     width: Range
     depth: Range
     height: Range
@@ -35,14 +32,10 @@ class Kind:
     trim: str = "metal"
     place: str = "wall"
     """``wall``: its back to one; ``middle``; ``hung`` on a wall; ``ceiling``; ``on`` another."""
-    base: float | None = None
-    """Height of its lower edge above the floor [m]; None: as the model's."""
-    on: tuple[Some, ...] = ()
-    """What may stand on it, or hang over it."""
-    front: tuple[Some, ...] = ()
-    """What may stand before it and look at it."""
-    beside: tuple[Some, ...] = ()
-    """What may stand at either side of it."""
+    base: float | None = None  # height of its lower edge above the floor [m]; None: as the model's
+    on: tuple[Some, ...] = ()  # what may stand on it, or hang over it
+    front: tuple[Some, ...] = ()  # what may stand before it and look at it
+    beside: tuple[Some, ...] = ()  # what may stand at either side of it
     around: tuple[Some, ...] = ()
     """What may stand on all its sides and look at it: each of so many with that probability."""
 
@@ -51,31 +44,26 @@ class Kind:
 class RoomKind:
     """A kind of room."""
 
-    side: Range
-    """Shorter side [m]."""
-    stretch: Range
-    """Longer side as a multiple of the shorter one."""
+    side: Range  # shorter side [m]
+    stretch: Range  # longer side as a multiple of the shorter one
     things: tuple[Some, ...]
     wet: bool = False
-    windows: int = 1
-    """At most."""
+    windows: int = 1  # at most
 
 
 @dataclass(frozen=True, slots=True)
 class Style:
     """Looks that the homes of a hotel or a housing estate share."""
 
-    walls: tuple[str, ...]
-    """A room has one of them."""
+    walls: tuple[str, ...]  # A room has one of them
     floor: str
     wet_walls: str
     wet_floor: str
-    looks: dict[str, str]
-    """Of the slots ``wood``, ``front``, ``fabric``, ``second``, ``metal``, ``top``."""
-    height: float
-    """Of the rooms [m]."""
-    window: tuple[float, float]
-    """Sill and height [m]."""
+    looks: dict[
+        str, str
+    ]  # of the slots ``wood``, ``front``, ``fabric``, ``second``, ``metal``, ``top``
+    height: float  # of the rooms [m]
+    window: tuple[float, float]  # sill and height [m]
     door: str
 
 

@@ -34,14 +34,10 @@ BUILT_IN = SHELL.union(
 """Labels of what stays where it is."""
 BROUGHT = ("box", "plant", "stool", "basket", "floor lamp", "bin", "chair", "armchair")
 TRIES = 50
-STANDS = 0.03
-"""What begins this near to a thing's top, or to the floor, stands on it [m]."""
-AT_WALL = 0.12
-"""[m]"""
-DOORSTEP = 0.6
-"""Stays free before doors [m]."""
-SILL = 0.85
-"""Higher things do not stand before windows [m]."""
+STANDS = 0.03  # what begins this near to a thing's top, or to the floor, stands on it [m]
+AT_WALL = 0.12  # [m]
+DOORSTEP = 0.6  # stays free before doors [m]
+SILL = 0.85  # higher things do not stand before windows [m]
 _TURNS = np.pi / 2 * np.array([0, 0, 0, 1, 2, 3])
 
 

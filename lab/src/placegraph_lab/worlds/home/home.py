@@ -33,8 +33,7 @@ from placegraph_lab.worlds.home.visit import CAMERA, record, visit
 
 __all__ = ["CAMERA", "STYLES", "changed", "home", "record", "scene_of", "visit"]
 
-QUALITY = 85
-"""Of the textures' JPEG images."""
+QUALITY = 85  # of the textures' JPEG images
 
 
 def home(rng: np.random.Generator, *, style: str | None = None) -> Flat:

@@ -15,14 +15,11 @@ from numpy.typing import NDArray
 
 from placegraph_lab.worlds.home.catalogue import KINDS, ROOMS, SYNONYMS, Kind, RoomKind, Some, Style
 
-CELL = 0.125
-"""Side of a character [m]."""
-SHARED = 13
-"""Cells of wall that neighbours share at least: enough for a door."""
+CELL = 0.125  # side of a character [m]
+SHARED = 13  # cells of wall that neighbours share at least: enough for a door
 SIDES = ("north", "east", "south", "west")
 OPPOSITE = dict(zip(SIDES, ("south", "west", "north", "east"), strict=True))
-CORNER = 2
-"""Cells between a corner and an opening."""
+CORNER = 2  # cells between a corner and an opening
 
 
 class Box(NamedTuple):
@@ -216,22 +213,14 @@ def _outer(
     return False
 
 
-GLYPHS = string.ascii_letters + "*%&$@!?<>^~|+/;,_"
-"""One for every thing that stands alone."""
-BEFORE_DOORS = 6
-"""Cells that stay free before a door or doorway."""
-ELBOW = 2
-"""Cells of free floor at either side of who walks."""
-MOST = (18, 10, 6)
-"""Things of a room in a home of one, two, three rooms."""
-TRIES = 14
-"""Places that are tried for a thing."""
-LOW = 0.8
-"""What is no higher may stand before a window [m]."""
-CHIEF = 0.75
-"""What is at least as likely is placed first."""
-OWN = 0.2
-"""Share of things that are not of the style: what people brought along."""
+GLYPHS = string.ascii_letters + "*%&$@!?<>^~|+/;,_"  # one for every thing that stands alone
+BEFORE_DOORS = 6  # cells that stay free before a door or doorway
+ELBOW = 2  # cells of free floor at either side of who walks
+MOST = (18, 10, 6)  # things of a room in a home of one, two, three rooms
+TRIES = 14  # places that are tried for a thing
+LOW = 0.8  # what is no higher may stand before a window [m]
+CHIEF = 0.75  # what is at least as likely is placed first
+OWN = 0.2  # share of things that are not of the style: what people brought along
 
 _COLOURS = ("#7d3b33", "#35618e", "#3f6b5c", "#6a5a7d", "#c99e68", "#2b2d33", "#a9883f", "#8a8f94")
 

@@ -20,8 +20,7 @@ from placegraph_lab.worlds.flat.render import Stage, develop, measured
 from placegraph_lab.worlds.flat.walks import TURN, Walk, drifted, exposures, gravity, stroll
 from placegraph_lab.worlds.home.change import SHELL, STANDS
 
-CAMERA = Camera(160, 120, 115.0, 115.0, 80.0, 60.0)
-"""70 degrees wide."""
+CAMERA = Camera(160, 120, 115.0, 115.0, 80.0, 60.0)  # 70 degrees wide
 
 
 def record(
@@ -168,12 +167,9 @@ class _Rendered:
         return values
 
 
-FLAT = 0.1
-"""What hangs on a wall stands out less than this [m]."""
-DWELL = (0.8, 2.5)
-"""How long one thing is looked at [s]."""
-LOWEST = 0.35
-"""Greatest angle at which a camera is held downwards [rad]."""
+FLAT = 0.1  # what hangs on a wall stands out less than this [m]
+DWELL = (0.8, 2.5)  # how long one thing is looked at [s]
+LOWEST = 0.35  # greatest angle at which a camera is held downwards [rad]
 _EASE = 0.6  # of what is left to turn, turned in a fifth of a second
 
 
@@ -279,8 +275,7 @@ def _in_the_way(bounds: NDArray[np.float64]) -> bool:
 class _Refurnished(Flat):
     """A drawn flat whose furniture stands elsewhere by now."""
 
-    boxes: tuple[NDArray[np.float64], ...] = ()
-    """(2, 3) of what is in the way."""
+    boxes: tuple[NDArray[np.float64], ...] = ()  # (2, 3) of what is in the way
 
     @cached_property
     def blocked(self) -> NDArray[np.bool_]:

@@ -26,8 +26,7 @@ from placegraph_lab.worlds.drawing import (
 )
 from placegraph_lab.worlds.town.town import ROAD_PORTS, Kind, Tags, Town
 
-FAR = 12
-"""Characters within which a door looks for a road."""
+FAR = 12  # characters within which a door looks for a road
 
 
 def door(town: Town, ground: Mapping[Cell, str], cell: Cell) -> tuple[float, float]:
@@ -75,8 +74,7 @@ def _length(a: tuple[float, float], b: tuple[float, float]) -> float:
 
 
 Links = dict[Cell, list[Cell]]
-Spot = tuple[float, float]
-"""Row and column on the page, in characters."""
+Spot = tuple[float, float]  # row and column on the page, in characters
 
 
 @dataclass

@@ -70,10 +70,8 @@ from placegraph_lab.worlds.drawing import shipped as drawings
 
 Tags = dict[str, str]
 
-CENTER = (9.9937, 53.5511)
-"""Longitude and latitude of a town that says nothing of its own [deg]."""
-METRES = 10.0
-"""Side of a character of a town that says nothing of its own [m]."""
+CENTER = (9.9937, 53.5511)  # longitude and latitude of a town that says nothing of its own [deg]
+METRES = 10.0  # side of a character of a town that says nothing of its own [m]
 
 
 class Kind(StrEnum):
@@ -125,20 +123,13 @@ _SETTING = re.compile(r"(name|center|metres)\s*=\s*(.*)$")
 class Town(Drawing):
     """A town drawn in characters: write it with `write_osm`, ask for places with `position`."""
 
-    name: str
-    """Name, or an empty string."""
-    center: tuple[float, float]
-    """Longitude and latitude of the drawing's middle [deg]."""
-    metres: float
-    """Side of a character [m]."""
-    rows: tuple[str, ...]
-    """The drawing, north on top."""
-    legend: dict[str, Symbol]
-    """Meaning of every glyph."""
-    source: str = "<text>"
-    """File the town was read from, for messages."""
-    first_line: int = 1
-    """Line of that file that holds ``rows[0]``, for messages."""
+    name: str  # name, or an empty string
+    center: tuple[float, float]  # longitude and latitude of the drawing's middle [deg]
+    metres: float  # side of a character [m]
+    rows: tuple[str, ...]  # the drawing, north on top
+    legend: dict[str, Symbol]  # meaning of every glyph
+    source: str = "<text>"  # file the town was read from, for messages
+    first_line: int = 1  # line of that file that holds ``rows[0]``, for messages
 
     @classmethod
     def parse(cls, text: str, *, source: str = "<text>") -> Self:
