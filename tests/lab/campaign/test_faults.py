@@ -9,12 +9,12 @@ import pytest
 from placegraph.errors import InputError
 from placegraph_lab.campaign import changed, faults
 from placegraph_lab.campaign.changed import CHANGES, change
-from placegraph_lab.campaign.kills import Ground, refused, rows_of, tried, worse
+from placegraph_lab.campaign.kills import Ground, worse
 from placegraph_lab.campaign.outages import Load
 from placegraph_lab.campaign.row import Effort
 from placegraph_lab.campaign.services import judged
-from placegraph_lab.campaign.trial import Ended, Running, files_in, when
-from placegraph_lab.campaign.writings import OLD, Writing, writings
+from placegraph_lab.campaign.trial import Ended, files_in
+from placegraph_lab.campaign.writings import OLD, Writing
 
 WRITING = Writing("city build", ("city", "build"), ("a.city", "a.png"), (".a.mcap.*",))
 
@@ -78,51 +78,6 @@ def test_old_files_are_inputs_bytes_or_none(ground):
     assert kept.before(ground.inputs, ground.folder)["a.city"] == b"homes"
     assert replace(WRITING, old=None).before(ground.inputs, ground.folder) == {}
     assert files_in(ground.folder) == {}
-
-
-def test_what_cannot_be_written_is_refused_by_name(ground):
-    told = []
-    old = WRITING.before(ground.inputs, ground.folder)
-    refused(ground, old, ended(4, "a.png cannot be written"), told.append, clean=True)
-    assert (dict(ground.counts), told) == ({"typed": 1}, [])
-    refused(ground, old, ended(4, "cannot be written"), told.append, clean=True)
-    (ground.folder / ".a.city.tmp").touch()
-    refused(ground, old, ended(4, "a.png cannot be written"), told.append, clean=False)
-    assert dict(ground.counts) == {"typed": 2, "untyped": 1}
-    refused(ground, old, ended(4, "a.png cannot be written"), told.append, clean=True)
-    refused(ground, old, ended(-11), told.append, clean=True)
-    assert dict(ground.counts) == {"typed": 2, "untyped": 2, "crash": 1}
-    assert "names no file" in told[0]
-    assert ".a.city.tmp is left" in told[1]
-
-
-def test_grounds_are_tried_in_turn_and_told(ground):
-    def once(each):
-        each.count("accepted", "", "", print)
-
-    assert tried([ground, ground], once, 60.0, 5) == 5
-    (row,) = rows_of([ground], "kill -9 of", 7)
-    assert (row.what, row.tried, row.accepted, row.seed) == ("kill -9 of city build", 5, 5, 7)
-    assert list(rows_of([ground], "kill -9 of", 7)) == []
-
-
-class Process:
-    """As one of multiprocessing that is killed when it is waited for."""
-
-    pid, exitcode = 2**22 + 1, None
-
-    def join(self, _seconds=None):
-        self.exitcode = -signal.SIGKILL
-
-
-def test_who_was_killed_by_us_ended_in_order(tmp_path):
-    running = Running(Process(), tmp_path / "none")
-    running.kill()
-    assert running.end().killed
-    assert Running(Process(), tmp_path / "none").end().outcome == "crash"
-    assert when(lambda: True, 1.0, running)
-    assert not when(lambda: False, 1.0, running)
-    assert running.helpers() == []
 
 
 def test_files_are_changed_while_they_are_used(tmp_path, rng):
@@ -206,11 +161,3 @@ def test_a_folder_is_unfinished_until_its_last_file_is_there(ground):
     assert ground.whole({}) == "w/a.city is neither the old nor the new one"
     made.before(ground.inputs, ground.folder)
     assert not (ground.folder / "w").exists()
-
-
-def test_every_command_names_files_that_it_makes(tmp_path):
-    every = writings(tmp_path)
-    assert len({each.what for each in every}) == len(every) == 18
-    for each in every:
-        assert each.words[:2] == tuple(each.what.split())
-        assert each.makes

@@ -7,7 +7,7 @@ import signal
 import pytest
 
 from placegraph_lab.campaign import worker
-from placegraph_lab.campaign.fuzz import Tally, rows, tallies
+from placegraph_lab.campaign.fuzz import rows, tallies
 from placegraph_lab.campaign.row import Effort
 from placegraph_lab.campaign.targets import TARGETS, Target
 from placegraph_lab.campaign.worker import Trials
@@ -82,30 +82,3 @@ def test_a_worker_that_dies_is_counted_and_replaced(effort, monkeypatch):
     (what,) = tally.found
     assert signal.strsignal(signal.SIGABRT) in what
     assert tally.found[what] == [2, 5]
-
-
-def test_a_tally_knows_the_next_number():
-    tally = Tally()
-    tally.add("typed", "")
-    tally.add("hang", "x")
-    assert (tally.tried, tally.found) == (2, {"hang: x": [1]})
-
-
-def test_a_worker_that_works_is_waited_for(effort, monkeypatch):
-    """It says nothing for longer than is waited for, and is let be while it computes."""
-    program = importlib.import_module("placegraph_lab.campaign.fuzz")
-    code = (
-        "import sys, time\n"
-        "for line in sys.stdin:\n"
-        '    print(\'{"seeds": 1, "refused": []}\', flush=True)\n'
-        "    while time.process_time() < 1.0: pass\n"
-        '    print(\'{"outcome": "typed", "said": "", "bytes": 1}\', flush=True)\n'
-        "    print('{\"done\": 1}', flush=True)\n"
-    )
-    monkeypatch.setattr(program, "PROGRAM", ("-c", code))
-    monkeypatch.setattr(program, "PATIENCE", 0.25)
-    monkeypatch.setattr(program, "BUSY", -1.0)
-    effort_ = effort(60.0)
-    (effort_.folder / "died.log").touch()
-    ((_, tally),) = tallies(effort_, ["GLB"], most=1)
-    assert tally.counts == {"typed": 1}

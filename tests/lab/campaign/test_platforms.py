@@ -2,7 +2,6 @@
 
 import pytest
 
-from placegraph_lab.campaign import platforms
 from placegraph_lab.campaign.platforms import Platform, agrees, quick, together
 from placegraph_lab.campaign.processes import Told, pose_apart
 
@@ -25,21 +24,8 @@ def test_a_turkish_machine_of_one_core_in_the_far_east(first, known):
     assert agrees(together(*(known[n] for n in names if n in known)), first) == ""
 
 
-def test_a_small_machine_that_knows_ascii_alone(first, known):
-    names = ("read-only install, no home", "1 GB of memory", "locale C, ASCII")
-    assert agrees(together(*(known[n] for n in names if n in known)), first) == ""
-
-
 def test_a_machine_without_embree_and_poselib(first, known):
     assert agrees(known["no Embree, no PoseLib"], first) == ""
-
-
-@pytest.mark.all
-@pytest.mark.parametrize("name", ["locale tr_TR.ISO-8859-9", "one core", "TZ far east"])
-def test_each_alone(first, known, name):
-    if name not in known:
-        pytest.skip(f"{name}: cannot be had on this machine")
-    assert agrees(known[name], first) == ""
 
 
 def test_what_differs_is_told(first):
@@ -48,18 +34,8 @@ def test_what_differs_is_told(first):
     assert "moved by" in pose_apart(first, first | {"pose": first["pose"] | {"status": "LOST"}})
 
 
-def test_the_last_digits_of_another_numpy_are_not_compared(first):
-    last = first | {"texts": [{"p": 2.7049333292252744}]}
-    assert pose_apart(last, first | {"texts": [{"p": 2.7049333292252764}]}) == ""
-    assert pose_apart(last, first | {"texts": [{"p": 2.7049334}]}) == "texts differs"
-
-
 def test_platforms_add_up():
     both = together(
         Platform("a", ("--x",), {"A": "1"}, ("nice",)), Platform("b", change={"B": "2"})
     )
     assert both == Platform("a and b", ("--x",), {"A": "1", "B": "2"}, ("nice",))
-
-
-def test_this_interpreter_is_found():
-    assert "3.11" in platforms.pythons() or platforms.pythons()

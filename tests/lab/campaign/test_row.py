@@ -1,12 +1,11 @@
 """Rows of the campaign: counted, summed, written down and read again."""
 
 import json
-from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
 
-from placegraph_lab.campaign.row import OUTCOMES, Effort, Row, mend, merged, total
+from placegraph_lab.campaign.row import OUTCOMES, Row, mend, merged, total
 from placegraph_lab.tables.named import reliability as module
 from placegraph_lab.tables.runner import LAB, Run
 
@@ -17,11 +16,6 @@ def test_a_row_counts_every_trial():
     row = Row.counted("fuzz", "GLB", FOUND, seed=7, seconds=2.5)
     assert (row.tried, row.accepted, row.typed, row.hang, row.faults) == (8, 3, 4, 1, 1)
     assert sum(getattr(row, name) for name in OUTCOMES) == row.tried
-
-
-def test_an_unknown_outcome_is_refused():
-    with pytest.raises(KeyError, match="lucky"):
-        Row.counted("fuzz", "GLB", {"lucky": 1}, seed=7, seconds=2.5)
 
 
 def test_rows_come_back_and_are_summed():
@@ -50,12 +44,6 @@ def test_what_is_mended_is_open_no_longer_until_it_is_found_again():
     assert merged([mended], [row]) == [row]
     with pytest.raises(KeyError, match="fuzz/GLB/8"):
         mend([row], ["fuzz/GLB/8"])
-
-
-def test_rows_are_asked_for_by_name(tmp_path):
-    asked = Effort(0.0, 7, tmp_path, tmp_path, print, {"GLB"})
-    assert [asked.wants("GLB"), asked.wants(".run")] == [True, False]
-    assert replace(asked, names=()).wants(".run")
 
 
 class Parts:
@@ -104,15 +92,6 @@ def test_what_is_cut_short_is_written_down_and_the_rest_stays(tmp_path, monkeypa
     assert "fuzz" not in capsys.readouterr().out
     parts.cut = False
     assert len(asked(minutes=1.0, only="soak", fresh=True)) == 4
-
-
-def test_what_was_tried_by_several_seeds_is_one_line():
-    found = [Row.counted("fuzz", "GLB", FOUND, seed, 60.0) for seed in (8, 7)]
-    shown = module.shown([*found, Row("fuzz", "PLY", 1, typed=1, seed=9)]).splitlines()
-    cells = [[cell.strip() for cell in line.split("|")[1:-1]] for line in shown[2:]]
-    assert [(c[1], c[2], c[10], c[11]) for c in cells] == [
-        ("GLB", "16", "7, 8", "2.0"), ("PLY", "1", "9", "0.0"), ("all", "17", "7, 8, 9", "2.0"),
-    ]  # fmt: skip
 
 
 def test_page_and_readme_are_those_of_the_rows(tmp_path):

@@ -67,13 +67,3 @@ def test_nothing_of_a_file_is_run(tmp_path):
         with pytest.raises(InputError, match=says):
             read_graphs(path)
     assert not (tmp_path / "mark").exists()
-
-
-def test_one_file_of_a_kind(tmp_path):
-    with pytest.raises(InputError, match="no file scene_graphs"):
-        file_of(tmp_path, CELLS)
-    (tmp_path / "scene_graphs").mkdir()
-    for n in (1, 2):
-        (tmp_path / "scene_graphs" / f"osm_cell_graphs_{n}.pkl").write_bytes(b"")
-    with pytest.raises(InputError, match="2 files scene_graphs"):
-        file_of(tmp_path, CELLS)

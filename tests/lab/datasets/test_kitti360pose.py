@@ -5,17 +5,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph.core.mapfile import read_map, write_map, writing
-from placegraph.errors import InputError, MapError, MapLockedError, OptionError
+from placegraph.core.mapfile import read_map
+from placegraph.errors import InputError, MapError
 from placegraph_lab.datasets.kitti360pose import (
-    COLOURS,
     DIRECTIONS,
     GRAIN,
     KIND,
     RELEASE,
     Kitti360Pose,
     convert_kitti360pose,
-    footprint,
     nearest_colour,
 )
 from placegraph_lab.datasets.pickles import finished, read_pickle
@@ -38,18 +36,6 @@ def out(folder, tmp_path_factory):
 @pytest.fixture(scope="module")
 def data(out):
     return Kitti360Pose.open(out)
-
-
-def test_summary(folder, tmp_path):
-    steps = []
-    found = convert_kitti360pose(folder, tmp_path / "a", progress=lambda *s: steps.append(s))
-    assert found.scenes == ("0000", "0003", "0005", "0009", "0010")
-    assert (found.cells, found.poses, found.hints) == (40, 80, 480)
-    files = (folder / "cells").iterdir()
-    assert found.source_bytes == sum(path.stat().st_size for path in files)
-    assert found.bytes == (tmp_path / "a").stat().st_size < found.source_bytes / 20
-    assert ("0003", 0) in steps
-    assert ("writing", 40) in steps
 
 
 def test_every_field_is_that_of_the_pickles(folder, data):
@@ -107,22 +93,6 @@ def test_poses_and_what_was_said(folder, data):
                 np.testing.assert_allclose(column[i], 30.0 * finished(hint[name]), rtol=1e-6)
 
 
-def test_splits(data):
-    cells, poses = data.split("test")
-    assert {data.cells.ids[c][:4] for c in cells} == {"0003", "0005", "0009"}
-    assert (len(cells), len(poses)) == (24, 48)
-    assert [len(x) for x in data.split("validation")] == [8, 16]
-    assert [len(x) for x in data.split("0005")] == [8, 16]
-    with pytest.raises(OptionError, match="no cells and poses of 'nowhere'"):
-        data.split("nowhere")
-
-
-def test_graphs_are_small(data):
-    every = np.arange(40)
-    assert data.graph_bytes(every) < data.cells.point_bytes.sum() / 20
-    assert data.graph_bytes(every[:10]) < data.graph_bytes(every[:20]) < data.graph_bytes(every)
-
-
 @pytest.mark.parametrize("protocol", [2, 3, 5])
 def test_protocols_agree(kitti360pose_world, tmp_path, out, protocol):
     folder = kitti360pose_world.write_set(tmp_path / "k360_tiny", protocol=protocol)
@@ -131,19 +101,6 @@ def test_protocols_agree(kitti360pose_world, tmp_path, out, protocol):
     assert ours.arrays.keys() == theirs.arrays.keys()
     for name, array in ours.arrays.items():
         np.testing.assert_array_equal(array, theirs.arrays[name])
-
-
-def test_colours():
-    for name, values in COLOURS.items():
-        for rgb in values:
-            assert nearest_colour(np.array(rgb) + 1.0) == name
-
-
-def test_a_footprint_keeps_points(rng):
-    points = rng.uniform(-3.0, 3.0, (500, 2))
-    kept = footprint(points)
-    assert len(kept) == len({tuple(p) for p in np.floor(points)}) <= 49
-    assert {tuple(p) for p in kept} <= {tuple(p) for p in points}
 
 
 # --- spoiled ---
@@ -247,22 +204,6 @@ def test_folders_that_are_none(kitti360pose_world, tmp_path, out):
         read_map(out, "city", 1)
 
 
-def test_one_writer_at_a_time(folder, tmp_path):
-    with writing(tmp_path / "a"), pytest.raises(MapLockedError):
-        convert_kitti360pose(folder, tmp_path / "a")
-
-
-def test_a_failed_conversion_leaves_the_old_file(kitti360pose_world, tmp_path, out):
-    old = tmp_path / "a"
-    old.write_bytes(out.read_bytes())
-    folder = kitti360pose_world.write_set(tmp_path / "k", drives=["0003"])
-    path = folder / "poses" / SYNC.format("0003")
-    path.write_bytes(path.read_bytes()[:-5])
-    with pytest.raises(InputError, match="the file ends here"):
-        convert_kitti360pose(folder, old)
-    assert old.read_bytes() == out.read_bytes()
-
-
 @pytest.fixture(scope="module")
 def small(kitti360pose_world, tmp_path_factory):
     """Folder of one cell and two poses, to be damaged, and its sound files."""
@@ -290,27 +231,6 @@ def test_damage_gives_a_file_or_a_sentence(small, data):
         path.write_bytes(files[path])
 
 
-def test_columns_that_contradict(out, tmp_path):
-    sound = read_map(out, KIND, 1)
-    changes = {
-        "pose_cell": sound.arrays["pose_cell"] + 40,
-        "hint_direction": sound.arrays["hint_direction"] + np.uint8(5),
-        "object_label": sound.arrays["object_label"] + np.uint8(200),
-        "object_counts": sound.arrays["object_counts"][:-1],
-        "footprint_counts": sound.arrays["footprint_counts"] * 0,
-        "cell_box": sound.arrays["cell_box"] * np.nan,
-        "hint_offset": sound.arrays["hint_offset"][:, :1],
-        "pose_scene": sound.arrays["pose_scene"][:3],
-    }
-    for name, array in changes.items():
-        write_map(tmp_path / "a", KIND, 1, sound.meta, sound.arrays | {name: array})
-        with pytest.raises(MapError, match="contradict"):
-            Kitti360Pose.open(tmp_path / "a")
-    write_map(tmp_path / "a", KIND, 1, {}, sound.arrays)
-    with pytest.raises(MapError, match="contradict"):
-        Kitti360Pose.open(tmp_path / "a")
-
-
 # --- the command ---
 
 
@@ -324,15 +244,3 @@ def test_the_command(run, folder, tmp_path):
     assert (as_json["cells"], as_json["bytes"]) == (40, out.stat().st_size)
     silent = run("city", "convert-kitti360pose", folder, "-o", out, "--quiet")
     assert (silent.code, silent.out, silent.err) == (0, "", "")
-
-
-def test_the_command_refuses(run, folder, tmp_path):
-    for arguments, code, word in (
-        ([tmp_path, "-o", tmp_path / "a"], 3, "holds no cells"),
-        ([folder, "-o", tmp_path / "no" / "a"], 4, "cannot be written"),
-        ([folder, "-o", tmp_path], 4, "not a plain file"),
-    ):
-        failed = run("city", "convert-kitti360pose", *arguments)
-        assert (failed.code, failed.out) == (code, "")
-        assert failed.err.startswith("placegraph: ")
-        assert word in failed.err

@@ -72,15 +72,3 @@ def test_it_writes_what_it_prints(run, tmp_path):
     assert none["score"]["status"] == {"LOST": 1.0}
     assert {"unchanged", "changed", "seq00", "seq07"} <= set(none["parts"])
     assert written["machine"]["cores"]
-
-
-def test_a_quick_run_is_short(bench, run):
-    run("--quick")
-    assert {name for name, _, _ in bench} == set(script.QUICK)
-    assert len(bench) < 250
-
-
-def test_unknown_rows_are_refused(measure, tmp_path):
-    result = measure("indoor_filter", "--only", "gold", "--cache", tmp_path)
-    assert result.exit_code == 2
-    assert "instances: semantic" in result.output

@@ -91,20 +91,6 @@ def test_one_table_of_a_users_3rscan(table):
     assert ours[-1]["25 cm / 2° / both"] == [1.0, 1.0, 1.0]
 
 
-@pytest.mark.all
-@pytest.mark.parametrize("name", TABLES)
-def test_every_table_of_a_users_folder(table, name):
-    options = [] if name in {"sg2loc-3", "sg2loc-5"} else ["--frames", "5"]
-    if name in {"sg2loc-6", "sg2loc-11"}:
-        options += ["--lengths", "5"]  # of 100 and 50 frames there is no time here
-    text, rows, _ = table(name, *options)
-    sets = {"ScanNet", "3RScan"} - ({"ScanNet"} if name in {"sg2loc-5", "sg2loc-11"} else set())
-    for its in sets:
-        assert its in text
-        mine = [row for row in rows if its in row.get("set", row.get("row", ""))]
-        assert [row for row in mine if row.get("windows") or row.get("scenes")], its
-
-
 def test_what_is_missing_is_told(measure, tmp_path):
     told = measure("sg2loc-1", "--data", tmp_path, "--cache", tmp_path)
     assert "holds nothing to measure" in str(told.exception)
@@ -142,14 +128,6 @@ def test_what_a_table_cannot_do_is_refused(measure, tmp_path, given, why):
     assert told.exit_code in {1, 2}
     assert why in f"{told.output} {told.exception}"
     assert isinstance(told.exception, InputError | SystemExit)
-
-
-def test_lengths_that_one_set_has_are_asked_there(table):
-    """Of a set without windows so long nothing is asked, and that is said."""
-    options = ("--sets", "3RScan", "--lengths", "200,5", "--frames", "5")
-    _, rows, told = table("sg2loc-4", *options, "--only", "placegraph's default")
-    assert "no window of 200 frames in 3RScan" in told
-    assert rows[-1]["windows"] == 1
 
 
 @pytest.mark.parametrize("name", ["paper", "published", "ours"])

@@ -5,7 +5,7 @@ from itertools import pairwise
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph_lab.worlds.drawing import ORTHOGONAL, blots, heading, rings, step, strokes
+from placegraph_lab.worlds.drawing import ORTHOGONAL, blots, rings, step, strokes
 
 cells = st.sets(st.tuples(st.integers(0, 7), st.integers(0, 7)), min_size=1)
 
@@ -47,11 +47,3 @@ def test_strokes_walk_every_edge_once(drawn):
     edges = sorted(tuple(sorted((a, b))) for a, arms in links.items() for b in arms)
     walked = sorted(tuple(sorted(edge)) for line in strokes(links) for edge in pairwise(line))
     assert walked == sorted(set(edges))
-
-
-def test_a_crossing_is_crossed_straight():
-    plus = {(1, 0), (1, 1), (1, 2), (0, 1), (2, 1)}
-    links = {cell: [n for d in ORTHOGONAL if (n := step(cell, d)) in plus] for cell in plus}
-    lines = strokes(links)
-    assert sorted(lines) == [[(0, 1), (1, 1), (2, 1)], [(1, 0), (1, 1), (1, 2)]]
-    assert all(len({heading(a, b) for a, b in pairwise(line)}) == 1 for line in lines)

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from placegraph.errors import OptionError
 from placegraph.indoor.map.mesh import Mesh
-from placegraph_lab.tables.indoor.maps import coarse, decimate, fine
+from placegraph_lab.tables.indoor.maps import coarse, fine
 
 
 def sheet(n, size=2.0, height=lambda x, y: 0.0 * x * y):
@@ -20,11 +19,6 @@ def sheet(n, size=2.0, height=lambda x, y: 0.0 * x * y):
 def area(points, triangles):
     a, b, c = np.moveaxis(points[triangles].astype(float), 1, 0)
     return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
-
-
-def test_a_target_must_be_one_or_more():
-    with pytest.raises(OptionError, match="at least 1"):
-        decimate(*sheet(2), 0)
 
 
 def test_coarse_meshes_are_painted_as_the_surface_is(rng):

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from placegraph.core.geometry import Camera
-from placegraph.errors import OptionError
 from placegraph.indoor.encode import Encoder, MapEncoder, Patches
 from placegraph.indoor.encode.labels import LabelsEncoder
 from placegraph.io.capture.frame import Frame
@@ -44,13 +43,6 @@ def test_as_many_are_wrong_as_said_and_all_others_equally_often(rng):
     assert share[[0, 1, 2, 4]] == pytest.approx(0.075, abs=0.006)
 
 
-def test_what_says_nothing_goes_on_saying_nothing(rng):
-    assert (mislabel(patches([-1] * 500), 1.0, rng).rows == -1).all()
-    assert (mislabel(patches([2] * 500), 1.0, rng).rows != 2).all()
-    assert (mislabel(patches([2] * 500), 0.0, rng).rows == 2).all()
-    assert (mislabel(patches([0] * 500, count=1), 1.0, rng).rows == 0).all()  # no other to say
-
-
 def test_a_frame_errs_alike_whenever_it_is_encoded():
     clean = patches(np.arange(500) % 5)
     noisy = NoisyEncoder(Fixed(clean), seed=1, name="seq00")
@@ -64,12 +56,6 @@ def test_a_frame_errs_alike_whenever_it_is_encoded():
     for rows in (other, elsewhere, again):
         both = (rows != clean.rows) & (first != clean.rows)
         assert both.mean() == pytest.approx(0.09, abs=0.05)  # independent
-
-
-def test_no_labels_are_no_labels():
-    assert NoisyEncoder(Fixed(None)).encode(frame(0)) is None
-    with pytest.raises(OptionError, match="share"):
-        NoisyEncoder(Fixed(None), 1.2)
 
 
 # -------------------------------------------------------------------- encoders that know no map
@@ -103,21 +89,6 @@ def test_labels_err_to_all_others_of_the_vocabulary_equally_often(value):
     assert list(got.values()) == pytest.approx([0.1] * 3, abs=0.02)
 
 
-def test_labels_that_the_vocabulary_lacks_err_too():
-    noisy = NoisyLabels(LabelsEncoder((64, 64)), VOCABULARY, 0.4)
-    got = said(noisy, 3)
-    assert got.pop("elephant") == pytest.approx(0.6, abs=0.03)
-    assert list(got.values()) == pytest.approx([0.1] * 4, abs=0.02)
-
-
-def test_labels_that_say_nothing_go_on_saying_nothing():
-    noisy = NoisyLabels(LabelsEncoder((64, 64)), VOCABULARY, 1.0)
-    assert not noisy.patches(labelled(4)).any()
-    assert not noisy.patches(labelled(-1)).any()
-    bare = Frame.from_arrays(np.zeros((8, 8, 3), np.uint8), Camera(8, 8, 5.0, 5.0, 4.0, 4.0))
-    assert noisy.patches(bare) is None
-
-
 def test_labels_err_alike_whenever_they_are_encoded():
     clean = LabelsEncoder((64, 64))
     noisy = NoisyLabels(clean, VOCABULARY, seed=1, name="seq00")
@@ -125,19 +96,3 @@ def test_labels_err_alike_whenever_they_are_encoded():
     assert (noisy.patches(labelled(0, 7)) == first).all()
     for other, index in ((noisy, 8), (NoisyLabels(clean, VOCABULARY, seed=1, name="x"), 7)):
         assert (other.patches(labelled(0, index)) != first).any()
-
-
-def test_objects_are_told_without_noise():
-    room = SimpleNamespace(graph=SimpleNamespace(labels=("chair", "desk")))
-    clean = LabelsEncoder()
-    noisy = NoisyLabels(clean, room.graph.labels, 1.0)
-    assert (noisy.objects(room) == clean.objects(room)).all()
-    assert (noisy.key, noisy.temperature) == (clean.key, clean.temperature)
-
-
-def test_noise_needs_labels_to_choose_from():
-    for vocabulary in ([], ["chair"], ["sofa", "couch"], ["chair", "unknown"]):
-        with pytest.raises(OptionError, match="two labels"):
-            NoisyLabels(LabelsEncoder(), vocabulary)
-    with pytest.raises(OptionError, match="share"):
-        NoisyLabels(LabelsEncoder(), VOCABULARY, -0.1)

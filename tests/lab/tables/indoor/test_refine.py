@@ -1,14 +1,12 @@
 """Rows of the refinement's benchmark, and what is asked for them; the refiner is a stand-in."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from placegraph.core.estimate import PoseEstimate, PoseMode, Refinement, Status
 from placegraph.core.geometry import Camera, level_from_camera, pose_matrix, split_pose
-from placegraph.indoor.refine.options import RefineOptions
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
 from placegraph_lab.tables.indoor.metrics import position_error, rotation_error
@@ -16,7 +14,6 @@ from placegraph_lab.tables.indoor.refine import GICP, MATCHERS, QUICK, ask, refi
 from placegraph_lab.tables.indoor.windows import Window, disturbed
 from placegraph_lab.tables.named import indoor_refine as script
 
-ROOT = Path(__file__).resolve().parents[2]
 JOBS = {job.name: job for job in refine_jobs()}
 TRUTH = pose_matrix([1.0, 2.0, 1.6, 0.3], level_from_camera([0.0, 1.0, 0.0]))
 
@@ -73,21 +70,6 @@ def test_every_row_has_a_name_of_its_own_and_something_to_refine_by():
         assert any(j == name or (name[-1] == "*" and j.startswith(name[:-1])) for j in JOBS)
 
 
-def test_a_matcher_that_is_named_takes_part():
-    options = {by: JOBS[f"house disturbed: depth, {by}"].options for by in MATCHERS}
-    assert [options[by].images for by in MATCHERS] == ["auto", False, True, True, True]
-    paper = JOBS["house disturbed: no depth, sift, paper's recipe"]
-    assert (paper.matcher, paper.options) == ("sift", RefineOptions.paper())
-    assert JOBS["house disturbed: depth, none"].matcher == "auto"
-
-
-def test_keys_tell_rows_windows_seeds_and_code_apart(window):
-    keys = {
-        job.key(window, seed, code) for job in JOBS.values() for seed in (0, 1) for code in "ab"
-    }
-    assert len(keys) == 4 * len(JOBS)
-
-
 def test_a_found_pose_is_measured_before_and_after(window):
     scene = Scene(TRUTH)
     got = ask(
@@ -102,15 +84,6 @@ def test_a_found_pose_is_measured_before_and_after(window):
     assert got.before == pytest.approx((0.3, 3.0))
     assert got.after.position == pytest.approx(0.0, abs=1e-9)
     assert (got.after.coverage, got.after.place) == (0.8, "b in a")
-
-
-def test_without_depth_there_is_none(window):
-    scene = Scene(TRUTH)
-    for name in ("b in a found: no labels: colour, auto", "b in a disturbed: no depth, sift"):
-        ask(JOBS[name], scene, window, matcher="sift")
-    for capture, _ in scene.asked:
-        assert capture.depth_camera is None
-        assert capture[0].depth() is None
 
 
 def test_a_disturbed_start_is_the_same_for_all_and_the_truth_is_not_told(window):
@@ -173,19 +146,3 @@ def test_the_script_goes_on_where_it_was_cut(asked, call, tmp_path):
     assert row["score"]["after"]["recall"]["0.1 m, 5 deg"] == 1.0
     assert {"unchanged", "changed", "seq00", "seq07"} <= set(row["parts"])
     assert row["normalised_errors"]["refined"]["count"] == 40
-
-
-def test_a_quick_run_is_short_and_unknown_rows_are_refused(asked, call):
-    quick = call("--quick", "--matchers", "auto,none", "--only", "house found: *")
-    assert quick.exit_code == 0, quick.output
-    assert len(asked) < 200
-    refused = call("--only", "gold")
-    assert refused.exit_code == 2
-    assert "no row is named" in refused.output
-
-
-def test_matchers_are_made_once():
-    made = script.Matchers(None)
-    assert made["auto"] == "auto"
-    assert made["sift"] is made["sift"]
-    assert made["sift"].name == "sift"

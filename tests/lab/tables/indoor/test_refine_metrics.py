@@ -21,14 +21,10 @@ from placegraph_lab.tables.indoor.metrics import dumps
 from placegraph_lab.tables.indoor.refine import (
     EDGES,
     LIMITS,
-    Refined,
-    errors_of,
-    measure_pose,
     measure_refined,
     refine_score,
     sigmas_of,
     spread,
-    worse,
 )
 from placegraph_lab.tables.indoor.windows import Window
 
@@ -75,40 +71,6 @@ def test_one_estimate_gives_both_sides(window):
     assert not got.wrongly_refused
 
 
-def test_a_given_start_is_the_pose_before(window):
-    got = measure_refined(estimate(at(0.01)), window, seconds=1, start=at(0.2, 10.0))
-    assert got.before == pytest.approx((0.2, 10.0))
-    assert got.accepted is None
-    assert math.isnan(got.refine_seconds)
-    alone = measure_refined(estimate(at(0.4)), window, seconds=1)
-    assert alone.before == pytest.approx((0.4, 0.0), abs=1e-6)
-
-
-def test_a_lost_query_was_lost_before(window):
-    got = measure_refined(PoseEstimate(Status.LOST, (), ""), window, seconds=1)
-    assert got.before == (math.inf, 180.0)
-    assert got.sigmas == ()
-    assert not got.harmful
-    again = Refined.from_dict(json.loads(json.dumps(got.to_dict(), allow_nan=False)))
-    assert again.before == got.before
-
-
-def test_a_pose_alone_is_measured(window):
-    got = measure_pose(at(0.05, 1.0), window, seconds=0.3, start=at(0.2, 10.0))
-    assert (got.after.position, got.after.rotation) == pytest.approx((0.05, 1.0))
-    assert got.before == pytest.approx((0.2, 10.0))
-    assert (got.accepted, got.sigmas, got.after.frames) == (None, (), 2)
-
-
-@pytest.mark.parametrize(
-    ("pose", "before", "harmful"),
-    [(0.05, 0.02, True), (0.05, 0.04, False), (0.02, 0.3, False), (0.3, math.inf, False)],
-)
-def test_harm_is_two_centimetres_or_half_a_degree(pose, before, harmful):
-    assert worse((pose, 0.0), (before, 0.0)) is harmful
-    assert worse((0.0, 10 * pose), (0.0, 0.05)) is (10 * pose > 0.55)
-
-
 def test_what_was_wrongly_refused_is_known_where_the_pose_was_kept(window):
     refused = {"coarse": at(0.3), "accepted": False}
     better = measure_refined(
@@ -145,16 +107,6 @@ def test_scores_have_two_sides(window):
         refine_score([])
 
 
-def test_results_are_json(window):
-    one = estimate(
-        at(0.3), coarse=at(0.3), accepted=False, seconds={"a": 0.1}, candidate=at().tolist()
-    )
-    got = measure_refined(one, window, seconds=1)
-    again = Refined.from_dict(json.loads(json.dumps(got.to_dict(), allow_nan=False)))
-    assert again.to_dict() == got.to_dict()
-    assert again.wrongly_refused is got.wrongly_refused is True
-
-
 def test_the_spread_of_honest_covariances_is_normal(window, rng):
     mixing = rng.normal(size=(6, 6)) * np.array([[0.02, 0.03, 0.01, 0.01, 0.004, 0.02]]).T
     covariance = mixing @ mixing.T
@@ -175,21 +127,3 @@ def test_the_spread_of_honest_covariances_is_normal(window, rng):
     assert len(s.histogram) == len(EDGES) + 1
     assert sum(s.histogram) == 6 * 1500
     assert s.histogram[6] / 9000 == pytest.approx(0.1915, abs=0.03)  # -0.5 to 0
-
-
-def test_unsound_covariances_hold_nothing(window):
-    pose = at(0.01)
-    flat = PoseMode(pose, split_pose(pose)[0], np.zeros((6, 6)), 0.9, "", pose)
-    bad = measure_refined(PoseEstimate(Status.OK, (flat,), ""), window, seconds=1)
-    good = measure_refined(estimate(pose), window, seconds=1)
-    assert np.isnan(bad.sigmas).all()
-    s = spread([bad, good])
-    assert (s.count, s.inside) == (1, 0.5)
-    nothing = spread([])
-    assert nothing.count == sum(nothing.histogram) == 0
-    assert math.isnan(nothing.inside)
-    assert json.loads(dumps(nothing.to_dict()))["rms"] == [None] * 6
-
-
-def test_errors_are_a_pair():
-    assert errors_of(at(3.0, 90.0), at()) == pytest.approx((3.0, 90.0))

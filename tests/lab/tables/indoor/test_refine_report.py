@@ -1,14 +1,10 @@
 """Tables of the refinement's benchmark."""
 
 import json
-import math
-
-import numpy as np
-import pytest
 
 from placegraph_lab.tables.indoor.metrics import Answer, dumps
-from placegraph_lab.tables.indoor.refine import Refined, refine_jobs, spread
-from placegraph_lab.tables.named.indoor_refine import RefineRow, histogram, refine_report
+from placegraph_lab.tables.indoor.refine import Refined, refine_jobs
+from placegraph_lab.tables.named.indoor_refine import RefineRow, refine_report
 
 JOBS = {job.name: job for job in refine_jobs()}
 
@@ -51,29 +47,6 @@ def test_a_line_has_both_sides():
     assert "- house found: all, sift, 10 frames: seq00 0:10 OK 0.20 m" in text
 
 
-def test_changes_sequences_and_aims():
-    name = "house disturbed: depth, auto"
-    text = refine_report(
-        [row(name, result(), result("seq01 0:10"), result("seq01 5:15", position=0.2))]
-    )
-    assert lines(text, name)[0] == [name, "1.00/.50"]
-    assert lines(text, "10 frames")[0] == ["10 frames", "seq00", "seq01"]
-    aims = {line[0]: line[1:] for line in lines(text, f"{name}, 10 frames")}
-    assert aims[f"{name}, 10 frames, unchanged: 10 cm 5°"] == ["≥ .90", "1.00"]
-    assert aims[f"{name}, 10 frames, changed: 10 cm 5°"] == ["≥ .80", ".50"]
-    assert aims[f"{name}, 10 frames: seconds"] == ["≤ 1", "0.50"]
-
-
-def test_small_gicp_stands_beside_and_is_judged_by_no_aim():
-    gicp = result(accepted=None, sigmas=(), stages={}, position=0.5)
-    theirs = row("house disturbed: depth, small_gicp, plane", gicp)
-    text = refine_report([row("house disturbed: depth, auto", result()), theirs])
-    line = lines(text, "depth, small_gicp, plane")[0]
-    assert line[7:] == [".00/.00/.00/.00", "–", "1.00", "–", "–", "0.50"]
-    assert not lines(text, "house disturbed: depth, small_gicp, plane, 10 frames")
-    assert "and worse than before" not in text
-
-
 def test_the_office_shows_what_its_map_covers():
     results = (
         result("b in a 0:9", coverage=0.9),
@@ -98,18 +71,3 @@ def test_covariances_are_shown_for_poses_refined_and_poses_left():
     assert left[8] == ".00/.00/.00"
     bars = "#### Errors over standard deviations: House, depth (with depth), from 0.2 m"
     assert text.count(bars) == text.count("```text") == 1
-
-
-def test_bars_are_as_long_as_shares(rng):
-    results = [result(sigmas=tuple(rng.normal(size=6))) for _ in range(300)]
-    drawn = histogram(spread(results)).splitlines()
-    assert drawn[0] == drawn[-1].replace("```", "```text")
-    bars = [line.count("█") for line in drawn[2:-1]]
-    assert len(bars) == 14
-    assert bars[6] == pytest.approx(38, abs=5)
-    shares = [float(line.split("█")[0].split()[-2]) for line in drawn[2:-1]]
-    normal = [float(line.split("█")[0].split()[-1]) for line in drawn[2:-1]]
-    assert sum(shares) == pytest.approx(1.0, abs=0.01)
-    assert sum(normal) == pytest.approx(1.0, abs=0.01)
-    assert np.abs(np.subtract(shares, normal)).max() < 0.04
-    assert math.isclose(normal[0], 0.001)

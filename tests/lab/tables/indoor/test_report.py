@@ -2,12 +2,9 @@
 
 import json
 import math
-from dataclasses import replace
-
-import pytest
 
 from placegraph.indoor.options import FilterOptions
-from placegraph_lab.tables.indoor.bench import Job, chosen, house_jobs, office_jobs
+from placegraph_lab.tables.indoor.bench import chosen, house_jobs, office_jobs
 from placegraph_lab.tables.indoor.metrics import Answer, dumps
 from placegraph_lab.tables.indoor.report import Row, errors, report
 
@@ -50,14 +47,6 @@ def test_rows_are_chosen_by_name():
     assert chosen(JOBS.values(), []) == list(JOBS.values())
 
 
-def test_options_are_part_of_a_key():
-    job = JOBS["instances: all"]
-    other = replace(job, options=FilterOptions(kld=False))
-    window = type("W", (), {"name": "seq00 0:5"})
-    assert len({j.key(window, s, "c") for j in (job, other) for s in (0, 1)}) == 4
-    assert job.key(window, 0, "c") != job.key(window, 0, "d")
-
-
 def test_a_row_is_written():
     row = Row(JOBS["instances: semantic"], 5, (answer(), answer("seq01 0:5", 0.2, 3.0)))
     text = report([row])
@@ -66,30 +55,6 @@ def test_a_row_is_written():
     assert ours[-2:] == ["120", "0.100"]
     assert lines(text, "instances: semantic")[0][1] == "1.00/.00"  # unchanged / changed
     assert lines(text, "semantic only, 5 frames")[0][1:] == ["≥ .85", ".50"]
-
-
-def test_falsehoods_are_listed():
-    false = answer("seq01 13:18", 14.1, 179.0)
-    text = report([Row(JOBS["instances: all"], 5, (answer(), false))])
-    assert "- instances: all, 5 frames: seq01 13:18 OK 14.10 m 179 deg" in text
-    assert lines(text, "OK and wrong")[0][2] == ".50"
-    torn = replace(false, status="AMBIGUOUS", held=True)
-    text = report([Row(JOBS["instances: semantic + depth"], 5, (answer(), torn))])
-    assert "that are not" not in text
-    assert lines(text, "with depth, 5 frames")[0][2] == "1.00"
-
-
-def test_losses_are_points():
-    at = [answer(), answer()]
-    worse = [answer(), answer(position=0.3)]
-    rows = [
-        Row(JOBS["instances: semantic + depth"], 10, tuple(at)),
-        Row(JOBS["classes: semantic + depth"], 10, tuple(worse)),
-        Row(JOBS["instances: semantic + depth, 20k triangles"], 10, tuple(at)),
-    ]
-    text = report(rows)
-    assert lines(text, "class labels with depth, 10")[0][2] == "50.0"
-    assert lines(text, "20k triangles, semantic + depth, 10")[0][2] == "0.0"
 
 
 def test_the_office_is_told_apart_by_coverage():
@@ -114,10 +79,3 @@ def test_short_numbers_of_errors():
     assert errors((2.05e12, 46.68)) == "2.05e+12 m, 46.7°"
     assert errors((math.inf, 180.0)) == "∞, 180.0°"
     assert errors((None, 3.0)) == errors((math.nan, math.nan)) == "–"
-
-
-def test_a_job_knows_its_table():
-    job = Job("none", "depth", FilterOptions(), "house", "none")
-    assert job.name == "none: depth"
-    with pytest.raises(ValueError, match="no answers"):
-        Row(job, 5, ())

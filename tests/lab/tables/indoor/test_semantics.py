@@ -1,14 +1,12 @@
 """The benchmark of encoders: what each is asked with, what it writes, and what it is worth in a room."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from placegraph.core.geometry import Camera
 from placegraph.indoor.build import build_scene
-from placegraph.indoor.encode.words import vector
 from placegraph.io.capture.capture import open_capture
 from placegraph_lab.tables.indoor.metrics import Answer
 from placegraph_lab.tables.indoor.windows import Window, true_poses
@@ -17,9 +15,7 @@ from placegraph_lab.tables.named.indoor_semantics import (
     BARE,
     LABELS,
     NONE,
-    OTHER_WORDS,
     OTHERS,
-    TABLE,
     TERMS,
     WITH_LABELS,
     Case,
@@ -27,14 +23,12 @@ from placegraph_lab.tables.named.indoor_semantics import (
     ask,
     available,
     cases,
-    encoder_of,
     named,
     report,
 )
 from placegraph_lab.worlds.flat.flat import Flat
 from placegraph_lab.worlds.flat.walks import stroll, write_walk
 
-ROOT = Path(__file__).resolve().parents[2]
 ROOM = """
 [flat]
 name = Room
@@ -87,17 +81,6 @@ def test_cases():
     assert set(available()) <= {"appearance"}
 
 
-def test_other_words_are_synonyms_or_kin():
-    for own, other in OTHER_WORDS.items():
-        assert own.casefold() != other.replace(" ", "")
-        assert 0.5 < float(vector(own) @ vector(other)) <= 1.001, (own, other)
-    said = np.array([vector(w) for w in OTHER_WORDS.values()])
-    cosines = said @ np.array([vector(w) for w in OTHER_WORDS]).T
-    own = np.diag(cosines)
-    assert (own >= cosines.max(axis=1) - 0.25).all()  # no other is much nearer
-    assert (own == cosines.max(axis=1)).mean() > 0.75
-
-
 def test_a_capture_of_instances_as_one_of_labels(world):
     scene, window = world
     capture = named(window.capture, scene, {"wall": "brickwork"})
@@ -108,21 +91,6 @@ def test_a_capture_of_instances_as_one_of_labels(world):
     for value, name in frame.label_names.items():
         label = scene.graph.labels[row[value]]
         assert name == ("brickwork" if label == "wall" else label)
-
-
-def test_what_encoders_are_asked_with(world):
-    scene, window = world
-    assert encoder_of(Case("house", NONE, "depth"), scene, window, 0) == (None, window)
-    said = {}
-    for name in WITH_LABELS:
-        encoder, seen = encoder_of(Case("house", name, "semantic"), scene, window, 0)
-        patches = encoder.encode(seen.capture[0])
-        said[name] = patches.table.argmax(axis=1)[patches.rows]
-        assert (patches.rows >= 0).mean() > 0.9
-        again = encoder.encode(seen.capture[0])
-        assert (again.rows == patches.rows).all()
-    clean = np.array([s for n, s in said.items() if n in {LABELS, OTHERS, TABLE}])
-    assert (clean[0] == clean[1]).mean() < 0.9  # each has noise of its own draw
 
 
 @pytest.mark.parametrize("name", [LABELS, OTHERS])
@@ -197,10 +165,3 @@ def test_it_goes_on_where_it_was_cut(asked, run, tmp_path):
     assert not asked
     run(*options, "--fresh")
     assert len(asked) == 4 * (windows + 1)
-
-
-@pytest.mark.usefixtures("asked")
-def test_rows_that_are_none(run):
-    code, text = run("--only", "house: nonsense")
-    assert code == 2
-    assert "no row is named" in text

@@ -5,7 +5,6 @@ import time
 import numpy as np
 import pytest
 
-from placegraph.errors import PlacegraphError
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.scene_map import SceneMap
@@ -13,13 +12,8 @@ from placegraph_lab.tables.named import indoor_speed
 from placegraph_lab.tables.named import indoor_speed as script
 from placegraph_lab.tables.named.indoor_speed import (
     Cost,
-    clustered,
-    cold_start,
     cost,
-    engines,
     median_time,
-    resized,
-    scattered_poses,
 )
 
 
@@ -38,19 +32,6 @@ def scene():
     return SceneMap.create(bumpy(40, 5), names, ["floor"] * 5, floor=0.0)
 
 
-@pytest.mark.parametrize("triangles", [40, 600, 9000])
-def test_maps_of_any_size_hold_the_same_objects(scene, triangles):
-    made = resized(scene, triangles)
-    assert len(made.mesh) == pytest.approx(triangles, rel=0.25)
-    assert made.graph.ids == scene.graph.ids
-    assert made.bounds == pytest.approx(scene.bounds, abs=1.5)
-
-
-def test_clusters_keep_every_object():
-    mesh = clustered(bumpy(20, 7), 25.0)
-    assert sorted(set(mesh.object_of.tolist())) == list(range(7))
-
-
 def test_costs_are_of_all_rays(scene, shared, monkeypatch):
     monkeypatch.setattr(indoor_speed, "median_time", lambda work: work() is not None and 0.5)
     background = scene.visibility(FilterOptions(spacing=2.0, heights=(1.6,))).background
@@ -61,27 +42,8 @@ def test_costs_are_of_all_rays(scene, shared, monkeypatch):
     assert row.share == 1.0
 
 
-def test_engines_that_are_there_are_timed(scene, shared, monkeypatch):
-    monkeypatch.setattr(indoor_speed, "median_time", lambda work, **_: work() is not None and 0.5)
-    rates = engines(scene, shared / "data/house/seq00", particles=2)
-    assert "own tree" in rates
-    assert min(rates.values()) > 0
-
-
-def test_poses_are_near_the_way_that_was_walked(shared, rng):
-    poses = scattered_poses(shared / "data/house/seq00", 500, rng)
-    assert poses.shape == (500, 4)
-    assert np.ptp(poses[:, 3]) > 6.0
-    assert np.abs(poses[:, 2] - 1.6).max() < 0.5
-
-
 def test_times_are_medians():
     assert median_time(lambda: time.sleep(0.002), least=0.0, times=3) >= 0.002
-
-
-def test_a_command_that_fails_is_no_start():
-    with pytest.raises(PlacegraphError, match="no-such-command"):
-        cold_start(["no-such-command"], times=1)
 
 
 def test_tables_name_the_paper_and_the_reason(monkeypatch, scene, tmp_path):
@@ -101,9 +63,3 @@ def test_tables_name_the_paper_and_the_reason(monkeypatch, scene, tmp_path):
     assert "10.0 ms" in text  # a frame and pass
     assert "2.90 s" in text
     assert "1.60 s" in text
-
-
-def test_a_part_must_exist(measure):
-    result = measure("indoor_speed", "--only", "colour")
-    assert result.exit_code == 2
-    assert "tracking" in result.output

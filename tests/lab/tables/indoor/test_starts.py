@@ -12,9 +12,7 @@ from placegraph_lab.tables.indoor.metrics import pose_error, position_error, rot
 from placegraph_lab.tables.indoor.windows import (
     LEAN,
     RISE,
-    Window,
     disturbed,
-    start_of,
     without_depth,
 )
 
@@ -29,19 +27,6 @@ def test_a_disturbed_start_is_exactly_so_far_off(seed, metres, degrees):
     off = pose_error(start, TRUTH)
     assert abs(off[2]) <= metres * RISE + 1e-9
     assert abs(off[5]) >= np.linalg.norm(off[3:]) * np.cos(np.radians(LEAN)) - 1e-9
-
-
-def test_starts_point_everywhere_and_turn_both_ways(rng):
-    off = np.array([pose_error(disturbed(TRUTH, rng), TRUTH) for _ in range(400)])
-    assert np.abs(off.mean(axis=0)[:2]).max() < 0.03
-    assert 0.4 < (off[:, 5] > 0).mean() < 0.6
-
-
-def test_a_start_belongs_to_the_window_and_the_seed(capture):
-    here, there = (Window(place, capture, TRUTH) for place in ("seq00", "seq01"))
-    assert (start_of(here, 0) == start_of(here, 0)).all()
-    assert not (start_of(here, 0) == start_of(here, 1)).all()
-    assert not (start_of(here, 0) == start_of(there, 0)).all()
 
 
 def test_depth_is_taken_away_and_nothing_else(capture):

@@ -3,26 +3,17 @@
 import json
 import subprocess
 import sys
-from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from placegraph.core.graph import SceneGraph
 from placegraph.errors import OptionError
 from placegraph.outdoor.language.description import (
     SPEAKER,
-    Description,
-    Mention,
-    Relation,
-    Sense,
-    Statement,
 )
 from placegraph.outdoor.map.cells import compass
 from placegraph_lab.datasets.kitti360pose import DIRECTIONS, Kitti360Pose, convert_kitti360pose
 from placegraph_lab.tables.kitti.graphs import (
-    OSM,
     Names,
     description_of,
     parsed,
@@ -31,14 +22,9 @@ from placegraph_lab.tables.kitti.graphs import (
 )
 from placegraph_lab.tables.kitti.kitti360pose import (
     MATCHERS,
-    PAPER,
     Split,
     evaluate,
-    localization_table,
-    retrieval_table,
-    size_table,
 )
-from placegraph_lab.tables.kitti.matchers import EditDistance, Transformer, TripleBag
 from placegraph_lab.tables.kitti.relational import REACH, Relational
 
 
@@ -81,14 +67,6 @@ def test_scene_graphs_are_of_equation_6(data):
         assert expected
 
 
-def test_names(data):
-    row = int(np.flatnonzero(data.objects.labels == data.labels.index("road"))[0])
-    assert Names(data).of(data.objects, row) == "road"
-    assert Names(data, coloured=True).of(data.objects, row) == "gray road"
-    assert Names(data, osm=True).of(data.objects, row) == OSM["road"] == "highway=residential"
-    assert len(OSM) == 21
-
-
 def test_the_text_is_the_published_one(data):
     text = text_of(data, 0)
     h, span = data.hints, data.poses.hints(0)
@@ -106,40 +84,6 @@ def test_our_parser_reads_the_same_graph(data, options):
         assert read.mentions == direct.mentions
         assert read.statements == direct.statements
         assert read.ignored == ()
-
-
-def test_honest_graphs_know_no_positions(data, rng):
-    hints = replace(
-        data.hints,
-        offsets=rng.normal(size=data.hints.offsets.shape),
-        closest=rng.normal(size=data.hints.closest.shape),
-        objects=data.hints.objects * 0,
-        instances=data.hints.instances * 0,
-    )
-    poses = replace(data.poses, positions=data.poses.positions * 0, cells=data.poses.cells * 0)
-    blind = replace(data, hints=hints, poses=poses)
-    for pose in range(80):
-        assert description_of(blind, pose) == description_of(data, pose)
-    changed = [
-        description_of(blind, p, reading="paper") != description_of(data, p, reading="paper")
-        for p in range(80)
-    ]
-    assert all(changed), "the paper's graphs do"
-
-
-def test_statements_about_the_speaker(data):
-    bearings = {"north": 0.0, "east": np.pi / 2, "south": np.pi, "west": 1.5 * np.pi}
-    for pose in range(80):
-        rows = range(*data.poses.hints(pose).indices(480))
-        told = description_of(data, pose).statements
-        for row, statement in zip(rows, told, strict=True):
-            direction = DIRECTIONS[data.hints.directions[row]]
-            assert statement.source == SPEAKER
-            if direction == "on-top":
-                assert (statement.relation, statement.bearing) == (Relation.SAME, None)
-            else:
-                assert statement.relation is Relation.DIRECTION
-                assert statement.bearing == bearings[direction]
 
 
 def test_papers_relations_are_those_of_where_things_stand(data):
@@ -170,98 +114,12 @@ def test_papers_relations_are_those_of_where_things_stand(data):
 # --- matchers ---
 
 
-def toy(*labels, at):
-    n = len(labels)
-    return SceneGraph(
-        tuple(map(str, range(n))), labels, np.array(at, float).reshape(n, 2),
-        np.array([0]), np.array([1]), ("north",),
-    )  # fmt: skip
-
-
-def said(*statements, labels=("pole", "road")):
-    mentions = [Mention(0, "I"), Mention(1, "you")]
-    mentions += [Mention(i, f"a {x}", (Sense(x, 1.0),)) for i, x in enumerate(labels, 2)]
-    return Description("", tuple(mentions), statements)
-
-
-TOYS = [
-    toy("pole", "road", at=[(0, 5), (0, -5)]),
-    toy("pole", "wall", at=[(0, 5), (0, -5)]),
-    toy("road", "pole", at=[(0, 5), (0, -5)]),
-]
-CENTERS = np.zeros((3, 2))
-
-
-def test_a_bag_weighs_what_is_rare(rng):
-    bag = TripleBag.of(TOYS, CENTERS, rng)
-    north = said(Statement(Relation.DIRECTION, 2, 3, bearing=0.0))
-    np.testing.assert_allclose(bag.scores(north), [np.log(3), 0, 0], atol=1e-6)
-    speaker = said(Statement(Relation.DIRECTION, SPEAKER, 2, bearing=np.pi))  # south of a pole
-    np.testing.assert_allclose(bag.scores(speaker), [np.log(1.5), np.log(1.5), 0], atol=1e-6)
-    on_top = said(Statement(Relation.SAME, SPEAKER, 3))
-    np.testing.assert_allclose(bag.scores(on_top), [np.log(1.5), 0, np.log(1.5)], atol=1e-6)
-    nothing = said(Statement(Relation.SAME, SPEAKER, 2), labels=("zoo", "road"))
-    assert 0.0 < np.ptp(bag.scores(nothing)) < 1e-8, "equals are ranked by chance"
-
-
-def test_edit_distance_looks_at_candidates(rng):
-    bag = TripleBag.of(TOYS, CENTERS, rng)
-    query = said(Statement(Relation.DIRECTION, 2, 3, bearing=0.0))
-    scores = EditDistance(TOYS, None, bag).scores(query)
-    assert np.argmax(scores) == 0
-    assert scores[0] == 0.0
-    few = EditDistance(TOYS, None, bag, candidates=1).scores(query)
-    assert few[0] == 0.0
-    assert np.isneginf(few[1:]).all()
-
-
-class Network:
-    """Stands for the learned one: embeds by the number of things, likes the last place."""
-
-    def word_vectors(self, words):
-        self.words = words
-        return np.zeros((len(words), 1))
-
-    def embed_texts(self, texts):
-        return np.ones((len(texts), 1), np.float32)
-
-    def embed_places(self, places):
-        return np.arange(len(places), dtype=np.float32)[:, None]
-
-    def match(self, texts, text, places, rows, words, vectors):
-        assert (len(texts), text, len(places)) == (1, 0, 3)
-        assert len(vectors) == len(self.words)
-        self.fits = words
-        return SimpleNamespace(logit=np.asarray(rows, np.float32))
-
-
-def test_the_network_is_given_candidates_and_words():
-    network = Network()
-    query = said(Statement(Relation.DIRECTION, 2, 3, bearing=0.0))
-    scores = Transformer(TOYS, CENTERS, network).scores(query)
-    np.testing.assert_array_equal(scores, [0, 1, 2])
-    assert [network.words[t] for t in network.fits.tokens] == ["pole", "road"]
-    np.testing.assert_array_equal(network.fits.starts, [0, 0, 1, 2])
-    few = Transformer(TOYS, CENTERS, network, candidates=2).scores(query)
-    np.testing.assert_array_equal(few, [-np.inf, 1, 2])
-
-
 # --- relational ---
 
 
 @pytest.fixture(scope="module")
 def relational(data, fold):
     return Relational.of(data, fold.cells)
-
-
-def test_viewpoints_belong_to_the_nearest_cell(data, fold, relational):
-    centers = fold.centers
-    scene = data.cells.scene[fold.cells]
-    assert (np.diff(relational.owner) >= 0).all()
-    for point, owner in zip(relational.points[::17], relational.owner[::17], strict=True):
-        off = np.hypot(*(centers - point).T)
-        assert off[owner] == off[scene == scene[owner]].min()
-        assert np.abs(centers[owner] - point).max() <= 15.0
 
 
 def test_what_is_in_sight(data, relational):
@@ -279,27 +137,6 @@ def test_what_is_in_sight(data, relational):
         np.testing.assert_allclose(
             relational.offsets[seen], np.reshape(list(expected.values()), (-1, 2)), atol=1e-4
         )
-
-
-def test_poses_within_cells_beat_their_centres(data, fold, relational):
-    off, centered = [], []
-    for pose in fold.poses.tolist():
-        cell = int(np.searchsorted(fold.cells, data.poses.cells[pose]))
-        truth = data.poses.positions[pose, :2]
-        (at,) = relational.poses(description_of(data, pose), np.array([cell]))
-        off.append(np.hypot(*(at - truth)))
-        centered.append(np.hypot(*(fold.centers[cell] - truth)))
-    assert np.mean(off) < 0.75 * np.mean(centered)
-
-
-def test_a_cell_in_the_dark(relational, fold):
-    """Where nothing was understood, all cells are alike, and the pose is a centre."""
-    empty = said()
-    np.testing.assert_array_equal(relational.scores(empty), np.zeros(len(fold.cells)))
-    cells = np.array([3, 1])
-    np.testing.assert_array_equal(relational.poses(empty, cells), fold.centers[cells])
-    unknown = said(Statement(Relation.SAME, SPEAKER, 2), labels=("zoo", "road"))
-    assert np.isfinite(relational.scores(unknown)).any()
 
 
 # --- the protocol ---
@@ -373,54 +210,6 @@ def test_one_split_sees_only_its_own(data):
         split.matcher("magic", np.random.default_rng(0))
     with pytest.raises(OptionError, match="no poses"):
         evaluate(split, "x", Oracle(split), Names(data), poses=[])
-
-
-@pytest.mark.parametrize("reading", ["honest", "paper"])
-@pytest.mark.parametrize(("name", "least"), [("triple bag", 0.6), ("relational", 0.7)])
-def test_matchers_find_most(data, relational, name, least, reading):
-    split = Split.of(data, "test", reading)
-    matcher, names = split.matcher(name, np.random.default_rng(0))
-    found = evaluate(split, name, matcher, names, within=relational)
-    assert found.retrieval[1] >= least
-    assert found.retrieval[5] >= 0.9
-
-
-def test_edit_distance_within_the_protocol(data):
-    split = Split.of(data, "validation")
-    matcher, names = split.matcher("edit distance", np.random.default_rng(0), candidates=4)
-    found = evaluate(split, "edit distance", matcher, names, poses=split.poses[:4].tolist())
-    assert found.retrieval[3] >= 0.75
-    assert found.queries == 4
-
-
-def test_tables(data, fold, relational):
-    names = Names(data)
-    results = [evaluate(fold, "relational", Oracle(fold), names, within=relational)]
-    table = retrieval_table(results)
-    assert len(table.splitlines()) == 3 + len(PAPER)
-    assert "| Text2Pos (published)" in table
-    assert "GOTLoc, transformer (published)" in table
-    last = table.splitlines()[-1]
-    assert last.startswith("| relational, the text")
-    assert last.count("1.00") == 3
-    assert "1.00/1.00/1.00" in localization_table(results, "test")
-    assert len(localization_table(results, "validation").splitlines()) == 2
-    sizes = size_table(data, "0003").splitlines()
-    assert sizes[0].count("cells") == 4
-    assert "| ratio" in sizes[-1]
-
-
-def test_sizes_stand_beside_the_papers(kitti360pose_world, tmp_path):
-    folder = kitti360pose_world.write_set(tmp_path / "k360", drives=("0003",), n_cells=112)
-    convert_kitti360pose(folder, tmp_path / "a.k360")
-    found = [
-        [cell.strip() for cell in line.strip("|").split("|")]
-        for line in size_table(Kitti360Pose.open(tmp_path / "a.k360")).splitlines()
-    ]
-    assert found[0] == ["MB of drive 0003", "110 cells"]
-    assert found[3] == ["point cloud (published)", "1,310.67"]
-    assert found[5] == ["scene graphs (published)", "0.13"]
-    assert 0.0 < float(found[4][1]) < float(found[2][1])
 
 
 def test_the_whole_benchmark(folder, tmp_path):

@@ -10,12 +10,10 @@ import numpy as np
 import pytest
 
 from placegraph.errors import InputError, OptionError
-from placegraph.outdoor.map.cells import compass
 from placegraph_lab.datasets.kitti360 import WORLD
-from placegraph_lab.datasets.kitti360pose import DIRECTIONS, Kitti360Pose, convert_kitti360pose
-from placegraph_lab.tables.kitti.graphs import Names, description_of, scene_graph, text_of
-from placegraph_lab.tables.kitti.kitti360pose import Split, evaluate
-from placegraph_lab.tables.kitti.osm import TOLD, Crop, on_osm
+from placegraph_lab.datasets.kitti360pose import Kitti360Pose, convert_kitti360pose
+from placegraph_lab.tables.kitti.graphs import description_of, scene_graph
+from placegraph_lab.tables.kitti.osm import Crop, on_osm
 from placegraph_lab.worlds.town.town import Town
 
 DRIVES = ("0003", "0010")
@@ -79,24 +77,6 @@ def test_cells_hold_what_is_near_their_centre(data, osm, nodes):
     assert osm.tags["street_lamp"] == "highway=street_lamp"
 
 
-def test_texts_speak_of_the_nearest_things(osm, nodes):
-    at, _ = nodes
-    assert len(osm.poses.cells) > 20
-    for pose, position in enumerate(osm.poses.positions[:, :2]):
-        rows = range(*osm.poses.hints(pose).indices(10_000))
-        assert len(rows) == TOLD
-        off = np.hypot(*osm.hints.closest[rows].T)
-        assert (np.diff(off) >= 0).all()
-        assert off.max() <= 15.0
-        street = [osm.labels[osm.hints.labels[i]] == "Gartenweg" for i in rows]
-        nearest = np.sort(np.hypot(*(at - position).T))[: TOLD - sum(street)]
-        assert off[~np.array(street)] == pytest.approx(nearest, abs=0.02)
-        for i in rows:
-            if DIRECTIONS[osm.hints.directions[i]] != "on-top":
-                assert DIRECTIONS[osm.hints.directions[i]] == compass(osm.hints.closest[i])
-    assert re.match(r"The pose is (north|south|east|west|on-top) of a \w+\. ", text_of(osm, 0))
-
-
 def test_both_sides_are_of_equation_6(osm):
     """The paper's reading: things of a text stand to each other as in the cell that holds them."""
     compared = 0
@@ -112,34 +92,6 @@ def test_both_sides_are_of_equation_6(osm):
                 assert (labels[s.source], wind, labels[s.target]) in triples
                 compared += 1
     assert compared > 50
-
-
-def test_words_of_the_network_are_tags_and_names(osm):
-    names = Names(osm, osm=True)
-    words = {names.of(osm.objects, row) for row in range(len(osm.objects.ids))}
-    assert {"~kern", "~gartenweg", "natural=tree", "amenity=bench"} <= words
-    assert Names(osm, coloured=True).of(osm.objects, 0) == Names(osm).of(osm.objects, 0)
-
-
-def test_names_may_be_left_out(data, extract):
-    plain = on_osm(data, extract, Crop(names=False))
-    said = {plain.labels[i] for i in plain.hints.labels}
-    assert {"bakery", "kiosk", "residential"} <= said
-    assert not {"Kern", "Gartenweg"} & said
-
-
-def test_it_is_not_kept_in_a_file(osm):
-    with pytest.raises(OptionError, match=r"karlsruhe\.osm is made from its extract"):
-        osm.save(lambda *_: None)
-
-
-@pytest.mark.parametrize(("name", "least"), [("triple bag", 0.5), ("relational", 0.7)])
-def test_matchers_find_most(osm, name, least):
-    split = Split.of(osm, "test")
-    matcher, names = split.matcher(name, np.random.default_rng(0))
-    found = evaluate(split, name, matcher, names)
-    assert found.on_osm
-    assert found.retrieval[5] >= least
 
 
 def test_what_cannot_be_is_said(data, extract, write_world):

@@ -3,7 +3,6 @@
 import json
 import shutil
 
-import osmium
 import pytest
 
 from placegraph.errors import InputError
@@ -77,27 +76,6 @@ def test_near_and_heading_reach_the_map(folder):
     unsure, looking, elsewhere = evaluate_folder(folder).answers
     assert unsure.probability != looking.probability
     assert elsewhere.status == "LOST"
-
-
-def test_a_place_outside_is_told(folder):
-    write(folder, rows({"id": "far", "text": CLEAR, "longitude": 8.0, "latitude": 50.0}))
-    found = evaluate_folder(folder)
-    assert found.outside == ("far",)
-    assert "Outside of town.osm: 1 (far)" in found.table()
-
-
-@pytest.mark.parametrize("name", ["map.osm.pbf", "map.osm"])
-def test_a_map_is_built_where_there_is_none(tmp_path, tmp_path_factory, name):
-    plain = Town.load("hafenstadt").write_osm(tmp_path_factory.mktemp("plain") / "town.osm")
-    with osmium.SimpleWriter(str(tmp_path / name)) as writer:
-        for thing in osmium.FileProcessor(str(plain)):
-            writer.add(thing)
-    write(tmp_path, rows()[:1])
-    steps = []
-    found = evaluate_folder(tmp_path, progress=lambda *s: steps.append(s))
-    assert found.score.within[25.0][1] == 1.0
-    assert {s for s, _ in steps} >= {"reading", "locating"}
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["descriptions.jsonl", name]
 
 
 def test_folders_that_are_none(folder):

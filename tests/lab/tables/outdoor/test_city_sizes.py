@@ -5,7 +5,7 @@ import pytest
 
 from placegraph.errors import OptionError
 from placegraph.outdoor.city import CityMap, build_city
-from placegraph_lab.tables.outdoor.extracts import busiest_tile, crop, take, tile
+from placegraph_lab.tables.outdoor.extracts import busiest_tile, crop, tile
 from placegraph_learn.city.descriptions import held_out
 
 
@@ -37,12 +37,6 @@ def test_a_part_has_the_cells_of_the_whole(city, tmp_path):
     assert len(CityMap.open(tmp_path / "part.city").cells) == 40
 
 
-def test_a_part_lies_where_it_is_wanted(city):
-    corner = city.cells.center(next(iter(city.cells)))
-    part = crop(city, 1, around=corner)
-    assert tuple(part.cells) == (next(iter(city.cells)),)
-
-
 def test_the_busiest_tile_has_the_most_objects(city):
     def inside(middle):
         return (np.abs(city.objects.center - middle).max(axis=1) <= 500.0).sum()
@@ -54,19 +48,6 @@ def test_the_busiest_tile_has_the_most_objects(city):
     ]
     assert inside(best) == max(map(inside, around))
     assert held_out(*busiest_tile(city, unseen=True))
-
-
-def test_a_part_knows_no_other_words(city):
-    part = crop(city, 5)
-    used = {part.objects.labels[i] for i in part.objects.label_values}
-    assert set(part.objects.labels) == used
-
-
-def test_all_is_all(city):
-    assert rows_of(crop(city, len(city.cells))).keys() <= rows_of(city).keys()
-    everything = take(city.objects, np.arange(len(city.objects)))
-    for name in ("label_values", "name_values", "points", "part_starts", "labels", "names"):
-        assert np.array_equal(getattr(everything, name), getattr(city.objects, name))
 
 
 def test_copies_stand_apart_and_differ(city):
@@ -89,19 +70,6 @@ def test_copies_stand_apart_and_differ(city):
     assert spans[2][:, 1].min() > spans[0][:, 1].max() + 100.0
     # stones' throws are kept: every copy has as many cells
     assert abs(len(three.cells) - 3 * len(city.cells)) <= 0.05 * len(three.cells)
-
-
-def test_a_seed_makes_the_same_copies(city):
-    first, again = (tile(city, 2, np.random.default_rng(7)) for _ in range(2))
-    assert np.array_equal(first.objects.label_values, again.objects.label_values)
-
-
-def test_a_place_is_found_among_copies(city):
-    text = "A bakery is north of me, a tram stop is south of me. I'm on Lange Straße."
-    alone = city.locate(text).best
-    among = tile(city, 4, np.random.default_rng(0)).locate(text).best
-    assert among.longitude == pytest.approx(alone.longitude, abs=1e-4)
-    assert among.latitude == pytest.approx(alone.latitude, abs=1e-4)
 
 
 def test_what_cannot_be_made_is_said(city):

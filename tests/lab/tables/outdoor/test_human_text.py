@@ -2,7 +2,6 @@
 
 import json
 
-import osmium
 import pytest
 
 from placegraph.errors import InputError
@@ -10,9 +9,7 @@ from placegraph_lab.tables.outdoor.human_text import (
     Baselines,
     Record,
     landmarks,
-    plain,
     read_records,
-    write_osm,
 )
 from placegraph_lab.tables.outdoor.metrics import distances
 
@@ -34,42 +31,6 @@ def test_the_rarest_landmark_is_chosen():
     assert simple.rarest(record("A cafe by the REX THEATER.")) == pytest.approx([10.005, 50.005])
     assert simple.rarest(record("Between a bank and a cafe")) == pytest.approx([10.0, 50.010])
     assert simple.rarest(record("Nowhere, cafeteria")) is None
-
-
-def test_of_its_places_the_nearest_to_the_start():
-    simple = Baselines(PLACES)
-    assert simple.rarest(record("the cafe")) == pytest.approx([10.0, 50.0])
-    assert simple.rarest_near(record("the cafe")) == pytest.approx([10.01, 50.0])
-
-
-@pytest.mark.parametrize(
-    ("text", "east", "north"),
-    [
-        ("Go north.", 0.0, 700.0),
-        ("It is Northeast of you, then south", 495.0, 495.0),
-        ("to the south-west", -495.0, -495.0),
-        ("head eastward", 700.0, 0.0),
-        ("on Northern Avenue", 0.0, 700.0),
-        ("no direction, but a northgate", 0.0, 0.0),
-    ],
-)
-def test_the_walk_follows_the_first_direction(text, east, north):
-    simple = Baselines(PLACES)
-    start = (10.009, 50.0)
-    place = simple.plane.to_plane(simple.walk(record(text))) - simple.plane.to_plane(start)
-    assert place == pytest.approx([east, north], abs=1.0)
-
-
-def test_words_are_compared_without_punctuation():
-    assert plain("The Byrnes & Kiefer  Building.") == "byrnes and kiefer building"
-    assert plain("Kaufmann's") == "kaufmanns"
-
-
-def test_landmarks_become_a_map_of_names(tmp_path):
-    path = tmp_path / "names.osm"
-    write_osm(PLACES, path)
-    nodes = [(n.tags["name"], n.lon, n.lat, len(n.tags)) for n in osmium.FileProcessor(str(path))]
-    assert nodes == [(name, lon, lat, 1) for name, lon, lat in PLACES]
 
 
 def test_points_are_listed_latitude_first(tmp_path):

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from placegraph.errors import OptionError
 from placegraph.outdoor.city import build_city
 from placegraph.outdoor.network.encoded import EncodedCity
 from placegraph.outdoor.network.network import GraphTransformer
@@ -14,12 +13,9 @@ from placegraph_lab.tables.named.outdoor_matchers import Asking
 from placegraph_lab.tables.outdoor.extracts import (
     EXTRACTS,
     in_held_out_tiles,
-    names_of,
-    open_city,
     unseen_queries,
 )
 from placegraph_lab.tables.outdoor.matchers import (
-    EDIT,
     FUSED,
     MATCHERS,
     PAPER_EDITS,
@@ -28,10 +24,9 @@ from placegraph_lab.tables.outdoor.matchers import (
     Places,
     RetrieveMatcher,
     ask,
-    cell_centers,
     matcher,
 )
-from placegraph_lab.tables.outdoor.metrics import Protocol, score
+from placegraph_lab.tables.outdoor.metrics import Protocol
 from placegraph_lab.tables.outdoor.queries import Query, load, make_queries
 from placegraph_lab.tables.runner import Journal
 from placegraph_learn.city.descriptions import evaluated
@@ -76,18 +71,6 @@ def test_matchers_rank_cells(city, bins, town, name, setting):
             assert len(set(places.cells)) == 5
 
 
-def test_a_text_finds_its_place(city, bins, town):
-    """Far better than chance, which finds one in ten within 50 m of five places."""
-    asked = make_queries(town, n=30)
-    assert 5 * np.pi * 50.0**2 / (len(city.cells) * city.cells.size**2) < 0.1
-    for found in (
-        matcher("triple bag, tuned", city, bins),
-        matcher(EDIT, city, bins),
-        matcher(RELATIONAL, city, bins),
-    ):
-        assert score(ask(found, city, asked)).within[50.0][5] > 0.3
-
-
 def test_slow_matchers_get_some_queries_and_answers_are_asked_once(city, town, tmp_path):
     shown, told = (PAPER_EDITS, PAPER_TRANSFORMER), []
     asking = Asking(
@@ -125,11 +108,6 @@ def test_exact_is_the_cell_that_covers_the_truth(city):
     assert answer.distance[0] > 500.0
 
 
-def test_centers_are_those_of_the_cells(city):
-    for center, cell in zip(cell_centers(city), city.cells, strict=True):
-        assert np.array_equal(center, city.cells.center(cell))
-
-
 def off_center(city, query):
     """Metres to the nearest centre of the grid."""
     grid = city.cells.grid
@@ -152,19 +130,3 @@ def test_queries_of_trained_cities_stand_in_held_out_tiles(shared, tmp_path):
         share.append(inside.mean())
     assert share[0] == 1.0
     assert 0.0 < share[1] < 0.8
-
-
-def test_maps_are_built_once(shared, tmp_path):
-    city = open_city("toronto", shared / "data/osm", tmp_path / "maps")
-    made = (tmp_path / "maps/toronto.city").stat().st_mtime_ns
-    assert len(open_city("toronto", shared / "data/osm", tmp_path / "maps").cells) == len(
-        city.cells
-    )
-    assert (tmp_path / "maps/toronto.city").stat().st_mtime_ns == made
-
-
-def test_cities_by_name():
-    assert names_of("") == list(EXTRACTS)
-    assert names_of("monaco, ankara") == ["monaco", "ankara"]
-    with pytest.raises(OptionError, match="atlantis"):
-        names_of("atlantis")

@@ -6,10 +6,7 @@ import pytest
 from placegraph_lab.tables.named.outdoor_matchers import (
     advantage,
     advantages,
-    hits,
-    of_the_slow,
     report,
-    title,
 )
 from placegraph_lab.tables.outdoor.matchers import (
     DENSE,
@@ -43,12 +40,6 @@ def rows():
     return found
 
 
-def test_hits_are_of_the_best_place(rows):
-    assert hits(rows[0], "exact") == [True] * 8 + [False] * 2
-    assert hits(rows[4], "50 m") == [True] * 10
-    assert hits(rows[4], "25 m") == [True] * 8 + [False] * 2
-
-
 def test_differences_are_paired_and_a_mean_of_cities(rows):
     rng = np.random.default_rng(0)
     lead = advantage(rows, FUSED, RELATIONAL, "exact", rng)
@@ -57,14 +48,6 @@ def test_differences_are_paired_and_a_mean_of_cities(rows):
     assert advantage(rows, FUSED, RELATIONAL, "50 m", rng).mean == pytest.approx(-0.1)
     # of edit distance only the first two queries of one city are known
     assert advantage(rows, FUSED, PAPER_EDITS, "exact", rng).mean == pytest.approx(0.5)
-
-
-def test_slow_matchers_stand_beside_the_others_on_their_own_queries(rows):
-    some = of_the_slow(rows)
-    assert {r.city for r in some} == {"b"}
-    assert {len(r.answers) for r in some} == {2}
-    recall = {r.method: r.recall["exact"][0] for r in some}
-    assert recall == {FUSED: 1, RELATIONAL: 1, DENSE: 1, PAPER_TRANSFORMER: 1, PAPER_EDITS: 0.5}
 
 
 def test_tables_hold_every_matcher_and_the_paper(rows):
@@ -84,8 +67,3 @@ def test_tables_hold_every_matcher_and_the_paper(rows):
     assert ".22/.39/.48" in everywhere
     assert "+0.100" in text
     assert "| a: " in text
-
-
-def test_titles_tell_protocols_apart():
-    assert title(Protocol(anywhere=True)) == "6 statements, no noise"
-    assert title(Protocol()) == "6 statements, no noise, near the middle of cells"

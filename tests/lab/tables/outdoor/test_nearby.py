@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph.errors import OptionError
 from placegraph_lab.tables.outdoor.nearby import Bins
 from placegraph_lab.tables.outdoor.queries import load
 from placegraph_lab.tables.outdoor.raw import AREA, read_raw
@@ -72,18 +71,3 @@ def test_an_area_around_the_viewpoint_stands_at_its_centroid(write_world):
     assert bins.around(center[None] + [[30.0, 0.0]], 25.0).objects.tolist() == []
     outside = bins.around(center[None] + [[210.0, 5.0]], 25.0)
     assert outside.points[0] - center == pytest.approx([200.0, 5.0], abs=0.02)
-
-
-def test_grid_is_around_all_objects(town):
-    bins = load(town)
-    for step in (12.5, 50.0):
-        grid = bins.centers(step)
-        assert len(np.unique(grid, axis=0)) == len(grid)
-        ends = bins.city.segments.reshape(-1, 2)
-        off = np.abs(grid[None] - ends[::50, None]).max(2).min(1)
-        assert off.max() <= step / 2 + 1e-9
-
-
-def test_radius_is_positive(town):
-    with pytest.raises(OptionError, match="radius"):
-        load(town).around(np.zeros((1, 2)), 0.0)

@@ -1,7 +1,5 @@
 """Query texts: true where they should be, false as often as they should be, and reproducible."""
 
-import re
-
 import numpy as np
 import pytest
 
@@ -10,7 +8,6 @@ from placegraph_lab.tables.outdoor.queries import SETTINGS, load, make_queries
 from placegraph_lab.tables.outdoor.raw import AREA
 
 N = 60
-SENTENCE = re.compile(r"The (\S+) is on the (north|south|east|west) of the (\S+)\.")
 
 
 def stands(city, i, viewpoint):
@@ -56,13 +53,6 @@ def test_every_statement_without_noise_is_true(town, setting):
             assert not said.noisy
 
 
-def test_the_text_says_the_statements(town):
-    for query in make_queries(town, n=N):
-        expected = [(s.source, s.direction, s.target) for s in query.said]
-        assert SENTENCE.findall(query.text) == expected
-        assert len(set(expected)) == 6
-
-
 def test_statements_about_the_speaker_are_true(town):
     city = load(town).city
     for query in make_queries(town, setting="speaker", n=N):
@@ -73,17 +63,6 @@ def test_statements_about_the_speaker_are_true(town):
             assert point is not None
             assert direction(point - viewpoint) == said.direction
             assert f"{said.source.replace('_', ' ')} to my {said.direction}." in query.text
-
-
-def test_centroids_can_stand_for_things(shared):
-    path = shared / "data/osm/monaco_2025.osm.pbf"
-    city = load(path).city
-    for query in make_queries(path, position="centroid", n=50):
-        viewpoint = city.plane.to_plane((query.longitude, query.latitude))
-        for said in query.said:
-            ends = city.center[[city.rows[said.source_osm], city.rows[said.target_osm]]]
-            assert np.hypot(*(ends - viewpoint).T).max() <= 25.0 + 1e-6
-            assert direction(ends[0] - ends[1]) == said.direction
 
 
 @pytest.mark.parametrize("setting", SETTINGS)
@@ -141,49 +120,6 @@ def test_names_are_kept_or_removed(town):
     kept = make_queries(town, setting="names", n=N)
     spoken = {x for q in kept for s in q.said for x in (s.source, s.target)}
     assert names & spoken
-
-
-def test_everyday_words_replace_tag_values(town):
-    queries = make_queries(town, setting="synonyms", n=200)
-    text = " ".join(q.text for q in queries)
-    assert "bicycle_parking" not in text
-    assert "_" not in text
-    assert "apartment" in text or "street" in text
-    for plain, everyday in zip(make_queries(town, n=200), queries, strict=True):
-        assert plain.said == everyday.said
-
-
-def test_viewpoints_stand_near_the_middle_of_their_cells_or_anywhere(town):
-    bins = load(town)
-
-    def off(**options):
-        queries = make_queries(town, n=200, **options)
-        at = bins.city.plane.to_plane([(q.longitude, q.latitude) for q in queries])
-        return np.hypot(*(((at - bins.low) % 50.0) - 25.0).T)
-
-    assert off().max() <= 10.0 + 1e-6
-    assert off(anywhere=True).max() > 20.0
-
-
-def test_pairs_of_one_kind_are_an_option(town):
-    pairs = {(s.source, s.target) for q in make_queries(town, same_label=True, n=N) for s in q.said}
-    assert any(a == b for a, b in pairs)
-
-
-def test_what_cannot_be_made_is_said(town, write_world):
-    with pytest.raises(OptionError, match="no setting"):
-        make_queries(town, setting="loud")
-    with pytest.raises(OptionError, match="too few places"):
-        make_queries(town, statements=500, n=1)
-    with pytest.raises(OptionError, match="no 50 m cell"):
-        make_queries(write_world([(0.0, 0.0, {"shop": "books"})]), n=1)
-
-
-def test_real_extract(shared):
-    path = shared / "data/osm/monaco_2025.osm.pbf"
-    queries = make_queries(path, n=100)
-    assert len(queries) == 100
-    assert all(7.3 < q.longitude < 7.5 and 43.6 < q.latitude < 43.8 for q in queries)
 
 
 def test_viewpoints_can_be_kept_to_a_part_of_the_city(town):

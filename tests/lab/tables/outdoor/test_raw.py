@@ -1,32 +1,10 @@
 """The evaluation's own reader: labels, lines and areas, centres."""
 
-import numpy as np
 import pytest
 
 from placegraph.core.geometry import LocalPlane
 from placegraph.errors import InputError
-from placegraph_lab.tables.outdoor.raw import AREA, KEYS, LINE, POINT, is_area, read_raw, tag_label
-
-
-@pytest.mark.parametrize(
-    ("tags", "key", "label"),
-    [
-        ({"building": "yes"}, "building", "building"),
-        ({"building": "yes", "amenity": "cafe"}, "amenity", "cafe"),
-        ({"amenity": "bicycle_parking"}, "amenity", "bicycle_parking"),
-        ({"shop": "yes", "building": "retail"}, "shop", "shop"),
-        ({"amenity": "no", "building": "house"}, "building", "house"),
-        ({"amenity": "cafe;bar"}, "amenity", "cafe"),
-        ({"shop": "garden centre"}, "shop", "garden_centre"),
-    ],
-)
-def test_label_is_the_value_of_the_first_key(tags, key, label):
-    assert tag_label(tags) == (KEYS.index(key), label)
-
-
-@pytest.mark.parametrize("tags", [{}, {"name": "Elsewhere"}, {"building": "no"}, {"shop": ""}])
-def test_what_has_no_key_is_no_object(tags):
-    assert tag_label(tags) is None
+from placegraph_lab.tables.outdoor.raw import AREA, LINE, POINT, is_area, read_raw
 
 
 @pytest.mark.parametrize(
@@ -88,16 +66,6 @@ def test_a_hole_moves_the_centroid_away_from_it(write_world):
     assert city.center[0] - middle == pytest.approx([3520.0 / 304.0 - 10.0, 0.0], abs=0.02)
 
 
-def test_nodes_that_are_missing_are_left_out(write_world):
-    path = write_world(
-        [(0.0, 0.0, {}), (10.0, 0.0, {}), (0.0, 9.0, {"shop": "books"})],
-        [([0, 1, 77], {"highway": "path"}), ([0, 55, 77], {"highway": "steps"})],
-    )
-    city = read_raw(path)
-    assert sorted(city.osm) == ["node/3", "way/1"]
-    assert np.ptp(city.segments.reshape(-1, 2)[:, 0]) == pytest.approx(10.0, abs=0.02)
-
-
 def test_only_what_touches_the_bounds_is_cached(write_world):
     nodes = [(0.0, 0.0, {"shop": "books"}), (900.0, 100.0, {"shop": "toys"}), (100.0, 900.0, {})]
     path = write_world(nodes, [([0, 2], {"highway": "path"}), ([1, 2], {"highway": "steps"})])
@@ -108,12 +76,3 @@ def test_only_what_touches_the_bounds_is_cached(write_world):
     with pytest.raises(InputError, match="no tagged object there"):
         read_raw(path, (*(low - 1.0), *(high - 1.0)))
     assert read_raw(path, (*low, *high)).osm == ("way/2",)
-
-
-def test_nothing_to_read_is_said(write_world, tmp_path):
-    with pytest.raises(InputError, match="no tagged object"):
-        read_raw(write_world([(0.0, 0.0, {"name": "Only a name"})]))
-    damaged = tmp_path / "damaged.osm.pbf"
-    damaged.write_bytes(b"not a map")
-    with pytest.raises(InputError, match=r"damaged\.osm\.pbf"):
-        read_raw(damaged)

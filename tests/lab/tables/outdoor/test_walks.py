@@ -6,15 +6,12 @@ import numpy as np
 import pytest
 
 from placegraph.core.geometry import angle_between, bearing
-from placegraph.errors import OptionError
-from placegraph.outdoor.track.motion import Leg, ways
 from placegraph_lab.tables.named.outdoor_track import (
     FARTHEST,
     METHODS,
     NEAREST,
     follow,
     make_walks,
-    told,
 )
 from placegraph_lab.tables.outdoor.metrics import distances
 from placegraph_lab.tables.outdoor.queries import load
@@ -66,22 +63,6 @@ def test_what_is_told_of_the_way_is_about_right(walks, town):
     assert 0.15 < np.mean(angles) < 0.6
 
 
-def test_a_tracker_reads_what_is_told(rng):
-    for wind, eighth in WINDS.items():
-        (leg,) = ways(f"I walked about 70 metres {wind}.")
-        assert isinstance(leg, Leg)
-        assert leg.bearing == pytest.approx(eighth * np.pi / 4)
-    way = np.array([60.0, 0.0])
-    assert isinstance(ways(told(way, rng))[0], Leg)
-
-
-def test_the_same_seed_gives_the_same_walks(walks, town):
-    assert make_walks(town, n=3, seed=4) == walks[:3]
-    assert make_walks(town, n=3, seed=5) != walks[:3]
-    wrong = make_walks(town, n=3, seed=4, setting="replaced")
-    assert [len(w.steps) for w in wrong] == [len(w.steps) for w in walks[:3]]
-
-
 def test_all_methods_answer_and_the_way_helps(walks, harbour):
     right = dict.fromkeys(METHODS, 0)
     for walk in walks[:10]:
@@ -95,15 +76,6 @@ def test_all_methods_answer_and_the_way_helps(walks, harbour):
                 right[method] += distances(at, walk.last.longitude, walk.last.latitude)[0] <= 50.0
     assert right["track, measured"] > right["last place alone"]
     assert right["track, measured"] > right["all as one text"]
-
-
-def test_what_is_refused(town):
-    with pytest.raises(OptionError, match="places"):
-        make_walks(town, fewest=4, most=3)
-    with pytest.raises(OptionError, match="ask for fewer"):
-        make_walks(town, n=2, statements=500)
-    with pytest.raises(OptionError):
-        make_walks(town, n=2, setting="none", fewest=0)
 
 
 @pytest.fixture(scope="module")

@@ -6,15 +6,12 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from PIL import Image
 
 from placegraph.errors import InputError, OptionError
 from placegraph_io.dataset.scan3r import read_rooms
 from placegraph_lab.tables.indoor.windows import drifting_windows
 from placegraph_lab.tables.pairs.scan3r import (
-    candidates,
     cross_temporal_pairs,
     recorded,
     scan_folder,
@@ -70,19 +67,6 @@ def test_the_rule(rooms):
     assert not everything["test"]
 
 
-def test_lists_win(rooms, tmp_path):
-    (tmp_path / "val_resplit_scans.txt").write_text("b0-x\n")
-    (tmp_path / "test_resplit_scans.txt").write_text("# rescans name their room, too\nd1-x\nc0-x\n")
-    assert named(split_rooms(rooms, tmp_path)) == {
-        "train": ["a0-x"],
-        "validation": ["b0-x"],
-        "test": ["c0-x", "d0-x"],
-    }
-    own = tmp_path / "mine.txt"
-    own.write_text("d0-x\nd1-x\n")
-    assert named(split_rooms(rooms, {"test": own}))["test"] == ["d0-x"]
-
-
 def test_lists_that_cannot_be(rooms, tmp_path):
     with pytest.raises(InputError, match=r"has none of train_resplit_scans\.txt"):
         split_rooms(rooms, tmp_path)
@@ -129,30 +113,6 @@ def test_points_of_the_room_agree(rooms):
         assert np.allclose(direct, rooms.reference_from(pair.query))
     (pair,) = (p for p in cross_temporal_pairs(rooms.rooms, "reference") if p.query == "c1-x")
     assert np.allclose(pair.map_from_query, transform(1.0, 1, -1))
-
-
-@given(seed=st.integers(0, 1000))
-def test_one_drawn_pair_a_scan(seed):
-    from placegraph_io.dataset.scan3r import Room, Scan
-
-    room = Room("r", "test", tuple(Scan(i, np.eye(4)) for i in "rstu"))
-    pairs = cross_temporal_pairs([room], "one", rng=np.random.default_rng(seed))
-    again = cross_temporal_pairs([room], "one", rng=np.random.default_rng(seed))
-    assert [p.query for p in pairs] == list("rstu")
-    assert all(p.map != p.query for p in pairs)
-    assert [p.map for p in pairs] == [p.map for p in again]
-
-
-def test_candidates(rooms):
-    pair = cross_temporal_pairs(rooms.rooms)[0]
-    found = candidates(pair, rooms.rooms, 5, np.random.default_rng(0))
-    assert len(found) == len(set(found)) == 5
-    assert pair.map in found
-    assert not [scan for scan in found if scan != pair.map and scan.startswith("a")]
-    everything = candidates(pair, rooms.rooms, 50, np.random.default_rng(0))
-    assert len(everything) == 1 + 4 + 2 + 2 + 1 + 2
-    with pytest.raises(OptionError, match="count"):
-        candidates(pair, rooms.rooms, 0, np.random.default_rng(0))
 
 
 def write_sequence(folder, poses):

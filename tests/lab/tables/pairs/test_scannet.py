@@ -2,19 +2,16 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from placegraph.core.geometry import rotation_z
-from placegraph.errors import InputError, OptionError
+from placegraph.errors import OptionError
 from placegraph_io.dataset.sens import read_sens
-from placegraph_lab.tables.indoor.windows import drifting_windows, sampled
+from placegraph_lab.tables.indoor.windows import drifting_windows
 from placegraph_lab.tables.pairs.scannet import (
     ScanPair,
     derive_pairs,
     read_pairs,
     recorded,
-    scans_in,
     true_poses,
 )
 
@@ -26,19 +23,6 @@ MAP_FROM_QUERY[:3, 3] = (2.0, 0.5, 0.0)
 
 def named(pairs):
     return [(pair.map[5:], pair.query[5:]) for pair in pairs]
-
-
-def test_scans_are_subfolders_or_words_of_a_list(tmp_path):
-    for name in (*FOUND, "scans_test", "scene1_00"):
-        (tmp_path / name).mkdir()
-    (tmp_path / "scene0003_00").write_text("a file")
-    assert scans_in(tmp_path) == sorted(FOUND)
-    (tmp_path / "val.txt").write_text("scene0001_01\nscene0001_00\n\nscene0001_00\n")
-    assert scans_in(tmp_path / "val.txt") == ["scene0001_00", "scene0001_01"]
-    (tmp_path / "none.txt").write_text("office\n")
-    for path in (tmp_path / "none.txt", tmp_path / "scene0001_00", tmp_path / "gone"):
-        with pytest.raises(InputError, match=path.name):
-            scans_in(path)
 
 
 def test_pairs_are_of_one_room_and_of_different_scans():
@@ -57,19 +41,6 @@ def test_names_that_are_none_of_scannet_s_are_refused(wrong):
         derive_pairs(FOUND, "last")
 
 
-@given(
-    st.sets(st.builds("scene{:04d}_{:02d}".format, st.integers(0, 4), st.integers(0, 4))),
-    st.sampled_from(["first", "next", "all"]),
-)
-def test_whatever_lies_there_no_pair_is_wrong_and_none_missing(scans, which):
-    pairs = derive_pairs(scans, which)
-    rooms = [sum(s.startswith(r) for s in scans) for r in {s[:9] for s in scans}]
-    count = {"all": sum(n * (n - 1) for n in rooms)}.get(which, sum(n - 1 for n in rooms))
-    assert len({(p.map, p.query) for p in pairs}) == len(pairs) == count
-    assert all(p.map[:9] == p.query[:9] and p.map != p.query for p in pairs)
-    assert {p.map for p in pairs} | {p.query for p in pairs} <= scans
-
-
 def test_pairs_are_read_with_what_registers_them(tmp_path):
     numbers = " ".join(f"{v:.6f}" for v in MAP_FROM_QUERY.ravel())
     path = tmp_path / "pairs.txt"
@@ -80,26 +51,6 @@ def test_pairs_are_read_with_what_registers_them(tmp_path):
     assert plain.map_from_query is None
     assert (registered.map, registered.query) == ("scene0001_01", "scene0001_00")
     np.testing.assert_allclose(registered.map_from_query, MAP_FROM_QUERY, atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("line", "message"),
-    [
-        ("scene0001_00", "line 2: 1 words"),
-        ("scene0001_00 scene0001_00", "not two scans of one room"),
-        ("scene0001_00 scene0002_00", "not two scans of one room"),
-        ("office scene0002_00", "'office' is no scan"),
-        ("scene0001_00 scene0001_01 " + "1 " * 16, "no rigid transform"),
-        ("scene0001_00 scene0001_01 " + "a " * 16, "could not convert"),
-    ],
-)
-def test_a_wrong_line_is_named(tmp_path, line, message):
-    (tmp_path / "pairs.txt").write_text(f"# mine\n{line}\n")
-    with pytest.raises(InputError, match=message):
-        read_pairs(tmp_path / "pairs.txt")
-    (tmp_path / "pairs.txt").write_text("# mine\n")
-    with pytest.raises(InputError, match="holds no pair"):
-        read_pairs(tmp_path / "pairs.txt")
 
 
 # ---------------------------------------------------------------------------------------- queries
@@ -116,15 +67,6 @@ def scans(scannet_world, tmp_path):
 
 
 PAIR = ScanPair("scene0001_00", "scene0001_01", MAP_FROM_QUERY)
-
-
-def test_queries_go_by_the_numbers_of_the_images(scans):
-    capture = read_sens(scans.folder)
-    assert [frame.index for frame in sampled(capture, 5)] == [0, 5, 10, 15, 20]
-    assert [frame.index for frame in sampled(capture, 4)] == [0, 8, 12, 16, 20]
-    assert len(sampled(capture, 25)) == 1
-    with pytest.raises(OptionError, match="every is 0"):
-        sampled(capture, 0)
 
 
 def test_the_truth_is_that_of_the_aligned_map(scans, scannet_world):

@@ -1,18 +1,12 @@
-import math
-
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from placegraph.core.geometry import Camera
 from placegraph.indoor.encode import Patches
 from placegraph.indoor.options import FilterOptions
 from placegraph_lab.tables.named.patch_accuracy import (
     accuracy,
     drawn_home,
     mean,
-    nats,
     report,
     true_objects,
 )
@@ -56,13 +50,6 @@ def test_rays_say_what_patches_show(place):
         assert len(agree) > 100
 
 
-def test_a_camera_that_sees_nothing(place):
-    pose = np.eye(4)
-    pose[:3, 3] = 100.0
-    camera = Camera(16, 9, 10.0, 10.0, 8.0, 4.5)
-    assert (true_objects(place.scene, camera, pose, (9, 16)) == -1).all()
-
-
 def test_who_knows_everything(place):
     told = accuracy(Knowing(place, 1.0), place.scene, place.frames[:3], place.map_from_camera[:3])
     assert (told.best, told.auc, told.telling) == (1.0, 1.0, 1.0)
@@ -88,29 +75,6 @@ def test_who_knows_less_tells_less(place):
     assert half.telling == pytest.approx(0.5, abs=0.1)
     assert half.nats == pytest.approx(half.telling * right[2].nats, rel=0.15)
     assert half.auc == pytest.approx(0.5 + half.telling * (right[2].auc - 0.5), abs=0.05)
-
-
-def test_who_says_nothing(place):
-    class Silent:
-        def encode(self, frame):  # noqa: ARG002
-            return None
-
-    assert accuracy(Silent(), place.scene, place.frames[:2], place.map_from_camera[:2]) is None
-
-
-@given(st.integers(0, 2**32 - 1), st.integers(2, 9), st.floats(0, 0.9))
-def test_the_ratio_is_one_on_average(seed, count, wrong):
-    """Over the background, whatever the patch says: who guesses gains nothing."""
-    rng = np.random.default_rng(seed)
-    background = rng.dirichlet(np.ones(count))
-    cosines = np.repeat(rng.uniform(-1, 1, (1, count)), count, axis=0)
-    ratio = np.exp(nats(cosines, np.arange(count), background, 0.2, wrong))
-    assert ratio @ background == pytest.approx(1.0)
-
-
-def test_nats_of_two_objects():
-    told = nats(np.array([[1.0, 0.0]]), np.array([0]), np.array([0.5, 0.5]), 1 / math.log(3))
-    assert told == pytest.approx([math.log(1.5)])
 
 
 def test_tables(place):

@@ -16,27 +16,18 @@ from placegraph_lab.tables.retrieval import retrieval
 from placegraph_lab.tables.retrieval.retrieval import (
     ABSENT,
     Answer,
-    Found,
     Scenes,
     ask,
-    library_of,
     pool,
-    queries,
     recall,
     searcher,
 )
 from placegraph_lab.tables.retrieval.retrieval_places import (
     Place,
     Walk,
-    finer,
-    homes,
-    kept,
-    read,
     room_scene,
-    said,
-    write,
 )
-from placegraph_lab.tables.retrieval.retrieval_scale import measure, turned, varied
+from placegraph_lab.tables.retrieval.retrieval_scale import measure
 from placegraph_lab.tables.retrieval.retrieval_study import Row, Study
 from placegraph_lab.tables.retrieval.retrieval_vectors import (
     NOISY,
@@ -123,28 +114,6 @@ def test_the_papers_sum_is_that_of_the_paper(world, scenes):
     assert found.status == ""
 
 
-def test_frames_that_say_nothing_add_nothing(world, scenes):
-    encoder = LabelsEncoder()
-    first = world[1][1].capture[0]
-    ids = np.full_like(first.labels(), -1)
-    nothing = Frame.from_arrays(
-        first.rgb(), first.camera, labels=ids, label_names=first.label_names, stamp=first.stamp + 1
-    )
-    paper = searcher(scenes.library(scenes.names, [encoder]), "paper")
-    assert paper.search([first, nothing]).scores == pytest.approx(paper.search([first]).scores)
-
-
-def test_scenes_that_are_as_good_share_the_hit(world):
-    class Tied:
-        def search(self, capture):  # noqa: ARG002
-            names = ("home 2", "home 1", "home 0", "home 3")
-            return Found(names, (5.0, 3.0, 3.0, 1.0), (0.8, 0.1, 0.1, 0.0), 0.0, "OK")
-
-    answer = ask(Tied(), world[0][1], "q", world[0][1].capture)
-    assert (answer.rank, answer.tied) == (2, 2)
-    assert [recall([answer], k) for k in (1, 2, 3, 5)] == [0.0, 0.5, 1.0, 1.0]
-
-
 def test_things_are_mistaken_for_the_same_as_long_as_they_are_in_view(world):
     camera = Camera(64, 36, 32.0, 32.0, 32.0, 18.0)
     names = {0: "sofa", 1: "table", 2: "plant", 3: "wall"}
@@ -191,15 +160,6 @@ def test_pools_hold_the_right_scene_once_or_not_at_all():
     assert sorted(pool("home 0", names[:40], ABSENT)) == sorted(names[1:40])
 
 
-def test_queries_are_windows_of_a_walk(world):
-    walk = world[0][1]
-    found = list(queries(walk, 5))
-    assert [name for name, _ in found] == ["home 0 same 0:5"]
-    assert [f.index for f in found[0][1]] == [0, 1, 2, 3, 4]
-    assert [name for name, _ in queries(walk, 1)] == ["home 0 same 0:1"]
-    assert list(queries(walk, 25)) == []
-
-
 def test_truth_is_held_against_the_answer_only_afterwards(world, scenes):
     encoder = LabelsEncoder()
     walk = world[2][1]
@@ -211,24 +171,6 @@ def test_truth_is_held_against_the_answer_only_afterwards(world, scenes):
         assert elsewhere.rank == 0
         assert elsewhere.right == 0.0
         assert answer.milliseconds > 0
-
-
-def test_a_walk_on_disk_is_the_walk(tmp_path, world):
-    capture = world[0][1].capture[:3]
-    write(tmp_path / "walk.npz", capture)
-    back = read(tmp_path / "walk.npz")
-    assert len(back) == 3
-    assert back.camera == capture.camera
-    assert back.label_names == capture.label_names
-    for one, other in zip(capture, back, strict=True):
-        assert np.array_equal(one.labels(), other.labels())
-        assert one.label_camera == other.label_camera
-        assert np.abs(one.rgb().astype(int) - other.rgb()).mean() < 6
-        assert np.array_equal(one.odometry, other.odometry)
-        assert np.array_equal(one.gravity, other.gravity)
-    assert kept(tmp_path / "walk.npz", lambda: pytest.fail("made again")).stamps.tolist() == (
-        capture.stamps.tolist()
-    )
 
 
 def test_vectors_are_kept_and_replayed(tmp_path, world):
@@ -264,17 +206,6 @@ def record_without_labels(walk):
     return type(walk.capture).from_frames(frames)
 
 
-def test_what_a_network_says_is_the_plain_word_where_it_is_the_only_one():
-    flat = Flat.parse(TWO_ROOMS.replace("label=bookcase", "label=bookshelf"))
-    words = said(flat.furnish(np.random.default_rng(0)))
-    assert words["bookshelf"] == "bookcase"
-    assert words["sofa"] == "sofa"
-    table = said(
-        Flat.parse(TWO_ROOMS.replace("label=desk", "label=table")).furnish(np.random.default_rng(0))
-    )
-    assert "table" not in table  # a desk, or one to dine at
-
-
 def test_rooms_become_scenes_of_their_own():
     interior = Flat.parse(TWO_ROOMS).furnish(np.random.default_rng(0))
     scene = scene_of(interior)
@@ -291,31 +222,6 @@ def test_rooms_become_scenes_of_their_own():
         for a, b in zip(part.graph.sources, part.graph.targets, strict=True):
             assert 0 <= a < len(part)
             assert 0 <= b < len(part)
-
-
-def test_finer_meshes_are_the_same_surface():
-    scene = scene_of(Flat.parse(TWO_ROOMS).furnish(np.random.default_rng(0)))
-    fine = finer(scene.mesh, 0.5)
-    corners = fine.vertices[fine.triangles]
-    edges = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2)
-    assert edges.max() <= 0.5
-    areas = [
-        np.bincount(m.object_of, np.linalg.norm(m.normals(), axis=1), len(scene))
-        for m in (scene.mesh, fine)
-    ]
-    assert np.allclose(*areas, rtol=1e-3)
-
-
-def test_homes_are_filmed_once(tmp_path, monkeypatch):
-    monkeypatch.setattr("placegraph_lab.tables.retrieval.retrieval_places.LENGTH", 2)
-    ((place, walks),) = homes([5], tmp_path)
-    assert [w.changed for w in walks] == [False, True]
-    assert all(w.place == place.name == "home 5" for w in walks)
-    files = {p: p.stat().st_mtime_ns for p in tmp_path.rglob("*.npz")}
-    assert len(files) == 2
-    ((again, _),) = homes([5], tmp_path)
-    assert again.scene.graph.labels == place.scene.graph.labels
-    assert {p: p.stat().st_mtime_ns for p in tmp_path.rglob("*.npz")} == files
 
 
 def test_a_study_of_four_homes(tmp_path, world, monkeypatch):
@@ -372,36 +278,6 @@ def test_recall_and_tables_of_known_answers():
     assert cells[2:6] == [".50", ".50", ".25", ".25"]
     months = text.split("Months later")[1]
     assert ".33/.00" in months
-
-
-def test_variations_of_homes(scenes):
-    key = LabelsEncoder().key
-    found = varied(scenes.signatures, 30, np.random.default_rng(0))
-    assert len(found) == 30
-    shares = []
-    for signature in found.values():
-        base = next(
-            s
-            for s in scenes.signatures.values()
-            if len(s) == len(signature) and np.allclose(np.sort(s.share), np.sort(signature.share))
-        )
-        row = {id_: i for i, id_ in enumerate(base.graph.ids)}
-        was = base.vectors[key][[row[id_] for id_ in signature.graph.ids]]
-        shares.append((was != signature.vectors[key]).any(axis=1).mean())
-    assert 0.2 < np.mean(shares) < 0.5  # an exchanged object may be of the same label
-
-
-def test_a_turned_scene_is_the_same_to_who_searches(world, scenes):
-    encoder = LabelsEncoder()
-    rng = np.random.default_rng(1)
-    moved = {name: turned(s, rng) for name, s in scenes.signatures.items()}
-    assert any((moved[n].panoramas != s.panoramas).any() for n, s in scenes.signatures.items())
-    for _, walk in world:
-        one, other = (
-            library_of(of, [encoder]).search(walk.capture) for of in (scenes.signatures, moved)
-        )
-        assert [m.scene for m in one.modes] == [m.scene for m in other.modes]
-        assert np.allclose([m.score for m in one.modes], [m.score for m in other.modes], rtol=1e-3)
 
 
 def test_a_large_library_is_measured(tmp_path, world, scenes):

@@ -1,8 +1,6 @@
 """Maps of many sizes: built by the command line, measured once, compared window by window."""
 
 import json
-from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,13 +12,11 @@ from placegraph_lab.tables.indoor.metrics import Answer
 from placegraph_lab.tables.indoor.refine import Refined
 from placegraph_lab.tables.indoor.windows import Window
 from placegraph_lab.tables.named import scene_maps as script
-from placegraph_lab.tables.named.scene_maps import report
 from placegraph_lab.tables.runner import Journal
 from placegraph_lab.tables.scene import maps as scene_maps
 from placegraph_lab.tables.scene import maps as scene_maps_recall
 from placegraph_lab.tables.scene.maps import (
     FULL,
-    LABELLED,
     VERTICES,
     Asking,
     Maps,
@@ -30,12 +26,10 @@ from placegraph_lab.tables.scene.maps import (
     Size,
     difference,
     findings,
-    refinings,
     study,
 )
 from placegraph_lab.worlds.flat.flat import Flat
 
-ROOT = Path(__file__).resolve().parents[2]
 DEFAULT = Size("default", ("--detail", "default"))
 ROOM = """
 [flat]
@@ -98,20 +92,6 @@ def test_a_map_is_measured_once(maps):
     assert len(maps.commands) == 4
 
 
-def test_a_map_that_is_not_what_was_measured_is_made_anew(maps):
-    maps.made("house", FULL)
-    maps.path("house", FULL).write_bytes(b"something else")
-    again = maps.made("house", FULL)
-    assert len(maps.commands) == 7
-    assert again.bytes == maps.path("house", FULL).stat().st_size
-
-
-def test_slow_builds_are_measured_once(maps, monkeypatch):
-    monkeypatch.setattr(scene_maps, "CHEAP", 1.0)
-    assert maps.made("house", DEFAULT).build_seconds == 2.0
-    assert len(maps.commands) == 2
-
-
 def test_smaller_maps_lie_near_the_full_one(maps):
     small = maps.apart("house", Size("small", ("--detail", "small")))
     assert 0 < small.mean <= small.most <= small.maximum < 0.05
@@ -121,16 +101,6 @@ def test_smaller_maps_lie_near_the_full_one(maps):
     assert vertices.build_seconds is None
     assert vertices.textures == 1
     assert maps.apart("house", VERTICES).mean < 0.01
-
-
-def test_commands_name_source_frames_and_network(tmp_path):
-    maps = Maps(tmp_path, tmp_path / "net.tflite", tmp_path, Journal(tmp_path / "j"))
-    command = maps.command("a in b", LABELLED, tmp_path / "x.scene")
-    assert command[2] == str(tmp_path / "office")
-    assert command[command.index("--frames") + 1] == "186:373"
-    assert command[-2:] == ["--segmenter", str(tmp_path / "net.tflite")]
-    sweep = maps.command("house", scene_maps.SWEEP[0], tmp_path / "x.scene")
-    assert sweep[-2:] == ["--error", "0.001"]
 
 
 def test_a_process_of_its_own_has_its_own_memory(tmp_path):
@@ -168,12 +138,6 @@ def test_windows_are_compared_one_by_one():
     assert points == pytest.approx(25.0)
     assert error == pytest.approx(100 * np.std([0, 1, -1, 1]) / 2)
     assert np.isnan(difference(())).all()
-
-
-def test_all_rows_are_those_of_the_protocols():
-    assert {f.place for f in findings()} == {"house", "b in a", "a in b"}
-    assert len(findings()) == 3 * 2 + 2
-    assert len(refinings()) == len(scene_maps_recall.REFINED_ROWS)
 
 
 @pytest.fixture
@@ -258,33 +222,3 @@ def test_it_prints_and_writes_what_it_measured(measure, tmp_path):
     }  # fmt: skip
     assert [r["size"] for r in written["refined"]] == ["full", "default"]
     assert written["refined"][0]["after"]["recall"]["0.1 m, 5 deg"] == 0.5
-
-
-@pytest.mark.usefixtures("faked")
-@pytest.mark.parametrize(
-    ("options", "said"), [(("--sizes", "huge"), "tiny"), (("--only", "depth"), "house found")]
-)
-def test_what_is_asked_for_must_exist(measure, options, said):
-    result = measure("scene_maps", *options)
-    assert result.exit_code == 2
-    assert said in result.output
-
-
-def test_sizes_fit_their_place():
-    house = [s.name for s in script.sizes_of("house", [])]
-    assert house[0] == "full"
-    assert "coarse" in house
-    assert "labelled" not in house
-    assert [s.name for s in script.sizes_of("b in a", [])] == list(scene_maps.OFFICE_SIZES)
-    assert [s.name for s in script.sizes_of("b in a", ["tiny"])] == ["full", "tiny"]
-
-
-def test_figures_stand_where_they_belong(maps):
-    full = maps.made("house", FULL)
-    small = replace(full, size="small", bytes=30_000, objects=30, parts=full.parts, place="a in b")
-    text = report([full, small], {}, [], [])
-    row = next(line for line in text.splitlines() if line.startswith("| a in b, small"))
-    assert "1,000" in row  # bytes an object
-    assert "30 " in row  # kB a room of 30
-    assert "bytes against recall" not in text
-    assert "1433.6 / 589.7" in text

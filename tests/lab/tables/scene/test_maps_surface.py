@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.indoor.map.mesh import Mesh
-from placegraph_lab.tables.scene.maps_surface import REACH, compare, distances, spread
+from placegraph_lab.tables.scene.maps_surface import REACH, compare, distances
 
 
 def sheet(height=0.0, side=2.0):
@@ -44,32 +44,6 @@ def test_no_point_of_the_triangles_is_nearer(seed):
     found = distances(points, soup)
     assert (found <= apart + 1e-6).all()
     assert (apart - found)[apart < REACH].max(initial=0.0) < 0.15  # samples lie that dense
-
-
-def test_a_triangle_without_area_is_a_line():
-    line = Mesh.plain([[0, 0, 0], [0.5, 0, 0], [1, 0, 0]], [[0, 1, 2]])
-    found = distances(np.array([[0.7, 0.3, 0.0], [1.3, 0.0, 0.4]]), line)
-    assert found == pytest.approx([0.3, 0.5], abs=1e-6)
-
-
-def test_samples_are_even_over_the_surface(rng):
-    large, small = sheet(side=3.0), sheet(height=1.0, side=1.0)
-    both = Mesh.plain(
-        np.vstack([large.vertices, small.vertices]),
-        np.vstack([large.triangles, small.triangles + 4]),
-    )
-    points = spread(both, rng, 20_000)
-    assert (points[:, 2] == 1.0).mean() == pytest.approx(0.1, abs=0.01)
-    assert (points[points[:, 2] == 0.0][:, 0] > 0).mean() == pytest.approx(0.5, abs=0.02)
-
-
-def test_what_only_one_has_is_seen_from_there(rng):
-    small, large = sheet(side=1.0), sheet(side=2.0)
-    off = compare(small, large, rng, 5000)
-    assert off.there == pytest.approx([0, 0, 0], abs=1e-6)
-    assert off.back[2] == pytest.approx(0.5 * np.sqrt(2), abs=0.03)
-    assert off.mean == pytest.approx(off.back[0] / 2)
-    assert off.maximum == off.back[2]
 
 
 def test_a_moved_sheet_is_as_far_off_as_it_was_moved(rng):

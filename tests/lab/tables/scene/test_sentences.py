@@ -23,7 +23,6 @@ from placegraph_lab.tables.scene.sentences import (
     figures,
     recall,
     report,
-    rooms_of,
     speed,
 )
 from placegraph_lab.worlds.flat.flat import Flat
@@ -67,12 +66,6 @@ def test_wrong_facts_are_of_another_scene():
     for text in texts:
         assert not own & {m.label for m in read(text).mentions}
         assert read(text).mentions[0].room == "kitchen"
-
-
-def test_rooms_are_scenes():
-    home = scene("home", "bed", "lamp", "stove")._replace(rooms=("bedroom", "bedroom", ""))
-    (room,) = rooms_of(home)
-    assert (room.name, room.graph.labels) == ("home: bedroom", ("bed", "lamp"))
 
 
 def test_ranks_are_counted():

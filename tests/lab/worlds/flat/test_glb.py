@@ -13,9 +13,6 @@ from placegraph.io.mesh.gltf import read_glb
 from placegraph.maps import open_map
 from placegraph_lab.worlds.flat.flat import Flat
 
-SIZES = {5126: 4, 5125: 4}
-WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3}
-
 
 @pytest.fixture(scope="module")
 def flat():
@@ -43,19 +40,6 @@ def chunks(path):
     rest, second = struct.unpack_from("<I4s", data, 20 + size)
     assert (second, rest % 4, 28 + size + rest) == (b"BIN\0", 0, len(data))
     return json.loads(data[20 : 20 + size]), data[28 + size :]
-
-
-def test_views_and_accessors_lie_within_the_buffer(chunks):
-    content, data = chunks
-    assert content["asset"]["version"] == "2.0"
-    assert content["buffers"][0]["byteLength"] <= len(data)
-    for view in content["bufferViews"]:
-        assert view["byteOffset"] % 4 == 0
-        assert view["byteOffset"] + view["byteLength"] <= content["buffers"][0]["byteLength"]
-    for accessor in content["accessors"]:
-        view = content["bufferViews"][accessor["bufferView"]]
-        size = accessor["count"] * WIDTHS[accessor["type"]] * SIZES[accessor["componentType"]]
-        assert size == view["byteLength"]
 
 
 def test_positions_have_their_bounds_and_indices_their_vertices(chunks):
@@ -120,16 +104,6 @@ def test_as_a_scene_map(path, flat, interior, tmp_path):
         assert len(scene.mesh) == len(interior.mesh())
     lamp = built.graph.positions[interior.thing("floor lamp").id]
     assert lamp[:2] == pytest.approx(flat.position("L"), abs=0.02)
-
-
-def test_colours_survive_the_way_into_the_map(path, interior, tmp_path):
-    scene = build_scene(path, tmp_path / "flat.scene", detail="full")
-    own = interior.mesh()
-    third = np.full(len(own), 1 / 3, np.float32)
-    rows = np.arange(len(own), dtype=np.int32)
-    ours, theirs = (m.colour_at(rows, third, third).astype(int) for m in (own, scene.mesh))
-    assert np.abs(ours - theirs).mean() < 8
-    assert np.corrcoef(ours.ravel(), theirs.ravel())[0, 1] > 0.98
 
 
 def test_the_same_flat_gives_the_same_bytes(interior, path, tmp_path):

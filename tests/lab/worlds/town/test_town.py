@@ -2,11 +2,9 @@
 
 import osmium
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from placegraph.errors import InputError, OptionError, PlacegraphError
-from placegraph_lab.worlds.town.town import COMMON, Town, shipped
+from placegraph.errors import InputError, OptionError
+from placegraph_lab.worlds.town.town import Town, shipped
 
 
 def osm(text, tmp_path):
@@ -81,23 +79,6 @@ def test_a_park_runs_on_below_its_pond_and_bench(tmp_path):
     assert not relations
     [outline] = [line for tags, line in ways if tags == {"leisure": "park"}]
     assert len(outline) == 7  # the first bench stands beside the park and dents it
-
-
-def test_diagonal_roads_and_bends(tmp_path):
-    _, ways, _ = osm("[drawing]\n   /\n  /\n-+\n |\n +--\n", tmp_path)
-    assert len(ways) == 3
-    _, ways, _ = osm("[drawing]\n-+\n |\n +--\n", tmp_path)
-    [(_, line)] = ways
-    assert len(line) == 4
-
-
-def test_a_tram_passes_over_road_and_stop(tmp_path):
-    tram = "[drawing]\n   |\n==S|==\n   |\n[legend]\nS: railway=tram_stop\n= line: railway=tram\n"
-    with pytest.raises(InputError, match=r"line of one character|joins"):
-        osm(tram.replace("==S|==", "= S| ="), tmp_path)
-    _, ways, _ = osm(tram.replace("==S|==", "=S=|=="), tmp_path)
-    assert [len(line) for tags, line in ways if tags == {"railway": "tram"}] == [2]
-    assert [len(line) for tags, line in ways if "highway" in tags] == [2]
 
 
 DOORS = """
@@ -192,16 +173,3 @@ def test_asking_for_what_is_not_there():
         Town.parse("[drawing]\n--\n").position("B")
     with pytest.raises(OptionError, match="2 places"):
         Town.parse("[drawing]\n* *\n").position("*")
-
-
-@given(st.text(alphabet="".join(COMMON) + " .\nBx", max_size=80))
-def test_any_drawing_is_written_or_refused(tmp_path_factory, drawing):
-    text = f"[drawing]\n{drawing}\n[legend]\nB: amenity=bench\nx spot:\n"
-    path = tmp_path_factory.getbasetemp() / "any.osm"
-    try:
-        Town.parse(text).write_osm(path)
-    except PlacegraphError:
-        return
-    for thing in osmium.FileProcessor(path).with_locations():
-        if thing.is_way():
-            assert len(thing.nodes) >= 2
