@@ -8,7 +8,6 @@ import json
 import re
 from contextlib import chdir, suppress
 from pathlib import Path
-from typing import Any
 
 from numpy.random import Generator
 from PIL import Image
@@ -87,17 +86,14 @@ def describe(bench: Bench, path: Path, rng: Generator) -> None:
 # ---------------------------------------------------------------------------------------- requests
 
 
-def _png(array: Any) -> bytes:  # noqa: ANN401
-    out = io.BytesIO()
-    Image.fromarray(array).save(out, "PNG")
-    return out.getvalue()
-
-
 def requests(folder: Path, places: Places) -> None:
     """A file a request: method, path, body; multipart and base64 as a client would make them."""
     folder.mkdir()
     frame = places.frames[0]
-    image = base64.b64encode(_png(frame.rgb())).decode()
+    array = frame.rgb()
+    out = io.BytesIO()
+    Image.fromarray(array).save(out, "PNG")
+    image = base64.b64encode(out.getvalue()).decode()
     fix = {"latitude": 53.0, "longitude": 8.0, "accuracy": 5.0}
     camera = {"sensorId": "0", "timestamp": 1608995990413, "imageBytes": image, "imageFormat": "PNG",
               "size": [48, 36], "params": {"model": "PINHOLE", "modelParams": [35, 35, 24, 18]}}  # fmt: skip

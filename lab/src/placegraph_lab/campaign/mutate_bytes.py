@@ -40,30 +40,27 @@ def flipped(data: bytes, rng: Generator) -> bytes:
     for _ in range(int(rng.choice([1, 1, 1, 2, 2, 3, 5]))):
         if not bad:
             return bytes(rng.integers(0, 256, 8, dtype=np.uint8))
-        _change(bad, int(rng.integers(len(bad))), rng)
+        at = int(rng.integers(len(bad)))
+        kind = int(rng.integers(11))
+        span = int(rng.choice([1, 4, 8, 40, 1 + len(bad) // 8]))
+        if kind < 2:
+            bad[at] ^= 1 << int(rng.integers(8))
+        elif kind == 2:
+            bad[at] = int(rng.choice([0, 1, 127, 128, 254, 255]))
+        elif kind == 3:
+            del bad[at : at + span]
+        elif kind == 4:
+            bad[at:at] = bad[at : at + span]
+        elif kind == 5:
+            source = int(rng.integers(len(bad)))
+            bad[at : at + span] = bad[source : source + span]
+        elif kind == 6:
+            del bad[at:]
+        elif kind < 10:
+            _number(bad, rng)
+        else:
+            bad[at:at] = WORDS[rng.integers(len(WORDS))]
     return bytes(bad)
-
-
-def _change(bad: bytearray, at: int, rng: Generator) -> None:
-    kind = int(rng.integers(11))
-    span = int(rng.choice([1, 4, 8, 40, 1 + len(bad) // 8]))
-    if kind < 2:
-        bad[at] ^= 1 << int(rng.integers(8))
-    elif kind == 2:
-        bad[at] = int(rng.choice([0, 1, 127, 128, 254, 255]))
-    elif kind == 3:
-        del bad[at : at + span]
-    elif kind == 4:
-        bad[at:at] = bad[at : at + span]
-    elif kind == 5:
-        source = int(rng.integers(len(bad)))
-        bad[at : at + span] = bad[source : source + span]
-    elif kind == 6:
-        del bad[at:]
-    elif kind < 10:
-        _number(bad, rng)
-    else:
-        bad[at:at] = WORDS[rng.integers(len(WORDS))]
 
 
 def _number(bad: bytearray, rng: Generator) -> None:

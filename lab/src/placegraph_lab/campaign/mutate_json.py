@@ -28,32 +28,28 @@ def changed(data: bytes, rng: Generator) -> bytes:
         deep = int(rng.choice([500, 20_000]))
         return b"[" * deep + data + b"]" * deep
     for _ in range(int(rng.choice([1, 1, 1, 2, 3]))):
-        _change(root, rng)
+        holder, key = _site(root, rng)
+        kind = int(rng.integers(10))
+        value = holder[key]
+        if kind < 4:
+            holder[key] = VALUES[rng.integers(len(VALUES))]
+        elif kind == 4 and isinstance(value, int | float):
+            holder[key] = value * float(rng.choice([-1.0, 0.001, 1e3, 1e9])) + float(
+                rng.integers(-2, 3)
+            )
+        elif kind == 5 and holder is not root:
+            del holder[key]
+        elif kind == 6 and isinstance(value, list):
+            holder[key] = value * int(rng.choice([2, 50])) if len(value) < 1000 else value[:1]
+        elif kind == 7 and isinstance(holder, dict):
+            holder[str(rng.choice(["", "x", "\0", "__class__", "id"]))] = copy.deepcopy(value)
+        elif kind == 8 and isinstance(value, str):
+            holder[key] = flipped(value.encode(), rng).decode("utf-8", "replace")
+        else:
+            other, at = _site(root, rng)
+            holder[key] = copy.deepcopy(other[at])
     text = json.dumps(root.get(""))
     return text.encode("utf-8", "surrogatepass")
-
-
-def _change(root: dict[str, Any], rng: Generator) -> None:
-    holder, key = _site(root, rng)
-    kind = int(rng.integers(10))
-    value = holder[key]
-    if kind < 4:
-        holder[key] = VALUES[rng.integers(len(VALUES))]
-    elif kind == 4 and isinstance(value, int | float):
-        holder[key] = value * float(rng.choice([-1.0, 0.001, 1e3, 1e9])) + float(
-            rng.integers(-2, 3)
-        )
-    elif kind == 5 and holder is not root:
-        del holder[key]
-    elif kind == 6 and isinstance(value, list):
-        holder[key] = value * int(rng.choice([2, 50])) if len(value) < 1000 else value[:1]
-    elif kind == 7 and isinstance(holder, dict):
-        holder[str(rng.choice(["", "x", "\0", "__class__", "id"]))] = copy.deepcopy(value)
-    elif kind == 8 and isinstance(value, str):
-        holder[key] = flipped(value.encode(), rng).decode("utf-8", "replace")
-    else:
-        other, at = _site(root, rng)
-        holder[key] = copy.deepcopy(other[at])
 
 
 def _site(root: dict[str, Any], rng: Generator) -> tuple[Any, Any]:

@@ -7,7 +7,6 @@ from itertools import count
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from placegraph.core.estimate import PoseEstimate, Status
 from placegraph.core.geometry import Camera
@@ -127,14 +126,13 @@ def apart(here: PoseEstimate, there: PoseEstimate, motion: Motion | None = None)
     delta = (
         np.linalg.inv(pose if motion is None else motion.pose(pose)) @ there.best.map_from_camera
     )
-    far, turned = float(np.linalg.norm(delta[:3, 3])), _angle(delta)
+    far, turned = (
+        float(np.linalg.norm(delta[:3, 3])),
+        (float(np.arccos(np.clip((np.trace(delta[:3, :3]) - 1.0) / 2.0, -1.0, 1.0)))),
+    )
     if (far > _FAR or turned > _TURNED) and here.status is there.status:
         return f"{far:.3f} m and {np.rad2deg(turned):.2f} degrees apart, both OK"
     return ""
-
-
-def _angle(matrix: NDArray[np.float64]) -> float:
-    return float(np.arccos(np.clip((np.trace(matrix[:3, :3]) - 1.0) / 2.0, -1.0, 1.0)))
 
 
 ROOMS = (furnished, 3.0, {

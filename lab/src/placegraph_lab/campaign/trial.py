@@ -137,26 +137,21 @@ def command(words: tuple[str, ...], folder: Path, room: Path, errors: Path, limi
     if limits.file is not None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (limits.file, resource.RLIM_INFINITY))
     if limits.bound:
-        bind()
+        import ctypes
+
+        libc = ctypes.CDLL(None)
+        for power in POWERS:
+            libc.prctl(_DROP, power, 0, 0, 0)
+        head, sets = (ctypes.c_uint32 * 2)(_CAPABILITY, 0), (ctypes.c_uint32 * 6)()
+        libc.capget(head, sets)
+        for k in (0, 1, 2):  # what is in effect, what may be, and what is handed on
+            sets[k] &= ~sum(1 << power for power in POWERS)
+        if libc.capset(head, sets):
+            raise OSError("root cannot be bound here")
     sys.argv = ["placegraph", *words]
     from placegraph.cli import main
 
     main()
-
-
-def bind() -> None:
-    """Let permissions bind this process and those it starts, as they bind all but root."""
-    import ctypes
-
-    libc = ctypes.CDLL(None)
-    for power in POWERS:
-        libc.prctl(_DROP, power, 0, 0, 0)
-    head, sets = (ctypes.c_uint32 * 2)(_CAPABILITY, 0), (ctypes.c_uint32 * 6)()
-    libc.capget(head, sets)
-    for k in (0, 1, 2):  # what is in effect, what may be, and what is handed on
-        sets[k] &= ~sum(1 << power for power in POWERS)
-    if libc.capset(head, sets):
-        raise OSError("root cannot be bound here")
 
 
 def when(moment: Callable[[], bool], seconds: float, running: Running) -> bool:

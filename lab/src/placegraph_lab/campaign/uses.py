@@ -10,7 +10,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 from unittest.mock import patch
 
 from numpy.random import Generator
@@ -184,22 +184,18 @@ def anything(bench: Bench, path: Path, rng: Generator) -> None:
     elif isinstance(found, SceneMap):
         use_scene(bench, found, rng)
     else:
-        _library(bench, found, rng)
+        found.search(INSIDE[rng.integers(len(INSIDE))])
+        if chance(rng, 0.2):
+            found.search(bench.frames)
+        if chance(rng, 0.05):
+            found.localize(bench.frames, refine=False)
+        if chance(rng, 0.1) and isinstance(found, SceneLibrary):
+            found.save(bench.file("again.library"))
 
 
 def library(bench: Bench, path: Path, rng: Generator) -> None:
     """Open a library, or a folder of maps, and search it."""
     anything(bench, path if chance(rng, 0.3) else path / "rooms.library", rng)
-
-
-def _library(bench: Bench, found: Any, rng: Generator) -> None:  # noqa: ANN401  # a library
-    found.search(INSIDE[rng.integers(len(INSIDE))])
-    if chance(rng, 0.2):
-        found.search(bench.frames)
-    if chance(rng, 0.05):
-        found.localize(bench.frames, refine=False)
-    if chance(rng, 0.1) and isinstance(found, SceneLibrary):
-        found.save(bench.file("again.library"))
 
 
 def shards(bench: Bench, path: Path, rng: Generator) -> None:

@@ -56,7 +56,9 @@ class Trials:
     def __init__(self, target: Target, folder: Path, seed: int, bench: Bench) -> None:
         self.target, self.bench, self.seed = target, bench, seed
         self.folder = folder / "trial"
-        self.seeds = target.drawn(folder / "seeds" / _safe(target.name), bench)
+        self.seeds = target.drawn(
+            folder / "seeds" / ("".join(c if c.isalnum() else "_" for c in target.name)), bench
+        )
 
     def rng(self, number: int) -> Generator:
         """Of an input's number."""
@@ -107,7 +109,9 @@ class Trials:
     def _take(self, number: int) -> tuple[Outcome, int]:
         """What became of an input, and how many bytes it may take."""
         place, rng = self.draw(number)
-        bound, before = TIMES * _size(place) + FREE, _fresh_peak()
+        with suppress(OSError):
+            Path("/proc/self/clear_refs").write_text("5")
+        bound, before = TIMES * _size(place) + FREE, _status("VmRSS:")
         start = perf_counter()
         said, outcome = "", "accepted"
         signal.setitimer(signal.ITIMER_PROF, SECONDS)
@@ -124,7 +128,7 @@ class Trials:
             outcome, said = "untyped", f"{_where(error)}: {error}"[:300]
         finally:
             signal.setitimer(signal.ITIMER_PROF, 0.0)
-        took = _peak() - before
+        took = (_status("VmHWM:")) - before
         return Outcome(number, outcome, said, took, perf_counter() - start), bound
 
 
@@ -159,25 +163,10 @@ def _status(name: str) -> int:
     return 0
 
 
-def _fresh_peak() -> int:
-    """Memory now; the peak is counted from here on."""
-    with suppress(OSError):
-        Path("/proc/self/clear_refs").write_text("5")
-    return _status("VmRSS:")
-
-
-def _peak() -> int:
-    return _status("VmHWM:")
-
-
 def _limited(room: int | None) -> None:
     """Let the address space grow by so many bytes, or without end."""
     most = resource.RLIM_INFINITY if room is None else _status("VmSize:") + room
     resource.setrlimit(resource.RLIMIT_AS, (most, resource.RLIM_INFINITY))
-
-
-def _safe(name: str) -> str:
-    return "".join(c if c.isalnum() else "_" for c in name)
 
 
 def lines(folder: Path, seed: int) -> Iterator[dict[str, object]]:

@@ -126,18 +126,6 @@ def array_of(raw: object, dtype: object, shape: object, order: object) -> NDArra
     return array
 
 
-def order_of(state: object) -> str:
-    """Byte order in a dtype's state; structured and nested ones are refused."""
-    if (
-        type(state) is not tuple
-        or not 2 <= len(state) <= 9
-        or state[1] not in ("<", ">", "|", "=")
-        or any(part is not None for part in state[2:5])
-    ):
-        raise RefusedError("a dtype is not one of plain numbers")
-    return str(state[1])
-
-
 def _reconstruct(_: Machine, arguments: tuple[Any, ...]) -> Array:
     if len(arguments) != 3 or arguments[0] != Name("ndarray"):
         raise RefusedError("an array is not made as numpy makes one")
@@ -397,7 +385,14 @@ class _Machine:
             _, shape, dtype, fortran, raw = state
             target.value = array_of(raw, dtype, shape, "F" if fortran is True else "C")
         elif isinstance(target, DType):
-            target.order = order_of(state)
+            if (
+                type(state) is not tuple
+                or not 2 <= len(state) <= 9
+                or state[1] not in ("<", ">", "|", "=")
+                or any(part is not None for part in state[2:5])
+            ):
+                raise RefusedError("a dtype is not one of plain numbers")
+            target.order = str(state[1])
         else:
             raise RefusedError("it sets the state of what has none")
         self.stack.append(target)

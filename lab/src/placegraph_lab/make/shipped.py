@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
 from placegraph.indoor.encode import appearance
@@ -35,30 +34,21 @@ def interiors(homes: int, flat: str, times: int) -> Iterator[Interior]:
         yield Flat.load(flat).furnish(np.random.default_rng(seed))
 
 
-def usual(places: Iterator[Interior]) -> NDArray[np.float64]:
-    """Mean vector (d,) of the objects that can be seen, a mean over places, not of unit length."""
+def print_usual(homes: int, flat: str, times: int, say: Callable[[str], None]) -> None:
+    """Say the lines that belong into appearance.py, and how far they are from those there."""
+    if not homes + times:
+        raise OptionError("homes and times are 0; choose a home or a flat to look at.")
+    places = interiors(homes, flat, times)
     means = []
     for interior in places:
         vectors, cells = appearance.surfaces(scene_of(interior))
         if cells.any():
             means.append(vectors[cells > 0].mean(axis=0, dtype=np.float64))
-    return np.asarray(np.mean(means, axis=0), np.float64)
-
-
-def lines(numbers: NDArray[np.float64]) -> str:
-    """Rows of an array as the module has them."""
-    words = [f"{number:.3f}," for number in numbers.tolist()]
-    rows = [words[i : i + _A_LINE] for i in range(0, len(words), _A_LINE)]
-    return "\n".join("        " + " ".join(f"{word:>7}" for word in row).lstrip() for row in rows)
-
-
-def print_usual(homes: int, flat: str, times: int, say: Callable[[str], None]) -> None:
-    """Say the lines that belong into appearance.py, and how far they are from those there."""
-    if not homes + times:
-        raise OptionError("homes and times are 0; choose a home or a flat to look at.")
-    found = usual(interiors(homes, flat, times))
+    found = np.asarray(np.mean(means, axis=0), np.float64)
     before = appearance._USUAL  # noqa: SLF001  # what is replaced
-    say(lines(found))
+    words = [f"{number:.3f}," for number in found.tolist()]
+    rows = [words[i : i + _A_LINE] for i in range(0, len(words), _A_LINE)]
+    say("\n".join("        " + " ".join(f"{word:>7}" for word in row).lstrip() for row in rows))
     say(f"# off from those of appearance.py by {np.abs(found - before).max():.4f} at most")
 
 

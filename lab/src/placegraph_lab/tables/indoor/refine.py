@@ -85,7 +85,18 @@ def align(
         raise MissingExtraError(
             "The comparison with small_gicp needs it: pip install small_gicp."
         ) from error
-    cloud = sequence_cloud(frames)
+    clouds = [np.zeros((0, 3))]
+    for frame, last_from_frame in zip(frames, _steps(frames), strict=True):
+        depth = frame.depth()
+        if depth is None or frame.depth_camera is None:
+            continue
+        v, u = np.mgrid[STEP // 2 : depth.shape[0] : STEP, STEP // 2 : depth.shape[1] : STEP]
+        metres = depth[v, u]
+        read = np.isfinite(metres)
+        uv = np.stack([u[read], v[read]], axis=-1) + 0.5
+        points = frame.depth_camera.directions(uv) * metres[read][:, None]
+        clouds.append(points @ last_from_frame[:3, :3].T + last_from_frame[:3, 3])
+    cloud = np.concatenate(clouds)
     if not len(cloud):
         raise OptionError("frames: none has a depth reading, so there is nothing to align.")
     source, _ = _prepared(cloud, threads)
@@ -108,22 +119,6 @@ def align(
             )
             pose, converged, inliers = found.T_target_source, found.converged, found.num_inliers
     return Aligned(np.asarray(pose), bool(converged), source.size(), int(inliers))
-
-
-def sequence_cloud(frames: Sequence[Frame]) -> Floats:
-    """Readings (N, 3) of all frames on a grid of `STEP` pixels, in the last frame's camera axes."""
-    clouds = [np.zeros((0, 3))]
-    for frame, last_from_frame in zip(frames, _steps(frames), strict=True):
-        depth = frame.depth()
-        if depth is None or frame.depth_camera is None:
-            continue
-        v, u = np.mgrid[STEP // 2 : depth.shape[0] : STEP, STEP // 2 : depth.shape[1] : STEP]
-        metres = depth[v, u]
-        read = np.isfinite(metres)
-        uv = np.stack([u[read], v[read]], axis=-1) + 0.5
-        points = frame.depth_camera.directions(uv) * metres[read][:, None]
-        clouds.append(points @ last_from_frame[:3, :3].T + last_from_frame[:3, 3])
-    return np.concatenate(clouds)
 
 
 def visible_cloud(scene: SceneMap, frames: Sequence[Frame], pose: Floats) -> Floats:

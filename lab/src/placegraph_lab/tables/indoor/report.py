@@ -91,7 +91,12 @@ def report(rows: Sequence[Row]) -> str:
     aims = aims_table(rows)
     if aims:
         parts += ["#### Aims", aims]
-    wrong = wrong_list(rows)
+    lines = []
+    for row in rows:
+        false = [w for w in row.score.worst if " OK " in w]
+        if false:
+            lines.append(f"- {row.job.name}, {row.length} frames: {'; '.join(false)}")
+    wrong = "\n".join(lines)
     if wrong:
         parts += ["#### Answers said to be OK that are not", wrong]
     return "\n\n".join(parts)
@@ -275,13 +280,3 @@ def compared(at: dict[tuple[str, int], Row], length: int) -> list[list[str]]:
             text = f"20k triangles, {name.partition(': ')[2]}, {length} frames: points lost"
             lines.append([text, "≤ 1", number(100 * loss, 1)])
     return lines
-
-
-def wrong_list(rows: Sequence[Row]) -> str:
-    """Windows with a false OK, by job."""
-    lines = []
-    for row in rows:
-        false = [w for w in row.score.worst if " OK " in w]
-        if false:
-            lines.append(f"- {row.job.name}, {row.length} frames: {'; '.join(false)}")
-    return "\n".join(lines)

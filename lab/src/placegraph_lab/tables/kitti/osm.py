@@ -90,6 +90,9 @@ def on_osm(data: Kitti360Pose, path: str | PathLike[str], crop: Crop | None = No
             f"{path}: no pose has {TOLD} things within {crop.sight:g} m; is the extract whole? "
             "Choose a larger sight otherwise."
         )
+    named = {city.labels[i]: of_name(city.labels[i].replace("_", " ")) for i in city.named}
+    values = {(KEYS[k], city.labels[i]) for k, i in zip(city.key, city.label, strict=True)}
+    tags = {v: f"{key}={'yes' if v == key else v}" for key, v in sorted(values)}
     return replace(
         data,
         source=f"{data.source} on {path}",
@@ -99,7 +102,7 @@ def on_osm(data: Kitti360Pose, path: str | PathLike[str], crop: Crop | None = No
         objects=objects,
         poses=poses,
         hints=hints,
-        tags=_tags(city),
+        tags=(named | tags),
     )
 
 
@@ -212,11 +215,3 @@ def _hints(
         TOLD * np.arange(len(chosen) + 1),
     )
     return poses, hints
-
-
-def _tags(city: RawCity) -> dict[str, str]:
-    """What the network calls each label: its tag, or the word of a name."""
-    named = {city.labels[i]: of_name(city.labels[i].replace("_", " ")) for i in city.named}
-    values = {(KEYS[k], city.labels[i]) for k, i in zip(city.key, city.label, strict=True)}
-    tags = {v: f"{key}={'yes' if v == key else v}" for key, v in sorted(values)}
-    return named | tags

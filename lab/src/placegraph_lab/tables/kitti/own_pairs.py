@@ -147,7 +147,7 @@ def _ask(city: CityMap, told: Told, matcher: Matcher) -> Answer:
             told.text, top=max(RANKS), heading=told.heading, near=told.near, matcher=matcher
         )
     except DescriptionError:
-        return _unread(time.perf_counter() - start)
+        return Answer(np.zeros(0), (), (time.perf_counter() - start), "LOST", 0.0, ())
     return measure(
         estimate,
         told.longitude,
@@ -155,10 +155,6 @@ def _ask(city: CityMap, told: Told, matcher: Matcher) -> Answer:
         seconds=time.perf_counter() - start,
         cell=city.cells.at(told.longitude, told.latitude),
     )
-
-
-def _unread(seconds: float) -> Answer:
-    return Answer(np.zeros(0), (), seconds, "LOST", 0.0, ())
 
 
 def _covered(city: CityMap, told: Told) -> bool:

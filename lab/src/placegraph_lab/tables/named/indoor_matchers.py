@@ -327,7 +327,18 @@ def report(trials: Sequence[Trial]) -> str:
                 found = [f for f in trial.found if f.kind == kind and keep(f)]
                 if found:
                     pairs = len(found)
-                    lines.append(line(trial.name, found))
+                    s = summary(found)
+                    lines.append(
+                        [
+                            trial.name,
+                            number(s["matches"]),
+                            shares(s["right"]),
+                            number(s["right_matches"]),
+                            number(s["inliers"]),
+                            shares(s["recall"]),
+                            errors(s["median_error"]),
+                        ]
+                    )
             if lines:
                 parts += [f"#### {part}, view {kind}, {pairs} pairs", markdown(HEADER, lines)]
     cost = [
@@ -336,20 +347,6 @@ def report(trials: Sequence[Trial]) -> str:
     ]
     parts += ["#### Seconds", markdown(["", "query and one view", "each further view"], cost)]
     return "\n\n".join(parts)
-
-
-def line(name: str, found: Sequence[Found]) -> list[str]:
-    """Cells of `HEADER`."""
-    s = summary(found)
-    return [
-        name,
-        number(s["matches"]),
-        shares(s["right"]),
-        number(s["right_matches"]),
-        number(s["inliers"]),
-        shares(s["recall"]),
-        errors(s["median_error"]),
-    ]
 
 
 def to_dict(trial: Trial) -> dict[str, Any]:

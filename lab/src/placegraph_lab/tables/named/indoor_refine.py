@@ -147,7 +147,11 @@ def refine_report(rows: Sequence[RefineRow]) -> str:
     aims = aims_table(rows)
     if aims:
         parts += ["#### Aims", aims]
-    harmful = harmful_list(rows)
+    harmful = "\n".join(
+        f"- {row.job.name}, {row.length} frames: {'; '.join(row.score.worst)}"
+        for row in rows
+        if row.score.worst and is_ours(row.job)
+    )
     if harmful:
         parts += ["#### Accepted, and worse than before", harmful]
     return "\n\n".join(parts)
@@ -274,25 +278,23 @@ def histograms(rows: Sequence[RefineRow]) -> list[str]:
             s = spread(pooled)
             if s.count:
                 what = f"{title}, {seen[0]} ({words}), {STARTS[start]}, {by}"
-                parts += [f"#### Errors over standard deviations: {what}", histogram(s)]
+                total = sum(s.histogram)
+                bounds = [-math.inf, *EDGES, math.inf]
+                lines = ["```text", f"{'sigma':>12} {'errors':>7} {'share':>6} {'normal':>6}"]
+                for low, high, count in zip(bounds[:-1], bounds[1:], s.histogram, strict=True):
+                    part = count / total
+                    normal = (math.erf(high / math.sqrt(2)) - math.erf(low / math.sqrt(2))) / 2
+                    bar = "█" * round(part * BAR)
+                    line = f"{bin_name(low, high):>12} {count:7} {part:6.3f} {normal:6.3f} {bar}"
+                    lines.append(line.rstrip())
+                parts += [
+                    f"#### Errors over standard deviations: {what}",
+                    "\n".join([*lines, "```"]),
+                ]
     return parts
 
 
 BAR = 200  # characters of a bar for a share of 1; a bin of half a sigma rarely holds more than .2
-
-
-def histogram(s: Spread) -> str:
-    """Bars of a spread, each beside the share that a normal distribution would have there."""
-    total = sum(s.histogram)
-    bounds = [-math.inf, *EDGES, math.inf]
-    lines = ["```text", f"{'sigma':>12} {'errors':>7} {'share':>6} {'normal':>6}"]
-    for low, high, count in zip(bounds[:-1], bounds[1:], s.histogram, strict=True):
-        part = count / total
-        normal = (math.erf(high / math.sqrt(2)) - math.erf(low / math.sqrt(2))) / 2
-        bar = "█" * round(part * BAR)
-        line = f"{bin_name(low, high):>12} {count:7} {part:6.3f} {normal:6.3f} {bar}"
-        lines.append(line.rstrip())
-    return "\n".join([*lines, "```"])
 
 
 def bin_name(low: float, high: float) -> str:
@@ -338,15 +340,6 @@ def seconds_line(row: RefineRow) -> list[list[str]]:
 def is_ours(job: RefineJob) -> bool:
     """Whether it is neither small_gicp nor the paper's recipe."""
     return job.by not in GICP and not job.by.endswith(PAPER)
-
-
-def harmful_list(rows: Sequence[RefineRow]) -> str:
-    """Windows whose pose is worse than before, by job."""
-    return "\n".join(
-        f"- {row.job.name}, {row.length} frames: {'; '.join(row.score.worst)}"
-        for row in rows
-        if row.score.worst and is_ours(row.job)
-    )
 
 
 WORDS = ("auto", "guided", *GICP)  # what refines without a matcher of its own being made

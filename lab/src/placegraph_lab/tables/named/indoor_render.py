@@ -45,35 +45,34 @@ def measured(scene: SceneMap, cameras: tuple[Camera, ...], poses: Floats) -> lis
             for samples in (1, 4):
                 for threads in range(1, min(processors(), 2) + 1):
                     print(f"{name}, {camera.width}, {samples}, {threads}", file=sys.stderr)
-                    row = timed(renderer, camera, poses, samples, threads)
+                    before = numba.get_num_threads()
+                    numba.set_num_threads(max(threads, 1))
+                    spent, seen = [], []
+                    processor = process_time()
+                    renderer.render(poses[0], camera, samples=samples)
+                    for pose in poses:
+                        times = []
+                        for _ in range(TIMES):
+                            start = perf_counter()
+                            drawn = renderer.render(pose, camera, samples=samples)
+                            times.append(perf_counter() - start)
+                        spent.append(float(np.median(times)))
+                        seen.append(float(drawn.mask.mean()))
+                    processor = (process_time() - processor) / (TIMES * len(poses))
+                    numba.set_num_threads(before)
+                    row = {
+                        "width": camera.width,
+                        "height": camera.height,
+                        "samples": samples,
+                        "threads": threads,
+                        "seconds": float(np.median(spent)),
+                        "p90_seconds": float(np.percentile(spent, 90)),
+                        "slowest_seconds": max(spent),
+                        "processor_seconds": processor,
+                        "covered": float(np.mean(seen)),
+                    }
                     rows.append({"engine": name} | row)
     return rows
-
-
-def timed(
-    renderer: Renderer, camera: Camera, poses: Floats, samples: int, threads: int
-) -> dict[str, Any]:
-    """Medians over `TIMES` renderings of each pose."""
-    before = numba.get_num_threads()
-    numba.set_num_threads(max(threads, 1))
-    spent, seen = [], []
-    processor = process_time()
-    renderer.render(poses[0], camera, samples=samples)
-    for pose in poses:
-        times = []
-        for _ in range(TIMES):
-            start = perf_counter()
-            drawn = renderer.render(pose, camera, samples=samples)
-            times.append(perf_counter() - start)
-        spent.append(float(np.median(times)))
-        seen.append(float(drawn.mask.mean()))
-    processor = (process_time() - processor) / (TIMES * len(poses))
-    numba.set_num_threads(before)
-    return {
-        "width": camera.width, "height": camera.height, "samples": samples, "threads": threads,
-        "seconds": float(np.median(spent)), "p90_seconds": float(np.percentile(spent, 90)),
-        "slowest_seconds": max(spent), "processor_seconds": processor, "covered": float(np.mean(seen)),
-    }  # fmt: skip
 
 
 def line(row: dict[str, Any]) -> list[str]:

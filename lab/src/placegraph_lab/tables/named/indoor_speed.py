@@ -20,7 +20,7 @@ from placegraph.indoor.encode.labels import InstancesEncoder
 from placegraph.indoor.likelihood.model import model_of
 from placegraph.indoor.likelihood.observe import sight, views
 from placegraph.indoor.likelihood.score import Scorer
-from placegraph.indoor.likelihood.view import Background, View
+from placegraph.indoor.likelihood.view import Background
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.rays import RayCaster
@@ -130,14 +130,6 @@ def scattered_poses(folder: Path, count: int, rng: np.random.Generator) -> Float
     return rows
 
 
-def view_of(scene: SceneMap, folder: Path, stride: float, background: Background) -> View:
-    """The first frame of a sequence with labels, depth and colour."""
-    frame = open_capture(folder)[0]
-    options = FilterOptions()
-    sighting = sight(frame, InstancesEncoder(scene), options)
-    return views([sighting], stride, model_of(options.likelihood), background)[0]
-
-
 def cost(
     scene: SceneMap,
     folder: Path,
@@ -146,7 +138,10 @@ def cost(
     background: Background,
 ) -> Cost:
     """Time to score poses against the first frame of a sequence."""
-    view = view_of(scene, folder, stride, background)
+    frame = open_capture(folder)[0]
+    options = FilterOptions()
+    sighting = sight(frame, InstancesEncoder(scene), options)
+    view = views([sighting], stride, model_of(options.likelihood), background)[0]
     poses = scattered_poses(folder, particles, np.random.default_rng(0))
     scorer = Scorer(scene, FilterOptions().likelihood)
     nothing = view._replace(
@@ -264,28 +259,6 @@ def tracking(scene: Path, folders: Sequence[Path]) -> dict[str, Any]:
     }
 
 
-def cold_start(command: Sequence[str], times: int = 3) -> float:
-    """Median wall time [s] of a command in a fresh process, compiled code already cached.
-
-    Raises `PlacegraphError` where the command fails.
-    """
-    spent = []
-    for attempt in range(times + 1):  # the first compiles, if nothing else did
-        start = time.perf_counter()
-        done = subprocess.run(  # noqa: S603  # our own command line
-            [sys.executable, "-m", "placegraph.cli", *command],
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        if done.returncode:
-            raise PlacegraphError(f"{' '.join(command)} fails: {done.stderr.strip()[-300:]}")
-        if attempt:
-            spent.append(time.perf_counter() - start)
-    json.loads(done.stdout)
-    return float(np.median(spent))
-
-
 PARTS = ("scoring", "engines", "localizing", "tracking", "start")
 MEGA = 1e-6
 PAPER = (
@@ -397,7 +370,21 @@ def tracked(path: Path, folders: list[Path]) -> tuple[str, dict[str, Any]]:
 def started(path: Path, folder: Path) -> tuple[str, dict[str, Any]]:
     """Cold start of the command line, compiled code cached."""
     command = ["scene", "localize", str(path), str(folder), "--frames", f"0:{FRAMES}", "--json"]
-    seconds = cold_start(command)
+    spent = []
+    for attempt in range(3 + 1):  # the first compiles, if nothing else did
+        start = time.perf_counter()
+        done = subprocess.run(  # noqa: S603  # our own command line
+            [sys.executable, "-m", "placegraph.cli", *command],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        if done.returncode:
+            raise PlacegraphError(f"{' '.join(command)} fails: {done.stderr.strip()[-300:]}")
+        if attempt:
+            spent.append(time.perf_counter() - start)
+    json.loads(done.stdout)
+    seconds = float(np.median(spent))
     text = f"`placegraph scene localize`, {FRAMES} frames, cold"
     return markdown([text, "s"], [["house", number(seconds, 2)]]), {"seconds": seconds}
 

@@ -123,13 +123,6 @@ def _best(scores: NDArray[np.float32]) -> NDArray[np.int64]:
     return np.argsort(-scores, kind="stable")
 
 
-def literal_alone(network: GraphTransformer) -> GraphTransformer:
-    """The same encoders, with a logit that is what the statements say literally: nothing learned."""
-    silent = {"judge.2.weight": np.zeros_like(network.arrays["judge.2.weight"])}
-    shape = replace(network.shape, crossings=0)
-    return replace(network, shape=shape, arrays=network.arrays | silent)
-
-
 def recall(tables: Sequence[Hits]) -> dict[str, list[float]]:
     """Recall@1/3/5, mean of the cities."""
     return {
@@ -279,7 +272,13 @@ def outdoor_ablation(
     cities = {name: open_city(name, run.osm, run.cache) for name in {*names, *measured}}
     judging = Judging(run, cities, measured, queries, seed, run.journal())
     shipped = GraphTransformer.default()
-    found = {LITERAL: [judging.hits(literal_alone(shipped), LITERAL)]}
+    silent = {"judge.2.weight": np.zeros_like(shipped.arrays["judge.2.weight"])}
+    shape = replace(shipped.shape, crossings=0)
+    found = {
+        LITERAL: [
+            judging.hits(replace(shipped, shape=shape, arrays=shipped.arrays | silent), LITERAL)
+        ]
+    }
     found[SHIPPED] = [judging.hits(shipped)]
     for name, its in wanted:
         run.say(f"{name}, seed {its}")

@@ -144,7 +144,16 @@ def report(rows: Sequence[Row], table: Sequence[dict[str, Any]]) -> str:
     quick = [r for r in rows if r.method not in SLOW]
     parts = [*_glance(quick, paper=True), *_glance(slow, paper=False)]
     if table:
-        parts += ["#### Differences of recall@1", _lead(table)]
+        lines = []
+        for row in table:
+            d = row["difference"]
+            interval = f"{d['low']:+.3f} to {d['high']:+.3f}"
+            who = f"{row['first']} minus {row['second']}"
+            lines.append([who, row["title"], row["measure"], f"{d['mean']:+.3f}", interval])
+        parts += [
+            "#### Differences of recall@1",
+            markdown(["", "texts", "hit", "difference", "95 % interval"], lines),
+        ]
     for protocol, mine in list(_by_protocol(rows).items())[:1]:
         shown = methods(mine)
         parts += [f"#### {title(protocol)}: mean of the cities, then each", _detail(mine, shown)]
@@ -179,16 +188,6 @@ def _by_protocol(rows: Sequence[Row]) -> dict[Protocol, list[Row]]:
 
 def _mean(rows: Sequence[Row], method: str, measure: str) -> list[float]:
     return mean_recall(rows, method, measure) if method in methods(rows) else [float("nan")] * 3
-
-
-def _lead(table: Sequence[dict[str, Any]]) -> str:
-    lines = []
-    for row in table:
-        d = row["difference"]
-        interval = f"{d['low']:+.3f} to {d['high']:+.3f}"
-        who = f"{row['first']} minus {row['second']}"
-        lines.append([who, row["title"], row["measure"], f"{d['mean']:+.3f}", interval])
-    return markdown(["", "texts", "hit", "difference", "95 % interval"], lines)
 
 
 def _detail(rows: Sequence[Row], shown: Sequence[str]) -> str:

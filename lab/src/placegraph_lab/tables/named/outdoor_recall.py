@@ -127,18 +127,6 @@ def ask_map(city: CityMap, bins: Bins, queries: Sequence[Query]) -> list[Answer]
     return answers
 
 
-def ask_bag(bag: Bag, bins: Bins, queries: Sequence[Query]) -> list[Answer]:
-    """Give every query's triples to a baseline."""
-    answers = []
-    for query in queries:
-        start = time.perf_counter()
-        places = bag.locate(query, top=max(RANKS))
-        seconds = time.perf_counter() - start
-        off = distances(places, query.longitude, query.latitude)
-        answers.append(Answer(off, same_cell(places, query, bins), seconds))
-    return answers
-
-
 def run_city(
     name: str,
     path: Path,
@@ -184,7 +172,15 @@ def run_city(
                     names=p.setting == "names",
                     seed=seed,
                 )
-            rows.append(of_answers(name, p, method, ask_bag(bags[key], bins, asked)))
+            bag = bags[key]
+            answers = []
+            for query in asked:
+                start = time.perf_counter()
+                places = bag.locate(query, top=max(RANKS))
+                seconds = time.perf_counter() - start
+                off = distances(places, query.longitude, query.latitude)
+                answers.append(Answer(off, same_cell(places, query, bins), seconds))
+            rows.append(of_answers(name, p, method, answers))
         if city is not None:
             rows.append(of_answers(name, p, OURS, ask_map(city, bins, asked)))
         tick.advance(task)

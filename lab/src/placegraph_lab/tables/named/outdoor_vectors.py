@@ -166,27 +166,6 @@ class Row:
     recall: dict[int, float]  # share of the exact neighbours found, by n
 
 
-def race(
-    name: str, build: Build, vectors: Floats, queries: Floats, wanted: NDArray[np.int64]
-) -> Row:
-    """Build and ask, after both have been tried on a few vectors (compilation)."""
-    warm, _ = build(vectors[:400])
-    warm(queries[0], 10)
-    start = time.perf_counter()
-    search, size = build(vectors)
-    build_s = time.perf_counter() - start
-    ms, recall = {}, {}
-    for n in NEIGHBOURS:
-        times, hits = [], 0
-        for query, best in zip(queries, wanted[:, :n], strict=True):
-            start = time.perf_counter()
-            found = search(query, n)
-            times.append(time.perf_counter() - start)
-            hits += len(np.intersect1d(found, best))
-        ms[n], recall[n] = 1e3 * float(np.median(times)), hits / (n * len(queries))
-    return Row(len(vectors), name, build_s, size, ms, recall)
-
-
 def printed(rows: list[Row]) -> str:
     """Markdown of one size."""
     header = ["store", "build", "MB", "top 10", "recall", "top 50", "recall"]
@@ -232,7 +211,21 @@ def outdoor_vectors(
         done: list[Row] = []
         for name, build in contenders(count, graphs):
             run.say(f"{count:,}: {name}")
-            done.append(race(name, build, vectors, asked, wanted))
+            warm, _ = build(vectors[:400])
+            warm(asked[0], 10)
+            start = time.perf_counter()
+            search, size = build(vectors)
+            build_s = time.perf_counter() - start
+            ms, recall = {}, {}
+            for n in NEIGHBOURS:
+                times, hits = [], 0
+                for query, best in zip(asked, wanted[:, :n], strict=True):
+                    start = time.perf_counter()
+                    found = search(query, n)
+                    times.append(time.perf_counter() - start)
+                    hits += len(np.intersect1d(found, best))
+                ms[n], recall[n] = 1e3 * float(np.median(times)), hits / (n * len(asked))
+            done.append(Row(len(vectors), name, build_s, size, ms, recall))
         print(f"### {count:,} vectors\n\n{printed(done)}\n", flush=True)
         rows += done
     run.save({"dimension": DIMENSION, "rows": [asdict(row) for row in rows]})

@@ -143,7 +143,13 @@ def robot_live(
             print(f"{pacing(every)}\n")
             record["paced"] = every
         if "ways" in wanted:
-            found = by_ways(run, places, folder)
+            paths = sorted((run.data / "house").glob("seq[0-9]*"))
+            scene = places.scene("house")
+            found = {
+                "folder": from_files(scene, paths),
+                "MCAP": from_files(scene, bags(paths, folder)),
+                "WebSocket": from_server(folder / "maps", paths),
+            }
             print(f"{ways_table(found)}\n")
             record["ways"] = found
     if "lifelong" in wanted:
@@ -194,17 +200,6 @@ def pacing(every: list[dict[str, Any]]) -> str:
         for p in every
     ]  # fmt: skip
     return markdown(header, rows)
-
-
-def by_ways(run: Run, places: Places, folder: Path) -> dict[str, dict[str, Any]]:
-    """Every way in."""
-    paths = sorted((run.data / "house").glob("seq[0-9]*"))
-    scene = places.scene("house")
-    return {
-        "folder": from_files(scene, paths),
-        "MCAP": from_files(scene, bags(paths, folder)),
-        "WebSocket": from_server(folder / "maps", paths),
-    }
 
 
 def ways_table(found: dict[str, dict[str, Any]]) -> str:

@@ -80,7 +80,28 @@ def report(
         if any(_swept(m.size) for m in own):
             parts += [f"#### {title}: bytes against recall", sweep_table(own, apart, mine)]
     if refined:
-        parts += ["#### Refined poses", refined_table(refined)]
+        header = ["", "size", "windows", "median", "10 cm, 5°", "accepted", "s refining"]
+        lines = []
+        for row in refined:
+            after = row["after"]
+            centimetres, degrees = after["median_position_m"], after["median_rotation_deg"]
+            median = (
+                "–"
+                if centimetres is None
+                else f"{number(100 * centimetres, 2)} cm, {number(degrees, 2)}°"
+            )
+            lines.append(
+                [
+                    row["row"],
+                    row["size"],
+                    number(row["windows"]),
+                    median,
+                    share(after["recall"]["0.1 m, 5 deg"]),
+                    share(row["accepted"]),
+                    number(row["refine_seconds"], 2),
+                ]
+            )
+        parts += ["#### Refined poses", markdown(header, lines)]
     changed = changes(pairs)
     if changed:
         parts += ["#### Windows that are right on one map only", changed]
@@ -184,32 +205,6 @@ def _difference(pairs: Sequence[Paired]) -> list[str]:
         return ["–", "–"]
     points, error = difference(steps)
     return [f"{points:+.1f} ± {error:.1f}", f"{steps.count(1)} / {steps.count(-1)}"]
-
-
-def refined_table(refined: Sequence[dict[str, Any]]) -> str:
-    """Errors after refining, by row and size."""
-    header = ["", "size", "windows", "median", "10 cm, 5°", "accepted", "s refining"]
-    lines = []
-    for row in refined:
-        after = row["after"]
-        centimetres, degrees = after["median_position_m"], after["median_rotation_deg"]
-        median = (
-            "–"
-            if centimetres is None
-            else f"{number(100 * centimetres, 2)} cm, {number(degrees, 2)}°"
-        )
-        lines.append(
-            [
-                row["row"],
-                row["size"],
-                number(row["windows"]),
-                median,
-                share(after["recall"]["0.1 m, 5 deg"]),
-                share(row["accepted"]),
-                number(row["refine_seconds"], 2),
-            ]
-        )
-    return markdown(header, lines)
 
 
 def changes(pairs: Sequence[Paired]) -> str:

@@ -55,12 +55,22 @@ CAPTION = (
 
 def report(rows: Sequence[Row], scale: Sequence[Scale] = ()) -> str:
     """All tables as Markdown."""
+    head = ["encoder, method", *(f"{n} frames" for n in LENGTHS)]
+    table = [
+        [
+            f"{row.name}, {method}",
+            *(share(recall(row.answers.get((method, "50", n), []), 1)) for n in LENGTHS),
+        ]
+        for row in rows
+        if any(method == "without rarity" for method, _, _ in row.answers)
+        for method in METHODS
+    ]
     parts = [
         "## Which scene is it? (shape of Table 5)",
         CAPTION,
         main_table(rows),
         "## What it takes: recall@1 among 50 scenes",
-        ablation_table(rows),
+        markdown(head, table),
         "## Months later: recall@1 among 50 scenes, as it was / changed",
         split_table(rows, [("as it was", _is_same), ("changed", _is_changed)]),
         "## By kind of scene: recall@1 among 50 scenes, homes / house / office",
@@ -111,21 +121,6 @@ def main_table(rows: Sequence[Row]) -> str:
                         f"{row.kilobytes:.1f}",
                     ]
                 )
-    return markdown(head, table)
-
-
-def ablation_table(rows: Sequence[Row]) -> str:
-    """Recall@1 among 50 of every method."""
-    head = ["encoder, method", *(f"{n} frames" for n in LENGTHS)]
-    table = [
-        [
-            f"{row.name}, {method}",
-            *(share(recall(row.answers.get((method, "50", n), []), 1)) for n in LENGTHS),
-        ]
-        for row in rows
-        if any(method == "without rarity" for method, _, _ in row.answers)
-        for method in METHODS
-    ]
     return markdown(head, table)
 
 

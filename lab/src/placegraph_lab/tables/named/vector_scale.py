@@ -165,20 +165,6 @@ class Row:
     peak: int = 0  # largest memory of this process so far [bytes]
 
 
-def nearest(vectors: Floats, queries: Floats) -> NDArray[np.int64]:
-    """Exact nearest (Q, 10), by blocks of rows."""
-    best = np.full((len(queries), NEIGHBOURS), -np.inf, np.float32)
-    rows = np.zeros((len(queries), NEIGHBOURS), np.int64)
-    for start in range(0, len(vectors), 250_000):
-        cosines = queries @ vectors[start : start + 250_000].T
-        top = np.argpartition(-cosines, NEIGHBOURS, axis=1)[:, :NEIGHBOURS]
-        both = np.concatenate([best, np.take_along_axis(cosines, top, 1)], axis=1)
-        numbers = np.concatenate([rows, start + top], axis=1)
-        order = np.argsort(-both, axis=1)[:, :NEIGHBOURS]
-        best, rows = np.take_along_axis(both, order, 1), np.take_along_axis(numbers, order, 1)
-    return rows
-
-
 def asked(
     search: Search, queries: Floats, wanted: NDArray[np.int64]
 ) -> tuple[float, float, float, float]:
@@ -285,7 +271,16 @@ def measured(module: str, size: int, queries: int, seed: int, cache: Path) -> Ro
     """One store of so many vectors, in this fresh process."""
     vectors, queried = clustered(np.random.default_rng(seed), size, queries)
     with TemporaryDirectory(dir=cache, ignore_cleanup_errors=True) as folder:
-        wanted = nearest(vectors, queried)
+        best = np.full((len(queried), NEIGHBOURS), -np.inf, np.float32)
+        rows = np.zeros((len(queried), NEIGHBOURS), np.int64)
+        for start in range(0, len(vectors), 250_000):
+            cosines = queried @ vectors[start : start + 250_000].T
+            top = np.argpartition(-cosines, NEIGHBOURS, axis=1)[:, :NEIGHBOURS]
+            both = np.concatenate([best, np.take_along_axis(cosines, top, 1)], axis=1)
+            numbers = np.concatenate([rows, start + top], axis=1)
+            order = np.argsort(-both, axis=1)[:, :NEIGHBOURS]
+            best, rows = np.take_along_axis(both, order, 1), np.take_along_axis(numbers, order, 1)
+        wanted = rows
         row = MEASURES[module](vectors, queried, wanted, Path(folder))
     return replace(row, peak=peak())
 

@@ -102,7 +102,10 @@ def split_rooms(
         found[split] = tuple(listed.values())
     free = [room for room in rooms.rooms if room.reference not in taken]
     derived = _derived(free, validation_rooms)
-    return {split: _sorted(found.get(split, derived[split])) for split in SPLITS}
+    return {
+        split: (tuple(sorted(found.get(split, derived[split]), key=lambda room: room.reference)))
+        for split in SPLITS
+    }
 
 
 def _derived(rooms: Sequence[Room], validation_rooms: int) -> dict[Split, tuple[Room, ...]]:
@@ -113,10 +116,6 @@ def _derived(rooms: Sequence[Room], validation_rooms: int) -> dict[Split, tuple[
         "validation": tuple(both[:validation_rooms]),
         "test": tuple(both[validation_rooms:]),
     }
-
-
-def _sorted(rooms: Iterable[Room]) -> tuple[Room, ...]:
-    return tuple(sorted(rooms, key=lambda room: room.reference))
 
 
 def _lists(

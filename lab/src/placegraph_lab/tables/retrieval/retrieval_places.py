@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -42,27 +42,18 @@ def filmed(flat: Flat, interior: Interior, seed: int, *, later: bool) -> Capture
     state = changed(interior, rng) if later else interior
     walk = visit(flat, state, rng, frames=LENGTH, rate=RATE)
     daylight = float(rng.uniform())
-    return record(state, walk, rng, daylight=daylight, words=said(state))
-
-
-def said(interior: Interior) -> dict[str, str]:
-    """What labels are called by who labels images: the plain word, where it is the only one.
-
-    Maps of homes call things by synonyms: a network that says "sofa" sees what a map has as "couch".
-    """
     plain: dict[str, set[str]] = {}
     for word, others in SYNONYMS.items():
         for other in others:
             plain.setdefault(other, set()).add(word)
-    labels = {thing.label for thing in interior.things}
-    return {label: min(plain[label]) for label in labels if len(plain.get(label, ())) == 1}
-
-
-def kept(path: Path, made: Callable[[], Capture]) -> Capture:
-    """Capture that a file holds; it is made and written first, if there is no file."""
-    if not path.exists():
-        write(path, made())
-    return read(path)
+    labels = {thing.label for thing in state.things}
+    return record(
+        state,
+        walk,
+        rng,
+        daylight=daylight,
+        words={label: min(plain[label]) for label in labels if len(plain.get(label, ())) == 1},
+    )
 
 
 def write(path: Path, capture: Capture) -> None:
@@ -186,7 +177,10 @@ def homes(seeds: Sequence[int], cache: Path) -> Iterator[tuple[Place, list[Walk]
         for later in (False, True):
             kind = "later" if later else "same"
             made = partial(filmed, flat, interior, seed, later=later)
-            capture = kept(folder / f"{seed} {kind}.npz", made)
+            path = folder / f"{seed} {kind}.npz"
+            if not path.exists():
+                write(path, made())
+            capture = read(path)
             walks.append(Walk(f"{name} {kind}", name, capture, later))
         yield Place(name, scene_of(interior, name=name)), walks
 
@@ -223,26 +217,24 @@ def house_rooms(data: Path, cache: Path) -> tuple[list[Place], list[Walk]]:
             runs = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
             run = max(runs, key=len)
             frames: list[Frame] = named[run[0] : run[-1] + 1]
+            told = json.loads((folder / "changes.json").read_text(encoding="utf-8"))
             walks.append(
                 Walk(
                     f"{folder.name} in {place_.name}",
                     place_.name,
                     Capture.from_frames(frames),
-                    _is_changed(folder),
+                    bool(told["changed"]),
                 )
             )
     return places, walks
 
 
-def _is_changed(folder: Path) -> bool:
-    told = json.loads((folder / "changes.json").read_text(encoding="utf-8"))
-    return bool(told["changed"])
-
-
 def room_scene(scene: SceneMap, rooms: Rooms, room: int) -> SceneMap:
     """Map of one room: its things, and of what rooms share what is near its floor."""
     graph, mesh = scene.graph, scene.mesh
-    shared = np.array([_is_shell(label) for label in graph.labels]) | (rooms.room_of < 0)
+    shared = np.array(
+        [(label.lower().endswith(("wall", "floor", "ceiling"))) for label in graph.labels]
+    ) | (rooms.room_of < 0)
     whole = ~shared & (rooms.room_of == room)
     own = _part(mesh, whole[mesh.object_of])
     rest = finer(_part(mesh, shared[mesh.object_of]), FINE)
@@ -268,10 +260,6 @@ def room_scene(scene: SceneMap, rooms: Rooms, room: int) -> SceneMap:
         source=f"{scene.source}, room {room + 1}",
         encoded=scene.encoded,
     )
-
-
-def _is_shell(label: str) -> bool:
-    return label.lower().endswith(("wall", "floor", "ceiling"))
 
 
 def finer(mesh: Mesh, longest: float) -> Mesh:

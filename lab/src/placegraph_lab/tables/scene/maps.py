@@ -173,7 +173,26 @@ class Maps:
         self._opened = None
         self.tell(f"{place}: building {size.name}")
         built = self._coarse(place, path) if size == VERTICES else self._built(place, size, path)
-        facts = {"place": place, "size": size.name} | measured(path) | built
+        scene = SceneMap.open(path)
+        spent = []
+        for _ in range(5 + 1):  # the first one warms
+            start = time.perf_counter()
+            assert SceneMap.open(path).caster is not None  # noqa: S101  # made on first use
+            spent.append(time.perf_counter() - start)
+        facts = (
+            {"place": place, "size": size.name}
+            | {
+                "digest": digest(path),
+                "bytes": path.stat().st_size,
+                "parts": bytes_of(path) | {"embeddings": embedding_bytes(scene)},
+                "objects": len(scene),
+                "labelled": sum(label not in {"", "unknown"} for label in scene.graph.labels),
+                "triangles": len(scene.mesh),
+                "textures": len(scene.mesh.textures),
+                "open_seconds": float(np.median(spent[1:])),
+            }
+            | built
+        )
         self.journal.put(key, facts)
         return Made(**facts)
 
@@ -262,31 +281,6 @@ def run(arguments: Sequence[str]) -> Run:
     if told["code"]:
         raise PlacegraphError(f"{' '.join(arguments)} fails: {done.stderr.strip()[-500:]}")
     return Run("\n".join(lines), told["seconds"], told["peak"])
-
-
-def measured(path: Path) -> dict[str, Any]:
-    """What a map file holds, and how long it takes to open."""
-    scene = SceneMap.open(path)
-    return {
-        "digest": digest(path),
-        "bytes": path.stat().st_size,
-        "parts": bytes_of(path) | {"embeddings": embedding_bytes(scene)},
-        "objects": len(scene),
-        "labelled": sum(label not in {"", "unknown"} for label in scene.graph.labels),
-        "triangles": len(scene.mesh),
-        "textures": len(scene.mesh.textures),
-        "open_seconds": opening(path),
-    }
-
-
-def opening(path: Path, times: int = 5) -> float:
-    """Median time [s] to open a map, its ray-casting structure included, in this warm process."""
-    spent = []
-    for _ in range(times + 1):  # the first one warms
-        start = time.perf_counter()
-        assert SceneMap.open(path).caster is not None  # noqa: S101  # made on first use
-        spent.append(time.perf_counter() - start)
-    return float(np.median(spent[1:]))
 
 
 def embedding_bytes(scene: SceneMap, length: int = EMBEDDING) -> int:

@@ -35,7 +35,10 @@ def compare(one: Mesh, other: Mesh, rng: np.random.Generator, samples: int = SAM
     """Distances of samples, spread evenly over either surface, from the other surface."""
     there = distances(spread(one, rng, samples), other)
     back = distances(spread(other, rng, samples), one)
-    (mean, most, maximum), *each = (_three(d) for d in (np.concatenate([there, back]), there, back))
+    (mean, most, maximum), *each = (
+        ([float(d.mean()), float(np.quantile(d, 0.95)), float(d.max())])
+        for d in (np.concatenate([there, back]), there, back)
+    )
     return Apart(mean, most, maximum, *each)
 
 
@@ -54,10 +57,6 @@ def distances(points: Floats, mesh: Mesh) -> Floats:
     out = np.empty(len(points))
     _distances(points, _grid(mesh), int(np.ceil(REACH / _CELL)), out)
     return np.minimum(out, REACH)
-
-
-def _three(found: Floats) -> list[float]:
-    return [float(found.mean()), float(np.quantile(found, 0.95)), float(found.max())]
 
 
 def _grid(mesh: Mesh) -> Grid:

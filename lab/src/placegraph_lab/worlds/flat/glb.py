@@ -9,8 +9,6 @@ from __future__ import annotations
 import io
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
 from placegraph.io.mesh.gltf_write import Material, Part, Surface, encode_glb
@@ -29,14 +27,10 @@ def write_glb(interior: Interior, path: str | Path) -> Path:
             surfaces.append(
                 Surface(surface.vertices, surface.triangles, len(materials), surface.uv)
             )
-            materials.append(Material(_jpeg(surface.texture)))
+            encoded = io.BytesIO()
+            Image.fromarray(surface.texture).save(encoded, "JPEG", quality=QUALITY, subsampling=0)
+            materials.append(Material(encoded.getvalue()))
         extras = {"label": thing.label, "id": thing.id, "room": thing.room}
         parts.append(Part(thing.name, surfaces, extras))
     Path(path).write_bytes(encode_glb(parts, materials))
     return Path(path)
-
-
-def _jpeg(texture: NDArray[np.uint8]) -> bytes:
-    encoded = io.BytesIO()
-    Image.fromarray(texture).save(encoded, "JPEG", quality=QUALITY, subsampling=0)
-    return encoded.getvalue()

@@ -84,22 +84,17 @@ def symbol(line: str, where: str) -> tuple[str, Symbol]:
             f"{place}: {'no key=value' if read.rest else unknown[0]} after a {read.kind}; "
             + (f"its keys are {', '.join(sorted(allowed))}." if allowed else "nothing may follow.")
         )
-    return read.glyph, _made(read.kind, read.values, place)
-
-
-def _made(kind: str, values: dict[str, str], place: str) -> Symbol:
-    """Symbol of a kind: its values over the kind's defaults."""
-    given = _defaults(kind) | values
+    given = _defaults(read.kind) | read.values
     numbers = {key: _metres(given[key], key, place) for key in _NUMBERS if key in given}
-    if kind in OPENINGS | set(MODELS) and numbers["height"] <= 0.0:
+    if read.kind in OPENINGS | set(MODELS) and numbers["height"] <= 0.0:
         raise InputError(f"{place}: height is 0; write a number of metres greater than 0.")
     for key in ("in", "faces"):
         if len(given.get(key, "x")) != 1 and not (key == "faces" and given[key] in COMPASS):
             also = "" if key == "in" else f" or one of {', '.join(COMPASS)}"
             raise InputError(f"{place}: {key}={given[key]!r} is no glyph; write one{also}.")
-    return Symbol(
-        kind,
-        given.get("label", kind),
+    return read.glyph, Symbol(
+        read.kind,
+        given.get("label", read.kind),
         height=numbers.get("height", 0.0),
         base=numbers.get("base"),
         depth=numbers.get("depth"),

@@ -189,24 +189,7 @@ def _with_another(interior: Interior, before: Interior, rng: np.random.Generator
     here = {thing.label for thing in interior.things}
     words = [word for word in SYNONYMS.get(plain, (plain,)) if word in here] or [plain]
     number = max(thing.id for thing in (*interior.things, *before.things)) + 1
-    fresh = _made(number, plain, words[0], room, rng)
-    others = [t for t in interior.things if t.label != words[0]] + [
-        t for t in interior.things if t.label == words[0]
-    ]
-    for _ in range(TRIES):
-        if floor is None:
-            break
-        half = (fresh.bounds[1] - fresh.bounds[0])[:2] / 2
-        to = rng.uniform(floor[0] + half, np.maximum(floor[1] - half, floor[0] + half))
-        shift = to - fresh.bounds.mean(axis=0)[:2]
-        there = fresh.moved((float(shift[0]), float(shift[1])), float(rng.choice(_TURNS)))
-        if _fits(there, others, floor):
-            return replace(interior, things=(*interior.things, there))
-    return interior
-
-
-def _made(number: int, plain: str, label: str, room: str, rng: np.random.Generator) -> Thing:
-    """Thing of a kind at the origin, in looks of any style."""
+    label = words[0]
     kind, model = KINDS[plain], MODELS[KINDS[plain].model]
     width, depth, height = (
         float(rng.uniform(*sizes)) for sizes in (kind.width, kind.depth, kind.height)
@@ -223,7 +206,20 @@ def _made(number: int, plain: str, label: str, room: str, rng: np.random.Generat
         Surface(part.vertices, part.triangles, part.uv, paint(part.look, part.size, rng))
         for part in joined(model.made(body))
     )
-    return Thing(number, f"{label} {number}", label, room, surfaces, model.glow)
+    fresh = Thing(number, f"{label} {number}", label, room, surfaces, model.glow)
+    others = [t for t in interior.things if t.label != words[0]] + [
+        t for t in interior.things if t.label == words[0]
+    ]
+    for _ in range(TRIES):
+        if floor is None:
+            break
+        half = (fresh.bounds[1] - fresh.bounds[0])[:2] / 2
+        to = rng.uniform(floor[0] + half, np.maximum(floor[1] - half, floor[0] + half))
+        shift = to - fresh.bounds.mean(axis=0)[:2]
+        there = fresh.moved((float(shift[0]), float(shift[1])), float(rng.choice(_TURNS)))
+        if _fits(there, others, floor):
+            return replace(interior, things=(*interior.things, there))
+    return interior
 
 
 def _floor(interior: Interior, room: str) -> Floats | None:

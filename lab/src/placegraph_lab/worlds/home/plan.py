@@ -286,7 +286,10 @@ class Furnisher:
             rows, columns = floor.bottom - floor.top - down, floor.right - floor.left - right
             if min(rows, columns) < 0:
                 return floor, side
-            corner = [_central(n, rng) for n in (rows, columns)]
+            corner = [
+                (int(rng.integers(0, n // 2 + 1)) + int(rng.integers(0, n - n // 2 + 1)))
+                for n in (rows, columns)
+            ]
             top, left = floor.top + corner[0], floor.left + corner[1]
             return Box(top, left, top + down, left + right), side
         first, last = floor.span(side)
@@ -298,7 +301,12 @@ class Furnisher:
         return floor.inward(side, at, width, depth), OPPOSITE[side]
 
     def _fits(self, kind: Kind, box: Box, area: Area, height: float) -> bool:
-        if box == area.floor or not _within(box, area.floor):
+        if box == area.floor or not (
+            area.floor.top <= box.top
+            and area.floor.left <= box.left
+            and box.bottom <= area.floor.bottom
+            and box.right <= area.floor.right
+        ):
             return False
         if (self.page[box.rows, box.columns] != " ").any():
             return False
@@ -446,20 +454,6 @@ class Furnisher:
         first, last = hole.span(side)
         free = area.floor.inward(side, first - 1, last - first + 2, BEFORE_DOORS)
         self.kept[free.rows, free.columns] = True
-
-
-def _central(cells: int, rng: np.random.Generator) -> int:
-    """Some of the cells 0 to `cells`, those in the middle more often."""
-    return int(rng.integers(0, cells // 2 + 1)) + int(rng.integers(0, cells - cells // 2 + 1))
-
-
-def _within(box: Box, floor: Box) -> bool:
-    return (
-        floor.top <= box.top
-        and floor.left <= box.left
-        and box.bottom <= floor.bottom
-        and box.right <= floor.right
-    )
 
 
 def _connected(blocked: NDArray[np.bool_]) -> bool:

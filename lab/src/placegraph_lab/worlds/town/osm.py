@@ -95,21 +95,7 @@ class _File:
 def write(town: Town, path: str | Path) -> Path:
     """Write a town as OpenStreetMap XML; the same town gives the same bytes."""
     path = Path(path)
-    path.write_text("\n".join(_xml(town, _trace(town))) + "\n", encoding="utf-8")
-    return path
-
-
-def _trace(town: Town) -> _File:
-    """Turn characters into nodes, ways and relations."""
     file = _File()
-    _points(town, file)
-    _roads(town, file)
-    _lines(town, file)
-    _areas(town, file)
-    return file
-
-
-def _points(town: Town, file: _File) -> None:
     ground = _ground(town)
     for cell, glyph in town.drawn.items():
         if town.legend[glyph].kind == Kind.POINT:
@@ -117,6 +103,11 @@ def _points(town: Town, file: _File) -> None:
             spot = door(town, ground, cell) if "entrance" in tags else _middle(cell)
             file.nodes.setdefault(spot, len(file.nodes) + 1)
             file.node_tags[spot] = tags
+    _roads(town, file)
+    _lines(town, file)
+    _areas(town, file)
+    path.write_text("\n".join(_xml(town, file)) + "\n", encoding="utf-8")
+    return path
 
 
 def _roads(town: Town, file: _File) -> None:
