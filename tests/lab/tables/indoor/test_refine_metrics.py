@@ -119,11 +119,11 @@ def test_the_spread_of_honest_covariances_is_normal(window, rng):
         assert len(sigmas_of(found, window.truth)) == 6
         results.append(measure_refined(PoseEstimate(Status.OK, (found,), ""), window, seconds=1))
     s = spread(results)
-    assert s.count == 1500
-    assert s.rms == pytest.approx([1.0] * 6, abs=0.08)
-    for row, share in zip(s.within, (0.6827, 0.9545, 0.9973), strict=True):
+    assert s["count"] == 1500
+    assert s["rms"] == pytest.approx([1.0] * 6, abs=0.08)
+    for row, share in zip(s["within_sigma"].values(), (0.6827, 0.9545, 0.9973), strict=True):
         assert row == pytest.approx([share] * 6, abs=0.05)
-    assert s.inside == pytest.approx(0.95, abs=0.02)
-    assert len(s.histogram) == len(EDGES) + 1
-    assert sum(s.histogram) == 6 * 1500
-    assert s.histogram[6] / 9000 == pytest.approx(0.1915, abs=0.03)  # -0.5 to 0
+    assert s["within_95_percent"] == pytest.approx(0.95, abs=0.02)
+    assert len(s["histogram"]) == len(EDGES) + 1
+    assert sum(s["histogram"]) == 6 * 1500
+    assert s["histogram"][6] / 9000 == pytest.approx(0.1915, abs=0.03)  # -0.5 to 0

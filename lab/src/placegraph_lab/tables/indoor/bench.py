@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar
 from zlib import crc32
 
 import numpy as np
@@ -212,35 +212,41 @@ class Job:
         """`instances: semantic + depth`."""
         return f"{self.table}: {self.row}"
 
+    @property
+    def place(self) -> str:
+        """Whose windows are asked."""
+        return self.table
+
     def key(self, window: Window, seed: int, code: str) -> str:
-        """What an answer depends on."""
+        """Name all that an answer depends on."""
         options = hashlib.sha256(repr(self.options).encode()).hexdigest()[:12]
         return f"{code} {self.map} {self.labels} {options} seed {seed} {window.name}"
 
+    def fields(self) -> dict[str, Any]:
+        """Return what is written of the row beside its score."""
+        told = {k: getattr(self, k) for k in ("table", "row", "map", "labels")}
+        return told | {"options": repr(self.options)}
+
 
 def house_jobs() -> list[Job]:
-    """Terms and pairs, with all labels and none, and the coarse map."""
-    jobs = []
-    for labels in ("instances", "classes"):
-        jobs += [
-            Job(labels, row, FilterOptions().only(**terms), "house", labels)
-            for row, terms in SEMANTIC.items()
+    """Return rows of terms and pairs, with all labels and none, and of the coarse map."""
+
+    def jobs(labels: Labels, rows: Iterable[str], on: str = "house", more: str = "") -> list[Job]:
+        terms = SEMANTIC | BARE
+        return [
+            Job(labels, f"{row}{more}", FilterOptions().only(**terms[row]), on, labels)
+            for row in rows
         ]
-    jobs += [
-        Job("none", row, FilterOptions().only(**terms), "house", "none")
-        for row, terms in BARE.items()
-    ]
-    for row in ("semantic", "semantic + depth", "all"):
-        options = FilterOptions().only(**SEMANTIC[row])
-        jobs.append(Job("instances", f"{row}, 20k triangles", options, "coarse", "instances"))
-    for row in ("depth + colour", "colour"):
-        options = FilterOptions().only(**BARE[row])
-        jobs.append(Job("none", f"{row}, 20k triangles", options, "coarse", "none"))
-    return jobs
+
+    return [
+        *jobs("instances", SEMANTIC), *jobs("classes", SEMANTIC), *jobs("none", BARE),
+        *jobs("instances", ("semantic", "semantic + depth", "all"), "coarse", ", 20k triangles"),
+        *jobs("none", ("depth + colour", "colour"), "coarse", ", 20k triangles"),
+    ]  # fmt: skip
 
 
 def office_jobs() -> list[Job]:
-    """No labels: depth and colour, and each alone."""
+    """Return rows without labels: depth and colour, and each alone."""
     return [
         Job(half, row, FilterOptions().only(**terms), half, "none")
         for half in HALVES
@@ -255,15 +261,7 @@ QUICK = (
 """Rows of a first impression."""
 
 
-class Named(Protocol):
-    """What has a name that rows can be chosen by."""
-
-    @property
-    def name(self) -> str:
-        """`instances: all`."""
-
-
-Row = TypeVar("Row", bound=Named)
+Row = TypeVar("Row", bound=Any)  # has a `name`
 
 
 def chosen(jobs: Iterable[Row], only: Sequence[str]) -> list[Row]:
@@ -273,11 +271,9 @@ def chosen(jobs: Iterable[Row], only: Sequence[str]) -> list[Row]:
     """
     there = list(jobs)
     found = [
-        j
-        for j in there
-        if not only
-        or any(j.name == o or (o.endswith("*") and j.name.startswith(o[:-1])) for o in only)
-    ]
+        j for j in there
+        if not only or any(j.name == o or (o[-1:] == "*" and j.name.startswith(o[:-1])) for o in only)
+    ]  # fmt: skip
     if not found:
         names = "; ".join(j.name for j in there)
         raise typer.BadParameter(f"no row is named {'; '.join(only)!r}; there are {names}")
@@ -315,16 +311,7 @@ def answered(
         window.capture, encoder=encoder, options=options, refine=False, seed=seed, device=device
     )
     seconds = time.perf_counter() - start
-    return measure(
-        estimate,
-        window.truth,
-        seconds=seconds,
-        frames=len(window.capture),
-        window=window.name,
-        place=window.place,
-        changed=window.changed,
-        coverage=window.coverage,
-    )
+    return measure(estimate, window.truth, seconds=seconds, **window.told)
 
 
 class Asker:
@@ -367,22 +354,13 @@ class Asker:
 class Bench:
     """Maps and windows by name; of the maps only the last is kept.
 
-    Parameters
-    ----------
-    data
-        Folder with `house` and `office`.
-    cache
-        Folder for maps.
-    every, office_every
-        Frames from the start of a window to the next, in the house and in the office.
-
+    `data` has `house` and `office`, maps go to `cache`; `every` and `office_every` frames lie between
+    the starts of two windows.
     """
 
     def __init__(self, data: Path, cache: Path, every: int, office_every: int) -> None:
-        self.data = data
-        self.cache = cache
-        self.every = every
-        self.office_every = office_every
+        self.data, self.cache = data, cache
+        self.every, self.office_every = every, office_every
         self._maps: dict[str, SceneMap] = {}
         self._windows: dict[tuple[str, int], list[Window]] = {}
 

@@ -146,24 +146,21 @@ def measure(
 ) -> Answer:
     """Measure an estimate against the true map_from_camera (4, 4) of its last frame."""
     best = estimate.best
-    poses = [m.map_from_camera for m in estimate.modes]
+    pose = best.map_from_camera if best else None
     return Answer(
-        window=window,
-        place=place,
-        changed=changed,
-        coverage=coverage,
-        position=position_error(best.map_from_camera, truth) if best else math.inf,
-        rotation=rotation_error(best.map_from_camera, truth) if best else 180.0,
+        window, place, changed, coverage,
+        position=math.inf if pose is None else position_error(pose, truth),
+        rotation=180.0 if pose is None else rotation_error(pose, truth),
         status=estimate.status.name,
         probability=float(best.probability) if best else 0.0,
-        held=any(near(pose, truth) for pose in poses),
+        held=any(near(m.map_from_camera, truth) for m in estimate.modes),
         whitened=tuple(normalised_error(best.covariance, best.map_from_camera, truth).tolist())
         if best
         else (),
         frames=frames,
         seconds=seconds,
         particles=mean_particles(estimate.stats),
-    )
+    )  # fmt: skip
 
 
 def mean_particles(stats: dict[str, Any]) -> float:

@@ -1,4 +1,9 @@
-"""Depth refinement by small_gicp, which our own has to beat to be worth its code.
+"""Rows of the refinement's benchmark: from where and by what a pose is refined, and what came of it.
+
+From where: from the pose that localizing finds ("found"), or from one 0.2 m and 10 degrees off the
+true one ("disturbed"), which shows the refiner alone. By what: `auto`, the default; the word for a
+matcher, whose matches then always take part; `none`, depth alone; a matcher with the paper's recipe;
+or small_gicp, which aligns depth alone, knows no verdict, and has to be beaten by our own.
 
 The depth of a sequence is one cloud, carried together by odometry. It is aligned to the cloud of
 points that the map would show the same cameras: where their rays hit the mesh from the pose so far.
@@ -49,35 +54,14 @@ small_gicp's Python has no robust kernel: shorter reaches take its place."""
 ITERATIONS = 30
 
 
-@dataclass(frozen=True, eq=False)
-class Aligned:
-    """Where an alignment ended."""
-
-    map_from_camera: Floats  # (4, 4) of the last frame
-    converged: bool
-    readings: int  # of the sequence's cloud
-    inliers: int  # of these, points with a partner within reach at the end
-
-
 def align(
-    scene: SceneMap,
-    frames: Sequence[Frame],
-    start: Floats,
-    *,
-    kind: Kind = "PLANE_ICP",
-    threads: int = 1,
-) -> Aligned:
-    """Align the depth of frames to the map, from `start` (4, 4), the last frame's map_from_camera.
+    scene: SceneMap, frames: Sequence[Frame], start: Floats, *, kind: Kind = "PLANE_ICP"
+) -> tuple[Floats, bool, float]:
+    """Align the depth of frames to the map by small_gicp, from `start` (4, 4), of the last frame.
 
-    Where the map shows the cameras nothing, the pose stays what it was and has not converged.
-
-    Raises
-    ------
-    OptionError
-        No frame has depth.
-    MissingExtraError
-        small_gicp is not installed.
-
+    Returns map_from_camera (4, 4) of the last frame, whether it converged, and the share of points
+    with a partner within reach; `start` where the map shows the cameras nothing. Raises `OptionError` where no
+    frame has depth, `MissingExtraError` without small_gicp.
     """
     try:
         import small_gicp
@@ -91,34 +75,28 @@ def align(
         if depth is None or frame.depth_camera is None:
             continue
         v, u = np.mgrid[STEP // 2 : depth.shape[0] : STEP, STEP // 2 : depth.shape[1] : STEP]
-        metres = depth[v, u]
-        read = np.isfinite(metres)
+        read = np.isfinite(depth[v, u])
         uv = np.stack([u[read], v[read]], axis=-1) + 0.5
-        points = frame.depth_camera.directions(uv) * metres[read][:, None]
+        points = frame.depth_camera.directions(uv) * depth[v, u][read][:, None]
         clouds.append(points @ last_from_frame[:3, :3].T + last_from_frame[:3, 3])
     cloud = np.concatenate(clouds)
     if not len(cloud):
         raise OptionError("frames: none has a depth reading, so there is nothing to align.")
-    source, _ = _prepared(cloud, threads)
+    thin = {"downsampling_resolution": VOXEL, "num_neighbors": NEIGHBOURS, "num_threads": 1}
+    source, _ = small_gicp.preprocess_points(cloud, **thin)
     pose, converged, inliers = start, False, 0
     for reaches in REACHES:
         seen = visible_cloud(scene, frames, pose)
         if len(seen) <= NEIGHBOURS:
-            return Aligned(pose, converged=False, readings=source.size(), inliers=0)
-        target, tree = _prepared(seen, threads)
+            return pose, False, 0.0
+        target, tree = small_gicp.preprocess_points(seen, **thin)
         for reach in reaches:
             found = small_gicp.align(
-                target,
-                source,
-                tree,
-                pose,
-                registration_type=kind,
-                max_correspondence_distance=reach,
-                num_threads=threads,
-                max_iterations=ITERATIONS,
-            )
+                target, source, tree, pose, registration_type=kind, num_threads=1,
+                max_correspondence_distance=reach, max_iterations=ITERATIONS,
+            )  # fmt: skip
             pose, converged, inliers = found.T_target_source, found.converged, found.num_inliers
-    return Aligned(np.asarray(pose), bool(converged), source.size(), int(inliers))
+    return np.asarray(pose), bool(converged), inliers / source.size()
 
 
 def visible_cloud(scene: SceneMap, frames: Sequence[Frame], pose: Floats) -> Floats:
@@ -143,16 +121,6 @@ def _steps(frames: Sequence[Frame]) -> list[Floats]:
     """last_from_frame (4, 4) of each frame, by odometry."""
     last_from_odometry = np.linalg.inv(frames[-1].odometry)
     return [last_from_odometry @ frame.odometry for frame in frames]
-
-
-def _prepared(cloud: Floats, threads: int) -> tuple[Any, Any]:
-    """Thinned cloud with normals and covariances, and its tree."""
-    import small_gicp
-
-    prepared: tuple[Any, Any] = small_gicp.preprocess_points(
-        cloud, downsampling_resolution=VOXEL, num_neighbors=NEIGHBOURS, num_threads=threads
-    )
-    return prepared
 
 
 LIMITS = ((0.10, 5.0), (0.25, 2.0), (0.25, 5.0), (0.25, 10.0))
@@ -202,29 +170,30 @@ class Refined:
         return self.before[0] <= metres and self.before[1] <= degrees
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers, ready for `json.dumps`; infinity and nan become None."""
-        return {
-            "before": _plain(self.before),
+        """Return plain numbers, ready for `json.dumps`; infinity and nan become None."""
+        both = {"before": self.before, "candidate": self.candidate}
+        row = {
+            name: None if pair is None else [rounded(pair[0], 4), rounded(pair[1], 3)]
+            for name, pair in both.items()
+        }
+        return row | {
             "after": self.after.to_dict(),
             "accepted": self.accepted,
             "reason": self.reason,
-            "candidate": None if self.candidate is None else _plain(self.candidate),
             "sigmas": [rounded(s, 3) for s in self.sigmas],
             "stages": {name: rounded(s, 4) for name, s in self.stages.items()},
         }
 
     @classmethod
     def from_dict(cls, row: dict[str, Any]) -> Refined:
-        """What `to_dict` wrote."""
-        return cls(
-            **row
-            | {
-                "before": _errors(row["before"]),
-                "after": Answer.from_dict(row["after"]),
-                "candidate": None if row["candidate"] is None else _errors(row["candidate"]),
-                "sigmas": tuple(math.nan if s is None else s for s in row["sigmas"]),
-            }
-        )
+        """Read what `to_dict` wrote."""
+        both = {
+            k: None if row[k] is None else (math.inf if row[k][0] is None else row[k][0],
+                                            180.0 if row[k][1] is None else row[k][1])
+            for k in ("before", "candidate")
+        }  # fmt: skip
+        sigmas = tuple(math.nan if s is None else s for s in row["sigmas"])
+        return cls(**row | both | {"after": Answer.from_dict(row["after"]), "sigmas": sigmas})
 
 
 def worse(one: Errors, other: Errors) -> bool:
@@ -232,9 +201,10 @@ def worse(one: Errors, other: Errors) -> bool:
     return one[0] > other[0] + WORSE[0] or one[1] > other[1] + WORSE[1]
 
 
-def errors_of(map_from_camera: Floats, truth: Floats) -> Errors:
-    """Errors of a pose (4, 4) against the truth (4, 4)."""
-    return position_error(map_from_camera, truth), rotation_error(map_from_camera, truth)
+def errors_of(map_from_camera: Any, truth: Floats) -> Errors:  # noqa: ANN401  # an array or lists
+    """Return errors of a pose (4, 4) against the truth (4, 4)."""
+    pose = np.asarray(map_from_camera, np.float64)
+    return position_error(pose, truth), rotation_error(pose, truth)
 
 
 def measure_refined(
@@ -244,16 +214,7 @@ def measure_refined(
 
     `start`: the pose (4, 4) that was to be refined; if not given, the coarse one it speaks of.
     """
-    after = measure(
-        estimate,
-        window.truth,
-        seconds=seconds,
-        frames=len(window.capture),
-        window=window.name,
-        place=window.place,
-        changed=window.changed,
-        coverage=window.coverage,
-    )
+    after = measure(estimate, window.truth, seconds=seconds, **window.told)
     said, best = estimate.refinement, estimate.best
     before = (after.position, after.rotation)
     if start is not None:
@@ -261,51 +222,25 @@ def measure_refined(
     elif said is not None:
         before = errors_of(said.coarse.map_from_camera, window.truth)
     stats = said.stats if said else {}
-    pose = stats.get(CANDIDATE)
-    refused = None if pose is None else errors_of(np.array(pose, np.float64), window.truth)
+    refused = stats.get(CANDIDATE)
     return Refined(
         before=before,
         after=after,
         accepted=said.accepted if said else None,
         reason=said.reason if said else "",
-        candidate=refused,
+        candidate=None if refused is None else errors_of(refused, window.truth),
         sigmas=sigmas_of(best, window.truth) if best else (),
         stages=dict(stats.get("seconds", {})),
     )
 
 
-def measure_pose(
-    map_from_camera: Floats, window: Window, *, seconds: float, start: Floats
-) -> Refined:
-    """Measure a pose (4, 4) that comes without a covariance or a verdict."""
-    position, rotation = errors_of(map_from_camera, window.truth)
-    after = Answer(
-        window=window.name,
-        place=window.place,
-        changed=window.changed,
-        coverage=window.coverage,
-        position=position,
-        rotation=rotation,
-        status="",
-        probability=0.0,
-        held=False,
-        whitened=(),
-        frames=len(window.capture),
-        seconds=seconds,
-    )
-    return Refined(errors_of(start, window.truth), after, accepted=None)
-
-
 def sigmas_of(mode: PoseMode, truth: Floats) -> tuple[float, ...]:
-    """Error of each of `AXES` (6,) over its standard deviation; NaN where that is none."""
+    """Return the error of each of `AXES` (6,) over its standard deviation; NaN where that is none."""
     variance = np.diagonal(mode.covariance)
     error = pose_error(mode.map_from_camera, truth)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.where(variance > 0, error / np.sqrt(np.abs(variance)), np.nan)
     return tuple(ratio.tolist())
-
-
-# ------------------------------------------------------------------------------------ summaries
 
 
 @dataclass(frozen=True)
@@ -318,7 +253,7 @@ class Side:
 
     @classmethod
     def of(cls, errors: Sequence[Errors]) -> Side:
-        """Side of errors (N, 2)."""
+        """Summarize errors (N, 2)."""
         table = np.array(errors, np.float64).reshape(-1, 2)
         posed = table[np.isfinite(table[:, 0])]
         return cls(
@@ -328,7 +263,7 @@ class Side:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers, ready for `json.dumps`."""
+        """Return plain numbers, ready for `json.dumps`."""
         return {
             "mean_position_m": rounded(self.mean[0], 4),
             "mean_rotation_deg": rounded(self.mean[1], 3),
@@ -348,30 +283,22 @@ class RefineScore:
     windows: int
     before: Side
     after: Side
-    accepted: (
-        float  # share of accepted refinements among those that were judged; NaN where none was
-    )
-    harmful: (
-        float  # share of all windows whose refinement was accepted, or never judged, and harmful
-    )
-    wrongly_refused: float
-    """Share of all windows; NaN where nothing was judged, or no refused pose was kept."""
+    accepted: float  # share of accepted refinements among those judged; NaN where none was
+    harmful: float  # share of all windows: accepted, or never judged, and harmful
+    wrongly_refused: float  # share of all windows; NaN where no refused pose was kept
     seconds: float  # mean time of everything asked for [s]
     refine_seconds: float  # mean time of the refinement alone [s]; NaN where none says
     stages: dict[str, float]  # mean seconds of each stage of the refinement, where it says
     worst: tuple[str, ...]  # harmful ones, farthest first
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and strings, ready for `json.dumps`; infinity and nan become None."""
+        """Return plain numbers and strings, ready for `json.dumps`; infinity and nan become None."""
+        shares = ("accepted", "harmful", "wrongly_refused", "seconds", "refine_seconds")
         return {
             "windows": self.windows,
             "before": self.before.to_dict(),
             "after": self.after.to_dict(),
-            "accepted": rounded(self.accepted, 4),
-            "harmful": rounded(self.harmful, 4),
-            "wrongly_refused": rounded(self.wrongly_refused, 4),
-            "seconds": rounded(self.seconds, 4),
-            "refine_seconds": rounded(self.refine_seconds, 4),
+            **{name: rounded(getattr(self, name), 4) for name in shares},
             "stage_seconds": {name: rounded(s, 4) for name, s in self.stages.items()},
             "harmful_ones": list(self.worst),
         }
@@ -386,7 +313,6 @@ def refine_score(results: Sequence[Refined]) -> RefineScore:
     refused = [r for r in results if r.accepted is False]
     unknown = not judged or (bool(refused) and all(r.candidate is None for r in refused))
     timed = [r for r in results if r.stages]
-    names = sorted({name for r in timed for name in r.stages})
     n = len(results)
     return RefineScore(
         windows=n,
@@ -397,8 +323,15 @@ def refine_score(results: Sequence[Refined]) -> RefineScore:
         wrongly_refused=math.nan if unknown else sum(r.wrongly_refused for r in results) / n,
         seconds=float(np.mean([r.after.seconds for r in results])),
         refine_seconds=float(np.mean([r.refine_seconds for r in timed])) if timed else math.nan,
-        stages={k: sum(r.stages.get(k, 0.0) for r in timed) / len(timed) for k in names},
-        worst=tuple(_line(r) for r in sorted(harmful, key=lambda r: -r.after.position)),
+        stages={
+            k: sum(r.stages.get(k, 0.0) for r in timed) / len(timed)
+            for k in sorted({name for r in timed for name in r.stages})
+        },
+        worst=tuple(
+            f"{r.after.window} {r.after.status} {r.before[0]:.2f} m {r.before[1]:.1f} deg -> "
+            f"{r.after.position:.2f} m {r.after.rotation:.1f} deg".replace("  ", " ")
+            for r in sorted(harmful, key=lambda r: -r.after.position)
+        ),
     )
 
 
@@ -406,72 +339,33 @@ EDGES = (-3.0, -2.5, -2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
 """Of the histogram's inner bins, in standard deviations; two more lie outside."""
 
 
-@dataclass(frozen=True)
-class Spread:
-    """How errors compare with the covariances that were to announce them."""
+def spread(results: Sequence[Refined]) -> dict[str, Any]:
+    """Compare errors with the covariances that were to announce them.
 
-    count: int  # results with a sound covariance
-    rms: tuple[float, ...]
-    """(6,) root mean square of `sigmas`: 1 if honest, above 1 if the covariance is too small."""
-    within: tuple[tuple[float, ...], ...]
-    """(3, 6) share of each of `AXES` within 1, 2 and 3 standard deviations (.68, .95, .997)."""
-    inside: float  # share within the 95 % ellipsoid of all six; an unsound covariance holds nothing
-    histogram: tuple[int, ...]  # (14,) errors of all axes by `EDGES`, those beyond at both ends
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain numbers, ready for `json.dumps`; nan becomes None."""
-        return {
-            "count": self.count,
-            "axes": list(AXES),
-            "rms": [rounded(x, 3) for x in self.rms],
-            "within_sigma": {
-                str(k): [rounded(x, 4) for x in row] for k, row in enumerate(self.within, 1)
-            },
-            "within_95_percent": rounded(self.inside, 4),
-            "edges": list(EDGES),
-            "histogram": list(self.histogram),
-        }
-
-
-def spread(results: Sequence[Refined]) -> Spread:
-    """Spread of the results that have a pose."""
+    `rms` (6,) of `sigmas` is 1 if honest, above 1 if covariances are too small; `within_sigma` are the
+    shares of each of `AXES` within 1, 2 and 3 standard deviations (.68, .95, .997),
+    `within_95_percent` that in the ellipsoid of all six: an unsound covariance holds nothing.
+    """
     posed = [r for r in results if len(r.sigmas) == len(AXES)]
     table = np.array([r.sigmas for r in posed], np.float64).reshape(-1, len(AXES))
     whole = np.array([r.after.whitened for r in posed], np.float64).reshape(-1, len(AXES))
     sound = np.isfinite(table).all(axis=1) & np.isfinite(whole).all(axis=1)
     kept = table[sound]
-    nothing = (math.nan,) * len(AXES)
+    squares, nothing = (kept**2), [None] * len(AXES)
     bins = np.searchsorted(EDGES, kept.ravel(), side="right")
-    return Spread(
-        count=len(kept),
-        rms=tuple(np.sqrt((kept**2).mean(axis=0)).tolist()) if len(kept) else nothing,
-        within=tuple(
-            tuple((np.abs(kept) <= k).mean(axis=0).tolist()) if len(kept) else nothing
+    inside = float(((whole[sound] ** 2).sum(axis=1) <= WITHIN_95).sum())
+    return {
+        "count": len(kept),
+        "axes": list(AXES),
+        "rms": np.sqrt(squares.mean(axis=0)).round(3).tolist() if len(kept) else nothing,
+        "within_sigma": {
+            str(k): (np.abs(kept) <= k).mean(axis=0).round(4).tolist() if len(kept) else nothing
             for k in (1, 2, 3)
-        ),
-        inside=float(((whole[sound] ** 2).sum(axis=1) <= WITHIN_95).sum() / len(posed))
-        if posed
-        else math.nan,
-        histogram=tuple(np.bincount(bins, minlength=len(EDGES) + 1).tolist()),
-    )
-
-
-def _line(r: Refined) -> str:
-    """`seq01 13:18 OK 0.02 m 0.1 deg -> 0.31 m 2.0 deg`."""
-    a = r.after
-    before = f"{r.before[0]:.2f} m {r.before[1]:.1f} deg"
-    return f"{a.window} {a.status} {before} -> {a.position:.2f} m {a.rotation:.1f} deg".replace(
-        "  ", " "
-    )
-
-
-def _plain(errors: Errors) -> list[float | None]:
-    return [rounded(errors[0], 4), rounded(errors[1], 3)]
-
-
-def _errors(row: Sequence[float | None]) -> Errors:
-    metres, degrees = row
-    return (math.inf if metres is None else metres, 180.0 if degrees is None else degrees)
+        },
+        "within_95_percent": round(inside / len(posed), 4) if posed else None,
+        "edges": list(EDGES),
+        "histogram": np.bincount(bins, minlength=len(EDGES) + 1).tolist(),
+    }
 
 
 Start = Literal["found", "disturbed"]
@@ -531,55 +425,39 @@ class RefineJob:
         return RefineOptions(images="auto" if self.by == "auto" else self.by != "none")
 
     def key(self, window: Window, seed: int, code: str) -> str:
-        """What an answer depends on."""
+        """Name all that an answer depends on."""
         coarse = self.coarse.key(window, seed, code) if self.coarse else f"{code} {window.name}"
         return f"{coarse} seed {seed} {self.name} depth {self.depth} {self.options}"
 
+    def fields(self) -> dict[str, Any]:
+        """Return what is written of the row beside its score."""
+        return {k: getattr(self, k) for k in ("place", "start", "row", "depth", "by")}
+
 
 def refine_jobs(matchers: Sequence[str] = MATCHERS) -> list[RefineJob]:
-    """All rows: each way to find a pose, or each disturbed start, by each matcher that it allows."""
-    return [
-        job
-        for place in PLACES
-        for job in (*_found_jobs(place, matchers), *_disturbed_jobs(place, matchers))
-    ]
-
-
-def _found_jobs(place: str, matchers: Sequence[str]) -> list[RefineJob]:
-    """By all matchers where most is known, with depth and without; else by the first.
+    """Return all rows: each way to find a pose, or disturbed start, by each matcher that it allows.
 
     A sense that localizing does without is not refined by either: colours are always on.
     """
-    ways: list[tuple[Job, Sequence[str]]] = []
-    if place == "house":
-        for row in ("all", "semantic + colour"):
+    bare = [m for m in matchers if m not in {"auto", "none", "guided"}]
+    without = [*(m for m in matchers if m == "auto"), *bare, *(f"{m}{PAPER}" for m in bare)]
+    jobs = []
+    for place in PLACES:
+        ways: list[tuple[Job, bool]] = []
+        for row in ("all", "semantic + colour") if place == "house" else ():
             options = FilterOptions().only(**SEMANTIC[row])
-            ways.append((Job("instances", row, options, place, "instances"), matchers))
-    for row in ("depth + colour", "colour"):
-        job = Job("none", f"no labels: {row}", FilterOptions().only(**BARE[row]), place, "none")
-        ways.append((job, matchers[:1] if place == "house" else matchers))
-    return [
-        RefineJob(place, "found", job.row, by, job)
-        for job, by_these in ways
-        for by in _allowed(by_these, depth=job.options.depth)
-    ]
-
-
-def _disturbed_jobs(place: str, matchers: Sequence[str]) -> list[RefineJob]:
-    with_depth = [*_allowed(matchers, depth=True), *GICP]
-    return [
-        *(RefineJob(place, "disturbed", "depth", by) for by in with_depth),
-        *(RefineJob(place, "disturbed", "no depth", by) for by in _allowed(matchers, depth=False)),
-    ]
-
-
-def _allowed(matchers: Sequence[str], *, depth: bool) -> list[str]:
-    """What can refine: without depth also by the paper's recipe, and never by nothing."""
-    if depth:
-        return list(matchers)
-    named = [m for m in matchers if m not in {"auto", "none", "guided"}]
-    default = [m for m in matchers if m == "auto"]  # without depth the same as `guided`
-    return [*default, *named, *(f"{m}{PAPER}" for m in named)]
+            ways.append((Job("instances", row, options, place, "instances"), True))
+        for row in ("depth + colour", "colour"):
+            job = Job("none", f"no labels: {row}", FilterOptions().only(**BARE[row]), place, "none")
+            ways.append((job, place != "house"))
+        for job, by_all in ways:
+            these = matchers if job.options.depth else without
+            if not by_all:  # by the first matcher alone
+                these = [m for m in these if m.removesuffix(PAPER) == matchers[0]]
+            jobs += [RefineJob(place, "found", job.row, by, job) for by in these]
+        jobs += [RefineJob(place, "disturbed", "depth", by) for by in (*matchers, *GICP)]
+        jobs += [RefineJob(place, "disturbed", "no depth", by) for by in without]
+    return jobs
 
 
 QUICK = (
@@ -602,41 +480,26 @@ def ask(
 
     The true pose is used to make a disturbed start and to measure, for nothing else. From a found
     pose one run gives both sides: the coarse pose stands in the estimate beside the refined one.
-
-    Parameters
-    ----------
-    job
-        From where and by what.
-    scene
-        The map.
-    window
-        Frames, and the truth.
-    matcher
-        What `job.matcher` names: the word, or the matcher itself where it has weights.
-    seed
-        Of the filter, of the label noise, of the disturbed starts and of the search there.
-    device
-        For the filter.
-
+    `matcher` is what `job.matcher` names: the word, or the matcher itself where it has weights.
     """
     capture = window.capture if job.depth else without_depth(window.capture)
-    if job.coarse is not None:
-        encoder = encoder_of(job.coarse, scene, window, seed)
-        began = time.perf_counter()
-        estimate = scene.localize(
-            capture,
-            encoder=encoder,
-            options=job.coarse.options,
-            seed=seed,
-            device=device,
-            refine=job.options,
-            matcher=matcher,
-        )
-        return measure_refined(estimate, window, seconds=time.perf_counter() - began)
-    start = start_of(window, seed)
+    start = None if job.coarse else start_of(window, seed)
+    encoder = encoder_of(job.coarse, scene, window, seed) if job.coarse else None
     began = time.perf_counter()
-    if job.by in GICP:
-        pose = align(scene, list(capture), start, kind=GICP[job.by]).map_from_camera
-        return measure_pose(pose, window, seconds=time.perf_counter() - began, start=start)
-    estimate = scene.refine(capture, start, matcher=matcher, options=job.options, seed=seed)
+    if job.coarse is not None:
+        estimate = scene.localize(
+            capture, encoder=encoder, options=job.coarse.options, seed=seed, device=device,
+            refine=job.options, matcher=matcher,
+        )  # fmt: skip
+    elif job.by in GICP:  # a pose without a covariance or a verdict
+        pose, *_ = align(scene, list(capture), start, kind=GICP[job.by])
+        took = time.perf_counter() - began
+        position, rotation = errors_of(pose, window.truth)
+        after = Answer(
+            **window.told, position=position, rotation=rotation, status="", probability=0.0,
+            held=False, whitened=(), seconds=took,
+        )  # fmt: skip
+        return Refined(errors_of(start, window.truth), after, accepted=None)
+    else:
+        estimate = scene.refine(capture, start, matcher=matcher, options=job.options, seed=seed)
     return measure_refined(estimate, window, seconds=time.perf_counter() - began, start=start)

@@ -10,6 +10,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 from zlib import crc32
 
 import numpy as np
@@ -59,6 +60,12 @@ class Window:
         rows = [frame.index for frame in self.capture]
         step = f":{rows[1] - rows[0]}" if len(rows) > 1 and rows[1] - rows[0] > 1 else ""
         return f"{self.place} {rows[0]}:{rows[-1] + 1}{step}"
+
+    @property
+    def told(self) -> dict[str, Any]:
+        """What an `Answer` says of the window."""
+        found = {k: getattr(self, k) for k in ("place", "changed", "coverage")}
+        return found | {"window": self.name, "frames": len(self.capture)}
 
 
 def starts(count: int, length: int, every: int = EVERY, more: Sequence[int] = ()) -> list[int]:

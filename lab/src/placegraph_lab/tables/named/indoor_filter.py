@@ -3,28 +3,29 @@
     placegraph-lab table indoor_filter --quick
     placegraph-lab table indoor_filter --only "instances: *" --windows 5,10
 
-Prints Markdown tables and writes every row as JSON. Every answer is written down at once: run it
-again and it goes on where it was cut. `docs/benchmarks.md` explains the protocol.
+Every answer is written down at once: run it again and it goes on where it was cut.
+`docs/benchmarks/indoor-poses.md` explains the protocol.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Any
 
-from placegraph_lab.tables.indoor.bench import (
-    QUICK,
-    QUICK_EVERY,
-    Asker,
-    Bench,
-    Job,
-    ask,
-    chosen,
-    house_jobs,
-    office_jobs,
+from placegraph_lab.tables.indoor import bench as benches
+from placegraph_lab.tables.indoor.bench import Bench, Job, ask, chosen, house_jobs, office_jobs
+from placegraph_lab.tables.indoor.metrics import AXES, THRESHOLDS, Answer, Score, score
+from placegraph_lab.tables.indoor.report import (
+    PARTS,
+    Row,
+    ask_windows,
+    by_job,
+    changes_table,
+    errors,
+    sequences_table,
 )
-from placegraph_lab.tables.indoor.metrics import Answer
-from placegraph_lab.tables.indoor.report import Row, report
 from placegraph_lab.tables.indoor.windows import (
+    COVERED,
     EVERY,
     HALVES,
     LENGTHS,
@@ -32,8 +33,8 @@ from placegraph_lab.tables.indoor.windows import (
     OFFICE_LENGTH,
     Window,
 )
+from placegraph_lab.tables.runner import Column as Col
 from placegraph_lab.tables.runner import (
-    INDOOR,
     Device,
     Every,
     Fresh,
@@ -41,22 +42,86 @@ from placegraph_lab.tables.runner import (
     Quick,
     Run,
     Seed,
-    code_key,
     option,
     parts,
+    render,
+    share,
+    shares,
     table,
 )
 
-ALL_LENGTHS = ",".join(str(n) for n in LENGTHS)
+RECALL = THRESHOLDS.index((0.25, 2.0))
+RECALLS = " / ".join(
+    f"{100 * m:.0f} cm {d:.0f}°" if m < 1 else f"{m:.0f} m {d:.0f}°" for m, d in THRESHOLDS
+)
+Line = tuple[str, Score]
+SCORES = (
+    Col("", lambda r: r[0]), Col("windows", lambda r: r[1].windows),
+    Col("mean", lambda r: r[1].mean, errors), Col("median", lambda r: r[1].median, errors),
+    Col(RECALLS, lambda r: r[1].recall, shares),
+    Col("OK", lambda r: r[1].status.get("OK", 0.0), share),
+    Col("OK right", lambda r: r[1].right, share), Col("truth in modes", lambda r: r[1].held, share),
+    Col("honest", lambda r: r[1].honest, share), Col("particles", lambda r: r[1].particles, 0),
+    Col("s/frame", lambda r: r[1].frame_seconds, 3),
+)  # fmt: skip
+CALIBRATION = (
+    Col("", lambda r: r[0]), Col("answers", lambda r: r[1].windows),
+    Col("calibration error", lambda r: r[1].calibration.error, share),
+    Col("of perfect", lambda r: r[1].calibration.floor, share),
+    *(Col(f"error / sigma: {axis}" if not i else axis, lambda r, i=i: r[1].spread[i], 2)
+      for i, axis in enumerate(AXES)),
+    Col("within the 95 % ellipsoid", lambda r: r[1].inside, share),
+)  # fmt: skip
 
 
-@table()
+def report(rows: Sequence[Row]) -> str:
+    """Return all tables that the rows allow."""
+    text: list[str] = []
+    for name, title in benches.TITLES.items():
+        for length in sorted({r.length for r in rows if r.job.table == name}):
+            mine = [r for r in rows if r.job.table == name and r.length == length]
+            lines = [line for row in mine for line in _lines(row)]
+            text += [f"#### {title}, {length} frames", render(SCORES, lines)]
+    house = [r for r in rows if r.job.table not in HALVES]
+    if house:
+        recall = lambda s: s.recall[RECALL]  # noqa: E731
+        text += ["#### House, unchanged / changed scenes, 25 cm 2°", changes_table(house, recall)]
+        text += ["#### House, by sequence, 25 cm 2°", sequences_table(house, recall)]
+    pooled = [
+        (job.name, score([a for row in of.values() for a in row.results]))
+        for job, of in by_job(rows)
+    ]
+    text += ["#### Calibration of right answers, and of the probability"]
+    text += [render(CALIBRATION, pooled)]
+    wrong = [(row, [w for w in row.score.worst if " OK " in w]) for row in rows]
+    listed = [f"- {r.job.name}, {r.length} frames: {'; '.join(w)}" for r, w in wrong if w]
+    if listed:
+        text += ["#### Answers said to be OK that are not", "\n".join(listed)]
+    return "\n\n".join(text)
+
+
+def _lines(row: Row) -> list[Line]:
+    """Return a row; in the office, also the windows that the map covers and the others."""
+    lines = [(row.job.row, row.score)]
+    apart = {
+        f"covered to {COVERED:.0%} or more": f"covered {COVERED:.0%}",
+        "the others": "not covered",
+    }
+    found = {title: row.part(PARTS[part]) for title, part in apart.items()}
+    if row.job.table in HALVES and all(found.values()):
+        lines += [(f"{row.job.row}: {title}", s) for title, s in found.items()]
+    return lines
+
+
+@table("SG2Loc, Tables 1, 2, 4, 7, 12, 13")
 def indoor_filter(
     run: Run,
     only: Annotated[
         str, option("Rows, with commas or semicolons between: 'classes: all, b in a: *'.")
     ] = "",
-    windows: Annotated[str, option("Lengths of the house's windows.")] = ALL_LENGTHS,
+    windows: Annotated[str, option("Lengths of the house's windows.")] = ",".join(
+        map(str, LENGTHS)
+    ),
     every: Every = EVERY,
     office_every: OfficeEvery = OFFICE_EVERY,
     seed: Seed = 0,
@@ -68,25 +133,20 @@ def indoor_filter(
     """Do a few frames find their pose? Errors, recall, status, time: house and office."""
     names = parts(only, ";" if ";" in only else ",")
     if quick:
-        windows, every, office_every = "5,10", QUICK_EVERY, 2 * OFFICE_EVERY
-        names = names or list(QUICK)
+        windows, every, office_every = "5,10", benches.QUICK_EVERY, 2 * OFFICE_EVERY
+        names = names or list(benches.QUICK)
     jobs = chosen([*house_jobs(), *office_jobs()], names)
     bench = Bench(run.data, run.cache, every, office_every)
-    code = code_key(INDOOR)  # once: what is loaded now is what answers
-    lengths = [int(n) for n in windows.split(",")]
-    rows = []
-    with Asker(run, fresh=fresh) as asker:
-        for job in sorted(jobs, key=lambda j: j.map):
-            for n in [OFFICE_LENGTH] if job.table in HALVES else lengths:
 
-                def once(window: Window, seed: int, job: Job = job) -> dict[str, Any]:
-                    scene = bench.scene(job.map)
-                    return ask(job, scene, window, seed=seed, device=device).to_dict()
+    def once(job: Job, window: Window, seed: int) -> dict[str, Any]:
+        return ask(job, bench.scene(job.map), window, seed=seed, device=device).to_dict()
 
-                asked = bench.windows(job.table, n)
-                keys = [f"{job.key(w, seed, code)} {device}" for w in asked]
-                told = asker.answers(f"{job.name}, {n} frames", asked, keys, once, seed)
-                rows.append(Row(job, n, tuple(map(Answer.from_dict, told))))
+    asked = ask_windows(
+        run, sorted(jobs, key=lambda j: j.map), bench,
+        lambda job: [OFFICE_LENGTH] if job.table in HALVES else map(int, windows.split(",")),
+        once, seed=seed, device=device, fresh=fresh,
+    )  # fmt: skip
+    rows = [Row(job, n, tuple(map(Answer.from_dict, told))) for job, n, told in asked]
     order = {j.name: i for i, j in enumerate(jobs)}
     rows.sort(key=lambda r: (order[r.job.name], r.length))
     print(report(rows))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Annotated, Any
 
 from placegraph.errors import InputError, MissingExtraError
@@ -21,8 +21,8 @@ from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture
 from placegraph.io.mesh.ply import write_ply
 from placegraph_lab.tables.indoor.bench import (
+    BARE,
     QUICK_EVERY,
-    Asker,
     Bench,
     NoisyEncoder,
     NoisyLabels,
@@ -30,10 +30,11 @@ from placegraph_lab.tables.indoor.bench import (
     chosen,
 )
 from placegraph_lab.tables.indoor.maps import place
-from placegraph_lab.tables.indoor.metrics import THRESHOLDS, Answer, Score, score
+from placegraph_lab.tables.indoor.metrics import THRESHOLDS, Answer
+from placegraph_lab.tables.indoor.report import Row, ask_windows
 from placegraph_lab.tables.indoor.windows import EVERY, HALVES, OFFICE_EVERY, Window
+from placegraph_lab.tables.runner import Column as Col
 from placegraph_lab.tables.runner import (
-    INDOOR,
     Device,
     Every,
     Fresh,
@@ -41,11 +42,10 @@ from placegraph_lab.tables.runner import (
     Quick,
     Run,
     Seed,
-    code_key,
-    markdown,
     number,
     option,
     parts,
+    render,
     share,
     table,
 )
@@ -64,11 +64,6 @@ TERMS = {
     "semantic + depth": {"semantic": True, "depth": True},
     "semantic + colour": {"semantic": True, "colour": True},
     "semantic + depth + colour": {"semantic": True, "depth": True, "colour": True},
-}
-BARE = {
-    "depth": {"depth": True},
-    "colour": {"colour": True},
-    "depth + colour": {"depth": True, "colour": True},
 }
 
 OTHER_WORDS = {
@@ -111,6 +106,10 @@ class Case:
         """What an answer depends on."""
         options = hashlib.sha256(repr(self.options).encode()).hexdigest()[:12]
         return f"{code} {self.place} {self.encoder} {options} seed {seed} {window.name}"
+
+    def fields(self) -> dict[str, Any]:
+        """Return what is written of the row beside its score."""
+        return asdict(self)
 
 
 def cases(images: Iterable[str] = OF_IMAGES) -> list[Case]:
@@ -201,94 +200,57 @@ TITLES = {
     "b in a": "Office, map of frames 0-185, asked about 186-372",
     "a in b": "Office, map of frames 186-372, asked about 0-185",
 }
-HEADER = [
-    "encoder", "terms", "windows", "mean", "median", *(f"R@{100 * m:.0f}cm {d:.0f}°" for m, d in LIMITS),
-    "OK", "OK right", "s/frame",
-]  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Published:
-    """A row of the paper: 3RScan, 5 frames."""
-
-    terms: str
-    mean: tuple[float, float] | None
-    median: tuple[float, float] | None
-    recall: tuple[float, float]
-    source: str
 
 
 PUBLISHED = (
-    Published("semantic", (1.20, 21.44), (0.66, 8.77), (0.08, 0.26), "Table 8, 3RScan"),
-    Published("depth", (1.44, 39.01), (0.96, 6.42), (0.09, 0.32), "Table 8, 3RScan"),
-    Published("colour", (1.79, 44.78), (1.51, 17.37), (0.14, 0.20), "Table 8, 3RScan"),
-    Published("semantic", None, None, (0.11, 0.35), "Table 7, 3RScan"),
-    Published("semantic + depth", None, None, (0.20, 0.54), "Table 7, 3RScan"),
-    Published("semantic + depth + colour", None, None, (0.35, 0.61), "Table 7, 3RScan"),
+    ("Table 8", "semantic", (1.20, 21.44), (0.66, 8.77), (0.08, 0.26)),
+    ("Table 8", "depth", (1.44, 39.01), (0.96, 6.42), (0.09, 0.32)),
+    ("Table 8", "colour", (1.79, 44.78), (1.51, 17.37), (0.14, 0.20)),
+    ("Table 7", "semantic", None, None, (0.11, 0.35)),
+    ("Table 7", "semantic + depth", None, None, (0.20, 0.54)),
+    ("Table 7", "semantic + depth + colour", None, None, (0.35, 0.61)),
 )
-
-
-@dataclass(frozen=True)
-class Row:
-    """Answers to all windows of one case."""
-
-    case: Case
-    length: int
-    answers: tuple[Answer, ...]
-    score: Score = field(init=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "score", score(self.answers))
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and strings, ready for `json.dumps`."""
-        return {
-            "place": self.case.place,
-            "encoder": self.case.encoder,
-            "terms": self.case.terms,
-            "length": self.length,
-            "score": self.score.to_dict(),
-        }
+"""Rows of the paper (3RScan, 5 frames): table, terms, mean, median, the first two recalls."""
 
 
 def report(rows: Sequence[Row]) -> str:
-    """A table for each place and length, and the paper's."""
-    parts = []
+    """Return a table for each place and length, and the paper's."""
+    text = []
     for where, title in TITLES.items():
-        for length in sorted({r.length for r in rows if r.case.place == where}):
-            mine = [r for r in rows if r.case.place == where and r.length == length]
-            parts += [f"#### {title}, {length} frames", markdown(HEADER, map(line, mine))]
-    parts += ["#### Published (SG2Loc, 5 frames)", markdown(HEADER, map(published, PUBLISHED))]
-    return "\n\n".join(parts)
-
-
-def line(row: Row) -> list[str]:
-    """Cells of `HEADER`."""
-    s = row.score
-    return [
-        "–" if row.case.encoder == NONE else row.case.encoder,
-        row.case.terms,
-        str(s.windows),
-        error(s.mean),
-        error(s.median),
-        *(share(s.recall[THRESHOLDS.index(limits)]) for limits in LIMITS),
-        share(s.status.get("OK", 0.0)),
-        share(s.right),
-        number(s.frame_seconds, 3),
+        for length in sorted({r.length for r in rows if r.job.place == where}):
+            mine = [r for r in rows if r.job.place == where and r.length == length]
+            text += [f"#### {title}, {length} frames", render(COLUMNS, mine)]
+    published = [
+        [
+            f"*{source}, 3RScan*",
+            terms,
+            "–",
+            error(mean),
+            error(median),
+            *map(share, recall),
+            *["–"] * 4,
+        ]
+        for source, terms, mean, median, recall in PUBLISHED
     ]
-
-
-def published(row: Published) -> list[str]:
-    """Cells of `HEADER`, as far as they were published."""
-    recall = [share(r) for r in row.recall]
-    return [
-        f"*{row.source}*", row.terms, "–", error(row.mean), error(row.median), *recall, *["–"] * 4,
-    ]  # fmt: skip
+    text += ["#### Published (SG2Loc, 5 frames)", render(COLUMNS, published)]
+    return "\n\n".join(text)
 
 
 def error(pair: tuple[float, float] | None) -> str:
-    """`0.066 m 8.8°`, or a dash."""
+    """Write `0.066 m 8.8°`, or a dash."""
     return f"{number(pair[0], 3, 'm')} {number(pair[1], 1)}°" if pair else "–"
+
+
+COLUMNS = (
+    Col("encoder", lambda r: "–" if r.job.encoder == NONE else r.job.encoder),
+    Col("terms", lambda r: r.job.terms), Col("windows", lambda r: r.score.windows),
+    Col("mean", lambda r: r.score.mean, error), Col("median", lambda r: r.score.median, error),
+    *(Col(f"R@{100 * limits[0]:.0f}cm {limits[1]:.0f}°",
+          lambda r, limits=limits: r.score.recall[THRESHOLDS.index(limits)], share)
+      for limits in LIMITS),
+    Col("OK", lambda r: r.score.status.get("OK", 0.0), share),
+    Col("OK right", lambda r: r.score.right, share), Col("s/frame", lambda r: r.score.frame_seconds, 3),
+)  # fmt: skip
 
 
 @table("SG2Loc, Tables 7, 8")
@@ -308,19 +270,17 @@ def indoor_semantics(
     if quick:
         every, office_every = QUICK_EVERY, 2 * office_every
     bench = SemanticBench(run.data, run.cache, every, office_every)
-    code = code_key(INDOOR)
-    done = []
-    with Asker(run, fresh=fresh) as asker:
-        for case in chosen(cases(available()), parts(only, ";")):
-            for n in map(int, windows.split(",")):
 
-                def once(window: Window, seed: int, case: Case = case) -> dict[str, Any]:
-                    scene = bench.scene(case.place)
-                    return ask(case, scene, window, seed=seed, device=device).to_dict()
+    def once(job: Case, window: Window, seed: int) -> dict[str, Any]:
+        return ask(job, bench.scene(job.place), window, seed=seed, device=device).to_dict()
 
-                asked = bench.windows(case.place, n)
-                keys = [f"{case.key(w, seed, code)} {device}" for w in asked]
-                told = asker.answers(f"{case.name}, {n} frames", asked, keys, once, seed)
-                done.append(Row(case, n, tuple(map(Answer.from_dict, told))))
-    print(report(done))
-    run.save({"rows": [row.to_dict() for row in done]}, whole=not only)
+    jobs, lengths = (
+        chosen(cases(available()), parts(only, ";")),
+        [int(n) for n in windows.split(",")],
+    )
+    asked = ask_windows(
+        run, jobs, bench, lambda _: lengths, once, seed=seed, device=device, fresh=fresh
+    )
+    rows = [Row(job, n, tuple(map(Answer.from_dict, told))) for job, n, told in asked]
+    print(report(rows))
+    run.save({"rows": [row.to_dict() for row in rows]}, whole=not only)
