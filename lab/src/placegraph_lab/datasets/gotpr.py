@@ -46,12 +46,8 @@ class Graphs:
 def read_graphs(path: str | PathLike[str]) -> Graphs:
     """Read a file of scene graphs; nothing in it is run.
 
-    Raises
-    ------
-    InputError
-        The file is missing, damaged, or no such pickle; or a graph is not what it should be: the
-        message names its id and the field.
-
+    Raises `InputError`: the file is missing, damaged, or no such pickle; or a graph is not what it
+    should be: the message names its id and the field.
     """
     value = read_pickle(path, RELEASE)
     if type(value) is not dict or not value:

@@ -184,13 +184,8 @@ class Kitti360Pose:
     def open(cls, path: str | PathLike[str]) -> Kitti360Pose:
         """Open a converted file.
 
-        Raises
-        ------
-        InputError
-            The file is missing, empty, or may not be read.
-        MapError
-            It is foreign, damaged, newer, of another kind, or its columns contradict each other.
-
+        Raises `InputError`: the file is missing, empty, or may not be read; `MapError`: it is
+        foreign, damaged, newer, of another kind, or its columns contradict each other.
         """
         file = read_map(path, KIND, VERSION)
         try:
@@ -397,26 +392,14 @@ def convert_kitti360pose(
 ) -> Conversion:
     """Read the pickles of a published folder and write all of it to one file, atomically.
 
-    Parameters
-    ----------
-    folder
-        Such as ``k360_30-10_scG_pd10_pc4_spY_all``, with ``cells/<scene>.pkl`` and
-        ``poses/<scene>.pkl``. Its pickles are read by a machine that can make plain data only.
-    out
-        File to write; `Kitti360Pose.open` opens it.
-    progress
-        Is told the scene at hand and how many of its cells are done.
+    `folder`: such as ``k360_30-10_scG_pd10_pc4_spY_all``, with ``cells/<scene>.pkl`` and
+    ``poses/<scene>.pkl``. Its pickles are read by a machine that can make plain data only; `out`:
+    file to write; `Kitti360Pose.open` opens it; `progress`: is told the scene at hand and how many
+    of its cells are done.
 
-    Raises
-    ------
-    InputError
-        A file is missing, damaged or no such pickle; or a field is missing or not what it should
-        be: the message names file, row and field.
-    MapLockedError
-        Somebody else is writing the same file.
-    MapError
-        The file cannot be written.
-
+    Raises `InputError`: A file is missing, damaged or no such pickle; or a field is missing or not
+    what it should be: the message names file, row and field; `MapLockedError`: somebody else is
+    writing the same file; `MapError`: the file cannot be written.
     """
     scenes = _scenes(Path(folder))
     told = progress or (lambda _scene, _n: None)

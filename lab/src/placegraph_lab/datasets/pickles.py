@@ -192,12 +192,8 @@ def read_pickle(path: str | os.PathLike[str], release: Release) -> Any:  # noqa:
     Arrays are read-only and refer to the file, which must not change while they are in use. Bytes
     come as memory views.
 
-    Raises
-    ------
-    InputError
-        The file is missing, empty, cut short, or no pickle of protocol 2 to 5; or it asks for
-        anything else than the release's classes and numpy arrays. Nothing of it was run.
-
+    Raises `InputError`: the file is missing, empty, cut short, or no pickle of protocol 2 to 5; or
+    it asks for anything else than the release's classes and numpy arrays. Nothing of it was run.
     """
     data = _mapped(Path(path))
     machine = _Machine(data, release)

@@ -137,10 +137,7 @@ _VALUE = re.compile(r"\s*([\w:]+)=(.*?)(?=\s+[\w:]+=|\s*$)")
 def sections(text: str, source: str, head: str) -> dict[str, list[tuple[int, str]]]:
     """Lines of every section with their numbers; outside the drawing without the empty ones.
 
-    Raises
-    ------
-    InputError
-        Text stands before the first section, or a tab in the drawing.
+    Raises `InputError`: text stands before the first section, or a tab in the drawing.
     """
     found: dict[str, list[tuple[int, str]]] = {head: [], "drawing": [], "legend": []}
     here = ""
@@ -167,10 +164,7 @@ def sections(text: str, source: str, head: str) -> dict[str, list[tuple[int, str
 def page(lines: list[tuple[int, str]], source: str, head: str) -> tuple[tuple[str, ...], int]:
     """Rows of the drawing, all of one length, and the number of the first one's line.
 
-    Raises
-    ------
-    InputError
-        There is no drawing, or it is too large.
+    Raises `InputError`: there is no drawing, or it is too large.
     """
     numbers = [number for number, line in lines if line]
     if not numbers:
@@ -210,10 +204,7 @@ class Drawing:
     def position(self, glyph: str) -> tuple[float, float]:
         """Place of the one thing that a glyph drew, in the units of `positions`.
 
-        Raises
-        ------
-        OptionError
-            The glyph drew nothing, or several things.
+        Raises `OptionError`: the glyph drew nothing, or several things.
         """
         found = self.positions(glyph)
         if len(found) != 1:
@@ -243,10 +234,7 @@ class LegendLine:
 def legend_line(line: str, where: str) -> LegendLine:
     """Read one line of a legend.
 
-    Raises
-    ------
-    InputError
-        The line has no colon, or its glyph is a blank.
+    Raises `InputError`: the line has no colon, or its glyph is a blank.
     """
     match = _SYMBOL.match(line)
     if not match or match["glyph"] in BLANKS:
@@ -277,10 +265,7 @@ def shipped(folder: str) -> tuple[str, ...]:
 def load(folder: str, name: str, what: str) -> str:
     """Text of a drawing that ships with the package.
 
-    Raises
-    ------
-    OptionError
-        No drawing of this name ships with the package.
+    Raises `OptionError`: no drawing of this name ships with the package.
     """
     if name not in (known := shipped(folder)):
         raise OptionError(f"There is no {what} {name!r}; there are {', '.join(known)}.")

@@ -53,22 +53,11 @@ class NoisyEncoder:
     The noise of a frame depends on `seed`, `name` and the frame's row in its folder alone: it is
     the same in every pass and in every window that holds the frame, whatever was encoded before.
 
-    Parameters
-    ----------
-    encoder
-        Says what the patches are.
-    share
-        Probability of a patch to be mislabelled, 0 to 1.
-    seed
-        Of the noise.
-    name
-        Of the sequence, so that the frames of two sequences err differently.
+    `encoder`: says what the patches are; `share`: probability of a patch to be mislabelled, 0 to 1;
+    `seed`: of the noise; `name`: of the sequence, so that the frames of two sequences err
+    differently.
 
-    Raises
-    ------
-    OptionError
-        Where `share` is no probability.
-
+    Raises `OptionError`: where `share` is no probability.
     """
 
     def __init__(
@@ -103,20 +92,10 @@ class NoisyLabels:
     What a patch is taken for does not depend on any map. Synonyms are one label. The noise of a
     frame depends on what `NoisyEncoder`'s does.
 
-    Parameters
-    ----------
-    encoder
-        Says what the patches are.
-    vocabulary
-        Labels that a patch can be taken for; what says nothing is left out.
-    share, seed, name
-        As of `NoisyEncoder`.
+    `encoder`: says what the patches are; `vocabulary`: labels that a patch can be taken for; what
+    says nothing is left out; `share`, `seed`, `name`: as of `NoisyEncoder`.
 
-    Raises
-    ------
-    OptionError
-        `share` is no probability, or the vocabulary has no two labels.
-
+    Raises `OptionError`: `share` is no probability, or the vocabulary has no two labels.
     """
 
     def __init__(

@@ -33,30 +33,14 @@ def decimate(
 ) -> tuple[Floats32, Ints, Ints]:
     """Collapse edges until about `target` triangles are left.
 
-    Parameters
-    ----------
-    vertices:
-        (V, 3) [m].
-    triangles:
-        (T, 3) rows of vertices.
-    target:
-        Triangles that are wanted; more are left where collapsing on would tear the surface.
-    group:
-        (T,) object of a triangle; surfaces of two objects do not merge where they touch.
+    `vertices`: (V, 3) [m]; `triangles`: (T, 3) rows of vertices; `target`: triangles that are
+    wanted; more are left where collapsing on would tear the surface; `group`: (T,) object of a
+    triangle; surfaces of two objects do not merge where they touch.
 
-    Returns
-    -------
-    vertices
-        (V', 3) float32 [m].
-    triangles
-        (T', 3) int32.
-    group
-        (T',) int32, zeros where none was given.
+    Returns `vertices`: (V', 3) float32 [m]; `triangles`: (T', 3) int32; `group`: (T',) int32, zeros
+    where none was given.
 
-    Raises
-    ------
-    OptionError
-        Where `target` is less than 1.
+    Raises `OptionError`: where `target` is less than 1.
     """
     if target < 1:
         raise OptionError(f"target is {target}; it must be at least 1.")

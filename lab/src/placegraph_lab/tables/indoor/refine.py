@@ -60,7 +60,7 @@ def align(
     """Align the depth of frames to the map by small_gicp, from `start` (4, 4), of the last frame.
 
     Returns map_from_camera (4, 4) of the last frame, whether it converged, and the share of points
-    with a partner within reach; `start` where the map shows the cameras nothing. Raises `OptionError` where no
+    with a partner in reach; `start` where the map shows the cameras nothing. `OptionError` where no
     frame has depth, `MissingExtraError` without small_gicp.
     """
     try:

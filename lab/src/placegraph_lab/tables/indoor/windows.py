@@ -79,10 +79,7 @@ def house_windows(
 ) -> list[Window]:
     """Windows of all sequences of the house, or of those named.
 
-    Raises
-    ------
-    InputError
-        A file is missing or broken, or a sequence has fewer poses than frames.
+    Raises `InputError`: A file is missing or broken, or a sequence has fewer poses than frames.
     """
     found = []
     for path in sorted(folder.glob("seq[0-9]*")):

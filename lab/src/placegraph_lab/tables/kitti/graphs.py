@@ -62,12 +62,8 @@ OSM = {
 class Names:
     """What things are called in graphs, on both sides alike.
 
-    Parameters
-    ----------
-    coloured
-        "gray pole" instead of "pole".
-    osm
-        Tags (`OSM`) instead of the data's labels; they have no colours.
+    `coloured`: "gray pole" instead of "pole"; `osm`: tags (`OSM`) instead of the data's labels;
+    they have no colours.
     """
 
     def __init__(self, data: Kitti360Pose, *, coloured: bool = False, osm: bool = False) -> None:

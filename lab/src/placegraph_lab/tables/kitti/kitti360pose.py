@@ -117,20 +117,11 @@ class Split:
     ) -> tuple[Matcher, Names]:
         """One of `MATCHERS`, and how queries call things for it.
 
-        Parameters
-        ----------
-        network
-            For the transformer; the shipped one where not given.
-        candidates
-            How many cells edit distance looks at.
+        `network`: for the transformer; the shipped one where not given; `candidates`: how many
+        cells edit distance looks at.
 
-        Raises
-        ------
-        OptionError
-            There is no such matcher.
-        MissingExtraError
-            It needs a library that is not installed.
-
+        Raises `OptionError`: there is no such matcher; `MissingExtraError`: it needs a library that
+        is not installed.
         """
         if name not in MATCHERS:
             raise OptionError(f"There is no matcher {name!r}; choose one of {', '.join(MATCHERS)}.")
@@ -207,15 +198,9 @@ def evaluate(
 ) -> Result:
     """Give every pose's query graph, and nothing else of it, to a matcher.
 
-    Parameters
-    ----------
-    poses
-        Rows of the data; all of the split where not given.
-    within
-        Finds the pose within a cell, from the honest statements; those of the split where not given.
-    progress
-        Is told how many queries are done.
-
+    `poses`: rows of the data; all of the split where not given; `within`: finds the pose within a
+    cell, from the honest statements; those of the split where not given; `progress`: is told how
+    many queries are done.
     """
     data, honest = split.data, Names(split.data)
     within = within or Relational.of(data, split.cells)

@@ -59,20 +59,11 @@ def on_osm(data: Kitti360Pose, path: str | PathLike[str], crop: Crop | None = No
     pose lies from it, is told by its nearest point. Poses with fewer than `TOLD` things in sight
     are left out. Labels are names or tag values; `tags` has the tag of each.
 
-    Parameters
-    ----------
-    path
-        Extract that osmium reads, of Karlsruhe or more; only what lies around the cells is kept.
-    crop
-        How far cells and texts reach.
+    `path`: extract that osmium reads, of Karlsruhe or more; only what lies around the cells is
+    kept; `crop`: how far cells and texts reach.
 
-    Raises
-    ------
-    OptionError
-        A distance is not above 0.
-    InputError
-        The extract cannot be read, holds nothing around the cells, or no pose has enough in sight.
-
+    Raises `OptionError`: A distance is not above 0; `InputError`: the extract cannot be read, holds
+    nothing around the cells, or no pose has enough in sight.
     """
     crop = crop or Crop()
     if not (crop.reach > 0.0 and crop.sight > 0.0):

@@ -96,15 +96,8 @@ def evaluate_folder(
     text, and ``heading_deg`` and
     ``near`` where they are given, reach the map. `matcher` is that of `CityMap.locate`.
 
-    Raises
-    ------
-    OptionError
-        There is no such matcher.
-    InputError
-        A file is missing, there are several maps, or a line is wrong.
-    MapError
-        The map is no sound city map.
-
+    Raises `OptionError`: there is no such matcher; `InputError`: A file is missing, there are
+    several maps, or a line is wrong; `MapError`: the map is no sound city map.
     """
     folder, steps = Path(folder), progress or (lambda _step, _n: None)
     told = read_descriptions(folder / TEXTS)

@@ -65,14 +65,8 @@ class BigGNN:
     def open(cls, path: Path) -> BigGNN:
         """Read a released checkpoint: a state dict, of which nothing is run.
 
-        Raises
-        ------
-        MissingExtraError
-            PyTorch is not installed.
-        InputError
-            The file is missing or no state dict; a key is missing, unknown or of another shape, or
-            a weight is not a number.
-
+        Raises `MissingExtraError`: pyTorch is not installed; `InputError`: the file is missing or
+        no state dict; a key is missing, unknown or of another shape, or a weight is not a number.
         """
         state = read_state(torch_for("gotpr", "learn"), path, "GOTPR")
         return cls.of({key: np.asarray(t.float().numpy()) for key, t in state.items()}, str(path))
@@ -180,12 +174,8 @@ def recalls(
     Cells are those of the texts' drives; they are ranked by the cosine of the joint embeddings,
     the `candidates` nearest by `BigGNN.first`, or all where None.
 
-    Raises
-    ------
-    InputError
-        The graphs have vectors of another length than the network, or no cell is of a drive of
-        the texts.
-
+    Raises `InputError`: the graphs have vectors of another length than the network, or no cell is
+    of a drive of the texts.
     """
     for graphs in (texts, cells):
         if graphs.vectors.shape[1] != network.width:

@@ -98,12 +98,8 @@ def make_walks(
     Every other walk is bent. The same seed gives the same walks in the settings that say the same
     things.
 
-    Raises
-    ------
-    OptionError
-        Where the extract has too few places with that much to say.
-    InputError
-        Where the extract cannot be read.
+    Raises `OptionError`: where the extract has too few places with that much to say; `InputError`:
+    where the extract cannot be read.
     """
     if not 1 <= fewest <= most:
         raise OptionError(f"A walk of {fewest} to {most} places is none; give 1 or more.")

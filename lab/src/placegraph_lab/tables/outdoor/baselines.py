@@ -58,17 +58,10 @@ class Bag:
     ) -> Bag:
         """Fill the bags of all 50 m cells of a city.
 
-        Parameters
-        ----------
-        reach
-            Objects this near to a cell's centre belong to it [m]. The published generator has
-            50 m; 30 m fits the texts best.
-        longest
-            Objects up to this far apart make a triple [m].
-        names
-            A thing's label is its name where it has one.
-        centers
-            Centres (C, 2) of other cells, east and north [m] in the plane of the raw city.
+        `reach`: objects this near to a cell's centre belong to it [m]. The published generator has
+        50 m; 30 m fits the texts best; `longest`: objects up to this far apart make a triple [m];
+        `names`: A thing's label is its name where it has one; `centers`: centres (C, 2) of other
+        cells, east and north [m] in the plane of the raw city.
         """
         city = bins.city
         centers = bins.centers(CELL) if centers is None else centers

@@ -51,14 +51,9 @@ class Contest:
     ) -> Contest:
         """Look at all viewpoints of a grid over the city.
 
-        Parameters
-        ----------
-        queries
-            All about pairs of objects, or all about the speaker.
-        position, names, same_label
-            As the queries were made (`make_queries`).
-        step
-            Edge of the grid [m]: 50 / step is a whole number.
+        `queries`: all about pairs of objects, or all about the speaker; `position`, `names`,
+        `same_label`: as the queries were made (`make_queries`); `step`: edge of the grid [m]: 50 /
+        step is a whole number.
         """
         city = bins.city
         label = city.named if names else city.label

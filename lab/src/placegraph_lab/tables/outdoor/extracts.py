@@ -39,10 +39,7 @@ EXTRACTS = TRAINED | UNSEEN
 def names_of(cities: str) -> list[str]:
     """Names of cities, given with commas; all where there are none.
 
-    Raises
-    ------
-    OptionError
-        Where there is no such city.
+    Raises `OptionError`: where there is no such city.
     """
     names = [c.strip() for c in cities.split(",") if c.strip()] or list(EXTRACTS)
     for name in names:
@@ -150,16 +147,10 @@ def take(objects: CityObjects, rows: Rows) -> CityObjects:
 def crop(city: CityMap, cells: int, around: ArrayLike | None = None) -> CityMap:
     """The `cells` cells that are nearest to a place, and what is seen in them.
 
-    Parameters
-    ----------
-    around
-        East and north (2,) [m]; the median of all objects if None. Smaller parts lie within larger
-        ones around the same place.
+    `around`: east and north (2,) [m]; the median of all objects if None. Smaller parts lie within
+    larger ones around the same place.
 
-    Raises
-    ------
-    OptionError
-        Where the city has fewer cells, or none are wanted.
+    Raises `OptionError`: where the city has fewer cells, or none are wanted.
     """
     if not 1 <= cells <= len(city.cells):
         raise OptionError(f"{cells:,} cells of a city that has {len(city.cells):,}.")
@@ -186,10 +177,7 @@ def tile(city: CityMap, copies: int, rng: Generator) -> CityMap:
     They are exchanged among points, among lines and among areas, both together, so that no copy
     repeats another: the distractors grow with the map, the truth does not.
 
-    Raises
-    ------
-    OptionError
-        Where there is no copy to make.
+    Raises `OptionError`: where there is no copy to make.
     """
     if copies < 1:
         raise OptionError(f"{copies} copies; make at least one.")

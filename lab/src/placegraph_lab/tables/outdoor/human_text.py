@@ -44,10 +44,7 @@ class Record:
 def read_records(path: str | Path) -> list[Record]:
     """Read the records of a JSON-lines file; it lists points as latitude, longitude.
 
-    Raises
-    ------
-    InputError
-        Where the file is missing, or a line is not a record.
+    Raises `InputError`: where the file is missing, or a line is not a record.
     """
     try:
         lines = Path(path).read_text(encoding="utf-8").splitlines()

@@ -122,10 +122,7 @@ class Score:
 def score(answers: Sequence[Answer]) -> Score:
     """Summarize answers; one without any place misses at every rank.
 
-    Raises
-    ------
-    OptionError
-        Where there are no answers.
+    Raises `OptionError`: where there are no answers.
     """
     if not answers:
         raise OptionError("There are no answers to score.")

@@ -255,26 +255,15 @@ def make_queries(
     The same seed gives the same viewpoints in every setting in which they have enough to say, and
     without ``names`` and ``speaker`` the same true statements under the noise.
 
-    Parameters
-    ----------
-    position
-        ``nearest``: an object stands at its point nearest to the viewpoint. ``centroid``: at its
-        centre, and only objects whose centre is within 25 m are spoken of.
-    same_label
-        Also say "The building is on the north of the building."
-    anywhere
-        Draw viewpoints from the whole of a cell instead of within 10 m of its centre: a grid of
-        cells is then no longer told where to look.
-    where
-        Longitude and latitude (n, 2) [deg] to whether viewpoints may stand there (n,): parts of a
-        city that nothing was trained on, say. Other viewpoints are passed over.
+    `position`: ``nearest``: an object stands at its point nearest to the viewpoint. ``centroid``:
+    at its centre, and only objects whose centre is within 25 m are spoken of; `same_label`: also
+    say "The building is on the north of the building."; `anywhere`: draw viewpoints from the whole
+    of a cell instead of within 10 m of its centre: a grid of cells is then no longer told where to
+    look; `where`: longitude and latitude (n, 2) [deg] to whether viewpoints may stand there (n,):
+    parts of a city that nothing was trained on, say. Other viewpoints are passed over.
 
-    Raises
-    ------
-    OptionError
-        Where a setting is unknown, or the extract has too few places with that much to say.
-    InputError
-        Where the extract cannot be read.
+    Raises `OptionError`: where a setting is unknown, or the extract has too few places with that
+    much to say; `InputError`: where the extract cannot be read.
     """
     if setting not in SETTINGS:
         raise OptionError(f"There is no setting {setting!r}; choose one of {', '.join(SETTINGS)}.")

@@ -219,10 +219,7 @@ def read_raw(path: str | Path, bounds: Bounds | None = None) -> RawCity:
     Closed ways become areas by `is_area`, multipolygon relations by osmium's assembler; nodes
     that a clipped extract lacks are left out of their lines.
 
-    Raises
-    ------
-    InputError
-        Where osmium cannot read the file, or it holds no tagged object.
+    Raises `InputError`: where osmium cannot read the file, or it holds no tagged object.
     """
     import osmium
 

@@ -69,24 +69,14 @@ def split_rooms(
 ) -> dict[Split, tuple[Room, ...]]:
     """Rooms for training, validation and testing, in the order of their references' ids.
 
-    Parameters
-    ----------
-    rooms
-        What `read_rooms` read of `3RScan.json`.
-    lists
-        Folder with lists called as in `LISTS`, or a list for each split. A list holds ids, of
-        references or of any of their scans. What no list names is in no split; splits without a list
-        are made by the module's rule of the rooms that remain.
-    validation_rooms
-        By that rule, rooms for validation; the others of 3RScan's validation are for testing.
+    `rooms`: what `read_rooms` read of `3RScan.json`; `lists`: folder with lists called as in
+    `LISTS`, or a list for each split. A list holds ids, of references or of any of their scans.
+    What no list names is in no split; splits without a list are made by the module's rule of the
+    rooms that remain; `validation_rooms`: by that rule, rooms for validation; the others of
+    3RScan's validation are for testing.
 
-    Raises
-    ------
-    InputError
-        A list is missing, empty, or names a scan that `rooms` does not know, or a room of another.
-    OptionError
-        `validation_rooms` is negative, or a split has another name.
-
+    Raises `InputError`: A list is missing, empty, or names a scan that `rooms` does not know, or a
+    room of another; `OptionError`: `validation_rooms` is negative, or a split has another name.
     """
     if validation_rooms < 0:
         raise OptionError(f"validation_rooms is {validation_rooms}; it is 0 or more.")
@@ -160,23 +150,12 @@ def cross_temporal_pairs(
 ) -> list[ScanPair]:
     """Pairs of different scans of the same room.
 
-    Parameters
-    ----------
-    rooms
-        Rooms of a split.
-    which
-        "all": each scan is asked about in the map of each other one. "one": in one other, drawn, as
-        SceneGraphLoc does. "reference": each rescan in the map of its room's reference.
-    rng
-        Draws for "one".
-    left_out
-        Is told of rooms with a single scan, and scans whose alignment 3RScan keeps back.
+    `rooms`: rooms of a split; `which`: "all": each scan is asked about in the map of each other
+    one. "one": in one other, drawn, as SceneGraphLoc does. "reference": each rescan in the map of
+    its room's reference; `rng`: draws for "one"; `left_out`: is told of rooms with a single scan,
+    and scans whose alignment 3RScan keeps back.
 
-    Raises
-    ------
-    OptionError
-        `which` is none of its values, or "one" without `rng`.
-
+    Raises `OptionError`: `which` is none of its values, or "one" without `rng`.
     """
     if which not in {"all", "one", "reference"} or (which == "one" and rng is None):
         raise OptionError(f"which is {which!r}; it is 'all', 'reference', or 'one' with an rng.")

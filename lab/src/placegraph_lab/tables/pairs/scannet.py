@@ -118,19 +118,11 @@ def derive_pairs(
 ) -> list[ScanPair]:
     """Pairs of different scans of the same room, in order of their names.
 
-    Parameters
-    ----------
-    scans
-        Names such as `scene0011_00`; the room is what stands before the underscore.
-    which
-        "first": a room's first scan is the map of all its others. "next": each scan is the map of the
-        next. "all": each scan is the map of each other one.
+    `scans`: names such as `scene0011_00`; the room is what stands before the underscore; `which`:
+    "first": a room's first scan is the map of all its others. "next": each scan is the map of the
+    next. "all": each scan is the map of each other one.
 
-    Raises
-    ------
-    OptionError
-        A name is none of ScanNet's, or `which` none of its values.
-
+    Raises `OptionError`: A name is none of ScanNet's, or `which` none of its values.
     """
     if which not in {"first", "next", "all"}:
         raise OptionError(f"which is {which!r}; it is 'first', 'next' or 'all'.")

@@ -54,17 +54,8 @@ class Row:
 class Study:
     """Places, walks, and what was asked about them.
 
-    Parameters
-    ----------
-    places, walks
-        Scenes, and what is asked about them.
-    cache
-        Folder for vectors.
-    journal
-        Where answers are written down.
-    tell
-        Is told what is being done.
-
+    `places`, `walks`: scenes, and what is asked about them; `cache`: folder for vectors; `journal`:
+    where answers are written down; `tell`: is told what is being done.
     """
 
     def __init__(

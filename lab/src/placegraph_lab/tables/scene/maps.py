@@ -129,19 +129,9 @@ class Made:
 class Maps:
     """Maps by place and size, made when first asked for; of those opened the last is kept.
 
-    Parameters
-    ----------
-    data
-        Folder with `house` and `office`.
-    weights
-        Network of the segmenter that `LABELLED` asks for.
-    cache
-        Folder for maps.
-    journal
-        Where measurements are written down.
-    tell
-        Is told what is being done.
-
+    `data`: folder with `house` and `office`; `weights`: network of the segmenter that `LABELLED`
+    asks for; `cache`: folder for maps; `journal`: where measurements are written down; `tell`: is
+    told what is being done.
     """
 
     def __init__(
@@ -264,11 +254,7 @@ def run(arguments: Sequence[str]) -> Run:
 
     A small process starts it: Linux counts what a parent held as the peak of its child, too.
 
-    Raises
-    ------
-    PlacegraphError
-        The command fails.
-
+    Raises `PlacegraphError`: the command fails.
     """
     done = subprocess.run(  # noqa: S603  # our own command line
         [sys.executable, "-c", _LAUNCHER, sys.executable, "-m", "placegraph.cli", *arguments],
@@ -365,17 +351,9 @@ def refinings() -> list[Refining]:
 class Asking:
     """Asks about windows on maps of any size, what was answered before not again.
 
-    Parameters
-    ----------
-    maps
-        The maps; their journal holds the answers, too.
-    every, office_every
-        Frames from the start of a window to the next, in the house and in the office.
-    seed
-        Of the filter, the label noise and disturbed starts.
-    device
-        For the filter.
-
+    `maps`: the maps; their journal holds the answers, too; `every`, `office_every`: frames from the
+    start of a window to the next, in the house and in the office; `seed`: of the filter, the label
+    noise and disturbed starts; `device`: for the filter.
     """
 
     def __init__(

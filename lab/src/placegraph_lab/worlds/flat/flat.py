@@ -111,10 +111,8 @@ class Flat(Drawing):
     def parse(cls, text: str, *, source: str = "<text>") -> Self:
         """Read a flat from text.
 
-        Raises
-        ------
-        InputError
-            The text is no flat; the message names line and column and says how to mend it.
+        Raises `InputError`: the text is no flat; the message names line and column and says how to
+        mend it.
         """
         parts = sections(text, source, "flat")
         rows, first_line = page(parts["drawing"], source, "flat")
@@ -139,20 +137,14 @@ class Flat(Drawing):
     def load(cls, name: str) -> Self:
         """Read a flat that ships with the package, such as ``altbau``.
 
-        Raises
-        ------
-        OptionError
-            No flat of this name ships with the package.
+        Raises `OptionError`: no flat of this name ships with the package.
         """
         return cls.parse(load("flats", name, "flat"), source=f"{name}.txt")
 
     def furnish(self, rng: np.random.Generator) -> Interior:
         """Walls, floors, ceilings and furniture with their meshes and painted textures.
 
-        Raises
-        ------
-        InputError
-            An opening leads through no wall, or what hangs has no wall behind it.
+        Raises `InputError`: an opening leads through no wall, or what hangs has no wall behind it.
         """
         from placegraph_lab.worlds.flat.interior import furnish
 
@@ -200,10 +192,7 @@ class Flat(Drawing):
     def rooms(self) -> tuple[Room, ...]:
         """Rooms in reading order.
 
-        Raises
-        ------
-        InputError
-            A room has two labels.
+        Raises `InputError`: A room has two labels.
         """
         labels = [cell for cell, glyph in self.drawn.items() if self.legend[glyph].kind == ROOM]
         found = []

@@ -90,10 +90,7 @@ class Interior:
     def thing(self, name: str) -> Thing:
         """Return the thing of this name.
 
-        Raises
-        ------
-        OptionError
-            There is none.
+        Raises `OptionError`: there is none.
         """
         found = next((thing for thing in self.things if thing.name == name), None)
         if found is None:
@@ -104,10 +101,7 @@ class Interior:
     def without(self, name: str) -> Interior:
         """Flat from which a thing was taken away; the others keep their ids.
 
-        Raises
-        ------
-        OptionError
-            There is no such thing.
+        Raises `OptionError`: there is no such thing.
         """
         gone = self.thing(name)
         return replace(self, things=tuple(thing for thing in self.things if thing is not gone))
@@ -117,10 +111,7 @@ class Interior:
 
         What stands on it stays where it was.
 
-        Raises
-        ------
-        OptionError
-            There is no such thing.
+        Raises `OptionError`: there is no such thing.
         """
         old = self.thing(name)
         new = old.moved(shift, yaw)
@@ -142,10 +133,7 @@ class Interior:
 def furnish(flat: Flat, rng: np.random.Generator) -> Interior:
     """Build, number and paint all things of a flat.
 
-    Raises
-    ------
-    InputError
-        An opening leads through no wall, or what hangs has no wall behind it.
+    Raises `InputError`: an opening leads through no wall, or what hangs has no wall behind it.
     """
     pieces = shell(flat) + [_furniture(flat, blot) for blot in flat.things]
     labels = [piece.label for piece in pieces]

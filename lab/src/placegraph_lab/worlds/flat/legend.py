@@ -65,10 +65,8 @@ class Symbol:
 def symbol(line: str, where: str) -> tuple[str, Symbol]:
     """Read one line of the legend: glyph and meaning.
 
-    Raises
-    ------
-    InputError
-        The kind, a key or a value is unknown; the message names the column and the mend.
+    Raises `InputError`: the kind, a key or a value is unknown; the message names the column and the
+    mend.
     """
     read = legend_line(line, where)
     if read.kind not in _KEYS:
@@ -122,10 +120,7 @@ def _defaults(kind: str) -> dict[str, str]:
 def look(text: str, place: str) -> Look:
     """Read a look such as ``wood saddlebrown`` or ``plaster #e9e3d5``.
 
-    Raises
-    ------
-    InputError
-        The kind or the colour is unknown.
+    Raises `InputError`: the kind or the colour is unknown.
     """
     kind, _, colour = text.partition(" ")
     if kind not in PAINTERS:
@@ -159,10 +154,7 @@ COMMON: dict[str, Symbol] = dict(
 def settings(lines: list[tuple[int, str]], source: str) -> tuple[str, tuple[float, float], float]:
     """Read the lines of [flat]: name, width and height of a character, height of the rooms [m].
 
-    Raises
-    ------
-    InputError
-        A line is no setting, or its value is out of range.
+    Raises `InputError`: A line is no setting, or its value is out of range.
     """
     found = dict(_setting(line, f"{source}, line {n}") for n, line in lines)
     metres = _size(found.get("metres", METRES), source)

@@ -76,15 +76,8 @@ def mesh_of(interior: Interior) -> Mesh:
 class Stage:
     """A flat that is lit and ready for pictures.
 
-    Parameters
-    ----------
-    interior
-        The flat.
-    rng
-        Varies the strength of every lamp.
-    daylight
-        From 0, a dark evening with lamps on, to 1, a bright day with lamps off.
-
+    `interior`: the flat; `rng`: varies the strength of every lamp; `daylight`: from 0, a dark
+    evening with lamps on, to 1, a bright day with lamps off.
     """
 
     def __init__(

@@ -194,28 +194,13 @@ def stroll(
 ) -> Walk:
     """Walk through a flat with a camera in the hand.
 
-    Parameters
-    ----------
-    flat
-        The flat.
-    rng
-        Draws the way where `through` does not say it, and how the camera wavers.
-    frames
-        Number of images.
-    through
-        Glyphs of rooms or spots to pass, in order, such as ``"312"``; empty: any way.
-    height
-        Of the camera above the floor [m].
-    speed, rate
-        Most metres a second, and images a second.
-    tilt
-        Deviation of pitch and roll [rad].
+    `flat`: the flat; `rng`: draws the way where `through` does not say it, and how the camera
+    wavers; `frames`: number of images; `through`: glyphs of rooms or spots to pass, in order, such
+    as ``"312"``; empty: any way; `height`: of the camera above the floor [m]; `speed`, `rate`: most
+    metres a second, and images a second; `tilt`: deviation of pitch and roll [rad].
 
-    Raises
-    ------
-    OptionError
-        A number is out of its range, `through` names no place, or no way leads there.
-
+    Raises `OptionError`: A number is out of its range, `through` names no place, or no way leads
+    there.
     """
     if not (frames >= 1 and 0.3 <= height < flat.height and speed > 0 and rate > 0 and tilt >= 0):
         raise OptionError(
@@ -305,25 +290,11 @@ def write_walk(
 ) -> Path:
     """Render a walk into a capture folder; depth and labels have half the camera's size.
 
-    Parameters
-    ----------
-    interior
-        The flat as it is now: `Interior.without` and `Interior.moved` change it.
-    walk
-        Poses of the camera.
-    folder
-        Where to write; made if it is missing, and an older walk's images there go.
-    rng
-        Draws the light, the noise and the drift.
-    camera
-        Of the colour images.
-    daylight
-        From 0, evening with lamps on, to 1, day with lamps off.
-    labels
-        Write the ids of objects, the numbers of their labels with `labels.json`, or neither.
-    depth
-        Write depth.
-
+    `interior`: the flat as it is now: `Interior.without` and `Interior.moved` change it; `walk`:
+    poses of the camera; `folder`: where to write; made if it is missing, and an older walk's images
+    there go; `rng`: draws the light, the noise and the drift; `camera`: of the colour images;
+    `daylight`: from 0, evening with lamps on, to 1, day with lamps off; `labels`: write the ids of
+    objects, the numbers of their labels with `labels.json`, or neither; `depth`: write depth.
     """
     from placegraph_lab.worlds.flat.render import Stage
 

@@ -54,10 +54,7 @@ class Hole:
 def shell(flat: Flat) -> list[Piece]:
     """Floors and ceilings, walls, windows and doors of a flat.
 
-    Raises
-    ------
-    InputError
-        An opening does not lead straight through one wall.
+    Raises `InputError`: an opening does not lead straight through one wall.
     """
     holes = [_hole(flat, blot) for blot in flat.openings]
     levels = sorted({0.0, flat.height, *(z for hole in holes for z in hole.heights)})

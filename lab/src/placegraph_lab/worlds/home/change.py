@@ -51,22 +51,10 @@ def changed(
 ) -> Interior:
     """Home as it is after months; what is still there keeps its id.
 
-    Parameters
-    ----------
-    interior
-        The home as it was.
-    rng
-        Draws what happens.
-    moved, removed
-        Probability of a piece of furniture to be moved, or taken away.
-    added
-        Most things that are brought in.
+    `interior`: the home as it was; `rng`: draws what happens; `moved`, `removed`: probability of a
+    piece of furniture to be moved, or taken away; `added`: most things that are brought in.
 
-    Raises
-    ------
-    OptionError
-        A probability is none, or `added` is less than 0.
-
+    Raises `OptionError`: A probability is none, or `added` is less than 0.
     """
     if not (0 <= moved <= 1 and 0 <= removed <= 1 and added >= 0):
         raise OptionError(

@@ -39,18 +39,10 @@ QUALITY = 85  # of the textures' JPEG images
 def home(rng: np.random.Generator, *, style: str | None = None) -> Flat:
     """Draw a home; the same state of the generator draws the same home.
 
-    Parameters
-    ----------
-    rng
-        Draws everything.
-    style
-        One of `STYLES`, whose homes share walls, floors, wood and fabrics; any if not given.
+    `rng`: draws everything; `style`: one of `STYLES`, whose homes share walls, floors, wood and
+    fabrics; any if not given.
 
-    Raises
-    ------
-    OptionError
-        There is no such style.
-
+    Raises `OptionError`: there is no such style.
     """
     name = str(rng.choice(list(STYLES))) if style is None else style
     if name not in STYLES:

@@ -228,15 +228,7 @@ _COLOURS = ("#7d3b33", "#35618e", "#3f6b5c", "#6a5a7d", "#c99e68", "#2b2d33", "#
 class Furnisher:
     """Draws things on a plan's page and writes their legend.
 
-    Parameters
-    ----------
-    plan
-        Rooms; its page is drawn on.
-    style
-        Looks.
-    rng
-        Draws everything.
-
+    `plan`: rooms; its page is drawn on; `style`: looks; `rng`: draws everything.
     """
 
     def __init__(self, plan: Plan, style: Style, rng: np.random.Generator) -> None:

@@ -39,31 +39,14 @@ def record(
     Images are rendered when a frame is first asked for them; the answer does not depend on which
     were asked for before. Depth and labels have half the camera's size.
 
-    Parameters
-    ----------
-    interior
-        The home as it is now.
-    walk
-        Poses of the camera, of which the capture holds drifting odometry alone.
-    rng
-        Draws light, noise and drift.
-    camera
-        Of the colour images.
-    daylight
-        From 0, evening with lamps on, to 1, day with lamps off.
-    depth
-        Whether frames have depth.
-    labels
-        Label images hold labels, ids of things, or are none.
-    words
-        What the labels are called in the capture, where it is not as in the interior: people who
-        label maps have other words than networks that label images.
+    `interior`: the home as it is now; `walk`: poses of the camera, of which the capture holds
+    drifting odometry alone; `rng`: draws light, noise and drift; `camera`: of the colour images;
+    `daylight`: from 0, evening with lamps on, to 1, day with lamps off; `depth`: whether frames
+    have depth; `labels`: label images hold labels, ids of things, or are none; `words`: what the
+    labels are called in the capture, where it is not as in the interior: people who label maps have
+    other words than networks that label images.
 
-    Raises
-    ------
-    OptionError
-        `labels` is none of its values.
-
+    Raises `OptionError`: `labels` is none of its values.
     """
     if labels not in {"labels", "instances", None}:
         raise OptionError(f"labels is {labels!r}; it is 'labels', 'instances' or None.")
@@ -184,24 +167,11 @@ def visit(
 ) -> Walk:
     """Walk through a flat around the furniture as it stands now, looking at one thing and another.
 
-    Parameters
-    ----------
-    flat
-        The flat as it was drawn.
-    interior
-        As it is now.
-    rng
-        Draws way and looks.
-    frames, rate
-        Number of images, and images a second.
-    tilt
-        Deviation of pitch and roll [rad].
+    `flat`: the flat as it was drawn; `interior`: as it is now; `rng`: draws way and looks;
+    `frames`, `rate`: number of images, and images a second; `tilt`: deviation of pitch and roll
+    [rad].
 
-    Raises
-    ------
-    OptionError
-        A number is out of its range, or nobody can stand anywhere.
-
+    Raises `OptionError`: A number is out of its range, or nobody can stand anywhere.
     """
     boxes = [t.bounds for t in interior.things if t.label not in SHELL and _in_the_way(t.bounds)]
     now = _Refurnished(**{f.name: getattr(flat, f.name) for f in fields(flat)}, boxes=tuple(boxes))

@@ -32,11 +32,7 @@ FAR = 12  # characters within which a door looks for a road
 def door(town: Town, ground: Mapping[Cell, str], cell: Cell) -> tuple[float, float]:
     """Row and column of an entrance drawn in the outermost characters of a building.
 
-    Raises
-    ------
-    InputError
-        It is drawn outside of buildings, or far within one.
-
+    Raises `InputError`: it is drawn outside of buildings, or far within one.
     """
     own = ground.get(cell, "")
     walls = [side for side in ORTHOGONAL if ground.get(step(cell, side)) != own]

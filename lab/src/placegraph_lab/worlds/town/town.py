@@ -135,10 +135,8 @@ class Town(Drawing):
     def parse(cls, text: str, *, source: str = "<text>") -> Self:
         """Read a town from text.
 
-        Raises
-        ------
-        InputError
-            The text is no town; the message names line and column and says how to mend it.
+        Raises `InputError`: the text is no town; the message names line and column and says how to
+        mend it.
         """
         parts = sections(text, source, "town")
         rows, first_line = page(parts["drawing"], source, "town")
@@ -160,10 +158,7 @@ class Town(Drawing):
     def load(cls, name: str) -> Self:
         """Read a town that ships with the package, such as ``hafenstadt``.
 
-        Raises
-        ------
-        OptionError
-            No town of this name ships with the package.
+        Raises `OptionError`: no town of this name ships with the package.
         """
         return cls.parse(load("towns", name, "town"), source=f"{name}.txt")
 
@@ -207,10 +202,7 @@ class Town(Drawing):
     def write_osm(self, path: str | Path) -> Path:
         """Write an OpenStreetMap XML file; the same town gives the same bytes.
 
-        Raises
-        ------
-        InputError
-            A road or line cannot be followed; the message names line and column.
+        Raises `InputError`: A road or line cannot be followed; the message names line and column.
         """
         from placegraph_lab.worlds.town.osm import write
 
