@@ -274,26 +274,21 @@ def read_diff(path: str | PathLike[str]) -> SceneDiff:
     Raises `InputError` where the file is missing, no JSON, or no such diff.
     """
     path = Path(path)
-    told = read_json(path)
+    told: Any = read_json(path)
     try:
-        return _diff(told)
+        if told["version"] != VERSION:
+            raise ValueError(f"version {told['version']}, and {VERSION} is known")  # noqa: TRY301
+        return SceneDiff(
+            changes=tuple(Change.from_dict(change) for change in told["changes"]),
+            same=tuple(map(str, told["same"])),
+            unseen=tuple(map(str, told["unseen"])),
+            b_from_a=np.array(told["b_from_a"], np.float64).reshape(4, 4),
+            alignment=str(told["alignment"]),
+            before=str(told["before"]),
+            after=str(told["after"]),
+        )
     except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
         raise InputError(
             f"{path} is not what `placegraph scene diff --json` prints "
             f"({type(error).__name__}: {error}); make it again."
         ) from error
-
-
-def _diff(told: Any) -> SceneDiff:  # noqa: ANN401  # whatever the file holds
-    """Undo `SceneDiff.to_dict`; raises OptionError, KeyError, TypeError or ValueError."""
-    if told["version"] != VERSION:
-        raise ValueError(f"version {told['version']}, and {VERSION} is known")
-    return SceneDiff(
-        changes=tuple(Change.from_dict(change) for change in told["changes"]),
-        same=tuple(map(str, told["same"])),
-        unseen=tuple(map(str, told["unseen"])),
-        b_from_a=np.array(told["b_from_a"], np.float64).reshape(4, 4),
-        alignment=str(told["alignment"]),
-        before=str(told["before"]),
-        after=str(told["after"]),
-    )

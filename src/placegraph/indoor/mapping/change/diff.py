@@ -66,8 +66,6 @@ class Body:
     @cached_property
     def caster(self) -> RayCaster:
         """Casts rays at its triangles."""
-        from placegraph.indoor.rays import RayCaster
-
         return RayCaster(self.corners, np.arange(len(self.corners)).reshape(-1, 3))
 
     @cached_property
@@ -95,18 +93,9 @@ def bodies(scene: Scene, motion: Floats, options: DiffOptions, rng: Generator) -
         surface = sample(mesh, triangles, count, rng, _DENSITY).moved(motion)
         flat = mesh.vertices[mesh.triangles[triangles]].reshape(-1, 3).astype(np.float64)
         corners = moved(motion, flat)
-        found.append(
-            Body(
-                row=row,
-                id=graph.ids[row],
-                name=graph.names[row],
-                label=graph.labels[row],
-                built_in=bool(built_in[row]),
-                surface=surface,
-                box=np.stack([corners.min(axis=0), corners.max(axis=0)]),
-                corners=corners,
-            )
-        )
+        box = np.stack([corners.min(axis=0), corners.max(axis=0)])
+        words = graph.ids[row], graph.names[row], graph.labels[row], bool(built_in[row])
+        found.append(Body(row, *words, surface, box, corners))
     return found
 
 
@@ -200,10 +189,10 @@ def _lie_on(ours: Sampled, theirs: Body, motion: Floats, within: float) -> float
     return float(((one >= 0) | (other >= 0)).mean()) if len(ours) else 0.0
 
 
-def by_id(
+def match_ids(
     ours: Sequence[Body], theirs: Sequence[Body], on_theirs: Floats, on_ours: Floats
 ) -> dict[int, int]:
-    """Rows of the other map's objects by ours that have their ids; empty where ids say nothing.
+    """Match objects by their ids: rows of theirs by rows of ours; empty where ids say nothing.
 
     They do where most are shared, with labels that agree. Numbers agree by chance: what has a
     label is to be of one size as well, and what has none is to lie where its counterpart does.
@@ -257,7 +246,7 @@ UNSURE = 0.3
 
 
 def diff(a: Scene, b: Scene, *, options: DiffOptions | None = None) -> SceneDiff:
-    """What moved, appeared, vanished or got another label from map `a` to map `b` of one place.
+    """Find what moved, appeared, vanished or got another label from map `a` to map `b` of one place.
 
     Parameters
     ----------
@@ -279,33 +268,43 @@ def diff(a: Scene, b: Scene, *, options: DiffOptions | None = None) -> SceneDiff
     theirs = bodies(b, inverse(alignment.b_from_a), options, rng)
     on_b = Cover(ours, b, alignment.b_from_a, options)
     on_a = Cover(theirs, a, np.eye(4), options)
-    pairs = _stayed(ours, theirs, on_b, on_a)
-    known = by_id(ours, theirs, on_b.share_on, on_a.share_on)
-    pairs = _allowed(pairs, known)
+    known = match_ids(ours, theirs, on_b.share_on, on_a.share_on)
+    pairs = _match_stayed(ours, theirs, on_b, on_a, known)
     changes: list[Change] = []
-    for i, j in list(pairs.items()):
-        changes += _stirred(ours[i], theirs[j], on_b.share_on[i, j], options)
+    for i, j in pairs.items():
+        changes += _compare_pair(ours[i], theirs[j], on_b.share_on[i, j], options)
     taken = set(pairs.values())
-    lost = _without(ours, on_b.share_on, theirs, set(pairs), taken)
-    new = _without(theirs, on_a.share_on, ours, taken, set(pairs))
-    found = _moves(ours, theirs, lost, new, known, options)
+    lost = _find_unmatched(ours, on_b.share_on, theirs, set(pairs), taken)
+    new = _find_unmatched(theirs, on_a.share_on, ours, taken, set(pairs))
+    found = _match_moved(ours, theirs, lost, new, known, options)
     changes += [_moved(ours[i], theirs[j], motion) for (i, j), motion in found.items()]
     kept = {i: j for i, j in known.items() if i not in pairs and still_there(ours[i], theirs[j])}
     gone = [i for i in lost if i not in kept and i not in {i for i, _ in found}]
-    around = {i: on_b.around(i, lost) for i in gone}
-    # a wall does not go: the other map ends there, or cuts it otherwise
-    unseen = [i for i in gone if around[i] < COVERED or ours[i].built_in]
-    changes += [_vanished(ours[i], around[i]) for i in gone if i not in unseen]
+    unseen = []
+    for i in gone:
+        around = on_b.around(i, lost)
+        # a wall does not go: the other map ends there, or cuts it otherwise
+        if around < COVERED or ours[i].built_in:
+            unseen.append(ours[i].id)
+            continue
+        reason = f"The other map has {around:.0%} of what is around it, and nothing that fits it."
+        changes.append(
+            Change(
+                kind="vanished", id=ours[i].id, name=ours[i].name, label=ours[i].label,
+                box=ours[i].box, confidence=min(around, SUREST), reason=reason,
+            )
+        )  # fmt: skip
     met = {*kept.values(), *(j for _, j in found)}
-    come = [j for j in new if j not in met]
-    changes += [_appeared(b, theirs[j], on_a.around(j, new), alignment.b_from_a) for j in come]
+    for j in new:
+        if j not in met:
+            changes.append(_appeared(b, theirs[j], on_a.around(j, new), alignment.b_from_a))
     if alignment.doubtful:
         changes = [replace(c, confidence=min(c.confidence, UNSURE)) for c in changes]
-    told = {c.id for c in changes} | {ours[i].id for i in unseen}
+    told = {c.id for c in changes} | set(unseen)
     return SceneDiff(
         changes=tuple(sorted(changes, key=lambda c: -c.confidence)),
         same=tuple(body.id for body in ours if body.id not in told),
-        unseen=tuple(ours[i].id for i in unseen),
+        unseen=tuple(unseen),
         b_from_a=alignment.b_from_a,
         alignment=alignment.said,
         before=a.source,
@@ -313,10 +312,13 @@ def diff(a: Scene, b: Scene, *, options: DiffOptions | None = None) -> SceneDiff
     )
 
 
-def _stayed(
-    ours: Sequence[Body], theirs: Sequence[Body], on_b: Cover, on_a: Cover
+def _match_stayed(
+    ours: Sequence[Body], theirs: Sequence[Body], on_b: Cover, on_a: Cover, known: dict[int, int]
 ) -> dict[int, int]:
-    """Pairs of objects that lie on each other, one to one, the best first."""
+    """Pairs of objects that lie on each other, one to one, the best first.
+
+    Those that ids deny are dropped: a chair may stand where another one stood.
+    """
     rows, columns = np.nonzero((on_b.share_on >= STAYED) & (on_a.share_on.T >= STAYED))
     worth = on_b.share_on[rows, columns] + on_a.share_on[columns, rows]
     pairs_of = zip(rows.tolist(), columns.tolist(), strict=True)
@@ -326,61 +328,45 @@ def _stayed(
         i, j = int(rows[k]), int(columns[k])
         if i not in pairs and j not in pairs.values():
             pairs[i] = j
-    return pairs
+    back = {j: i for i, j in known.items()}
+    return {i: j for i, j in pairs.items() if known.get(i, j) == j and back.get(j, i) == i}
 
 
-def _without(
+def _find_unmatched(
     some: Sequence[Body],
     share_on: Floats,
     others: Sequence[Body],
     paired: set[int],
     taken: set[int],
 ) -> list[int]:
-    """Rows of bodies that have no pair, and are not there in the other map cut otherwise."""
-    return [
-        i
-        for i, body in enumerate(some)
-        if i not in paired and not _cut_otherwise(body, share_on[i], others, taken)
-    ]
-
-
-def _cut_otherwise(body: Body, shares: Floats, others: Sequence[Body], taken: set[int]) -> bool:
-    """Whether a body is there in the other map, as part of another object or in several parts.
+    """Rows of bodies that have no pair, and are not there in the other map cut otherwise.
 
     A wall that has its own counterpart does not explain the picture that hung on it. Of a wall
     itself a part will do: the other map may end there.
     """
-    parts = [
-        share
-        for k, share in enumerate(shares)
-        if share > 0 and (k not in taken or others[k].label == body.label)
-    ]
-    return sum(parts) >= (PART if body.built_in else EXPLAINED)
+    rows = []
+    for i, body in enumerate(some):
+        parts = [
+            share
+            for k, share in enumerate(share_on[i])
+            if share > 0 and (k not in taken or others[k].label == body.label)
+        ]
+        if i not in paired and sum(parts) < (PART if body.built_in else EXPLAINED):
+            rows.append(i)
+    return rows
 
 
-def _allowed(pairs: dict[int, int], known: dict[int, int]) -> dict[int, int]:
-    """Pairs without those that ids deny: a chair may stand where another one stood."""
-    back = {j: i for i, j in known.items()}
-    return {i: j for i, j in pairs.items() if known.get(i, j) == j and back.get(j, i) == i}
-
-
-def _stirred(ours: Body, theirs: Body, share: float, options: DiffOptions) -> list[Change]:
-    """What changed of an object that is about where it was: its label, or its place a little."""
+def _compare_pair(ours: Body, theirs: Body, share: float, options: DiffOptions) -> list[Change]:
+    """Changes of an object that is about where it was: its label, or its place a little."""
     changes = []
     if not (ours.built_in or same_label(ours.label, theirs.label)):
+        reason = f"{share:.0%} of it lies where the other map has a {theirs.label!r}."
         changes.append(
             Change(
-                kind="relabelled",
-                id=ours.id,
-                name=ours.name,
-                label=ours.label,
-                other=theirs.id,
-                new_label=theirs.label,
-                confidence=min(share, SUREST),
-                box=ours.box,
-                reason=f"{share:.0%} of it lies where the other map has a {theirs.label!r}.",
+                kind="relabelled", id=ours.id, name=ours.name, label=ours.label, other=theirs.id,
+                new_label=theirs.label, confidence=min(share, SUREST), box=ours.box, reason=reason,
             )
-        )
+        )  # fmt: skip
     if share < 0.9 and not ours.built_in:
         motion = motion_between(ours, theirs, options, near=True)
         if motion.fit > share + 0.1 and _counts(motion, ours, options):
@@ -388,7 +374,7 @@ def _stirred(ours: Body, theirs: Body, share: float, options: DiffOptions) -> li
     return changes
 
 
-def _moves(
+def _match_moved(
     ours: Sequence[Body],
     theirs: Sequence[Body],
     lost: Sequence[int],
@@ -402,13 +388,14 @@ def _moves(
         if ours[i].built_in:
             continue
         for j in new:
-            by_id = known.get(i) == j
-            if not by_id and (i in known or j in known.values() or not ours[i].may_be(theirs[j])):
+            same_id = known.get(i) == j
+            if not same_id and (i in known or j in known.values() or not ours[i].may_be(theirs[j])):
                 continue
             motion = motion_between(ours[i], theirs[j], options)
-            if motion.fit >= (0.5 * FITS if by_id else FITS) and _counts(motion, ours[i], options):
+            least = 0.5 * FITS if same_id else FITS
+            if motion.fit >= least and _counts(motion, ours[i], options):
                 way = float(np.linalg.norm(theirs[j].middle - ours[i].middle))
-                bids.append((motion.fit * (1.0 - 0.5 * way / (way + 5.0)) + by_id, i, j, motion))
+                bids.append((motion.fit * (1.0 - 0.5 * way / (way + 5.0)) + same_id, i, j, motion))
     won: dict[tuple[int, int], Motion] = {}
     for _, i, j, motion in sorted(bids, key=lambda bid: -bid[0]):
         if all(i != k and j != m for k, m in won):
@@ -430,14 +417,6 @@ def _moved(ours: Body, theirs: Body, motion: Motion) -> Change:
         confidence=min(motion.fit * motion.colour, SUREST),
         after_from_before=motion.after_from_before, centre=ours.middle, box=theirs.box,
         reason=f"After the motion {motion.fit:.0%} of it and of {theirs.id!r} lie on each other.",
-    )  # fmt: skip
-
-
-def _vanished(ours: Body, around: float) -> Change:
-    return Change(
-        kind="vanished", id=ours.id, name=ours.name, label=ours.label, box=ours.box,
-        confidence=min(around, SUREST),
-        reason=f"The other map has {around:.0%} of what is around it, and nothing that fits it.",
     )  # fmt: skip
 
 

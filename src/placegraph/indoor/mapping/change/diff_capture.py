@@ -20,10 +20,9 @@ from placegraph.indoor.map.floor import structure
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.mapping.change.align import inverse
 from placegraph.indoor.mapping.change.changes import Change, DiffOptions, SceneDiff
-from placegraph.indoor.mapping.change.moves import Clump, Placement, appeared, box_of, gather, moves
+from placegraph.indoor.mapping.change.moves import Placement, appeared, box_of, gather, moves
 from placegraph.indoor.mapping.change.observe import (
     Look,
-    Rest,
     Tally,
     around,
     look,
@@ -51,7 +50,7 @@ def diff_capture(
     name: str = "",
     progress: Callable[[str, int, int], None] | None = None,
 ) -> SceneDiff:
-    """What moved, vanished and appeared since the map was made, as far as a capture shows it.
+    """Find what moved, vanished and appeared since the map was made, as far as a capture shows it.
 
     Parameters
     ----------
@@ -78,7 +77,7 @@ def diff_capture(
 
     """
     options = options or DiffOptions()
-    frames, matrices = _posed(capture, poses, name)
+    frames, matrices = _select_frames(capture, poses, name)
     tell = progress or (lambda _step, _done, _total: None)
     looks: list[Look] = []
     for i, (frame, pose) in enumerate(zip(frames, matrices, strict=True)):
@@ -89,28 +88,35 @@ def diff_capture(
         raise OptionError("The capture has no depth, and colour is off: nothing can be compared.")
     _check_poses(looks, options, name)
     counts = tally(looks, len(scene), options)
-    changes, left = _stirred(scene, looks, counts, options, tell)
-    changes += appeared(left[0], left[1], left[2], frames, matrices)
-    same, unseen = _unchanged(scene, looks, counts, {c.id for c in changes}, options)
+    changes = _find_changes(scene, looks, counts, options, frames, matrices, tell)
+    told = {c.id for c in changes}
+    ids, built_in = scene.graph.ids, structure(scene.graph.labels)
+    same = [i for i in np.flatnonzero(counts.seen).tolist() if ids[i] not in told]
+    if np.any(built_in):
+        there = built_in & shown(looks, len(scene), options)
+        same = sorted({*same, *np.flatnonzero(there).tolist()})
+    known = {ids[i] for i in same} | told
     return SceneDiff(
-        changes=tuple(sorted(changes, key=lambda c: -c.confidence)), same=same, unseen=unseen,
+        changes=tuple(sorted(changes, key=lambda c: -c.confidence)),
+        same=tuple(ids[i] for i in same), unseen=tuple(id_ for id_ in ids if id_ not in known),
         b_from_a=np.eye(4), alignment=f"{len(frames)} frames with poses in the map",
         before=scene.source, after=name,
     )  # fmt: skip
 
 
-def _stirred(
+def _find_changes(
     scene: Scene,
     looks: Sequence[Look],
     counts: Tally,
     options: DiffOptions,
+    frames: Sequence[Frame],
+    poses: Sequence[Floats],
     tell: Callable[[str, int, int], None],
-) -> tuple[list[Change], tuple[Rest, list[Clump], list[tuple[Floats, Floats, Floats]]]]:
-    """What moved and vanished; and of what is left the clumps, and what of them that explains."""
-    share = counts.share
+) -> list[Change]:
+    """What moved and vanished, and what appeared of what these leave unexplained."""
+    share, graph = counts.share, scene.graph
     least = np.where(counts.by_colour, SUSPECT_BY_COLOUR, SUSPECT)
-    built_in = structure(scene.graph.labels)
-    suspects = np.flatnonzero(counts.seen & (share >= least) & ~built_in)
+    suspects = np.flatnonzero(counts.seen & (share >= least) & ~structure(graph.labels))
     left = rest_of(scene, looks, suspects, options)
     tell("gathering", 0, 1)
     clumps = gather(left)
@@ -118,32 +124,27 @@ def _stirred(
     found = moves(scene, left, clumps, suspects, counts)
     changes = [_moved(scene, counts, row, placed) for row, placed in found.items()]
     gone = [int(r) for r in suspects if r not in found and share[r] >= GONE]
-    changes += [_vanished(scene, counts, row) for row in gone]
+    for row in gone:
+        what = "show what is behind it" if counts.by_colour[row] else "go on behind it"
+        changes.append(
+            Change(
+                kind="vanished", id=graph.ids[row], name=graph.names[row], label=graph.labels[row],
+                confidence=counts.confidence(row), box=np.stack(box_of(scene, row, np.eye(4))),
+                reason=f"{share[row]:.0%} of {counts.describe(row)} {what}, and nothing near fits it.",
+            )
+        )  # fmt: skip
     # what lies in the box of a thing before it moved, and the motion back, is no news
     used = [(*box_of(scene, row, np.eye(4)), inverse(found[row].motion)) for row in found]
     if len(gone) + len(found) < len(suspects):  # what is not gone explains what it did before
         left = rest_of(scene, looks, np.array([*found, *gone], np.int64), options)
         clumps = gather(left)
-    return changes, (left, clumps, used)
+    return changes + appeared(left, clumps, used, frames, poses)
 
 
-def _unchanged(
-    scene: Scene, looks: Sequence[Look], counts: Tally, told: set[str], options: DiffOptions
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Ids of what was seen again where it was, and of what was not seen enough of."""
-    ids, built_in = scene.graph.ids, structure(scene.graph.labels)
-    same = [i for i in np.flatnonzero(counts.seen).tolist() if ids[i] not in told]
-    if np.any(built_in):
-        there = built_in & shown(looks, len(scene), options)
-        same = sorted({*same, *np.flatnonzero(there).tolist()})
-    known = {ids[i] for i in same} | told
-    return tuple(ids[i] for i in same), tuple(id_ for id_ in ids if id_ not in known)
-
-
-def _posed(
+def _select_frames(
     capture: Capture | Sequence[Frame], poses: ArrayLike | PoseEstimate, name: str
 ) -> tuple[list[Frame], list[Floats]]:
-    """Frames that are used, and their poses."""
+    """Frames that are used, and their poses; raises as `diff_capture`."""
     frames = list(capture)
     if isinstance(poses, PoseEstimate):
         if poses.status is Status.LOST or poses.best is None:
@@ -186,32 +187,16 @@ def _check_poses(looks: Sequence[Look], options: DiffOptions, name: str) -> None
 
 
 def _moved(scene: Scene, counts: Tally, row: int, placed: Placement) -> Change:
-    graph, (low, high) = scene.graph, box_of(scene, row, placed.motion)
+    graph = scene.graph
     by = "colours fit" if counts.by_colour[row] else "readings end on it"
-    gone = counts.confidence(row)
     sure = placed.fit * (placed.frames + 0.5) / (placed.frames + 1.0)
     sure *= placed.share  # gone it is; which of those alike came here is a guess
     alike = f" So does {', '.join(placed.rivals)}, from farther off." if placed.rivals else ""
     return Change(
         kind="moved", id=graph.ids[row], name=graph.names[row], label=graph.labels[row],
-        confidence=float(np.clip(max(gone, 0.5) * sure, 0.0, 1.0)),
-        after_from_before=placed.motion, centre=graph.positions[row], box=np.stack([low, high]),
-        reason=f"{counts.share[row]:.0%} of {_pixels(counts, row)} are seen through it; where it is "
+        confidence=float(np.clip(max(counts.confidence(row), 0.5) * sure, 0.0, 1.0)),
+        after_from_before=placed.motion, centre=graph.positions[row],
+        box=np.stack(box_of(scene, row, placed.motion)),
+        reason=f"{counts.share[row]:.0%} of {counts.describe(row)} are seen through it; where it is "
         f"now {placed.fit:.0%} {by} in {placed.frames} frames.{alike}",
     )  # fmt: skip
-
-
-def _vanished(scene: Scene, counts: Tally, row: int) -> Change:
-    graph, (low, high) = scene.graph, box_of(scene, row, np.eye(4))
-    what = "show what is behind it" if counts.by_colour[row] else "go on behind it"
-    return Change(
-        kind="vanished", id=graph.ids[row], name=graph.names[row], label=graph.labels[row],
-        confidence=counts.confidence(row), box=np.stack([low, high]),
-        reason=f"{counts.share[row]:.0%} of {_pixels(counts, row)} {what}, and nothing near fits it.",
-    )  # fmt: skip
-
-
-def _pixels(counts: Tally, row: int) -> str:
-    pixels = counts.gone[:, row] + counts.stays[:, row]
-    frames = int(np.count_nonzero(pixels))
-    return f"{pixels.sum():,.0f} pixels in {frames} frame{'s' * (frames != 1)}"

@@ -225,6 +225,12 @@ class Tally:
         gone = self.gone.sum(axis=0)
         return np.asarray(gone / np.maximum(gone + self.stays.sum(axis=0), 1.0))
 
+    def describe(self, row: int) -> str:
+        """Return how many pixels and frames speak of an object, in words."""
+        pixels = self.gone[:, row] + self.stays[:, row]
+        frames = int(np.count_nonzero(pixels))
+        return f"{pixels.sum():,.0f} pixels in {frames} frame{'s' * (frames != 1)}"
+
     def confidence(self, row: int) -> float:
         """How sure it is that an object is gone: the rule of succession over frames.
 

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.files import write_file
-from placegraph.core.geometry import Floats
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.map import textures
 from placegraph.indoor.map.floor import structure
@@ -69,7 +68,10 @@ class Edit(Generic[S]):
                 self._tell(base, f"{said}{change.label} {thing!r} vanished from it")
         elif change.kind == "appeared" and change.piece is not None:
             row = len(self._ids)
-            self._ids.append(self._free_id(change.other))
+            id_, number = change.other, 1
+            while not id_ or id_ in self._ids:
+                id_, number = f"new-{number}", number + 1
+            self._ids.append(id_)
             self._labels.append(change.label)
             self._names.append(change.name)
             self._attributes.append({})
@@ -100,26 +102,26 @@ class Edit(Generic[S]):
         edges = self._edges(relate(mesh, labels, room_of), rows, place)
         ids, names = ([given[i] for i in rows] for given in (self._ids, self._names))
         graph = graph_of(mesh, ids, labels, names, edges)
-        graph = replace(graph, embeddings=self._embeddings(rows))
+        before = self._before
+        # of what appeared the merged scene in whose bounds it lies
+        scene_of = [
+            before.scene_of[row] if row < len(before) else before.scene_at(at[:2])
+            for row, at in zip(rows.tolist(), graph.positions, strict=True)
+        ]
+        vectors, given = before.graph.embeddings, None
+        if vectors is not None:  # zeros of what appeared and of what has another label now
+            given = np.zeros((len(rows), vectors.shape[1]), np.float32)
+            for i, row in enumerate(rows.tolist()):
+                if row < len(before) and before.graph.labels[row] == self._labels[row]:
+                    given[i] = vectors[row]
         return replace(
-            self._before,
-            graph=graph,
+            before,
+            graph=replace(graph, embeddings=given),
             mesh=mesh,
             attributes=tuple(attributes),
-            scene_of=self._scene_of(rows, graph.positions),
+            scene_of=np.array(scene_of, np.int32),
             encoded=encoded,
         )
-
-    def _scene_of(
-        self, rows: NDArray[np.int64], positions: NDArray[np.float64]
-    ) -> NDArray[np.int32]:
-        """Merged scene of each object; of what appeared, that in whose bounds it lies."""
-        before = self._before
-        found = [
-            before.scene_of[row] if row < len(before) else before.scene_at(at[:2])
-            for row, at in zip(rows.tolist(), positions, strict=True)
-        ]
-        return np.array(found, np.int32)
 
     def _tell(self, row: int, what: str) -> None:
         told = self._attributes[row].get("history")
@@ -130,14 +132,6 @@ class Edit(Generic[S]):
         graph = self._before.graph
         edges = zip(graph.sources.tolist(), graph.relations, graph.targets.tolist(), strict=True)
         return [t for s, r, t in edges if s == row and r in {STANDING_ON, ATTACHED_TO}]
-
-    def _free_id(self, wanted: str) -> str:
-        taken, number = set(self._ids), 1
-        if wanted and wanted not in taken:
-            return wanted
-        while f"new-{number}" in taken:
-            number += 1
-        return f"new-{number}"
 
     def _mesh(self) -> tuple[Mesh, tuple[bytes, ...]]:
         """What stays, where it is now, and what appeared; object rows as before. And its textures."""
@@ -206,29 +200,15 @@ class Edit(Generic[S]):
             if relation != SAME_ROOM or len(self._before.scenes) > 1
         ]
         known = {(s, t) for s, relation, t in edges if not lasting(relation)}
+        # what stood on, or hung at, what is gone from there now
+        loose = [r < len(self._kept) and self._stirred & {*self._bases(r)} for r in rows.tolist()]
         edges += [
             (s, relation, t)
             for s, relation, t in found
             if relation == SAME_ROOM
-            or ((stirred[s] or stirred[t] or self._loose(int(rows[s]))) and (s, t) not in known)
+            or ((stirred[s] or stirred[t] or loose[s]) and (s, t) not in known)
         ]
         return sorted(edges)
-
-    def _loose(self, row: int) -> bool:
-        """Whether an object stood on, or hung at, what is gone from there now."""
-        return row < len(self._kept) and any(base in self._stirred for base in self._bases(row))
-
-    def _embeddings(self, rows: NDArray[np.int64]) -> NDArray[np.float32] | None:
-        """Vectors of the objects; zeros of what appeared and of what has another label now."""
-        before = self._before.graph.embeddings
-        if before is None:
-            return None
-        out = np.zeros((len(rows), before.shape[1]), np.float32)
-        labels = self._before.graph.labels
-        for i, row in enumerate(rows.tolist()):
-            if row < len(before) and labels[row] == self._labels[row]:
-                out[i] = before[row]
-        return out
 
 
 def lasting(relation: str) -> bool:
@@ -261,18 +241,16 @@ def rooms_now(
         boxes = mesh.object_bounds(len(labels))
         told_by = ~stirred & ~structure(labels)
         for row in np.flatnonzero(stirred).tolist():
-            among = told_by & (now == now[row]) if now[row] >= 0 else _nearest(boxes, row, told_by)
-            name = most([told[i].get("room", "") for i in np.flatnonzero(among).tolist()])
+            near = told_by & (now == now[row])
+            if now[row] < 0:  # the nearest object, by their boxes
+                apart = np.maximum(boxes[:, 0] - boxes[row, 1], boxes[row, 0] - boxes[:, 1])
+                gap = np.linalg.norm(np.maximum(apart, 0.0), axis=1)
+                nearest = np.where(told_by, gap, np.inf).argmin()
+                near = told_by & (np.arange(len(boxes)) == nearest)
+            name = most([told[i].get("room", "") for i in np.flatnonzero(near).tolist()])
             told[row].pop("room", None)
             told[row] |= {"room": name} if name else {}
     return with_rooms(mesh, labels, floor, told)
-
-
-def _nearest(boxes: Floats, row: int, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(N,) which of the chosen things is nearest to one, by their boxes (N, 2, 3) [m]."""
-    apart = np.maximum(boxes[:, 0] - boxes[row, 1], boxes[row, 0] - boxes[:, 1])
-    gap = np.where(chosen, np.linalg.norm(np.maximum(apart, 0.0), axis=1), np.inf)
-    return chosen & (np.arange(len(boxes)) == gap.argmin())
 
 
 LEAST = 0.5  # Findings less sure than this are not taken over, unless that is asked for
@@ -356,18 +334,13 @@ def update_file(
         open_scene(path, Scene), diff, take=take, least_confidence=least_confidence, when=when
     )
     if same:
-        _keep(Path(path))
+        copy = Path(path).with_name(f"{Path(path).name}.bak")
+        try:
+            write_file(copy, [Path(path).read_bytes()])
+        except OSError as error:
+            raise InputError(f"{path} cannot be read: {error.strerror}.") from error
     save_scene(scene, out)
     return scene
-
-
-def _keep(path: Path) -> None:
-    """Copy a file to `NAME.bak`, whole or not at all."""
-    copy = path.with_name(f"{path.name}.bak")
-    try:
-        write_file(copy, [path.read_bytes()])
-    except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror}.") from error
 
 
 def _chosen(diff: SceneDiff, take: Collection[str], least: float) -> list[Change]:
