@@ -102,10 +102,7 @@ def test_vertex_colours_survive(tmp_path_factory, colours):
     assert (read_glb(path).colours == colours).all()
 
 
-@given(
-    hnp.arrays(np.float32, (5, 3), elements=st.floats(-1e4, 1e4, width=32)),
-    st.booleans(),
-)
+@given(hnp.arrays(np.float32, (5, 3), elements=st.floats(-1e4, 1e4, width=32)), st.booleans())
 def test_positions_are_exact_in_either_frame(tmp_path_factory, points, turned):
     path = tmp_path_factory.mktemp("glb") / "a.glb"
     surface = Surface(points, np.array([(0, 1, 2), (2, 3, 4)]), 0)

@@ -196,8 +196,7 @@ def test_the_same_again_on_any_number_of_threads(ball, colour_of):
 
 
 @pytest.mark.parametrize(
-    "options",
-    [{"texel": 0}, {"texel": np.nan}, {"margin": 0}, {"largest": 10}, {"tolerance": -1}],
+    "options", [{"texel": 0}, {"texel": np.nan}, {"margin": 0}, {"largest": 10}, {"tolerance": -1}]
 )
 def test_options_out_of_range(ball, colour_of, options):
     with pytest.raises(OptionError, match=next(iter(options))):
