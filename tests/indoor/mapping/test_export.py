@@ -9,7 +9,7 @@ from placegraph.core import files as locks
 from placegraph.errors import MapError, MapLockedError, OptionError
 from placegraph.indoor.build import build_scene, scene_of_model
 from placegraph.indoor.map.mesh import GRAIN, Mesh
-from placegraph.indoor.mapping.export import MARK, export, losses, path_lines
+from placegraph.indoor.mapping.export import MARK, export, losses, painted, path_lines
 from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_io.graphs.spark_dsg import read_spark_dsg
@@ -204,3 +204,61 @@ def test_a_way_is_drawn_with_pyramids_that_look_ahead(way):
     assert lines[4:, :, 2].max() > 0  # OpenCV's z looks forward
     assert lines[4:, :, 2].min() == 0
     assert len(path_lines(way[:1])) == 8
+
+
+def quad(texture, colours=255):
+    """A square of two triangles under a texture."""
+    corners = np.array([(0, 0), (1, 0), (1, 1), (0, 1)], float)
+    mesh = Mesh(
+        vertices=np.column_stack([corners, np.zeros(4)]).astype(np.float32),
+        triangles=np.array([(0, 1, 2), (0, 2, 3)], np.int32),
+        object_of=np.zeros(2, np.int32),
+        colours=np.full((4, 3), colours, np.uint8),
+        uv=(corners * 0.999).astype(np.float32),
+        texture_of=np.zeros(2, np.int32),
+        textures=(np.asarray(texture, np.uint8),),
+    )
+    return SceneMap.create(mesh, ["0"], ["floor"], floor=0.0)
+
+
+def test_a_flat_texture_gives_its_colour_times_the_vertices_own():
+    model = painted(quad(np.full((8, 8, 3), (10, 100, 200)), colours=51))
+    assert (model.colours == [2, 20, 40]).all()
+
+
+def test_a_vertex_has_the_colours_around_it():
+    halves = np.zeros((64, 64, 3))
+    halves[:, 32:] = 200  # bright where x is large
+    model = painted(quad(halves))
+    bright = model.colours[:, 0].astype(int)
+    left = model.vertices[:, 0] < 0.5
+    assert bright[left].max() < 80
+    assert bright[~left].min() > 120
+
+
+def test_objects_and_textures_do_not_share_vertices():
+    scene = quad(np.full((1, 1, 3), 255))
+    mesh = Mesh(
+        vertices=scene.mesh.vertices, triangles=scene.mesh.triangles,
+        object_of=np.array([0, 1]), colours=scene.mesh.colours, uv=scene.mesh.uv,
+        texture_of=np.array([0, 1]),
+        textures=(np.full((1, 1, 3), 40, np.uint8), np.full((1, 1, 3), 80, np.uint8)),
+    )  # fmt: skip
+    two = SceneMap.create(mesh, ["a", "b"], ["floor", "wall"], floor=0.0, names=["", "W"])
+    model = painted(two)
+    assert len(model.vertices) == 6
+    for row, value in ((0, 40), (1, 80)):
+        assert (model.colours[model.triangles[model.thing_of == row]] == value).all()
+    assert [(t.id, t.label, t.name) for t in model.things] == [
+        ("a", "floor", ""),
+        ("b", "wall", "W"),
+    ]
+
+
+def test_the_surface_stays_where_it_was(room):
+    model = painted(room)
+    assert (model.vertices[model.triangles] == room.mesh.vertices[room.mesh.triangles]).all()
+    assert model.relations == tuple(
+        zip(room.graph.sources, room.graph.relations, room.graph.targets, strict=True)
+    )
+    assert model.floor == pytest.approx(room.floors[0])

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
 
-from placegraph.errors import InputError
+from placegraph.errors import InputError, MapError, OptionError
 from placegraph.io.capture.json_files import LabelEntry as Entry
 from placegraph.io.capture.json_files import label_table
-from placegraph.io.mesh.ply import read_ply
+from placegraph.io.mesh.ply import read_ply, write_ply
 
 FORMS = ("ascii", "binary_little_endian", "binary_big_endian")
 CODES = {
@@ -276,7 +277,7 @@ def test_every_truncation_is_noticed(form, tmp_path):
             read_ply(path)
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=300)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=80)
 @given(data=st.data())
 def test_damaged_files_give_one_kind_of_error(data, tmp_path):
     columns = {"objectId": ("int", [1, 2, 2, 5]), "red": ("float", [0.5] * 4)}
@@ -363,3 +364,55 @@ def test_wrong_tables(text, says, tmp_path):
     assert str(path) in str(caught.value)
     with pytest.raises(InputError, match="does not exist"):
         label_table(tmp_path / "no.json")
+
+
+FACES = np.array([(0, 2, 1), (0, 1, 3), (3, 2, 1)])
+
+
+@given(
+    hnp.arrays(np.float32, (4, 3), elements=st.floats(-1e6, 1e6, width=32)),
+    hnp.arrays(np.uint8, (4, 3)),
+    hnp.arrays(np.int64, 3, elements=st.integers(0, 2**31 - 1)),
+)
+def test_read_back_it_is_the_same(tmp_path_factory, points, colours, objects):
+    path = write_ply(
+        tmp_path_factory.mktemp("ply") / "a.ply", points, FACES, colours, objects=objects
+    )
+    model = read_ply(path)
+    assert (model.vertices == points).all()
+    assert (model.triangles == FACES).all()
+    assert (model.colours == colours).all()
+    assert [model.things[row].id for row in model.thing_of] == [str(n) for n in objects]
+
+
+def test_colours_and_objects_may_be_missing(tmp_path):
+    path = write_ply(tmp_path / "a.ply", np.zeros((4, 3)), FACES, comments=("made by a test",))
+    model = read_ply(path)
+    assert (model.colours == 255).all()
+    assert [t.id for t in model.things] == ["0"]
+    assert b"\ncomment made by a test\n" in path.read_bytes()
+    empty = write_ply(tmp_path / "b.ply", np.zeros((0, 3)), np.zeros((0, 3), int))
+    assert len(read_ply(empty).triangles) == 0
+
+
+@pytest.mark.parametrize(
+    ("change", "name"),
+    [
+        ({"vertices": np.zeros((4, 2))}, "vertices"),
+        ({"triangles": np.zeros((4, 4), int)}, "triangles"),
+        ({"colours": np.zeros((3, 3), np.uint8)}, "colours"),
+        ({"objects": np.zeros(4, int)}, "objects"),
+        ({"comments": ("two\nlines",)}, "comments"),
+        ({"comments": ("é",)}, "comments"),
+    ],
+)
+def test_columns_that_do_not_fit(tmp_path, change, name):
+    columns = {"vertices": np.zeros((4, 3)), "triangles": FACES}
+    with pytest.raises(OptionError, match=name):
+        write_ply(tmp_path / "a.ply", **(columns | change))
+    assert not list(tmp_path.iterdir())
+
+
+def test_where_it_cannot_be_written(tmp_path):
+    with pytest.raises(MapError, match="cannot be written"):
+        write_ply(tmp_path / "no" / "a.ply", np.zeros((4, 3)), FACES)

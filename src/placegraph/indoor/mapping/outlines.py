@@ -42,7 +42,7 @@ def polygons(rings: Sequence[Floats]) -> list[list[Floats]]:
 
 
 def untangled(ring: Floats) -> list[Floats]:
-    """Closed rings without crossings that a closed ring (n, 2) [m] is made of."""
+    """Cut a closed ring (n, 2) [m] into closed rings that neither cross nor touch themselves."""
     left, simple = [np.asarray(ring, np.float64)[:-1]], []
     for _ in range(_MOST_SPLITS):
         if not left:
@@ -55,32 +55,43 @@ def untangled(ring: Floats) -> list[Floats]:
                 simple.append(closed)
             continue
         i, j, at = crossing
-        left.append(np.concatenate([[at], loop[i + 1 : j + 1]]))
-        left.append(np.concatenate([[at], loop[j + 1 :], loop[: i + 1]]))
+        parts = loop[i + 1 : j + 1], np.concatenate([loop[j + 1 :], loop[: i + 1]])
+        left += [np.concatenate([[at], part[(part != at).any(axis=1)]]) for part in parts]
     return simple
 
 
 def _crossing(loop: Floats) -> tuple[int, int, Floats] | None:
-    """Edges i < j of an open loop (n, 2) that meet, and where; None: it is simple."""
+    """Edges i < j of an open loop (n, 2) that cross or touch, and where; None: it is simple."""
     n = len(loop)
+    for i in range(n):
+        same = np.flatnonzero((loop[i + 1 :] == loop[i]).all(axis=1))
+        if len(same):  # through one node twice
+            return i - 1, i + int(same[0]), loop[i]
     ends = np.roll(loop, -1, axis=0)
     along = ends - loop
     for i in range(n - 2):
         rows = np.arange(i + 2, n - (i == 0))
         if not len(rows):
             continue
-        same = rows[(loop[rows] == loop[i + 1]).all(axis=1)]
-        same = same[same > i + 1]
-        if len(same):  # through one node twice
-            return i, int(same[0]) - 1, loop[i + 1]
+
         away = loop[rows] - loop[i]
         turn = _cross(along[i], along[rows])
         with np.errstate(divide="ignore", invalid="ignore"):
             s, t = _cross(away, along[rows]) / turn, _cross(away, along[i]) / turn
-        hit = (np.abs(turn) > _TINY) & (s > _TINY) & (s < 1 - _TINY) & (t > _TINY) & (t < 1 - _TINY)
-        if hit.any():
-            k = int(np.flatnonzero(hit)[0])
-            return i, int(rows[k]), loop[i] + s[k] * along[i]
+        met = (
+            (np.abs(turn) > _TINY)
+            & (np.abs(s - 0.5) < 0.5 + _TINY)
+            & (np.abs(t - 0.5) < 0.5 + _TINY)
+        )
+        met &= (np.abs(s - 0.5) < 0.5 - _TINY) | (np.abs(t - 0.5) < 0.5 - _TINY)
+        if met.any():
+            k = int(np.flatnonzero(met)[0])
+            j = int(rows[k])
+            at = loop[i] + s[k] * along[i]
+            for share, nodes in ((s[k], (loop[i], ends[i])), (t[k], (loop[j], ends[j]))):
+                if abs(share - round(share)) <= _TINY:  # a node on the other edge
+                    at = nodes[round(share)]
+            return i, j, at
     return None
 
 

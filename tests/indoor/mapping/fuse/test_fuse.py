@@ -7,11 +7,22 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
-from placegraph.core.geometry import rotation_z
+from placegraph.core.geometry import Camera, rotation_z
 from placegraph.core.threads import limited
 from placegraph.errors import InputError, OptionError
-from placegraph.indoor.mapping.fuse import FuseOptions, fuse
+from placegraph.indoor.mapping import fuse_kernels as kernels
+from placegraph.indoor.mapping.fuse import (
+    FuseOptions,
+    fuse,
+    good_poses,
+    loop_tables,
+    undistorted,
+    view_of,
+    without_specks,
+)
+from placegraph.indoor.mapping.fuse_kernels import facets_of, low_corner
 from placegraph.indoor.rays import RayCaster
 from placegraph.io.capture.frame import Frame
 
@@ -56,7 +67,7 @@ def test_edges_have_two_triangles_but_for_borders(fused):
     assert (fused.triangles.min(), fused.triangles.max()) == (0, len(fused.vertices) - 1)
 
 
-@settings(max_examples=12)
+@settings(max_examples=5)
 @given(
     distance=st.floats(0.6, 3.0), slope=st.floats(-1.0, 1.0), turn=st.floats(-3.0, 3.0),
     seed=st.integers(0, 9),
@@ -232,3 +243,147 @@ def test_bad_poses_show_in_the_agreement(views):
     good, bad = (fuse(frames, p, voxel=0.06).stats for p in (poses, shaken))
     assert good.agreement < 0.01 < bad.agreement
     assert good.apart < bad.apart
+
+
+WIDE = (-0.28, 0.09, 0.0, 0.0, -0.015)
+
+
+@given(k1=st.floats(-0.3, 0.3), p1=st.floats(-0.01, 0.01))
+def test_undistorted_pixels_stand_on_their_rays(k1, p1):
+    camera = Camera(64, 48, 50.0, 50.0, 31.0, 25.0, (k1, 0.02, p1, 0.0))
+    plain, table = undistorted(camera)
+    v, u = np.nonzero(table >= 0)
+    rays = plain.directions(np.stack([u, v], axis=-1) + 0.5)
+    line, column = np.divmod(table[v, u], 64)
+    there = np.stack([column, line], axis=-1) + 0.5
+    assert np.abs(camera.project(rays) - there).max() <= 0.5 + 1e-6
+    assert len(v) > 0.6 * 64 * 48  # a pincushion's image becomes smaller
+    assert not any(plain.distortion)
+
+
+def test_a_wall_behind_a_wide_lens_is_flat(scene):
+    camera = Camera(120, 90, 90.0, 90.0, 60.0, 45.0, WIDE)
+    frame, pose = scene.plane_view(1.5, camera=camera, slope=0.4)
+    mesh = fuse([frame], pose[None], voxel=0.04)
+    off = (mesh.vertices[:, 2] - 0.4 * mesh.vertices[:, 0] - 1.5) / np.hypot(1, 0.4)
+    assert np.sqrt((off**2).mean()) < 0.04 / 5
+    assert (mesh.colours == 100).all()
+
+
+def test_frames_without_a_reading_give_no_view():
+    camera = Camera(8, 6, 5.0, 5.0, 4.0, 3.0)
+    rgb = np.zeros((6, 8, 3), np.uint8)
+    assert view_of(Frame.from_arrays(rgb, camera), 0, np.eye(4)) is None
+    nothing = Frame.from_arrays(rgb, camera, depth=np.full((6, 8), np.nan))
+    assert view_of(nothing, 0, np.eye(4)) is None
+
+
+def test_slips_are_told_from_walks_and_turns():
+    walk = np.tile(np.eye(4), (9, 1, 1))
+    walk[:, 0, 3] = 0.3 * np.arange(9)
+    assert good_poses(walk).all()
+    apart = walk.copy()
+    apart[4:, 1, 3] += 5.0  # another recording begins
+    assert good_poses(apart).all()
+    slipped = walk.copy()
+    slipped[4, 1, 3] += 5.0
+    assert np.flatnonzero(~good_poses(slipped)).tolist() == [4]
+    assert good_poses(walk[:2]).all()
+    assert good_poses(walk[:0]).shape == (0,)
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda p: p * np.nan, lambda p: np.full_like(p, np.inf), lambda p: p @ np.diag([1, 1, -1.0, 1]),
+        lambda p: p @ np.diag([2, 2, 2.0, 1]), lambda p: p + 1e6, lambda p: 0 * p,
+    ],
+)  # fmt: skip
+def test_what_is_no_pose_is_not_believed(spoil):
+    poses = np.tile(np.eye(4), (3, 1, 1))
+    poses[1] = spoil(poses[1])
+    assert good_poses(poses).tolist() == [True, False, True]
+
+
+EYE = np.array([90.0, 90.0, 60.0, 45.0])
+
+
+@given(arrays(np.int32, (60, 3), elements=st.integers(-5, 5) | st.integers(-(1 << 19), 1 << 19)))
+def test_blocks_are_found_again(places):
+    places = np.unique(places, axis=0)
+    keys, rows = np.full(256, -1, np.int64), np.zeros(256, np.int32)
+    kernels.rehash(keys, rows, places, len(places))
+    found = [kernels.row_of(keys, rows, *place) for place in places.tolist()]
+    assert found == list(range(len(places)))
+    assert kernels.row_of(keys, rows, (1 << 19) + 1, 0, 0) == -1
+    assert kernels.row_of(keys, rows, 1 << 40, 0, 0) == -1
+
+
+def test_a_slanted_plane_is_no_edge(scene):
+    frame, _ = scene.plane_view(2.0, slope=1.2)
+    facets = facets_of(frame.depth(), EYE, 9.0, True)
+    assert (facets[:, :-2, 4] > 0).all()  # the last two columns lack neighbours, far and steep
+    normal = np.array([-1.2, 0.0, 1.0]) / np.hypot(1, 1.2)
+    assert np.abs(facets[facets[..., 4] > 0][:, :3] - normal).max() < 1e-3
+
+
+def test_readings_between_two_surfaces_are_dropped(scene):
+    frame, _ = scene.plane_view(1.0)
+    depth = frame.depth().copy()
+    depth[:, 60:] = 3.0
+    depth[:, 60] = 2.0  # a mean of both sides
+    kept = {edges: facets_of(depth, EYE, 9.0, edges)[..., 4] for edges in (True, False)}
+    assert (kept[True][:, 60] == 0).all()
+    assert (kept[True][:, :58] > 0).all()
+    assert (kept[True][:, 63:] > 0).all()
+    assert (kept[True] > 0).sum() < (kept[False] > 0).sum()
+
+
+def test_small_holes_are_bridged_and_specks_are_not_believed(scene):
+    frame, _ = scene.plane_view(1.5, slope=0.3)
+    whole = frame.depth()
+    depth = whole.copy()
+    depth[20:22, :] = np.nan
+    depth[60:, :] = np.nan
+    depth[70, 70] = 1.0
+    facets = facets_of(depth, EYE, 9.0, True)
+    assert np.abs(facets[20:22, 5:-5, 4] - whole[20:22, 5:-5]).max() < 1e-3
+    assert (facets[62:, :, 4] == 0).all()
+    assert (facets_of(whole, EYE, 1.0, True)[..., 4] == 0).all()
+
+
+def crossed(case):
+    ends = [(low_corner(e), low_corner(e) | 1 << (e >> 2)) for e in range(12)]
+    return np.array([(case >> a ^ case >> b) & 1 for a, b in ends], bool)
+
+
+def test_loops_take_up_all_crossed_edges_and_no_other():
+    loop_of, loops = loop_tables()
+    for case in range(1, 255):
+        assert ((loop_of[case] >= 0) == crossed(case)).all()
+        assert set(loop_of[case][loop_of[case] >= 0]) == set(range(loops[case]))
+        sizes = np.bincount(loop_of[case][loop_of[case] >= 0])
+        assert sizes.min() >= 3
+    assert loops[255] == 0
+
+
+def test_corners_behind_the_surface_are_cut_off_one_by_one():
+    _, loops = loop_tables()
+    assert loops[0b00000001] == 1
+    assert loops[0b10000001] == 2  # opposite corners
+    assert loops[0b01101001] == 4  # every second corner
+    assert loops[0b00001111] == 1
+
+
+def test_small_parts_are_dropped_and_counted():
+    points = np.array(
+        [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [5, 0, 0], [5.1, 0, 0], [5, 0.1, 0.0]]
+    )
+    triangles = np.array([[0, 1, 2], [4, 5, 6], [1, 3, 2]])
+    colours = np.arange(21, dtype=np.uint8).reshape(7, 3)
+    left_out = Counter()
+    kept, rows, shades = without_specks(points, triangles, colours, 0.1, left_out)
+    assert rows.tolist() == [[0, 1, 2], [1, 3, 2]]
+    assert kept.tolist() == points[:4].tolist()
+    assert shades.tolist() == colours[:4].tolist()
+    assert list(left_out.values()) == [1]
