@@ -43,7 +43,7 @@ def test_a_bow_is_two_triangles():
 POINT = st.tuples(st.integers(0, 40), st.integers(0, 40))
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(st.lists(POINT, min_size=3, max_size=12))
 def test_any_outline_ends_in_simple_polygons_or_none(points):
     for polygon in polygons([closed(*points)]):

@@ -8,7 +8,7 @@ from placegraph.io.mesh.nearest_kernels import nearest
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(0, 40), st.integers(0, 40), st.floats(0.05, 3.0))
-@settings(max_examples=60)
+@settings(max_examples=30)
 def test_as_by_all_distances(seed, count, queries, reach):
     rng = np.random.default_rng(seed)
     among = rng.uniform(-2, 2, (count, 3))

@@ -220,7 +220,7 @@ def test_missing_and_foreign(tmp_path):
 
 
 @given(size=st.integers(1, 300))
-@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_blocks_change_nothing(room, size):
     whole = read_obj(room)
     with patch.object(obj_lines, "BLOCK", size):
@@ -231,7 +231,7 @@ def test_blocks_change_nothing(room, size):
 
 
 @given(cut=st.integers(0, len(ROOM)), data=st.data())
-@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_only_input_errors_of_spoilt_files(tmp_path, cut, data):
     spoilt = bytearray(ROOM.encode()[:cut])
     if spoilt and data.draw(st.booleans()):
@@ -245,7 +245,7 @@ def test_only_input_errors_of_spoilt_files(tmp_path, cut, data):
 
 
 @given(junk=st.binary(max_size=200))
-@settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_only_input_errors_of_junk(tmp_path, junk):
     with contextlib.suppress(InputError):
         read_obj(written(tmp_path, b"v 0 0 0\nf " + junk))

@@ -32,7 +32,7 @@ def white(points, *_):
 
 def test_geometry_stays_and_charts_do_not_overlap(ball, room, sound, colour_of):
     for mesh in (ball, room.mesh):
-        assert (sound(mesh, bake(mesh, colour_of, texel=0.03)) < 0).any()
+        assert (sound(mesh, bake(mesh, colour_of, texel=0.06)) < 0).any()
 
 
 def test_every_triangle_of_some_size_gets_texels(ball, sound, colour_of):
@@ -44,7 +44,7 @@ def test_every_triangle_of_some_size_gets_texels(ball, sound, colour_of):
 
 
 def test_a_field_is_reproduced(ball, room, field, spots, colour_of, rng):
-    for mesh, texel in ((ball, 0.01), (room.mesh, 0.02)):
+    for mesh, texel in ((ball, 0.01), (room.mesh, 0.04)):
         after = bake(mesh, colour_of, texel=texel, tolerance=0)
         row, u, v, at = spots(after, 5000, rng)
         off = np.abs(after.colour_at(row, u, v).astype(int) - field(at)).max(axis=1)
@@ -179,8 +179,8 @@ def test_a_surface_that_winds_over_itself(sound, colour_of):
     assert (area < 0).all()
 
 
-def test_two_hundred_thousand_triangles(grid, field, rng):
-    points, rows = grid(320, 320, 0.02)
+def test_fifty_thousand_triangles(grid, field, rng):
+    points, rows = grid(160, 160, 0.02)
     points[:, 2] = rng.normal(0, 0.004, len(points))
     mesh = Mesh.plain(points, rows)
     after = bake(mesh, lambda p, *_: field(p), texel=0.04)

