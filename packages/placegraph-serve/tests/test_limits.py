@@ -6,8 +6,7 @@ from starlette.responses import PlainTextResponse
 from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
-from placegraph_serve.limits import Guard, Keys
-from placegraph_serve.metrics import Metrics
+from placegraph_serve.limits import Guard, Keys, Metrics
 from placegraph_serve.options import ServeOptions
 
 

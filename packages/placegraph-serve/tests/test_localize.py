@@ -14,9 +14,9 @@ from placegraph.indoor.pose.prior import Prior
 from placegraph.io.capture.tum import read_tum
 from placegraph_serve.localize import in_radians
 from placegraph_serve.options import ServeOptions
-from placegraph_serve.places import Desk, Places
-from placegraph_serve.schema import PriorPose
-from placegraph_serve.worker import answer
+from placegraph_serve.places import Dispatcher, Places
+from placegraph_serve.requests import PriorPose
+from placegraph_serve.workers import answer
 from serve_world import serving
 
 ROW = 17
@@ -261,7 +261,7 @@ def test_plain_pixels(client, frame, channels):
 
 
 def test_a_map_that_stands_nowhere_has_no_geopose(maps, frame):
-    desk = Desk(Places([maps / "home1.scene"]), ServeOptions())
+    desk = Dispatcher(Places([maps / "home1.scene"]), ServeOptions())
     body, told = answer(desk, "geopose", {"body": json.dumps(oscp(frame, 2)), "version": 2})
     assert (body, told["status"], told["code"]) == (None, 409, "geopose")
     assert "placegraph scene anchor" in told["mend"]

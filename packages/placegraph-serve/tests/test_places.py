@@ -8,7 +8,7 @@ from placegraph.errors import InputError, MapError, RequestError
 from placegraph.maps import open_map
 from placegraph_serve.locate import locate
 from placegraph_serve.options import ServeOptions
-from placegraph_serve.places import Desk, Places
+from placegraph_serve.places import Dispatcher, Places
 
 
 def test_a_folder_is_listed_without_opening_a_map(maps):
@@ -56,7 +56,7 @@ def test_worlds_share_what_is_open_and_outlive_its_file(maps, tmp_path):
 
 
 def test_one_scene_is_asked_alone(maps):
-    desk = Desk(Places([maps]), ServeOptions())
+    desk = Dispatcher(Places([maps]), ServeOptions())
     asked = {"text": "A bakery is north of me. I am in the kitchen."}
     assert {m["scene"] for m in locate(desk, asked)["estimate"]["modes"]} > {"home1"}
     told = locate(desk, asked | {"map": "home1"})
@@ -111,7 +111,7 @@ def test_a_world_in_shards_is_asked_as_a_map(maps, tmp_path):
     places = Places([tmp_path / "all"])
     assert places.only == "all"
     assert places.listed()[0]["objects"] == len(town.objects)
-    told = locate(Desk(places, ServeOptions()), {"text": "A bakery is north of me."})
+    told = locate(Dispatcher(places, ServeOptions()), {"text": "A bakery is north of me."})
     assert "shards" in told["estimate"]["reason"]
     assert places.world("all") is places.world("all")
     (tmp_path / "all" / "world.json").write_text("{}")

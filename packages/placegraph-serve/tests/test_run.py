@@ -6,7 +6,7 @@ import pytest
 
 pytest.importorskip("uvicorn", reason="extra: serve")
 
-from placegraph_serve.run import listen
+from placegraph_serve.app import listen
 
 
 def test_answers_do_not_wait_for_the_client():

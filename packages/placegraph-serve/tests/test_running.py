@@ -31,7 +31,7 @@ def small(town, tmp_path_factory):
         "from pathlib import Path\n"
         "from placegraph_serve.options import ServeOptions\n"
         "from placegraph_serve.places import Places\n"
-        "from placegraph_serve.run import serve\n"
+        "from placegraph_serve.app import serve\n"
         "if __name__ == '__main__':\n"
         "    options = ServeOptions(head_seconds=0.3, body_seconds=0.3, json_bytes=3000, depth=8,\n"
         "        sentence_workers=1, keys=Path('keys'), log_queries=True)\n"

@@ -7,7 +7,7 @@ import pytest
 
 from placegraph.errors import RequestError
 from placegraph_serve.options import ServeOptions
-from placegraph_serve.schema import Begin, Step
+from placegraph_serve.requests import Begin, Step
 from placegraph_serve.server import Sessions
 
 SAID = "A bakery is north of me. The church is east of the bakery."
@@ -51,14 +51,14 @@ def test_questions_on_the_way_are_answered(walker):
 
 
 def test_a_process_that_dies_holds_no_session():
-    class Lane:
+    class WorkerQueue:
         died = b"", None
 
         async def ask(self, *_):
             return self.died
 
     async def visits():
-        lane = Lane()
+        lane = WorkerQueue()
         sessions = Sessions(lane, ServeOptions())
         session = (await sessions.begin(Begin()))[0]["session"]
         lane.died = None, {"code": "worker_died"}
@@ -72,7 +72,7 @@ def test_a_process_that_dies_holds_no_session():
 
 
 def test_their_number_is_bounded_and_they_end():
-    class Lane:
+    class WorkerQueue:
         over = asyncio.Queue()
 
         async def ask(self, verb, asked):
@@ -81,13 +81,13 @@ def test_their_number_is_bounded_and_they_end():
             return b"{}", None
 
     async def visits():
-        sessions = Sessions(Lane(), ServeOptions(sessions=2, session_seconds=0.05))
+        sessions = Sessions(WorkerQueue(), ServeOptions(sessions=2, session_seconds=0.05))
         begun = [(await sessions.begin(Begin()))[0]["session"] for _ in range(2)]
         with pytest.raises(RequestError, match="end one, or come again") as full:
             await sessions.begin(Begin())
         assert (full.value.status, full.value.code) == (503, "busy")
         assert full.value.retry_after > 0
-        assert [await Lane.over.get() for _ in range(2)] == begun
+        assert [await WorkerQueue.over.get() for _ in range(2)] == begun
         with pytest.raises(RequestError) as gone:
             await sessions.step(begun[0], Step(text=SAID))
         assert (gone.value.status, gone.value.code) == (404, "session_unknown")

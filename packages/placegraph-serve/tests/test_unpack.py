@@ -6,7 +6,7 @@ import pytest
 
 from placegraph.errors import InputError, RequestError
 from placegraph_serve.options import ServeOptions
-from placegraph_serve.unpack import capture_in
+from placegraph_serve.requests import capture_in
 
 
 @pytest.fixture

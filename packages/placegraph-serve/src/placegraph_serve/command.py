@@ -39,9 +39,9 @@ def serve(
 
     Example: placegraph serve demo-out/world --open
     """
+    from placegraph_serve.app import serve as run
     from placegraph_serve.options import ServeOptions
     from placegraph_serve.places import Places
-    from placegraph_serve.run import serve as run
 
     options = ServeOptions(
         keys=keys, names=tuple(name or ()), log_queries=log_queries, scheduler=scheduler

@@ -1,25 +1,74 @@
-"""What stands before the routes: keys, strange hosts and origins, sizes, slow senders, deep JSON."""
+"""Guards before the routes: keys, hosts and origins, sizes, slow senders, deep JSON; and request counts."""
 
 from __future__ import annotations
 
 import asyncio
 import hmac
 import re
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from ipaddress import ip_address
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qs, urlsplit
 
+from h11 import Data, EndOfMessage, Request, Response
+from prometheus_client import Counter, Histogram, generate_latest
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
 from placegraph.errors import InputError, RequestError
-from placegraph_serve.metrics import Metrics
 from placegraph_serve.options import ServeOptions
 from placegraph_serve.problem import MEDIA_TYPE, problem
-from placegraph_serve.worker import dumped
+from placegraph_serve.workers import dumped
 
 if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+MEDIA_TYPE_METRICS = "text/plain; version=0.0.4; charset=utf-8"
+BOUNDS = (0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 120.0)
+"""Upper bounds of the histogram of seconds."""
+PATHS = ("/v1/locate", "/v1/localize", "/v1/maps", "/v1/sessions", "/geopose", "/api")
+
+
+class Metrics:
+    """Requests by path and status, their seconds, and values of the moment.
+
+    `now` returns these by name and queue (empty: of none).
+    """
+
+    def __init__(self, now: Callable[[], Mapping[tuple[str, str], float]] = dict) -> None:
+        self.now = now
+        self.requests = Counter(
+            "placegraph_requests", "Answers.", ("path", "status"), registry=None
+        )
+        self.seconds = Histogram(
+            "placegraph_request_seconds", "Seconds to an answer.", ("path",),
+            buckets=BOUNDS, registry=None,
+        )  # fmt: skip
+
+    def note(self, path: str, status: int, seconds: float) -> None:
+        """Count an answer."""
+        known = next((p for p in PATHS if path == p or path.startswith(f"{p}/")), "other")
+        self.requests.labels(known, str(status)).inc()
+        self.seconds.labels(known).observe(seconds)
+
+    def collect(self) -> list[Metric]:
+        """Return the counts, and those of the moment (`now`)."""
+        families: dict[str, Metric] = {}
+        for (name, lane), value in self.now().items():
+            kind = CounterMetricFamily if name.endswith("_total") else GaugeMetricFamily
+            labels = ("lane",) if lane else ()
+            family = families.setdefault(
+                name, kind(f"placegraph_{name}", "At this moment.", labels=labels)
+            )
+            family.add_metric(labels and (lane,), value)
+        return [*self.requests.collect(), *self.seconds.collect(), *families.values()]
+
+    def text(self) -> bytes:
+        """Return the text of `/metrics`."""
+        return generate_latest(self)  # type: ignore[arg-type]  # all that it asks is to collect
 
 
 LARGE = ("/v1/localize", "/v1/sessions/", "/geopose")
@@ -292,3 +341,58 @@ def _replayed(message: Message, receive: Receive) -> Receive:
         return waiting.pop() if waiting else await receive()
 
     return replayed
+
+
+class HeadTimeoutProtocol(H11Protocol):
+    """Ends a connection whose request has no whole head after some seconds, be it the first or not."""
+
+    def __init__(self, *args: Any, seconds: float, **more: Any) -> None:  # noqa: ANN401  # uvicorn's
+        super().__init__(*args, **more)
+        self._seconds = seconds
+        self._end: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Begin, and wait for a head."""
+        super().connection_made(transport)
+        self._wait()
+
+    def data_received(self, data: bytes) -> None:
+        """Take bytes; those before a head is whole let nobody wait longer."""
+        super().data_received(data)
+        if self.cycle is not None and not self.cycle.response_complete:
+            self._rest()
+        elif self.cycle is not None and self._end is None:
+            self._wait()
+
+    def send_400_response(self, _msg: str) -> None:
+        """Answer what is no HTTP with a problem, as everything else."""
+        told = problem(
+            RequestError("This is no HTTP; send a request as RFC 9112 has it.", code="http")
+        )
+        headers = [("content-type", MEDIA_TYPE), ("connection", "close")]
+        start = Response(status_code=told["status"], headers=headers)
+        for event in (start, Data(data=dumped(told)), EndOfMessage()):
+            self.transport.write(self.conn.send(event) or b"")
+        self.transport.close()
+
+    def handle_websocket_upgrade(self, event: Request) -> None:
+        """Hand the connection on; from now on it may be silent."""
+        self._rest()
+        keys = [value for name, value in event.headers if name == b"sec-websocket-key"]
+        if not all(map(bytes.isascii, keys)):  # websockets would fail of it, and log where
+            self.send_400_response("")
+            return
+        super().handle_websocket_upgrade(event)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """End, and wait no more."""
+        self._rest()
+        super().connection_lost(exc)
+
+    def _wait(self) -> None:
+        self._end = self.loop.call_later(self._seconds, self.transport.close)
+
+    def _rest(self) -> None:
+        if self._end is not None:
+            self._end.cancel()
+            self._end = None

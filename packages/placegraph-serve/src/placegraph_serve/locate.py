@@ -1,23 +1,32 @@
-"""Sentences: what `POST /v1/locate` and `WS /v1/live` answer."""
+"""Locating sentences, and search of names as Photon answers."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from math import radians
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from placegraph.core.estimate import CityEstimate
-from placegraph.errors import DescriptionError, GeoPoseError, OptionError, PlacegraphError
+from placegraph.errors import (
+    DescriptionError,
+    GeoPoseError,
+    OptionError,
+    PlacegraphError,
+    RequestError,
+)
+from placegraph.outdoor.language.words import tokens
 
 if TYPE_CHECKING:
     from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.search.ask import Answer, Question
     from placegraph.world.estimate import WorldEstimate
-    from placegraph_serve.places import Desk, Places
+    from placegraph_serve.places import Dispatcher, Places
 
 
-def warm(desk: Desk, _asked: None) -> dict[str, Any]:
+def warm(desk: Dispatcher, _asked: None) -> dict[str, Any]:
     """Open all maps and ask something, so that the first who asks waits for neither."""
     places = desk.places
     names = [entry.name for entry in places.entries() if entry.kind == "city"]
@@ -32,7 +41,7 @@ def warm(desk: Desk, _asked: None) -> dict[str, Any]:
     return {}
 
 
-def locate(desk: Desk, asked: dict[str, Any]) -> dict[str, Any]:
+def locate(desk: Dispatcher, asked: dict[str, Any]) -> dict[str, Any]:
     """Where something was said; `asked` has the fields of `schema.Locate`."""
     text = asked["text"]
     most, places = desk.options.text, desk.places
@@ -138,3 +147,153 @@ def given(answer: dict[str, Any]) -> Answer:
     if not things or not known or any(t.wind and t.wind not in WINDS for t in things):
         raise OptionError("answers: a question is not as it was asked; send it back unchanged.")
     return Question(asked["text"], options, things, 0.0).answer(answer["option"])
+
+
+CLOSE = 80.0
+"""Similarity, of 100, from which a misspelt name is found."""
+NEAR = 2000.0
+"""Distance from the point that was given after which a name counts half [m]."""
+_MOST = 400
+"""Names looked at."""
+_TYPES = {"highway": "street", "railway": "street", "waterway": "locality", "natural": "locality"}
+_PLACES = {"city": "city", "town": "city", "village": "city", "suburb": "district",
+           "neighbourhood": "locality", "quarter": "district"}  # fmt: skip
+"""Photon's types of a place; all else is a house."""
+
+
+def search(desk: Dispatcher, asked: dict[str, Any]) -> dict[str, Any]:
+    """Features of names that begin so or nearly so, of kinds of things, or of what a sentence describes."""
+    near = None if asked["lat"] is None or asked["lon"] is None else (asked["lon"], asked["lat"])
+    found: list[tuple[float, dict[str, Any]]] = []
+    cities = [e.name for e in desk.places.entries() if e.kind == "city"]
+    if not cities:
+        raise RequestError("No city is served here; serve one.", status=404, code="map_unknown")
+    for name in cities:
+        city = desk.places.city(name)
+        found += [
+            (score, feature(city, row)) for row, score in rows_of(city, asked["q"], near).items()
+        ]
+    found.sort(key=lambda pair: -pair[0])
+    features = [told for _, told in found[: asked["limit"]]]
+    if not features:
+        features = [told for name in cities for told in described(desk, name, asked, near)]
+    return {"type": "FeatureCollection", "features": features[: asked["limit"]]}
+
+
+def rows_of(city: CityMap, text: str, near: tuple[float, float] | None) -> dict[int, float]:
+    """Objects that a text names, or else is the kind of, and how well."""
+    words = " ".join(tokens(text))
+    if not words:
+        return {}
+    rows = _objects(city, _names(city, words), len(city.objects.labels))
+    rows = rows or _objects(city, _labels(city, text), 0)
+    at = None if near is None else city.plane.to_plane(near)
+    scores: dict[int, float] = {}
+    one_of: dict[str, int] = {}
+    for row, fit in rows.items():
+        score = fit
+        if at is not None:
+            score /= 1.0 + float(np.hypot(*(city.objects.center[row] - at))) / NEAR
+        name = city.objects.name(row)
+        other = one_of.get(name)
+        if name and city.objects.label(row).startswith("highway=") and other is not None:
+            if scores[other] >= score:  # a street is many ways
+                continue
+            del scores[other]
+        one_of[name] = row
+        scores[row] = score
+    return scores
+
+
+def _names(city: CityMap, words: str) -> dict[int, float]:
+    """Rows of the city's names by how well they fit."""
+    from rapidfuzz import fuzz, process
+
+    known = city.name_index.by_words
+    last = words.rsplit(maxsplit=1)[-1]
+    fits: dict[str, float] = {}
+    for name in known:
+        if name.startswith(words):
+            fits[name] = 1.0 if len(name) == len(words) else 0.9
+        elif f" {words}" in name:
+            fits[name] = 0.7
+    if not fits and len(last) > 2:
+        near = process.extract(words, known.keys(), scorer=fuzz.ratio, score_cutoff=CLOSE, limit=20)
+        fits = {name: 0.6 * score / 100.0 for name, score, _ in near}
+    best = sorted(fits, key=lambda name: (-fits[name], len(name), name))[:_MOST]
+    return {row: fits[name] for name in best for row in known[name]}
+
+
+def _labels(city: CityMap, text: str) -> dict[int, float]:
+    """Rows of the city's labels that a word of the vocabulary means: "bakery", "Bäckerei"."""
+    from placegraph.outdoor.likelihood.query import read
+
+    try:
+        mentions = [m for m in read(city, text).mentions if m.senses]
+    except PlacegraphError:
+        return {}
+    if len(mentions) != 1 or len(tokens(text)) > 3:  # a sentence is for `locate`
+        return {}
+    return {
+        row: 0.5 * sense.weight
+        for sense in mentions[0].senses
+        if sense.weight >= 0.7
+        for row in city.label_index.get(sense.label, ())
+    }
+
+
+def _objects(city: CityMap, tokens_of: dict[int, float], first: int) -> dict[int, float]:
+    """Objects that bear tokens (rows counted from `first`), and the best fit of each."""
+    starts, rows = city.token_objects
+    found: dict[int, float] = {}
+    for token, fit in tokens_of.items():
+        for row in rows[starts[first + token] : starts[first + token + 1]].tolist():
+            found[row] = max(fit, found.get(row, 0.0))
+    return found
+
+
+def described(
+    desk: Dispatcher, name: str, asked: dict[str, Any], near: tuple[float, float] | None
+) -> Iterable[dict[str, Any]]:
+    """Places that a sentence describes, as features."""
+    try:
+        estimate = desk.places.city(name).locate(asked["q"], near=near, top=asked["limit"])
+    except PlacegraphError:
+        return
+    for mode in estimate.modes:
+        if estimate.status.name == "LOST":
+            return
+        properties = {
+            "osm_type": "N", "osm_id": 0, "osm_key": "placegraph", "osm_value": "described",
+            "type": "house", "name": asked["q"], "probability": mode.probability,
+        }  # fmt: skip
+        yield _feature([mode.longitude, mode.latitude], properties)
+
+
+def feature(city: CityMap, row: int) -> dict[str, Any]:
+    """An object with Photon's properties."""
+    objects = city.objects
+    key, _, value = objects.label(row).partition("=")
+    kind, _, number = objects.osm(row).partition("/")
+    properties: dict[str, Any] = {
+        "osm_type": kind[0].upper(),
+        "osm_id": int(number),
+        "osm_key": key,
+        "osm_value": value,
+        "type": _PLACES.get(value, "house") if key == "place" else _TYPES.get(key, "house"),
+    }
+    if name := objects.name(row):
+        properties["name"] = name
+    parts = objects.parts(row)
+    if parts and sum(map(len, parts)) > 1:
+        points = np.concatenate(parts)
+        (west, south), (east, north) = city.plane.to_lonlat(
+            [points.min(axis=0), points.max(axis=0)]
+        ).tolist()
+        properties["extent"] = [west, north, east, south]  # Photon's order
+    return _feature(city.plane.to_lonlat(objects.center[row]).tolist(), properties)
+
+
+def _feature(at: list[float], properties: dict[str, Any]) -> dict[str, Any]:
+    geometry = {"type": "Point", "coordinates": at}
+    return {"type": "Feature", "geometry": geometry, "properties": properties}

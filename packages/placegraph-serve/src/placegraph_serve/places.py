@@ -231,7 +231,7 @@ def bounds_of(meta: dict[str, Any]) -> list[float]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Desk:
+class Dispatcher:
     """Maps, limits, and the trackers of the sessions that this process holds."""
 
     places: Places

@@ -13,14 +13,13 @@ from starlette.routing import WebSocketRoute
 from starlette.websockets import WebSocketDisconnect, WebSocketState
 
 from placegraph.errors import PlacegraphError, RequestError
-from placegraph_serve import metrics
-from placegraph_serve.lanes import Lane
-from placegraph_serve.oscp import version_of
+from placegraph_serve.geopose import version_of
+from placegraph_serve.limits import MEDIA_TYPE_METRICS
 from placegraph_serve.problem import problem
-from placegraph_serve.schema import Begin, Live, Localize, Locate, Step
+from placegraph_serve.requests import Begin, Live, Localize, Locate, Step
 from placegraph_serve.server import Server, response_of
 from placegraph_serve.uploads import uploaded
-from placegraph_serve.worker import dumped
+from placegraph_serve.workers import WorkerQueue, dumped
 
 _FORM = {
     "requestBody": {
@@ -74,8 +73,7 @@ def _add_state(app: FastAPI, server: Server) -> None:
     @app.get("/metrics")
     async def counts() -> Response:
         """Counts for Prometheus."""
-        text = server.metrics.text(server.now())
-        return PlainTextResponse(text, media_type=metrics.MEDIA_TYPE)
+        return PlainTextResponse(server.metrics.text(), media_type=MEDIA_TYPE_METRICS)
 
     @app.get("/v1/maps")
     def maps() -> dict[str, Any]:
@@ -229,7 +227,7 @@ LONGEST = 1 << 16
 """Characters of a message."""
 
 
-async def live(socket: WebSocket, lane: Lane) -> None:
+async def live(socket: WebSocket, lane: WorkerQueue) -> None:
     """Answer what is typed until the socket is closed."""
     await socket.accept()
     running: asyncio.Task[None] | None = None
@@ -246,7 +244,7 @@ async def live(socket: WebSocket, lane: Lane) -> None:
             running.cancel()
 
 
-async def _answer(socket: WebSocket, lane: Lane, text: str) -> None:
+async def _answer(socket: WebSocket, lane: WorkerQueue, text: str) -> None:
     number: int | str | None = None
     try:
         asked = _asked(text)

@@ -12,14 +12,12 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from placegraph.core import cache
 from placegraph.errors import PlacegraphError, RequestError
-from placegraph_serve.lanes import Lane
-from placegraph_serve.limits import check_depth
-from placegraph_serve.metrics import Metrics
+from placegraph_serve.limits import Metrics, check_depth
 from placegraph_serve.options import ServeOptions
 from placegraph_serve.places import Places
 from placegraph_serve.problem import MEDIA_TYPE, problem
-from placegraph_serve.schema import Begin, Step
-from placegraph_serve.worker import Answer, Setting, dumped
+from placegraph_serve.requests import Begin, Step
+from placegraph_serve.workers import Answer, Setting, WorkerQueue, dumped
 
 
 class Server:
@@ -27,34 +25,34 @@ class Server:
 
     def __init__(self, places: Places, options: ServeOptions) -> None:
         self.places, self.options = places, options
-        self.metrics = Metrics()
+        self.metrics = Metrics(self.now)
         folder = cache.FOLDERS.chosen
         words = Setting(places.paths, options, "warm", folder)
         frames = Setting(places.paths, options, "look", folder)
         seconds = options.sentence_seconds, options.capture_seconds
-        self.sentences = Lane("sentences", options.sentence_workers, seconds[0], words)
-        self.captures = Lane("captures", options.capture_workers, seconds[1], frames)
-        self.steps = Lane("steps", 1, seconds[1], frames)
+        self.sentences = WorkerQueue("sentences", options.sentence_workers, seconds[0], words)
+        self.captures = WorkerQueue("captures", options.capture_workers, seconds[1], frames)
+        self.steps = WorkerQueue("steps", 1, seconds[1], frames)
         self.sessions = Sessions(self.steps, options)
 
     @property
-    def lanes(self) -> tuple[Lane, ...]:
+    def lanes(self) -> tuple[WorkerQueue, ...]:
         """All lanes."""
         return self.sentences, self.captures, self.steps
 
-    async def ask(self, lane: Lane, verb: str, asked: dict[str, Any]) -> Response:
+    async def ask(self, lane: WorkerQueue, verb: str, asked: dict[str, Any]) -> Response:
         """Answer of a lane as a response."""
         return response_of(*await lane.ask(verb, asked))
 
-    def now(self) -> dict[str, float]:
-        """What is so at this moment, for `Metrics.text`."""
-        told: dict[str, float] = {"sessions": len(self.sessions)}
+    def now(self) -> dict[tuple[str, str], float]:
+        """Return the values of this moment, by name and lane."""
+        values: dict[tuple[str, str], float] = {("sessions", ""): len(self.sessions)}
         for lane in self.lanes:
-            kind = f'{{lane="{lane.name}"}}'
-            told |= {f"waiting{kind}": lane.waiting, f"running{kind}": lane.running}
-            told[f"answered_total{kind}"] = lane.answered
-            told[f"workers_replaced_total{kind}"] = lane.replaced
-        return told
+            values["waiting", lane.name] = lane.waiting
+            values["running", lane.name] = lane.running
+            values["answered_total", lane.name] = lane.answered
+            values["workers_replaced_total", lane.name] = lane.replaced
+        return values
 
 
 def response_of(body: bytes | None, trouble: dict[str, Any] | None) -> Response:
@@ -68,7 +66,7 @@ def response_of(body: bytes | None, trouble: dict[str, Any] | None) -> Response:
 class Sessions:
     """Sessions by id; their trackers stand in the lane's one process."""
 
-    def __init__(self, lane: Lane, options: ServeOptions) -> None:
+    def __init__(self, lane: WorkerQueue, options: ServeOptions) -> None:
         self._lane, self._options = lane, options
         self._ends: dict[str, asyncio.TimerHandle] = {}
         self._steps: dict[str, int] = {}

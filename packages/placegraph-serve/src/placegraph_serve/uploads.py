@@ -15,7 +15,7 @@ from starlette.datastructures import FormData, UploadFile
 from placegraph.errors import InputError, RequestError
 from placegraph_serve.limits import check_depth
 from placegraph_serve.options import ServeOptions
-from placegraph_serve.schema import Localize
+from placegraph_serve.requests import Localize
 
 if TYPE_CHECKING:
     from fastapi import Request

@@ -6,8 +6,7 @@ import json
 import pytest
 
 from placegraph.errors import InputError, RequestError
-from placegraph_serve.geopose import gravity_of
-from placegraph_serve.oscp import image_bytes, read_request, version_of
+from placegraph_serve.geopose import gravity_of, image_bytes, read_request, version_of
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,7 @@ import pytest
 from starlette.responses import PlainTextResponse
 from starlette.testclient import TestClient
 
-from placegraph_serve.limits import Guard, Keys
-from placegraph_serve.metrics import Metrics
+from placegraph_serve.limits import Guard, Keys, Metrics
 from placegraph_serve.options import ServeOptions
 from serve_world import ready, serving
 
@@ -84,7 +83,8 @@ def test_a_session_whose_process_died_is_over(client):
 
 
 def test_an_answer_that_is_no_json_is_a_problem(monkeypatch):
-    from placegraph_serve import locate, worker
+    from placegraph_serve import locate
+    from placegraph_serve import workers as worker
 
     monkeypatch.setattr(locate, "locate", lambda *_: {"text": "\ud800"})
     body, trouble = worker.answer(None, "locate", {})

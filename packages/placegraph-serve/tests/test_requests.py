@@ -9,7 +9,7 @@ from PIL import Image
 from placegraph.core.geometry import Camera
 from placegraph.errors import InputError, RequestError
 from placegraph_serve.options import ServeOptions
-from placegraph_serve.photo import read_depth, read_photo
+from placegraph_serve.requests import read_depth, read_photo
 
 OPTIONS = ServeOptions()
 
