@@ -24,8 +24,13 @@ from placegraph.indoor.pose.search import search
 from placegraph.indoor.pose.slide import freed
 from placegraph.indoor.pose.suspect import COVERED, blank, divided_all, spoiled, suspected
 from placegraph.indoor.pose.window import Window, observe, timed
-from placegraph.indoor.refine import RefineOptions, Refining, refined, wrong_camera
-from placegraph.indoor.refine.landmarks import place
+from placegraph.indoor.refine import (
+    RefineOptions,
+    RefineSetup,
+    find_camera_correction,
+    refine_estimate,
+)
+from placegraph.indoor.refine.landmarks import locate_by_landmarks
 from placegraph.indoor.refine.matching import Matcher
 from placegraph.indoor.status import (
     add_note,
@@ -58,19 +63,19 @@ def localized(
         raise OptionError(f"refine is {refine!r}; it is True, False or RefineOptions.")
     query = PoseQuery.of(scene, capture, **asked)
     options = refine if isinstance(refine, RefineOptions) else None
-    refining = Refining.of(options, matcher, device) if refine else None
+    refining = RefineSetup.of(options, matcher, device) if refine else None
     check_device(device, network=refining is not None and refining.matcher is not None)
     return placed(scene, localize(query, refining))
 
 
-def localize(query: PoseQuery, refining: Refining | None) -> PoseEstimate:
+def localize(query: PoseQuery, refining: RefineSetup | None) -> PoseEstimate:
     """Where the last frame asked about, and every other, was taken (SG2Loc, Sec. 3).
 
     The same query on the same machine gives the same answer. `refining` says how the best mode is
     fitted to images and depth; None: not at all. Errors: `SceneMap.localize`.
     """
     window, estimate = _found(query, refining)
-    mend = refining and wrong_camera(window, estimate, refining)
+    mend = refining and find_camera_correction(window, estimate, refining)
     if mend:
         mended = replace(query, frames=mend.frames(query.frames))
         chosen = mend.chosen(query, estimate, _found(mended, refining)[1])
@@ -102,7 +107,7 @@ def _suspected(window: Window, estimate: PoseEstimate) -> PoseEstimate:
     return explain_by_fault(estimate, f"{fault}{covered}")
 
 
-def _found(query: PoseQuery, refining: Refining | None) -> tuple[Window, PoseEstimate]:
+def _found(query: PoseQuery, refining: RefineSetup | None) -> tuple[Window, PoseEstimate]:
     """The answer if the camera is as it is said to be, and the frames that it rests on."""
     if len(query.frames) > WINDOW and query.options.tracked:
         tracker = Tracker(query)
@@ -111,7 +116,7 @@ def _found(query: PoseQuery, refining: Refining | None) -> tuple[Window, PoseEst
             fault = divided_all(query, tracker.scorer, estimate.trajectory)
             estimate = doubt_tracked(estimate, fault)
         window = _tail(query, tracker)
-        return window, refined(window, estimate, refining) if refining else estimate
+        return window, refine_estimate(window, estimate, refining) if refining else estimate
     rng = np.random.default_rng(query.seed)
     window = observe(query)
     fault = spoiled(window)
@@ -122,7 +127,7 @@ def _found(query: PoseQuery, refining: Refining | None) -> tuple[Window, PoseEst
         window.sightings = [replace(s, rgb=None) for s in window.sightings]
     seeds = search(window, rng)
     if len(seeds):
-        seeds = np.concatenate([place(window), seeds])
+        seeds = np.concatenate([locate_by_landmarks(window), seeds])
     passes = run_passes(window, seeds, rng)
     if query.options.answer == "mle":
         fits = heaviest(window.chain, passes.particles, query.options.modes)
@@ -136,7 +141,9 @@ def _found(query: PoseQuery, refining: Refining | None) -> tuple[Window, PoseEst
     seconds = {stage: round(took, 4) for stage, took in window.seconds.items()}
     stats = {"seconds": seconds, "particles": passes.counts} | window.scorer.stats()
     estimate = replace(estimate, stats=estimate.stats | stats, history=passes.history)
-    return window, refined(window, estimate, refining, explained=True) if refining else estimate
+    return window, refine_estimate(
+        window, estimate, refining, explained=True
+    ) if refining else estimate
 
 
 def _tail(query: PoseQuery, tracker: Tracker) -> Window:

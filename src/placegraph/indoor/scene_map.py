@@ -172,10 +172,10 @@ class SceneMap(Shown, Scene):
         from placegraph.indoor.options import FilterOptions, check_device
         from placegraph.indoor.pose.placed import placed
         from placegraph.indoor.pose.query import PoseQuery
-        from placegraph.indoor.refine import Refining, refine
+        from placegraph.indoor.refine import RefineSetup, refine
         from placegraph.indoor.render import checked_pose
 
-        refining = Refining.of(options, matcher, device)
+        refining = RefineSetup.of(options, matcher, device)
         check_device(device, network=refining.matcher is not None)
         senses = FilterOptions(depth=refining.options.depth, colour=bool(refining.options.images))
         query = PoseQuery.of(

@@ -7,7 +7,13 @@ from PIL import Image
 from placegraph.core.geometry import Camera
 from placegraph.indoor.mapping.landmarks import depth_at, landmarks_of
 from placegraph.indoor.refine import landmarks
-from placegraph.indoor.refine.landmarks import FEATURES, agreed, features_of, finder, sights_of
+from placegraph.indoor.refine.landmarks import (
+    FEATURES,
+    agree_on_pose,
+    detect_features,
+    make_detector,
+    match_features,
+)
 from placegraph.indoor.refine.options import RefineOptions
 from placegraph.io.capture.frame import Frame
 
@@ -60,8 +66,10 @@ def test_rays_of_several_frames_are_truer_than_their_depth(mapped):
 @pytest.mark.parametrize("lying", [False, True])
 def test_an_image_beside_them_is_placed_to_millimetres(wall, mapped, lying):
     frame, pose = shown(wall, 0.17, 0.12, lying=lying)
-    seen = sights_of(mapped, features_of(finder(FEATURES), frame, frame.rgb()), frame)
-    found = agreed([seen], np.eye(4)[None], RefineOptions())
+    seen = match_features(
+        mapped, detect_features(make_detector(FEATURES), frame, frame.rgb()), frame
+    )
+    found = agree_on_pose([seen], np.eye(4)[None], RefineOptions())
     assert found.count > 50
     assert np.linalg.norm(found.pose[:3, 3] - pose[:3, 3]) < 0.008
 
@@ -70,8 +78,10 @@ def test_an_image_of_another_place_is_not(mapped):
     noise = np.random.default_rng(4).integers(0, 256, (80, 80), np.uint8)
     other = np.asarray(Image.fromarray(noise).resize((1000, 1000), Image.Resampling.BICUBIC))
     frame, _ = shown(other, 0.17, 0.12)
-    seen = sights_of(mapped, features_of(finder(FEATURES), frame, frame.rgb()), frame)
-    assert agreed([seen], np.eye(4)[None], RefineOptions()) is None
+    seen = match_features(
+        mapped, detect_features(make_detector(FEATURES), frame, frame.rgb()), frame
+    )
+    assert agree_on_pose([seen], np.eye(4)[None], RefineOptions()) is None
 
 
 def test_features_beyond_a_fisheyes_rim_have_no_depth(wall):
@@ -82,14 +92,14 @@ def test_features_beyond_a_fisheyes_rim_have_no_depth(wall):
 
 def test_landmarks_gone_through_in_blocks_are_the_same(wall, mapped, monkeypatch):
     frame, _ = shown(wall, 0.17, 0.12)
-    found = features_of(finder(FEATURES), frame, frame.rgb())
-    whole = sights_of(mapped, found, frame)
+    found = detect_features(make_detector(FEATURES), frame, frame.rgb())
+    whole = match_features(mapped, found, frame)
     cosine = found.vectors @ mapped.unit_vectors.T
     best, rows = landmarks._likeliest(found.vectors, mapped.unit_vectors)
     np.testing.assert_allclose(best, -np.sort(-cosine, axis=1)[:, : best.shape[1]], atol=1e-6)
     np.testing.assert_array_equal(rows[:, 0], cosine.argmax(axis=1))
     monkeypatch.setattr(landmarks, "_BLOCK", 37)
-    parts = sights_of(mapped, found, frame)
+    parts = match_features(mapped, found, frame)
     np.testing.assert_array_equal(parts.points, whole.points)
     assert len(whole) > 50
     assert mapped.unit_vectors is mapped.unit_vectors

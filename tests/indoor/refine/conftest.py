@@ -8,7 +8,7 @@ import pytest
 
 from placegraph.core.geometry import Camera, level_from_camera, pose_matrix, rotation_from_vector
 from placegraph.indoor.map.mesh import Mesh
-from placegraph.indoor.refine.correspondences import Sights, Surfaces, readings
+from placegraph.indoor.refine.correspondences import PointMatches, Surfaces, sample_readings
 from placegraph.indoor.refine.fit import Problem
 from placegraph.indoor.refine.options import RefineOptions
 from placegraph.indoor.scene_map import SceneMap
@@ -58,13 +58,13 @@ def _problem(scene, capture, options=None, *, sights=None, blind=(), gravity=Non
     """What the frames of a capture say; those in `blind` have no depth."""
     options = options or RefineOptions()
     seen = [
-        None if t in blind else readings(f, f.depth(), options.readings, phase)
+        None if t in blind else sample_readings(f, f.depth(), options.readings, phase)
         for t, f in enumerate(capture)
     ]
     return Problem(
         Surfaces.of(scene),
         seen,
-        sights or [Sights.none()] * len(capture),
+        sights or [PointMatches.none()] * len(capture),
         np.stack([f.odometry for f in capture]),
         np.stack([f.gravity for f in capture]) if gravity is None else gravity,
         np.array([f.stamp for f in capture]),

@@ -270,12 +270,10 @@ def test_odometry_that_is_wrong(room, walk, exact, kit, in_memory, made):
 
 def test_what_contradicts_the_odometry_is_not_ok(room, walk, monkeypatch):
     """The filter may still say so: the frames, each where it fits, part from their way."""
-    from placegraph.indoor.refine import judge, refinement
-
     before = room.localize(walk, frames=FIVE)
     assert before.status is Status.OK
-    monkeypatch.setattr(judge, "BENT", 1e-6)
-    monkeypatch.setattr(refinement, "BENT", 1e-6)
+    for module in ("refine.confidence", "status"):
+        monkeypatch.setattr(f"placegraph.indoor.{module}.BENT", 1e-6)
     after = room.localize(walk, frames=FIVE)
     assert after.status is Status.AMBIGUOUS
     assert "odometry" in after.reason

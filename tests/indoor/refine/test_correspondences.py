@@ -11,15 +11,15 @@ from hypothesis import strategies as st
 from placegraph.core.geometry import Camera, rotation_from_vector, vector_from_rotation
 from placegraph.errors import MissingExtraError
 from placegraph.indoor.refine.correspondences import (
-    Sights,
+    PointMatches,
     Surfaces,
     distances,
-    lift,
-    look,
-    readings,
+    lift_pixels,
+    match_views,
+    sample_readings,
     solve_frame,
     solve_rig,
-    turned,
+    turn_views,
 )
 from placegraph.indoor.refine.matching import Matches
 from placegraph.indoor.refine.options import RefineOptions
@@ -42,7 +42,7 @@ def test_points_are_depth_unprojected(picture, way, kit, rng):
     """Also between pixel centres, where it is a plane's point to a tenth of a millimetre."""
     h, w = picture.depth.shape
     pixels = rng.uniform(1, [w - 1, h - 1], (500, 2))
-    points, sound = lift(picture, pixels)
+    points, sound = lift_pixels(picture, pixels)
     assert sound.mean() > 0.9
     at = np.floor(pixels).astype(int)
     same = np.ptp(
@@ -59,7 +59,7 @@ def test_points_are_depth_unprojected(picture, way, kit, rng):
 def test_pixel_centres_are_the_renderings_own_points(picture):
     h, w = picture.depth.shape
     v, u = np.mgrid[0:h:7, 0:w:7].reshape(2, -1)
-    points, sound = lift(picture, np.stack([u, v], axis=1) + 0.5)
+    points, sound = lift_pixels(picture, np.stack([u, v], axis=1) + 0.5)
     np.testing.assert_allclose(points[sound], picture.points[v, u][sound], atol=1e-6)
 
 
@@ -70,12 +70,12 @@ def test_holes_and_edges_are_unsound(picture):
     depth[40:50, 20:30], points[40:50, 20:30] = np.nan, np.nan
     torn = replace(picture, depth=depth, points=points)
     pixels = np.array([[80.0, 20.5], [79.9, 20.5], [25.0, 45.0], [20.0, 45.0], [60.5, 60.5]])
-    _, sound = lift(torn, pixels)
+    _, sound = lift_pixels(torn, pixels)
     assert sound.tolist() == [False, False, False, False, True]
 
 
 def test_nothing_to_lift(picture):
-    points, sound = lift(picture, np.zeros((0, 2)))
+    points, sound = lift_pixels(picture, np.zeros((0, 2)))
     assert points.shape == (0, 3)
     assert sound.shape == (0,)
 
@@ -83,7 +83,7 @@ def test_nothing_to_lift(picture):
 def test_the_rim_of_the_picture(picture):
     h, w = picture.depth.shape
     rim = np.array([[0.0, 0.0], [w, h], [w, 0.0], [0.0, h]], float)
-    points, sound = lift(picture, rim)
+    points, sound = lift_pixels(picture, rim)
     assert np.isfinite(points[sound]).all()
 
 
@@ -95,7 +95,7 @@ def test_views_are_turned_about_the_vertical(views, spread):
     options = RefineOptions(views=views, spread=spread)
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation_from_vector([0.3, -1.0, 0.4]), (1, 2, 3)
-    poses = turned(pose, options, np.random.default_rng(views))
+    poses = turn_views(pose, options, np.random.default_rng(views))
     assert len(poses) == views
     np.testing.assert_array_equal(poses[0], pose)
     turns = [vector_from_rotation(p[:3, :3] @ pose[:3, :3].T) for p in poses]
@@ -109,7 +109,7 @@ def test_the_papers_six_views_are_six(rng):
     """Sec. 3.6: the estimate and five sampled within 45 degrees; none counts twice."""
     options, drawn = RefineOptions.paper(), []
     for _ in range(400):
-        poses = turned(np.eye(4), options, rng)
+        poses = turn_views(np.eye(4), options, rng)
         yaws = np.array([vector_from_rotation(p[:3, :3])[2] for p in poses])
         assert len(yaws) == 6
         assert np.abs(np.diff(np.sort(yaws))).min() > 0
@@ -140,7 +140,9 @@ def test_matches_become_points_of_the_map(hall, way, walked, picture):
     some = np.array([[30.5, 40.5], [100.5, 80.5], [120.5, 30.5]])
     told = Told(Matches.of(some, some, [0.9, 0.8, 0.7]), Matches.of(some[:1], some[:1], [0.5]))
     frame = walked[0]
-    sights = look(Renderer(hall), frame, frame.rgb(), [way[0], way[0]], told, size=160, sigma=1.5)
+    sights = match_views(
+        Renderer(hall), frame, frame.rgb(), [way[0], way[0]], told, size=160, sigma=1.5
+    )
     assert len(sights) == 4
     v, u = some.astype(int).T[::-1]
     np.testing.assert_allclose(sights.points[:3], picture.points[v, u], atol=1e-6)
@@ -153,7 +155,7 @@ def test_smaller_renderings_keep_the_frames_pixels(hall, way, walked):
     some = np.array([[30.5, 40.5], [40.5, 20.5], [60.5, 30.5]])
     told = Told(Matches.of(some, some, np.ones(3)))
     frame = walked[0]
-    sights = look(Renderer(hall), frame, frame.rgb(), way[:1], told, size=80, sigma=1.0)
+    sights = match_views(Renderer(hall), frame, frame.rgb(), way[:1], told, size=80, sigma=1.0)
     np.testing.assert_allclose(sights.pixels, 2 * some)
     np.testing.assert_allclose(sights.errors(way[0]), 0.0, atol=0.05)
 
@@ -162,7 +164,9 @@ def test_matches_on_the_rim_are_no_trouble(hall, way, walked, kit):
     width, height = kit.camera.width, kit.camera.height
     rim = np.array([[0, 0], [width, height], [width, 10.5], [10.5, height]], float)
     told = Told(Matches.of(rim, rim, np.ones(4)))
-    sights = look(Renderer(hall), walked[0], walked[0].rgb(), way[:1], told, size=160, sigma=1.0)
+    sights = match_views(
+        Renderer(hall), walked[0], walked[0].rgb(), way[:1], told, size=160, sigma=1.0
+    )
     assert len(sights) <= 4
 
 
@@ -170,7 +174,7 @@ def test_nothing_matched(hall, way, walked):
     frame = walked[0]
     assert (
         len(
-            look(
+            match_views(
                 Renderer(hall),
                 frame,
                 frame.rgb(),
@@ -204,7 +208,7 @@ def fabricated(seed, frames=3, count=60, wrong=0.7, noise=0.0):
         pixels[bad] += far * np.stack([np.cos(angle), np.sin(angle)], axis=1)
         points = inside @ pose[:3, :3].T + pose[:3, 3]
         poses.append(pose)
-        sights.append(Sights.of(points, pixels, LENS, 1.0))
+        sights.append(PointMatches.of(points, pixels, LENS, 1.0))
     return np.stack(poses), sights
 
 
@@ -223,7 +227,7 @@ def test_a_rig_is_found_among_seventy_percent_outliers(seed):
 
 def test_frames_without_matches_take_no_part():
     poses, sights = fabricated(4, frames=4)
-    sights[1] = Sights.none()
+    sights[1] = PointMatches.none()
     found = solve_rig(sights, list(np.linalg.inv(poses[-1]) @ poses), OPTIONS)
     np.testing.assert_allclose(found.pose, poses[-1], atol=1e-3)
     assert [len(i) for i in found.inliers] == [60, 0, 60, 60]
@@ -238,7 +242,7 @@ def test_one_frame_alone():
 def test_the_only_frame_with_matches_may_be_any(kit):
     """Its mount counts: the pose is the reference's."""
     poses, sights = fabricated(6, frames=3)
-    seen = [Sights.none(), sights[1], Sights.none()]
+    seen = [PointMatches.none(), sights[1], PointMatches.none()]
     found = solve_rig(seen, list(np.linalg.inv(poses[-1]) @ poses), OPTIONS)
     metres, degrees = kit.off(found.pose, poses[-1])
     assert metres < 0.01
@@ -260,7 +264,7 @@ def test_what_agrees_on_nothing_is_no_pose(seed):
 def test_too_few_are_no_pose():
     poses, sights = fabricated(1, frames=2, count=5, wrong=0.0)
     assert solve_rig(sights, list(np.linalg.inv(poses[-1]) @ poses), OPTIONS) is None
-    assert solve_rig([Sights.none()], [np.eye(4)], OPTIONS) is None
+    assert solve_rig([PointMatches.none()], [np.eye(4)], OPTIONS) is None
 
 
 def test_the_same_again():
@@ -279,7 +283,7 @@ def test_without_poselib_it_says_what_to_install(monkeypatch):
     assert str(raised.value).endswith(".")
 
 
-# ---- Sights: points of the map in a frame's pixels
+# ---- PointMatches: points of the map in a frame's pixels
 
 
 BENT = Camera(320, 240, 250.0, 240.0, 158.0, 121.0, (-0.1, 0.02, 0.001, -0.001))
@@ -297,7 +301,7 @@ def scattered(seed, count=20):
 @given(st.integers(0, 999))
 def test_true_pixels_have_no_error_whatever_the_lens(seed):
     pose, points, pixels = scattered(seed)
-    sights = Sights.of(points, pixels, BENT, 1.5)
+    sights = PointMatches.of(points, pixels, BENT, 1.5)
     assert len(sights) == 20
     np.testing.assert_allclose(sights.errors(pose), 0.0, atol=1e-4)
     assert sights.focal == 245.0
@@ -307,24 +311,26 @@ def test_true_pixels_have_no_error_whatever_the_lens(seed):
 
 
 def test_errors_are_in_pixels():
-    sights = Sights.of(np.array([[0, 0, 2.0]]), np.array([[163.0, 121.0]]), BENT, 1.0)
+    sights = PointMatches.of(np.array([[0, 0, 2.0]]), np.array([[163.0, 121.0]]), BENT, 1.0)
     assert sights.errors(np.eye(4))[0] == pytest.approx(5.0, rel=0.03)
 
 
 def test_behind_the_camera_the_error_is_infinite():
-    sights = Sights.of(np.array([[0, 0, -2.0], [0, 0, 0.0]]), np.full((2, 2), 100.0), BENT, 1.0)
+    sights = PointMatches.of(
+        np.array([[0, 0, -2.0], [0, 0, 0.0]]), np.full((2, 2), 100.0), BENT, 1.0
+    )
     assert np.isinf(sights.errors(np.eye(4))).all()
 
 
 def test_some_of_them_and_none():
     _, points, pixels = scattered(3)
-    sights = Sights.of(points, pixels, BENT, 1.0)
+    sights = PointMatches.of(points, pixels, BENT, 1.0)
     some = sights[np.arange(20) % 2 == 0]
     np.testing.assert_array_equal(some.points, points[::2])
     np.testing.assert_array_equal(some.pixels, pixels[::2])
-    assert len(Sights.none()) == 0
-    assert len(Sights.of(np.zeros((0, 3)), np.zeros((0, 2)), BENT, 1.0)) == 0
-    assert Sights.none().errors(np.eye(4)).shape == (0,)
+    assert len(PointMatches.none()) == 0
+    assert len(PointMatches.of(np.zeros((0, 3)), np.zeros((0, 2)), BENT, 1.0)) == 0
+    assert PointMatches.none().errors(np.eye(4)).shape == (0,)
 
 
 def frame_of(depth, **camera):
@@ -337,7 +343,7 @@ def frame_of(depth, **camera):
 
 def cut(depth, count=200, phase=0):
     frame = frame_of(np.asarray(depth, np.float32))
-    return frame, readings(frame, frame.depth(), count, phase)
+    return frame, sample_readings(frame, frame.depth(), count, phase)
 
 
 def pixels(frame, seen):
@@ -425,7 +431,7 @@ def test_no_reading_at_all():
 
 
 def test_frames_without_depth_have_no_distances(hall, way, walked):
-    seen = readings(walked[0], walked[0].depth(), 100)
+    seen = sample_readings(walked[0], walked[0].depth(), 100)
     off = distances(Surfaces.of(hall), [None, seen], way[:1].repeat(2, axis=0))
     assert off[0].shape == (0,)
     assert np.nanmax(off[1]) < 1e-4

@@ -9,15 +9,15 @@ from hypothesis import strategies as st
 
 from placegraph.core.geometry import level_from_camera, rotation_from_vector
 from placegraph.indoor.options import MotionNoise
-from placegraph.indoor.refine.correspondences import Sights
+from placegraph.indoor.refine.correspondences import PointMatches
 from placegraph.indoor.refine.covariance import ALONE, LEAST, common_error, covariance
 from placegraph.indoor.refine.fit import (
     Lags,
     Problem,
     Solution,
     in_map_axes,
-    later,
     odometry_errors,
+    shift_in_time,
     solve,
     twists,
     usual_lag,
@@ -31,7 +31,7 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 def sights_of(capture, poses, rng, count=60, sigma=1.0, noise=0.0, wrong=0.0):
-    """Sights of what the frames' depth shows at true poses, a share of them wrong."""
+    """PointMatches of what the frames' depth shows at true poses, a share of them wrong."""
     out = []
     for frame, pose in zip(capture, poses, strict=True):
         depth, camera = frame.depth(), frame.camera
@@ -43,7 +43,7 @@ def sights_of(capture, poses, rng, count=60, sigma=1.0, noise=0.0, wrong=0.0):
         bad = rng.random(count) < wrong
         pixels[bad] = rng.uniform(0, [camera.width, camera.height], (bad.sum(), 2))
         good = np.isfinite(points).all(axis=1)
-        out.append(Sights.of(points[good], pixels[good], camera, sigma))
+        out.append(PointMatches.of(points[good], pixels[good], camera, sigma))
     return out
 
 
@@ -318,7 +318,7 @@ def test_matches_that_miss_make_it_grow(kit, hall, walked, way, rng):
             inside = rng.uniform([-0.5, -0.4, 2.9], [0.5, 0.4, 3.1], (80, 3))
             pixels = frame.camera.project(inside) + miss * rng.normal(size=(80, 2))
             points = inside @ pose[:3, :3].T + pose[:3, 3]
-            sights.append(Sights.of(points, pixels, frame.camera, 1.0))
+            sights.append(PointMatches.of(points, pixels, frame.camera, 1.0))
         problem = kit.problem(hall, walked, sights=sights, blind=range(5))
         made = Solution(way, np.eye(30), np.ones(2), np.nan, 1)
         shift, away = common_error(problem, made)
@@ -326,7 +326,7 @@ def test_matches_that_miss_make_it_grow(kit, hall, walked, way, rng):
         found.append(shift)
     assert found[0] < found[1] < found[2]
     assert found[2] / found[1] == pytest.approx(3.0, rel=0.25)
-    nothing = Sights.none()
+    nothing = PointMatches.none()
     bare = kit.problem(hall, walked, sights=[nothing] * 5, blind=range(5))
     assert common_error(bare, made) == (pytest.approx(LEAST), 1.0)
 
@@ -344,14 +344,14 @@ def looking_about(kit):
 @pytest.mark.parametrize("lag", [-0.5, 0.0, 0.4])
 def test_how_late_depth_is_is_found(kit, hall, looking_about, lag):
     stamps = np.arange(len(looking_about), dtype=float)
-    late = later(looking_about, twists(looking_about, stamps), lag)
+    late = shift_in_time(looking_about, twists(looking_about, stamps), lag)
     odometry = np.linalg.inv(looking_about[0]) @ looking_about
     capture = kit.frames(hall, late, odometry=odometry)
     start = kit.moved(looking_about, (0.04, -0.03, 0.0), (0.0, 0.0, 1.0))
     solution = solve(kit.problem(hall, capture), start, DEPTH_WIDTHS, 6)
     assert solution.lags.values[0] == pytest.approx(lag, abs=0.05)
     assert solution.lags.values[1] == 0.0  # no image took part
-    assert list(solution.lags.clear()) == (["depth"] if lag else [])
+    assert list(solution.lags.find_clear()) == (["depth"] if lag else [])
     for pose, truth in zip(solution.poses, looking_about, strict=True):
         metres, degrees = kit.off(pose, truth)
         assert metres < 0.01
@@ -361,7 +361,7 @@ def test_how_late_depth_is_is_found(kit, hall, looking_about, lag):
 def test_of_one_frame_nothing_is_late(kit, hall, walked, way):
     solution = solve(kit.problem(hall, walked[:1]), way[:1], DEPTH_WIDTHS)
     np.testing.assert_array_equal(solution.lags.values, 0.0)
-    assert solution.lags.clear() == {}
+    assert solution.lags.find_clear() == {}
     np.testing.assert_array_equal(solution.lags.of_depth(way[:1]), way[:1])
 
 
@@ -374,8 +374,8 @@ def test_the_usual_lag_is_some_hundredths_of_a_second_or_part_of_the_time_betwee
 def test_the_way_in_map_axes_is_the_derivative(kit, lag):
     poses = np.stack([kit.standing(1 + 0.3 * i, 2 + 0.1 * i, 20 * i) for i in range(4)])
     twist = twists(poses, np.arange(4.0))
-    at, step = later(poses, twist, lag), 1e-5
-    moved = (later(poses, twist, lag + step) - at)[:, :3, 3] / step
+    at, step = shift_in_time(poses, twist, lag), 1e-5
+    moved = (shift_in_time(poses, twist, lag + step) - at)[:, :3, 3] / step
     told = in_map_axes(poses, twist).reshape(4, 6)
     np.testing.assert_allclose(moved, told[:, :3], atol=1e-6)
     back = Lags(np.array([lag, 0.0]), np.ones(2), twist, 1.0).of_depth(poses)
@@ -384,7 +384,7 @@ def test_the_way_in_map_axes_is_the_derivative(kit, lag):
 
 def test_in_steady_motion_a_lag_is_not_told_from_a_shift_and_stamps_are_believed(kit, hall):
     way = np.stack([kit.standing(1.2 + 0.1 * i, 2.2, -30) for i in range(6)])
-    late = later(way, twists(way, np.arange(6.0)), 0.1)
+    late = shift_in_time(way, twists(way, np.arange(6.0)), 0.1)
     capture = kit.frames(hall, late, odometry=np.linalg.inv(way[0]) @ way)
     solution = solve(kit.problem(hall, capture), late, DEPTH_WIDTHS)
     assert np.abs(solution.lags.values).max() < 1e-3

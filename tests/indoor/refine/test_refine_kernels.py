@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from placegraph.core.geometry import rotation_from_vector
-from placegraph.indoor.refine.correspondences import Kernel, Surfaces, readings
+from placegraph.indoor.refine.correspondences import Kernel, Surfaces, sample_readings
 from placegraph.indoor.refine.refine_kernels import (
     add_row,
     correlations,
@@ -60,7 +60,7 @@ def frame(walked):
 
 @pytest.fixture(scope="module")
 def seen(frame):
-    return readings(frame, frame.depth(), 200)
+    return sample_readings(frame, frame.depth(), 200)
 
 
 @settings(max_examples=25)
@@ -124,7 +124,7 @@ def test_distances_from_a_wall_are_along_its_normal(kit):
     hall = kit.boxes({"hall": ((0, 0, 0), (6, 4, 3))})
     pose = kit.standing(4.0, 2.0, 20.0, down_deg=0.0)
     frame = kit.frames(hall, pose[None])[0]
-    seen = readings(frame, frame.depth(), 400)
+    seen = sample_readings(frame, frame.depth(), 400)
     surfaces = Surfaces.of(hall)
     aims = seen.directions @ pose[:3, :3].T
     hit = pose[:3, 3] + aims * seen.depth[:, None]

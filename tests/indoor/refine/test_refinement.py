@@ -13,9 +13,8 @@ from placegraph.errors import MissingExtraError, OptionError
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.pose.query import PoseQuery
 from placegraph.indoor.pose.window import observe
-from placegraph.indoor.refine import RefineOptions, Refining
-from placegraph.indoor.refine import refined as refined_in
-from placegraph.indoor.refine.judge import Judgement
+from placegraph.indoor.refine import RefineOptions, RefineSetup, refine_estimate
+from placegraph.indoor.refine.confidence import Confirmation
 from placegraph.indoor.refine.matching.guided import GuidedMatcher
 from placegraph.indoor.refine.refinement import _told
 from placegraph.indoor.status import Diagnostics
@@ -127,7 +126,7 @@ def test_landmarks_make_sure_of_a_pose(coarse, undecided, accepted, landmarks, a
     )
     poses = coarse.trajectory.copy()
     fitted = SimpleNamespace(poses=poses, solution=None, covariance=np.eye(6))
-    judgement = Judgement(accepted, "", fitted, {}, doubt="" if accepted else "it is elsewhere")
+    judgement = Confirmation(accepted, "", fitted, {}, doubt="" if accepted else "it is elsewhere")
     before = replace(coarse, status=Status.AMBIGUOUS, diagnostics=Diagnostics(undecided=undecided))
     assert _told(before, refiner, judgement).status is after
 
@@ -152,20 +151,20 @@ def test_what_is_lost_is_not_refined(flat, walk):
     assert lost.status is Status.LOST
     assert lost.refinement is None
     window = observe(PoseQuery.of(flat, walk, frames=FIVE))
-    assert refined_in(window, lost, Refining.of(None, "auto")) is lost
+    assert refine_estimate(window, lost, RefineSetup.of(None, "auto")) is lost
 
 
 def test_sightings_of_the_newest_frames_are_enough(room, walk, coarse, exact, kit):
     """Of a long capture only the last frames are refined; those before stay as they were."""
     newest = observe(PoseQuery.of(room, walk, frames=slice(6, None)))
-    estimate = refined_in(newest, coarse, Refining.of(None, "auto"))
+    estimate = refine_estimate(newest, coarse, RefineSetup.of(None, "auto"))
     assert estimate.refinement.accepted
     np.testing.assert_array_equal(estimate.trajectory[:6], coarse.trajectory[:6])
     assert kit.off(estimate.trajectory[-1], exact.poses[-1])[0] < 0.01
 
 
 def test_a_refusal_leaves_the_coarse_pose(room, walk, monkeypatch):
-    from placegraph.indoor.refine import judge
+    from placegraph.indoor.refine import confidence as judge
 
     monkeypatch.setattr(judge, "FARTHEST", (0.0, 0.0))
     estimate = room.localize(walk, frames=FIVE)
@@ -190,10 +189,10 @@ def test_unknown_matchers_are_refused_before_any_work(room, walk, name):
 
 
 def test_auto_and_guided_need_no_extra():
-    assert Refining.of(None, "auto").matcher is None
-    assert Refining.of(None, "guided").matcher is None
+    assert RefineSetup.of(None, "auto").matcher is None
+    assert RefineSetup.of(None, "guided").matcher is None
     mine = GuidedMatcher(radius=8)
-    assert Refining.of(None, mine).matcher is mine
+    assert RefineSetup.of(None, mine).matcher is mine
 
 
 def test_several_views_are_for_a_matcher_that_knows_no_neighbourhood(monkeypatch):
@@ -201,12 +200,12 @@ def test_several_views_are_for_a_matcher_that_knows_no_neighbourhood(monkeypatch
     monkeypatch.setitem(sys.modules, "romatch.models.model_zoo", None)
     monkeypatch.setitem(sys.modules, "cv2", None)
     paper = RefineOptions.paper()
-    assert Refining.of(paper, "guided").matcher is None
+    assert RefineSetup.of(paper, "guided").matcher is None
     with pytest.raises(MissingExtraError, match=r"placegraph\[sift\]"):
-        Refining.of(paper, "auto")
+        RefineSetup.of(paper, "auto")
     roma = "placegraph_learn.roma.RomaMatcher"
     monkeypatch.setattr(roma, lambda device: GuidedMatcher(radius={"cuda": 9}[device]))
-    assert Refining.of(paper, "auto", "cuda:0").matcher.radius == 9
+    assert RefineSetup.of(paper, "auto", "cuda:0").matcher.radius == 9
 
 
 # ------------------------------------------------------------------------ from a rough pose

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from placegraph.indoor.map.mesh import Mesh
-from placegraph.indoor.refine.check import held_back
-from placegraph.indoor.refine.correspondences import Sights
+from placegraph.indoor.refine.confidence import held_back
+from placegraph.indoor.refine.correspondences import PointMatches
 from placegraph.indoor.refine.matching import Matches
 from placegraph.indoor.refine.options import RefineOptions
-from placegraph.indoor.refine.refiner import FEW, MANY, Fitted, Refiner, stages_of
+from placegraph.indoor.refine.refiner import FEW, MANY, FittedTrajectory, Refiner, matching_stages
 from placegraph.indoor.scene_map import SceneMap
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -42,7 +42,7 @@ def refiner(room, walk):
 
 def test_matches_in_held_back_blocks_take_no_part(refiner, exact):
     one = refiner(depth=False, frames=slice(0, 4))
-    (stage, *_) = stages_of(None, near=False)
+    (stage, *_) = matching_stages(None, near=False)
     sights = one.matched(stage, exact.poses[:4])
     camera = one.frames[0].camera
     assert sum(map(len, sights)) > 5
@@ -57,11 +57,11 @@ def test_landmarks_kept_for_the_check_join_an_accepted_fit(refiner, exact, rng):
     camera = one.frames[0].camera
     pixels = rng.uniform(0, (camera.width, camera.height), (120, 2))
     points = camera.directions(pixels) * rng.uniform(1, 4, (120, 1)) @ pose[:3, :3].T + pose[:3, 3]
-    sights = Sights.of(points, pixels, camera, 0.7)
+    sights = PointMatches.of(points, pixels, camera, 0.7)
     one.landmarks = [sights]
     few, shifted = sights[:20], pose.copy()
     shifted[:3, 3] += 0.01
-    fitted = Fitted(shifted[None], None, [few], np.eye(6))
+    fitted = FittedTrajectory(shifted[None], None, [few], np.eye(6))
     assert one.completed(fitted) is fitted  # no landmarks had led there
     one.landmark_matches = len(few)
     whole = one.completed(fitted)
@@ -130,17 +130,17 @@ def test_frames_that_are_looked_at(refiner, count, asked):
 
 
 def test_the_guided_matcher_comes_from_wide_to_narrow():
-    wide = stages_of(None, near=False)
+    wide = matching_stages(None, near=False)
     assert [s.matcher.radius for s in wide] == sorted(
         (s.matcher.radius for s in wide), reverse=True
     )
     assert not any(s.turned for s in wide)
-    assert len(stages_of(None, near=True)) < len(wide)
+    assert len(matching_stages(None, near=True)) < len(wide)
     mine = Nowhere()
-    assert [s.matcher for s in stages_of(mine, near=True)] == [mine] * len(
-        stages_of(mine, near=True)
+    assert [s.matcher for s in matching_stages(mine, near=True)] == [mine] * len(
+        matching_stages(mine, near=True)
     )
-    assert stages_of(mine, near=True)[0].turned
+    assert matching_stages(mine, near=True)[0].turned
 
 
 def test_progress_is_told(refiner, exact):

@@ -9,10 +9,10 @@ from placegraph.core.estimate import Status
 from placegraph.errors import OptionError
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.refine import RefineOptions, refinement
-from placegraph.indoor.refine.correspondences import MOST, look
-from placegraph.indoor.refine.judge import Judgement
+from placegraph.indoor.refine.confidence import Confirmation
+from placegraph.indoor.refine.correspondences import MOST, match_views
 from placegraph.indoor.refine.matching import Matches
-from placegraph.indoor.refine.refiner import Fitted
+from placegraph.indoor.refine.refiner import FittedTrajectory
 from placegraph.indoor.render import Renderer
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -63,7 +63,7 @@ def pairs(value, which, count=200):
 @pytest.mark.parametrize("which", ["query", "rendered"])
 def test_points_that_are_no_numbers_or_outside_are_dropped(hall, way, walked, value, which):
     frame = walked[0]
-    sights = look(
+    sights = match_views(
         Renderer(hall), frame, frame.rgb(), way[:1], pairs(value, which), size=160, sigma=1.0
     )
     assert 150 < len(sights) <= 199
@@ -111,7 +111,7 @@ def test_the_surest_of_too_many_are_used(hall, way, walked, rng):
     sure = rng.random(count)
     crowd = Mine(lambda _, views: [Matches.of(at, at, sure)] * views)
     frame = walked[0]
-    sights = look(Renderer(hall), frame, frame.rgb(), way[:1], crowd, size=160, sigma=1.0)
+    sights = match_views(Renderer(hall), frame, frame.rgb(), way[:1], crowd, size=160, sigma=1.0)
     assert 0.8 * MOST < len(sights) <= MOST
     surest = {tuple(p) for p in at[np.argsort(-sure)[:MOST]].tolist()}
     assert all(tuple(p) in surest for p in sights.pixels.tolist())
@@ -186,9 +186,9 @@ def test_doubts_of_the_judge_are_the_coarse_poses_too(room, walk, monkeypatch, d
     """What speaks against camera or depth speaks against the filter's pose as well."""
     before = room.localize(walk, frames=FIVE, refine=False)
     assert before.status is Status.OK
-    nothing = Fitted(np.eye(4)[None], None, [], np.eye(6))
-    verdict = Judgement(False, "Not refined: so it is.", nothing, {}, doubt)
-    monkeypatch.setattr(refinement, "judged", lambda *_: verdict)
+    nothing = FittedTrajectory(np.eye(4)[None], None, [], np.eye(6))
+    verdict = Confirmation(False, "Not refined: so it is.", nothing, {}, doubt)
+    monkeypatch.setattr(refinement, "confirm_fit", lambda *_: verdict)
     after = told(room.localize(walk, frames=FIVE))
     assert not after.refinement.accepted
     np.testing.assert_array_equal(after.best.map_from_camera, before.best.map_from_camera)

@@ -18,7 +18,7 @@ from placegraph.core.geometry import Floats
 from placegraph.core.threads import processors
 from placegraph.indoor.likelihood.observe import spread
 from placegraph.indoor.map.scene import MOST_LANDMARKS, WIDTH, Landmarks
-from placegraph.indoor.refine.landmarks import LARGEST, features_of, finder
+from placegraph.indoor.refine.landmarks import LARGEST, detect_features, make_detector
 from placegraph.io.capture.frame import Frame
 
 FRAMES = 300  # Most frames that are looked at, spread over the capture
@@ -59,7 +59,7 @@ def landmarks_of(
     `MissingExtraError` where OpenCV is not installed.
     """
     chosen = spread(len(frames), FRAMES)
-    finder(FEATURES)  # what is missing is told before the work
+    make_detector(FEATURES)  # what is missing is told before the work
     points, vectors = np.zeros((0, 3)), np.zeros((0, WIDTH), np.float32)
     counts = np.zeros(0, np.int64)
     tracks = []
@@ -96,7 +96,7 @@ def _focal(frame: Frame) -> float:
 
 def _looked(frame: Frame) -> _Look:
     """Features of a frame where its depth is sound."""
-    found = features_of(finder(FEATURES), frame, frame.rgb())
+    found = detect_features(make_detector(FEATURES), frame, frame.rgb())
     rays = frame.camera.directions(found.points)
     depth = depth_at(frame, rays)
     known = np.isfinite(depth)

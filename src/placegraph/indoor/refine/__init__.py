@@ -1,8 +1,14 @@
 """Refinement of poses to centimetres (Sec. 3.6 of the paper, and beyond it)."""
 
-from placegraph.indoor.refine.camera import wrong_camera
-from placegraph.indoor.refine.known import refine
+from placegraph.indoor.refine.camera_correction import find_camera_correction
 from placegraph.indoor.refine.options import DepthNoise, RefineOptions
-from placegraph.indoor.refine.refinement import Refining, refined
+from placegraph.indoor.refine.refinement import RefineSetup, refine, refine_estimate
 
-__all__ = ["DepthNoise", "RefineOptions", "Refining", "refine", "refined", "wrong_camera"]
+__all__ = [
+    "DepthNoise",
+    "RefineOptions",
+    "RefineSetup",
+    "find_camera_correction",
+    "refine",
+    "refine_estimate",
+]

@@ -44,7 +44,9 @@ class Readings:
     """(R, 3) of what was seen, towards the camera; zero where unknown."""
 
 
-def readings(frame: Frame, depth: NDArray[np.float32], count: int, phase: int = 0) -> Readings:
+def sample_readings(
+    frame: Frame, depth: NDArray[np.float32], count: int, phase: int = 0
+) -> Readings:
     """About `count` readings of a depth image (h, w) [m], spread evenly.
 
     Two phases never share a pixel. Readings on edges of depth are left out: what lies between two
@@ -127,13 +129,15 @@ def distances(surfaces: Surfaces, seen: Sequence[Readings | None], poses: Floats
 MOST = 5000
 """Matches of a view that are used, the surest."""
 _DIGITS = 7  # a tenth of a micrometre
+BLOCKS = 9
+"""Blocks in the width of an image; one of four is held back."""
 _STEEP = 0.15
 """A match is not lifted where depth changes by more than this share within a pixel or two: which of
 the two surfaces was meant, nobody knows."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sights:
+class PointMatches:
     """M points of the map that one frame was matched with."""
 
     points: Floats
@@ -150,8 +154,8 @@ class Sights:
     """Pixels of this camera in one of an image `REFERENCE` wide: what tolerances are given in."""
 
     @classmethod
-    def of(cls, points: Floats, pixels: Floats, camera: Camera, sigma: float) -> Sights:
-        """Sights of a camera; `sigma`: deviation of all [px of an image `REFERENCE` wide].
+    def of(cls, points: Floats, pixels: Floats, camera: Camera, sigma: float) -> PointMatches:
+        """PointMatches of a camera; `sigma`: deviation of all [px of an image `REFERENCE` wide].
 
         What the camera has no ray for is left out.
         """
@@ -164,14 +168,14 @@ class Sights:
         return cls(points, pixels, rays, sigmas, 0.5 * (camera.fx + camera.fy), unit)[seen]
 
     @classmethod
-    def none(cls) -> Sights:
+    def none(cls) -> PointMatches:
         """No point."""
         return cls(np.zeros((0, 3)), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), 1.0, 1.0)
 
     def __len__(self) -> int:
         return len(self.points)
 
-    def __getitem__(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> Sights:
+    def __getitem__(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> PointMatches:
         """Some of them."""
         return replace(
             self,
@@ -190,7 +194,7 @@ class Sights:
         return np.where(ahead, off, np.inf)
 
 
-def turned(map_from_camera: Floats, options: RefineOptions, rng: Generator) -> list[Floats]:
+def turn_views(map_from_camera: Floats, options: RefineOptions, rng: Generator) -> list[Floats]:
     """The pose and others drawn within +-spread about the vertical: `views` in all (Sec. 3.6)."""
     out = [map_from_camera]
     for yaw in rng.uniform(-options.spread, options.spread, options.views - 1):
@@ -200,7 +204,7 @@ def turned(map_from_camera: Floats, options: RefineOptions, rng: Generator) -> l
     return out
 
 
-def look(
+def match_views(
     renderer: Renderer,
     frame: Frame,
     query: NDArray[np.uint8],
@@ -209,24 +213,26 @@ def look(
     *,
     size: int,
     sigma: float,
-) -> Sights:
+) -> PointMatches:
     """Points of the map that a frame (H, W, 3) shares with renderings from poses (4, 4) (Sec. 3.6).
 
     `size`: longer side of the renderings [px]; the query is brought to theirs. `sigma`: deviation of
     a match [px of an image `REFERENCE` wide].
     """
-    camera = smaller(frame.camera, size)
+    camera = shrink_camera(frame.camera, size)
     drawn = [renderer.render(pose, camera, samples=1) for pose in poses]
     shown = resized(query, camera.width, camera.height)
     found = matcher.match(shown, [d.colour for d in drawn], masks=[d.mask for d in drawn])
     found = _checked(found, matcher, len(drawn), camera)
     points, pixels = [np.zeros((0, 3))], [np.zeros((0, 2))]
     for picture, matches in zip(drawn, found, strict=True):
-        lifted, whole = lift(picture, matches.rendered)
+        lifted, whole = lift_pixels(picture, matches.rendered)
         points.append(lifted[whole])
         pixels.append(matches.query[whole])
     scale = np.array([frame.camera.width / camera.width, frame.camera.height / camera.height])
-    return Sights.of(np.concatenate(points), np.concatenate(pixels) * scale, frame.camera, sigma)
+    return PointMatches.of(
+        np.concatenate(points), np.concatenate(pixels) * scale, frame.camera, sigma
+    )
 
 
 def _checked(
@@ -249,7 +255,7 @@ def _inside(matches: Matches, matcher: Matcher, camera: Camera) -> Matches:
     return Matches(matches.query[rows], matches.rendered[rows], matches.confidence[rows])
 
 
-def smaller(camera: Camera, size: int) -> Camera:
+def shrink_camera(camera: Camera, size: int) -> Camera:
     """The camera with images whose longer side is `size` [px]; as it is where that is longer."""
     scale = size / max(camera.width, camera.height)
     if scale >= 1.0:
@@ -257,7 +263,13 @@ def smaller(camera: Camera, size: int) -> Camera:
     return camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
 
 
-def lift(picture: Rendering, pixels: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+def held_back(pixels: Floats, camera: Camera) -> NDArray[np.bool_]:
+    """Which image points (N, 2) [px] of a camera lie in blocks that are kept for the check."""
+    block = np.floor(pixels / (max(camera.width, camera.height) / BLOCKS)).astype(np.int64)
+    return np.asarray((block % 2 == 1).all(axis=1))
+
+
+def lift_pixels(picture: Rendering, pixels: Floats) -> tuple[Floats, NDArray[np.bool_]]:
     """Points (N, 3) [m, map] that pixels (N, 2) of a rendering show, and which of them are sound.
 
     Between pixel centres points are interpolated in the plane of the four around; a pixel at the
@@ -297,13 +309,13 @@ class Consensus:
         return int(sum(i.sum() for i in self.inliers))
 
 
-def solve_frame(sights: Sights, options: RefineOptions) -> Consensus | None:
+def solve_frame(sights: PointMatches, options: RefineOptions) -> Consensus | None:
     """PnP with RANSAC on one frame, by PoseLib (Sec. 3.6); None where too few matches agree."""
     return solve_rig([sights], [np.eye(4)], options)
 
 
 def solve_rig(
-    sights: Sequence[Sights], reference_from_camera: Sequence[Floats], options: RefineOptions
+    sights: Sequence[PointMatches], reference_from_camera: Sequence[Floats], options: RefineOptions
 ) -> Consensus | None:
     """PnP with RANSAC on frames that odometry ties together, by PoseLib; None: too few agree.
 

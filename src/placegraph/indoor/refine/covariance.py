@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from placegraph.core.geometry import Floats
-from placegraph.indoor.refine.correspondences import Sights
+from placegraph.indoor.refine.correspondences import PointMatches
 from placegraph.indoor.refine.fit import Problem, Solution, odometry_errors
 
 PULL = 7.0
@@ -59,7 +59,7 @@ def common_error(problem: Problem, solution: Solution) -> tuple[float, float]:
     return max(found), float(np.mean(away)) if away else 1.0
 
 
-def _missed(sights: Sequence[Sights], poses: Floats) -> tuple[float, float]:
+def _missed(sights: Sequence[PointMatches], poses: Floats) -> tuple[float, float]:
     """By how much matches miss, at their distance [m], and that distance [m]."""
     angles, far = [], []
     for seen, pose in zip(sights, poses, strict=True):

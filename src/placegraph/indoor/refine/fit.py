@@ -24,7 +24,7 @@ from placegraph.core.geometry import (
     vector_from_rotation,
 )
 from placegraph.errors import InputError
-from placegraph.indoor.refine.correspondences import Kernel, Readings, Sights, Surfaces
+from placegraph.indoor.refine.correspondences import Kernel, PointMatches, Readings, Surfaces
 from placegraph.indoor.refine.options import RefineOptions
 from placegraph.indoor.refine.refine_kernels import depth_system, pixel_system
 
@@ -58,19 +58,19 @@ class Lags:
 
     def of_depth(self, poses: Floats) -> Floats:
         """Where depth was measured from (T, 4, 4), by poses at the stamps."""
-        return later(poses, self.twist, float(self.values[DEPTH]))
+        return shift_in_time(poses, self.twist, float(self.values[DEPTH]))
 
     def of_images(self, poses: Floats) -> Floats:
         """Where images were taken from (T, 4, 4), by poses at the stamps."""
-        return later(poses, self.twist, float(self.values[IMAGES]))
+        return shift_in_time(poses, self.twist, float(self.values[IMAGES]))
 
-    def clear(self) -> dict[str, float]:
+    def find_clear(self) -> dict[str, float]:
         """Lags that the data leave no doubt of: `depth`, `images`, in the stamps' unit."""
-        rows = np.flatnonzero(clear(self))
+        rows = np.flatnonzero(find_clear_lags(self))
         return {("depth", "images")[row]: float(self.values[row]) for row in rows}
 
 
-def clear(lags: Lags | None) -> NDArray[np.bool_]:
+def find_clear_lags(lags: Lags | None) -> NDArray[np.bool_]:
     """Which of depth and images (2,) are late without doubt."""
     if lags is None:
         return np.zeros(2, bool)
@@ -100,7 +100,7 @@ def twists(odometry: Floats, stamps: Floats) -> Floats:
     return np.asarray(both / (stamps[after] - stamps[before])[:, None])
 
 
-def later(poses: Floats, twist: Floats, lag: float) -> Floats:
+def shift_in_time(poses: Floats, twist: Floats, lag: float) -> Floats:
     """Poses (T, 4, 4) a `lag` later on ways (T, 6) as of `twists`."""
     out = poses.copy()
     out[:, :3, 3] += lag * np.einsum("tij,tj->ti", poses[:, :3, :3], twist[:, :3])
@@ -126,7 +126,7 @@ WITNESSES = 4
 """... which are believed as if so many errors had shown them."""
 
 
-class Says(NamedTuple):
+class NormalEquations(NamedTuple):
     """What one sense says of T poses: normal equations of each frame."""
 
     information: Floats
@@ -134,11 +134,13 @@ class Says(NamedTuple):
     gradient: Floats
     """(T, 6)"""
 
-    def allowed(self, astray: Floats) -> Says:
+    def allowed(self, astray: Floats) -> NormalEquations:
         """The same, where each frame as a whole may be astray by deviations (2,) [m], [rad]."""
         sure = np.repeat(1.0 / np.square(astray), 3)
         kept = sure[:, None] * np.linalg.inv(self.information + np.diag(sure))
-        return Says(kept @ self.information, np.einsum("tij,tj->ti", kept, self.gradient))
+        return NormalEquations(
+            kept @ self.information, np.einsum("tij,tj->ti", kept, self.gradient)
+        )
 
     def astray(self, before: Floats, step: Floats) -> Floats:
         """Deviations (2,) by which frames seem astray once their poses have gone a step (T, 6)."""
@@ -146,20 +148,20 @@ class Says(NamedTuple):
         left = self.gradient + np.einsum("tij,tj->ti", self.information, step)
         sure = np.diag(np.repeat(1.0 / np.square(before), 3))
         off = np.linalg.solve(self.information + sure, left[..., None])[told, :, 0]
-        return usual_errors(off, ASTRAY, WITNESSES)
+        return root_mean_squares(off, ASTRAY, WITNESSES)
 
 
-def usual_errors(errors: Floats, before: tuple[float, float], witnesses: int) -> Floats:
+def root_mean_squares(errors: Floats, before: tuple[float, float], witnesses: int) -> Floats:
     """Root mean squares (2,) of shifts and turns (N, 6), with what was believed before."""
     squares = np.square(errors).reshape(-1, 2, 3).sum(axis=(0, 2))
     count = witnesses + 3 * len(errors)
     return np.asarray(np.sqrt((witnesses * np.square(before) + squares) / count))
 
 
-def depth_says(
+def depth_equations(
     problem: Problem, poses: Floats, shares: Floats, width: float
-) -> tuple[Says, Floats, float]:
-    """What depth says at poses (T, 4, 4); parameters as of `matches_say`, and of `Solution`.
+) -> tuple[NormalEquations, Floats, float]:
+    """What depth says at poses (T, 4, 4); parameters as of `match_equations`, and of `Solution`.
 
     With it: sums of weights and numbers of readings of objects (N, 2), and the mean robust cost.
     """
@@ -185,10 +187,10 @@ def depth_says(
         h[t], g[t] = worth * block, worth * slope
         told += of_objects
         total += sums
-    return Says(h, g), told, float(total[1] / total[0]) if total[0] else np.nan
+    return NormalEquations(h, g), told, float(total[1] / total[0]) if total[0] else np.nan
 
 
-def matches_say(problem: Problem, poses: Floats, width: float) -> Says:
+def match_equations(problem: Problem, poses: Floats, width: float) -> NormalEquations:
     """What matched points say at poses (T, 4, 4), by a kernel of a width in standard deviations."""
     h, g = np.zeros((len(poses), 6, 6)), np.zeros((len(poses), 6))
     for t, seen in enumerate(problem.sights):
@@ -205,7 +207,7 @@ def matches_say(problem: Problem, poses: Floats, width: float) -> Says:
         )
         worth = min(1.0, POINTS / max(total, 1.0))
         h[t], g[t] = worth * block, worth * slope
-    return Says(h, g)
+    return NormalEquations(h, g)
 
 
 LOOSE = (1.0, 0.5)
@@ -227,7 +229,7 @@ class Problem:
     surfaces: Surfaces
     readings: Sequence[Readings | None]
     """(T,)"""
-    sights: Sequence[Sights]
+    sights: Sequence[PointMatches]
     """(T,)"""
     odometry: Floats
     """(T, 4, 4) odometry_from_camera"""
@@ -286,13 +288,13 @@ def solve(
     astray = [np.array(ASTRAY)] * 2
     for left, (depth_width, pixel_width) in zip(reversed(range(len(widths))), widths, strict=True):
         # in the last round stamps are believed of which no doubt was found
-        free = np.ones(2, bool) if left else clear(late)
+        free = np.ones(2, bool) if left else find_clear_lags(late)
         lags = np.where(free, lags, 0.0)
         for number in range(steps):
             h, g = np.zeros((6 * count + 2, 6 * count + 2)), np.zeros(6 * count + 2)
-            seen = [later(poses, twist, lag) for lag in lags]
-            by_depth, told, cost = depth_says(problem, seen[0], shares, depth_width)
-            says = [by_depth, matches_say(problem, seen[1], pixel_width)]
+            seen = [shift_in_time(poses, twist, lag) for lag in lags]
+            by_depth, told, cost = depth_equations(problem, seen[0], shares, depth_width)
+            says = [by_depth, match_equations(problem, seen[1], pixel_width)]
             ways = [in_map_axes(at, twist) for at in seen]
             for k, one in enumerate(says):
                 _add(one.allowed(astray[k]), ways[k], 6 * count + k, h, g)
@@ -323,7 +325,7 @@ def solve(
     return Solution(poses, information, shares, cost, taken, late)
 
 
-def _add(says: Says, way: Floats, row: int, h: Floats, g: Floats) -> None:
+def _add(says: NormalEquations, way: Floats, row: int, h: Floats, g: Floats) -> None:
     """Add what one sense tells of T poses and of its lag.
 
     `way`: (T, 6) that the poses go in a unit of the lag, whose place in h and g is `row`.
@@ -368,7 +370,7 @@ def odometry_errors(problem: Problem, poses: Floats) -> tuple[Floats, Floats]:
 def drift_of(problem: Problem, poses: Floats) -> tuple[float, float]:
     """How far odometry errs on the way that poses (T, 4, 4) go, as `Problem.drift`."""
     errors, deviations = odometry_errors(problem, poses)
-    way, turn = usual_errors(errors / deviations, (1.0, 1.0), STEADY).tolist()
+    way, turn = root_mean_squares(errors / deviations, (1.0, 1.0), STEADY).tolist()
     return way, turn
 
 
@@ -395,7 +397,7 @@ def add_beliefs(problem: Problem, poses: Floats, start: Floats, h: Floats, g: Fl
     _add_known(problem, poses, start, h, g)
 
 
-def leaning(problem: Problem, poses: Floats) -> tuple[Floats, float]:
+def lean(problem: Problem, poses: Floats) -> tuple[Floats, float]:
     """Up (T, 3) in map axes as gravity has it at poses (T, 4, 4), and the variance of its x and y."""
     up = -np.einsum("tij,tj->ti", poses[:, :3, :3], problem.gravity)
     return up, problem.options.tilt**2 + float(np.mean(up[:, :2] ** 2)) / STEADY
@@ -403,7 +405,7 @@ def leaning(problem: Problem, poses: Floats) -> tuple[Floats, float]:
 
 def _add_gravity(problem: Problem, poses: Floats, h: Floats, g: Floats) -> None:
     """The known tilt is a prior, not a cage: it gives way where frames are seen to lean far."""
-    up, variance = leaning(problem, poses)
+    up, variance = lean(problem, poses)
     for t, j in enumerate(-cross_matrix(up)[:, :2]):
         rows = slice(6 * t + 3, 6 * t + 6)
         h[rows, rows] += j.T @ j / variance

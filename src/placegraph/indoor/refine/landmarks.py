@@ -22,8 +22,13 @@ from placegraph.errors import MissingExtraError
 from placegraph.indoor.likelihood.observe import spread
 from placegraph.indoor.map.scene import WIDTH, Landmarks
 from placegraph.indoor.pose.window import Window, timed
-from placegraph.indoor.refine.check import held_back, likely
-from placegraph.indoor.refine.correspondences import Consensus, Sights, smaller, solve_rig
+from placegraph.indoor.refine.correspondences import (
+    Consensus,
+    PointMatches,
+    held_back,
+    shrink_camera,
+    solve_rig,
+)
 from placegraph.indoor.refine.matching.guided import resized
 from placegraph.indoor.refine.matching.sift import SiftMatcher
 from placegraph.indoor.refine.options import RefineOptions
@@ -31,7 +36,6 @@ from placegraph.io.capture.frame import Frame
 
 if TYPE_CHECKING:
     from placegraph.indoor.refine.matching.matches import Features
-    from placegraph.indoor.refine.refiner import Refiner
 
 LARGEST = 640
 """Longer side [px] to which larger images are brought."""
@@ -56,14 +60,14 @@ _SIDES = 4
 _DIRECTIONS = 8
 
 
-def finder(features: int) -> SiftMatcher:
+def make_detector(features: int) -> SiftMatcher:
     """What finds features; raises `MissingExtraError` where OpenCV is not installed."""
     return SiftMatcher(features=features)
 
 
-def features_of(sift: SiftMatcher, frame: Frame, rgb: NDArray[np.uint8]) -> Features:
+def detect_features(sift: SiftMatcher, frame: Frame, rgb: NDArray[np.uint8]) -> Features:
     """Features of a frame's image (H, W, 3): points [px of the image], vectors (N, `WIDTH`)."""
-    camera = smaller(frame.camera, LARGEST)
+    camera = shrink_camera(frame.camera, LARGEST)
     x, y, _ = frame.gravity
     down = float(np.degrees(np.arctan2(y, x)) - 90.0) % 360.0
     found = sift.described(resized(rgb, camera.width, camera.height), down)
@@ -96,10 +100,10 @@ def _basis() -> NDArray[np.float32]:
     return whole[:, np.argsort(steep, kind="stable")[1 : WIDTH + 1]].astype(np.float32)
 
 
-def sights_of(landmarks: Landmarks, found: Features, frame: Frame) -> Sights:
+def match_features(landmarks: Landmarks, found: Features, frame: Frame) -> PointMatches:
     """Landmarks that features of a frame are likeliest to be, and clearly so (Lowe's ratio)."""
     if not len(found) or not len(landmarks):
-        return Sights.none()
+        return PointMatches.none()
     cosine, ranked = _likeliest(found.vectors, landmarks.unit_vectors)
     sure, best = cosine[:, 0], ranked[:, 0]
     back = found.vectors @ landmarks.unit_vectors[best].T
@@ -111,7 +115,7 @@ def sights_of(landmarks: Landmarks, found: Features, frame: Frame) -> Sights:
     rival = np.take_along_axis(cosine, rank[:, None], axis=1)[:, 0]
     clear = mutual & (1.0 - sure < RATIO**2 * (1.0 - rival))
     points = landmarks.points[best[clear]].astype(np.float64)
-    return Sights.of(points, found.points[clear], frame.camera, SIGMA)
+    return PointMatches.of(points, found.points[clear], frame.camera, SIGMA)
 
 
 def _likeliest(
@@ -142,17 +146,17 @@ def _likeliest(
     return best, rows
 
 
-def seen(window: Window) -> list[Sights]:
+def match_window(window: Window) -> list[PointMatches]:
     """Landmarks (T,) that the frames of a window show: up to `LOOKS` of them, spread over it.
 
     None of a map without landmarks, and where OpenCV is not installed or images are switched off.
     Found once for each frame.
     """
-    landmarks, out = window.scene.landmarks, [Sights.none()] * len(window)
+    landmarks, out = window.scene.landmarks, [PointMatches.none()] * len(window)
     if landmarks is None:
         return out
     try:
-        sift = finder(FEATURES)
+        sift = make_detector(FEATURES)
     except MissingExtraError:
         return out
     for t in spread(len(window), LOOKS):
@@ -163,11 +167,15 @@ def seen(window: Window) -> list[Sights]:
     return out
 
 
-def _seen(landmarks: Landmarks, sift: SiftMatcher, frame: Frame, rgb: NDArray[np.uint8]) -> Sights:
-    return sights_of(landmarks, features_of(sift, frame, rgb), frame)
+def _seen(
+    landmarks: Landmarks, sift: SiftMatcher, frame: Frame, rgb: NDArray[np.uint8]
+) -> PointMatches:
+    return match_features(landmarks, detect_features(sift, frame, rgb), frame)
 
 
-def agreed(sights: Sequence[Sights], mounts: Floats, options: RefineOptions) -> Consensus | None:
+def agree_on_pose(
+    sights: Sequence[PointMatches], mounts: Floats, options: RefineOptions
+) -> Consensus | None:
     """Pose of the last of T frames that landmarks agree on; None where they do so by chance.
 
     `mounts`: (T, 4, 4) last_from_camera.
@@ -177,54 +185,39 @@ def agreed(sights: Sequence[Sights], mounts: Floats, options: RefineOptions) -> 
     return None if by_chance else consensus
 
 
-def kept_out(
-    landmarks: Sequence[Sights], frames: Sequence[Frame], options: RefineOptions
-) -> list[Sights]:
+def drop_held_back(
+    landmarks: Sequence[PointMatches], frames: Sequence[Frame], options: RefineOptions
+) -> list[PointMatches]:
     """Landmarks (T,) without those that are kept for the check."""
     pairs = zip(landmarks, frames, strict=True)
     return [s[~held_back(s.pixels, f.camera)] if options.check else s for s, f in pairs]
 
 
-def near(one: Floats, other: Floats) -> bool:
+def is_near(one: Floats, other: Floats) -> bool:
     """Whether a pose (4, 4) may be another once it is refined."""
     turn = vector_from_rotation(one[:3, :3] @ other[:3, :3].T)
     way = np.linalg.norm(one[:3, 3] - other[:3, 3])
     return bool(way < FARTHEST[0] and np.linalg.norm(turn) < FARTHEST[1])
 
 
-def plenty(sights: Sequence[Sights]) -> bool:
+def has_plenty(sights: Sequence[PointMatches]) -> bool:
     """Whether frames show so many landmarks that renderings have nothing to add."""
     return sum(map(len, sights)) >= PLENTY * sum(len(s) > 0 for s in sights)
 
 
-def firm(sights: Sequence[Sights]) -> bool:
+def has_plenty_everywhere(sights: Sequence[PointMatches]) -> bool:
     """Whether each frame that was looked at, and not some alone, shows so many."""
     return all(len(sights[t]) >= PLENTY for t in spread(len(sights), LOOKS))
 
 
-def place(window: Window) -> Floats:
+def locate_by_landmarks(window: Window) -> Floats:
     """Pose (K, 4) of the last frame that landmarks tell: one, or none."""
     with timed(window.seconds, "landmarks"):
         odometry = np.stack([s.frame.odometry for s in window.sightings])
         mounts = np.linalg.inv(odometry[-1]) @ odometry
-        sights = seen(window)
+        sights = match_window(window)
         try:
-            consensus = agreed(sights, mounts, RefineOptions())
+            consensus = agree_on_pose(sights, mounts, RefineOptions())
         except MissingExtraError:
             consensus = None
     return np.zeros((0, 4)) if consensus is None else split_pose(consensus.pose)[0][None]
-
-
-def kept_scores(refiner: Refiner, trajectories: Sequence[Floats]) -> list[list[Floats]]:
-    """Log-likelihoods (N,) of landmarks kept for the check, of each trajectory (T, 4, 4) and frame.
-
-    Those that none explains are chance.
-    """
-    out: list[list[Floats]] = [[] for _ in trajectories]
-    for t, (s, frame) in enumerate(zip(refiner.landmarks, refiner.frames, strict=False)):
-        kept = s[held_back(s.pixels, frame.camera)]
-        off = np.stack([kept.errors(poses[t]) for poses in trajectories]) / kept.unit
-        off = off[:, off.min(axis=0) < refiner.options.inlier]
-        for scores, of_one in zip(out, off, strict=True):
-            scores.append(likely(of_one / (2.0 * SIGMA)))
-    return out

@@ -7,23 +7,35 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from placegraph.core.estimate import PoseEstimate, PoseMode, Refinement, Status
-from placegraph.core.geometry import Floats, split_pose
+from placegraph.core.geometry import Floats, between, compose, pose_matrix, split_pose, wrap
 from placegraph.errors import MissingExtraError, OptionError, ServiceError
-from placegraph.indoor.pose.estimate import evidence_at
-from placegraph.indoor.pose.window import Window
-from placegraph.indoor.refine.judge import Judgement, judged
+from placegraph.indoor.likelihood.observe import COARSE, FINE
+from placegraph.indoor.pose import polish
+from placegraph.indoor.pose.chain import Chain
+from placegraph.indoor.pose.covariance import FITTED
+from placegraph.indoor.pose.estimate import estimate_pose, evidence_at
+from placegraph.indoor.pose.query import PoseQuery
+from placegraph.indoor.pose.window import Window, observe
+from placegraph.indoor.refine.camera_correction import find_camera_correction
+from placegraph.indoor.refine.confidence import Confirmation, confirm_fit
 from placegraph.indoor.refine.matching import Matcher
 from placegraph.indoor.refine.matching import matcher as matcher_named
 from placegraph.indoor.refine.options import RefineOptions
-from placegraph.indoor.refine.refiner import Fitted, Refiner
-from placegraph.indoor.status import RefinementDiagnostics, decide_refined, diagnostics_of
+from placegraph.indoor.refine.refiner import FittedTrajectory, Refiner
+from placegraph.indoor.status import (
+    UNDECIDED,
+    RefinementDiagnostics,
+    decide_given,
+    decide_refined,
+    diagnostics_of,
+)
 
 MOST = 30
 """Frames that are refined together, the newest."""
 
 
 @dataclass(frozen=True, eq=False)
-class Refining:
+class RefineSetup:
     """How a pose is refined."""
 
     options: RefineOptions
@@ -33,7 +45,7 @@ class Refining:
     @classmethod
     def of(
         cls, options: RefineOptions | None, matcher: str | Matcher, device: str = "auto"
-    ) -> Refining:
+    ) -> RefineSetup:
         """With a matcher by its name, or one of one's own; raises as `matching.matcher` does."""
         options = options or RefineOptions()
         if not isinstance(matcher, str):
@@ -53,8 +65,8 @@ class Refining:
             return cls(options, matcher_named("sift"))
 
 
-def refined(
-    window: Window, estimate: PoseEstimate, refining: Refining, *, explained: bool = False
+def refine_estimate(
+    window: Window, estimate: PoseEstimate, refining: RefineSetup, *, explained: bool = False
 ) -> PoseEstimate:
     """The estimate with its best mode refined, or with the reason why the coarse pose stands.
 
@@ -76,28 +88,28 @@ def refined(
         window = window.last(MOST)
     refiner = Refiner.of(window, refining.options, refining.matcher)
     start = estimate.trajectory[-len(window) :]
-    return tried(window, estimate, refiner, start, explained=explained)
+    return refine_from(window, estimate, refiner, start, explained=explained)
 
 
-def tried(
+def refine_from(
     window: Window, estimate: PoseEstimate, refiner: Refiner, start: Floats, *, explained: bool
 ) -> PoseEstimate:
-    """The estimate refined from a start (T, 4, 4) of the window's frames, as in `refined`.
+    """The estimate refined from a start (T, 4, 4) of the window's frames, as in `refine_estimate`.
 
     Where something is not installed, what can be done without it is done.
     """
     coarse, progress = estimate.trajectory[-len(start) :], window.query.progress
     try:
-        judgement = judged(refiner, coarse, refiner.fitted(start, progress))
+        judgement = confirm_fit(refiner, coarse, refiner.fitted(start, progress))
     except MissingExtraError as error:
         if refiner.matcher is not None:
             raise
         if refiner.has_depth:
             refiner.options = replace(refiner.options, images=False)
-            judgement = judged(refiner, coarse, refiner.fitted(start, progress))
+            judgement = confirm_fit(refiner, coarse, refiner.fitted(start, progress))
         else:
-            nothing = Fitted(start, None, [], np.full((6, 6), np.nan))
-            judgement = Judgement(False, f"Not refined: {error}", nothing, {})
+            nothing = FittedTrajectory(start, None, [], np.full((6, 6), np.nan))
+            judgement = Confirmation(False, f"Not refined: {error}", nothing, {})
     told = _told(estimate, refiner, judgement)
     best = told.best
     if explained and judgement.accepted and best is not None:
@@ -108,7 +120,7 @@ def tried(
     return told
 
 
-def _told(estimate: PoseEstimate, refiner: Refiner, judgement: Judgement) -> PoseEstimate:
+def _told(estimate: PoseEstimate, refiner: Refiner, judgement: Confirmation) -> PoseEstimate:
     """The estimate with what became of its best mode."""
     coarse, trajectory = estimate.modes[0], estimate.trajectory
     best, fitted = coarse, judgement.fitted
@@ -145,7 +157,7 @@ def _told(estimate: PoseEstimate, refiner: Refiner, judgement: Judgement) -> Pos
     )
 
 
-def _moved_to(mode: PoseMode, fitted: Fitted) -> PoseMode:
+def _moved_to(mode: PoseMode, fitted: FittedTrajectory) -> PoseMode:
     """A mode at its refined pose."""
     matrix = fitted.poses[-1]
     into_scene = mode.scene_from_camera @ np.linalg.inv(mode.map_from_camera)
@@ -156,3 +168,81 @@ def _moved_to(mode: PoseMode, fitted: Fitted) -> PoseMode:
         covariance=fitted.covariance,
         scene_from_camera=into_scene @ matrix,
     )
+
+
+_NEARLY = np.array([0.03, 0.03, 0.02, 0.015])
+_SHARPEST = 1e-3  # nobody knows a pose better than this [m], [rad]
+
+
+def refine(query: PoseQuery, given: Floats, refining: RefineSetup) -> PoseEstimate:
+    """The pose of the last frame asked about, from where (4, 4) it is roughly known to be.
+
+    Where there is depth, the neighbourhood is searched first. Errors: `SceneMap.refine`.
+    """
+    query = replace(query, frames=query.frames[-MOST:])
+    window, estimate = _refined(query, given, refining)
+    mend = find_camera_correction(window, estimate, refining)
+    if mend is None:
+        return estimate
+    mended = replace(query, frames=mend.frames(query.frames))
+    return mend.chosen(query, estimate, _refined(mended, given, refining)[1])
+
+
+def _refined(query: PoseQuery, given: Floats, refining: RefineSetup) -> tuple[Window, PoseEstimate]:
+    """The answer if the camera is as it is said to be, and the frames that it rests on."""
+    window = observe(query)
+    odometry = np.stack([f.odometry for f in query.frames])
+    coarse = given @ np.linalg.inv(odometry[-1]) @ odometry
+    start = coarse
+    if any(s.depth is not None for s in window.sightings):
+        start = _searched(window, given, refining.options)
+    refiner = Refiner.of(window, refining.options, refining.matcher)
+    refiner.known = coarse, np.maximum(_reach(refining.options), _SHARPEST)
+    told = refine_from(
+        window, _given(window, coarse, refining.options), refiner, start, explained=True
+    )
+    assert told.best is not None  # noqa: S101  it was given
+    # the status that the window has at this pose, were it the only one
+    chain = Chain.of(split_pose(told.trajectory)[0], window.options.motion)
+    covariance = told.best.covariance[np.ix_(FITTED, FITTED)]
+    fit = replace(polish.Fit.at(chain, told.best.pose), covariance=covariance)
+    return window, decide_given(told, estimate_pose(window, [fit]))
+
+
+def _searched(window: Window, given: Floats, options: RefineOptions) -> Floats:
+    """Trajectory (T, 4, 4) of the best pose near a given one, by the filter's own likelihood."""
+    rng = np.random.default_rng(window.query.seed)
+    pose, _ = split_pose(given)
+    reach = _reach(options)[[0, 1, 2, 5]]
+    wide = polish.round_of(window, COARSE, rounds=4)
+    fit = polish.refine(window.scorer, pose, reach, wide, rng)
+    spread = np.maximum(fit.spread, _NEARLY)
+    narrow = polish.round_of(window, FINE, rounds=2)
+    fit = polish.refine(window.scorer, fit.pose, spread, narrow, rng)
+    # what no reading holds, such as the height between bare walls, wanders off
+    off = fit.pose - pose
+    off[3] = wrap(off[3])
+    found = pose + np.clip(off, -3.0 * reach, 3.0 * reach)
+    return pose_matrix(compose(found, between(fit.pose, fit.poses)), window.levels)
+
+
+def _reach(options: RefineOptions) -> Floats:
+    """Standard deviations (6,) [m], [rad] of a pose that somebody gave."""
+    way, turn = options.reach
+    return np.array([way, way, 0.3 * way, turn, turn, turn])
+
+
+def _given(window: Window, coarse: Floats, options: RefineOptions) -> PoseEstimate:
+    """What is known before: a pose that somebody gave."""
+    matrix, scene = coarse[-1], window.scene
+    row = scene.scene_at(matrix[:2, 3])
+    mode = PoseMode(
+        map_from_camera=matrix,
+        pose=split_pose(matrix)[0],
+        covariance=np.diag(np.square(_reach(options))),
+        probability=1.0,
+        scene=scene.scenes[row],
+        scene_from_camera=scene.scene_from_map[row] @ matrix,
+    )
+    rows = np.array([f.index for f in window.query.frames])
+    return PoseEstimate(UNDECIDED, (mode,), "", trajectory=coarse, frames=rows, map=scene)

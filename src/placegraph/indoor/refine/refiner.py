@@ -18,20 +18,28 @@ from placegraph.indoor.likelihood.observe import spread
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.pose.query import Progress
 from placegraph.indoor.pose.window import Window, timed
-from placegraph.indoor.refine.check import held_back
 from placegraph.indoor.refine.correspondences import (
+    PointMatches,
     Readings,
-    Sights,
     Surfaces,
-    look,
-    readings,
+    held_back,
+    match_views,
+    sample_readings,
     solve_frame,
     solve_rig,
-    turned,
+    turn_views,
 )
 from placegraph.indoor.refine.covariance import covariance
 from placegraph.indoor.refine.fit import Lags, Problem, Solution, drift_of, solve
-from placegraph.indoor.refine.landmarks import SHARE, SIGMA, firm, kept_out, near, plenty, seen
+from placegraph.indoor.refine.landmarks import (
+    SHARE,
+    SIGMA,
+    drop_held_back,
+    has_plenty,
+    has_plenty_everywhere,
+    is_near,
+    match_window,
+)
 from placegraph.indoor.refine.matching.guided import GuidedMatcher
 from placegraph.indoor.refine.options import RefineOptions
 from placegraph.indoor.render import Renderer
@@ -66,7 +74,7 @@ LARGEST = 960
 """Longer side [px] to which larger images are brought for feature matchers."""
 
 
-def stages_of(matcher: Matcher | None, *, near: bool) -> list[Stage]:
+def matching_stages(matcher: Matcher | None, *, near: bool) -> list[Stage]:
     """Rounds of matching by a matcher, the guided one if None; `near`: depth has been aligned."""
     if matcher is not None:
         first = Stage(matcher, LARGEST, 2.0, turned=True, share=SHARE)
@@ -93,18 +101,18 @@ MANY, FEW = 12, 5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fitted:
+class FittedTrajectory:
     """A refined trajectory, and what it rests on."""
 
     poses: Floats
     """(T, 4, 4) map_from_camera"""
     solution: Solution | None
     """None: nothing was there to go by."""
-    sights: list[Sights]
+    sights: list[PointMatches]
     """(T,) matches used."""
     covariance: Floats
     """(6, 6) of the last frame, as `PoseMode.covariance`."""
-    by_depth: Fitted | None = None
+    by_depth: FittedTrajectory | None = None
     """What depth alone says, where images took part, too."""
 
     @property
@@ -128,7 +136,7 @@ class Refiner:
     """None: the guided matcher."""
     known: tuple[Floats, Floats] | None = None
     """As `Problem.known`."""
-    landmarks: Sequence[Sights] = ()
+    landmarks: Sequence[PointMatches] = ()
     """(T,) landmarks of the map that frames show; empty: nobody looked."""
     stats: dict[str, Any] = field(default_factory=dict)
     rng: Generator = field(default_factory=lambda: np.random.default_rng(0))
@@ -144,7 +152,7 @@ class Refiner:
             queries=[s.rgb for s in window.sightings],
             options=options,
             matcher=matcher,
-            landmarks=seen(window) if options.images else (),
+            landmarks=match_window(window) if options.images else (),
             rng=np.random.default_rng(window.query.seed),
         )
 
@@ -166,17 +174,17 @@ class Refiner:
         if phase not in self._readings:
             count = self.options.readings if self.options.depth else 0
             self._readings[phase] = [
-                readings(frame, depth, count, phase) if count and depth is not None else None
+                sample_readings(frame, depth, count, phase) if count and depth is not None else None
                 for frame, depth in zip(self.frames, self.depths, strict=True)
             ]
         return self._readings[phase]
 
-    def problem(self, sights: Sequence[Sights] | None = None) -> Problem:
+    def problem(self, sights: Sequence[PointMatches] | None = None) -> Problem:
         """What is known of the poses, with matches or without."""
         return Problem(
             self.surfaces,
             self.readings(),
-            sights or [Sights.none()] * len(self.frames),
+            sights or [PointMatches.none()] * len(self.frames),
             np.stack([f.odometry for f in self.frames]),
             np.stack([f.gravity for f in self.frames]),
             np.array([f.stamp for f in self.frames], np.float64),
@@ -186,7 +194,7 @@ class Refiner:
             self.known,
         )
 
-    def fitted(self, start: Floats, progress: Progress | None = None) -> Fitted:
+    def fitted(self, start: Floats, progress: Progress | None = None) -> FittedTrajectory:
         """Best trajectory from a start (T, 4, 4) that is known to a hand's breadth or two."""
         tell = progress or (lambda *_: None)
         if self.has_depth:
@@ -195,7 +203,7 @@ class Refiner:
         self.drift = drift_of(self.problem(), start)
         solution = self._aligned(start)
         poses = start if solution is None else solution.poses
-        sights: list[Sights] = [Sights.none()] * len(self.frames)
+        sights: list[PointMatches] = [PointMatches.none()] * len(self.frames)
         stages = self._stages(solution)
         by_depth = self._finished(poses, solution, sights) if solution and stages else None
         for number, stage in enumerate(stages):
@@ -209,14 +217,14 @@ class Refiner:
             with timed(self.seconds, "solving"):
                 solution = solve(self.problem(sights), led, FINE_WIDTHS)
             poses = solution.poses
-            if stage.matcher is None and plenty(sights):
-                if firm(sights):
+            if stage.matcher is None and has_plenty(sights):
+                if has_plenty_everywhere(sights):
                     self.landmark_matches = self.stats["landmarks"] = sum(map(len, sights))
                 break
         tell("checking", 0, 1)
         return replace(self._finished(poses, solution, sights), by_depth=by_depth)
 
-    def completed(self, fitted: Fitted) -> Fitted:
+    def completed(self, fitted: FittedTrajectory) -> FittedTrajectory:
         """An accepted fit, with those landmarks too that were kept for its check."""
         if self.landmark_matches is None or not any(map(len, fitted.sights)):
             return fitted
@@ -245,23 +253,25 @@ class Refiner:
         known = [LANDMARKS] if any(map(len, self.landmarks)) and self.options.joint else []
         if not wanted or not coloured:
             return known
-        return known + stages_of(self.matcher, near=solution is not None and solution.cost <= LOST)
+        return known + matching_stages(
+            self.matcher, near=solution is not None and solution.cost <= LOST
+        )
 
-    def matched(self, stage: Stage, poses: Floats) -> list[Sights]:
+    def matched(self, stage: Stage, poses: Floats) -> list[PointMatches]:
         """Matches of the frames that are looked at, those in held-back blocks left out."""
         if stage.matcher is None:
-            return kept_out(self.landmarks, self.frames, self.options)
+            return drop_held_back(self.landmarks, self.frames, self.options)
         rows = [t for t in self.looked() if self.queries[t] is not None]
-        matcher, sights = stage.matcher, [Sights.none()] * len(self.frames)
+        matcher, sights = stage.matcher, [PointMatches.none()] * len(self.frames)
         views = {
-            t: turned(poses[t], self.options, self.rng) if stage.turned else [poses[t]]
+            t: turn_views(poses[t], self.options, self.rng) if stage.turned else [poses[t]]
             for t in rows
         }
 
-        def one(t: int) -> Sights:
+        def one(t: int) -> PointMatches:
             frame, query = self.frames[t], self.queries[t]
             assert query is not None  # noqa: S101  chosen so
-            seen = look(
+            seen = match_views(
                 self.renderer, frame, query, views[t], matcher,
                 size=stage.size, sigma=stage.sigma,
             )  # fmt: skip
@@ -279,8 +289,8 @@ class Refiner:
         return spread(len(self.frames), self.options.frames or usual)
 
     def _agreed(
-        self, stage: Stage, sights: list[Sights], poses: Floats
-    ) -> tuple[list[Sights], Floats]:
+        self, stage: Stage, sights: list[PointMatches], poses: Floats
+    ) -> tuple[list[PointMatches], Floats]:
         """Matches that agree on one pose of the rig, and the trajectory that follows from it."""
         if not stage.rigid:
             return sights, poses
@@ -288,21 +298,21 @@ class Refiner:
             mounts = np.linalg.inv(poses[-1]) @ poses
             consensus = solve_rig(sights, list(mounts), self.options)
         if consensus is None or consensus.count < stage.share * sum(map(len, sights)):
-            return [Sights.none()] * len(sights), poses
-        if stage.matcher is None and not near(consensus.pose, poses[-1]):
-            return [Sights.none()] * len(sights), poses
+            return [PointMatches.none()] * len(sights), poses
+        if stage.matcher is None and not is_near(consensus.pose, poses[-1]):
+            return [PointMatches.none()] * len(sights), poses
         kept = [seen[inlier] for seen, inlier in zip(sights, consensus.inliers, strict=True)]
         # depth has said where the poses are; without it, or by many landmarks, the consensus does
-        leads = not self.has_depth or (stage.matcher is None and plenty(kept))
+        leads = not self.has_depth or (stage.matcher is None and has_plenty(kept))
         led = consensus.pose @ mounts if leads else poses
         return kept, led
 
-    def _inliers(self, sights: list[Sights], poses: Floats) -> list[Sights]:
+    def _inliers(self, sights: list[PointMatches], poses: Floats) -> list[PointMatches]:
         """Matches (T,) that the poses explain."""
         limit = self.options.inlier
         return [s[s.errors(p) < limit * s.unit] for s, p in zip(sights, poses, strict=True)]
 
-    def _best_frame(self, sights: list[Sights], poses: Floats) -> Fitted:
+    def _best_frame(self, sights: list[PointMatches], poses: Floats) -> FittedTrajectory:
         """Sec. 3.6: PnP frame by frame, the one with most inliers decides."""
         best: tuple[int, Floats, int] | None = None
         with timed(self.seconds, "ransac"):
@@ -311,24 +321,26 @@ class Refiner:
                 if found is not None and (best is None or found.count > best[0]):
                     best = found.count, found.pose, t
         if best is None:
-            return self._finished(poses, None, [Sights.none()] * len(sights))
+            return self._finished(poses, None, [PointMatches.none()] * len(sights))
         _, pose, t = best
         odometry = np.stack([f.odometry for f in self.frames])
         led = pose @ np.linalg.inv(odometry[t]) @ odometry
-        kept = [Sights.none()] * len(sights)
+        kept = [PointMatches.none()] * len(sights)
         kept[t] = sights[t][sights[t].errors(pose) < self.options.inlier * sights[t].unit]
         self.stats["decided_by"] = self.frames[t].index
         solution = solve(self.problem(kept), led, FINE_WIDTHS[-1:], steps=1)
         return self._finished(led, solution, kept)
 
-    def _finished(self, poses: Floats, solution: Solution | None, sights: list[Sights]) -> Fitted:
+    def _finished(
+        self, poses: Floats, solution: Solution | None, sights: list[PointMatches]
+    ) -> FittedTrajectory:
         if solution is None:
             agreed = self._inliers(sights, poses)
-            return Fitted(poses, None, agreed, np.full((6, 6), np.nan))
+            return FittedTrajectory(poses, None, agreed, np.full((6, 6), np.nan))
         lags = solution.lags
         agreed = self._inliers(sights, poses if lags is None else lags.of_images(poses))
-        self.stats["lag"] = {} if lags is None else lags.clear()
-        return Fitted(poses, solution, agreed, covariance(self.problem(sights), solution))
+        self.stats["lag"] = {} if lags is None else lags.find_clear()
+        return FittedTrajectory(poses, solution, agreed, covariance(self.problem(sights), solution))
 
 
 def _threads(matcher: Matcher) -> int:

@@ -1,0 +1,634 @@
+"""Correction of a camera that is not as the capture says.
+
+Asked only of an answer that is not `OK`, whose refinement was refused, or that a cheap test of the
+refinement suspects. Unknown are focal lengths, gravity, and scale, time and place of depth. They are
+found together with the poses by Gauss-Newton: the normal equations of all poses (`fit`) are bordered by
+the unknowns that the frames have in common. Depth tells its scale (it grows along the rays) from its
+focal length (it grows across them); matches of images tell theirs; and both together tell where, and
+when, depth was read. Round by round frames are corrected by what was found before; an unknown that is
+not clearly off is taken for right.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from placegraph.core.estimate import Calibration, PoseEstimate, Status
+from placegraph.core.geometry import (
+    Camera,
+    Floats,
+    between,
+    compose,
+    cross_matrix,
+    pose_matrix,
+    rotation_from_vector,
+)
+from placegraph.core.threads import product
+from placegraph.indoor.likelihood.observe import spread
+from placegraph.indoor.map.scene import Scene
+from placegraph.indoor.pose.query import PoseQuery
+from placegraph.indoor.pose.window import Window
+from placegraph.indoor.refine.fit import (
+    POINTS,
+    READINGS,
+    Problem,
+    add_beliefs,
+    lean,
+    twists,
+    usual_lag,
+)
+from placegraph.indoor.refine.refiner import FittedTrajectory, Refiner, matching_stages
+from placegraph.indoor.status import choose_camera, diagnostics_of
+from placegraph.io.capture.frame import Frame, Images, LazyImages
+
+if TYPE_CHECKING:
+    from placegraph.indoor.refine.correspondences import PointMatches, Readings
+    from placegraph.indoor.refine.refinement import RefineSetup
+
+SCALE, FOCAL, IMAGE, TIME = range(4)
+"""Unknowns: logarithms of the factors on depth readings, on the depth camera's focal length and on
+that of the images; what depth lags by (`lag`), which is always free."""
+PLACE = (4, 5, 6, 7, 8, 9)
+"""Shift [m] and turn [rad] of the depth camera, in the axes of the camera."""
+TILT = (10, 11, 12)
+"""Turn [rad] of gravity, in the axes of the camera: an accelerometer that is mounted aslant."""
+COUNT = 13
+BEFORE = np.array([0.15, 0.15, 0.15, np.nan, *(0.1,) * 9])
+"""Standard deviations of the unknowns before anything is seen; of lags `lag.usual_lag`."""
+WIDTHS = (10.0, 10.0, 6.0, 6.0, 4.0, 4.0, 3.0, 3.0)
+"""Of the robust kernel in each step [standard deviations]: what is off has to have a say at first."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CalibratedPoses:
+    """Poses and unknowns that fit best together."""
+
+    poses: Floats
+    """(T, 4, 4) map_from_camera"""
+    values: Floats
+    """(COUNT,)"""
+    errors: Floats
+    """(COUNT,) standard deviations; 0: it was not asked for."""
+    cost: float
+    """Mean robust cost of readings and matches, 0 to 1."""
+
+
+class Rows(NamedTuple):
+    """Linearised residuals of one frame."""
+
+    derivatives: Floats
+    """(R, 6 + COUNT) by a shift [m] and a turn [rad] of the camera in map axes, and the unknowns."""
+    residuals: Floats
+    """(R,)"""
+    weights: Floats
+    """(R,)"""
+    cost: float
+    """Mean robust cost."""
+
+
+def calibrate_camera(
+    scene: Scene,
+    problem: Problem,
+    start: Floats,
+    free: Sequence[int],
+    widths: Sequence[float] = WIDTHS,
+) -> CalibratedPoses:
+    """Poses (T, 4, 4) from a start, and the unknowns in `free` from 0: one step for each width.
+
+    Where no step can be told, as of numbers that are not finite, nothing is found: the start, zeros,
+    and an infinite cost.
+    """
+    poses, values, size = start.copy(), np.zeros(COUNT), 6 * len(start)
+    chosen = np.array([*free, TIME], int)
+    ways, before = twists(problem.odometry, problem.stamps), BEFORE.copy()
+    before[TIME] = usual_lag(problem.stamps)
+    covariance, cost = np.eye(size + len(chosen)), np.nan
+    for width in widths:
+        h, g, costs = np.zeros((size + COUNT,) * 2), np.zeros(size + COUNT), []
+        for t, pose in enumerate(poses):
+            at = np.r_[6 * t : 6 * t + 6, size : size + COUNT]
+            for rows in _seen(scene, problem, t, pose, ways[t], values, width):
+                weighted = rows.derivatives.T * rows.weights
+                h[np.ix_(at, at)] += product(weighted, rows.derivatives)
+                g[at] += weighted @ rows.residuals
+                costs.append(rows.cost)
+        upright = replace(problem, gravity=turn_gravity(problem.gravity, values))
+        add_beliefs(upright, poses, start, h[:size, :size], g[:size])
+        _add_tilt(upright, poses, values, h, g)
+        h[size:, size:] += np.diag(1.0 / before**2)
+        g[size:] += values / before**2
+        kept = np.r_[0:size, size + chosen]
+        system = h[np.ix_(kept, kept)]
+        covariance = _inverse(system)
+        step = -covariance @ g[kept]
+        if not np.isfinite(step).all():
+            return CalibratedPoses(start.copy(), np.zeros(COUNT), np.zeros(COUNT), np.inf)
+        moves = step[:size].reshape(-1, 6)
+        poses[:, :3, 3] += moves[:, :3]
+        poses[:, :3, :3] = rotation_from_vector(moves[:, 3:]) @ poses[:, :3, :3]
+        values[chosen] += step[size:]
+        cost = float(np.mean(costs)) if costs else np.nan
+    errors = np.zeros(COUNT)
+    errors[chosen] = np.sqrt(np.diag(covariance)[size:])
+    return CalibratedPoses(poses, values, errors, cost)
+
+
+def _inverse(system: Floats) -> Floats:
+    """Inverse of normal equations; NaN of those that have none."""
+    try:
+        return np.asarray(np.linalg.inv(system))
+    except np.linalg.LinAlgError:
+        return np.full_like(system, np.nan)
+
+
+def _add_tilt(problem: Problem, poses: Floats, values: Floats, h: Floats, g: Floats) -> None:
+    """Add how gravity (`solve._add_gravity`) depends on its own turn, which is none about gravity itself."""
+    up, variance = lean(problem, poses)
+    turns = poses[:, :3, :3] @ cross_matrix(problem.gravity)
+    own = 6 * len(poses) + np.array(TILT)
+    for t, (j, by_pose) in enumerate(zip(turns[:, :2], -cross_matrix(up)[:, :2], strict=True)):
+        rows = np.arange(6 * t + 3, 6 * t + 6)
+        across = by_pose.T @ j / variance
+        h[np.ix_(rows, own)] += across
+        h[np.ix_(own, rows)] += across.T
+        h[np.ix_(own, own)] += j.T @ j / variance
+        g[own] += j.T @ up[t, :2] / variance
+    down = problem.gravity.mean(axis=0) / problem.options.tilt
+    h[np.ix_(own, own)] += np.outer(down, down)
+    g[own] += down * (down @ values[list(TILT)])
+
+
+def turn_gravity(gravity: Floats, values: Floats) -> Floats:
+    """Directions of gravity (..., 3) in camera axes, mended."""
+    return np.asarray(gravity @ rotation_from_vector(values[list(TILT)]).T)
+
+
+def depth_from_camera(values: Floats, way: Floats | None = None) -> Floats:
+    """Pose (4, 4) of the depth camera in the camera, which goes a `way` (6,) while depth is late."""
+    move = values[list(PLACE)] + (0.0 if way is None else values[TIME] * way)
+    mount = np.eye(4)
+    mount[:3, :3], mount[:3, 3] = rotation_from_vector(move[3:]), move[:3]
+    return mount
+
+
+def _seen(
+    scene: Scene,
+    problem: Problem,
+    t: int,
+    pose: Floats,
+    way: Floats,
+    values: Floats,
+    width: float,
+) -> list[Rows]:
+    """What depth and matches of frame `t` say at a pose (4, 4)."""
+    out, read, sights = [], problem.readings[t], problem.sights[t]
+    if read is not None and (read.depth > 0).any():
+        out.append(_depth_rows(scene, problem, read, pose, way, values, width))
+    if len(sights):
+        out.append(_image_rows(sights, pose, float(values[IMAGE]), width))
+    return out
+
+
+def _depth_rows(
+    scene: Scene,
+    problem: Problem,
+    seen: Readings,
+    pose: Floats,
+    way: Floats,
+    values: Floats,
+    width: float,
+) -> Rows:
+    """Distances to the planes that readings hit; residuals and weights as of `depth_system`."""
+    noise, read = problem.options.noise, seen.depth > 0
+    mount = pose @ depth_from_camera(values, way)
+    rotation = mount[:3, :3]
+    inside = seen.directions[read] * np.exp([-values[FOCAL], -values[FOCAL], 0.0])
+    hits = scene.caster.cast(mount[:3, 3], inside @ rotation.T)
+    hit = hits.triangle >= 0
+    inside, z = inside[hit], seen.depth[read][hit].astype(np.float64) * np.exp(values[SCALE])
+    aims = inside @ rotation.T
+    normals = problem.surfaces.normals[hits.triangle[hit]].astype(np.float64)
+    slant = np.sum(normals * aims, axis=1)
+    e = slant * (z - hits.distance[hit])
+    facing = np.abs(np.sum((normals @ rotation) * seen.normals[read][hit], axis=1))
+    low, high = noise.facing
+    share = np.clip((facing - low) / (high - low), 0.0, 1.0)
+    variance = ((noise.floor + noise.slope * z**2) * slant) ** 2 + noise.surface**2
+    ratio = e**2 / (variance * width**2)
+    count = max(1, int(read.sum()))
+    worth = READINGS / max(count, 0.25 * len(seen.depth))
+    j = np.zeros((len(e), 6 + COUNT))
+    j[:, :3], j[:, 3:6] = normals, np.cross(aims * z[:, None], normals)
+    own = np.concatenate([j[:, :3] @ pose[:3, :3], j[:, 3:6] @ pose[:3, :3]], axis=1)
+    wider = (inside * (1.0, 1.0, 0.0) * z[:, None]) @ rotation.T
+    j[:, 6 + SCALE], j[:, 6 + FOCAL] = slant * z, -np.sum(normals * wider, axis=1)
+    j[:, 6 + TIME], j[:, 6 + np.array(PLACE)] = own @ way, own
+    missed = 1.0 - float(np.sum(share / (1.0 + ratio))) / count
+    return Rows(j, e, worth * share / (1.0 + ratio) ** 2 / variance, missed)
+
+
+def _image_rows(seen: PointMatches, pose: Floats, focal: float, width: float) -> Rows:
+    """Reprojection errors; residuals and weights as of `pixel_system`, `focal` the logarithm."""
+    away = seen.points - pose[:3, 3]
+    at = away @ pose[:3, :3]
+    ahead = at[:, 2] > 0.05
+    away, at, sigma = away[ahead], at[ahead], seen.sigma[ahead]
+    rays = seen.rays[ahead] * np.exp(-focal)
+    xy = at[:, :2] / at[:, 2:]
+    e = seen.focal * (xy - rays)
+    ratio = np.sum(e**2, axis=1) / (sigma * width) ** 2
+    w = 1.0 / (1.0 + ratio) ** 2
+    w *= min(1.0, POINTS / max(float(w.sum()), 1.0)) / sigma**2
+    # d(pixel)/d(shift) = -f/z (r_row - xy r_3), with r the columns of the rotation
+    shift = pose[:3, :2].T - xy[..., None] * pose[:3, 2]
+    shift *= -(seen.focal / at[:, 2])[:, None, None]
+    j = np.zeros((len(at), 2, 6 + COUNT))
+    j[..., :3], j[..., 3:6] = shift, np.cross(away[:, None], shift)
+    j[..., 6 + IMAGE] = seen.focal * rays
+    missed = float(np.mean(ratio / (1.0 + ratio))) if len(at) else 1.0
+    return Rows(j.reshape(-1, 6 + COUNT), e.ravel(), np.repeat(w, 2), missed)
+
+
+_SAME = 1e-3  # of an image's width: intrinsics of one view
+_ALIKE = 0.01  # focal lengths that are off by one factor
+_DEVICE = 0.2  # cameras of one device stand no further apart [m]: depth or images are late
+
+
+@dataclass(frozen=True, eq=False)
+class CameraCorrection:
+    """What the unknowns of a camera were found to be (`calibrate_camera`)."""
+
+    values: Floats
+    """(COUNT,)"""
+    errors: Floats
+    """(COUNT,) standard deviations."""
+
+    @classmethod
+    def nothing(cls) -> CameraCorrection:
+        """The camera is as it is said to be."""
+        return cls(np.zeros(COUNT), np.zeros(COUNT))
+
+    def frames(self, frames: Sequence[Frame]) -> list[Frame]:
+        """Frames of one capture as their camera should have them."""
+        mount = depth_from_camera(self.values) if self.values[list(PLACE)].any() else None
+        return [self._frame(f, mount) for f in frames]
+
+    def _frame(self, frame: Frame, mount: Floats | None) -> Frame:
+        depth, labels, images = frame.depth_camera, frame.label_camera, frame.images
+        shared = share_view(frame.camera, labels)
+        depth = None if depth is None else lengthen(depth, self.values[FOCAL])
+        if mount is not None or self.values[SCALE]:
+            images = CorrectedImages(images, float(np.exp(self.values[SCALE])), depth, mount)
+        return replace(
+            frame,
+            camera=lengthen(frame.camera, self.values[IMAGE]),
+            depth_camera=depth,
+            label_camera=lengthen(labels, self.values[IMAGE if shared else FOCAL])
+            if labels
+            else None,
+            images=images,
+            gravity=turn_gravity(frame.gravity, self.values),
+        )
+
+    def calibration(self) -> Calibration:
+        """The same for the user."""
+        factors, errors = np.exp(self.values), self.errors
+        return Calibration(
+            focal_factor=(float(factors[IMAGE]), float(errors[IMAGE])),
+            depth_focal_factor=(float(factors[FOCAL]), float(errors[FOCAL])),
+            depth_scale=(float(factors[SCALE]), float(errors[SCALE])),
+            camera_from_depth=depth_from_camera(self.values),
+            gravity_turn=self.values[list(TILT)],
+        )
+
+    def chosen(self, asked: PoseQuery, before: PoseEstimate, after: PoseEstimate) -> PoseEstimate:
+        """Return the better answer of those before and after mending, with what was found."""
+        return choose_camera(
+            before, after, self.calibration(), self.sentence(asked.frames[-1]),
+            tilt_only=not self.values[: TILT[0]].any(), implausible=self._late,
+        )  # fmt: skip
+
+    @property
+    def _late(self) -> bool:
+        return bool(np.linalg.norm(self.values[list(PLACE[:3])]) > _DEVICE)
+
+    def sentence(self, frame: Frame) -> str:
+        """What is wrong, and what should stand in `camera.json` instead."""
+        return " ".join([*self._focal(frame), *self._scale(frame), *self._offset(), *self._tilt()])
+
+    def _focal(self, frame: Frame) -> list[str]:
+        image, depth = self.values[[IMAGE, FOCAL]]
+        said = []
+        if image:
+            fits = lengthen(frame.camera, image)
+            both = " (depth likewise)" if abs(depth - image) < _ALIKE else ""
+            said.append(
+                f"The focal length is {_percent(image)} than the camera says{both}: "
+                f"fx {fits.fx:.1f}, fy {fits.fy:.1f} would fit."
+            )
+        if depth and abs(depth - image) >= _ALIKE and frame.depth_camera is not None:
+            fits = lengthen(frame.depth_camera, depth)
+            said.append(
+                f"The focal length of the depth camera is {_percent(depth)} than it says: fx "
+                f"{fits.fx:.1f}, fy {fits.fy:.1f} would fit."
+            )
+        return said
+
+    def _scale(self, frame: Frame) -> list[str]:
+        if not self.values[SCALE]:
+            return []
+        factor, images = float(np.exp(self.values[SCALE])), frame.images
+        how = f"{abs(1.0 / factor - 1.0):.1%} too {'short' if factor > 1 else 'long'}"
+        unit = images.unit if isinstance(images, LazyImages) else None
+        mend = f"{unit.said} {unit.per_metre / factor:.5g}" if unit else f"{factor:.3f} times them"
+        return [f"Depth readings are {how}: {mend} would fit."]
+
+    def _offset(self) -> list[str]:
+        place = self.values[list(PLACE)]
+        if not place.any():
+            return []
+        way, turn = np.linalg.norm(place[:3]), np.degrees(np.linalg.norm(place[3:]))
+        apart = f"{100 * way:.0f} cm and {turn:.1f} degrees"
+        late = "; that is no device, one of them is late" if self._late else ""
+        return [f"Depth and images are not of one view: {apart} lie between their cameras{late}."]
+
+    def _tilt(self) -> list[str]:
+        turn = np.degrees(self.values[list(TILT)])
+        if not turn.any():
+            return []
+        x, y, z = turn + 0.0
+        off = f"Gravity is {np.linalg.norm(turn):.1f} degrees off"
+        return [f"{off}: turned by {x:.1f}, {y:.1f}, {z:.1f} degrees in camera axes it would fit."]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CorrectedImages:
+    """Images whose depth is brought to scale, and to where the camera was."""
+
+    images: Images
+    factor: float
+    camera: Camera | None
+    """Of the depth images."""
+    mount: Floats | None
+    """(4, 4) pose of the depth camera in the camera; None: they are one."""
+
+    def rgb(self) -> NDArray[np.uint8]:
+        """As `Frame.rgb`."""
+        return self.images.rgb()
+
+    def labels(self) -> NDArray[np.int32] | None:
+        """As `Frame.labels`."""
+        return self.images.labels()
+
+    def depth(self) -> NDArray[np.float32] | None:
+        """As `Frame.depth`."""
+        return self.correct_depth(self.images.depth())
+
+    def correct_depth(self, depth: NDArray[np.float32] | None) -> NDArray[np.float32] | None:
+        """Depth (h, w) [m] as it was read, mended."""
+        if depth is None:
+            return None
+        scaled = (depth * np.float32(self.factor)).astype(np.float32)
+        if self.mount is None or self.camera is None:
+            return scaled
+        return moved_depth(scaled, self.camera, self.mount)
+
+
+def correct_depth(frame: Frame, depth: NDArray[np.float32] | None) -> NDArray[np.float32] | None:
+    """Depth (h, w) [m] of a mended frame, from what was read."""
+    return frame.images.correct_depth(depth) if isinstance(frame.images, CorrectedImages) else depth
+
+
+def moved_depth(
+    depth: NDArray[np.float32], camera: Camera, seen_from_camera: Floats
+) -> NDArray[np.float32]:
+    """Depth (h, w) [m] as the same camera would read it from elsewhere, NaN where that is not known.
+
+    `seen_from_camera`: (4, 4) pose of the camera that read it, in the axes of the one that would.
+    """
+    v, u = np.nonzero(np.isfinite(depth) & (depth > 0))
+    rays = camera.directions(np.stack([u, v], axis=1) + 0.5)
+    points = rays * depth[v, u, None] @ seen_from_camera[:3, :3].T + seen_from_camera[:3, 3]
+    at = camera.project(points)
+    with np.errstate(invalid="ignore"):
+        inside = ((at >= 0) & (at < (camera.width, camera.height))).all(axis=1)
+    x, y = at[inside].astype(np.int64).T
+    out = np.full(depth.shape, np.inf, np.float32)
+    np.minimum.at(out, (y, x), points[inside, 2].astype(np.float32))
+    return np.where(np.isfinite(out), out, np.float32(np.nan))
+
+
+def lengthen(camera: Camera, logarithm: float) -> Camera:
+    """Camera whose focal length is another, by the logarithm of the factor."""
+    factor = float(np.exp(logarithm))
+    return replace(camera, fx=camera.fx * factor, fy=camera.fy * factor) if logarithm else camera
+
+
+def share_view(camera: Camera, other: Camera | None) -> bool:
+    """Whether two cameras are told to see the same, in images of whatever size."""
+    if other is None:
+        return False
+    same = camera.resized(other.width, other.height)
+    pairs = [(getattr(same, k), getattr(other, k)) for k in ("fx", "fy", "cx", "cy")]
+    return all(abs(a - b) < _SAME * other.width for a, b in pairs)
+
+
+def _percent(logarithm: float) -> str:
+    factor = float(np.exp(logarithm))
+    return f"{abs(factor - 1.0):.1%} {'longer' if factor > 1.0 else 'shorter'}"
+
+
+OFF = 0.04
+"""Logarithm of a factor from which on a camera is wrong: depth of real sensors is off by 1 to 3 %."""
+TILTED = 0.0175
+"""Turn [rad] from which on gravity is off."""
+CLEAR = 4.0
+"""Standard errors that it must be off by, too."""
+SUSPECT = 0.02
+"""... and from which on one linear step at the refined pose asks for a closer look."""
+PLAUSIBLE = 0.25
+"""What is off by more is another place."""
+ENOUGH = 300
+"""Matches below which images tell nothing of their camera."""
+DULL = 0.35
+"""Correlation of held-back parts of the images with the map at a pose that depth has fitted, below
+which depth and images may not be of one place: right ones have 0.4 and more (benchmark)."""
+APART = (0.03, 0.012)
+"""Way [m] and turn [rad] between depth and images from which on they are not of one view."""
+GAIN = 0.04
+"""Share of the robust cost that a mended camera must save."""
+TRIAL_MODES, TRIAL_FRAMES, TRIAL_READINGS = 4, 5, 500
+"""Modes that are tried, by how many frames, with how many readings each."""
+TRIAL = (10.0, 10.0, 6.0, 6.0, 4.0)
+"""Kernels of a trial [standard deviations]."""
+MOST = 12
+"""Frames that a camera is told from."""
+ROUNDS = 4
+SETTLED = 0.003
+"""Rounds end where nothing changes by more."""
+
+
+def measure_scale_error(refiner: Refiner, fitted: FittedTrajectory) -> float:
+    """Logarithm by which a scale or focal length looks off at fitted poses; 0: none does.
+
+    Of depth one linear step, which tells that something is wrong better than by how much; matches
+    take more, since those that are left agree with the poses, and cost little.
+    """
+    free = [SCALE, FOCAL] if refiner.has_depth else [IMAGE]
+    if not refiner.has_depth and sum(map(len, fitted.sights)) < ENOUGH:
+        return 0.0
+    poses, lags = fitted.poses, fitted.lags
+    if lags is not None:
+        poses = (lags.of_depth if refiner.has_depth else lags.of_images)(poses)
+    problem = refiner.problem(None if refiner.has_depth else fitted.sights)
+    widths = TRIAL[:1] if refiner.has_depth else WIDTHS
+    found = calibrate_camera(refiner.scene, problem, poses, free, widths)
+    off = [found.values[k] for k in free if abs(found.values[k]) > CLEAR * found.errors[k]]
+    return float(max(off, key=abs, default=0.0))
+
+
+def find_camera_correction(
+    window: Window, estimate: PoseEstimate, refining: RefineSetup
+) -> CameraCorrection | None:
+    """What is wrong with the camera of a window's frames; None: nothing that could be told."""
+    if not refining.options.joint or estimate.best is None or not _asked(estimate):
+        return None
+    depth = any(s.depth is not None for s in window.sightings)
+    # depth tells enough at few places, and lags are told from frame to frame
+    rows = np.arange(len(window))[-MOST:] if depth else spread(len(window), MOST)
+    starts = [start[rows] for start in _starts(window, estimate)]
+    case = _CameraSearch(_part(window, rows), refining)
+    return case.found(starts[0] if len(starts) == 1 else case.nearest(starts))
+
+
+def _asked(estimate: PoseEstimate) -> bool:
+    told = estimate.refinement
+    if estimate.status is not Status.OK or told is None or not told.accepted:
+        return True
+    found = diagnostics_of(estimate).refinement
+    return found is not None and bool(found.camera)
+
+
+def _starts(window: Window, estimate: PoseEstimate) -> list[Floats]:
+    """Trajectories (T, 4, 4) to begin from."""
+    if estimate.refinement is not None and estimate.refinement.accepted:
+        return [estimate.trajectory[-len(window) :]]
+    steps = between(window.poses[-1], window.poses)
+    modes = estimate.modes[:TRIAL_MODES]
+    return [pose_matrix(compose(mode.pose, steps), window.levels) for mode in modes]
+
+
+def _part(window: Window, rows: NDArray[np.int64]) -> Window:
+    return Window(window.query, window.scorer, [window.sightings[i] for i in rows])
+
+
+def _matched(refiner: Refiner, poses: Floats, *, near: bool) -> list[PointMatches]:
+    """Matches (T,) of the frames with the map, by the guided matcher."""
+    return refiner.matched(matching_stages(None, near=near)[0], poses)
+
+
+@dataclass(eq=False)
+class _CameraSearch:
+    """Frames whose camera is looked into, and what has been found of it."""
+
+    window: Window
+    refining: RefineSetup
+    mend: CameraCorrection = field(default_factory=CameraCorrection.nothing)
+
+    def __post_init__(self) -> None:
+        self.depth = self._refiner(self.window).has_depth
+
+    def _refiner(self, window: Window, readings: int | None = None) -> Refiner:
+        """Of frames as they are mended so far."""
+        frames = self.mend.frames([s.frame for s in window.sightings])
+        seen = [
+            replace(s, frame=f, depth=correct_depth(f, s.depth))
+            for s, f in zip(window.sightings, frames, strict=True)
+        ]
+        mended = Window(window.query, window.scorer, seen)
+        options = self.refining.options
+        options = replace(options, readings=readings or options.readings)
+        return Refiner.of(mended, options, None)
+
+    def nearest(self, starts: list[Floats]) -> Floats:
+        """The start (T, 4, 4) from which frames fit best, were the camera another."""
+        rows = spread(len(self.window), TRIAL_FRAMES)
+        refiner = self._refiner(_part(self.window, rows), TRIAL_READINGS)
+        free = [SCALE, FOCAL] if self.depth else [IMAGE]
+        best, cost = starts[0], np.inf
+        for start in starts:
+            sights = None if self.depth else _matched(refiner, start[rows], near=False)
+            problem = refiner.problem(sights)
+            fit = calibrate_camera(refiner.scene, problem, start[rows], free, TRIAL)
+            if fit.cost < cost and np.abs(fit.values).max() < PLAUSIBLE:
+                best, cost = fit.poses[-1] @ np.linalg.inv(start[rows[-1]]) @ start, fit.cost
+        return best
+
+    def found(self, poses: Floats) -> CameraCorrection | None:
+        """What is clearly off, from poses (T, 4, 4) nearby; None: nothing."""
+        coloured = self.window.scene.coloured and self.window.sightings[0].rgb is not None
+        for number in range(ROUNDS):
+            refiner, sights = self._refiner(self.window), None
+            if coloured and (number or not self.depth):
+                sights = _matched(refiner, poses, near=self.depth or number > 0)
+            free = [SCALE, FOCAL, *TILT] if self.depth else []
+            if sights is not None and sum(map(len, sights)) >= ENOUGH:
+                free.append(IMAGE)
+            if not free:
+                return None
+            poses, moved = self._settled(refiner, refiner.problem(sights), poses, free)
+            if number and moved < SETTLED:
+                break
+        values = np.abs(self.mend.values[[SCALE, FOCAL, IMAGE, *TILT]])
+        return self.mend if self.mend.values.any() and values.max() < PLAUSIBLE else None
+
+    def _settled(
+        self, refiner: Refiner, problem: Problem, poses: Floats, free: list[int]
+    ) -> tuple[Floats, float]:
+        """Poses fitted with what is clearly off, which is taken over; and how much that changed."""
+        before, kept, least = self.mend.values, list(free), np.full(COUNT, OFF)
+        tilt = list(TILT)
+        least[tilt] = TILTED
+        while True:
+            fit = calibrate_camera(refiner.scene, problem, poses, kept)
+            off, errors = np.abs(before + fit.values), fit.errors.copy()
+            off[tilt], errors[tilt] = np.linalg.norm(off[tilt]), errors[tilt].max()
+            sure = off / np.maximum(least, CLEAR * errors)
+            weak = min((sure[k] for k in kept), default=1.0)
+            if weak >= 1.0:
+                break
+            kept = [k for k in kept if sure[k] > weak]  # the three of a tilt go together
+        usual = [k for k in kept if before[k] or k in TILT]  # poses lean without a cost, too
+        if usual != kept:
+            plain = calibrate_camera(refiner.scene, problem, poses, usual)
+            if fit.cost > (1.0 - GAIN) * plain.cost:
+                fit, kept = plain, usual
+        if IMAGE in free and self.depth and not before[list(PLACE)].any():
+            fit, kept = self._offset(refiner, problem, fit, kept)
+        values, errors = before.copy(), self.mend.errors.copy()
+        out = [k for k in free if k not in kept]
+        values[kept] += fit.values[kept]
+        errors[kept] = fit.errors[kept]
+        values[out] = errors[out] = 0.0
+        frame = self.window.sightings[0].frame
+        if IMAGE not in free and self.depth and share_view(frame.camera, frame.depth_camera):
+            values[IMAGE], errors[IMAGE] = values[FOCAL], errors[FOCAL]
+        self.mend = CameraCorrection(values, errors)
+        return fit.poses, float(np.abs(values - before).max())
+
+    def _offset(
+        self, refiner: Refiner, problem: Problem, fit: CalibratedPoses, kept: list[int]
+    ) -> tuple[CalibratedPoses, list[int]]:
+        """The fit with depth of another place than the images, where that is clear."""
+        apart = calibrate_camera(refiner.scene, problem, fit.poses, [*kept, *PLACE])
+        place, errors = apart.values[list(PLACE)], apart.errors[list(PLACE)]
+        away = np.linalg.norm(place[:3]) > APART[0] or np.linalg.norm(place[3:]) > APART[1]
+        clear = (np.abs(place) > CLEAR * errors).any()
+        if away and clear and apart.cost < (1.0 - GAIN) * fit.cost:
+            return apart, [*kept, *PLACE]
+        return fit, kept

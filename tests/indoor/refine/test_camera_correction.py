@@ -1,0 +1,249 @@
+"""Cameras that are not as they say, told from readings and matches that are exact but for that."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from placegraph.core.estimate import PoseEstimate, Status
+from placegraph.core.geometry import Camera, rotation_from_vector
+from placegraph.indoor.refine.camera_correction import (
+    COUNT,
+    FOCAL,
+    IMAGE,
+    PLACE,
+    SCALE,
+    TILT,
+    TIME,
+    CameraCorrection,
+    calibrate_camera,
+    depth_from_camera,
+    lengthen,
+    moved_depth,
+    share_view,
+    turn_gravity,
+)
+from placegraph.indoor.refine.correspondences import PointMatches
+from placegraph.indoor.refine.options import RefineOptions
+from placegraph.io.capture.capture import Capture
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+LENS = Camera(320, 240, 260.0, 260.0, 160.0, 120.0)
+
+
+@pytest.fixture
+def matched(way, rng):
+    """Matches (T,) of the way in the hall, noisy by 0.3 px: `matched(factor)`.
+
+    Images were taken at `factor` times the focal length that their camera says.
+    """
+
+    def made(factor=1.0):
+        sights = []
+        for pose in way:
+            inside = rng.uniform([-0.5, -0.4, 1.5], [0.5, 0.4, 5.0], (150, 3))
+            inside[:, :2] *= inside[:, 2:]
+            centre = np.array([LENS.cx, LENS.cy])
+            pixels = (LENS.project(inside) - centre) * factor + centre
+            pixels += 0.3 * rng.normal(size=pixels.shape)
+            sights.append(PointMatches.of(inside @ pose[:3, :3].T + pose[:3, 3], pixels, LENS, 1.0))
+        return sights
+
+    return made
+
+
+@pytest.mark.parametrize("factor", [0.85, 1.0, 1.1])
+def test_a_focal_length_is_told_by_matches(hall, way, walked, kit, matched, factor):
+    """From poses that are off, too: a tenth to 2 in a thousand, linearised anew at each step."""
+    problem = kit.problem(hall, walked, sights=matched(factor), blind=range(len(way)))
+    found = calibrate_camera(
+        hall, problem, kit.moved(way, (0.1, -0.05, 0.02), (0, 0, 2.0)), [IMAGE]
+    )
+    assert np.exp(found.values[IMAGE]) == pytest.approx(factor, abs=2e-3)
+    assert abs(np.log(factor) - found.values[IMAGE]) < 4 * found.errors[IMAGE]
+    assert kit.off(found.poses[-1], way[-1])[0] < 0.01
+
+
+@pytest.mark.parametrize(("scale", "focal"), [(0.9, 1.0), (1.0, 1.1), (1.1, 0.9), (1.0, 1.0)])
+def test_depth_tells_its_scale_from_its_focal_length(
+    hall, way, walked, kit, in_memory, scale, focal
+):
+    told = replace(kit.camera, fx=kit.camera.fx * focal, fy=kit.camera.fy * focal)
+    wrong = in_memory(
+        walked, camera=lambda _: told, depth_camera=lambda _: told,
+        depth=lambda f: f.depth() * np.float32(scale),
+    )  # fmt: skip
+    problem = kit.problem(hall, wrong)
+    found = calibrate_camera(
+        hall, problem, kit.moved(way, (0.1, 0.1, 0.0), (0, 0, 2.0)), [SCALE, FOCAL]
+    )
+    factors = np.exp(found.values[[SCALE, FOCAL]])
+    np.testing.assert_allclose(factors, [1 / scale, 1 / focal], atol=4e-3)
+    assert kit.off(found.poses[-1], way[-1])[0] < 0.01
+
+
+def test_gravity_that_is_off_is_told_by_depth(hall, way, walked, kit):
+    """From poses that believe it; of a turn about gravity itself nothing is known."""
+    off = np.radians([3.0, 0.0, -2.5])
+    problem = kit.problem(hall, walked)
+    wrong = replace(problem, gravity=problem.gravity @ rotation_from_vector(off))
+    start = way.copy()
+    start[:, :3, :3] = way[:, :3, :3] @ rotation_from_vector(off)
+    found = calibrate_camera(hall, wrong, start, [SCALE, FOCAL, *TILT])
+    np.testing.assert_allclose(
+        turn_gravity(wrong.gravity, found.values), problem.gravity, atol=4e-3
+    )
+    assert np.linalg.norm(found.values[list(TILT)]) > 8 * found.errors[list(TILT)].max()
+    assert kit.off(found.poses[-1], way[-1])[0] < 0.01
+
+
+def test_depth_that_is_late_or_elsewhere_is_told_by_both(
+    hall, way, walked, kit, matched, in_memory
+):
+    images = matched()
+    mount = np.zeros(COUNT)
+    mount[list(PLACE)] = 0.03, 0.0, -0.05, 0.01, -0.02, 0.0
+    # what a camera reads that stands elsewhere: the hall from poses moved by the mount
+    drawn = kit.frames(hall, way @ depth_from_camera(mount))
+    elsewhere = in_memory(walked, depth=lambda f: drawn[f.index].depth())
+    found = calibrate_camera(hall, kit.problem(hall, elsewhere, sights=images), way, PLACE)
+    np.testing.assert_allclose(found.values[list(PLACE)], mount[list(PLACE)], atol=5e-3)
+    late = in_memory(walked, depth=lambda f: walked[max(f.index - 1, 0)].depth())
+    problem = kit.problem(hall, late, RefineOptions(), sights=images, blind=[0])
+    found = calibrate_camera(hall, problem, way, [])
+    assert found.values[TIME] == pytest.approx(-1.0, abs=0.1)
+
+
+def test_what_is_not_asked_for_stays(hall, way, walked, kit):
+    found = calibrate_camera(hall, kit.problem(hall, walked), way, [SCALE])
+    rest = [k for k in range(COUNT) if k not in (SCALE, TIME)]
+    assert not found.values[rest].any()
+    assert not found.errors[rest].any()
+    assert found.errors[SCALE] > 0
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_of_numbers_that_are_not_finite_nothing_is_found(hall, way, walked, kit, matched, value):
+    sights = matched(1.1)
+    sights[1].rays[0] = value
+    problem = kit.problem(hall, walked, sights=sights, blind=range(len(way)))
+    with np.errstate(invalid="ignore"):
+        found = calibrate_camera(hall, problem, way, [IMAGE])
+    np.testing.assert_array_equal(found.poses, way)
+    assert not found.values.any()
+    assert not found.errors.any()
+    assert found.cost == np.inf
+
+
+def answer(reason):
+    told = SimpleNamespace(accepted=True)
+    return PoseEstimate(Status.OK, (), reason, refinement=told)
+
+
+@pytest.mark.parametrize(
+    ("way", "status", "words"), [(0.06, Status.OK, "after"), (0.57, Status.AMBIGUOUS, "is late")]
+)
+def test_cameras_of_one_device_stand_side_by_side(walk, way, status, words):
+    values = np.zeros(COUNT)
+    values[PLACE[0]] = way
+    asked = SimpleNamespace(frames=list(walk)[-1:])
+    chosen = CameraCorrection(values, np.zeros(COUNT)).chosen(
+        asked, answer("before"), answer("after")
+    )
+    assert chosen.status is status
+    assert words in chosen.reason
+    assert f"{100 * way:.0f} cm" in chosen.reason
+
+
+CAMERA = Camera(160, 120, 120.0, 120.0, 80.0, 60.0)
+
+
+def values(**known):
+    out = np.zeros(COUNT)
+    for name, value in known.items():
+        out[{"scale": SCALE, "focal": FOCAL, "image": IMAGE}[name]] = value
+    return CameraCorrection(out, 0.001 * (out != 0))
+
+
+@pytest.mark.all
+@pytest.mark.parametrize("factor", [0.9, 1.1])
+def test_a_wrong_focal_length_is_found_said_and_mended(room, exact, kit, factor):
+    wrong = Capture.from_frames(
+        [
+            replace(
+                f, camera=lengthen(f.camera, np.log(factor)),
+                depth_camera=lengthen(f.depth_camera, np.log(factor)),
+            )
+            for f in exact.capture
+        ]
+    )  # fmt: skip
+    estimate = room.localize(wrong)
+    assert estimate.status is Status.OK
+    assert estimate.calibration.focal_factor[0] == pytest.approx(1 / factor, abs=0.01)
+    assert f"fx {exact.capture.camera.fx:.0f}"[:5] in estimate.reason
+    assert kit.off(estimate.best.map_from_camera, exact.poses[-1])[0] < 0.02
+    assert (
+        estimate.to_dict()["calibration"]["focal_factor"][0] == estimate.calibration.focal_factor[0]
+    )
+
+
+def test_gravity_that_is_off_is_found_said_and_mended(room, exact, kit):
+    off = np.radians([0.0, 0.0, 4.0])
+    aslant = [replace(f, gravity=rotation_from_vector(off) @ f.gravity) for f in exact.capture]
+    estimate = room.localize(Capture.from_frames(aslant))
+    assert estimate.status is Status.OK
+    way, turn = kit.off(estimate.best.map_from_camera, exact.poses[-1])
+    assert way < 0.1
+    assert turn < 1.0
+    assert "Gravity is 4" in estimate.reason
+    mended = rotation_from_vector(estimate.calibration.gravity_turn) @ aslant[-1].gravity
+    np.testing.assert_allclose(mended, exact.capture[-1].gravity, atol=0.01)
+    assert len(estimate.to_dict()["calibration"]["gravity_turn"]) == 3
+
+
+def test_a_right_camera_is_left_alone(room, walk):
+    estimate = room.localize(walk)
+    assert estimate.calibration is None
+    assert "camera" not in estimate.refinement.stats
+
+
+def test_mended_frames(exact):
+    """Cameras of one view go together; scale is depth's alone."""
+    frames = list(exact.capture)[:3]
+    mended = values(scale=0.1, focal=-0.1, image=-0.1).frames(frames)
+    for before, after in zip(frames, mended, strict=True):
+        assert after.camera.fx == pytest.approx(before.camera.fx * np.exp(-0.1))
+        assert after.depth_camera.fx == pytest.approx(before.depth_camera.fx * np.exp(-0.1))
+        np.testing.assert_allclose(after.depth(), before.depth() * np.exp(0.1), rtol=1e-5)
+        np.testing.assert_array_equal(after.rgb(), before.rgb())
+    assert CameraCorrection.nothing().frames(frames)[0].images is frames[0].images
+
+
+def test_sentences(exact):
+    frame = exact.capture[0]
+    said = values(scale=np.log(1.1)).sentence(frame)
+    assert said == "Depth readings are 9.1% too short: 1.100 times them would fit."
+    said = values(focal=np.log(0.9), image=np.log(0.9)).sentence(frame)
+    fx = frame.camera.fx * 0.9
+    assert said.startswith(
+        "The focal length is 10.0% shorter than the camera says (depth likewise)"
+    )
+    assert f"fx {fx:.1f}" in said
+
+
+def test_depth_is_brought_to_where_the_camera_was(hall, way):
+    """A reading of the hall from elsewhere, brought back, is what is read there."""
+    mount = np.linalg.inv(way[2]) @ way[3]
+    seen, elsewhere = (hall.render(way[i], CAMERA, samples=1).depth for i in (2, 3))
+    brought = moved_depth(elsewhere, CAMERA, mount)
+    both = np.isfinite(brought)
+    assert both.mean() > 0.6
+    assert np.median(np.abs(brought - seen)[both]) < 0.01
+    np.testing.assert_array_equal(np.isfinite(moved_depth(seen, CAMERA, np.eye(4))), seen > 0)
+
+
+def test_cameras_of_one_view():
+    assert share_view(CAMERA, CAMERA.resized(80, 60))
+    assert not share_view(CAMERA, replace(CAMERA, fx=125.0))
+    assert not share_view(CAMERA, None)
