@@ -8,8 +8,7 @@ import pytest
 from placegraph.core.geometry import LocalPlane
 from placegraph.outdoor.city import build_city
 from placegraph.outdoor.language.vocabulary import Vocabulary
-from placegraph.outdoor.network.encoded import EncodedCity
-from placegraph.outdoor.network.network import GraphTransformer
+from placegraph.outdoor.network.network import EncodedCity, GraphTransformer
 from placegraph.outdoor.network.weights import Shape
 from placegraph.outdoor.network.weights import sizes as sizes_of
 from placegraph_learn.city.descriptions import Speaker

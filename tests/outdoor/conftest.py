@@ -7,10 +7,10 @@ from tests.cities import PLANE
 from placegraph.maps import open_map
 from placegraph.outdoor.city import build_city
 from placegraph.outdoor.language.description import Description, Mention, Relation, Sense, Statement
+from placegraph.outdoor.likelihood.match_kernels import distant, look_again
 from placegraph.outdoor.likelihood.query import compile_query
-from placegraph.outdoor.likelihood.score_kernels import distant, look_again
 from placegraph.outdoor.map.index import REACH
-from placegraph.outdoor.search.viewpoints import TOGETHER
+from placegraph.outdoor.search.posterior import TOGETHER
 
 
 @pytest.fixture(scope="session")

@@ -12,8 +12,7 @@ from placegraph.core import plugins
 from placegraph.core.mapfile import read_map, write_map
 from placegraph.errors import InputError, MapError, MissingExtraError, OptionError, StoreError
 from placegraph.maps import open_map
-from placegraph.outdoor.network.encoded import EncodedCity
-from placegraph.outdoor.network.network import GraphTransformer
+from placegraph.outdoor.network.network import EncodedCity, GraphTransformer
 from placegraph.vectors import EmbeddedStore, Origin, Region, list_stores, open_store
 from placegraph.vectors.stores import is_uri
 

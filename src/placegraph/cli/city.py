@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from placegraph.core.estimate import CityEstimate
     from placegraph.outdoor.city import CityMap
-    from placegraph.outdoor.network.encoded import EncodedCity
+    from placegraph.outdoor.network.network import EncodedCity
     from placegraph.outdoor.search.ask import Answer, Question
 
 KNOWN = "What is known"
@@ -113,8 +113,7 @@ def matching(
 def _encoded(city: CityMap, weights: Path | None) -> EncodedCity | None:
     if weights is None:
         return None
-    from placegraph.outdoor.network.encoded import EncodedCity
-    from placegraph.outdoor.network.network import GraphTransformer
+    from placegraph.outdoor.network.network import EncodedCity, GraphTransformer
 
     return EncodedCity(city, GraphTransformer.open(weights))
 
@@ -341,7 +340,7 @@ def check(map_file: MapFile, as_json: AsJson = False) -> None:
     Example: placegraph city check monaco.city
     """
     from placegraph.outdoor.city import CityMap
-    from placegraph.outdoor.map.check import findings
+    from placegraph.outdoor.map.city import findings
 
     found = findings(CityMap.open(map_file))
     if as_json:

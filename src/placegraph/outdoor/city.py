@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from placegraph.outdoor.language.description import Description
     from placegraph.outdoor.language.vocabulary import Vocabulary
     from placegraph.outdoor.map.extract import Overture, Progress
-    from placegraph.outdoor.network.encoded import EncodedCity
+    from placegraph.outdoor.network.network import EncodedCity
     from placegraph.outdoor.search.ask import Answer, Question
     from placegraph.outdoor.search.request import MatchingOptions
     from placegraph.outdoor.track.tracker import CityTracker
@@ -41,10 +41,9 @@ class CityMap(Shown, City):
     @cached_property
     def encoded(self) -> EncodedCity:
         """The city as the shipped network reads it; derived on first use."""
-        from placegraph.outdoor.network.encoded import EncodedCity
-        from placegraph.outdoor.network.network import GraphTransformer
+        from placegraph.outdoor.network.network import EncodedCity
 
-        return EncodedCity(self, GraphTransformer.default())
+        return EncodedCity.shipped(self)
 
     @property
     def embeddings(self) -> NDArray[np.float32]:
@@ -102,14 +101,15 @@ class CityMap(Shown, City):
             The store is of another map or another network.
 
         """
-        from placegraph.outdoor.locate import Hints, locate
-        from placegraph.outdoor.search.request import Matching
+        from placegraph.outdoor.locate import locate
+        from placegraph.outdoor.search.request import Hints, Matching
 
         language = matching.pop("language", None)
         hints = Hints(near, radius, heading, listener, answers, language)
         chosen = Matching.preset(matching.pop("preset", "default"), **matching)
-        by = replace(chosen, shipped=lambda: self.encoded)
-        return locate(self, text, top=top, hints=hints, matching=by)
+        if chosen.uses_network and chosen.encoded is None:
+            chosen = replace(chosen, encoded=self.encoded)
+        return locate(self, text, top=top, hints=hints, matching=chosen)
 
     def track(
         self,
@@ -131,7 +131,7 @@ class CityMap(Shown, City):
         holds them, and shapes as coarse as the map's; ``cells`` are squares with property `cell`.
         Raises `OptionError` where it is neither.
         """
-        from placegraph.outdoor.map.features import features
+        from placegraph.outdoor.map.city import features
 
         return features(self, what)
 

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from placegraph.core.geojson import inside
 from placegraph.outdoor.language.description import SPEAKER, WITHIN, Relation
+from placegraph.outdoor.map.geometry_kernels import nearest_on_parts
 from placegraph.outdoor.map.objects import AREA, POINT
-from placegraph.outdoor.map.raster_kernels import nearest_on_parts
-from placegraph.outdoor.search.evidence import looked_at
+from placegraph.outdoor.search.answer import looked_at
 from placegraph.outdoor.search.status import infer_claim
 from placegraph.world.streets import AROUND_IT, on_street, roads_called
 

@@ -11,8 +11,7 @@ import numpy as np
 from placegraph.errors import OptionError
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
-from placegraph.outdoor.search.request import is_count
-from placegraph.outdoor.search.whereabouts import number
+from placegraph.outdoor.search.request import is_count, number
 
 if TYPE_CHECKING:
     from placegraph.indoor.pose.query import Progress

@@ -10,15 +10,18 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.outdoor.likelihood.lexicon import Known as Read
-from placegraph.outdoor.locate import Hints, understand
-from placegraph.outdoor.search.answer import answer
-from placegraph.outdoor.search.evidence import TELLING, evidence_at
+from placegraph.outdoor.locate import search
+from placegraph.outdoor.search.answer import TELLING, answer, evidence_at
 from placegraph.outdoor.search.posterior import ELSEWHERE
-from placegraph.outdoor.search.request import Matching
+from placegraph.outdoor.search.request import (
+    Hints,
+    LocationPrior,
+    Matching,
+    TextContext,
+    hint_swapped,
+    make_request,
+)
 from placegraph.outdoor.search.status import find_obstacle, infer_claim
-from placegraph.outdoor.search.viewpoints import search
-from placegraph.outdoor.search.whereabouts import Whereabouts, swapped
 from placegraph.world.buildings import Buildings
 from placegraph.world.streets import roads_called
 
@@ -34,7 +37,7 @@ if TYPE_CHECKING:
     from placegraph.world.known import Known
 
 
-class Words(Read, Protocol):
+class Words(TextContext, Protocol):
     """What words mean in a town."""
 
     @property
@@ -154,20 +157,20 @@ class OneCity:
             self.words,
             Hints(known.near, known.radius, known.heading, answers=known.answers),
         )
-        description, asked = understand(city, said, hints, Matching())
-        if not asked.positive:
-            return find_obstacle(asked.query, description)
-        near = asked.known.near
-        if near is not None and not len(city.views.near(near, 4.0 * asked.known.radius)):
+        asked = make_request(city, said, hints, Matching())
+        if not asked.is_positive:
+            return find_obstacle(asked.query, asked.understood)
+        near = asked.prior.near
+        if near is not None and not len(city.views.near(near, 4.0 * asked.prior.radius)):
             return ""
         found = search(asked)
-        told = answer(asked, found, known.top, description)
+        told = answer(asked, found, known.top)
         return InCity(asked.query, found, told, {self.name: told}, "", city, asked)
 
     def off(self, near: Sequence[float], radius: float) -> str | None:
         """As `Town.off`."""
-        off = Whereabouts.around(self.words, near, radius).off(self.words)
-        return swapped(self.words, near) if off else None
+        off = LocationPrior.around(self.words, near, radius).is_off(self.words)
+        return hint_swapped(self.words, near) if off else None
 
     def ask(self, part: str, found: CityEstimate) -> Question | None:
         """As `Town.ask`."""

@@ -16,8 +16,8 @@ from placegraph.indoor.language.likeness import EXACT, fits, room_kind, table
 from placegraph.indoor.language.sentence import Kind
 from placegraph.language.text import Ignored, check_text
 from placegraph.outdoor.language.description import LISTENER, SPEAKER, WITHIN, Relation
-from placegraph.outdoor.likelihood.query import read as read_outside
-from placegraph.outdoor.likelihood.statements import ends
+from placegraph.outdoor.likelihood.query import ends
+from placegraph.outdoor.search.request import parse as read_outside
 from placegraph.world.floors import said_floors
 from placegraph.world.translate import in_english, of_rooms
 

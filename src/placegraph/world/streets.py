@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.outdoor.language.words import tokens
+from placegraph.outdoor.map.geometry_kernels import nearest_on_parts
 from placegraph.outdoor.map.index import REACH
 from placegraph.outdoor.map.objects import AREA, LINE
-from placegraph.outdoor.map.raster_kernels import nearest_on_parts
 
 if TYPE_CHECKING:
     from placegraph.outdoor.city import CityMap

@@ -64,8 +64,7 @@ def test_presets_and_what_overrides_them(run, city, weights):
 
 def test_locate_asks_a_store_of_the_same_weights(run, city, weights, tmp_path):
     from placegraph.maps import open_map
-    from placegraph.outdoor.network.encoded import EncodedCity
-    from placegraph.outdoor.network.network import GraphTransformer
+    from placegraph.outdoor.network.network import EncodedCity, GraphTransformer
 
     network = GraphTransformer.open(weights)
     vectors = tmp_path / "town.vectors"

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from placegraph.outdoor.likelihood import promise_kernels
-from placegraph.outdoor.likelihood.promise_kernels import promising_views
-from placegraph.outdoor.likelihood.query import compile_query, read
+from placegraph.outdoor.likelihood import bound_kernels as promise_kernels
+from placegraph.outdoor.likelihood.bound_kernels import promising_views
+from placegraph.outdoor.likelihood.query import compile_query
+from placegraph.outdoor.search.request import parse
 
 TEXTS = (
     "A bakery is north of me.",
@@ -19,7 +20,7 @@ MANY = 1 << 14
 
 @pytest.fixture(params=TEXTS)
 def query(request, monaco):
-    return compile_query(read(monaco, request.param), monaco)
+    return compile_query(parse(monaco, request.param), monaco)
 
 
 def promising(query, city, weights, most, drawn=0, least=0.0):
@@ -75,8 +76,7 @@ def test_of_small_bounds_some_stand_for_all(query, monaco, rng, weighed, drawn):
 
 def test_bounds_are_bounds(query, monaco):
     """No viewpoint scores above its bound."""
-    from placegraph.outdoor.likelihood.match_kernels import SLACK
-    from placegraph.outdoor.likelihood.score_kernels import score_views
+    from placegraph.outdoor.likelihood.match_kernels import SLACK, score_views
 
     rows, bounds, _ = promising(query, monaco, np.zeros(0), 2000)
     s = query.statements
@@ -90,8 +90,7 @@ def test_bounds_are_bounds(query, monaco):
 
 
 def test_what_is_given_up_does_not_depend_on_the_order(query, monaco, rng):
-    from placegraph.outdoor.likelihood.match_kernels import HOPELESS
-    from placegraph.outdoor.likelihood.score_kernels import score_views
+    from placegraph.outdoor.likelihood.match_kernels import HOPELESS, score_views
 
     rows, _, _ = promising(query, monaco, np.zeros(0), 300)
     s, prior = query.statements, np.log(rng.random(len(rows)))

@@ -5,8 +5,7 @@ from math import radians
 import numpy as np
 import pytest
 
-from placegraph.outdoor.map.blocks import USUAL, Blocks
-from placegraph.outdoor.map.objects import LINE, CityObjects
+from placegraph.outdoor.map.objects import LINE, USUAL, Blocks, CityObjects
 
 
 def grid(north, east, turned, n=8):

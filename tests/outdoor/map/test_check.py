@@ -2,7 +2,7 @@
 
 import pytest
 
-from placegraph.outdoor.map.check import findings
+from placegraph.outdoor.map.city import findings
 
 BENCH, TREE = {"amenity": "bench", "name": "B"}, {"natural": "tree", "name": "T"}
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.core.geo import Box
-from placegraph.outdoor.map.clip import clip
+from placegraph.outdoor.map.extract import clip
 from placegraph.outdoor.map.objects import AREA, LINE, POINT
 
 BOX = Box(0.0, 0.0, 10.0, 10.0)

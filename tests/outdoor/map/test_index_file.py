@@ -13,7 +13,7 @@ from placegraph.outdoor.map.city import City
 
 @pytest.fixture
 def stored(harbour, tmp_path, monkeypatch):
-    monkeypatch.setattr("placegraph.core.mapfile.PAGE", 1)
+    monkeypatch.setattr("placegraph.core.mapfile.ALIGNMENT", 1)
     path = tmp_path / "harbour.city"
     harbour.save(path, index=True)
     return path

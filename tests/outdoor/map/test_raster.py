@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.errors import MapError
-from placegraph.outdoor.map.raster import Grid, sightings
-from placegraph.outdoor.map.raster_kernels import nearest_on_parts
+from placegraph.outdoor.map.cells import Grid, sightings
+from placegraph.outdoor.map.geometry_kernels import nearest_on_parts
 
 POINT, LINE, AREA = 0, 1, 2
 

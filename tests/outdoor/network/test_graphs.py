@@ -12,9 +12,9 @@ from placegraph.outdoor.network.graphs import (
     MOST_STATEMENTS,
     PlaceGraphs,
     TextGraphs,
-    words_of,
 )
-from placegraph.outdoor.network.graphs_kernels import (
+from placegraph.outdoor.network.graphs import weigh_words as words_of
+from placegraph.outdoor.network.network_kernels import (
     ALONG,
     CHANNELS,
     CONTAINS,

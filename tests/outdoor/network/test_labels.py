@@ -6,8 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.outdoor.map.objects import of_name
-from placegraph.outdoor.network.labels import Bags, words_of
-from placegraph.outdoor.network.labels_kernels import BUCKETS
+from placegraph.outdoor.network.graphs import Bags
+from placegraph.outdoor.network.graphs import split_label as words_of
+from placegraph.outdoor.network.network_kernels import BUCKETS
 
 # Weights that were shipped mean these rows: a change here makes all of them worthless.
 GOLDEN = {

@@ -6,9 +6,13 @@ import numpy as np
 import pytest
 
 from placegraph.outdoor.likelihood.query import compile_query
-from placegraph.outdoor.network.batches import fits_of, word_fits
-from placegraph.outdoor.network.graphs import PlaceGraphs, TextGraphs
-from placegraph.outdoor.network.labels import WordVectors
+from placegraph.outdoor.network.graphs import (
+    PlaceGraphs,
+    TextGraphs,
+    WordVectors,
+    fits_of,
+    word_fits,
+)
 from placegraph.outdoor.network.network import GraphTransformer
 from placegraph_lab.tables.kitti.matchers import places_of_graphs
 

@@ -9,7 +9,7 @@ import pytest
 from placegraph.core.mapfile import pack_strings, read_map, write_map
 from placegraph.errors import InputError, MapError, PlacegraphError
 from placegraph.outdoor.network import weights as module
-from placegraph.outdoor.network.labels import WordVectors
+from placegraph.outdoor.network.graphs import WordVectors
 from placegraph.outdoor.network.network import GraphTransformer
 from placegraph.outdoor.network.weights import Shape, read_weights, shipped, trained, write_weights
 

@@ -9,7 +9,7 @@ from placegraph.core.estimate import CityEstimate, Status
 from placegraph.errors import OptionError
 from placegraph.outdoor.language.description import SPEAKER, Description, Relation
 from placegraph.outdoor.language.vocabulary import Vocabulary
-from placegraph.outdoor.map.raster_kernels import nearest_on_parts
+from placegraph.outdoor.map.geometry_kernels import nearest_on_parts
 from placegraph.outdoor.search.ask import (
     NO,
     NONE,

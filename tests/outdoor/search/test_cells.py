@@ -7,19 +7,19 @@ import pytest
 
 from placegraph.core.estimate import Status
 from placegraph.errors import DescriptionError, OptionError, StoreError
-from placegraph.outdoor.likelihood.query import compile_query, read
-from placegraph.outdoor.network.encoded import EncodedCity
-from placegraph.outdoor.search import cells
+from placegraph.outdoor.likelihood.query import compile_query
+from placegraph.outdoor.network.network import EncodedCity
+from placegraph.outdoor.search import cells, posterior
 from placegraph.outdoor.search.candidates import (
     candidate_cells,
-    candidates,
     dense_cells,
+    find_candidates,
     views_by,
     views_in,
 )
 from placegraph.outdoor.search.edit_distance import rank
-from placegraph.outdoor.search.request import MATCHERS, WAYS, Matching, Request, within
-from placegraph.outdoor.search.viewpoints import closer, score
+from placegraph.outdoor.search.posterior import compute_posterior, score
+from placegraph.outdoor.search.request import MATCHERS, WAYS, Matching, Request, find_inside, parse
 from placegraph.vectors import Neighbours, Origin, Region
 
 BENCH, TREE, FOUNTAIN = "amenity=bench", "natural=tree", "amenity=fountain"
@@ -272,10 +272,10 @@ def test_no_way_to_candidates_leaves_a_region(harbour, encoded, query):
 def test_a_region_over_the_date_line_and_one_that_is_none(harbour):
     at = harbour.cells.centers(np.arange(3))
     lon = harbour.plane.to_lonlat(at)[0, 0]
-    assert within(harbour, at, Region(lon - 1.0, -90.0, lon - 2.0, 90.0)).all()
-    assert not within(harbour, at, Region(lon + 1.0, -90.0, lon - 1.0, 90.0)).any()
+    assert find_inside(harbour, at, Region(lon - 1.0, -90.0, lon - 2.0, 90.0)).all()
+    assert not find_inside(harbour, at, Region(lon + 1.0, -90.0, lon - 1.0, 90.0)).any()
     with pytest.raises(OptionError, match="is no region"):
-        within(harbour, at, Region(0.0, 50.0, 1.0, 40.0))
+        find_inside(harbour, at, Region(0.0, 50.0, 1.0, 40.0))
 
 
 def test_locating_asks_a_store(harbour, encoded, text):
@@ -504,9 +504,10 @@ def test_matching_log_odds_are_shared_with_what_was_not_looked_at(harbour, encod
     assert every.support[:, 2].sum() == pytest.approx(0.97, abs=1e-3)
 
 
-def test_a_share_that_may_be_missing_is_cached_for_the_rest(harbour, text):
-    query = compile_query(read(harbour, text), harbour)
-    asked = Request(harbour, query, matching=Matching(by="all"))
-    for reach in (1.0, 0.5, 0.1):
-        found = closer(asked, score(asked, candidates(asked)), reach)
+def test_a_share_that_may_be_missing_is_cached_for_the_rest(harbour, encoded, text, monkeypatch):
+    query = compile_query(parse(harbour, text), harbour)
+    asked = Request(harbour, query, matching=Matching(by="dense", encoded=encoded))
+    for reach in (0.5, 0.1):
+        monkeypatch.setattr(posterior, "DENSE_REACH", reach)
+        found = compute_posterior(asked, score(asked, find_candidates(asked)))
         assert found.probabilities.sum() <= reach + 1e-9

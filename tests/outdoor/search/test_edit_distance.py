@@ -25,10 +25,13 @@ from placegraph.outdoor.search.edit_distance import (
     TIMEOUT,
     Costs,
     Distance,
+    Edge,
+    LabelledGraph,
+    Node,
+    check_center,
     distance,
     rank,
 )
-from placegraph.outdoor.search.edit_graphs import Edge, LabelledGraph, Node, check_center
 
 LONG = 30.0
 BEARING = {"north": 0.0, "east": 0.5 * math.pi, "south": math.pi, "west": 1.5 * math.pi}

@@ -5,9 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph.outdoor.likelihood.query import compile_query, read
-from placegraph.outdoor.search.evidence import evidence_at, looked_at, reference, wind
-from placegraph.outdoor.search.evidence import said as in_words
+from placegraph.outdoor.likelihood.query import compile_query
+from placegraph.outdoor.search.answer import evidence_at, looked_at, reference, wind
+from placegraph.outdoor.search.answer import said as in_words
+from placegraph.outdoor.search.request import parse
 
 BAKERY, BENCH, FOUNTAIN, PARK = "shop=bakery", "amenity=bench", "amenity=fountain", "leisure=park"
 
@@ -123,7 +124,7 @@ def test_winds(angle):
 
 
 def test_positions_that_lie_far_apart_are_judged_each_by_itself(harbour):
-    query = compile_query(read(harbour, "A bakery is north of me."), harbour)
+    query = compile_query(parse(harbour, "A bakery is north of me."), harbour)
     here, away = np.zeros(2), np.full(2, 30_000.0)  # from where nothing is in sight
     both, served = looked_at(np.array([here, away]), harbour, query)
     assert both[0] == pytest.approx(looked_at(here[None], harbour, query)[0][0])

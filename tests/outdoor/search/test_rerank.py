@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 
 from placegraph.outdoor.likelihood.query import compile_query
-from placegraph.outdoor.network.encoded import EncodedCity
-from placegraph.outdoor.search import rerank as module
-from placegraph.outdoor.search.candidates import candidates
+from placegraph.outdoor.network.network import EncodedCity
+from placegraph.outdoor.search import posterior as module
+from placegraph.outdoor.search.candidates import find_candidates
+from placegraph.outdoor.search.posterior import HARD as MOST
+from placegraph.outdoor.search.posterior import rerank, score
 from placegraph.outdoor.search.request import Matching, Request
-from placegraph.outdoor.search.rerank import HARD as MOST
-from placegraph.outdoor.search.rerank import rerank
-from placegraph.outdoor.search.viewpoints import score
 
 
 class Judge:
@@ -37,7 +36,7 @@ def asked(harbour, said):
         said(("natural=tree", "near", "me"), ("amenity=bench", "east", "me")), harbour
     )
     asked = Request(harbour, query)
-    found = score(asked, candidates(asked))
+    found = score(asked, find_candidates(asked))
     assert len(found.rows) > MOST
     return query, found
 

@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 
 from placegraph.outdoor.likelihood.query import compile_query
-from placegraph.outdoor.locate import Hints, understand
+from placegraph.outdoor.locate import search
 from placegraph.outdoor.search.candidates import Candidates
-from placegraph.outdoor.search.posterior import modes
-from placegraph.outdoor.search.request import Matching, Request
-from placegraph.outdoor.search.viewpoints import FINE, closer, search
-from placegraph.outdoor.search.viewpoints import score as scored
+from placegraph.outdoor.search.posterior import FINE, compute_posterior, modes
+from placegraph.outdoor.search.posterior import score as scored
+from placegraph.outdoor.search.request import Hints, Matching, Request, make_request
 
 BENCH, TREE, FOUNTAIN, BAKERY = "amenity=bench", "natural=tree", "amenity=fountain", "shop=bakery"
 CHURCH, SQUARE, ROAD = "amenity=place_of_worship", "place=square", "highway=residential"
@@ -77,10 +76,11 @@ TOLD = (
 @pytest.mark.parametrize("text", TOLD)
 def test_the_best_of_few_is_the_best_of_all(text, monaco):
     """Its probability is off by what is estimated of the rest, and by what lies 4 nat behind."""
-    _, asked = understand(monaco, text, Hints(), Matching())
+    asked = make_request(monaco, text, Hints(), Matching())
     every = Candidates.given(asked, np.arange(len(monaco.views)))
     few, all_ = (
-        modes(p, 5, 6.67)[0] for p in (search(asked), closer(asked, scored(asked, every, 30.0)))
+        modes(p, 5, 6.67)[0]
+        for p in (search(asked), compute_posterior(asked, scored(asked, every, 30.0)))
     )
     assert np.hypot(*(few.position - all_.position)) < 1.0
     assert few.probability == pytest.approx(all_.probability, abs=0.05)

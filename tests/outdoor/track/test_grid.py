@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.outdoor.search.posterior import ELSEWHERE
-from placegraph.outdoor.track.grid import (
+from placegraph.outdoor.track.belief import (
     Belief,
     TrackGrid,
     _by_fourier,

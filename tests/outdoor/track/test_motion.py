@@ -6,8 +6,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from placegraph.outdoor.track.motion import UNSAID, Leg, ways
-from placegraph.outdoor.track.phrases import _TENS, _UNITS, in_digits, seconds
+from placegraph.outdoor.track.motion import _TENS, _UNITS, UNSAID, Leg, in_digits, seconds, ways
 
 NORTH, EAST, SOUTH, WEST = 0.0, 0.5, 1.0, 1.5  # bearings and turns in units of pi
 LEFT, RIGHT, AHEAD, BACK = -0.5, 0.5, 0.0, 1.0

@@ -5,8 +5,8 @@ import pytest
 from tests.outdoor.search.test_viewpoints import QUERIES
 
 from placegraph.outdoor.likelihood.query import compile_query
-from placegraph.outdoor.search.viewpoints import FINE
-from placegraph.outdoor.track.stop import MOST_SCORED, score
+from placegraph.outdoor.search.posterior import FINE
+from placegraph.outdoor.track.belief import MOST_SCORED, score
 
 
 @pytest.mark.parametrize("name", QUERIES)

@@ -14,12 +14,10 @@ from placegraph.core.geometry import LocalPlane
 from placegraph.demo.world import TOWN, unpack
 from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.language.description import Description
-from placegraph.outdoor.likelihood.match_kernels import SLACK
-from placegraph.outdoor.likelihood.score_kernels import score_views
-from placegraph.outdoor.locate import Hints, understand
+from placegraph.outdoor.likelihood.match_kernels import SLACK, score_views
 from placegraph.outdoor.search.candidates import Candidates
-from placegraph.outdoor.search.request import Matching
-from placegraph.outdoor.search.viewpoints import TOGETHER
+from placegraph.outdoor.search.posterior import TOGETHER
+from placegraph.outdoor.search.request import Hints, Matching, make_request
 from placegraph_lab.campaign import towns
 from placegraph_lab.campaign.towns import Motion
 
@@ -165,7 +163,7 @@ def said_truly(town: Town, rng: np.random.Generator) -> str:
 
 def scores(city: CityMap, told: Description) -> Floats:
     """Log-likelihood ratios (W,) of a description at every viewpoint."""
-    _, asked = understand(city, told, Hints(), Matching())
+    asked = make_request(city, told, Hints(), Matching())
     rows = np.arange(len(city.views.positions))
     chosen = Candidates.given(asked, rows)
     return score_views(

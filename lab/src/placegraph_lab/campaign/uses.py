@@ -228,8 +228,7 @@ def vectors(bench: Bench, path: Path, _rng: Generator) -> None:
 
 def weights(bench: Bench, path: Path, _rng: Generator) -> None:
     """Open a network, embed the town by it, and locate."""
-    from placegraph.outdoor.network.encoded import EncodedCity
-    from placegraph.outdoor.network.network import GraphTransformer
+    from placegraph.outdoor.network.network import EncodedCity, GraphTransformer
 
     encoded = EncodedCity(bench.kleinstadt, GraphTransformer.open(path))
     bench.kleinstadt.locate(SAID[0], encoded=encoded, matcher="fused")

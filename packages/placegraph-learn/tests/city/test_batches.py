@@ -3,16 +3,22 @@
 import numpy as np
 import pytest
 
-from placegraph.outdoor.network.batches import (
+from placegraph.outdoor.network.graphs import (
     Fits,
+    PlaceGraphs,
     entries,
     place_batch,
     text_batch,
     word_fits,
 )
-from placegraph.outdoor.network.graphs import PlaceGraphs
-from placegraph.outdoor.network.graphs_kernels import CHANNELS
-from placegraph.outdoor.network.network_kernels import CHANCE, CROWD, LITERAL, LONELY, NOISE
+from placegraph.outdoor.network.network_kernels import (
+    CHANCE,
+    CHANNELS,
+    CROWD,
+    LITERAL,
+    LONELY,
+    NOISE,
+)
 from placegraph_learn.city.batches import pair_batch
 
 

@@ -9,10 +9,9 @@ from placegraph.core.geometry import angle_between
 from placegraph.errors import OptionError
 from placegraph.outdoor.language.description import SPEAKER, Relation
 from placegraph.outdoor.likelihood.query import compile_query
-from placegraph.outdoor.search.candidates import candidates
+from placegraph.outdoor.search.candidates import find_candidates
+from placegraph.outdoor.search.posterior import HARD, score
 from placegraph.outdoor.search.request import Request
-from placegraph.outdoor.search.rerank import HARD
-from placegraph.outdoor.search.viewpoints import score
 from placegraph_learn.city import descriptions as sample
 from placegraph_learn.city.descriptions import (
     AT,
@@ -234,7 +233,7 @@ def test_hard_candidates_are_those_of_relational_matching(speakers):
     told = speaker.examples(np.random.default_rng(11))
     query = compile_query(next(told).description, speaker.city)
     asked = Request(speaker.city, query)
-    found = score(asked, candidates(asked))
+    found = score(asked, find_candidates(asked))
     best = found.rows[np.argsort(-found.scores, kind="stable")]
     best = best[speaker.may_see(speaker.city.views.positions_of(best))][:HARD]
     assert set(best.tolist()) <= set(made.views[0].tolist())

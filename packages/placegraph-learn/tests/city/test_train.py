@@ -255,7 +255,7 @@ def test_a_drawn_batch_has_something_right_for_every_text(harbour, pool, rng):
 
 def test_right_places_stand_beside_wrong_ones_only_where_matching_likes_them(harbour, pool):
     """Wrong ones are chosen for being liked: right ones that are not would teach to contradict."""
-    from placegraph.outdoor.search.rerank import HARD
+    from placegraph.outdoor.search.posterior import HARD
     from placegraph_learn.city.batches import Lessons
 
     right = Lessons(harbour, pool).right
@@ -447,7 +447,7 @@ def test_what_was_not_asked_is_not_found():
 def test_what_is_judged_are_the_best_of_relational_matching(harbour, pool, network):
     import torch
 
-    from placegraph.outdoor.search.rerank import HARD
+    from placegraph.outdoor.search.posterior import HARD
     from placegraph_learn.city.batches import Lessons
     from placegraph_learn.city.network import Network
 

@@ -226,10 +226,10 @@ def _names(city: CityMap, words: str) -> dict[int, float]:
 
 def _labels(city: CityMap, text: str) -> dict[int, float]:
     """Rows of the city's labels that a word of the vocabulary means: "bakery", "Bäckerei"."""
-    from placegraph.outdoor.likelihood.query import read
+    from placegraph.outdoor.search.request import parse
 
     try:
-        mentions = [m for m in read(city, text).mentions if m.senses]
+        mentions = [m for m in parse(city, text).mentions if m.senses]
     except PlacegraphError:
         return {}
     if len(mentions) != 1 or len(tokens(text)) > 3:  # a sentence is for `locate`

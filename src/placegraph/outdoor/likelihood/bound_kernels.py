@@ -1,4 +1,3 @@
-# mypy: allow-untyped-defs, allow-incomplete-defs
 """How likely the statements can be at viewpoints at best: bounds from the view index alone."""
 
 from __future__ import annotations
@@ -6,8 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from placegraph.core.jit import kernel
-from placegraph.outdoor.likelihood.fit_kernels import BETWEEN, DIRECTION, ME, TABLE
-from placegraph.outdoor.map.index_kernels import FINE, SLOTS, slot_of, unpack
+from placegraph.outdoor.likelihood.match_kernels import BETWEEN, DIRECTION, ME, TABLE
+from placegraph.outdoor.map.index_kernels import FINE, SLOTS, below, slot_of, unpack
+
+# mypy: allow-untyped-defs, allow-incomplete-defs
+
 
 TILES = 16
 """Tiles whose bounds are reckoned at once: what is known of them stays in the nearest cache."""
@@ -201,3 +203,268 @@ def _deny(bound, seen, noise, towards, anyhow):
         if anyhow or (ahead > 8.0 and max(-left, right) < 0.7 * ahead):
             absent = np.exp(-2.0 * seen[MASS, i])
             bound[i] *= (1.0 - noise) * absent + noise
+
+
+# mypy: allow-untyped-defs, allow-incomplete-defs
+
+
+FIRST = 64
+"""So many tiles of largest bound are looked at first, then four times as many, and so on: what they
+hold tells which others may matter."""
+A_TILE = 4
+"""For about so many viewpoints that are drawn, a tile of those that cannot matter is looked at."""
+NOTHING = 1e-4
+"""Tiles that together weigh less than this share of those looked at weigh nothing."""
+EVERY = 1e300
+"""No bound is as large: tiles are looked at however little they promise, and nothing is chosen."""
+STRIP = 1024
+"""Tiles whose bounds are reckoned at once."""
+
+
+@kernel(finite=True)
+def promising_views(statements, mentions, views, weights, most, drawn, least):
+    """Viewpoints (K,) worth scoring, their bounds, and how many others each stands for.
+
+    Only viewpoints that have all things of at least one statement in sight are worth it. The bound
+    (`bounds_of`) is of the likelihood ratio, times the prior `weights` (W,), all equal where empty.
+    First come the `most` of largest bound of all the map that is `least` at least, the most promising
+    first, which stand for none: a tile is passed over only where the bound of the whole tile is below
+    theirs, or no larger than `least`. Then `drawn` others that stand for all others (`draw`); tiles that
+    were passed over are represented by some of them, each drawn as surely as it may weigh.
+    """
+    promise = _of_tiles(statements, mentions, views)
+    if len(weights):
+        for t in range(len(promise)):
+            heaviest = 0.0
+            for v in range(views.first[t], views.first[t + 1]):
+                heaviest = max(heaviest, weights[v])
+            promise[t] *= heaviest
+    highest, n, floor = np.empty(2 * most + TILES * SLOTS), 0, least
+    seen = (np.empty(4096, np.int32), np.empty(4096), np.empty(4096))
+    many = 0
+    share = np.ones(len(promise))
+    every, size = np.flatnonzero(promise > 0.0), FIRST
+    while len(every) > 0:
+        first = every
+        if len(every) > size:
+            bar = np.partition(promise[every], len(every) - size)[len(every) - size]
+            first = every[promise[every] > bar]
+        seen, many, n, least = _visit(
+            statements, mentions, views, weights, first, promise, share, most,
+            highest, n, least, seen, many,
+        )  # fmt: skip
+        if len(every) <= size:
+            break
+        every = every[(promise[every] > least) & (promise[every] > 0.0)]
+        size *= 4
+    if drawn:
+        rest = _drawn(
+            views,
+            np.flatnonzero(promise > 0.0),
+            promise,
+            share,
+            seen[1][:many].sum(),
+            max(1, drawn // A_TILE),
+        )
+        seen, many, n, least = _visit(
+            statements, mentions, views, weights, rest, promise, share, most,
+            highest, n, EVERY, seen, many,
+        )  # fmt: skip
+    rows, bounds, stands = seen[0][:many], seen[1][:many], seen[2][:many]
+    return _chosen(rows, bounds, stands, highest[:n], floor, most, drawn)
+
+
+@kernel(finite=True)
+def _chosen(rows, bounds, stands, highest, least, most, drawn):
+    """As `promising_views`, of all viewpoints looked at."""
+    if len(highest) >= most:
+        least = np.partition(highest, len(highest) - most)[len(highest) - most]
+    ties = most
+    for i in range(len(highest)):
+        ties -= highest[i] > least
+    best, n = np.empty(most, np.int64), 0
+    for i in range(len(rows)):
+        good = n < most and bounds[i] >= least and stands[i] == 1.0
+        if good and (bounds[i] > least or ties > 0):
+            ties -= bounds[i] == least
+            best[n], stands[i] = i, 0.0
+            n += 1
+    best = best[:n]
+    best = best[np.argsort(-bounds[best])]
+    some, stand = draw(bounds, stands, drawn)
+    every = np.concatenate((best, some))
+    return rows[every], bounds[every], np.concatenate((np.zeros(n), stand))
+
+
+@kernel(finite=True)
+def draw(bounds, stands, drawn):
+    """Rows (`drawn`,) of some that stand for all (N,) that stand for any, and how many each stands for.
+
+    Those of larger bound are drawn more often. The first half, quarter and so on are drawn as evenly as
+    all of them: they do as well, each standing for twice, or four times, as many.
+    """
+    weights, step = np.empty(len(bounds) if drawn else 0), 0.0
+    for i in range(len(weights)):
+        weights[i] = stands[i] * np.sqrt(bounds[i] * np.sqrt(bounds[i]))
+        step += weights[i] / drawn
+    if step <= 0.0:
+        return np.zeros(0, np.int64), np.zeros(0)
+    rows, upto, i = np.empty(drawn, np.int64), weights[0], 0
+    for j in range(drawn):
+        while upto < (j + 0.5) * step and i + 1 < len(weights):
+            i += 1
+            upto += weights[i]
+        at, left, half = 0, j, drawn // 2  # `j` with its bits reversed
+        while half:
+            at += half * (left & 1)
+            left >>= 1
+            half //= 2
+        rows[at] = i
+    return rows, stands[rows] * step / np.maximum(weights[rows], 1e-300)
+
+
+@kernel(finite=True)
+def _of_tiles(statements, mentions, views):
+    """Bound (T,) of all viewpoints of each tile; 0 where none is worth a look."""
+    n_mentions = len(mentions.starts) - 1
+    out = np.zeros(len(views.tiles))
+    at = views.token_starts[mentions.tokens]
+    of_pairs = np.zeros((n_mentions + 1, STRIP), np.float32)
+    of_total = np.zeros((n_mentions + 1, STRIP), np.float32)
+    of_total[ME] = 1.0
+    there = np.ones(n_mentions + 1, np.bool_)
+    for first in range(0, len(out), STRIP):
+        last = min(first + STRIP, len(out))
+        for m in range(n_mentions):
+            there[m] = _fill_tiles(of_pairs[m], of_total[m], mentions, views, at, m, first, last)
+        bound = out[first:last]
+        worth = False
+        for s in range(len(statements.op)):
+            a, b = ends_of(statements, s)
+            if statements.negated[s] or a == b or not (there[a] and there[b]):
+                continue
+            if not worth:
+                bound[:] = 1.0
+                worth = True
+            gain = (1.0 - statements.noise[s]) / (statements.noise[s] * statements.background[s])
+            of_me = a == ME or b == ME
+            of = of_total if of_me else of_pairs
+            for i in range(last - first):
+                part = min(of[a, i] * of[b, i], np.float32(1.0))
+                bound[i] = min(HIGHEST, bound[i] * (1.0 + gain * part))
+        for i in range(last - first):
+            bound[i] = 0.0 if bound[i] == 1.0 else bound[i] * 1.001  # of rounding
+        for m in range(n_mentions):
+            if there[m]:
+                of_pairs[m] = 0.0
+                of_total[m] = 0.0
+    return out
+
+
+@kernel(finite=True, _nrt=False)
+def _fill_tiles(of_pairs, of_total, mentions, views, at, m, first, last):
+    """Largest masses of a mention in tiles from `first` to `last`; whether there is any."""
+    there = False
+    for k in range(mentions.starts[m], mentions.starts[m + 1]):
+        end, weight = views.token_starts[mentions.tokens[k] + 1], mentions.weights[k]
+        p = at[k]
+        while p < end and views.run_tiles[p] < last:
+            i = np.int64(views.run_tiles[p]) - first
+            if i >= 0:  # of a forged map they may not ascend
+                of_pairs[i] += weight * views.levels[views.run_pairs[p]]
+                of_total[i] += weight * views.levels[views.run_total[p]]
+            p += 1
+        there |= p > at[k]
+        at[k] = p
+    return there
+
+
+@kernel(finite=True)
+def _visit(
+    statements, mentions, views, weights, tiles, promise, share, most, highest, n, least, seen, many
+):  # fmt: skip
+    """Look at the viewpoints of tiles that promise more than `least`, and add them to those `seen`.
+
+    Of these there are `many`: their rows, bounds, and the `share` of their tile. Of tiles that were
+    drawn (`least` is then `EVERY`) all are added, and else the `n` `highest` bounds are kept. The
+    promise of tiles looked at becomes 0.
+    """
+    at = views.token_starts[mentions.tokens]
+    sight, there = blank(len(mentions.starts) - 1)
+    bound = np.empty(TILES * SLOTS)
+    strip = np.empty(TILES, np.int64)
+    drawn = least >= EVERY
+    k = size = 0
+    while k < len(tiles) or size > 0:
+        if k < len(tiles):
+            if promise[tiles[k]] > least or drawn:
+                strip[size] = tiles[k]
+                size += 1
+            k += 1
+            if size < TILES and k < len(tiles):
+                continue
+        if many + TILES * SLOTS > len(seen[0]):
+            seen = (
+                np.concatenate((seen[0], np.empty_like(seen[0]))),
+                np.concatenate((seen[1], np.empty_like(seen[1]))),
+                np.concatenate((seen[2], np.empty_like(seen[2]))),
+            )
+        if size and bounds_of(statements, mentions, views, strip[:size], at, sight, there, bound):
+            rows, bounds, stands = seen
+            for i in range(size):
+                of_tile = bound[i * SLOTS : (i + 1) * SLOTS]
+                bits, row = views.present[strip[i]], views.first[strip[i]]
+                if len(weights):
+                    _weigh(of_tile, bits, row, weights)
+                for slot in range(SLOTS):
+                    if of_tile[slot] > 0.0:
+                        rows[many] = row + below(bits, slot)
+                        bounds[many], stands[many] = of_tile[slot], share[strip[i]]
+                        many += 1
+                        if of_tile[slot] > least:
+                            highest[n] = of_tile[slot]
+                            n += 1
+            if n > 2 * most:
+                highest[:most] = np.partition(highest[:n], n - most)[n - most : n]
+                n, least = most, highest[:most].min()
+        for i in range(size):
+            promise[strip[i]] = 0.0
+        size = 0
+    return seen, many, n, least
+
+
+@kernel(finite=True, _nrt=False)
+def _weigh(bound, bits, row, weights):
+    """Multiply the bounds of a tile's viewpoints by their weights."""
+    for slot in range(SLOTS):
+        if (bits >> slot) & 1:
+            bound[slot] *= weights[row]
+            row += 1
+
+
+@kernel(finite=True)
+def _drawn(views, tiles, promise, share, known, most):
+    """Tiles (ascending), `most`, that stand for all; their `share` becomes how many each stands for."""
+    heights = np.empty(len(tiles))
+    rest = 0.0
+    for i in range(len(tiles)):
+        heights[i] = promise[tiles[i]] * (views.first[tiles[i] + 1] - views.first[tiles[i]])
+        rest += heights[i]
+    if rest <= NOTHING * known:
+        return tiles[:0]
+    if len(tiles) <= most:
+        return tiles
+    taken, n = np.empty(most + 1, np.int64), 0
+    step = rest / most
+    upto, mark = 0.0, 0.5 * step
+    for i in range(len(tiles)):
+        upto += heights[i]
+        times = 0
+        while mark <= upto and n + 1 < len(taken):
+            mark += step
+            times += 1
+        if times:
+            share[tiles[i]] = times * step / heights[i]
+            taken[n] = tiles[i]
+            n += 1
+    return taken[:n]

@@ -1,9 +1,11 @@
-"""A description compiled against a map: words become tokens, statements become columns."""
+"""What words are compiled against: a city, or a world of many."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import cos, sin
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,16 +18,198 @@ from placegraph.outdoor.language.description import (
     Relation,
     Statement,
 )
-from placegraph.outdoor.likelihood.lexicon import Known, Lexicon
-from placegraph.outdoor.likelihood.statements import (
-    Far,
-    MentionTokens,
-    Statements,
-    Words,
-    columns_of,
-    ends,
-)
+from placegraph.outdoor.likelihood.match_kernels import ME, TABLE, direction_table
+from placegraph.outdoor.map.names import NameIndex
 from placegraph.outdoor.map.objects import POINT
+
+
+class Labelled(Protocol):
+    """Things by row, as `CityObjects` has them."""
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """All labels that there are."""
+
+    @property
+    def kind(self) -> NDArray[np.uint8]:
+        """(N,) POINT, LINE or AREA."""
+
+    def label(self, i: int) -> str:
+        """Most specific label of a thing."""
+
+
+class Lexicon(Protocol):
+    """Words of a map; its tokens are labels, then names. A `City` is one."""
+
+    @property
+    def objects(self) -> Labelled:
+        """Things, as far as `bearers` names them."""
+
+    @property
+    def label_index(self) -> Mapping[str, Sequence[int]]:
+        """Tokens by label and by ``key=*``."""
+
+    @property
+    def name_index(self) -> NameIndex:
+        """Proper names."""
+
+    def frequency(self, tokens: NDArray[np.int32], weights: NDArray[np.float32]) -> float:
+        """Share of all things in sight, over all viewpoints, that these tokens stand for."""
+
+    def borne(self, tokens: NDArray[np.int32]) -> NDArray[np.int64]:
+        """How many things (K,) bear each of these tokens."""
+
+    def bearers(self, tokens: NDArray[np.int32]) -> list[NDArray[np.int64]]:
+        """Rows of the things that bear each of these tokens, in the order of the tokens."""
+
+
+SLIP = 0.08
+"""Share of stated directions that are simply wrong."""
+NOISE = 0.12
+"""Share of statements about things that are not there, or that the map does not know."""
+UNNAMED = 0.4
+"""Certainty that a thing whose name the map does not know is one of its kind on the map."""
+FLOOR = 1e-7
+"""Things cannot be rarer than this share of all things in sight."""
+CROWD = 30.0
+"""Added to the number of pairs in sight, so that lonely places are not preferred."""
+GEOMETRY = {
+    Relation.DIRECTION: 0.25,
+    Relation.NEAR: 0.4,
+    Relation.INSIDE: 0.2,
+    Relation.ALONG: 0.2,
+    Relation.ACROSS: 0.3,
+    Relation.BETWEEN: 0.1,
+    Relation.VISIBLE: 1.0,
+    Relation.SAME: 0.3,
+}
+"""P(the relation holds | two things in sight, anywhere)."""
+OPERATION = {relation: i for i, relation in enumerate(Relation)}
+
+
+class Statements(NamedTuple):
+    """Columns of a compiled query, one row a statement."""
+
+    op: NDArray[np.int64]
+    source: NDArray[np.int64]
+    """Mention, or ME."""
+    target: NDArray[np.int64]
+    """Mention, or ME."""
+    target2: NDArray[np.int64]
+    """Mention, or ME; of BETWEEN only."""
+    bearing: NDArray[np.float32]
+    """(S, 2) unit vector east, north."""
+    table: NDArray[np.float32]
+    """(S, TABLE) P(the direction was said | cosine of the angle to it)."""
+    distance: NDArray[np.float32]
+    """Stated distance [m], 0 where unsaid; negative where it is the most."""
+    negated: NDArray[np.bool_]
+    number: NDArray[np.float32]
+    """Stated number of sources, 0 where unsaid."""
+    noise: NDArray[np.float32]
+    """Share of statements of this kind that are wrong or about something else."""
+    background: NDArray[np.float32]
+    """P(statement | anywhere)."""
+    crowd: float
+    """Added to the number of pairs in sight: who sees few things is no more likely to be heard."""
+
+    @property
+    def gain(self) -> NDArray[np.float32]:
+        """How much likelier than anywhere a statement is (S,) where P(what serves it) is 1."""
+        return (1.0 - self.noise) / (self.noise * self.background)
+
+    @property
+    def floor(self) -> float:
+        """Log-likelihood ratio of a place where nothing serves anything [nat]."""
+        return float(np.log(self.noise[~self.negated]).sum())
+
+
+class MentionTokens(NamedTuple):
+    """Tokens that each mention may stand for; row m is `mentions[m + 2]` of the description."""
+
+    starts: NDArray[np.int64]
+    """(M + 1,)"""
+    tokens: NDArray[np.int32]
+    weights: NDArray[np.float32]
+
+
+class Words(NamedTuple):
+    """How well a map's tokens fit mentions."""
+
+    row: NDArray[np.int32]
+    """(T,) row of `fit`; 0 of tokens that fit none."""
+    fit: NDArray[np.float32]
+    """(K + 1, M)"""
+
+
+class Far(NamedTuple):
+    """Things rare enough to be spoken of from out of sight."""
+
+    starts: NDArray[np.int64]
+    """(M + 1,) objects of a mention; none where it is too common."""
+    objects: NDArray[np.int64]
+    fits: NDArray[np.float32]
+    scale: NDArray[np.float32]
+    """(S,) how far a statement reaches [m]."""
+    share: NDArray[np.float32]
+    """(S,) how often it is said of one particular thing out of sight."""
+    anchors: NDArray[np.int64]
+    """Objects around which candidates are sought, the rarest mention's first."""
+
+
+def ends(statement: Statement) -> tuple[int, int]:
+    """Source and target of a statement."""
+    return statement.source, statement.target
+
+
+def columns_of(
+    used: list[Statement], description: Description, share: list[float], by_kind: frozenset[int]
+) -> Statements:
+    """Columns of statements; `share` is how common each mention is, `by_kind` has the unknown names."""
+    n = len(used)
+
+    def mention(node: int | None) -> int:
+        return ME if node is None or node == SPEAKER else node - 2
+
+    bearing, table = np.zeros((n, 2), np.float32), np.zeros((n, TABLE), np.float32)
+    background = np.empty(n, np.float32)
+    for i, statement in enumerate(used):
+        angle = statement.bearing or 0.0
+        bearing[i] = sin(angle), cos(angle)
+        table[i] = direction_table(statement.bearing_sigma, SLIP)
+        nodes = [*ends(statement)]
+        if statement.relation is Relation.BETWEEN:
+            nodes.append(statement.target2 or SPEAKER)
+        # what is in sight is within most of the distances that people say
+        chance = 1.0 if statement.within else GEOMETRY[statement.relation]
+        for node in nodes:
+            chance *= 1.0 if node == SPEAKER else share[node - 2]
+        background[i] = max(chance, FLOOR)
+    counts = [description.mentions[s.source].count or 0 for s in used]
+    return Statements(
+        op=np.array([OPERATION[s.relation] for s in used], np.int64),
+        source=np.array([mention(s.source) for s in used], np.int64),
+        target=np.array([mention(s.target) for s in used], np.int64),
+        target2=np.array([mention(s.target2) for s in used], np.int64),
+        bearing=bearing,
+        table=table,
+        distance=np.array(
+            [(-1.0 if s.within else 1.0) * (s.distance or 0.0) for s in used], np.float32
+        ),
+        negated=np.array([s.negated for s in used], np.bool_),
+        number=np.array(counts, np.float32),
+        noise=np.array(
+            [
+                1.0
+                - (1.0 - NOISE) * s.certainty * (1.0 if by_kind.isdisjoint(ends(s)) else UNNAMED)
+                for s in used
+            ],
+            np.float32,
+        ),
+        background=background,
+        crowd=CROWD,
+    )
+
 
 KIND_ONLY = 0.03
 """Weight of things of the right kind where a name was said: the map may lack the name."""
@@ -77,28 +261,6 @@ class Query:
         row[known] = np.arange(1, len(known) + 1)
         fit[at + 1, np.repeat(np.arange(len(starts) - 1), np.diff(starts))] = weights
         return Words(row, fit)
-
-
-def read(
-    city: Known,
-    text: str | Description,
-    *,
-    heading: float | None = None,
-    language: str | None = None,
-) -> Description:
-    """Understand a text in the words of a city (Eq. 3): its names and tag values count as well."""
-    if isinstance(text, Description):
-        return text
-    from placegraph.outdoor.language import describe
-
-    return describe(
-        text,
-        vocabulary=city.vocabulary,
-        names=city.name_index,
-        heading=heading,
-        language=language,
-        block_length=city.block_length,
-    )
 
 
 def compile_query(description: Description, city: Lexicon, *, on_a_way: bool = False) -> Query:

@@ -3,25 +3,29 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
 
+from placegraph.core.geojson import areas, collection, feature, lines, point
 from placegraph.core.geometry import LocalPlane
 from placegraph.core.mapfile import pack_strings, read_map, sound, starts, write_map
 from placegraph.core.pickling import Portable
+from placegraph.errors import OptionError
 from placegraph.outdoor.language.vocabulary import Vocabulary
-from placegraph.outdoor.map.blocks import Blocks
-from placegraph.outdoor.map.cells import Cells, cell_graph, occupied_cells
-from placegraph.outdoor.map.index import ViewIndex
-from placegraph.outdoor.map.index_build import Core, Seen, tokens_of
-from placegraph.outdoor.map.index_file import LARGE, MAPPED, WORTH, index_in, stored
+from placegraph.outdoor.map.cells import Cells, Grid, Sightings, cell_graph, occupied_cells
+from placegraph.outdoor.map.index import LARGE, MAPPED, WORTH, ViewIndex, index_in, stored
 from placegraph.outdoor.map.index_kernels import looks
+from placegraph.outdoor.map.index_write import Core, Seen, tokens_of
 from placegraph.outdoor.map.names import NameIndex
 from placegraph.outdoor.map.objects import (
+    AREA,
     GRAIN,
+    LINE,
+    Blocks,
     CityColumns,
     CityObjects,
     centers,
@@ -30,7 +34,6 @@ from placegraph.outdoor.map.objects import (
     index_of,
     of_name,
 )
-from placegraph.outdoor.map.raster import Grid, Sightings
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -295,3 +298,84 @@ def _starts(counts: NDArray[Any]) -> NDArray[np.int32]:
     if bounds[-1] > np.iinfo(np.int32).max:
         raise ValueError("counts are too large")
     return bounds.astype(np.int32)
+
+
+def features(city: City, what: Literal["objects", "cells"]) -> dict[str, Any]:
+    """FeatureCollection of a city: `CityMap.to_geojson` says more."""
+    if what not in ("objects", "cells"):
+        raise OptionError(f"what is {what!r}; it is 'objects' or 'cells'.")
+    return collection(_objects(city) if what == "objects" else _cells(city))
+
+
+def _objects(city: City) -> Iterator[dict[str, Any]]:
+    objects = city.objects
+    for row in range(len(objects)):
+        start, end = objects.label_starts[row : row + 2]
+        tags = [objects.labels[k].partition("=") for k in objects.label_values[start:end]]
+        said = {
+            "osm": objects.osm(row),
+            "label": objects.label(row),
+            "name": objects.name(row),
+            "tags": {key: value for key, _, value in reversed(tags)},
+        }
+        parts = [city.plane.to_lonlat(part) for part in objects.parts(row)]
+        kind = objects.kind[row]
+        if kind == AREA:
+            parts = [part for part in parts if len(part) > 3] or parts
+        shape = point(parts[0][0])
+        if kind == AREA and len(parts[0]) > 3:
+            shape = areas(parts)
+        elif kind in (LINE, AREA) and len(parts[0]) > 1:
+            shape = lines(parts)
+        yield feature(shape, said)
+
+
+def _cells(city: City) -> Iterator[dict[str, Any]]:
+    for cell in city.cells:
+        west, south, east, north = city.cells.bounds(cell)
+        corners = [(west, south), (east, south), (east, north), (west, north), (west, south)]
+        yield feature(areas([city.plane.to_lonlat(corners)]), {"cell": cell})
+
+
+WIDEST = 60_000.0
+"""Cities wider than this are distorted by their plane [m]."""
+
+
+def findings(city: City) -> list[str]:
+    """Sentences about what is odd in a map that could be opened (so: sound in its bytes and columns)."""
+    objects, found = city.objects, []
+    span = np.ptp(objects.points, axis=0)
+    if span.max() > WIDEST:
+        found.append(
+            f"The map spans {span.max() / 1e3:.0f} km; directions near its edge are off by the plane's "
+            "distortion. Cut the extract into cities."
+        )
+    if not len(city.cells):
+        found.append(
+            "No cell holds two objects, so nothing stands beside anything. Use a larger extract."
+        )
+    named = float((np.diff(objects.name_starts) > 0).mean())
+    if named < 0.02:
+        found.append(
+            f"Only {named:.1%} of the objects have a name; people who say names will not be understood."
+        )
+    first = objects.label_values[objects.label_starts[:-1]]
+    share = np.bincount(first, minlength=len(objects.labels)) / len(objects)
+    top = int(np.argmax(share))
+    if share[top] > 0.8:
+        found.append(
+            f"{share[top]:.0%} of the objects are {objects.labels[top]}; little tells one place from "
+            "another. Use an extract with more kinds of things, or extend the vocabulary."
+        )
+    ids = np.stack([objects.osm_type.astype(np.int64), objects.osm_id], 1)
+    twice = len(ids) - len(np.unique(ids, axis=0))
+    if twice:
+        found.append(
+            f"{twice} objects occur twice, as where extracts that overlap were joined. Export it anew."
+        )
+    missing = sum(n for why, n in city.left_out.items() if "missing" in why or "without" in why)
+    if missing > 0.05 * len(objects):
+        found.append(
+            f"{missing:,} elements of the extract lacked members; it was clipped. Clip it with complete ways."
+        )
+    return found

@@ -9,28 +9,23 @@ tiles, and what is in sight of a viewpoint is worked out for the few that are co
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
-from placegraph.outdoor.map import index_build
-from placegraph.outdoor.map.index_build import LEVELS, build, grid_of
-from placegraph.outdoor.map.index_kernels import (
-    FADED,
-    REACHED,
-    SIDE,
-    WIDTH,
-)
+from placegraph.core.mapfile import MapFile
+from placegraph.outdoor.map import index_write as index_build
+from placegraph.outdoor.map.index_kernels import FADED, REACHED, SIDE, WIDTH
+from placegraph.outdoor.map.index_write import LEVELS, build, grid_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from numpy.typing import NDArray
-
     from placegraph.core.files import Watch
-    from placegraph.outdoor.map.index_build import Core, Seen
+    from placegraph.outdoor.map.index_write import Core, Seen
     from placegraph.outdoor.map.objects import CityObjects
 
 POINT, AREA = 0, 2
@@ -290,3 +285,46 @@ def _check(c: ViewColumns, share: NDArray[np.float64]) -> None:
         raise ValueError("a tile has no viewpoints")
     if not (np.isfinite(share).all() and (share >= 0.0).all()):
         raise ValueError("shares of tokens are none")
+
+
+WORTH = 10_000
+"""Maps of fewer objects are stored without one: it is several times as large as they are, and derived
+in a fifth of a second."""
+_PREFIX = "view_"
+_DTYPES = {
+    "tiles": "<i8", "present": "<i8", "total": "|u1", "pairs": "<u2", "thing_counts": "<u4",
+    "things": "<i4", "run_counts": "<u4", "run_tiles": "<u4", "run_slots": "<i8",
+    "run_first": "<u4", "run_pairs": "|u1", "run_total": "|u1", "postings": "<u4", "share": "<f8",
+}  # fmt: skip
+MAPPED = frozenset(
+    _PREFIX + name
+    for name in (
+        "run_slots", "run_tiles", "run_first", "postings", "things", "pairs", "total", "run_pairs",
+        "run_total",
+    )
+)  # fmt: skip
+"""Columns that are read where they lie ..."""
+LARGE = 16 << 20
+"""... where they have so many bytes together: what is read is held, whatever becomes of the file."""
+
+
+def stored(index: ViewIndex) -> dict[str, NDArray[Any]]:
+    """Columns of a map file."""
+    return {_PREFIX + name: column for name, column in index.arrays().items()}
+
+
+def index_in(file: MapFile, words: int) -> ViewIndex | None:
+    """The index that a map file has of as many `words`; None where it has none.
+
+    Raises `MapError` where a column is missing, and what `store.sound` turns into one where columns
+    contradict each other.
+    """
+    if "views" not in file.meta:
+        return None
+    columns = {name: file.array(_PREFIX + name, dtype) for name, dtype in _DTYPES.items()}
+    east, north, width = file.meta["views"]
+    index = ViewIndex.of(columns, (float(east), float(north), int(width)))
+    index = replace(index, watch=file.watch)
+    if len(index.share) != words:
+        raise ValueError("the index of viewpoints is of other words")
+    return index

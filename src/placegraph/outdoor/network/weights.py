@@ -22,10 +22,16 @@ from placegraph.core.mapfile import (
 )
 from placegraph.core.networks import arrays_of, digest, halves, rounded
 from placegraph.errors import InputError, MapError
-from placegraph.outdoor.network.graphs_kernels import CHANNELS, MOST_THINGS, REACH
-from placegraph.outdoor.network.labels import WordVectors
-from placegraph.outdoor.network.labels_kernels import BUCKETS, LONGEST, SHORTEST
-from placegraph.outdoor.network.network_kernels import LITERAL
+from placegraph.outdoor.network.graphs import WordVectors
+from placegraph.outdoor.network.network_kernels import (
+    BUCKETS,
+    CHANNELS,
+    LITERAL,
+    LONGEST,
+    MOST_THINGS,
+    REACH,
+    SHORTEST,
+)
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import StoreError
-from placegraph.outdoor.likelihood.bound_kernels import HIGHEST
-from placegraph.outdoor.likelihood.promise_kernels import draw, promising_views
-from placegraph.outdoor.likelihood.score_kernels import distant
-from placegraph.outdoor.likelihood.statements import Far
+from placegraph.outdoor.likelihood.bound_kernels import HIGHEST, draw, promising_views
+from placegraph.outdoor.likelihood.match_kernels import distant
+from placegraph.outdoor.likelihood.query import Far
 from placegraph.outdoor.map.city import City
 from placegraph.outdoor.search.request import Request
 
@@ -74,7 +73,7 @@ def ranks(
     )
 
 
-def candidates(asked: Request, drawn: int = DRAWN, least: float = 0.0) -> Candidates:
+def find_candidates(asked: Request, drawn: int = DRAWN, least: float = 0.0) -> Candidates:
     """Viewpoints that the statements may have been made at, by the way that was asked for.
 
     `drawn`, a power of two, stand for all others. Those of a bound below `least` are among these, but
@@ -95,7 +94,7 @@ def candidates(asked: Request, drawn: int = DRAWN, least: float = 0.0) -> Candid
     found = Candidates(chosen, bounds, far, stands)
     if query.far:
         found = _with_far(asked, query.far, weights, found, drawn)
-    return found if asked.known.inside is None else found.part(weights[found.rows] > 0.0)
+    return found if asked.prior.inside is None else found.part(weights[found.rows] > 0.0)
 
 
 def _with_far(
@@ -189,7 +188,7 @@ def dense_cells(asked: Request, n: int) -> NDArray[np.int64]:
 
 def _sparse_cells(asked: Request, n: int) -> NDArray[np.int64]:
     """Rows of the cells that hold the viewpoints of largest bound."""
-    if not asked.positive:
+    if not asked.is_positive:
         return np.zeros(0, np.int64)
     views = _touched(asked, SPARSE * n)
     rows = asked.city.cells.rows_at(asked.city.views.positions_of(views).astype(np.float64))

@@ -17,11 +17,8 @@ from placegraph.outdoor.language.description import Description
 from placegraph.outdoor.likelihood.query import compile_query
 from placegraph.outdoor.map.city import City
 from placegraph.outdoor.search.candidates import Candidates, candidate_cells, views_in
-from placegraph.outdoor.search.posterior import Posterior, posterior
-from placegraph.outdoor.search.request import Matching, Request, is_count
-from placegraph.outdoor.search.rerank import rerank
-from placegraph.outdoor.search.viewpoints import score
-from placegraph.outdoor.search.whereabouts import Whereabouts
+from placegraph.outdoor.search.posterior import Posterior, posterior, rerank, score
+from placegraph.outdoor.search.request import LocationPrior, Matching, Request, is_count
 
 TIMEOUT = 0.1
 """Of one edit distance [s]."""
@@ -85,7 +82,7 @@ def search_cells(asked: Request) -> Posterior:
     best = np.argsort(-scores, kind="stable")
     rows, fits = rows[best], np.zeros(len(rows)) if asked.matching.ranks else scores[best]
     centers = asked.city.cells.centers(np.arange(len(asked.city.cells)))
-    log_prior = asked.known.log(centers)
+    log_prior = asked.prior.log_of(centers)
     log_prior -= np.logaddexp.reduce(log_prior, initial=-700.0)  # where all of it is forbidden
     tail = fits[2 * len(rows) // 3 :]
     left = max(1e-12, 1.0 - float(np.exp(log_prior[rows]).sum()))
@@ -134,9 +131,9 @@ def _relational(asked: Request, rows: NDArray[np.int64]) -> NDArray[np.float64]:
     """Log-likelihood ratio of the best viewpoint of each cell, shifted by the network if `fused`."""
     city, scores = asked.city, np.full(len(rows), -1e9)
     views = views_in(city, rows)
-    if not len(views) or not asked.positive:
+    if not len(views) or not asked.is_positive:
         return scores
-    plain = replace(asked, known=Whereabouts())
+    plain = replace(asked, prior=LocationPrior())
     found = score(plain, Candidates.given(plain, views))
     found = rerank(plain, found) if asked.matching.matcher == "fused" else found
     best = np.full(len(views), -1e9)

@@ -1,23 +1,41 @@
-"""What is asked: where in a city was this said? Every stage takes it whole."""
+"""What a search is asked: a parsed description, a prior of the place, and how to match.
+
+`make_request` checks all options, and compiles the description against the city.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from functools import cached_property
-from typing import Any, Literal, TypedDict, Unpack, get_args
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from math import isfinite, nan
+from typing import Any, Literal, NamedTuple, Protocol, Self, TypedDict, Unpack, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.core.geometry import angle_between, bearing
 from placegraph.errors import OptionError
-from placegraph.outdoor.likelihood.query import Query
-from placegraph.outdoor.likelihood.statements import Words
+from placegraph.outdoor.language import describe
+from placegraph.outdoor.language.description import LISTENER, Description, Relation, Statement
+from placegraph.outdoor.language.vocabulary import Vocabulary
+from placegraph.outdoor.likelihood.query import (
+    Query,
+    Words,
+    compile_query,
+    ends,
+    standing_at,
+)
 from placegraph.outdoor.map.city import City
-from placegraph.outdoor.network.encoded import EncodedCity, EncodedText
-from placegraph.outdoor.search.whereabouts import Whereabouts
-from placegraph.vectors import Region, VectorStore
+from placegraph.outdoor.map.index import REACH, STRIDE, ViewIndex
+from placegraph.outdoor.map.names import NameIndex
+from placegraph.outdoor.network.network import EncodedCity, EncodedText
+from placegraph.outdoor.search.ask import Answer
+from placegraph.vectors import Origin, Region, VectorStore
+from placegraph.vectors.stores import refuse_other
 
+WALK = 900.0
+"""Spread to either side of the places that a listener is told of [m]; half lie within 1.2 times it."""
 Matcher = Literal[
     "fused", "relational", "transformer", "edit-distance", "edit-distance-plain", "embedding"
 ]
@@ -34,6 +52,186 @@ MATCHERS: tuple[Matcher, ...] = get_args(Matcher)
 SCORES: tuple[Score, ...] = get_args(Score)
 WAYS: tuple[By, ...] = get_args(By)
 _OF_VIEWPOINTS = ("fused", "relational")
+
+
+class Route(NamedTuple):
+    """What the text says of the way from the listener to the speaker."""
+
+    bearing: float
+    """[rad]"""
+    sigma: float
+    """[rad]"""
+    certainty: float
+    distance: float | None = None
+    """[m], where the text states one."""
+
+    def likelihood_ratio(self, delta: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return by how much it raises the probability (W,) of positions (W, 2) [m] from the listener."""
+        sigma = 0.9 * self.sigma
+        off = np.exp(-0.5 * (angle_between(bearing(delta), self.bearing) / sigma) ** 2)
+        if self.distance is None:
+            return np.asarray(off * np.sqrt(2.0 * np.pi) / sigma)
+        # on the ring at that distance, against all around within a walk
+        far, width = np.hypot(*delta.T), 0.25 * self.distance + 60.0
+        ring = off * np.exp(-0.5 * ((far - self.distance) / width) ** 2)
+        area = 2.0 * np.pi * sigma * width * np.maximum(far, width)
+        return np.asarray(ring / area * 1e6 / np.maximum(_walk_density(far), 1e-6))
+
+
+def _walk_density(distance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Density [1/km^2] of meeting places around a listener: mostly within a kilometre or so."""
+    return np.asarray(np.exp(-0.5 * (distance / WALK) ** 2) * 1e6 / (2.0 * np.pi * WALK**2))
+
+
+@dataclass(frozen=True, eq=False)
+class LocationPrior:
+    """Prior of the speaker's place; every part is optional."""
+
+    near: NDArray[np.float64] | None = None
+    """(2,) east, north [m] the speaker is near."""
+    radius: float = 1000.0
+    """Radius around `near` that holds half of the probability [m]."""
+    listener: NDArray[np.float64] | None = None
+    """(2,) east, north [m] of "you"."""
+    routes: tuple[Route, ...] = ()
+    """Ways from the listener to the speaker."""
+    inside: Callable[[NDArray[np.float64]], NDArray[np.bool_]] | None = None
+    """Whether the speaker may be at positions (K, 2) [m]; anywhere if not given."""
+
+    @classmethod
+    def around(cls, city: City, near: Sequence[float] | None, radius: float) -> Self:
+        """Make a prior near a longitude and latitude [deg]; a third number is the radius [m].
+
+        Raises
+        ------
+        OptionError
+            These are no degrees, or the radius is out of range.
+
+        """
+        if near is not None and np.size(near) == 3:
+            near, radius = near[:2], near[2]
+        if not 1.0 <= (find_inside := number(radius)) <= 1e7:
+            raise OptionError(f"radius is {radius!r} m; choose between 1 and 10,000,000 m.")
+        return cls(None if near is None else position(city, near, "near"), find_inside)
+
+    @property
+    def is_informative(self) -> bool:
+        """Whether anything is known."""
+        return not (self.near is None and self.listener is None and self.inside is None)
+
+    def is_off(self, city: City) -> bool:
+        """Whether the map does not reach the surroundings of `near`."""
+        return self.near is not None and not len(
+            city.views.near(self.near, 4.0 * self.radius + REACH)
+        )
+
+    def log_of(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the log prior probability (W,) of all viewpoints of a map, by their positions (W, 2) [m].
+
+        Without any knowledge it is uniform; it is -inf where the speaker cannot be. `near` shifts
+        probability within the map; it puts some off the map only where the map ends before its radius.
+        """
+        allowed = (
+            np.ones(len(positions), np.bool_) if self.inside is None else self.inside(positions)
+        )
+        n = int(allowed.sum())
+        prior = np.where(allowed, -np.log(max(1, n)), -np.inf)
+        if not n:
+            return prior
+        if self.near is not None:
+            # of a round Gaussian, half lies within 1.1774 sigma; viewpoints stand in for their square
+            sigma = np.hypot(self.radius / 1.1774, STRIDE / 2)
+            off = -0.5 * (((positions - self.near) / sigma) ** 2).sum(axis=1)
+            off = np.where(allowed, off, -np.inf)
+            prior = off - np.logaddexp.reduce(off) + off.max()
+        if self.listener is not None:
+            delta = positions - self.listener
+            area = n * STRIDE**2 / 1e6
+            prior += np.log(_walk_density(np.hypot(*delta.T)) * area + 1e-3)
+            for route in self.routes:
+                ratio = route.likelihood_ratio(delta)
+                prior += np.log(route.certainty * ratio + (1.0 - route.certainty) + 0.05)
+        return prior
+
+    def log_of_views(self, views: ViewIndex) -> NDArray[np.float64]:
+        """Return the log prior (W,) of all viewpoints, summing to at most 1; empty if nothing is known."""
+        if not self.is_informative:
+            return np.zeros(0)
+        log_prior = self.log_of(views.positions.astype(np.float64))
+        # a route cannot lie off the map altogether
+        mass = float(np.logaddexp.reduce(log_prior))
+        return log_prior - (mass if self.listener is not None else max(0.0, mass))
+
+
+def share_views(city: City, near: Sequence[float], radius: float) -> NDArray[np.float64]:
+    """Return the prior probability (W,) of all viewpoints near a place, summing to at most 1.
+
+    Raises `OptionError` where the place lies on the map only if its numbers are swapped.
+    """
+    prior = LocationPrior.around(city, near, radius)
+    if prior.is_off(city) and (hint := hint_swapped(city, near)):
+        raise OptionError(f"near is {near!r}, which is off the map.{hint}")
+    shares = np.exp(prior.log_of(city.views.positions.astype(np.float64)))
+    return np.asarray(shares / max(1.0, float(shares.sum())))
+
+
+def number(value: object) -> float:
+    """Return a number, or NaN for anything else, such as a text or `True`."""
+    try:
+        return nan if isinstance(value, str | bytes | bool) else float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError):
+        return nan
+
+
+def finite(value: object, name: str, what: str) -> float:
+    """Return a finite number; raises `OptionError` otherwise."""
+    if not isfinite(found := number(value)):
+        raise OptionError(f"{name} is {value!r}; give {what} as a finite number.")
+    return found
+
+
+def positive(value: object, name: str) -> float:
+    """Return a finite number from 0 on; raises `OptionError` otherwise."""
+    if (found := finite(value, name, "an amount")) < 0.0:
+        raise OptionError(f"{name} is {value!r}; give 0 or more.")
+    return found
+
+
+def is_count(value: object) -> bool:
+    """Whether a value is a whole number from 1 on."""
+    return isinstance(value, int | np.integer) and value is not True and bool(value >= 1)
+
+
+def position(city: City, lonlat: Sequence[float], name: str) -> NDArray[np.float64]:
+    """Return east and north (2,) [m] of a longitude and latitude [deg]; raises `OptionError`."""
+    numbers = [number(x) for x in lonlat] if np.iterable(lonlat) else []
+    if len(numbers) != 2 or not (abs(numbers[0]) <= 180.0 and abs(numbers[1]) <= 90.0):
+        raise OptionError(
+            f"{name} is {lonlat!r}; give longitude and latitude in degrees, in this order."
+            f"{hint_swapped(city, numbers)}"
+        )
+    return city.plane.to_plane(numbers)
+
+
+def hint_swapped(city: City, lonlat: Sequence[float]) -> str:
+    """Return a sentence where a position (2,) [deg] lies on the map once its numbers are swapped, or ""."""
+    if len(lonlat) < 2 or not abs(lonlat[0]) <= 90.0:
+        return ""
+    longitude, latitude = lonlat[1], lonlat[0]
+    points = city.objects.points
+    there = city.plane.to_plane((longitude, latitude))
+    if not ((points.min(axis=0) <= there) & (there <= points.max(axis=0))).all():
+        return ""
+    return f" Swapped, it lies on the map: longitude comes first, {longitude},{latitude}."
+
+
+def find_inside(city: City, positions: NDArray[np.float64], region: Region) -> NDArray[np.bool_]:
+    """Return which positions (K, 2) [m] lie in a region."""
+    region.checked()
+    longitude, latitude = city.plane.to_lonlat(positions).T
+    east, west = longitude <= region.east, longitude >= region.west
+    across = east | west if region.crosses_date_line else east & west
+    return across & (latitude >= region.south) & (latitude <= region.north)
 
 
 class MatchingOptions(TypedDict, total=False):
@@ -82,9 +280,7 @@ class Matching:
     region: Region | None = None
     """The place is known to lie in it."""
     encoded: EncodedCity | None = None
-    """The map as another network than the shipped one reads it."""
-    shipped: Callable[[], EncodedCity] | None = field(default=None, repr=False)
-    """Hands out the map as the shipped network reads it; made anew where not given."""
+    """The map as a network reads it; the shipped network if not given."""
 
     def __post_init__(self) -> None:
         if self.matcher not in MATCHERS or self.by not in ("auto", *WAYS):
@@ -148,22 +344,19 @@ class Matching:
         """Whether the matcher's scores only rank: cosines and edits, but not the log odds of Eq. 17."""
         return self.of_cells and (self.matcher != "transformer" or self.score == "cosine")
 
-    def read(self, city: City) -> EncodedCity:
-        """The city as the network reads it."""
-        if self.encoded is not None:
-            return self.encoded
-        if self.shipped is not None:
-            return self.shipped()
-        from placegraph.outdoor.network.encoded import EncodedCity
-        from placegraph.outdoor.network.network import GraphTransformer
+    @property
+    def uses_network(self) -> bool:
+        """Whether a network takes part."""
+        return self.matcher not in ("relational", "edit-distance", "edit-distance-plain") or (
+            self.way in ("dense", "both") or self.store is not None
+        )
 
-        return EncodedCity(city, GraphTransformer.default())
+    def read(self, city: City) -> EncodedCity:
+        """Return the city as the network reads it."""
+        return EncodedCity.shipped(city) if self.encoded is None else self.encoded
 
     def check(self, city: City) -> None:
-        """Raise `OptionError` or `StoreError` where a source is none, or of another map or network."""
-        from placegraph.vectors import Origin, Region
-        from placegraph.vectors.stores import refuse_other
-
+        """Raise `OptionError` or `StoreError` for a source that is none, or of another map or network."""
         if self.region is not None:
             if not isinstance(self.region, Region):
                 raise OptionError(
@@ -171,7 +364,11 @@ class Matching:
                     "degrees."
                 )
             self.region.checked()
-        if self.encoded is not None and not _reads(self.encoded, city):
+        read = self.encoded
+        if read is not None and not (
+            isinstance(read, EncodedCity)
+            and (read.city is city or read.origin.map == city.fingerprint)
+        ):
             raise OptionError(
                 f"encoded is not {city!r} as a network reads it; give `EncodedCity` of it."
             )
@@ -184,36 +381,37 @@ class Matching:
             )
         wanted = self.read(city).origin
         # empty is not known
-        known = Origin(found.map or wanted.map, found.model or wanted.model)
-        refuse_other("The store", known, wanted)
+        refuse_other(
+            "The store", Origin(found.map or wanted.map, found.model or wanted.model), wanted
+        )
 
 
-def _reads(encoded: object, city: City) -> bool:
-    """Whether it is this city, or the same one opened twice, as a network reads it."""
-    from placegraph.outdoor.network.encoded import EncodedCity
+@dataclass(frozen=True, eq=False)
+class Hints:
+    """What a user knows beside the words; see `CityMap.locate`."""
 
-    return isinstance(encoded, EncodedCity) and (
-        encoded.city is city or encoded.origin.map == city.fingerprint
-    )
-
-
-def is_count(value: object) -> bool:
-    """Whether it is a whole number from 1 on."""
-    return isinstance(value, int | np.integer) and value is not True and bool(value >= 1)
+    near: Sequence[float] | None = None
+    radius: float = 1000.0
+    heading: float | None = None
+    listener: Sequence[float] | None = None
+    answers: Sequence[Answer] | None = ()
+    language: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Request:
-    """A description compiled against a city, what else is known, and how to match it."""
+    """A description compiled against a city, the prior of the place, and how to match."""
 
     city: City
     query: Query
-    known: Whereabouts = field(default_factory=Whereabouts)
+    prior: LocationPrior = field(default_factory=LocationPrior)
     matching: Matching = field(default_factory=Matching)
+    understood: Description = field(default_factory=lambda: Description(""))
+    """The whole description; `query` lacks what became part of the prior."""
 
     @property
-    def positive(self) -> bool:
-        """Whether anything is said to be there."""
+    def is_positive(self) -> bool:
+        """Whether the text says that anything is there."""
         return any(not s.negated for s in self.query.used)
 
     @cached_property
@@ -224,7 +422,7 @@ class Request:
     @cached_property
     def log_prior(self) -> NDArray[np.float64]:
         """Log prior (W,) of all viewpoints, or nothing where nothing is known."""
-        return self.known.log_of_views(self.city.views)
+        return self.prior.log_of_views(self.city.views)
 
     @cached_property
     def highest(self) -> float:
@@ -233,11 +431,11 @@ class Request:
         return float(self.log_prior.max()) if len(self.log_prior) else -float(np.log(views))
 
     def relative(self, rows: NDArray[np.int32]) -> NDArray[np.float64]:
-        """Log prior (K,) of viewpoints, against the largest."""
+        """Return the log prior (K,) of viewpoints, against the largest."""
         known = len(self.log_prior) > 0
         return self.log_prior[rows] - self.highest if known else np.zeros(len(rows))
 
-    @property
+    @cached_property
     def encoded(self) -> EncodedCity:
         """The city as the network reads it."""
         return self.matching.read(self.city)
@@ -253,19 +451,91 @@ class Request:
         return self.encoded.network.embed_texts(self.text.graphs)
 
     def inside(self, positions: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Whether positions (K, 2) [m] lie in the region that was given."""
+        """Return which positions (K, 2) [m] lie in the region of `matching`."""
         region = self.matching.region
-        return (
-            np.ones(len(positions), np.bool_)
-            if region is None
-            else within(self.city, positions, region)
-        )
+        if region is None:
+            return np.ones(len(positions), np.bool_)
+        return find_inside(self.city, positions, region)
 
 
-def within(city: City, positions: NDArray[np.float64], region: Region) -> NDArray[np.bool_]:
-    """Whether positions (K, 2) [m] lie in a region."""
-    region.checked()
-    longitude, latitude = city.plane.to_lonlat(positions).T
-    east, west = longitude <= region.east, longitude >= region.west
-    across = east | west if region.crosses_date_line else east & west
-    return across & (latitude >= region.south) & (latitude <= region.north)
+class TextContext(Protocol):
+    """What words and names mean where a text is read: a `City`, or a world of many."""
+
+    @property
+    def vocabulary(self) -> Vocabulary:
+        """What words mean."""
+
+    @property
+    def name_index(self) -> NameIndex:
+        """Proper names."""
+
+    def block_length(self, bearing: float | None) -> float:
+        """Length of a block [m] in a direction [rad], or in any."""
+
+
+def parse(
+    context: TextContext,
+    text: str | Description,
+    *,
+    heading: float | None = None,
+    language: str | None = None,
+    answers: Sequence[Answer] = (),
+) -> Description:
+    """Read a text in the words of a map (Eq. 3), its names and tag values included; add answers."""
+    if not isinstance(text, Description):
+        text = describe(
+            text, vocabulary=context.vocabulary, names=context.name_index, heading=heading,
+            language=language, block_length=context.block_length,
+        )  # fmt: skip
+    for given in answers:
+        if not isinstance(given, Answer):
+            raise OptionError(
+                f"answers holds {given!r}; answer questions by `question.answer(option)`."
+            )
+        text = given.added_to(text)
+    return text
+
+
+def make_request(city: City, text: str | Description, hints: Hints, matching: Matching) -> Request:
+    """Check all options, read the text, and compile it; raises `OptionError`, `DescriptionError`."""
+    prior = LocationPrior.around(city, hints.near, hints.radius)
+    if hints.heading is not None and not isfinite(number(hints.heading)):
+        raise OptionError(f"heading is {hints.heading!r}; give a finite angle.")
+    heading = None if hints.heading is None else number(hints.heading)
+    listener = None if hints.listener is None else position(city, hints.listener, "listener")
+    understood = parse(
+        city, text, heading=heading, language=hints.language, answers=hints.answers or ()
+    )
+    routes, others = ((), understood.statements) if listener is None else split_routes(understood)
+    to_somebody = any(LISTENER in ends(s) for s in understood.statements)
+    query = compile_query(replace(understood, statements=others), city, on_a_way=to_somebody)
+    matching.check(city)
+    region = matching.region
+    inside = None if region is None else partial(find_inside, city, region=region)
+    prior = replace(prior, listener=listener, routes=routes, inside=inside)
+    return Request(city, query, prior, matching, understood)
+
+
+def split_routes(description: Description) -> tuple[tuple[Route, ...], tuple[Statement, ...]]:
+    """Split off directions between the listener and the speaker, or what the speaker stands at."""
+    here = standing_at(description.statements)
+    routes, others = [], []
+    for s in description.statements:
+        turn = 0.0 if s.source in here and s.target == LISTENER else np.pi
+        between = turn == 0.0 or (s.target in here and s.source == LISTENER)
+        if between and s.relation is Relation.DIRECTION and s.bearing is not None and not s.negated:
+            routes.append(Route(s.bearing + turn, s.bearing_sigma, s.certainty, s.distance))
+        else:
+            others.append(s)
+    return tuple(routes), tuple(others)
+
+
+def find_off_map(asked: Request, hints: Hints) -> str:
+    """Return why the speaker cannot be anywhere on the map; empty where they can."""
+    city, prior = asked.city, asked.prior
+    if hints.near is not None and prior.is_off(city):
+        near = tuple(hints.near[:2])
+        return f"The map does not reach the surroundings of {near}.{hint_swapped(city, near)}"
+    if prior.inside is not None and not prior.inside(city.views.positions.astype(np.float64)).any():
+        return f"The map has nothing to see in {tuple(asked.matching.region or ())}."
+    return ""

@@ -21,8 +21,7 @@ from placegraph.outdoor.language.description import (
     Relation,
     Statement,
 )
-from placegraph.outdoor.likelihood.query import Query
-from placegraph.outdoor.likelihood.statements import ends
+from placegraph.outdoor.likelihood.query import Query, ends
 from placegraph.outdoor.map.city import City
 from placegraph.outdoor.map.objects import POINT
 from placegraph.outdoor.search.posterior import WITHIN, Mode, Posterior

@@ -1,35 +1,47 @@
-"""Sequential text: a posterior over places that motion moves and each further sentence sharpens.
-
-The Bayesian step of a filter (predict by motion, correct by what is said) over all viewpoints of a
-map at once, so nothing is drawn by chance. Sentences said without motion between them are read as one
-text, with the likelihood of relational matching: "the bakery" may mean the one spoken of before,
-and what is said twice is no surer.
-"""
+"""What a tracker answers: the belief at a stop as an estimate, with what was said here and before."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from math import atan2, hypot, pi
 
 import numpy as np
 
-from placegraph.core.estimate import CityEstimate
+from placegraph.core.estimate import CityEstimate, Evidence, Place, Status
+from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
 from placegraph.language.text import check_text
 from placegraph.outdoor.language.description import Description
-from placegraph.outdoor.likelihood.query import compile_query, read
+from placegraph.outdoor.likelihood.query import Query, compile_query
 from placegraph.outdoor.map.city import City
-from placegraph.outdoor.search.answer import answer_nothing
+from placegraph.outdoor.search.answer import (
+    MOST_SUPPORT,
+    answer_nothing,
+    evidence_at,
+    find_support,
+    make_places,
+)
 from placegraph.outdoor.search.ask import Answer
-from placegraph.outdoor.search.request import is_count
-from placegraph.outdoor.search.status import explain_no_change
-from placegraph.outdoor.search.whereabouts import finite, positive, shares_around
-from placegraph.outdoor.track.answer import Waypoint, estimate
-from placegraph.outdoor.track.grid import (
+from placegraph.outdoor.search.posterior import SPACING, modes
+from placegraph.outdoor.search.request import finite, is_count, parse, positive, share_views
+from placegraph.outdoor.search.status import (
+    IN_SIGHT,
+    decide,
+    diagnose,
+    explain_no_change,
+    find_contradiction,
+    shrink,
+)
+from placegraph.outdoor.track.belief import (
     COMPASS,
     FARTHEST,
+    SURPRISED,
     Belief,
     Kernel,
+    Memory,
+    Stop,
     TrackGrid,
     moved,
     odometry_sigma,
@@ -38,7 +50,43 @@ from placegraph.outdoor.track.grid import (
     way,
 )
 from placegraph.outdoor.track.motion import Leg, ways
-from placegraph.outdoor.track.stop import SURPRISED, Memory, Stop
+
+
+@dataclass(frozen=True)
+class Waypoint:
+    """One call of a tracker, and what it came to."""
+
+    said: str
+    """The text, or the motion in words."""
+    status: Status
+    best: Place | None
+    """The best mode after it."""
+
+
+def estimate(
+    city: City, stop: Stop, memory: tuple[Memory, ...], grid: TrackGrid, top: int, why: str
+) -> CityEstimate:
+    """Return where the speaker is by the belief at a stop; `why` the last text did not change it."""
+    query = stop.query
+    found = stop.posterior(grid, MOST_SUPPORT)
+    peaks = modes(found, top, SPACING)
+    # a way is followed to what is in sight, whatever its texts alone would claim
+    diagnostics = diagnose(found, peaks, IN_SIGHT, query, city)
+    found, peaks = shrink(found, peaks, diagnostics)
+    places = make_places(peaks, city, partial(explain, city=city, query=query, memory=memory))
+    contradiction = find_contradiction(places[0] if places else None, query)
+    status, reason = decide(replace(diagnostics, contradiction=contradiction, remark=why))
+    understood = query.description if query else None
+    return CityEstimate(status, places, reason, understood, find_support(found, city), map=city)
+
+
+def explain(
+    position: Floats, city: City, query: Query | None, memory: tuple[Memory, ...]
+) -> tuple[Evidence, ...]:
+    """Evidence of what was said here, then of what was said before, the latest first."""
+    here = evidence_at(position, city, query) if query is not None else ()
+    return (*here, *(e for m in reversed(memory) for e in m.evidence(position, city)))
+
 
 REMEMBERED = 6
 """Of so many places before, the evidence is told again."""
@@ -84,7 +132,7 @@ class CityTracker:
         self._top = int(top)
         self._grid = TrackGrid.of(city.views)
         self._first_heading = None if heading is None else finite(heading, "heading", "an angle")
-        self._shares = None if near is None else shares_around(city, near, radius)
+        self._shares = None if near is None else share_views(city, near, radius)
         self.reset()
 
     def reset(self) -> CityEstimate:
@@ -142,7 +190,7 @@ class CityTracker:
         more = answer.added_to(stop.query.description if stop.query else Description(""))
         query = compile_query(more, self.city)
         if query.used:
-            self._stop = stop.heard((*stop.texts, more), query, self.city, self._grid)
+            self._stop = stop.update((*stop.texts, more), query, self.city, self._grid)
             self._understood = True
         return self._noted(f"{answer.question.text} {answer.option}", "")
 
@@ -261,19 +309,26 @@ class CityTracker:
         stop = self._stop
         if stop.texts and not stop.goes_on(text):
             stop = self._next()
-        after = stop.after(text, self.city, self._grid, self.heading)
-        if after is None or after is stop:
-            alone = compile_query(read(self.city, text, heading=self.heading), self.city)
+        texts = (*stop.texts, text)
+        joint = text if isinstance(text, Description) else " ".join(map(str, texts))
+        query = self._compile(joint)
+        repeated = stop.query is not None and len(query.used) == len(stop.query.used)
+        if repeated or not query.used:
+            alone = self._compile(text)
             return "" if alone.used else explain_no_change(alone)
+        after = stop.update(texts, query, self.city, self._grid)
         gain = after.log_evidence - stop.log_evidence
-        if stop.texts and gain < np.log(SURPRISED):
-            anew = stop.unsure(self._grid).after(text, self.city, self._grid, self.heading)
-            if anew is not None and anew.log_evidence > gain + np.log(2.0):
+        if stop.texts and gain < np.log(SURPRISED) and (alone := self._compile(text)).used:
+            anew = stop.unsure(self._grid).update((text,), alone, self.city, self._grid)
+            if anew.log_evidence > gain + np.log(2.0):
                 self._memory = self._remembered()
                 after = anew
         self._stop = after
         self._understood = True
         return ""
+
+    def _compile(self, text: str | Description) -> Query:
+        return compile_query(parse(self.city, text, heading=self.heading), self.city)
 
     # --- answers ---
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from placegraph.core.estimate import CityEstimate, ObjectRef, Place
 from placegraph.core.geometry import Floats
+from placegraph.outdoor.map.geometry_kernels import nearest_on_parts
 from placegraph.outdoor.map.objects import CityObjects
-from placegraph.outdoor.map.raster_kernels import nearest_on_parts
 from placegraph.view.draw.canvas import (
     Area,
     Bounds,

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from placegraph.core.jit import kernel
-from placegraph.outdoor.likelihood.fit_kernels import BLUR, DIRECTION, me_fit, pair_fit
+from placegraph.outdoor.likelihood.match_kernels import BLUR, DIRECTION, me_fit, pair_fit
 
 
 @kernel

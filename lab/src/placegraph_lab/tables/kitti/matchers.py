@@ -16,7 +16,7 @@ from placegraph.core.graph import SceneGraph
 from placegraph.outdoor.language.description import SPEAKER, Description, Relation
 from placegraph.outdoor.map.objects import of_name
 from placegraph.outdoor.network.graphs import PlaceGraphs
-from placegraph.outdoor.network.graphs_kernels import MOST_THINGS
+from placegraph.outdoor.network.network_kernels import MOST_THINGS
 from placegraph_lab.tables.outdoor.nearby import DIRECTIONS as WINDS
 from placegraph_lab.tables.outdoor.nearby import relations
 
@@ -175,7 +175,7 @@ class Transformer:
 
     def _fits(self, texts: Any) -> Any:  # noqa: ANN401  # `TextGraphs`, `WordFits`
         """Which of the cells' words are a text's own: here both sides call things alike."""
-        from placegraph.outdoor.network.batches import Fits, word_fits
+        from placegraph.outdoor.network.graphs import Fits, word_fits
 
         own = {word: row for row, word in enumerate(self.places.vocabulary)}
         row = np.array([own.get(word, -1) for word in texts.vocabulary], np.int64)

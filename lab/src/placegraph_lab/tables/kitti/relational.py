@@ -23,7 +23,7 @@ from placegraph.outdoor.language.description import (
     Relation,
     Statement,
 )
-from placegraph.outdoor.likelihood.fit_kernels import DIRECTION, INSIDE, direction_table
+from placegraph.outdoor.likelihood.match_kernels import DIRECTION, INSIDE, direction_table
 from placegraph_lab.datasets.kitti360pose import Kitti360Pose
 from placegraph_lab.tables.kitti.kitti_kernels import between, from_speaker, nearest_owner, sighted
 

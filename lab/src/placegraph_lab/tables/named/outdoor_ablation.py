@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.outdoor.city import CityMap
-from placegraph.outdoor.likelihood.query import compile_query, read
-from placegraph.outdoor.network.encoded import EncodedCity
-from placegraph.outdoor.network.network import GraphTransformer
+from placegraph.outdoor.likelihood.query import compile_query
+from placegraph.outdoor.network.network import EncodedCity, GraphTransformer
 from placegraph.outdoor.search.candidates import dense_cells
-from placegraph.outdoor.search.request import Matching, Request
+from placegraph.outdoor.search.request import Matching, Request, parse
 from placegraph_lab.tables.outdoor.extracts import (
     EXTRACTS,
     TRAINED,
@@ -101,7 +100,7 @@ def evaluate(task: Task, network: GraphTransformer) -> Hits:
 def _hits(
     encoded: EncodedCity, text: str, truth: int, others: NDArray[np.int64]
 ) -> dict[str, list[bool]]:
-    query = compile_query(read(encoded.city, text), encoded.city)
+    query = compile_query(parse(encoded.city, text), encoded.city)
     asked = Request(encoded.city, query, matching=Matching(encoded=encoded))
     dense = dense_cells(asked, CANDIDATES)
     given = np.append(others[: max(GIVEN) - 1], truth)  # last: where all are equal, it is not found

@@ -19,13 +19,13 @@ from numpy.random import Generator
 from placegraph.errors import OptionError
 from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.language.description import Description
-from placegraph.outdoor.likelihood.query import compile_query, read
-from placegraph.outdoor.likelihood.score_kernels import score_views
-from placegraph.outdoor.network.batches import WordFits
-from placegraph.outdoor.network.graphs import PlaceGraphs, TextGraphs
+from placegraph.outdoor.likelihood.match_kernels import score_views
+from placegraph.outdoor.likelihood.query import compile_query
+from placegraph.outdoor.network.graphs import PlaceGraphs, TextGraphs, WordFits
 from placegraph.outdoor.network.network import GraphTransformer
 from placegraph.outdoor.search.edit_distance import rank
-from placegraph.outdoor.search.viewpoints import TOGETHER
+from placegraph.outdoor.search.posterior import TOGETHER
+from placegraph.outdoor.search.request import parse
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, open_city, unseen_queries
 from placegraph_lab.tables.outdoor.queries import Query
 from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, number, option, table
@@ -67,7 +67,7 @@ class Pairs:
         """Every query with `cells` cells."""
         return cls(
             city,
-            tuple(read(city, q.text) for q in queries),
+            tuple(parse(city, q.text) for q in queries),
             tuple(rng.choice(len(city.cells), cells, replace=False) for _ in queries),
         )
 
@@ -145,7 +145,7 @@ class Pairs:
         """The same in PyTorch, as in training: batches are laid out in memory, moved, and judged."""
         import torch
 
-        from placegraph.outdoor.network.batches import place_batch, text_batch
+        from placegraph.outdoor.network.graphs import place_batch, text_batch
         from placegraph_learn.city.batches import Batch, forward, pair_batch
         from placegraph_learn.city.network import Network
 
@@ -180,8 +180,7 @@ class Pairs:
 
     def _graphs(self) -> tuple[TextGraphs, PlaceGraphs, WordFits]:
         """Graphs of all texts and all cells, and how well the map's words fit the texts'."""
-        from placegraph.outdoor.network.batches import fits_of, word_fits
-        from placegraph.outdoor.network.graphs import PlaceGraphs, TextGraphs
+        from placegraph.outdoor.network.graphs import PlaceGraphs, TextGraphs, fits_of, word_fits
 
         texts = TextGraphs.of(self.descriptions)
         fits = fits_of(texts, [compile_query(d, self.city) for d in self.descriptions])

@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from placegraph.core.geometry import Floats
 from placegraph.errors import PlacegraphError
 from placegraph.outdoor.city import CityMap
-from placegraph.outdoor.locate import Hints, understand
-from placegraph.outdoor.search.posterior import WITHIN, modes
-from placegraph.outdoor.search.request import Matching
+from placegraph.outdoor.locate import Hints, search
+from placegraph.outdoor.search.posterior import SPACING, WITHIN, modes
+from placegraph.outdoor.search.request import Matching, make_request
 from placegraph.outdoor.search.status import (
     AT_A_PLACE,
     IN_SIGHT,
@@ -32,7 +32,6 @@ from placegraph.outdoor.search.status import (
     Claim,
     infer_claim,
 )
-from placegraph.outdoor.search.viewpoints import SPACING, search
 from placegraph.view.draw.canvas import Disc, Frame, Mark, Points, Stroke, Text
 from placegraph.view.draw.painter import paint_picture
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, TRAINED
@@ -227,7 +226,7 @@ def fitted(sets: Iterable[TextSet], maps: dict[str, CityMap]) -> dict[str, Calib
 def shares(city: CityMap, told: Told) -> list[tuple[str, float, bool]]:
     """Of each radius that is claimed: its name, the best place's share, and whether it is right."""
     try:
-        understood, asked = understand(city, told.text, Hints(listener=told.start), Matching())
+        understood, asked = make_request(city, told.text, Hints(listener=told.start), Matching())
         peaks = modes(found := search(asked), 1, SPACING)
     except PlacegraphError:
         return []

@@ -152,20 +152,17 @@ def equal(path: Path, texts: Mapping[str, Sequence[str]], most: int) -> dict[str
 
 
 def _compared(city: CityMap, texts: Sequence[str]) -> dict[str, float]:
-    from placegraph.outdoor.locate import Hints, understand
+    from placegraph.outdoor.locate import search
     from placegraph.outdoor.search.answer import answer
-    from placegraph.outdoor.search.request import Matching
-    from placegraph.outdoor.search.viewpoints import search
+    from placegraph.outdoor.search.request import Hints, Matching, make_request
 
     off: list[float] = []
     missed: list[float] = []
     for text in texts:
-        description, asked = understand(city, text, Hints(), Matching())
-        if not asked.positive:
+        asked = make_request(city, text, Hints(), Matching())
+        if not asked.is_positive:
             continue
-        some, every = (
-            answer(asked, p, 5, description).modes for p in (search(asked), exhaustive(asked))
-        )
+        some, every = (answer(asked, p, 5).modes for p in (search(asked), exhaustive(asked)))
         if not (some and every):
             missed += [1.0] if some or every else []
             continue
@@ -186,10 +183,10 @@ def _compared(city: CityMap, texts: Sequence[str]) -> dict[str, float]:
 def exhaustive(asked: Request) -> Posterior:
     """What a search finds that scores all viewpoints, and drops nothing that can matter."""
     from placegraph.outdoor.search.candidates import Candidates
-    from placegraph.outdoor.search.viewpoints import ALL, closer, score
+    from placegraph.outdoor.search.posterior import ALL, compute_posterior, score
 
     every = Candidates.given(asked, np.arange(len(asked.city.views)))
-    return closer(asked, score(asked, every, ALL))
+    return compute_posterior(asked, score(asked, every, ALL))
 
 
 def texts_of(osm: Path, n: int, seed: int) -> dict[str, list[str]]:

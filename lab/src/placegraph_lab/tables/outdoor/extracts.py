@@ -14,9 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
 from placegraph.outdoor.city import CityMap, build_city
-from placegraph.outdoor.map.cells import cell_sightings
+from placegraph.outdoor.map.cells import Sightings, cell_sightings
 from placegraph.outdoor.map.objects import CityObjects
-from placegraph.outdoor.map.raster import Sightings
 from placegraph_lab.tables.outdoor.matchers import cell_centers
 from placegraph_lab.tables.outdoor.queries import JITTER, Query, Setting, make_queries
 from placegraph_learn.city.descriptions import TILE, evaluated, held_out

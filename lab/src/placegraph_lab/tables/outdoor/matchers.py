@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 
 from placegraph.core.geometry import Floats
 from placegraph.outdoor.city import CityMap
-from placegraph.outdoor.likelihood.query import compile_query, read
-from placegraph.outdoor.network.encoded import EncodedCity, EncodedText
-from placegraph.outdoor.network.network import Matches
+from placegraph.outdoor.likelihood.query import compile_query
+from placegraph.outdoor.network.network import EncodedCity, EncodedText, Matches
 from placegraph.outdoor.search.cells import retrieve
 from placegraph.outdoor.search.edit_distance import TIMEOUT
-from placegraph.outdoor.search.request import Matching, MatchingOptions
+from placegraph.outdoor.search.request import Matching, MatchingOptions, parse
 from placegraph_lab.tables.outdoor.baselines import Bag
 from placegraph_lab.tables.outdoor.metrics import BAGS, RANKS, Answer, distances, positions
 from placegraph_lab.tables.outdoor.nearby import Bins
@@ -43,7 +42,7 @@ def run(encoded: EncodedCity, text: str, candidates: int | None = 10) -> Run:
     """Rank the cells nearest by embedding, by the cosine; all cells where `candidates` is None."""
     city = encoded.city
     clock = [time.perf_counter()]
-    query = compile_query(read(city, text), city)
+    query = compile_query(parse(city, text), city)
     clock.append(time.perf_counter())
     said = encoded.text(query)
     embedding = encoded.network.embed_texts(said.graphs)
@@ -191,7 +190,7 @@ class RetrieveMatcher:
         options = self.options.copy()
         matching = Matching.preset(options.pop("preset", "default"), **options)
         matching = replace(matching, shipped=lambda: self.city.encoded)
-        text = read(self.city, query.text)
+        text = parse(self.city, query.text)
         found = retrieve(self.city, text, matching, top=top, timeout=self.timeout)
         return places_of(self.city, found.cells)
 

@@ -14,12 +14,16 @@ from torch import Tensor
 from torch.nn import functional as F  # noqa: N812
 
 from placegraph.outdoor.city import CityMap
-from placegraph.outdoor.network.batches import (
+from placegraph.outdoor.network.graphs import (
+    Bags,
     Floats,
     GraphBatch,
     NodeWords,
+    PlaceGraphs,
     Rows,
+    TextGraphs,
     WordFits,
+    WordVectors,
     agreements,
     entries,
     mask_of,
@@ -27,10 +31,8 @@ from placegraph.outdoor.network.batches import (
     text_batch,
     word_fits,
 )
-from placegraph.outdoor.network.graphs import PlaceGraphs, TextGraphs
-from placegraph.outdoor.network.graphs_kernels import CHANNELS
-from placegraph.outdoor.network.labels import Bags, WordVectors
-from placegraph.outdoor.search.rerank import HARD
+from placegraph.outdoor.network.network_kernels import CHANNELS
+from placegraph.outdoor.search.posterior import HARD
 from placegraph_learn.city.city_kernels import holds_as_said, literal
 from placegraph_learn.city.descriptions import AT, NEARBY, Pool
 from placegraph_learn.city.network import Graphs, Network, Pairs, Scores, Truth

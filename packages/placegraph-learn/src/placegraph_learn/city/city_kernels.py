@@ -5,9 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from placegraph.core.jit import kernel
-from placegraph.outdoor.map.raster_kernels import nearest_on_parts
-from placegraph.outdoor.network.graphs_kernels import place_relations
-from placegraph.outdoor.network.network_kernels import CHANCE, LITERAL, background_of, literal_of
+from placegraph.outdoor.map.geometry_kernels import nearest_on_parts
+from placegraph.outdoor.network.network_kernels import (
+    CHANCE,
+    LITERAL,
+    background_of,
+    literal_of,
+    place_relations,
+)
 
 # mypy: allow-untyped-defs, allow-incomplete-defs
 

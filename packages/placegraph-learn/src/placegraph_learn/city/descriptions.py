@@ -29,12 +29,10 @@ from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.likelihood.query import Query, compile_query
 from placegraph.outdoor.map.cells import compass
 from placegraph.outdoor.map.objects import AREA, LINE
-from placegraph.outdoor.network.batches import Fits, fits_of
-from placegraph.outdoor.network.graphs import TextGraphs
-from placegraph.outdoor.search.candidates import candidates
+from placegraph.outdoor.network.graphs import Fits, TextGraphs, fits_of
+from placegraph.outdoor.search.candidates import find_candidates
+from placegraph.outdoor.search.posterior import HARD, score
 from placegraph.outdoor.search.request import Request
-from placegraph.outdoor.search.rerank import HARD
-from placegraph.outdoor.search.viewpoints import score
 from placegraph_learn.city.city_kernels import _nearest
 
 TILE = 1000.0
@@ -397,7 +395,7 @@ def _candidates(
     """
     views = speaker.city.views
     asked = Request(speaker.city, query)
-    found = score(asked, candidates(asked))
+    found = score(asked, find_candidates(asked))
     best = np.argsort(-found.scores, kind="stable")
     best = best[speaker.may_see(views.positions_of(found.rows[best]))][:HARD]
     true = rng.permutation(views.near(position, AT))[:4]  # not the nearest: cells stand apart

@@ -8,9 +8,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812
 
-from placegraph.outdoor.network.graphs_kernels import CHANNELS
-from placegraph.outdoor.network.labels_kernels import BUCKETS
-from placegraph.outdoor.network.network_kernels import LITERAL
+from placegraph.outdoor.network.network_kernels import BUCKETS, CHANNELS, LITERAL
 from placegraph.outdoor.network.weights import Shape
 
 R = len(CHANNELS)

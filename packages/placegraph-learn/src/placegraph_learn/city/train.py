@@ -19,11 +19,10 @@ from placegraph.core.networks import device_for, digest
 from placegraph.errors import InputError, OptionError
 from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.language.vocabulary import Vocabulary
-from placegraph.outdoor.network.batches import Fits
-from placegraph.outdoor.network.graphs import TextGraphs
-from placegraph.outdoor.network.labels import WordVectors, words_of
+from placegraph.outdoor.network.graphs import Fits, TextGraphs, WordVectors
+from placegraph.outdoor.network.graphs import split_label as words_of
 from placegraph.outdoor.network.weights import Shape, Weights, trained, write_weights
-from placegraph.outdoor.search.rerank import HARD
+from placegraph.outdoor.search.posterior import HARD
 from placegraph_learn.city.batches import Lessons, forward
 from placegraph_learn.city.descriptions import Pool, Speaker, fill
 from placegraph_learn.city.network import Network, Scores, Truth

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import InputError
-from placegraph.outdoor.network.labels import WordVectors
+from placegraph.outdoor.network.graphs import WordVectors
 
 LONGEST = 4096
 """Numbers of a vector at most."""

@@ -18,7 +18,7 @@ import numpy as np
 
 from placegraph.core.mapfile import starts
 from placegraph.errors import MapError
-from placegraph.outdoor.map.things import THING, Things
+from placegraph.outdoor.map.extract import THING, Things
 
 HEAD = struct.Struct("<4sQIIII")
 """Magic, bytes that follow, crc32 of these and of the numbers behind it: things, parts, points."""

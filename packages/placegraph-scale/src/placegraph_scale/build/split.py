@@ -27,9 +27,7 @@ from placegraph.errors import InputError
 from placegraph.io.osm.osm import LeftOut, read_columns
 from placegraph.io.osm.urls import is_url, size_of
 from placegraph.outdoor.language.vocabulary import Vocabulary
-from placegraph.outdoor.map.clip import clip
-from placegraph.outdoor.map.extract import keys_read, labelled, nothing_in
-from placegraph.outdoor.map.things import Thing, Things
+from placegraph.outdoor.map.extract import Thing, Things, clip, keys_read, labelled, nothing_in
 from placegraph_scale.build.spill import Spills, no_room, things_of
 
 if TYPE_CHECKING:

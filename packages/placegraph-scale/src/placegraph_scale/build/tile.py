@@ -17,9 +17,7 @@ from placegraph.core.geometry import LocalPlane
 from placegraph.core.mapfile import DIGEST
 from placegraph.io.osm.osm import LeftOut
 from placegraph.outdoor.map.city import City
-from placegraph.outdoor.map.clip import clip
-from placegraph.outdoor.map.extract import objects_of, without_largest
-from placegraph.outdoor.map.things import Things, once
+from placegraph.outdoor.map.extract import Things, clip, objects_of, once, without_largest
 from placegraph_scale.build.spill import things_of
 from placegraph_scale.shards.table import counted, keep
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from placegraph.core.estimate import CityEstimate, Place, Status
 from placegraph.core.geometry import LocalPlane
 from placegraph.outdoor.search.answer import MOST_SUPPORT
-from placegraph.outdoor.search.posterior import Posterior, modes, posterior
+from placegraph.outdoor.search.posterior import FINE, SPACING, Posterior, modes, posterior
 from placegraph.outdoor.search.status import (
     decide,
     diagnose,
@@ -22,7 +22,6 @@ from placegraph.outdoor.search.status import (
     infer_claim,
     shrink,
 )
-from placegraph.outdoor.search.viewpoints import FINE, SPACING
 from placegraph.world.buildings import BESIDE
 from placegraph.world.outside import Outside, Told
 from placegraph_scale.shards.lexicon import distance

@@ -20,9 +20,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from placegraph.outdoor.language.description import Relation
-from placegraph.outdoor.likelihood.fit_kernels import ME
-from placegraph.outdoor.likelihood.match_kernels import SLACK
-from placegraph.outdoor.likelihood.statements import OPERATION
+from placegraph.outdoor.likelihood.match_kernels import ME, SLACK
+from placegraph.outdoor.likelihood.query import OPERATION
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

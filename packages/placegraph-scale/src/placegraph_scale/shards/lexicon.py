@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.geo import bounds
-from placegraph.outdoor.map.blocks import Blocks
-from placegraph.outdoor.map.objects import CityObjects, columns_of
+from placegraph.outdoor.map.objects import Blocks, CityObjects, columns_of
 
 if TYPE_CHECKING:
     from placegraph.outdoor.language.vocabulary import Vocabulary

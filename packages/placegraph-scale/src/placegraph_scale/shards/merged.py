@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from placegraph.outdoor.search.candidates import MOST_CANDIDATES, ranks
-from placegraph.outdoor.search.posterior import WITHIN
-from placegraph.outdoor.search.viewpoints import CLOSER, FEWEST, sure
+from placegraph.outdoor.search.posterior import CLOSER, FEWEST, WITHIN, are_enough
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -158,7 +157,7 @@ class Merged:
         delta = positions - self.positions[row][self.ranked.at[best]]
         near = np.exp(here[mine] - self.weight) @ (np.hypot(*delta.T) <= WITHIN)
         weights, drawn = self._others()
-        if sure(np.exp(weights - self.weight), drawn, float(near)):
+        if are_enough(np.exp(weights - self.weight), drawn, float(near)):
             return False
         self.told *= 4
         return True

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from placegraph.errors import MapError
 from placegraph.outdoor.language.description import LISTENER
-from placegraph.outdoor.likelihood.query import compile_query
-from placegraph.outdoor.likelihood.statements import ends
+from placegraph.outdoor.likelihood.query import compile_query, ends
 from placegraph.outdoor.map.objects import LINE
 from placegraph.outdoor.search.status import find_obstacle
 from placegraph_scale.shards.answer import InShards, estimate, weigh

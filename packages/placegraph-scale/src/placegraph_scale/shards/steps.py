@@ -12,14 +12,13 @@ from numpy.typing import NDArray
 
 from placegraph.core.geo import held
 from placegraph.core.geometry import LocalPlane
-from placegraph.outdoor.likelihood.statements import Far, MentionTokens
+from placegraph.outdoor.likelihood.query import Far, MentionTokens
 from placegraph.outdoor.map.index import REACH, STRIDE
-from placegraph.outdoor.search.candidates import Candidates, candidates
-from placegraph.outdoor.search.evidence import evidence_at
-from placegraph.outdoor.search.request import Request
-from placegraph.outdoor.search.viewpoints import ALL, look_around
-from placegraph.outdoor.search.viewpoints import score as score_of
-from placegraph.outdoor.search.whereabouts import Whereabouts
+from placegraph.outdoor.search.answer import evidence_at
+from placegraph.outdoor.search.candidates import Candidates, find_candidates
+from placegraph.outdoor.search.posterior import ALL, look_around
+from placegraph.outdoor.search.posterior import score as score_of
+from placegraph.outdoor.search.request import LocationPrior, Request
 from placegraph.world.buildings import Buildings
 from placegraph_scale.shards.lexicon import Thing, joined
 
@@ -132,14 +131,14 @@ class Shard:
 
 
 @dataclass(frozen=True, eq=False)
-class _Within(Whereabouts):
+class _Within(LocationPrior):
     """A prior that is known of every viewpoint: the world's, and none outside the core."""
 
     given: NDArray[np.float64] | None = None
     """(W,)"""
 
     @property
-    def informative(self) -> bool:
+    def is_informative(self) -> bool:
         """It always is: viewpoints outside the core are not meant."""
         return True
 
@@ -182,7 +181,7 @@ def weighed(shard: Shard, fix: Fix) -> tuple[float, float, bool]:
 
 
 def _off(shard: Shard, fix: Fix) -> NDArray[np.float64]:
-    """Log weight (V,) of a fix at the viewpoints of the core, as `Whereabouts.log` has it."""
+    """Log weight (V,) of a fix at the viewpoints of the core, as `LocationPrior.log_of` has it."""
     near = shard.city.plane.to_plane((fix.longitude, fix.latitude))
     sigma = np.hypot(fix.radius / 1.1774, STRIDE / 2)
     positions = shard.city.views.positions[shard.inside].astype(np.float64)
@@ -247,7 +246,7 @@ def proposed(shard: Shard, asked: Asked, least: float, drawn: int) -> Proposed:
     none = np.zeros(0)
     found = Candidates(none.astype(np.int32), none, np.zeros((0, n), np.float32), none)
     if highest > -np.inf:
-        found = candidates(request, drawn, float(np.exp(min(least - highest, 690.0))))
+        found = find_candidates(request, drawn, float(np.exp(min(least - highest, 690.0))))
     rows, far = found.rows, found.far
     if asked.query.far is None:
         far = far[:, :0]

@@ -25,7 +25,7 @@ from placegraph.core.mapfile import (
     write_map,
 )
 from placegraph.errors import PlacegraphError
-from placegraph.outdoor.map.index_build import Core
+from placegraph.outdoor.map.index_write import Core
 from placegraph_scale.shards import names
 from placegraph_scale.shards.merge import AT_ONCE, Columns, Texts
 from placegraph_scale.shards.names import WorldNames

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.errors import MapError
-from placegraph.outdoor.map.things import Thing, Things, once, text_of, words_of
+from placegraph.outdoor.map.extract import Thing, Things, once, text_of, words_of
 from placegraph_scale.build import spill
 from placegraph_scale.build.spill import Spills, things_of
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from placegraph.outdoor.map.index_build_kernels import runs_of, standing, with_huts
+from placegraph.outdoor.map.cells import EACH, MOST, Grid, out_of_proportion
 from placegraph.outdoor.map.index_kernels import (
     FADED,
     GRADES,
@@ -15,10 +15,12 @@ from placegraph.outdoor.map.index_kernels import (
     SIDE,
     STEP,
     WIDTH,
+    runs_of,
+    seen,
+    standing,
+    with_huts,
 )
 from placegraph.outdoor.map.objects import ends_of
-from placegraph.outdoor.map.raster import EACH, MOST, Grid, out_of_proportion
-from placegraph.outdoor.map.sight_kernels import seen
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -187,7 +187,7 @@ def test_a_full_disk_is_said_and_the_split_goes_on(what, limit, write_world, tmp
         "import resource, sys\n"
         "from pathlib import Path\n"
         "from placegraph.errors import MapError\n"
-        "from placegraph.outdoor.map import split, spill\n"
+        "from placegraph_scale.build import split, spill\n"
         "split.SMALL = int(sys.argv[3])\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (100, resource.RLIM_INFINITY))\n"
         "try: split.split(Path(sys.argv[1]), Path(sys.argv[2]), 15, 100.0)\n"
