@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from placegraph.core.geometry import Floats
 from placegraph.errors import PlacegraphError
 from placegraph.outdoor.city import CityMap
-from placegraph.outdoor.locate import Hints, search
+from placegraph.outdoor.locate import search
 from placegraph.outdoor.search.posterior import SPACING, WITHIN, modes
-from placegraph.outdoor.search.request import Matching, make_request
+from placegraph.outdoor.search.request import Hints, Matching, make_request
 from placegraph.outdoor.search.status import (
     AT_A_PLACE,
     IN_SIGHT,
@@ -226,13 +226,13 @@ def fitted(sets: Iterable[TextSet], maps: dict[str, CityMap]) -> dict[str, Calib
 def shares(city: CityMap, told: Told) -> list[tuple[str, float, bool]]:
     """Of each radius that is claimed: its name, the best place's share, and whether it is right."""
     try:
-        understood, asked = make_request(city, told.text, Hints(listener=told.start), Matching())
+        asked = make_request(city, told.text, Hints(listener=told.start), Matching())
         peaks = modes(found := search(asked), 1, SPACING)
     except PlacegraphError:
         return []
     if not peaks or told.goal is None:
         return []
-    claim: Claim = infer_claim(understood)
+    claim: Claim = infer_claim(asked.understood)
     at = peaks[0].position
     off = float(np.hypot(*(city.plane.to_plane(told.goal) - at)))
     radii = {WITHIN: "of_place", claim.radius: "of_radius"}

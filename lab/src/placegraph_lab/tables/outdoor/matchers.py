@@ -189,7 +189,8 @@ class RetrieveMatcher:
         """Candidates, ranked."""
         options = self.options.copy()
         matching = Matching.preset(options.pop("preset", "default"), **options)
-        matching = replace(matching, shipped=lambda: self.city.encoded)
+        if matching.uses_network and matching.encoded is None:
+            matching = replace(matching, encoded=self.city.encoded)
         text = parse(self.city, query.text)
         found = retrieve(self.city, text, matching, top=top, timeout=self.timeout)
         return places_of(self.city, found.cells)
