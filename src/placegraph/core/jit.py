@@ -338,8 +338,9 @@ def _function_parts(function: FunctionType, seen: set[str]) -> Iterator[str]:
         yield key
         yield from _parts(value, seen)
         if isinstance(value, ModuleType) and value.__name__.startswith("placegraph"):
-            for member in filter(lambda n, m=value: hasattr(m, n), names):
-                yield from _parts(getattr(value, member), seen)
+            for member in names:
+                if hasattr(value, member):
+                    yield from _parts(getattr(value, member), seen)
 
 
 def _code_parts(code: CodeType, doc: str | None, seen: set[str]) -> Iterator[str]:
