@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields
 from enum import StrEnum
 from functools import cached_property, partial
 from math import isnan, nan
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,11 +15,6 @@ from numpy.typing import NDArray
 from placegraph.core.geo import EarthPose
 from placegraph.core.geojson import OnEarth
 from placegraph.core.pickling import Shown
-
-if TYPE_CHECKING:
-    from placegraph.outdoor.city import CityMap
-    from placegraph.outdoor.language.description import Description
-    from placegraph.outdoor.search.ask import Question
 
 
 @dataclass(frozen=True, slots=True)
@@ -296,15 +291,20 @@ class Estimate(OnEarth, Shown, Generic[Mode]):
 class CityEstimate(Estimate[Place]):
     """Where in a city a description was given."""
 
-    understood: Description | None = None
-    """What was understood of the query, and what was ignored."""
+    understood: Any = None
+    """`placegraph.outdoor.language.description.Description`: the query as it was parsed, and what was
+    ignored; None where nothing was said."""
     support: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
     """(N, 3) float64: longitude, latitude [deg], probability; the posterior's heaviest points."""
     ranked: bool = False
     """Whether modes were only ranked (by cosines, edits); their probability is then the prior's."""
 
-    def next_question(self, city: CityMap) -> Question | None:
-        """Question whose answer is expected to tell the modes apart best; None where none would."""
+    def next_question(self, city: Any) -> Any:  # noqa: ANN401  # a CityMap, which lies above
+        """Return the question whose answer is expected to tell the modes apart best.
+
+        `city` is the `CityMap` that answered. Returns a `placegraph.outdoor.search.ask.Question`;
+        None where no question would.
+        """
         return city.ask(self)
 
     def to_dict(self) -> dict[str, Any]:
