@@ -230,8 +230,8 @@ def _motion(axes: str | None) -> Floats | None:
     import numpy as np
 
     from placegraph.core.geometry import rotation_z
-    from placegraph.indoor.mapping.change.align import rigid
+    from placegraph.indoor.mapping.change.align import make_rigid
 
     mend = "give x, y, z in metres and yaw in degrees, as 1.5,2,0,90."
     numbers = numbers_of(axes, "--b-from-a", {4}, mend)
-    return rigid(rotation_z(radians(numbers[3])), np.array(numbers[:3]))
+    return make_rigid(rotation_z(radians(numbers[3])), np.array(numbers[:3]))

@@ -15,8 +15,7 @@ from placegraph.indoor.map.floor import label_words
 from placegraph.indoor.map.map_kernels import nearest
 from placegraph.indoor.map.rooms import rooms_of
 from placegraph.indoor.map.scene import Scene
-from placegraph.indoor.mapping.osm_export import ends_of
-from placegraph.indoor.mapping.osm_rooms import off_segments
+from placegraph.indoor.mapping.osm import ends_of, off_segments
 from placegraph.indoor.mapping.outlines import area, rings_of_cells
 
 WALL, WINDOW, DOOR = 0, 1, 2

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from placegraph.core.geometry import Floats, rotation_z
 from placegraph.indoor.map.map_kernels import nearest
-from placegraph.indoor.mapping.osm_rooms import off_segments
+from placegraph.indoor.mapping.osm import off_segments
 from placegraph.world.footprints import Footprint, within
 from placegraph.world.outer_walls import DOOR, WINDOW, OuterWalls
 

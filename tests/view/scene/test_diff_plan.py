@@ -6,7 +6,7 @@ from PIL import Image
 
 from placegraph.errors import OptionError
 from placegraph.indoor.build import build_scene
-from placegraph.indoor.mapping.change.align import rigid
+from placegraph.indoor.mapping.change.align import make_rigid
 from placegraph.indoor.mapping.change.changes import Change, Piece, SceneDiff
 from placegraph.view.draw.canvas import Stroke, Text
 from placegraph.view.scene.change_plans import COLOR, marks_of, write_diff
@@ -26,7 +26,7 @@ def changes(scene):
         return scene.graph.ids[scene.graph.names.index(name)]
 
     box = np.array([[2.0, 1.0, 0.0], [2.5, 1.4, 0.6]])
-    motion = rigid(np.eye(3), np.array([0.5, 0.25, 0.0]))
+    motion = make_rigid(np.eye(3), np.array([0.5, 0.25, 0.0]))
     return {
         "moved": Change("moved", "chair", 0.9, "", id=row("chair"), after_from_before=motion),
         "vanished": Change("vanished", "lamp", 0.9, "", id=row("lamp"), box=box),

@@ -113,7 +113,7 @@ def _areas(path: Path, _places: Places) -> None:
 
 def _indoor(*, osmag: bool) -> Draw:
     def draw(path: Path, _places: Places) -> None:
-        hall = writer("indoor.mapping.test_osm_rooms").HALL
+        hall = writer("indoor.mapping.test_osm").HALL
         path.write_bytes(encode_rooms(hall, osmag=osmag, generator="campaign"))
 
     return draw

@@ -20,7 +20,7 @@ from placegraph.errors import OptionError
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.map.textures import linear_from_srgb
-from placegraph.indoor.mapping.osm_export import shapes_of
+from placegraph.indoor.mapping.osm import shapes_of
 from placegraph.io.mesh.gltf import OWN
 from placegraph.io.mesh.gltf_write import Material, Part, Surface, encode_glb
 from placegraph.io.mesh.model import Model, Picture, Thing

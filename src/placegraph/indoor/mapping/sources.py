@@ -23,7 +23,7 @@ from placegraph.indoor.mapping.from_capture import (
     captured,
     things_of,
 )
-from placegraph.indoor.mapping.osm_rooms import rooms_source
+from placegraph.indoor.mapping.osm import rooms_source
 from placegraph.io.capture.capture import capture_formats, is_capture
 from placegraph.io.capture.json_files import LabelEntry as Entry
 from placegraph.io.capture.json_files import label_table

@@ -8,13 +8,13 @@ from hypothesis import strategies as st
 from placegraph.core.geometry import rotation_from_vector, rotation_z
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.mapping.change.align import (
-    about,
-    inverse,
-    moved,
+    find_touched,
+    invert_rigid,
+    make_rigid,
     register,
-    rigid,
-    sample,
-    touching,
+    sample_surface,
+    transform_points,
+    turn_about,
 )
 from placegraph.indoor.rays import RayCaster
 
@@ -26,30 +26,30 @@ SHIFT = st.tuples(*[st.floats(-0.08, 0.08)] * 3)
 @pytest.fixture(scope="module")
 def tent():
     """A lopsided tent: all its motions show."""
-    return sample(Mesh.plain(CORNERS, FACES), np.arange(6), 3000, np.random.default_rng(0))
+    return sample_surface(Mesh.plain(CORNERS, FACES), np.arange(6), 3000, np.random.default_rng(0))
 
 
 @given(st.floats(-0.12, 0.12), SHIFT)
 def test_an_upright_motion_is_found_again(tent, yaw, shift):
-    truth = about(tent.points.mean(axis=0), yaw, tent.points.mean(axis=0) + shift)
-    source = moved(inverse(truth), tent.points[::10])
+    truth = turn_about(tent.points.mean(axis=0), yaw, tent.points.mean(axis=0) + shift)
+    source = transform_points(invert_rigid(truth), tent.points[::10])
     found = register(source, tent, np.eye(4), reach=0.4)
-    off = inverse(truth) @ found.motion
-    assert np.linalg.norm(moved(off, tent.points) - tent.points, axis=1).max() < 0.02
+    off = invert_rigid(truth) @ found.motion
+    assert np.linalg.norm(transform_points(off, tent.points) - tent.points, axis=1).max() < 0.02
     assert found.share > 0.95
     assert found.rms < 0.02
 
 
 def test_a_tilt_is_found_where_it_is_allowed(tent):
-    truth = rigid(rotation_from_vector([0.06, -0.05, 0.04]), np.array([0.02, 0.0, 0.03]))
-    source = moved(inverse(truth), tent.points[::10])
+    truth = make_rigid(rotation_from_vector([0.06, -0.05, 0.04]), np.array([0.02, 0.0, 0.03]))
+    source = transform_points(invert_rigid(truth), tent.points[::10])
     found = register(source, tent, np.eye(4), reach=0.4, upright=False)
     np.testing.assert_allclose(found.motion, truth, atol=0.01)
 
 
 def test_a_plane_is_not_slid_along_itself():
     wall = Mesh.plain([[0, 0, 0], [4, 0, 0], [4, 0, 3], [0, 0, 3]], [[0, 1, 2], [0, 2, 3]])
-    points = sample(wall, np.arange(2), 2000, np.random.default_rng(0))
+    points = sample_surface(wall, np.arange(2), 2000, np.random.default_rng(0))
     source = points.points[points.points[:, 0] < 2.0] + (0.5, 0.05, 0.0)
     found = register(source, points, np.eye(4), reach=0.3)
     assert abs(found.motion[0, 3]) < 0.01
@@ -58,14 +58,14 @@ def test_a_plane_is_not_slid_along_itself():
 
 @given(st.floats(-3, 3), SHIFT)
 def test_there_and_back_is_nowhere(yaw, shift):
-    motion = rigid(rotation_z(yaw), np.array(shift))
-    np.testing.assert_allclose(motion @ inverse(motion), np.eye(4), atol=1e-12)
+    motion = make_rigid(rotation_z(yaw), np.array(shift))
+    np.testing.assert_allclose(motion @ invert_rigid(motion), np.eye(4), atol=1e-12)
 
 
 def test_samples_lie_on_their_triangles_and_touch_them(tent):
     caster = RayCaster(CORNERS, FACES)
-    one, other = touching(tent.points, tent.normals, caster, 0.05)
+    one, other = find_touched(tent.points, tent.normals, caster, 0.05)
     assert np.mean((one >= 0) | (other >= 0)) > 0.99
     away = tent.points + 0.2 * tent.normals
-    one, other = touching(away, tent.normals, caster, 0.05)
+    one, other = find_touched(away, tent.normals, caster, 0.05)
     assert np.mean((one >= 0) | (other >= 0)) < 0.15

@@ -9,14 +9,14 @@ from hypothesis import strategies as st
 
 from placegraph.core.geometry import rotation_z
 from placegraph.errors import InputError, OptionError
-from placegraph.indoor.mapping.change.align import rigid
+from placegraph.indoor.mapping.change.align import make_rigid
 from placegraph.indoor.mapping.change.changes import Change, Piece, SceneDiff, read_diff
 
 
 @pytest.fixture
 def found():
     box = np.array([[0.0, 0.0, 0.0], [1.0, 2.0, 0.5]])
-    motion = rigid(rotation_z(0.5), np.array([1.0, 0.0, 0.0]))
+    motion = make_rigid(rotation_z(0.5), np.array([1.0, 0.0, 0.0]))
     changes = (
         Change(
             "moved", "chair", 0.9, "seen", id="7", name="chair 2", after_from_before=motion,

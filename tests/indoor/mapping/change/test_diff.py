@@ -10,7 +10,7 @@ from placegraph.core.geometry import rotation_z
 from placegraph.errors import OptionError
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.map.floor import structure
-from placegraph.indoor.mapping.change.align import moved, rigid
+from placegraph.indoor.mapping.change.align import make_rigid, transform_points
 from placegraph.indoor.mapping.change.changes import DiffOptions
 from placegraph.indoor.mapping.change.diff import diff
 from placegraph.indoor.mapping.change.update import update
@@ -64,7 +64,7 @@ def later(room, room_world, tmp_path_factory):
     """The room after a while: the desk's chair moved, the lamp gone; its map, and what a diff finds."""
     interior = room_world.interior.moved("chair", (0.5, -0.6), 0.6).without("lamp")
     scene = built(interior, tmp_path_factory.mktemp("later"), "later")
-    truth = rigid(rotation_z(0.6), np.zeros(3))
+    truth = make_rigid(rotation_z(0.6), np.zeros(3))
     middle = room_world.interior.thing("chair").bounds.mean(axis=0)
     truth[:3, 3] = middle + np.array([0.5, -0.6, 0.0]) - truth[:3, :3] @ middle
     return SimpleNamespace(scene=scene, motion=truth, middle=middle, found=diff(room, scene))
@@ -89,7 +89,7 @@ def test_what_moved_and_what_vanished_is_named(later):
     assert set(by_name(found, "vanished")) == {"lamp"}
     assert len(found) == 2
     chair = by_name(found, "moved")["chair"]
-    off = moved(chair.after_from_before, later.middle[None]) - moved(
+    off = transform_points(chair.after_from_before, later.middle[None]) - transform_points(
         later.motion, later.middle[None]
     )
     assert np.linalg.norm(off) < 0.03
@@ -108,9 +108,11 @@ def test_the_other_way_round_the_lamp_appears(room, later):
 
 
 def test_maps_may_have_other_axes_and_other_ids(room, later):
-    b_from_a = rigid(rotation_z(1.4), np.array([3.0, -2.0, 0.4]))
+    b_from_a = make_rigid(rotation_z(1.4), np.array([3.0, -2.0, 0.4]))
     mesh = later.scene.mesh
-    there = replace(mesh, vertices=moved(b_from_a, mesh.vertices.astype(float)).astype(np.float32))
+    there = replace(
+        mesh, vertices=transform_points(b_from_a, mesh.vertices.astype(float)).astype(np.float32)
+    )
     ids = [f"n{i}" for i in range(len(later.scene))]
     other = with_mesh(later.scene, there, ids=ids, floor=0.4)
     found = diff(room, other)
@@ -125,7 +127,7 @@ def test_maps_may_have_other_axes_and_other_ids(room, later):
 
 
 def test_a_transform_that_does_not_fit_is_refused(room, later):
-    wrong = rigid(np.eye(3), np.array([30.0, 0.0, 0.0]))
+    wrong = make_rigid(np.eye(3), np.array([30.0, 0.0, 0.0]))
     with pytest.raises(OptionError, match="b_from_a: only"):
         diff(room, later.scene, options=DiffOptions(b_from_a=wrong))
     with pytest.raises(OptionError, match="not rigid"):

@@ -12,10 +12,10 @@ from placegraph.core.estimate import PoseEstimate, Status
 from placegraph.core.geometry import Camera, level_from_camera, pose_matrix, rotation_z
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.build import build_scene
-from placegraph.indoor.mapping.change.align import moved
+from placegraph.indoor.mapping.change.align import transform_points
 from placegraph.indoor.mapping.change.changes import DiffOptions
 from placegraph.indoor.mapping.change.diff_capture import diff_capture
-from placegraph.indoor.mapping.change.moves import clumps
+from placegraph.indoor.mapping.change.moves import label_clusters
 from placegraph.io.capture.capture import Capture, open_capture
 from placegraph_lab.worlds.flat.walks import Walk, write_walk
 
@@ -67,7 +67,7 @@ def test_what_moved_and_vanished_is_found_from_the_poses_of_localizing(room, aft
     assert {(c.kind, c.name) for c in found} == {("moved", "side table"), ("vanished", "lamp")}
     (table,) = found.of("moved")
     np.testing.assert_allclose(
-        moved(table.after_from_before, table.centre[None])[0] - table.centre,
+        transform_points(table.after_from_before, table.centre[None])[0] - table.centre,
         (0.1, -0.6, 0.0),
         atol=0.06,
     )
@@ -162,7 +162,7 @@ def by_hand(cells):
 
 @given(CELLS)
 def test_cells_that_touch_are_one_clump(cells):
-    found = clumps(np.array(cells, np.int64).reshape(-1, 3)).tolist()
+    found = label_clusters(np.array(cells, np.int64).reshape(-1, 3)).tolist()
     wanted = by_hand(cells)
     pairs = set(zip(found, wanted, strict=True))
     assert len(pairs) == len(set(found)) == len(set(wanted))
@@ -170,4 +170,4 @@ def test_cells_that_touch_are_one_clump(cells):
 
 def test_cells_a_million_apart_are_refused():
     with pytest.raises(OptionError, match="larger"):
-        clumps(np.array([[0, 0, 0], [1 << 21, 0, 0]]))
+        label_clusters(np.array([[0, 0, 0], [1 << 21, 0, 0]]))

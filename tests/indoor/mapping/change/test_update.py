@@ -10,7 +10,7 @@ from placegraph.core.geometry import rotation_z
 from placegraph.errors import MapError, OptionError
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.map.floor import structure
-from placegraph.indoor.mapping.change.align import moved, rigid
+from placegraph.indoor.mapping.change.align import make_rigid, transform_points
 from placegraph.indoor.mapping.change.changes import Change, Piece, SceneDiff
 from placegraph.indoor.mapping.change.diff import diff
 from placegraph.indoor.mapping.change.update import update, update_file
@@ -28,7 +28,7 @@ def id_of(scene, name):
 
 @pytest.fixture
 def motion():
-    return rigid(rotation_z(0.3), np.array([0.6, -0.4, 0.0]))
+    return make_rigid(rotation_z(0.3), np.array([0.6, -0.4, 0.0]))
 
 
 @pytest.fixture
@@ -60,7 +60,7 @@ def test_every_kind_of_change_is_taken_over(room, found, motion):
     was, now = room.row_of(table), new.row_of(table)
     before = room.mesh.vertices[room.mesh.triangles[room.mesh.object_of == was]].reshape(-1, 3)
     after = new.mesh.vertices[new.mesh.triangles[new.mesh.object_of == now]].reshape(-1, 3)
-    wanted = moved(motion, before.astype(float))
+    wanted = transform_points(motion, before.astype(float))
     np.testing.assert_allclose(after.min(axis=0), wanted.min(axis=0), atol=1e-3)
     np.testing.assert_allclose(after.max(axis=0), wanted.max(axis=0), atol=1e-3)
     assert new.attributes[now]["history"].startswith("2026-11-21: moved by ")
@@ -136,10 +136,15 @@ def test_rooms_keep_the_names_they_had(halves, west, east):
     stool = id_of(scene, "stool")
     over = Change(
         "moved", "chair", 0.9, "", id=chair, centre=scene.graph.positions[row],
-        after_from_before=rigid(np.eye(3), np.array([-2.5, 0.0, 0.0])),
+        after_from_before=make_rigid(np.eye(3), np.array([-2.5, 0.0, 0.0])),
     )  # fmt: skip
     little = Change(
-        "moved", "stool", 0.9, "", id=stool, after_from_before=rigid(np.eye(3), np.full(3, 0.02))
+        "moved",
+        "stool",
+        0.9,
+        "",
+        id=stool,
+        after_from_before=make_rigid(np.eye(3), np.full(3, 0.02)),
     )
     new = update(scene, diff_of(over, little))
     rooms = {id_: a.get("room") for id_, a in zip(new.graph.ids, new.attributes, strict=True)}

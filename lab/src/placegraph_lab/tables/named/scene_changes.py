@@ -22,10 +22,10 @@ import numpy as np
 from placegraph.core.estimate import Status
 from placegraph.core.geometry import Floats
 from placegraph.indoor.build import build_scene
-from placegraph.indoor.mapping.change.align import moved
+from placegraph.indoor.mapping.change.align import transform_points
 from placegraph.indoor.mapping.change.changes import Change, DiffOptions
 from placegraph.indoor.mapping.change.diff_capture import diff_capture
-from placegraph.indoor.mapping.change.observe import look
+from placegraph.indoor.mapping.change.observe import observe_frame
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture, open_capture
 from placegraph.io.capture.tum import read_tum
@@ -96,7 +96,7 @@ def visible(scene: SceneMap, capture: Capture, truth: Floats, options: DiffOptio
     """
     counts = []
     for frame, pose in zip(capture, truth, strict=True):
-        seen = look(scene, frame, pose)
+        seen = observe_frame(scene, frame, pose)
         clear = seen.front.objects >= 0
         if seen.depth is not None:
             with np.errstate(invalid="ignore"):
@@ -153,7 +153,9 @@ def _verdicts(
         true, said = changed[id_], reports[id_].after_from_before
         if true is not None and said is not None:
             middle = scene.graph.positions[scene.row_of(id_)][None]
-            off = float(np.linalg.norm(moved(said, middle) - moved(true, middle)))
+            off = float(
+                np.linalg.norm(transform_points(said, middle) - transform_points(true, middle))
+            )
             errors.append((off, rotation_error(said, true)))
     return {
         "found": tuple(found),
@@ -171,7 +173,9 @@ def _new_boxes(scene: SceneMap, changed: dict[str, Floats | None]) -> list[Float
     for id_, motion in changed.items():
         if motion is not None:
             own = mesh.object_of == scene.row_of(id_)
-            points = moved(motion, mesh.vertices[mesh.triangles[own]].reshape(-1, 3).astype(float))
+            points = transform_points(
+                motion, mesh.vertices[mesh.triangles[own]].reshape(-1, 3).astype(float)
+            )
             boxes.append(np.stack([points.min(axis=0), points.max(axis=0)]))
     return boxes
 

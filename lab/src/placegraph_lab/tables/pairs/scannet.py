@@ -21,7 +21,12 @@ from numpy.random import Generator
 
 from placegraph.core.geometry import Floats
 from placegraph.errors import InputError, OptionError
-from placegraph.indoor.mapping.change.align import Registration, about, register, sample
+from placegraph.indoor.mapping.change.align import (
+    Registration,
+    register,
+    sample_surface,
+    turn_about,
+)
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture, open_capture
 from placegraph_io.dataset.scannet import axis_alignment, is_rigid, read_text
@@ -49,13 +54,17 @@ def register_scans(map_: SceneMap, query: SceneMap, rng: Generator) -> Floats | 
     rectangular room does not say how it is turned.
     """
     everything = np.arange(len(map_.mesh)), np.arange(len(query.mesh))
-    target, rough = (sample(map_.mesh, everything[0], n, rng) for n in (_TARGET, _COARSE_TARGET))
-    source, few = (sample(query.mesh, everything[1], n, rng).points for n in (_FINE, _COARSE))
+    target, rough = (
+        sample_surface(map_.mesh, everything[0], n, rng) for n in (_TARGET, _COARSE_TARGET)
+    )
+    source, few = (
+        sample_surface(query.mesh, everything[1], n, rng).points for n in (_FINE, _COARSE)
+    )
     middle, goal = _middle(source), _middle(target.points)
     found: list[Registration] = []
     for turn in range(4):
         starts = (
-            about(middle, turn * np.pi / 2, goal + np.array([x, y, 0.0]))
+            turn_about(middle, turn * np.pi / 2, goal + np.array([x, y, 0.0]))
             for x in SHIFTS
             for y in SHIFTS
         )

@@ -25,7 +25,7 @@ table's turn, a picture's slide along its wall."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sampled:
+class SurfaceSamples:
     """Points of a surface, evenly by area."""
 
     points: Floats  # (N, 3) [m]
@@ -36,23 +36,26 @@ class Sampled:
     def __len__(self) -> int:
         return len(self.points)
 
-    def some(self, count: int) -> Sampled:
+    def some(self, count: int) -> SurfaceSamples:
         """At most `count` of the points."""
         step = max(1, -(-len(self) // count))
-        return Sampled(
+        return SurfaceSamples(
             self.points[::step], self.normals[::step], self.colours[::step], self.rows[::step]
         )
 
-    def moved(self, motion: Floats) -> Sampled:
+    def moved(self, motion: Floats) -> SurfaceSamples:
         """The same surface elsewhere."""
-        return Sampled(
-            moved(motion, self.points), self.normals @ motion[:3, :3].T, self.colours, self.rows
+        return SurfaceSamples(
+            transform_points(motion, self.points),
+            self.normals @ motion[:3, :3].T,
+            self.colours,
+            self.rows,
         )
 
 
-def sample(
+def sample_surface(
     mesh: Mesh, triangles: NDArray[np.int64], count: int, rng: Generator, most: float = np.inf
-) -> Sampled:
+) -> SurfaceSamples:
     """About `count` points on some triangles of a mesh, at most `most` a square metre."""
     corners = mesh.vertices[mesh.triangles[triangles]].astype(np.float64)
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -67,7 +70,7 @@ def sample(
     u[over], v[over] = 1.0 - u[over], 1.0 - v[over]
     shares = np.stack([1.0 - u - v, u, v], axis=1)
     rows = triangles[which].astype(np.int32)
-    return Sampled(
+    return SurfaceSamples(
         points=np.einsum("nc,nck->nk", shares, corners[which]),
         normals=normals[which] / np.maximum(lengths[which], 1e-12)[:, None],
         colours=mesh.colour_at(rows, u.astype(np.float32), v.astype(np.float32)),
@@ -85,7 +88,7 @@ class Registration:
 
 
 def register(
-    source: Floats, target: Sampled, start: Floats, *, reach: float, upright: bool = True,
+    source: Floats, target: SurfaceSamples, start: Floats, *, reach: float, upright: bool = True,
     within: float = 0.03,
 ) -> Registration:  # fmt: skip
     """Motion (4, 4) target_from_source near `start` that brings points (N, 3) onto a surface.
@@ -106,7 +109,7 @@ def register(
     motion = np.array(start, np.float64)
     limit = reach
     for _ in range(_ROUNDS):
-        points = moved(motion, source)
+        points = transform_points(motion, source)
         rows = nearest(points, target.points, limit)
         close = rows >= 0
         if np.count_nonzero(close) < 6:
@@ -119,12 +122,14 @@ def register(
         if size < _STILL and limit <= 2 * within:
             break
         limit = max(2 * within, 0.8 * limit)
-    return fit(source, target, motion, within)
+    return evaluate_fit(source, target, motion, within)
 
 
-def fit(source: Floats, target: Sampled, motion: Floats, within: float) -> Registration:
+def evaluate_fit(
+    source: Floats, target: SurfaceSamples, motion: Floats, within: float
+) -> Registration:
     """How well a motion does as it is; distances are along the target's normals."""
-    points = moved(motion, source)
+    points = transform_points(motion, source)
     rows = nearest(points, target.points, 2.0 * within)
     off = np.einsum("nk,nk->n", points - target.points[rows], target.normals[rows])
     close = (rows >= 0) & (np.abs(off) < within)
@@ -132,7 +137,7 @@ def fit(source: Floats, target: Sampled, motion: Floats, within: float) -> Regis
     return Registration(motion, float(close.mean()) if len(close) else 0.0, rms)
 
 
-def touching(
+def find_touched(
     points: Floats, normals: Floats, caster: RayCaster, within: float
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Triangles (N,) of a mesh that points of another surface lie on, from either side; -1: none.
@@ -162,29 +167,29 @@ def _step(points: Floats, onto: Floats, normals: Floats, upright: bool) -> Float
     solved = axes[:, known] @ (right[known] / values[known])
     vector = np.array([0.0, 0.0, solved[3]]) if upright else solved[3:]
     rotation = rotation_from_vector(vector)
-    return rigid(rotation, solved[:3] + middle - rotation @ middle)
+    return make_rigid(rotation, solved[:3] + middle - rotation @ middle)
 
 
-def rigid(rotation: Floats, shift: Floats) -> Floats:
+def make_rigid(rotation: Floats, shift: Floats) -> Floats:
     """(4, 4) of a rotation (3, 3) followed by a shift (3,)."""
     out = np.eye(4)
     out[:3, :3], out[:3, 3] = rotation, shift
     return out
 
 
-def inverse(motion: Floats) -> Floats:
+def invert_rigid(motion: Floats) -> Floats:
     """The rigid motion (4, 4) back."""
     back: Floats = motion[:3, :3].T
-    return rigid(back, -back @ motion[:3, 3])
+    return make_rigid(back, -back @ motion[:3, 3])
 
 
-def about(middle: Floats, yaw: float, to: Floats) -> Floats:
+def turn_about(middle: Floats, yaw: float, to: Floats) -> Floats:
     """(4, 4) that turns by `yaw` [rad] about the upright through a point, and brings it to another."""
     rotation = rotation_z(yaw)
-    return rigid(rotation, to - rotation @ middle)
+    return make_rigid(rotation, to - rotation @ middle)
 
 
-def moved(motion: Floats, points: Floats) -> Floats:
+def transform_points(motion: Floats, points: Floats) -> Floats:
     """Points (N, 3) after a rigid motion (4, 4)."""
     out: Floats = points @ motion[:3, :3].T + motion[:3, 3]
     return out
@@ -246,9 +251,9 @@ def align(a: Scene, b: Scene, options: DiffOptions) -> Alignment:
             best, motion = share, start
     # from the map that shows less no point is drawn to a surface that it does not show
     forth = register(ours.points, theirs, motion, reach=_COARSE, within=options.within).motion
-    back = register(theirs.points, ours, inverse(motion), reach=_COARSE, within=options.within)
+    back = register(theirs.points, ours, invert_rigid(motion), reach=_COARSE, within=options.within)
     found = max(
-        (forth, inverse(back.motion), motion),
+        (forth, invert_rigid(back.motion), motion),
         key=lambda m: _overlap(a, b, ours, theirs, m, _FINE * options.within),
     )
     share = _overlap(a, b, ours, theirs, found, options.within)
@@ -279,21 +284,21 @@ def _said(share: float, options: DiffOptions) -> str:
     )
 
 
-def _building(scene: Scene, rng: np.random.Generator) -> Sampled:
+def _building(scene: Scene, rng: np.random.Generator) -> SurfaceSamples:
     """Points on walls, floors and ceilings; on everything where few of them are labelled."""
     built_in = structure(scene.graph.labels)[scene.mesh.object_of]
     chosen = np.flatnonzero(built_in)
     areas = np.linalg.norm(scene.mesh.normals(), axis=1)
     if areas[chosen].sum() < _BUILDING * areas.sum():
         chosen = np.arange(len(scene.mesh))
-    return sample(scene.mesh, chosen, POINTS, rng, DENSITY)
+    return sample_surface(scene.mesh, chosen, POINTS, rng, DENSITY)
 
 
 def _overlap(
     a: Scene,
     b: Scene,
-    ours: Sampled,
-    theirs: Sampled,
+    ours: SurfaceSamples,
+    theirs: SurfaceSamples,
     motion: Floats,
     within: float,
     *,
@@ -304,9 +309,9 @@ def _overlap(
     `upright`: of all points or of those on what is upright, whichever is less.
     """
     shares = []
-    for points, scene, way in ((ours, b, motion), (theirs, a, inverse(motion))):
+    for points, scene, way in ((ours, b, motion), (theirs, a, invert_rigid(motion))):
         there = points.moved(way)
-        one, other = touching(there.points, there.normals, scene.caster, within)
+        one, other = find_touched(there.points, there.normals, scene.caster, within)
         lies = (one >= 0) | (other >= 0)
         walls = lies[np.abs(there.normals[:, 2]) < _UPRIGHT]
         few = not upright or len(walls) < _FEW * len(lies)
@@ -319,16 +324,16 @@ def _alike(a: Scene, b: Scene, motion: Floats) -> float:
     movable = np.flatnonzero(~structure(a.graph.labels))
     if not movable.size:
         return 0.0
-    there = moved(motion, a.graph.positions[movable])
+    there = transform_points(motion, a.graph.positions[movable])
     gaps = np.linalg.norm(there[:, None] - b.graph.positions[None], axis=2)
     labels = np.array(a.graph.labels, np.str_)[movable, None] == np.array(b.graph.labels, np.str_)
     return 0.5 * float((np.where(labels, gaps, np.inf).min(axis=1) < _COARSE).mean())
 
 
-def _starts(a: Scene, b: Scene, ours: Sampled, theirs: Sampled) -> list[Floats]:
+def _starts(a: Scene, b: Scene, ours: SurfaceSamples, theirs: SurfaceSamples) -> list[Floats]:
     """Transforms worth a try: axes as they are, then by turns and shifts of the walls."""
     lift = float(b.floors[0] - a.floors[0])
-    starts = [np.eye(4), rigid(np.eye(3), np.array([0.0, 0.0, lift]))]
+    starts = [np.eye(4), make_rigid(np.eye(3), np.array([0.0, 0.0, lift]))]
     upright = [np.abs(s.normals[:, 2]) < _UPRIGHT for s in (ours, theirs)]
     if not (upright[0].any() and upright[1].any()):
         return starts
@@ -347,7 +352,7 @@ def _starts(a: Scene, b: Scene, ours: Sampled, theirs: Sampled) -> list[Floats]:
         rotation = rotation_z(turn * 2 * np.pi / _BINS)
         walls = ours.points[upright[0]] @ rotation.T
         slides = _slides(walls[:, :2], theirs.points[upright[1], :2])
-        starts += [rigid(rotation, np.array([*shift, lift])) for shift in slides]
+        starts += [make_rigid(rotation, np.array([*shift, lift])) for shift in slides]
     return starts
 
 

@@ -13,14 +13,14 @@ from placegraph.core.geometry import Floats, vector_from_rotation
 from placegraph.indoor.map.floor import nameless, same_label, structure
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.mapping.change.align import (
-    Sampled,
-    about,
+    SurfaceSamples,
     align,
-    inverse,
-    moved,
+    find_touched,
+    invert_rigid,
     register,
-    sample,
-    touching,
+    sample_surface,
+    transform_points,
+    turn_about,
 )
 from placegraph.indoor.mapping.change.changes import Change, DiffOptions, Piece, SceneDiff
 from placegraph.indoor.rays import RayCaster
@@ -38,7 +38,7 @@ _BESIDE = 0.1  # What is in the other map under the same id, this near [m], is t
 
 
 @dataclass(frozen=True, eq=False)
-class Body:
+class MapObject:
     """One object of a map, in the axes of the first."""
 
     row: int
@@ -46,7 +46,7 @@ class Body:
     name: str
     label: str
     built_in: bool
-    surface: Sampled
+    surface: SurfaceSamples
     box: Floats  # (2, 3) [m]
     corners: Floats  # (3 T, 3) of its triangles [m]
 
@@ -73,7 +73,7 @@ class Body:
         """(3,) mean sRGB, 0 to 1."""
         return np.asarray(self.surface.colours.mean(axis=0) / 255.0)
 
-    def may_be(self, other: Body) -> bool:
+    def may_be(self, other: MapObject) -> bool:
         """Whether label and size let it be the same object."""
         if other.built_in or not same_label(self.label, other.label):
             return False
@@ -81,7 +81,9 @@ class Body:
         return bool(np.all((ratio < _SIZES) & (ratio > 1.0 / _SIZES)))
 
 
-def bodies(scene: Scene, motion: Floats, options: DiffOptions, rng: Generator) -> list[Body]:
+def sample_objects(
+    scene: Scene, motion: Floats, options: DiffOptions, rng: Generator
+) -> list[MapObject]:
     """Objects of a map after a motion."""
     mesh, graph, built_in = scene.mesh, scene.graph, structure(scene.graph.labels)
     order = np.argsort(mesh.object_of, kind="stable")
@@ -90,30 +92,32 @@ def bodies(scene: Scene, motion: Floats, options: DiffOptions, rng: Generator) -
     for row in range(len(scene)):
         triangles = order[starts[row] : starts[row + 1]]
         count = options.points * (10 if built_in[row] else 1)
-        surface = sample(mesh, triangles, count, rng, _DENSITY).moved(motion)
+        surface = sample_surface(mesh, triangles, count, rng, _DENSITY).moved(motion)
         flat = mesh.vertices[mesh.triangles[triangles]].reshape(-1, 3).astype(np.float64)
-        corners = moved(motion, flat)
+        corners = transform_points(motion, flat)
         box = np.stack([corners.min(axis=0), corners.max(axis=0)])
         words = graph.ids[row], graph.names[row], graph.labels[row], bool(built_in[row])
-        found.append(Body(row, *words, surface, box, corners))
+        found.append(MapObject(row, *words, surface, box, corners))
     return found
 
 
-class Cover:
+class Coverage:
     """Which points of some bodies lie on the surfaces of another map.
 
     `motion` leads from the bodies' axes to that map's.
     """
 
     def __init__(
-        self, some: Sequence[Body], other: Scene, motion: Floats, options: DiffOptions
+        self, some: Sequence[MapObject], other: Scene, motion: Floats, options: DiffOptions
     ) -> None:
         self._built_in = [body.built_in for body in some]
         self._boxes = np.stack([body.box for body in some])
         self._points = np.concatenate([body.surface.points for body in some])
         self._owner = np.repeat(np.arange(len(some)), [len(body.surface) for body in some])
         normals = np.concatenate([body.surface.normals for body in some]) @ motion[:3, :3].T
-        rows = touching(moved(motion, self._points), normals, other.caster, options.within)
+        rows = find_touched(
+            transform_points(motion, self._points), normals, other.caster, options.within
+        )
         self._on = (rows[0] >= 0) | (rows[1] >= 0)
         table = np.zeros((len(some), len(other)))
         first, second = (np.where(r >= 0, other.mesh.object_of[np.maximum(r, 0)], -1) for r in rows)
@@ -156,7 +160,9 @@ class Motion:
         return float(np.degrees(np.linalg.norm(vector)))
 
 
-def motion_between(ours: Body, theirs: Body, options: DiffOptions, *, near: bool = False) -> Motion:
+def fit_motion(
+    ours: MapObject, theirs: MapObject, options: DiffOptions, *, near: bool = False
+) -> Motion:
     """The upright motion that lays one body on another best; of turns as good the smallest.
 
     `near`: begin where the body is, and nowhere else.
@@ -166,13 +172,13 @@ def motion_between(ours: Body, theirs: Body, options: DiffOptions, *, near: bool
     reach = max(0.15, 0.3 * float(np.ptp(ours.box, axis=0).max()))
     best: tuple[float, Floats] | None = None
     for yaw in sorted(yaws, key=lambda y: min(y, 2 * np.pi - y)):
-        guess = about(ours.middle, float(yaw), start)
+        guess = turn_about(ours.middle, float(yaw), start)
         there = register(
             ours.surface.points, theirs.surface, guess, reach=reach, within=options.within
         )
         both = 0.5 * (
-            _lie_on(ours.surface, theirs, there.motion, options.within)
-            + _lie_on(theirs.surface, ours, inverse(there.motion), options.within)
+            _measure_share(ours.surface, theirs, there.motion, options.within)
+            + _measure_share(theirs.surface, ours, invert_rigid(there.motion), options.within)
         )
         if best is None or both > best[0] + 0.03:
             best = both, there.motion
@@ -182,15 +188,15 @@ def motion_between(ours: Body, theirs: Body, options: DiffOptions, *, near: bool
     return Motion(best[1], best[0], colour)
 
 
-def _lie_on(ours: Sampled, theirs: Body, motion: Floats, within: float) -> float:
+def _measure_share(ours: SurfaceSamples, theirs: MapObject, motion: Floats, within: float) -> float:
     """Share of points that lie on a body after a motion."""
     there = ours.moved(motion)
-    one, other = touching(there.points, there.normals, theirs.caster, within)
+    one, other = find_touched(there.points, there.normals, theirs.caster, within)
     return float(((one >= 0) | (other >= 0)).mean()) if len(ours) else 0.0
 
 
 def match_ids(
-    ours: Sequence[Body], theirs: Sequence[Body], on_theirs: Floats, on_ours: Floats
+    ours: Sequence[MapObject], theirs: Sequence[MapObject], on_theirs: Floats, on_ours: Floats
 ) -> dict[int, int]:
     """Match objects by their ids: rows of theirs by rows of ours; empty where ids say nothing.
 
@@ -224,7 +230,7 @@ def match_ids(
     return {i: j for i, j in shared.items() if i in agree or ours[i].built_in == theirs[j].built_in}
 
 
-def still_there(ours: Body, theirs: Body) -> bool:
+def is_still_there(ours: MapObject, theirs: MapObject) -> bool:
     """Whether half of one lies within centimetres of the other, of whichever more does."""
     one, other = ours.surface.points, theirs.surface.points
     if not (len(one) and len(other)):
@@ -264,10 +270,10 @@ def diff(a: Scene, b: Scene, *, options: DiffOptions | None = None) -> SceneDiff
     options = options or DiffOptions()
     alignment = align(a, b, options)
     rng = np.random.default_rng(options.seed)
-    ours = bodies(a, np.eye(4), options, rng)
-    theirs = bodies(b, inverse(alignment.b_from_a), options, rng)
-    on_b = Cover(ours, b, alignment.b_from_a, options)
-    on_a = Cover(theirs, a, np.eye(4), options)
+    ours = sample_objects(a, np.eye(4), options, rng)
+    theirs = sample_objects(b, invert_rigid(alignment.b_from_a), options, rng)
+    on_b = Coverage(ours, b, alignment.b_from_a, options)
+    on_a = Coverage(theirs, a, np.eye(4), options)
     known = match_ids(ours, theirs, on_b.share_on, on_a.share_on)
     pairs = _match_stayed(ours, theirs, on_b, on_a, known)
     changes: list[Change] = []
@@ -277,8 +283,8 @@ def diff(a: Scene, b: Scene, *, options: DiffOptions | None = None) -> SceneDiff
     lost = _find_unmatched(ours, on_b.share_on, theirs, set(pairs), taken)
     new = _find_unmatched(theirs, on_a.share_on, ours, taken, set(pairs))
     found = _match_moved(ours, theirs, lost, new, known, options)
-    changes += [_moved(ours[i], theirs[j], motion) for (i, j), motion in found.items()]
-    kept = {i: j for i, j in known.items() if i not in pairs and still_there(ours[i], theirs[j])}
+    changes += [_describe_moved(ours[i], theirs[j], motion) for (i, j), motion in found.items()]
+    kept = {i: j for i, j in known.items() if i not in pairs and is_still_there(ours[i], theirs[j])}
     gone = [i for i in lost if i not in kept and i not in {i for i, _ in found}]
     unseen = []
     for i in gone:
@@ -297,7 +303,9 @@ def diff(a: Scene, b: Scene, *, options: DiffOptions | None = None) -> SceneDiff
     met = {*kept.values(), *(j for _, j in found)}
     for j in new:
         if j not in met:
-            changes.append(_appeared(b, theirs[j], on_a.around(j, new), alignment.b_from_a))
+            changes.append(
+                _describe_appeared(b, theirs[j], on_a.around(j, new), alignment.b_from_a)
+            )
     if alignment.doubtful:
         changes = [replace(c, confidence=min(c.confidence, UNSURE)) for c in changes]
     told = {c.id for c in changes} | set(unseen)
@@ -313,7 +321,11 @@ def diff(a: Scene, b: Scene, *, options: DiffOptions | None = None) -> SceneDiff
 
 
 def _match_stayed(
-    ours: Sequence[Body], theirs: Sequence[Body], on_b: Cover, on_a: Cover, known: dict[int, int]
+    ours: Sequence[MapObject],
+    theirs: Sequence[MapObject],
+    on_b: Coverage,
+    on_a: Coverage,
+    known: dict[int, int],
 ) -> dict[int, int]:
     """Pairs of objects that lie on each other, one to one, the best first.
 
@@ -333,9 +345,9 @@ def _match_stayed(
 
 
 def _find_unmatched(
-    some: Sequence[Body],
+    some: Sequence[MapObject],
     share_on: Floats,
-    others: Sequence[Body],
+    others: Sequence[MapObject],
     paired: set[int],
     taken: set[int],
 ) -> list[int]:
@@ -356,7 +368,9 @@ def _find_unmatched(
     return rows
 
 
-def _compare_pair(ours: Body, theirs: Body, share: float, options: DiffOptions) -> list[Change]:
+def _compare_pair(
+    ours: MapObject, theirs: MapObject, share: float, options: DiffOptions
+) -> list[Change]:
     """Changes of an object that is about where it was: its label, or its place a little."""
     changes = []
     if not (ours.built_in or same_label(ours.label, theirs.label)):
@@ -368,15 +382,15 @@ def _compare_pair(ours: Body, theirs: Body, share: float, options: DiffOptions) 
             )
         )  # fmt: skip
     if share < 0.9 and not ours.built_in:
-        motion = motion_between(ours, theirs, options, near=True)
-        if motion.fit > share + 0.1 and _counts(motion, ours, options):
-            changes.append(_moved(ours, theirs, motion))
+        motion = fit_motion(ours, theirs, options, near=True)
+        if motion.fit > share + 0.1 and _is_significant(motion, ours, options):
+            changes.append(_describe_moved(ours, theirs, motion))
     return changes
 
 
 def _match_moved(
-    ours: Sequence[Body],
-    theirs: Sequence[Body],
+    ours: Sequence[MapObject],
+    theirs: Sequence[MapObject],
     lost: Sequence[int],
     new: Sequence[int],
     known: dict[int, int],
@@ -391,9 +405,9 @@ def _match_moved(
             same_id = known.get(i) == j
             if not same_id and (i in known or j in known.values() or not ours[i].may_be(theirs[j])):
                 continue
-            motion = motion_between(ours[i], theirs[j], options)
+            motion = fit_motion(ours[i], theirs[j], options)
             least = 0.5 * FITS if same_id else FITS
-            if motion.fit >= least and _counts(motion, ours[i], options):
+            if motion.fit >= least and _is_significant(motion, ours[i], options):
                 way = float(np.linalg.norm(theirs[j].middle - ours[i].middle))
                 bids.append((motion.fit * (1.0 - 0.5 * way / (way + 5.0)) + same_id, i, j, motion))
     won: dict[tuple[int, int], Motion] = {}
@@ -403,14 +417,14 @@ def _match_moved(
     return won
 
 
-def _counts(motion: Motion, body: Body, options: DiffOptions) -> bool:
+def _is_significant(motion: Motion, body: MapObject, options: DiffOptions) -> bool:
     """Whether a motion is one, and not noise."""
-    after = moved(motion.after_from_before, body.middle[None])[0]
+    after = transform_points(motion.after_from_before, body.middle[None])[0]
     far = np.linalg.norm(after - body.middle) >= options.least_shift
     return bool(far or motion.turn_deg >= options.least_turn)
 
 
-def _moved(ours: Body, theirs: Body, motion: Motion) -> Change:
+def _describe_moved(ours: MapObject, theirs: MapObject, motion: Motion) -> Change:
     return Change(
         kind="moved", id=ours.id, name=ours.name, label=ours.label, other=theirs.id,
         new_label="" if same_label(ours.label, theirs.label) else theirs.label,
@@ -420,7 +434,7 @@ def _moved(ours: Body, theirs: Body, motion: Motion) -> Change:
     )  # fmt: skip
 
 
-def _appeared(b: Scene, theirs: Body, around: float, b_from_a: Floats) -> Change:
+def _describe_appeared(b: Scene, theirs: MapObject, around: float, b_from_a: Floats) -> Change:
     sure = min(around, SUREST) if around >= COVERED and not theirs.built_in else UNSURE
     said = f"The first map has {around:.0%} of what is around it, and nothing that fits it."
     if around < COVERED:
@@ -429,11 +443,11 @@ def _appeared(b: Scene, theirs: Body, around: float, b_from_a: Floats) -> Change
         said = "It is built in: the first map may end there, or cut it otherwise."
     return Change(
         kind="appeared", label=theirs.label, name=theirs.name, other=theirs.id, box=theirs.box,
-        confidence=sure, piece=piece_of(b, theirs.row, inverse(b_from_a)), reason=said,
+        confidence=sure, piece=cut_piece(b, theirs.row, invert_rigid(b_from_a)), reason=said,
     )  # fmt: skip
 
 
-def piece_of(scene: Scene, row: int, motion: Floats) -> Piece:
+def cut_piece(scene: Scene, row: int, motion: Floats) -> Piece:
     """Surface of an object of a map after a motion, with the colours of its corners."""
     mesh = scene.mesh
     own = np.flatnonzero(mesh.object_of == row)
@@ -443,4 +457,4 @@ def piece_of(scene: Scene, row: int, motion: Floats) -> Piece:
     for k, (u, v) in enumerate(((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))):
         shares = np.full(len(own), u, np.float32), np.full(len(own), v, np.float32)
         colours[at[:, k]] = mesh.colour_at(own.astype(np.int32), *shares)
-    return Piece(moved(motion, mesh.vertices[corners].astype(np.float64)), at, colours)
+    return Piece(transform_points(motion, mesh.vertices[corners].astype(np.float64)), at, colours)

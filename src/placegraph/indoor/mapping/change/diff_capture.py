@@ -18,17 +18,23 @@ from placegraph.core.geometry import Floats
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.map.floor import structure
 from placegraph.indoor.map.scene import Scene
-from placegraph.indoor.mapping.change.align import inverse
+from placegraph.indoor.mapping.change.align import invert_rigid
 from placegraph.indoor.mapping.change.changes import Change, DiffOptions, SceneDiff
-from placegraph.indoor.mapping.change.moves import Placement, appeared, box_of, gather, moves
+from placegraph.indoor.mapping.change.moves import (
+    Placement,
+    box_of,
+    find_appeared,
+    find_moved,
+    gather_clusters,
+)
 from placegraph.indoor.mapping.change.observe import (
-    Look,
-    Tally,
-    around,
-    look,
-    rest_of,
-    shown,
-    tally,
+    Evidence,
+    Observation,
+    bound_window,
+    count_evidence,
+    explain_without,
+    find_confirmed,
+    observe_frame,
     tolerance,
 )
 from placegraph.indoor.render import checked_pose
@@ -79,21 +85,21 @@ def diff_capture(
     options = options or DiffOptions()
     frames, matrices = _select_frames(capture, poses, name)
     tell = progress or (lambda _step, _done, _total: None)
-    looks: list[Look] = []
+    looks: list[Observation] = []
     for i, (frame, pose) in enumerate(zip(frames, matrices, strict=True)):
         tell("looking", i, len(frames))
-        seen = look(scene, frame, pose)
+        seen = observe_frame(scene, frame, pose)
         looks.append(seen if options.depth else replace(seen, depth=None))
     if all(seen.depth is None for seen in looks) and not options.colour:
         raise OptionError("The capture has no depth, and colour is off: nothing can be compared.")
     _check_poses(looks, options, name)
-    counts = tally(looks, len(scene), options)
+    counts = count_evidence(looks, len(scene), options)
     changes = _find_changes(scene, looks, counts, options, frames, matrices, tell)
     told = {c.id for c in changes}
     ids, built_in = scene.graph.ids, structure(scene.graph.labels)
     same = [i for i in np.flatnonzero(counts.seen).tolist() if ids[i] not in told]
     if np.any(built_in):
-        there = built_in & shown(looks, len(scene), options)
+        there = built_in & find_confirmed(looks, len(scene), options)
         same = sorted({*same, *np.flatnonzero(there).tolist()})
     known = {ids[i] for i in same} | told
     return SceneDiff(
@@ -106,8 +112,8 @@ def diff_capture(
 
 def _find_changes(
     scene: Scene,
-    looks: Sequence[Look],
-    counts: Tally,
+    looks: Sequence[Observation],
+    counts: Evidence,
     options: DiffOptions,
     frames: Sequence[Frame],
     poses: Sequence[Floats],
@@ -117,12 +123,12 @@ def _find_changes(
     share, graph = counts.share, scene.graph
     least = np.where(counts.by_colour, SUSPECT_BY_COLOUR, SUSPECT)
     suspects = np.flatnonzero(counts.seen & (share >= least) & ~structure(graph.labels))
-    left = rest_of(scene, looks, suspects, options)
+    left = explain_without(scene, looks, suspects, options)
     tell("gathering", 0, 1)
-    clumps = gather(left)
+    clumps = gather_clusters(left)
     tell("fitting", 0, len(suspects))
-    found = moves(scene, left, clumps, suspects, counts)
-    changes = [_moved(scene, counts, row, placed) for row, placed in found.items()]
+    found = find_moved(scene, left, clumps, suspects, counts)
+    changes = [_describe_moved(scene, counts, row, placed) for row, placed in found.items()]
     gone = [int(r) for r in suspects if r not in found and share[r] >= GONE]
     for row in gone:
         what = "show what is behind it" if counts.by_colour[row] else "go on behind it"
@@ -134,11 +140,11 @@ def _find_changes(
             )
         )  # fmt: skip
     # what lies in the box of a thing before it moved, and the motion back, is no news
-    used = [(*box_of(scene, row, np.eye(4)), inverse(found[row].motion)) for row in found]
+    used = [(*box_of(scene, row, np.eye(4)), invert_rigid(found[row].motion)) for row in found]
     if len(gone) + len(found) < len(suspects):  # what is not gone explains what it did before
-        left = rest_of(scene, looks, np.array([*found, *gone], np.int64), options)
-        clumps = gather(left)
-    return changes + appeared(left, clumps, used, frames, poses)
+        left = explain_without(scene, looks, np.array([*found, *gone], np.int64), options)
+        clumps = gather_clusters(left)
+    return changes + find_appeared(left, clumps, used, frames, poses)
 
 
 def _select_frames(
@@ -166,13 +172,13 @@ def _select_frames(
     return frames, [checked_pose(m) for m in matrices]
 
 
-def _check_poses(looks: Sequence[Look], options: DiffOptions, name: str) -> None:
+def _check_poses(looks: Sequence[Observation], options: DiffOptions, name: str) -> None:
     """Raise where so few readings end on the map that the poses, not the place, are other ones."""
     readings = agree = 0
     for seen in looks:
         if seen.depth is not None:
             there = np.isfinite(seen.depth) & np.isfinite(seen.front.depth)
-            near, far = around(seen.front.depth)
+            near, far = bound_window(seen.front.depth)
             slack = tolerance(seen.depth, options)
             with np.errstate(invalid="ignore"):
                 agree += int(
@@ -186,7 +192,7 @@ def _check_poses(looks: Sequence[Look], options: DiffOptions, name: str) -> None
         )
 
 
-def _moved(scene: Scene, counts: Tally, row: int, placed: Placement) -> Change:
+def _describe_moved(scene: Scene, counts: Evidence, row: int, placed: Placement) -> Change:
     graph = scene.graph
     by = "colours fit" if counts.by_colour[row] else "readings end on it"
     sure = placed.fit * (placed.frames + 0.5) / (placed.frames + 1.0)

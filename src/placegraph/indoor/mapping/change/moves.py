@@ -14,24 +14,24 @@ from placegraph.errors import InputError, OptionError
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.mapping.change.align import (
-    Sampled,
-    about,
-    inverse,
-    moved,
+    SurfaceSamples,
+    invert_rigid,
+    make_rigid,
     register,
-    rigid,
-    sample,
+    sample_surface,
+    transform_points,
+    turn_about,
 )
 from placegraph.indoor.mapping.change.change_kernels import BITS, connected
 from placegraph.indoor.mapping.change.changes import Change, DiffOptions, Piece
 from placegraph.indoor.mapping.change.observe import (
-    Look,
-    Rest,
-    Tally,
+    Evidence,
+    Observation,
+    Unexplained,
+    find_window,
     project,
-    summed,
+    sum_window,
     tolerance,
-    window,
 )
 from placegraph.indoor.mapping.fuse import Fused
 from placegraph.indoor.rays import RayCaster
@@ -46,7 +46,7 @@ _EMPTY = 2  # cells around all, so that a neighbour's number never wraps around
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Clump:
+class Cluster:
     """Cells (V, 3) that touch, with a point and a colour each."""
 
     points: Floats  # (V, 3) mean of the readings in each cell [m]
@@ -66,7 +66,7 @@ class Clump:
         return np.asarray(self.points.max(axis=0))
 
 
-def gather(rest: Rest) -> list[Clump]:
+def gather_clusters(rest: Unexplained) -> list[Cluster]:
     """Clumps of unexplained readings, the largest first."""
     points, colours = [np.zeros((0, 3))], [np.zeros((0, 3))]
     frame = [np.zeros(0, np.int64)]
@@ -85,20 +85,20 @@ def gather(rest: Rest) -> list[Clump]:
     middle = np.stack([np.bincount(at, every[:, k]) for k in range(3)], axis=1) / count[:, None]
     tint = np.stack([np.bincount(at, tints[:, k]) for k in range(3)], axis=1) / count[:, None]
     views = np.bincount(np.unique(at * len(rest.looks) + frames) // len(rest.looks))
-    standing = (count >= 3) & ~_carved(rest, middle, views)
+    standing = (count >= 3) & ~_find_carved(rest, middle, views)
     number = np.full(len(cells), -1)
-    number[standing] = clumps(cells[standing])
+    number[standing] = label_clusters(cells[standing])
     found = []
     for k in range(number.max() + 1):
         own = number == k
         mine = own[at]
         shown = len(np.unique(frames[mine]))
         paint = np.rint(255.0 * tint[own]).astype(np.uint8)
-        found.append(Clump(middle[own], paint, cells[own], shown, int(mine.sum())))
+        found.append(Cluster(middle[own], paint, cells[own], shown, int(mine.sum())))
     return sorted(found, key=lambda c: -c.pixels)
 
 
-def clumps(cells: NDArray[np.int64]) -> NDArray[np.int64]:
+def label_clusters(cells: NDArray[np.int64]) -> NDArray[np.int64]:
     """Number (N,) of the clump of each cell (N, 3): cells that touch, also by a corner, share one.
 
     Raises `OptionError` where cells are a million apart.
@@ -113,9 +113,9 @@ def clumps(cells: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.unique(connected(unique), return_inverse=True)[1][rows]
 
 
-def appeared(
-    rest: Rest,
-    found: Sequence[Clump],
+def find_appeared(
+    rest: Unexplained,
+    found: Sequence[Cluster],
     used: Sequence[tuple[Floats, Floats, Floats]],
     frames: Sequence[Frame],
     poses: Sequence[Floats],
@@ -126,30 +126,33 @@ def appeared(
     """
     options = rest.options
     least = min(options.least_frames, len(rest.looks))
-    kept: list[tuple[Clump, int]] = []
+    kept: list[tuple[Cluster, int]] = []
     for clump in found:
-        part = _unused(clump, used)
+        part = _drop_explained(clump, used)
         pixels = clump.pixels * len(part.points) // len(clump.points)
         if len(part.points) < max(4, 0.3 * len(clump.points)) or clump.frames < least:
             continue
         if pixels >= options.least_pixels and np.max(part.high - part.low) >= options.least_box:
             kept.append((part, pixels))
-    fused = _fused(frames, poses) if kept else None
-    return [_change(part, pixels, _piece(part, fused, options.voxel)) for part, pixels in kept]
+    fused = _fuse_frames(frames, poses) if kept else None
+    return [
+        _describe_cluster(part, pixels, _cut_piece(part, fused, options.voxel))
+        for part, pixels in kept
+    ]
 
 
-def _unused(clump: Clump, used: Sequence[tuple[Floats, Floats, Floats]]) -> Clump:
+def _drop_explained(clump: Cluster, used: Sequence[tuple[Floats, Floats, Floats]]) -> Cluster:
     """What of a clump does not belong to a thing that moved."""
     free = np.ones(len(clump.points), np.bool_)
     for low, high, back in used:
-        before = moved(back, clump.points)
+        before = transform_points(back, clump.points)
         free &= ~np.all((before > low - _MARGIN) & (before < high + _MARGIN), axis=1)
     return replace(
         clump, points=clump.points[free], colours=clump.colours[free], cells=clump.cells[free]
     )
 
 
-def _change(clump: Clump, pixels: int, piece: Piece) -> Change:
+def _describe_cluster(clump: Cluster, pixels: int, piece: Piece) -> Change:
     box = np.stack([piece.vertices.min(axis=0), piece.vertices.max(axis=0)])
     size = " x ".join(f"{v:.2f}" for v in np.ptp(box, axis=0))
     shown = clump.frames
@@ -163,7 +166,7 @@ def _change(clump: Clump, pixels: int, piece: Piece) -> Change:
     )
 
 
-def _carved(rest: Rest, points: Floats, views: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _find_carved(rest: Unexplained, points: Floats, views: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Which points (V, 3) are seen through so often that nothing stands there."""
     through = np.zeros(len(points), np.int64)
     for look in rest.looks:
@@ -177,11 +180,11 @@ def _carved(rest: Rest, points: Floats, views: NDArray[np.int64]) -> NDArray[np.
     return np.asarray(through > _SEEN_THROUGH * (through + views))
 
 
-def _piece(clump: Clump, fused: Fused | None, voxel: float) -> Piece:
+def _cut_piece(clump: Cluster, fused: Fused | None, voxel: float) -> Piece:
     """What was fused in a clump's cells; a box where that is nothing."""
     if fused is not None:
         centres = np.floor(fused.vertices[fused.triangles].mean(axis=1) / voxel).astype(np.int64)
-        inside = _touching(centres, clump.cells)
+        inside = _find_touching(centres, clump.cells)
         if np.count_nonzero(inside) >= _LEAST_TRIANGLES:
             rows, triangles = np.unique(fused.triangles[inside], return_inverse=True)
             return Piece(fused.vertices[rows], triangles.reshape(-1, 3), fused.colours[rows])
@@ -190,7 +193,7 @@ def _piece(clump: Clump, fused: Fused | None, voxel: float) -> Piece:
     return Piece.box(points.min(axis=0) - half, points.max(axis=0) + half, colour)
 
 
-def _fused(frames: Sequence[Frame], poses: Sequence[Floats]) -> Fused | None:
+def _fuse_frames(frames: Sequence[Frame], poses: Sequence[Floats]) -> Fused | None:
     """Surface of all that the frames show; None where they show none."""
     from placegraph.indoor.mapping.fuse import fuse
 
@@ -200,7 +203,7 @@ def _fused(frames: Sequence[Frame], poses: Sequence[Floats]) -> Fused | None:
         return None
 
 
-def _touching(cells: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _find_touching(cells: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Which cells (N, 3) are one of others (M, 3), or touch one."""
     steps = np.stack(np.meshgrid(*[(-1, 0, 1)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     grown = np.unique((others[:, None] + steps).reshape(-1, 3), axis=0)
@@ -253,14 +256,14 @@ class Placement:
         return self.explained * self.fit * self.cover
 
 
-class Suspect:
+class MovableObject:
     """One object of the map that may have moved."""
 
     def __init__(self, mesh: Mesh, row: int, rng: Generator) -> None:
         triangles = np.flatnonzero(mesh.object_of == row)
         self.row = row
-        self.few: Sampled = sample(mesh, triangles, POINTS, rng)
-        self.many: Sampled = sample(mesh, triangles, DENSE, rng)
+        self.few: SurfaceSamples = sample_surface(mesh, triangles, POINTS, rng)
+        self.many: SurfaceSamples = sample_surface(mesh, triangles, DENSE, rng)
         corners = mesh.vertices[mesh.triangles[triangles]].reshape(-1, 3).astype(np.float64)
         self.low, self.high = corners.min(axis=0), corners.max(axis=0)
         used, rows = np.unique(mesh.triangles[triangles], return_inverse=True)
@@ -272,13 +275,15 @@ class Suspect:
         return np.asarray((self.low + self.high) / 2.0)
 
 
-def placements(rest: Rest, thing: Suspect, clump: Floats, every: Floats) -> list[Placement]:
+def find_placements(
+    rest: Unexplained, thing: MovableObject, clump: Floats, every: Floats
+) -> list[Placement]:
     """Placements of a thing at a clump of unexplained points (N, 3), best first; may be empty.
 
     `every`: (M, 3) all unexplained points; thin things come in several clumps.
     """
-    chosen = _telling(rest, clump)
-    starts = _starts(thing, clump)
+    chosen = _select_frames(rest, clump)
+    starts = _list_starts(thing, clump)
     if not chosen or not len(starts):
         return []
     scores = np.concatenate(
@@ -288,51 +293,53 @@ def placements(rest: Rest, thing: Suspect, clump: Floats, every: Floats) -> list
         ]
     )
     found = []
-    for start in _distinct(starts, scores):
-        near = _within(thing, start, every, 0.15)
+    for start in _keep_distinct(starts, scores):
+        near = _find_inside(thing, start, every, 0.15)
         if np.count_nonzero(near) < _LEAST_POINTS:
             continue
-        begin = inverse(about(thing.middle, start[3], start[:3]))
+        begin = invert_rigid(turn_about(thing.middle, start[3], start[:3]))
         back = register(every[near], thing.many, begin, reach=0.15, within=0.03)
-        found.append(judge(rest, thing, inverse(back.motion)))
+        found.append(score_placement(rest, thing, invert_rigid(back.motion)))
     found.sort(key=lambda p: -p.worth)
-    return [_polished(rest, thing, every, found[0]), *found[1:]] if found else []
+    return [_refine_placement(rest, thing, every, found[0]), *found[1:]] if found else []
 
 
-def _polished(rest: Rest, thing: Suspect, every: Floats, placed: Placement) -> Placement:
+def _refine_placement(
+    rest: Unexplained, thing: MovableObject, every: Floats, placed: Placement
+) -> Placement:
     """A placement, or what a fit from a little beside it finds, or that at its old height."""
     best = placed
     for turn in (-_NUDGE, 0.0, _NUDGE):
-        middle = moved(placed.motion, thing.middle[None])[0]
-        start = about(middle, turn, middle) @ placed.motion
-        back = moved(inverse(start), every)
+        middle = transform_points(placed.motion, thing.middle[None])[0]
+        start = turn_about(middle, turn, middle) @ placed.motion
+        back = transform_points(invert_rigid(start), every)
         near = np.all((back > thing.low - 0.08) & (back < thing.high + 0.08), axis=1)
         if np.count_nonzero(near) < _LEAST_POINTS:
             continue
-        fitted = register(every[near], thing.many, inverse(start), reach=0.08, within=0.03)
-        motion = inverse(fitted.motion)
+        fitted = register(every[near], thing.many, invert_rigid(start), reach=0.08, within=0.03)
+        motion = invert_rigid(fitted.motion)
         tried = [motion]
         if abs(motion[2, 3]) < _LIFT:  # what stood on the floor does so still
             level = motion.copy()
             level[2, 3] = 0.0
             tried.append(level)
-        best = max([best, *(judge(rest, thing, m) for m in tried)], key=lambda p: p.worth)
+        best = max([best, *(score_placement(rest, thing, m) for m in tried)], key=lambda p: p.worth)
     return best
 
 
-def judge(rest: Rest, thing: Suspect, motion: Floats) -> Placement:
+def score_placement(rest: Unexplained, thing: MovableObject, motion: Floats) -> Placement:
     """How well a thing at a placement (4, 4) explains all frames, by rays at its mesh."""
-    back = inverse(motion)
+    back = invert_rigid(motion)
     low, high = thing.low - 0.05, thing.high + 0.05
     ends = through = unexplained = frames = 0
     for look, left, new in zip(rest.looks, rest.depths, rest.new, strict=True):
         if look.depth is None:
             continue
-        part = window(look, moved(motion, _corners(low, high)))
+        part = find_window(look, transform_points(motion, _box_corners(low, high)))
         if part is None:
             continue
         rays = look.rays[part].reshape(-1, 3).astype(np.float64) @ back[:3, :3].T
-        origin = moved(back, look.map_from_camera[None, :3, 3])[0]
+        origin = transform_points(back, look.map_from_camera[None, :3, 3])[0]
         distance = thing.caster.cast(origin, rays).distance
         reading, beyond = look.depth[part].ravel(), left[part].ravel()
         slack = tolerance(reading, rest.options)
@@ -350,7 +357,7 @@ def judge(rest: Rest, thing: Suspect, motion: Floats) -> Placement:
     return Placement(motion, ends, fit, min(ends / max(unexplained, 1), 1.0), frames)
 
 
-def _telling(rest: Rest, clump: Floats) -> list[int]:
+def _select_frames(rest: Unexplained, clump: Floats) -> list[int]:
     """Frames that see most of a clump, a few."""
     counts = []
     for look, left in zip(rest.looks, rest.depths, strict=True):
@@ -362,7 +369,7 @@ def _telling(rest: Rest, clump: Floats) -> list[int]:
     return [int(t) for t in order if counts[t] > 0.2 * counts[order[0]] and counts[t] > 5]
 
 
-def _starts(thing: Suspect, clump: Floats) -> Floats:
+def _list_starts(thing: MovableObject, clump: Floats) -> Floats:
     """Placements (S, 4) to try: middle of the thing [m] and its turn [rad], upright as it was."""
     size = (thing.high - thing.low) / 2.0
     low = np.percentile(clump, 2, axis=0) - 0.5 * size.max()
@@ -386,7 +393,7 @@ def _starts(thing: Suspect, clump: Floats) -> Floats:
     return np.asarray(starts[far[at] <= float(np.hypot(*size[:2]))])
 
 
-def _scores(rest: Rest, chosen: list[int], thing: Suspect, starts: Floats) -> Floats:
+def _scores(rest: Unexplained, chosen: list[int], thing: MovableObject, starts: Floats) -> Floats:
     """(S,) readings on the thing, less those behind it, as a share of its points and frames."""
     cos, sin = np.cos(starts[:, 3, None]), np.sin(starts[:, 3, None])
     offset = thing.few.points - thing.middle
@@ -415,7 +422,7 @@ def _scores(rest: Rest, chosen: list[int], thing: Suspect, starts: Floats) -> Fl
     return total / (len(chosen) * len(offset))
 
 
-def _distinct(starts: Floats, scores: Floats) -> list[Floats]:
+def _keep_distinct(starts: Floats, scores: Floats) -> list[Floats]:
     """The best placements that differ."""
     kept: list[Floats] = []
     for i in np.argsort(-scores, kind="stable")[:2000].tolist():
@@ -428,14 +435,16 @@ def _distinct(starts: Floats, scores: Floats) -> list[Floats]:
     return kept
 
 
-def _within(thing: Suspect, start: Floats, points: Floats, margin: float) -> NDArray[np.bool_]:
+def _find_inside(
+    thing: MovableObject, start: Floats, points: Floats, margin: float
+) -> NDArray[np.bool_]:
     """Which points (N, 3) lie in the thing's box at a placement, and a margin."""
-    back = moved(inverse(about(thing.middle, start[3], start[:3])), points)
+    back = transform_points(invert_rigid(turn_about(thing.middle, start[3], start[:3])), points)
     inside = (back > thing.low - margin) & (back < thing.high + margin)
     return np.asarray(inside.all(axis=1))
 
 
-def _corners(low: Floats, high: Floats) -> Floats:
+def _box_corners(low: Floats, high: Floats) -> Floats:
     """(8, 3) corners of a box."""
     return np.array([[(low, high)[i >> k & 1][k] for k in range(3)] for i in range(8)])
 
@@ -448,32 +457,38 @@ _SHARED = 0.3  # Two things whose boxes share this much of the smaller stand at 
 _MOVED_GAIN = 1.2  # By how much a motion has to explain the frames better than staying does
 
 
-def moves(
-    scene: Scene, left: Rest, clumps: Sequence[Clump], suspects: NDArray[np.int64], counts: Tally
+def find_moved(
+    scene: Scene,
+    left: Unexplained,
+    clumps: Sequence[Cluster],
+    suspects: NDArray[np.int64],
+    counts: Evidence,
 ) -> dict[int, Placement]:
     """Placement of each suspect that has one, no two at one place: the best fit first."""
     rng = np.random.default_rng(left.options.seed)
     bids: list[tuple[float, int, Placement]] = []
     every = np.concatenate([np.zeros((0, 3)), *(clump.points for clump in clumps)])
     for row in suspects.tolist():
-        thing = Suspect(scene.mesh, row, rng)
+        thing = MovableObject(scene.mesh, row, rng)
         if counts.by_colour[row]:
-            found = slid(left, thing)
+            found = slide_on_wall(left, thing)
             tried = [found] if found is not None else []
         else:
-            stays = judge(left, thing, np.eye(4))
+            stays = score_placement(left, thing, np.eye(4))
             tried = [
                 placed
                 for clump in clumps
                 if _reaches(thing, clump, left.options)
-                for placed in placements(left, thing, clump.points, every)[:2]
+                for placed in find_placements(left, thing, clump.points, every)[:2]
                 if placed.good
                 and placed.explained >= left.options.least_pixels / 2
                 and placed.worth > _MOVED_GAIN * stays.worth
             ]
         for placed in tried:
             shift = float(
-                np.linalg.norm(moved(placed.motion, thing.middle[None])[0] - thing.middle)
+                np.linalg.norm(
+                    transform_points(placed.motion, thing.middle[None])[0] - thing.middle
+                )
             )
             turn = np.degrees(np.linalg.norm(vector_from_rotation(placed.motion[:3, :3])))
             stirred = shift >= left.options.least_shift or turn >= left.options.least_turn
@@ -499,7 +514,7 @@ def moves(
     return won
 
 
-def _reaches(thing: Suspect, clump: Clump, options: DiffOptions) -> bool:
+def _reaches(thing: MovableObject, clump: Cluster, options: DiffOptions) -> bool:
     """Whether a clump is near enough and large enough to be the thing, or part of it."""
     gap = np.maximum(np.maximum(clump.low - thing.high, thing.low - clump.high), 0.0)
     return bool(np.linalg.norm(gap) < options.reach)
@@ -508,7 +523,7 @@ def _reaches(thing: Suspect, clump: Clump, options: DiffOptions) -> bool:
 def box_of(scene: Scene, row: int, motion: Floats) -> tuple[Floats, Floats]:
     """Corners of an object's box after a motion."""
     corners = scene.mesh.vertices[scene.mesh.triangles[scene.mesh.object_of == row]]
-    points = moved(motion, corners.reshape(-1, 3).astype(np.float64))
+    points = transform_points(motion, corners.reshape(-1, 3).astype(np.float64))
     return points.min(axis=0), points.max(axis=0)
 
 
@@ -529,13 +544,13 @@ _LOOKS = 8
 _SEEN = 0.6  # Share of the thing's face that a frame has to see to be asked
 
 
-def slid(rest: Rest, thing: Suspect) -> Placement | None:
+def slide_on_wall(rest: Unexplained, thing: MovableObject) -> Placement | None:
     """Placement of a flat thing along its wall, or None where nothing there looks like it."""
-    across = _across(thing)
-    face = _face(thing)
+    across = _find_level_axis(thing)
+    face = _blur_face(thing)
     if across is None or float(np.ptp(face.colours, axis=0).max()) < 0.1:
         return None  # of one colour: it looks like any patch of such a colour
-    looks = _asked(rest, thing, across)
+    looks = _select_near(rest, thing, across)
     shifts = _grid(np.zeros(2), (ACROSS, UP), COARSE)
     scores, seen = _score_slides(rest, looks, face, across, shifts)
     if not seen.any():
@@ -546,10 +561,12 @@ def slid(rest: Rest, thing: Suspect) -> Placement | None:
     shift, score = fine[int(again.argmax())], float(again.max())
     apart = seen & (np.linalg.norm(shifts - shift, axis=1) > 0.3)
     rival = float(scores[apart].max()) if apart.any() else 0.0
-    without, frames, pixels = _without(rest, looks, face, _moves(across, shift[None]))
+    without, frames, pixels = _correlate_background(
+        rest, looks, face, _shift_points(across, shift[None])
+    )
     if score < ALIKE or score < without + BETTER or score < rival + BETTER:
         return None
-    motion = rigid(np.eye(3), _moves(across, shift[None])[0])
+    motion = make_rigid(np.eye(3), _shift_points(across, shift[None])[0])
     return Placement(motion, pixels, score, 1.0, frames)
 
 
@@ -561,17 +578,17 @@ class _Face:
     normals: Floats  # (P, 3)
     colours: Floats  # (P, 3) sRGB, 0 to 1
 
-    def faces(self, look: Look) -> NDArray[np.bool_]:
+    def faces(self, look: Observation) -> NDArray[np.bool_]:
         """(P,) whether a point's surface looks at a camera; the way there hardly turns it."""
         towards = look.map_from_camera[:3, 3] - self.points
         return np.asarray(np.einsum("nk,nk->n", self.normals, towards) > 0.0)
 
-    def front(self, look: Look) -> float:
+    def front(self, look: Observation) -> float:
         """Share of the points that do."""
         return max(float(self.faces(look).mean()), 0.2)
 
 
-def _face(thing: Suspect) -> _Face:
+def _blur_face(thing: MovableObject) -> _Face:
     many = thing.many
     points, normals = many.points[::_EVERY], many.normals[::_EVERY]
     apart = np.linalg.norm(points[:, None] - many.points[None], axis=2)
@@ -580,12 +597,12 @@ def _face(thing: Suspect) -> _Face:
     return _Face(points, normals, colours)
 
 
-def _moves(across: Floats, shifts: Floats) -> Floats:
+def _shift_points(across: Floats, shifts: Floats) -> Floats:
     """(S, 3) of shifts (S, 2) along the wall and up [m]."""
     return np.asarray(shifts[:, :1] * across + shifts[:, 1:] * np.array([0.0, 0.0, 1.0]))
 
 
-def _across(thing: Suspect) -> Floats | None:
+def _find_level_axis(thing: MovableObject) -> Floats | None:
     """(3,) level direction along the wall a flat thing hangs on; None of what lies."""
     spread = thing.many.normals.T @ thing.many.normals
     facing = np.linalg.eigh(spread)[1][:, -1]
@@ -593,7 +610,7 @@ def _across(thing: Suspect) -> Floats | None:
     return None if level < 0.8 else np.array([-facing[1], facing[0], 0.0]) / level
 
 
-def _asked(rest: Rest, thing: Suspect, across: Floats) -> list[int]:
+def _select_near(rest: Unexplained, thing: MovableObject, across: Floats) -> list[int]:
     """Frames that look at the wall from near by."""
     worth = []
     for look in rest.looks:
@@ -605,15 +622,15 @@ def _asked(rest: Rest, thing: Suspect, across: Floats) -> list[int]:
 
 
 def _score_slides(
-    rest: Rest, looks: Sequence[int], face: _Face, across: Floats, shifts: Floats
+    rest: Unexplained, looks: Sequence[int], face: _Face, across: Floats, shifts: Floats
 ) -> tuple[Floats, NDArray[np.bool_]]:
     """Correlation (S,) of the thing's colours with all frames at shifts (S, 2), and who saw it."""
-    moves = _moves(across, shifts)
+    moves = _shift_points(across, shifts)
     total, weight = np.zeros((2, len(shifts)))
     for t in looks:
         look = rest.looks[t]
-        rows, columns, there = _visible(rest, look, face, moves)
-        shown = blurred(look.rgb)[np.maximum(rows, 0), np.maximum(columns, 0)]
+        rows, columns, there = _find_visible(rest, look, face, moves)
+        shown = blur_image(look.rgb)[np.maximum(rows, 0), np.maximum(columns, 0)]
         seen = there.mean(axis=1)
         worth = np.where(seen >= _SEEN * face.front(look), seen, 0.0)
         total += worth * _correlation(face.colours[None], shown, there)
@@ -621,18 +638,18 @@ def _score_slides(
     return np.where(weight > 0, total / np.maximum(weight, 1e-9), -1.0), weight > 0
 
 
-def _without(
-    rest: Rest, looks: Sequence[int], face: _Face, moves: Floats
+def _correlate_background(
+    rest: Unexplained, looks: Sequence[int], face: _Face, moves: Floats
 ) -> tuple[float, int, int]:
     """How well the map without the thing fits its colours there; frames and pixels that see it."""
     values, frames, pixels = [], 0, 0
     for t in looks:
         look = rest.looks[t]
-        rows, columns, there = _visible(rest, look, face, moves)
+        rows, columns, there = _find_visible(rest, look, face, moves)
         if there.mean() < _SEEN * face.front(look):
             continue
         kept = (look.front.depth >= rest.depths[t] - 1e-3)[..., None]
-        left = blurred(np.where(kept, look.front.colour, look.behind.colour))
+        left = blur_image(np.where(kept, look.front.colour, look.behind.colour))
         shown = left[np.maximum(rows, 0), np.maximum(columns, 0)]
         values.append(float(_correlation(face.colours[None], shown, there)[0]))
         frames += 1
@@ -640,8 +657,8 @@ def _without(
     return (float(np.mean(values)) if values else -1.0), frames, pixels
 
 
-def _visible(
-    rest: Rest, look: Look, face: _Face, moves: Floats
+def _find_visible(
+    rest: Unexplained, look: Observation, face: _Face, moves: Floats
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
     """Pixel rows, columns (S, P) and whether a surface is seen there that may be the thing's."""
     rows, columns, depth = project(look, face.points[None] + moves[:, None])
@@ -654,9 +671,9 @@ def _visible(
     return rows, columns, there
 
 
-def blurred(image: NDArray[np.float32]) -> NDArray[np.float32]:
+def blur_image(image: NDArray[np.float32]) -> NDArray[np.float32]:
     """Image (H, W, 3) averaged over three by three pixels."""
-    channels = [summed(image[..., k], 1) for k in range(3)]
+    channels = [sum_window(image[..., k], 1) for k in range(3)]
     return (np.stack(channels, axis=-1) / 9.0).astype(np.float32)
 
 

@@ -35,7 +35,7 @@ class Layer(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Look:
+class Observation:
     """One frame beside the map."""
 
     index: int  # Of the frame
@@ -62,7 +62,7 @@ class Look:
         return np.asarray(along + self.map_from_camera[:3, 3])
 
 
-def look(scene: Scene, frame: Frame, map_from_camera: Floats) -> Look:
+def observe_frame(scene: Scene, frame: Frame, map_from_camera: Floats) -> Observation:
     """Frame beside the map; raises `InputError` where an image is broken."""
     depth = frame.depth()
     camera = (frame.depth_camera or frame.camera) if depth is not None else frame.camera
@@ -70,22 +70,22 @@ def look(scene: Scene, frame: Frame, map_from_camera: Floats) -> Look:
         factor = -(-camera.width // WIDTH)
         camera = camera.resized(-(-camera.width // factor), -(-camera.height // factor))
         if depth is not None:
-            depth = _picked(depth, camera)
-    rgb = _colours(frame, camera)
-    return seen(scene, frame.index, camera, map_from_camera, depth, rgb)
+            depth = _pick_depth(depth, camera)
+    rgb = _resample_colours(frame, camera)
+    return observe_images(scene, frame.index, camera, map_from_camera, depth, rgb)
 
 
-def seen(
+def observe_images(
     scene: Scene,
     index: int,
     camera: Camera,
     map_from_camera: Floats,
     depth: NDArray[np.float32] | None,
     rgb: NDArray[np.float32],
-) -> Look:
+) -> Observation:
     """Pictures beside the map."""
     bare = Layer(np.zeros(0, np.float32), np.zeros(0, np.int32), np.zeros(0, np.float32))
-    empty = Look(index, camera, map_from_camera, depth, rgb, bare, bare)
+    empty = Observation(index, camera, map_from_camera, depth, rgb, bare, bare)
     rays = empty.rays.reshape(-1, 3)
     origin = map_from_camera[:3, 3].astype(np.float32)
     hits = scene.caster.cast(np.broadcast_to(origin, rays.shape), rays)
@@ -107,7 +107,7 @@ def seen(
     triangle[open_] = -1  # deeper than we look: nothing is known to be behind
     distance[open_] = np.inf
     behind = _layer(scene, camera, triangle, distance, u, v)
-    return Look(index, camera, map_from_camera, depth, rgb, front, behind)
+    return Observation(index, camera, map_from_camera, depth, rgb, front, behind)
 
 
 def _layer(
@@ -128,7 +128,7 @@ def _layer(
     )
 
 
-def _picked(depth: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
+def _pick_depth(depth: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
     """Depth (h, w) at the centres of another camera's pixels: readings are never mixed."""
     h, w = depth.shape
     y = ((np.arange(camera.height) + 0.5) * h / camera.height).astype(int)
@@ -136,7 +136,7 @@ def _picked(depth: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
     return depth[y[:, None], x]
 
 
-def _colours(frame: Frame, camera: Camera) -> NDArray[np.float32]:
+def _resample_colours(frame: Frame, camera: Camera) -> NDArray[np.float32]:
     """Image (H, W, 3), 0 to 1, as `camera` at the same place would take it."""
     from PIL import Image
 
@@ -157,7 +157,7 @@ def _colours(frame: Frame, camera: Camera) -> NDArray[np.float32]:
 
 
 def project(
-    look: Look, points: Floats
+    look: Observation, points: Floats
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32]]:
     """Pixel rows and columns (...) of points (..., 3), -1 outside, and their depths (...) [m]."""
     camera, pose = look.camera, look.map_from_camera.astype(np.float32)
@@ -176,7 +176,7 @@ def project(
     return pixels[..., 1], pixels[..., 0], depth
 
 
-def window(look: Look, corners: Floats) -> tuple[slice, slice] | None:
+def find_window(look: Observation, corners: Floats) -> tuple[slice, slice] | None:
     """Rows and columns of a picture that hold a box (8, 3); None where it lies outside."""
     pose, camera = look.map_from_camera, look.camera
     local = (corners - pose[:3, 3]) @ pose[:3, :3]
@@ -204,7 +204,7 @@ _FLAT = 0.6  # Colours decide where they can tell at this share of an object's p
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Tally:
+class Evidence:
     """T frames, N objects."""
 
     gone: Floats  # (T, N) pixels that speak for being gone
@@ -242,7 +242,7 @@ class Tally:
         return float((np.sum(weight * share) + 0.5) / (np.sum(weight) + 1.0))
 
 
-def tally(looks: Sequence[Look], count: int, options: DiffOptions) -> Tally:
+def count_evidence(looks: Sequence[Observation], count: int, options: DiffOptions) -> Evidence:
     """What all frames say of `count` objects."""
     depth_gone, depth_stays, colour_gone, colour_stays = np.zeros((4, len(looks), count))
     for t, look in enumerate(looks):
@@ -250,7 +250,7 @@ def tally(looks: Sequence[Look], count: int, options: DiffOptions) -> Tally:
         flat = agrees
         if look.depth is not None:
             slack = tolerance(look.depth, options)
-            near, far = around(look.front.depth)
+            near, far = bound_window(look.front.depth)
             with np.errstate(invalid="ignore"):
                 agrees = (look.depth >= near - slack) & (look.depth <= far + slack)
                 apart = look.behind.depth - look.front.depth > 2.0 * slack
@@ -265,7 +265,7 @@ def tally(looks: Sequence[Look], count: int, options: DiffOptions) -> Tally:
     by_colour = (colour_gone + colour_stays).sum(axis=0)
     flat_ones = by_colour > _FLAT * (by_depth + by_colour)
     least = options.least_pixels, min(options.least_frames, len(looks))
-    return Tally(
+    return Evidence(
         np.where(flat_ones, colour_gone, depth_gone),
         np.where(flat_ones, colour_stays, depth_stays),
         flat_ones,
@@ -279,7 +279,7 @@ def tolerance(depth: NDArray[np.float32], options: DiffOptions) -> NDArray[np.fl
     return np.asarray(slack, np.float32)
 
 
-def around(image: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def bound_window(image: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Least and largest value (H, W) of each pixel and its eight neighbours."""
     padded = np.pad(image, 1, mode="edge")
     h, w = image.shape
@@ -287,12 +287,12 @@ def around(image: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.
     return np.minimum.reduce(parts), np.maximum.reduce(parts)
 
 
-def grown(mask: Mask, by: int) -> Mask:
+def grow_mask(mask: Mask, by: int) -> Mask:
     """Mask with all pixels up to `by` rows and columns away."""
-    return summed(mask, by) > 0
+    return sum_window(mask, by) > 0
 
 
-def summed(mask: NDArray[np.generic], by: int) -> NDArray[np.float64]:
+def sum_window(mask: NDArray[np.generic], by: int) -> NDArray[np.float64]:
     """Sum (H, W) over the square of pixels up to `by` rows and columns away."""
     total = np.pad(mask.astype(np.float64), ((by + 1, by), (by + 1, by)))
     total = total.cumsum(axis=0).cumsum(axis=1)
@@ -300,7 +300,7 @@ def summed(mask: NDArray[np.generic], by: int) -> NDArray[np.float64]:
     return np.asarray(total[k:, k:] - total[:-k, k:] - total[k:, :-k] + total[:-k, :-k])
 
 
-def light(look: Look, where: Mask) -> Floats | None:
+def estimate_light(look: Observation, where: Mask) -> Floats | None:
     """(3,) what the map's colours have to be multiplied with at pixels; None of too few."""
     where = where & np.isfinite(look.rgb[..., 0])
     if np.count_nonzero(where) < _RING_PIXELS:
@@ -309,7 +309,7 @@ def light(look: Look, where: Mask) -> Floats | None:
     return np.asarray(np.median(ratio, axis=0), np.float64)
 
 
-def _by_colour(look: Look, flat: Mask, agrees: Mask, gone: Floats, stays: Floats) -> None:
+def _by_colour(look: Observation, flat: Mask, agrees: Mask, gone: Floats, stays: Floats) -> None:
     """Write pixels (N,) for and against every object that colours can tell from its background."""
     objects = look.front.objects
     usable = flat & (objects >= 0) & np.isfinite(look.rgb[..., 0]) & (look.behind.objects >= 0)
@@ -318,7 +318,7 @@ def _by_colour(look: Look, flat: Mask, agrees: Mask, gone: Floats, stays: Floats
         here = usable & own
         if np.count_nonzero(here) < _RING_PIXELS:
             continue
-        lit = light(look, grown(own, RING) & ~own & agrees & (objects >= 0))
+        lit = estimate_light(look, grow_mask(own, RING) & ~own & agrees & (objects >= 0))
         if lit is None:
             continue
         there, behind = look.front.colour[here] * lit, look.behind.colour[here] * lit
@@ -335,16 +335,16 @@ def _by_colour(look: Look, flat: Mask, agrees: Mask, gone: Floats, stays: Floats
         gone[row], stays[row] = closer.sum(), (1.0 - closer).sum()
 
 
-def _count(look: Look, mask: Mask, count: int) -> Floats:
+def _count(look: Observation, mask: Mask, count: int) -> Floats:
     rows = look.front.objects[mask]
     return np.asarray(np.bincount(rows[rows >= 0], minlength=count), np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rest:
+class Unexplained:
     """What is left of the map without all that is suspected to be gone, frame by frame."""
 
-    looks: Sequence[Look]
+    looks: Sequence[Observation]
     depths: Sequence[NDArray[np.float32]]
     """T arrays (H, W) of the depth of what is left [m]; inf: nothing."""
     new: Sequence[NDArray[np.bool_]]
@@ -352,9 +352,9 @@ class Rest:
     options: DiffOptions
 
 
-def rest_of(
-    scene: Scene, looks: Sequence[Look], suspects: NDArray[np.int64], options: DiffOptions
-) -> Rest:
+def explain_without(
+    scene: Scene, looks: Sequence[Observation], suspects: NDArray[np.int64], options: DiffOptions
+) -> Unexplained:
     """The map without the suspects, and what it does not explain."""
     suspected = np.zeros(len(scene) + 1, np.bool_)
     suspected[suspects] = True
@@ -370,22 +370,26 @@ def rest_of(
             rays = seen.rays[gone]
             depth[gone] = caster.cast(origin, rays).distance if caster else np.inf
         depths.append(depth)
-        new.append(_new(seen, depth, options))
-    return Rest(looks, depths, new, options)
+        new.append(_find_unexplained(seen, depth, options))
+    return Unexplained(looks, depths, new, options)
 
 
-def _new(seen: Look, depth: NDArray[np.float32], options: DiffOptions) -> NDArray[np.bool_]:
+def _find_unexplained(
+    seen: Observation, depth: NDArray[np.float32], options: DiffOptions
+) -> NDArray[np.bool_]:
     """(H, W) readings that end before all surfaces around, and are not alone in it."""
     if seen.depth is None:
         return np.zeros(depth.shape, np.bool_)
-    near, _ = around(depth)
+    near, _ = bound_window(depth)
     with np.errstate(invalid="ignore"):
         before = seen.depth < near - tolerance(seen.depth, options)
     before &= np.isfinite(depth)  # beyond the map's end nothing is known to be new
-    return before & (summed(before, 1) >= 5)
+    return before & (sum_window(before, 1) >= 5)
 
 
-def shown(looks: Sequence[Look], count: int, options: DiffOptions) -> NDArray[np.bool_]:
+def find_confirmed(
+    looks: Sequence[Observation], count: int, options: DiffOptions
+) -> NDArray[np.bool_]:
     """(N,) whether readings that agree with the map end on an object."""
     pixels = np.zeros(count)
     for seen in looks:

@@ -29,7 +29,7 @@ from placegraph.indoor.map.relations import (
 from placegraph.indoor.map.rooms import most, rooms_of, with_rooms
 from placegraph.indoor.map.scene import S, Scene, graph_of
 from placegraph.indoor.map.scene_file import open_scene, save_scene
-from placegraph.indoor.mapping.change.align import moved
+from placegraph.indoor.mapping.change.align import transform_points
 from placegraph.indoor.mapping.change.changes import KINDS, Change, Piece, SceneDiff
 
 _COMPARED = frozenset({
@@ -39,7 +39,7 @@ _COMPARED = frozenset({
 """First words of what 3DSSG compares, but for where things are: "higher than" is left out."""
 
 
-class Edit(Generic[S]):
+class MapEdit(Generic[S]):
     """Columns of a map, while it changes."""
 
     def __init__(self, scene: S) -> None:
@@ -98,7 +98,7 @@ class Edit(Generic[S]):
         if len(self._before.scenes) == 1:  # of merged scenes rooms stay as they were
             stirred = np.isin(rows, list(self._stirred))
             floor = float(self._before.floors[0])
-            room_of, attributes = rooms_now(mesh, labels, floor, attributes, stirred)
+            room_of, attributes = assign_rooms(mesh, labels, floor, attributes, stirred)
         edges = self._edges(relate(mesh, labels, room_of), rows, place)
         ids, names = ([given[i] for i in rows] for given in (self._ids, self._names))
         graph = graph_of(mesh, ids, labels, names, edges)
@@ -146,7 +146,7 @@ class Edit(Generic[S]):
             used, at = np.unique(triangles[own], return_inverse=True)
             triangles[own] = count + at.reshape(-1, 3)
             which.append(used)
-            points.append(moved(motion, points[0][used]))
+            points.append(transform_points(motion, points[0][used]))
             count += len(used)
         source = np.concatenate(which)
         columns: dict[str, list[NDArray[Any]]] = {
@@ -196,10 +196,10 @@ class Edit(Generic[S]):
             (int(place[s]), relation, int(place[t]))
             for s, relation, t in before
             if self._kept[s] and self._kept[t]
-            if lasting(relation) or not {s, t} & self._stirred
+            if is_lasting(relation) or not {s, t} & self._stirred
             if relation != SAME_ROOM or len(self._before.scenes) > 1
         ]
-        known = {(s, t) for s, relation, t in edges if not lasting(relation)}
+        known = {(s, t) for s, relation, t in edges if not is_lasting(relation)}
         # what stood on, or hung at, what is gone from there now
         loose = [r < len(self._kept) and self._stirred & {*self._bases(r)} for r in rows.tolist()]
         edges += [
@@ -211,7 +211,7 @@ class Edit(Generic[S]):
         return sorted(edges)
 
 
-def lasting(relation: str) -> bool:
+def is_lasting(relation: str) -> bool:
     """Whether a relation says nothing of place, so that it holds wherever the two things are."""
     name = canonical(relation)[0]
     if name in {BIGGER, PART}:
@@ -220,7 +220,7 @@ def lasting(relation: str) -> bool:
     return bool(words) and name != SAME_ROOM and (words[0] == "same" or words[0] in _COMPARED)
 
 
-def rooms_now(
+def assign_rooms(
     mesh: Mesh,
     labels: Sequence[str],
     floor: float,
@@ -291,14 +291,14 @@ def update(
         The diff is of another map; `take` names nothing there is; no object would be left.
 
     """
-    chosen = _chosen(diff, take, least_confidence)
+    chosen = _select_changes(diff, take, least_confidence)
     rows = {id_: i for i, id_ in enumerate(scene.graph.ids)}
     if strange := [c.id for c in chosen if c.id and c.id not in rows]:
         raise OptionError(
             f"diff: {strange[0]!r} is no object of {scene.source or 'the map'}; it was made from "
             f"{diff.before or 'another map'}."
         )
-    edit = Edit(scene)
+    edit = MapEdit(scene)
     for change in chosen:
         edit.take(change, rows.get(change.id, -1), when)
     return edit.scene()
@@ -343,7 +343,7 @@ def update_file(
     return scene
 
 
-def _chosen(diff: SceneDiff, take: Collection[str], least: float) -> list[Change]:
+def _select_changes(diff: SceneDiff, take: Collection[str], least: float) -> list[Change]:
     wanted = {take} if isinstance(take, str) else set(take)
     known = {*KINDS, *(c.id for c in diff if c.id), *(c.other for c in diff if c.other)}
     if unknown := sorted(wanted - known):

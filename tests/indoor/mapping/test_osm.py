@@ -5,7 +5,7 @@ import pytest
 
 import placegraph as pg
 from placegraph.errors import GeoPoseError, InputError, OptionError
-from placegraph.indoor.mapping.osm_rooms import length_of
+from placegraph.indoor.mapping.osm import length_of
 from placegraph.io.osm.indoor_osm import IndoorShape, encode_rooms, read_indoor_osm
 
 EAST, NORTH = 1.0 / 66_400.0, 1.0 / 111_300.0
