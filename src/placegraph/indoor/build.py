@@ -20,7 +20,13 @@ from placegraph.indoor.map.relations import MOST_OBJECTS, SAME_ROOM, relate
 from placegraph.indoor.map.rooms import with_rooms
 from placegraph.indoor.map.scene_file import near_box
 from placegraph.indoor.map.textures import Detail, detail_named
-from placegraph.indoor.mapping.clean import check, cleaned, in_metres, reduced, upright
+from placegraph.indoor.mapping.clean import (
+    check_model,
+    clean_model,
+    convert_to_metres,
+    level_model,
+    reduce_mesh,
+)
 from placegraph.indoor.mapping.from_capture import FromCapture, Progress, Source
 from placegraph.indoor.mapping.sources import ReadOptions, Up, read_source
 from placegraph.indoor.scene_map import SceneMap
@@ -144,21 +150,21 @@ def scene_of(
     detail = detail_named(detail)
     told: list[str] = [] if notes is None else notes
     told.extend(source.notes)
-    check(source.model)
-    model = upright(in_metres(source.model, scale, told), up, told)
+    check_model(source.model)
+    model = level_model(convert_to_metres(source.model, scale, told), up, told)
     if source.finish is not None:
         source = source.finish(model)
         model = source.model
         told.extend(source.notes)
     left = model.left_out if left_out is None else left_out
-    mesh, things, pictures, row = cleaned(model, left)
+    mesh, things, pictures, row = clean_model(model, left)
     labels = [t.label for t in things]
     height = _floor(model, mesh, labels, floor)
     if progress is not None:
         progress("simplifying", 0, 1)
     if source.anchors:  # drawn from a plan: there is nothing to leave out
         detail = detail_named("full")
-    coarse, blobs = reduced(mesh, pictures, source.colour_of, detail, left, told)
+    coarse, blobs = reduce_mesh(mesh, pictures, source.colour_of, detail, left, told)
     _tell_odd(coarse, things, told)
     room_of, attributes = with_rooms(coarse, labels, height, [t.attributes for t in things])
     scene = SceneMap.create(

@@ -15,8 +15,8 @@ from placegraph.indoor.map.floor import label_words
 from placegraph.indoor.map.map_kernels import nearest
 from placegraph.indoor.map.rooms import rooms_of
 from placegraph.indoor.map.scene import Scene
-from placegraph.indoor.mapping.osm import ends_of, off_segments
-from placegraph.indoor.mapping.outlines import area, rings_of_cells
+from placegraph.indoor.mapping.osm import find_ends, segment_distances
+from placegraph.indoor.mapping.outlines import area, trace_cells
 
 WALL, WINDOW, DOOR = 0, 1, 2
 """What a point of the outer walls lies in."""
@@ -70,7 +70,7 @@ def outer_walls(scene: Scene) -> OuterWalls:
     inside = np.pad(rooms.cells >= 0, reach + 1)
     grown = nearest(inside, reach)[1] >= 0
     inside |= nearest(~grown, reach)[1] < 0
-    rings = rings_of_cells(inside, rooms.origin - (reach + 1) * rooms.cell, rooms.cell)
+    rings = trace_cells(inside, rooms.origin - (reach + 1) * rooms.cell, rooms.cell)
     outer = [rings[first] for first, *_ in nested(rings)] if rings else []
     if not outer:
         raise OptionError("The map has no room, so it has no outer walls; give --pair or --pose.")
@@ -95,10 +95,10 @@ def _openings(scene: Scene, at: Floats) -> tuple[NDArray[np.int64], NDArray[np.i
         what = _WORDS.get((label_words(label) or [""])[-1], WALL)
         if what == WALL:
             continue
-        a, b = ends_of(scene, row)
+        a, b = find_ends(scene, row)
         if np.linalg.norm(b - a) > _WIDEST:
             continue
-        beside = (off_segments(at, a[None], b[None])[:, 0] < _BESIDE) & (opening < 0)
+        beside = (segment_distances(at, a[None], b[None])[:, 0] < _BESIDE) & (opening < 0)
         if beside.any():
             kind[beside], opening[beside], number = what, number, number + 1
     return kind, opening

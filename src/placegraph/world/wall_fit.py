@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from placegraph.core.geometry import Floats, rotation_z
 from placegraph.indoor.map.map_kernels import nearest
-from placegraph.indoor.mapping.osm import off_segments
+from placegraph.indoor.mapping.osm import segment_distances
 from placegraph.world.footprints import Footprint, within
 from placegraph.world.outer_walls import DOOR, WINDOW, OuterWalls
 
@@ -168,7 +168,7 @@ def against(
 ) -> tuple[Floats, Floats, NDArray[np.bool_], NDArray[np.int64]]:
     """How far inwards [m] (N,), wall's normal (N, 2), whether one matches (N,), and which (N,)."""
     facing = (walls.normals @ rotation_z(-heading)[:2, :2].T) @ footprint.normals.T
-    distance = off_segments(moved, footprint.starts, footprint.ends)
+    distance = segment_distances(moved, footprint.starts, footprint.ends)
     distance = np.where(facing > _ALIGNED, distance, np.inf)
     which = distance.argmin(axis=1)
     normal = footprint.normals[which]
@@ -186,7 +186,7 @@ def _judged(
     moved = moved_by(walls.points, heading, shift)
     inwards, _, near, which = against(walls, footprint, moved, heading)
     inside = within(moved, footprint.rings)
-    far = off_segments(moved, footprint.starts, footprint.ends).min(axis=1)
+    far = segment_distances(moved, footprint.starts, footprint.ends).min(axis=1)
     depth = np.where(near, inwards - thick + THICK, np.where(inside, np.maximum(far, 0.01), -far))
     lost = near | (far > 3 * sigma) | ~inside
     log = np.where(lost, _log_wall(depth, sigma), np.log((1 - _OUTER) * _WITHIN))

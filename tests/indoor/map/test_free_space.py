@@ -19,7 +19,7 @@ from placegraph.indoor.map.free_space import BEYOND, nearest_scene
 from placegraph.indoor.map.scene import MOST_LANDMARKS, WIDTH
 from placegraph.indoor.map.scene_file import VIEWPOINTS, columns, near_box, save_scene
 from placegraph.indoor.mapping import merge
-from placegraph.indoor.mapping.from_capture import thinned
+from placegraph.indoor.mapping.from_capture import thin_points
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.pose.placed import placed
 from placegraph.indoor.scene_map import SceneMap
@@ -175,8 +175,8 @@ def test_places_that_look_in_are_found_in_blocks(boxes, monkeypatch):
 
 def test_viewpoints_are_few_and_everywhere(rng):
     points = rng.uniform(0, 10, (5000, 3))
-    got = thinned(points)
+    got = thin_points(points)
     assert VIEWPOINTS / 3 < len(got) <= VIEWPOINTS
     nearest = np.linalg.norm(points[:, None] - got[None], axis=2).min(axis=1)
     assert nearest.max() < 4.0
-    np.testing.assert_allclose(thinned(points[:1].repeat(9, axis=0)), points[:1], atol=0.005)
+    np.testing.assert_allclose(thin_points(points[:1].repeat(9, axis=0)), points[:1], atol=0.005)

@@ -9,7 +9,7 @@ from placegraph.core import files as locks
 from placegraph.errors import MapError, MapLockedError, OptionError
 from placegraph.indoor.build import build_scene, scene_of_model
 from placegraph.indoor.map.mesh import GRAIN, Mesh
-from placegraph.indoor.mapping.export import MARK, export, losses, painted, path_lines
+from placegraph.indoor.mapping.export import MARK, export, losses, paint_vertices, path_lines
 from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_io.graphs.spark_dsg import read_spark_dsg
@@ -222,14 +222,14 @@ def quad(texture, colours=255):
 
 
 def test_a_flat_texture_gives_its_colour_times_the_vertices_own():
-    model = painted(quad(np.full((8, 8, 3), (10, 100, 200)), colours=51))
+    model = paint_vertices(quad(np.full((8, 8, 3), (10, 100, 200)), colours=51))
     assert (model.colours == [2, 20, 40]).all()
 
 
 def test_a_vertex_has_the_colours_around_it():
     halves = np.zeros((64, 64, 3))
     halves[:, 32:] = 200  # bright where x is large
-    model = painted(quad(halves))
+    model = paint_vertices(quad(halves))
     bright = model.colours[:, 0].astype(int)
     left = model.vertices[:, 0] < 0.5
     assert bright[left].max() < 80
@@ -245,7 +245,7 @@ def test_objects_and_textures_do_not_share_vertices():
         textures=(np.full((1, 1, 3), 40, np.uint8), np.full((1, 1, 3), 80, np.uint8)),
     )  # fmt: skip
     two = SceneMap.create(mesh, ["a", "b"], ["floor", "wall"], floor=0.0, names=["", "W"])
-    model = painted(two)
+    model = paint_vertices(two)
     assert len(model.vertices) == 6
     for row, value in ((0, 40), (1, 80)):
         assert (model.colours[model.triangles[model.thing_of == row]] == value).all()
@@ -256,7 +256,7 @@ def test_objects_and_textures_do_not_share_vertices():
 
 
 def test_the_surface_stays_where_it_was(room):
-    model = painted(room)
+    model = paint_vertices(room)
     assert (model.vertices[model.triangles] == room.mesh.vertices[room.mesh.triangles]).all()
     assert model.relations == tuple(
         zip(room.graph.sources, room.graph.relations, room.graph.targets, strict=True)

@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 from placegraph.core.geometry import Camera
-from placegraph.indoor.mapping.landmarks import depth_at, landmarks_of
+from placegraph.indoor.mapping.landmarks import map_landmarks, read_depth
 from placegraph.indoor.refine import landmarks
 from placegraph.indoor.refine.landmarks import (
     FEATURES,
@@ -55,7 +55,7 @@ def wall():
 @pytest.fixture(scope="module")
 def mapped(wall):
     frames, poses = zip(*[shown(wall, x, z) for x in (-0.4, 0, 0.4) for z in (0, 0.3)], strict=True)
-    return landmarks_of(frames, np.stack(poses))
+    return map_landmarks(frames, np.stack(poses))
 
 
 def test_rays_of_several_frames_are_truer_than_their_depth(mapped):
@@ -87,7 +87,9 @@ def test_an_image_of_another_place_is_not(mapped):
 def test_features_beyond_a_fisheyes_rim_have_no_depth(wall):
     frame, _ = shown(wall, 0.0, 0.0)
     rays = np.array([[0.0, 0.0, 1.0], [np.nan] * 3, [0.1, 0.1, 1.0]])
-    np.testing.assert_allclose(depth_at(frame, rays), [AWAY + 0.01, np.nan, AWAY + 0.01], atol=1e-5)
+    np.testing.assert_allclose(
+        read_depth(frame, rays), [AWAY + 0.01, np.nan, AWAY + 0.01], atol=1e-5
+    )
 
 
 def test_landmarks_gone_through_in_blocks_are_the_same(wall, mapped, monkeypatch):

@@ -5,7 +5,7 @@ import pytest
 
 import placegraph as pg
 from placegraph.errors import GeoPoseError, InputError, OptionError
-from placegraph.indoor.mapping.osm import length_of
+from placegraph.indoor.mapping.osm import parse_length
 from placegraph.io.osm.indoor_osm import IndoorShape, encode_rooms, read_indoor_osm
 
 EAST, NORTH = 1.0 / 66_400.0, 1.0 / 111_300.0
@@ -142,4 +142,14 @@ def test_rooms_of_a_furnished_map(demo_world, tmp_path):
 
 def test_lengths():
     said = ["2.8", "2.8 m", "90 cm", "0,9", "3 ft", "", "-1", "high", "0"]
-    assert [length_of(text) for text in said] == [2.8, 2.8, 0.9, 0.9, None, None, None, None, None]
+    assert [parse_length(text) for text in said] == [
+        2.8,
+        2.8,
+        0.9,
+        0.9,
+        None,
+        None,
+        None,
+        None,
+        None,
+    ]

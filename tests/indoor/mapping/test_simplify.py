@@ -9,7 +9,13 @@ from hypothesis import strategies as st
 
 from placegraph.errors import OptionError
 from placegraph.indoor.map.mesh import Mesh
-from placegraph.indoor.mapping.simplify import batches, groups, simplify, tiles, wedged
+from placegraph.indoor.mapping.simplify import (
+    batch_objects,
+    build_wedges,
+    cut_tiles,
+    group_rows,
+    simplify,
+)
 
 
 def sheet(n, size=2.0, height=lambda x, y: 0.0 * x * y):
@@ -234,8 +240,8 @@ def test_bad_options(bad):
 def test_large_objects_are_simplified_in_tiles_without_cracks(monkeypatch):
     monkeypatch.setattr("placegraph.indoor.mapping.simplify.TILE", 300)
     points, triangles = ball(16)
-    whole = wedged(plain(points, triangles))[0]
-    parts = tiles(whole, np.arange(len(triangles)))
+    whole = build_wedges(plain(points, triangles))[0]
+    parts = cut_tiles(whole, np.arange(len(triangles)))
     assert sorted(np.concatenate(parts).tolist()) == list(range(len(triangles)))
     assert 11 <= len(parts) <= 16
     assert max(map(len, parts)) <= 300
@@ -257,7 +263,7 @@ def test_large_objects_are_simplified_in_tiles_without_cracks(monkeypatch):
 )
 def test_equal_rows_are_grouped(rows):
     keys = np.array(rows, np.int64)
-    group, first = groups(keys)
+    group, first = group_rows(keys)
     known = list(dict.fromkeys(rows))
     assert [known[g] for g in group] == rows
     assert first.tolist() == [rows.index(k) for k in known]
@@ -265,7 +271,7 @@ def test_equal_rows_are_grouped(rows):
 
 @given(st.lists(st.integers(0, 9), min_size=1, max_size=60))
 def test_every_triangle_is_in_one_batch(objects):
-    rows = np.concatenate(batches(np.array(objects, np.int64)))
+    rows = np.concatenate(batch_objects(np.array(objects, np.int64)))
     assert sorted(rows.tolist()) == list(range(len(objects)))
 
 

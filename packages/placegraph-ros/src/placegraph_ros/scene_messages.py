@@ -9,7 +9,7 @@ import numpy as np
 from placegraph.core.estimate import Evidence, PoseEstimate
 from placegraph.core.geometry import Camera, Floats
 from placegraph.indoor.map.scene import Scene
-from placegraph.indoor.mapping.export import glb_of, painted
+from placegraph.indoor.mapping.export import encode_scene, paint_vertices
 from placegraph.io.capture.frame import Frame
 from placegraph_ros.message import (
     Fields,
@@ -135,7 +135,7 @@ def map_messages(scene: Scene, stamp: float, frames: FrameIds | None = None) -> 
     names = [_name(scene, row, head) for row in range(len(scene))]
     model = {
         "pose": {"orientation": {"w": 1.0}}, "scale": scale(1.0),
-        "media_type": "model/gltf-binary", "data": np.frombuffer(glb_of(scene), np.uint8),
+        "media_type": "model/gltf-binary", "data": np.frombuffer(encode_scene(scene), np.uint8),
     }  # fmt: skip
     entity = {
         "timestamp": time(stamp), "frame_id": frames.map, "id": "map", "frame_locked": True,
@@ -164,7 +164,7 @@ def _boxes(scene: Scene, head: Fields) -> list[Fields]:
 
 
 def _meshes(scene: Scene, head: Fields) -> list[Fields]:
-    model = painted(scene)
+    model = paint_vertices(scene)
     order = np.argsort(model.thing_of, kind="stable")
     ends = np.cumsum(np.bincount(model.thing_of, minlength=len(scene)))[:-1]
     found = []

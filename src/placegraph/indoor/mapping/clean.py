@@ -27,7 +27,7 @@ LARGEST = 1e5  # Coordinates beyond this [m] are another unit, or damage
 _SOME = 200_000  # triangles that are looked at to tell unit and axis
 
 
-def check(model: Model) -> None:
+def check_model(model: Model) -> None:
     """Raise `InputError` where a model has no triangle, or one with vertices that are no numbers."""
     if not len(model.triangles):
         what = "is empty" if not len(model.vertices) else "holds points, but no triangle"
@@ -45,11 +45,11 @@ def check(model: Model) -> None:
             )
 
 
-def in_metres(model: Model, scale: float | None, notes: list[str]) -> Model:
+def convert_to_metres(model: Model, scale: float | None, notes: list[str]) -> Model:
     """Model in metres; one whose size cannot be metres is refused where no scale is given."""
     if scale is not None:
-        return model if scale == 1.0 else _times(model, scale)
-    low, high = np.quantile(_some(model).reshape(-1, 3), (0.01, 0.99), axis=0)
+        return model if scale == 1.0 else _scale_model(model, scale)
+    low, high = np.quantile(_sample_corners(model).reshape(-1, 3), (0.01, 0.99), axis=0)
     sides = high - low
     size = " x ".join(f"{side:,.4g}" for side in sides)
     if sides[2] > TALLEST:
@@ -70,13 +70,13 @@ def in_metres(model: Model, scale: float | None, notes: list[str]) -> Model:
     return model
 
 
-def upright(model: Model, up: str, notes: list[str]) -> Model:
+def level_model(model: Model, up: str, notes: list[str]) -> Model:
     """Model whose labelled floor is level: where `up` is "auto" and it stands, model is turned."""
     if up != "auto":
         return model
     rows = np.array([is_floor(t.label) for t in model.things], np.bool_)[model.thing_of]
     if not rows.any():
-        _tell_side(model, notes)
+        _note_side(model, notes)
         return model
     corners = model.vertices[model.triangles]
     a, b, c = np.moveaxis(corners[rows], 1, 0)
@@ -92,9 +92,9 @@ def upright(model: Model, up: str, notes: list[str]) -> Model:
     return replace(model, vertices=model.vertices @ turn.T, floor=None)
 
 
-def _tell_side(model: Model, notes: list[str]) -> None:
+def _note_side(model: Model, notes: list[str]) -> None:
     """Note a model that is as high along y as rooms are, and much longer along z."""
-    low, high = np.quantile(_some(model).reshape(-1, 3), (0.01, 0.99), axis=0)
+    low, high = np.quantile(_sample_corners(model).reshape(-1, 3), (0.01, 0.99), axis=0)
     x, y, z = high - low
     if ROOM[0] < y < ROOM[1] and z > ROOM[1] and y < 0.75 * min(x, z):
         notes.append(
@@ -103,13 +103,15 @@ def _tell_side(model: Model, notes: list[str]) -> None:
         )
 
 
-def cleaned(model: Model, left_out: Counter[str]) -> tuple[Mesh, list[Thing], list[Picture], Any]:
+def clean_model(
+    model: Model, left_out: Counter[str]
+) -> tuple[Mesh, list[Thing], list[Picture], Any]:
     """Mesh without triangles that have no area, and without what no triangle needs.
 
     Textures are placeholders of one texel. Returns also the things and pictures that are left, and
     the new row (N,) of every thing of the model, -1 of those that are left out.
     """
-    used, _ = _used(model.triangles, len(model.vertices))
+    used, _ = _index_used(model.triangles, len(model.vertices))
     reach = float(np.abs(model.vertices[used]).max())
     if reach > LARGEST:
         span = float(np.ptp(model.vertices[used], axis=0).max())
@@ -119,7 +121,7 @@ def cleaned(model: Model, left_out: Counter[str]) -> tuple[Mesh, list[Thing], li
             else "is it in millimetres? Then pass scale=0.001; else move it to its origin"
         )
         raise InputError(f"{model.path} reaches {reach:.3g} m from its origin; {mend}.")
-    flat = dispensable(model.vertices, model.triangles, model.thing_of)
+    flat = find_flat_triangles(model.vertices, model.triangles, model.thing_of)
     if flat.any():
         left_out["triangles without area"] += int(flat.sum())
     rows = np.flatnonzero(~flat)
@@ -128,9 +130,9 @@ def cleaned(model: Model, left_out: Counter[str]) -> tuple[Mesh, list[Thing], li
     triangles, thing_of, picture_of = (
         column[rows] for column in (model.triangles, model.thing_of, model.picture_of)
     )
-    corner, compact = _used(triangles, len(model.vertices))
-    thing, things = _used(thing_of, len(model.things))
-    picture, pictures = _used(picture_of, len(model.pictures))
+    corner, compact = _index_used(triangles, len(model.vertices))
+    thing, things = _index_used(thing_of, len(model.things))
+    picture, pictures = _index_used(picture_of, len(model.pictures))
     missing = len(model.things) - len(thing)
     if missing:
         left_out["objects without a triangle"] += missing
@@ -153,7 +155,7 @@ def cleaned(model: Model, left_out: Counter[str]) -> tuple[Mesh, list[Thing], li
     )
 
 
-def dispensable(
+def find_flat_triangles(
     vertices: NDArray[Any], triangles: NDArray[Any], object_of: NDArray[Any], grain: float = GRAIN
 ) -> NDArray[np.bool_]:
     """Triangles (T,) without area once their corners are snapped, but for the last of an object."""
@@ -166,10 +168,10 @@ def dispensable(
     return flat
 
 
-def snapped(mesh: Mesh, grain: float, uv_grain: float) -> Mesh:
+def snap_mesh(mesh: Mesh, grain: float, uv_grain: float) -> Mesh:
     """Mesh on its grid, without the triangles that lose their area there."""
     mesh = mesh.snapped(grain, uv_grain)
-    keep = ~dispensable(mesh.vertices, mesh.triangles, mesh.object_of)
+    keep = ~find_flat_triangles(mesh.vertices, mesh.triangles, mesh.object_of)
     if keep.all():
         return mesh
     return replace(
@@ -180,18 +182,18 @@ def snapped(mesh: Mesh, grain: float, uv_grain: float) -> Mesh:
     )
 
 
-def _some(model: Model) -> NDArray[np.float64]:
+def _sample_corners(model: Model) -> NDArray[np.float64]:
     step = max(len(model.triangles) // _SOME, 1)
     corners: NDArray[np.float64] = model.vertices[model.triangles[::step]]
     return corners
 
 
-def _times(model: Model, scale: float) -> Model:
+def _scale_model(model: Model, scale: float) -> Model:
     floor = None if model.floor is None else model.floor * scale
     return replace(model, vertices=model.vertices * scale, floor=floor)
 
 
-def _used(rows: NDArray[Any], count: int) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+def _index_used(rows: NDArray[Any], count: int) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
     """Rows that are used, ascending, and `rows` in terms of these."""
     used = np.zeros(count, np.bool_)
     used[rows.ravel()] = True
@@ -210,7 +212,7 @@ MOST_TEXELS = 1 << 24  # Larger surfaces are coloured by larger texels, to save 
 _SAMPLED = 500_000  # triangles that are looked at for it
 
 
-def reduced(
+def reduce_mesh(
     mesh: Mesh,
     pictures: Sequence[Picture],
     colour_of: ColourOf | None,
@@ -221,21 +223,26 @@ def reduced(
     """Mesh and encoded textures with as much detail as wanted."""
     if detail.error is None:
         blobs = textures.encode_pictures(pictures, detail)
-        return snapped(mesh, detail.grain, detail.uv_grain), blobs
+        return snap_mesh(mesh, detail.grain, detail.uv_grain), blobs
     plain = all(p.data is None for p in pictures)
-    if plain and (colour_of is not None or _patterned(mesh)):
+    if plain and (colour_of is not None or _is_patterned(mesh)):
         coarse = simplify(mesh, error=detail.error, left_out=left_out)
-        coarse = snapped(coarse, detail.grain, UV_GRAIN)
-        if len(coarse) <= MOST_BAKED and _area(coarse) > BAKED * len(coarse) * detail.baked**2:
-            return _baked(coarse, colour_of or _looks(mesh, pictures, detail), detail, notes)
+        coarse = snap_mesh(coarse, detail.grain, UV_GRAIN)
+        if (
+            len(coarse) <= MOST_BAKED
+            and _measure_area(coarse) > BAKED * len(coarse) * detail.baked**2
+        ):
+            return _bake_atlas(
+                coarse, colour_of or _vertex_colours(mesh, pictures, detail), detail, notes
+            )
         return coarse, textures.encode_pictures(pictures, detail)
     needed = textures.needed_texels(mesh, detail.texel)
     blobs = textures.encode_pictures(pictures, detail, needed)
     coarse = simplify(mesh, error=detail.error, colour=VIVID, left_out=left_out)
-    return snapped(coarse, detail.grain, detail.uv_grain), blobs
+    return snap_mesh(coarse, detail.grain, detail.uv_grain), blobs
 
 
-def _looks(mesh: Mesh, pictures: Sequence[Picture], detail: Detail) -> ColourOf:
+def _vertex_colours(mesh: Mesh, pictures: Sequence[Picture], detail: Detail) -> ColourOf:
     """Colours of a mesh's vertices and flat materials."""
     from placegraph.indoor.mapping.atlas.colours import mesh_colours
 
@@ -243,13 +250,13 @@ def _looks(mesh: Mesh, pictures: Sequence[Picture], detail: Detail) -> ColourOf:
     return mesh_colours(replace(mesh, textures=flat))
 
 
-def _baked(
+def _bake_atlas(
     mesh: Mesh, colour_of: ColourOf, detail: Detail, notes: list[str]
 ) -> tuple[Mesh, tuple[bytes, ...]]:
     """Mesh whose colours stand in a small texture atlas instead of at many vertices."""
     from placegraph.indoor.mapping.atlas.bake import bake
 
-    area = _area(mesh)
+    area = _measure_area(mesh)
     texel = max(detail.baked, float(np.sqrt(area / MOST_TEXELS)))
     if texel > detail.baked:
         notes.append(
@@ -260,12 +267,12 @@ def _baked(
     return painted, textures.encode_arrays(painted.textures, detail.quality)
 
 
-def _area(mesh: Mesh) -> float:
+def _measure_area(mesh: Mesh) -> float:
     """Area [m2]."""
     return float(np.linalg.norm(mesh.normals(), axis=1).sum()) / 2.0
 
 
-def _patterned(mesh: Mesh) -> bool:
+def _is_patterned(mesh: Mesh) -> bool:
     """Whether the colours of vertices are a pattern that fewer vertices would lose."""
     some = mesh.triangles[:: len(mesh) // _SAMPLED + 1]
     shades = mesh.colours[some].astype(np.int16)

@@ -20,7 +20,7 @@ from placegraph.errors import OptionError
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.map.textures import linear_from_srgb
-from placegraph.indoor.mapping.osm import shapes_of
+from placegraph.indoor.mapping.osm import export_shapes
 from placegraph.io.mesh.gltf import OWN
 from placegraph.io.mesh.gltf_write import Material, Part, Surface, encode_glb
 from placegraph.io.mesh.model import Model, Picture, Thing
@@ -61,7 +61,7 @@ _SAMPLES = np.array(
 )  # Shares of a corner and of the next one at points of the corner's part of a triangle
 
 
-def painted(scene: Scene) -> Model:
+def paint_vertices(scene: Scene) -> Model:
     """Return the map as a model without textures, whose vertices belong to one object each.
 
     A vertex has the mean colour of the texture around it, times its own colour: a wall of two
@@ -174,9 +174,9 @@ def export(
     if paths and ending not in (".glb", ".json"):
         raise OptionError(f"camera_paths: a {ending} has no place for them; export .glb or .json.")
     if ending == ".glb":
-        write_file(path, [glb_of(scene, paths)])
+        write_file(path, [encode_scene(scene, paths)])
     elif ending in (".osm", *OSMAG_ENDINGS):
-        shapes, osmag = shapes_of(scene), ending != ".osm"
+        shapes, osmag = export_shapes(scene), ending != ".osm"
         write_file(path, [encode_rooms(shapes, osmag=osmag, generator=MARK)])
     elif ending == ".json":
         write_file(path, [_encode_spark_dsg(scene, paths)])
@@ -253,7 +253,7 @@ def materials(scene: Scene, *, webp: bool = False) -> list[Material]:
     return made
 
 
-def glb_of(scene: Scene, paths: Paths | None = None) -> bytes:
+def encode_scene(scene: Scene, paths: Paths | None = None) -> bytes:
     """Return the bytes of a .glb file as `export` writes it."""
     graph = scene.graph
     parts = [
@@ -286,7 +286,7 @@ def _encode_spark_dsg(scene: Scene, paths: dict[str, NDArray[np.float64]]) -> by
     writer = load_module("placegraph_io.graphs.spark_dsg_write", "io")
     if len(paths) > writer.MOST_PATHS:
         raise OptionError(f"camera_paths: {len(paths)}; a .json holds {writer.MOST_PATHS} at most.")
-    model = painted(scene)
+    model = paint_vertices(scene)
     rooms = []
     for thing, row in zip(model.things, scene.scene_of.tolist(), strict=True):
         room, within = thing.attributes.get("room", ""), scene.scenes[row]
@@ -300,7 +300,7 @@ def _encode_spark_dsg(scene: Scene, paths: dict[str, NDArray[np.float64]]) -> by
 
 
 def _write_ply(scene: Scene, path: Path, table: Path) -> None:
-    model = painted(scene)
+    model = paint_vertices(scene)
     numbers = _number_ids([t.id for t in model.things])
     entries = []
     for number, thing in zip(numbers, model.things, strict=True):

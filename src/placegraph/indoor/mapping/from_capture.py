@@ -71,7 +71,7 @@ class Source:
     """Where it stands on Earth, where it says so; it is then drawn to be kept as it is."""
 
 
-def captured(
+def read_capture(
     path: Path,
     how: FromCapture,
     left_out: Counter[str],
@@ -85,13 +85,13 @@ def captured(
     `InputError` where the capture has no depth.
     """
     from placegraph.indoor.mapping.atlas.colours import frame_colours
-    from placegraph.indoor.mapping.landmarks import landmarks_of
+    from placegraph.indoor.mapping.landmarks import map_landmarks
     from placegraph.indoor.mapping.segment import segment
 
     told = how.poses is None and (path / "trajectory.tum").exists()
-    capture = _opened(path, how, "trajectory" if told else how.poses, reader or {})
+    capture = _open_capture(path, how, "trajectory" if told else how.poses, reader or {})
     left_out.update(capture.left_out)
-    fused = _fused(path, capture, how, left_out, progress)
+    fused = _fuse_frames(path, capture, how, left_out, progress)
     if how.segmenter is not None:
         from placegraph.indoor.encode.networks import labelled
 
@@ -101,9 +101,9 @@ def captured(
         frames=None if capture.label_camera is None else capture.frames,
         progress=progress, left_out=left_out,
     )  # fmt: skip
-    floor, guessed = _floor(path, fused, found)
+    floor, guessed = _find_floor(path, fused, found)
     model = Model(
-        path=path, things=things_of(found), vertices=fused.vertices, triangles=fused.triangles,
+        path=path, things=make_things(found), vertices=fused.vertices, triangles=fused.triangles,
         thing_of=found.object_of.astype(np.int64), colours=fused.colours,
         uv=np.zeros((len(fused.vertices), 2)),
         picture_of=np.zeros(len(fused.triangles), np.int64), pictures=(Picture(None),),
@@ -111,18 +111,22 @@ def captured(
     )  # fmt: skip
     poses = np.array([f.odometry for f in capture.frames])
     colour_of = frame_colours(
-        capture.frames, poses, fused.vertices, fused.triangles, progress=_stage(progress, "colours")
+        capture.frames,
+        poses,
+        fused.vertices,
+        fused.triangles,
+        progress=_report_stage(progress, "colours"),
     )
     landmarks = None
     if how.landmarks:
-        landmarks = landmarks_of(capture.frames, poses, _stage(progress, "landmarks"))
-    notes = _notes(path, told, fused.stats, found.labels)
+        landmarks = map_landmarks(capture.frames, poses, _report_stage(progress, "landmarks"))
+    notes = _write_notes(path, told, fused.stats, found.labels)
     told_of = (*capture.notes, *notes, *guessed)
-    seen_from = thinned(poses[:, :3, 3])
+    seen_from = thin_points(poses[:, :3, 3])
     return Source(model, colour_of, told_of, landmarks=landmarks, viewpoints=seen_from)
 
 
-def thinned(points: NDArray[np.float64]) -> NDArray[np.float64]:
+def thin_points(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Some of points (N, 3) [m], at most `VIEWPOINTS`, one in each cube of an edge that leaves so few."""
     edge, points = 0.25, np.round(points, 2)  # to a centimetre, as a map file holds them
     while True:
@@ -132,7 +136,7 @@ def thinned(points: NDArray[np.float64]) -> NDArray[np.float64]:
         edge *= 1.25
 
 
-def _floor(path: Path, fused: Fused, found: Segments) -> tuple[float, tuple[str, ...]]:
+def _find_floor(path: Path, fused: Fused, found: Segments) -> tuple[float, tuple[str, ...]]:
     """Height of the floor [m], and what was guessed of it: cameras may have seen none of it."""
     if found.floor is not None:
         return found.floor, ()
@@ -147,13 +151,13 @@ def _floor(path: Path, fused: Fused, found: Segments) -> tuple[float, tuple[str,
     return lowest, (f"{said}; pass its height where it is known (floor=0.0, or --floor 0).",)
 
 
-def _opened(
+def _open_capture(
     path: Path, how: FromCapture, poses: str | PathLike[str] | None, reader: Mapping[str, Any]
 ) -> Capture:
     """The frames of a capture that are used; it has depth."""
     capture = format_of(path).open(path, {"poses": poses, **reader})[how.frames]
     if not len(capture):
-        raise OptionError(f"frames: {path} has no frame in {_shown(how.frames)}.")
+        raise OptionError(f"frames: {path} has no frame in {_format_slice(how.frames)}.")
     if capture.depth_camera is None:
         raise InputError(
             f"{path} has no depth images; a map is fused from depth: record them, or build from a mesh."
@@ -161,7 +165,7 @@ def _opened(
     return capture
 
 
-def _fused(
+def _fuse_frames(
     path: Path,
     capture: Capture,
     how: FromCapture,
@@ -174,7 +178,7 @@ def _fused(
     try:
         return fuse(
             capture.frames, voxel=how.voxel, reach=how.reach,
-            progress=_stage(progress, "fusing"), left_out=left_out,
+            progress=_report_stage(progress, "fusing"), left_out=left_out,
         )  # fmt: skip
     except InputError as error:
         if str(path) in str(error):
@@ -182,12 +186,12 @@ def _fused(
         raise InputError(f"{path}: {error}") from error
 
 
-def things_of(found: Segments) -> tuple[Thing, ...]:
+def make_things(found: Segments) -> tuple[Thing, ...]:
     """Things of what cutting found."""
     return tuple(map(Thing, found.ids, found.labels, found.names))
 
 
-def _notes(path: Path, told: bool, stats: Any, labels: tuple[str, ...]) -> list[str]:  # noqa: ANN401
+def _write_notes(path: Path, told: bool, stats: Any, labels: tuple[str, ...]) -> list[str]:  # noqa: ANN401
     rate = stats.frames / max(stats.seconds, 1e-9)
     apart = 100 * stats.agreement
     notes = [f"{stats.frames} frames fused, {rate:.0f} a second."]
@@ -201,10 +205,10 @@ def _notes(path: Path, told: bool, stats: Any, labels: tuple[str, ...]) -> list[
     return notes
 
 
-def _stage(progress: Progress | None, stage: str) -> Callable[[int, int], None] | None:
+def _report_stage(progress: Progress | None, stage: str) -> Callable[[int, int], None] | None:
     return None if progress is None else lambda done, total: progress(stage, done, total)
 
 
-def _shown(frames: slice) -> str:
+def _format_slice(frames: slice) -> str:
     parts = [frames.start, frames.stop, *([frames.step] if frames.step else [])]
     return ":".join("" if part is None else str(part) for part in parts)

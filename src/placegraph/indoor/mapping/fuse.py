@@ -27,7 +27,7 @@ WIDEST = 2.0  # An undistorted image is at most this much wider and higher than 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shot:
+class View:
     """Images of one frame without distortion, and where they were taken."""
 
     row: int
@@ -37,17 +37,17 @@ class Shot:
     map_from_camera: Floats
 
 
-def views_of(
+def read_views(
     frames: Sequence[Frame], poses: Floats, good: NDArray[np.bool_], left_out: Counter[str]
-) -> Iterator[Shot | None]:
+) -> Iterator[View | None]:
     """Views of all frames in order, None for those without depth or whose pose is not `good` (T,).
 
     The next frames are read while the caller works on the last. Raises `InputError` where an image
     is broken.
     """
 
-    def view(row: int) -> Shot | None:
-        return view_of(frames[row], row, poses[row]) if good[row] else None
+    def view(row: int) -> View | None:
+        return read_view(frames[row], row, poses[row]) if good[row] else None
 
     with ThreadPoolExecutor(1) as reader:
         ahead = [reader.submit(view, row) for row in range(min(AHEAD, len(frames)))]
@@ -62,26 +62,26 @@ def views_of(
             yield found
 
 
-def view_of(frame: Frame, row: int, map_from_camera: Floats) -> Shot | None:
+def read_view(frame: Frame, row: int, map_from_camera: Floats) -> View | None:
     """View of a frame, None where it has no depth."""
     depth, depth_camera = frame.depth(), frame.depth_camera
     if depth is None or depth_camera is None or not (depth > 0).any():
         return None
     image, camera = frame.rgb(), frame.camera
     if not depth_camera.straight:
-        depth_camera, table = undistorted(depth_camera)
+        depth_camera, table = undistort(depth_camera)
         depth = np.where(table >= 0, depth.ravel()[table], np.nan).astype(np.float32)
     if not camera.straight:
-        camera, table = undistorted(camera)
+        camera, table = undistort(camera)
         image = image.reshape(-1, 3)[np.maximum(table, 0)]
     eyes = np.array([[c.fx, c.fy, c.cx, c.cy] for c in (depth_camera, camera)])
-    return Shot(
+    return View(
         row, np.ascontiguousarray(depth), np.ascontiguousarray(image), eyes, map_from_camera
     )
 
 
 @lru_cache(maxsize=8)
-def undistorted(camera: Camera) -> tuple[Camera, NDArray[np.int64]]:
+def undistort(camera: Camera) -> tuple[Camera, NDArray[np.int64]]:
     """The same camera without distortion, and where its pixels (h, w) stand in the flat image.
 
     Its images are as large as it takes to show all that the camera sees, up to `WIDEST` times;
@@ -112,7 +112,7 @@ def undistorted(camera: Camera) -> tuple[Camera, NDArray[np.int64]]:
     return plain, np.where(inside, line * w + column, -1)
 
 
-def checked_poses(frames: Sequence[Frame], poses: ArrayLike | None) -> Floats:
+def check_poses(frames: Sequence[Frame], poses: ArrayLike | None) -> Floats:
     """Poses (T, 4, 4); `OptionError` where they are of another shape."""
     if poses is None:
         return np.array([frame.odometry for frame in frames], np.float64).reshape(-1, 4, 4)
@@ -124,7 +124,7 @@ def checked_poses(frames: Sequence[Frame], poses: ArrayLike | None) -> Floats:
     return array
 
 
-def good_poses(poses: Floats) -> NDArray[np.bool_]:
+def find_good_poses(poses: Floats) -> NDArray[np.bool_]:
     """Which poses (T, 4, 4) can be believed: finite, rigid, near the origin, and no slip.
 
     A slip is a single pose far off the two around it, that are near to each other.
@@ -206,7 +206,7 @@ class Volume:
         """Memory of the blocks that are used."""
         return self.count * BLOCK
 
-    def take(self, view: Shot, facets: NDArray[np.float32], *, gains: bool) -> float:
+    def take(self, view: View, facets: NDArray[np.float32], *, gains: bool) -> float:
         """Take in a view, in place; what its image was multiplied by to fit those before.
 
         `facets`: (h, w, 6) of `depth_kernels.facets_of`. Raises `FullError` where memory ends.
@@ -243,7 +243,7 @@ class Volume:
         )  # fmt: skip
         return gain
 
-    def gain(self, view: Shot, facets: NDArray[np.float32]) -> float:
+    def gain(self, view: View, facets: NDArray[np.float32]) -> float:
         """What brings a view's image to the brightness of the model; 1 where they hardly overlap."""
         ratios = kernels.brightness_ratios(
             self.keys, self.rows, self.colour, self.paint, self.voxel, facets, view.image, view.eyes,
@@ -269,14 +269,14 @@ STEEPEST = 1.0
 NOTHING = 1e-12  # Triangles of no more than this are none [m^2]
 
 
-def surface_of(
+def extract_surface(
     volume: Volume, *, least: float, speck: float, left_out: Counter[str]
 ) -> tuple[Floats, Ints, Colours]:
     """Vertices (V, 3) [m], triangles (T, 3) that face free space, and colours (V, 3).
 
     `least` and `speck` as of `FuseOptions`. All are empty where the volume shows no surface.
     """
-    loop_of, loops = loop_tables()
+    loop_of, loops = make_loop_tables()
     count = volume.count
     around = kernels.neighbours(volume.keys, volume.rows, volume.places, count)
     cases, crossed, sizes = kernels.cells_of(
@@ -295,10 +295,10 @@ def surface_of(
     del around, cases, crossed, first, grid
     triangles = kernels.split(points, quads)
     del quads
-    return without_specks(points, triangles, colours, speck, left_out)
+    return drop_specks(points, triangles, colours, speck, left_out)
 
 
-def without_specks(
+def drop_specks(
     points: Floats, triangles: Ints, colours: Colours, least: float, left_out: Counter[str]
 ) -> tuple[Floats, Ints, Colours]:
     """Drop connected parts of less than `least` [m^2], and vertices that nothing uses."""
@@ -317,7 +317,7 @@ def without_specks(
 
 
 @lru_cache(maxsize=1)
-def loop_tables() -> tuple[NDArray[np.int8], NDArray[np.int8]]:
+def make_loop_tables() -> tuple[NDArray[np.int8], NDArray[np.int8]]:
     """Loop of every edge by case (256, 12), -1: the surface does not cross it; number of loops (256,).
 
     On each face of a cell the surface joins crossed edges in pairs. Where all four are crossed, the
@@ -409,7 +409,7 @@ def fuse(
     options = options or FuseOptions()
     counts: Counter[str] = Counter() if left_out is None else left_out
     _check(voxel, truncation, reach)
-    matrices = checked_poses(frames, poses)
+    matrices = check_poses(frames, poses)
     edge, why, start = voxel, "", perf_counter()
     while True:
         band = max(TRUNCATION * edge, LEAST_TRUNCATION) if truncation is None else truncation
@@ -458,7 +458,7 @@ class _Run:
         passed_over: Counter[str],
     ) -> None:
         """Take in all frames."""
-        for view in views_of(frames, poses, good_poses(poses), passed_over):
+        for view in read_views(frames, poses, find_good_poses(poses), passed_over):
             if view is not None:
                 facets = facets_of(view.depth, view.eyes[0], reach, self.options.edges)
                 self.gains[view.row] = self.volume.take(view, facets, gains=self.options.gains)
@@ -475,7 +475,7 @@ class _Run:
             f"voxels of {100 * self.volume.voxel:.3g} cm"
         )
 
-    def some_points(self, view: Shot, facets: NDArray[np.float32]) -> Floats:
+    def some_points(self, view: View, facets: NDArray[np.float32]) -> Floats:
         """Some of a view's readings that were used, spread over it, (N, 3) [m, map]."""
         v, u = np.nonzero(facets[..., 4])
         chosen = np.unique(
@@ -494,7 +494,7 @@ class _Run:
         if not any(len(points) for points in self.witnesses):
             reasons = ", ".join(f"{n} {what}" for what, n in counts.items()) or "no frame"
             raise InputError(f"There is no depth to fuse ({reasons}); a map needs depth images.")
-        vertices, triangles, colours = surface_of(
+        vertices, triangles, colours = extract_surface(
             volume, least=options.least, speck=options.speck, left_out=counts
         )
         if not len(triangles):

@@ -32,7 +32,7 @@ _STEPS = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Look:
+class _FrameFeatures:
     """Features of one frame that have a depth."""
 
     rays: Floats  # (N, 3) in the camera, z = 1
@@ -41,7 +41,7 @@ class _Look:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Track:
+class _Tracks:
     """Sights of landmarks: M of them, of L landmarks."""
 
     landmark: NDArray[np.int64]  # (M,) row of the landmark
@@ -50,7 +50,7 @@ class _Track:
     depth: Floats  # (M,) [m]
 
 
-def landmarks_of(
+def map_landmarks(
     frames: Sequence[Frame], poses: Floats, progress: Callable[[int, int], None] | None = None
 ) -> Landmarks:
     """At most `MOST_LANDMARKS` landmarks of RGB-D frames with poses (T, 4, 4), map_from_camera.
@@ -64,12 +64,12 @@ def landmarks_of(
     counts = np.zeros(0, np.int64)
     tracks = []
     with ThreadPoolExecutor(processors()) as pool:
-        looks = pool.map(_looked, (frames[row] for row in chosen))
+        looks = pool.map(_find_features, (frames[row] for row in chosen))
         for done, (row, look) in enumerate(zip(chosen.tolist(), looks, strict=True)):
             if progress is not None:
                 progress(done, len(chosen))
-            pose, focal = poses[row], LARGEST * _focal(frames[row])
-            rows = _met(points, vectors, look, pose, focal)
+            pose, focal = poses[row], LARGEST * _focal_length(frames[row])
+            rows = _match_landmarks(points, vectors, look, pose, focal)
             new = rows < 0
             rows[new] = len(points) + np.arange(new.sum())
             points = np.concatenate([points, np.zeros((new.sum(), 3))])
@@ -80,30 +80,30 @@ def landmarks_of(
             points[rows] += share * (here - points[rows])
             vectors[rows] += (share * (look.vectors - vectors[rows])).astype(np.float32)
             counts[rows] += 1
-            tracks.append(_Track(rows, np.full(len(rows), row), look.rays, look.depth))
-    track = _joined(tracks)
-    points, missed = _triangulated(points, track, poses, LARGEST * _focal(frames[0]))
-    kept = _chosen(track, counts, missed)
+            tracks.append(_Tracks(rows, np.full(len(rows), row), look.rays, look.depth))
+    track = _join_tracks(tracks)
+    points, missed = _triangulate(points, track, poses, LARGEST * _focal_length(frames[0]))
+    kept = _choose_landmarks(track, counts, missed)
     lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
     return Landmarks.of(points[kept], (vectors / np.maximum(lengths, 1e-9))[kept])
 
 
-def _focal(frame: Frame) -> float:
+def _focal_length(frame: Frame) -> float:
     """Focal length in widths of the image."""
     camera = frame.camera
     return 0.5 * (camera.fx + camera.fy) / max(camera.width, camera.height)
 
 
-def _looked(frame: Frame) -> _Look:
+def _find_features(frame: Frame) -> _FrameFeatures:
     """Features of a frame where its depth is sound."""
     found = detect_features(make_detector(FEATURES), frame, frame.rgb())
     rays = frame.camera.directions(found.points)
-    depth = depth_at(frame, rays)
+    depth = read_depth(frame, rays)
     known = np.isfinite(depth)
-    return _Look(rays[known], depth[known], found.vectors[known])
+    return _FrameFeatures(rays[known], depth[known], found.vectors[known])
 
 
-def depth_at(frame: Frame, rays: Floats) -> Floats:
+def read_depth(frame: Frame, rays: Floats) -> Floats:
     """Depth (N,) [m] along rays (N, 3), between pixels interpolated; NaN at jumps and holes."""
     depth, camera = frame.depth(), frame.depth_camera
     if depth is None or camera is None or not len(rays):
@@ -124,8 +124,8 @@ def depth_at(frame: Frame, rays: Floats) -> Floats:
     return np.where(sound, z, np.nan)
 
 
-def _met(
-    points: Floats, vectors: NDArray[np.float32], look: _Look, pose: Floats, focal: float
+def _match_landmarks(
+    points: Floats, vectors: NDArray[np.float32], look: _FrameFeatures, pose: Floats, focal: float
 ) -> NDArray[np.int64]:
     """Landmark (N,) that each feature of a frame shows again, -1: none so far."""
     out = np.full(len(look.depth), -1, np.int64)
@@ -159,8 +159,8 @@ def _met(
     return out
 
 
-def _joined(tracks: Sequence[_Track]) -> _Track:
-    return _Track(
+def _join_tracks(tracks: Sequence[_Tracks]) -> _Tracks:
+    return _Tracks(
         np.concatenate([t.landmark for t in tracks]),
         np.concatenate([t.frame for t in tracks]),
         np.concatenate([t.rays for t in tracks]),
@@ -168,8 +168,8 @@ def _joined(tracks: Sequence[_Track]) -> _Track:
     )
 
 
-def _triangulated(
-    points: Floats, track: _Track, poses: Floats, focal: float
+def _triangulate(
+    points: Floats, track: _Tracks, poses: Floats, focal: float
 ) -> tuple[Floats, Floats]:
     """Points (L, 3) nearest to their rays and depths, and what the rays miss by (L,) [px].
 
@@ -208,7 +208,9 @@ def _triangulated(
     return points, missed
 
 
-def _chosen(track: _Track, counts: NDArray[np.int64], missed: Floats) -> NDArray[np.int64]:
+def _choose_landmarks(
+    track: _Tracks, counts: NDArray[np.int64], missed: Floats
+) -> NDArray[np.int64]:
     """Rows of the landmarks kept: by their place among those of the frame that values them most."""
     worth = np.where(missed < _MISSED, counts, 0)
     order = np.lexsort((-worth[track.landmark], track.frame))

@@ -42,25 +42,25 @@ def merge_scenes(scenes: Mapping[str, S], out_path: str | PathLike[str] | None =
         The map cannot be written.
 
     """
-    _check(scenes)
-    shifts = _shifts(list(scenes.values()))
-    moved = [_moved(name, m, s) for (name, m), s in zip(scenes.items(), shifts, strict=True)]
-    first_objects = _starts([len(m) for m in moved])
-    first_scenes = _starts([len(m.scenes) for m in moved])
+    _check_scenes(scenes)
+    shifts = _place_scenes(list(scenes.values()))
+    moved = [_shift_scene(name, m, s) for (name, m), s in zip(scenes.items(), shifts, strict=True)]
+    first_objects = _first_rows([len(m) for m in moved])
+    first_scenes = _first_rows([len(m.scenes) for m in moved])
     merged = replace(
         moved[0],
-        graph=_graph([m.graph for m in moved], first_objects),
-        mesh=_mesh([m.mesh for m in moved], first_objects),
-        attributes=_joined([m.attributes for m in moved]),
+        graph=_join_graphs([m.graph for m in moved], first_objects),
+        mesh=_join_meshes([m.mesh for m in moved], first_objects),
+        attributes=_join_tuples([m.attributes for m in moved]),
         floors=np.concatenate([m.floors for m in moved]),
-        scenes=_joined([m.scenes for m in moved]),
+        scenes=_join_tuples([m.scenes for m in moved]),
         scene_of=np.concatenate([m.scene_of + n for m, n in zip(moved, first_scenes, strict=True)]),
         scene_from_map=np.concatenate([m.scene_from_map for m in moved]),
         source=", ".join(scenes),
-        encoded=_joined([m.encoded for m in moved]),
+        encoded=_join_tuples([m.encoded for m in moved]),
         landmarks=Landmarks.joined([m.landmarks for m in moved]),
         viewpoints=np.concatenate([m.viewpoints for m in moved]),
-        anchors=_joined([m.anchors for m in moved]),
+        anchors=_join_tuples([m.anchors for m in moved]),
     )
     if out_path is not None:
         from placegraph.indoor.map.scene_file import save_scene
@@ -69,7 +69,7 @@ def merge_scenes(scenes: Mapping[str, S], out_path: str | PathLike[str] | None =
     return merged
 
 
-def _check(scenes: Mapping[str, Scene]) -> None:
+def _check_scenes(scenes: Mapping[str, Scene]) -> None:
     if not scenes:
         raise OptionError("scenes: there is none; give at least one scene map.")
     for name in scenes:
@@ -89,7 +89,7 @@ def _check(scenes: Mapping[str, Scene]) -> None:
         )
 
 
-def _shifts(maps: Sequence[Scene]) -> list[NDArray[np.float64]]:
+def _place_scenes(maps: Sequence[Scene]) -> list[NDArray[np.float64]]:
     """Shift (3,) of each scene: boxes in a row along x from 0, centred in y, lowest floor at 0."""
     shifts, x = [], 0.0
     for scene in maps:
@@ -102,7 +102,7 @@ def _shifts(maps: Sequence[Scene]) -> list[NDArray[np.float64]]:
     return shifts
 
 
-def _moved(name: str, scene: S, shift: NDArray[np.float64]) -> S:
+def _shift_scene(name: str, scene: S, shift: NDArray[np.float64]) -> S:
     """Scene shifted, with its name in front of ids and parts."""
     back = np.eye(4)
     back[:3, 3] = -shift
@@ -129,43 +129,43 @@ def _moved(name: str, scene: S, shift: NDArray[np.float64]) -> S:
     )
 
 
-def _graph(graphs: list[SceneGraph], starts: list[int]) -> SceneGraph:
+def _join_graphs(graphs: list[SceneGraph], starts: list[int]) -> SceneGraph:
     embeddings = [g.embeddings for g in graphs if g.embeddings is not None]
     extents = [np.zeros_like(g.positions) if g.extents is None else g.extents for g in graphs]
     return SceneGraph(
-        ids=_joined([g.ids for g in graphs]),
-        labels=_joined([g.labels for g in graphs]),
-        names=_joined([g.names for g in graphs]),
+        ids=_join_tuples([g.ids for g in graphs]),
+        labels=_join_tuples([g.labels for g in graphs]),
+        names=_join_tuples([g.names for g in graphs]),
         positions=np.concatenate([g.positions for g in graphs]),
         extents=np.concatenate(extents),
         embeddings=np.concatenate(embeddings) if embeddings else None,
         sources=np.concatenate([g.sources + n for g, n in zip(graphs, starts, strict=True)]),
         targets=np.concatenate([g.targets + n for g, n in zip(graphs, starts, strict=True)]),
-        relations=_joined([g.relations for g in graphs]),
+        relations=_join_tuples([g.relations for g in graphs]),
     )
 
 
-def _mesh(meshes: list[Mesh], first_objects: list[int]) -> Mesh:
-    first_vertices = _starts([len(m.vertices) for m in meshes])
-    first_textures = _starts([len(m.textures) for m in meshes])
+def _join_meshes(meshes: list[Mesh], first_objects: list[int]) -> Mesh:
+    first_vertices = _first_rows([len(m.vertices) for m in meshes])
+    first_textures = _first_rows([len(m.textures) for m in meshes])
     return Mesh(
         vertices=np.concatenate([m.vertices for m in meshes]),
-        triangles=_shifted([m.triangles for m in meshes], first_vertices),
-        object_of=_shifted([m.object_of for m in meshes], first_objects),
+        triangles=_offset_columns([m.triangles for m in meshes], first_vertices),
+        object_of=_offset_columns([m.object_of for m in meshes], first_objects),
         colours=np.concatenate([m.colours for m in meshes]),
         uv=np.concatenate([m.uv for m in meshes]),
-        texture_of=_shifted([m.texture_of for m in meshes], first_textures),
-        textures=_joined([m.textures for m in meshes]),
+        texture_of=_offset_columns([m.texture_of for m in meshes], first_textures),
+        textures=_join_tuples([m.textures for m in meshes]),
     ).snapped()
 
 
-def _shifted(columns: list[NDArray[np.int32]], starts: list[int]) -> NDArray[np.int32]:
+def _offset_columns(columns: list[NDArray[np.int32]], starts: list[int]) -> NDArray[np.int32]:
     return np.concatenate([c + np.int32(n) for c, n in zip(columns, starts, strict=True)])
 
 
-def _starts(counts: list[int]) -> list[int]:
+def _first_rows(counts: list[int]) -> list[int]:
     return [0, *np.cumsum(counts).tolist()[:-1]]
 
 
-def _joined(columns: list[tuple[Any, ...]]) -> tuple[Any, ...]:
+def _join_tuples(columns: list[tuple[Any, ...]]) -> tuple[Any, ...]:
     return tuple(entry for column in columns for entry in column)

@@ -24,10 +24,10 @@ from placegraph.indoor.mapping.from_capture import Source
 from placegraph.indoor.mapping.outlines import (
     LEAST_AREA,
     area,
-    outlines_of,
-    polygons,
-    rings_of_cells,
-    triangulated,
+    find_outlines,
+    make_polygons,
+    trace_cells,
+    triangulate,
 )
 from placegraph.io.mesh.model import Model, Picture, Thing
 from placegraph.io.osm.indoor_osm import (
@@ -82,7 +82,7 @@ class Level:
     notes: tuple[str, ...]
 
 
-def level_of(plan: IndoorOsm, level: float | None) -> Level:
+def select_level(plan: IndoorOsm, level: float | None) -> Level:
     """One level of a file's rooms; what has no level is on all where it is a door, else on level 0.
 
     Raises
@@ -93,26 +93,26 @@ def level_of(plan: IndoorOsm, level: float | None) -> Level:
         The rooms are spread over more than a building.
 
     """
-    chosen, notes = _chosen(plan, level)
-    shapes = [s for s in plan.shapes if chosen in (s.levels or _anywhere(s, chosen))]
+    chosen, notes = _choose_level(plan, level)
+    shapes = [s for s in plan.shapes if chosen in (s.levels or _default_levels(s, chosen))]
     held = [s for s in shapes if s.kind in ROOMS]
     points = np.concatenate([part for shape in held for part in shape.parts])
-    anchor = _anchor(plan, chosen, points)
-    east, north = np.ptp(_plane(anchor, points), axis=0)
+    anchor = _make_anchor(plan, chosen, points)
+    east, north = np.ptp(_project(anchor, points), axis=0)
     if max(east, north) > SPREAD:
         raise InputError(
             f"{plan.path}: the rooms of level {chosen:g} are spread over {max(east, north) / 1000:,.0f} "
             "km; cut out one building, as with `osmium extract`."
         )
-    storey, said = _storey(plan, anchor)
-    if not all(_height(shape.tags) for shape in held):
+    storey, said = _find_storey(plan, anchor)
+    if not all(_parse_height(shape.tags) for shape in held):
         notes.append(said)
     names = room_names(held)
     rooms = []
     for shape, name in zip(held, names, strict=True):
-        found = polygons([_plane(anchor, part) for part in shape.parts])
+        found = make_polygons([_project(anchor, part) for part in shape.parts])
         if found:
-            rooms.append(Room(shape, name, found, _height(shape.tags) or storey))
+            rooms.append(Room(shape, name, found, _parse_height(shape.tags) or storey))
         else:
             plan.left_out["rooms without an area"] += 1
     if not rooms:
@@ -120,14 +120,14 @@ def level_of(plan: IndoorOsm, level: float | None) -> Level:
     return Level(
         anchor=anchor,
         rooms=rooms,
-        walls=[_plane(anchor, part) for s in shapes if s.kind == "wall" for part in s.parts],
-        doors=[_door(anchor, s) for s in shapes if s.kind == "door"],
+        walls=[_project(anchor, part) for s in shapes if s.kind == "wall" for part in s.parts],
+        doors=[_make_door(anchor, s) for s in shapes if s.kind == "door"],
         storey=storey,
         notes=tuple(notes),
     )
 
 
-def _chosen(plan: IndoorOsm, level: float | None) -> tuple[float, list[str]]:
+def _choose_level(plan: IndoorOsm, level: float | None) -> tuple[float, list[str]]:
     levels, notes = plan.levels, []
     nowhere = sum(s.kind in ROOMS and not s.levels for s in plan.shapes)
     if nowhere:
@@ -144,12 +144,12 @@ def _chosen(plan: IndoorOsm, level: float | None) -> tuple[float, list[str]]:
     return chosen, notes
 
 
-def _anywhere(shape: IndoorShape, chosen: float) -> tuple[float, ...]:
+def _default_levels(shape: IndoorShape, chosen: float) -> tuple[float, ...]:
     """Level of what has none."""
     return (chosen,) if shape.kind in {"door", "building"} else (0.0,)
 
 
-def _anchor(plan: IndoorOsm, level: float, points: Floats) -> Anchor:
+def _make_anchor(plan: IndoorOsm, level: float, points: Floats) -> Anchor:
     """Where the map stands: its origin is the middle of its rooms, x points east, y north."""
     middle = (points.min(axis=0) + points.max(axis=0)) / 2.0
     around = [
@@ -167,17 +167,17 @@ def _anchor(plan: IndoorOsm, level: float, points: Floats) -> Anchor:
     )  # fmt: skip
 
 
-def _plane(anchor: Anchor, lonlat: Floats) -> Floats:
+def _project(anchor: Anchor, lonlat: Floats) -> Floats:
     """(n, 2) [m, map] of (n, 2) [deg]."""
     heights = np.full((len(lonlat), 1), anchor.height)
     return anchor.to_map(np.concatenate([lonlat, heights], axis=1))[:, :2]
 
 
-def _storey(plan: IndoorOsm, anchor: Anchor) -> tuple[float, str]:
+def _find_storey(plan: IndoorOsm, anchor: Anchor) -> tuple[float, str]:
     """Height of rooms by their building's, in as many levels, or a usual one; and which it was."""
     house = next((s for s in plan.shapes if s.osm == anchor.osm), None)
     if house is not None:
-        tall = length_of(house.tags.get("height", ""))
+        tall = parse_length(house.tags.get("height", ""))
         levels = levels_of(house.tags.get("building:levels", ""))
         if tall and levels and levels[-1] > 0:
             height = tall / levels[-1] - SLAB
@@ -189,23 +189,26 @@ def _storey(plan: IndoorOsm, anchor: Anchor) -> tuple[float, str]:
     return HEIGHT, f"Rooms without a height are taken to be {HEIGHT} m high."
 
 
-def _height(tags: Mapping[str, str]) -> float | None:
+def _parse_height(tags: Mapping[str, str]) -> float | None:
     """Height of a room [m] that its tags say; None: nothing that could be."""
-    top = length_of(tags.get("height", ""))
-    height = None if top is None else top - (length_of(tags.get("min_height", "")) or 0.0)
+    top = parse_length(tags.get("height", ""))
+    height = None if top is None else top - (parse_length(tags.get("min_height", "")) or 0.0)
     return height if height is not None and _LOW <= height <= _HIGH else None
 
 
-def _door(anchor: Anchor, shape: IndoorShape) -> Door:
-    line = _plane(anchor, shape.parts[0])
+def _make_door(anchor: Anchor, shape: IndoorShape) -> Door:
+    line = _project(anchor, shape.parts[0])
     wide = float(np.linalg.norm(line[-1] - line[0]))
-    width = length_of(shape.tags.get("width", "")) or (wide if 0.3 < wide < 20.0 else DOOR[0])
+    width = parse_length(shape.tags.get("width", "")) or (wide if 0.3 < wide < 20.0 else DOOR[0])
     return Door(
-        shape, line[[0, -1]].mean(axis=0), width, length_of(shape.tags.get("height", "")) or DOOR[1]
+        shape,
+        line[[0, -1]].mean(axis=0),
+        width,
+        parse_length(shape.tags.get("height", "")) or DOOR[1],
     )
 
 
-def length_of(text: str) -> float | None:
+def parse_length(text: str) -> float | None:
     """Metres of a tag: ``2.8``, ``2.8 m``, ``90 cm``; None where it is none."""
     match = _LENGTH.fullmatch(text)
     if match is None:
@@ -272,13 +275,13 @@ class Wall:
         ]
 
 
-def distances(walls: list[Wall], at: Floats) -> Floats:
+def measure_distances(walls: list[Wall], at: Floats) -> Floats:
     """How far (W,) a point (2,) is from the lines of walls [m]."""
     start, end = (np.array([getattr(w, name) for w in walls]) for name in ("start", "end"))
-    return off_segments(at[None], start, end)[0]
+    return segment_distances(at[None], start, end)[0]
 
 
-def off_segments(points: Floats, starts: Floats, ends: Floats) -> Floats:
+def segment_distances(points: Floats, starts: Floats, ends: Floats) -> Floats:
     """Distance (N, M) [m] of points (N, 2) to segments (M, 2) and (M, 2)."""
     along = ends - starts
     away = points[:, None] - starts[None]
@@ -288,7 +291,7 @@ def off_segments(points: Floats, starts: Floats, ends: Floats) -> Floats:
     return distances
 
 
-def walls_of(level: Level) -> list[Wall]:
+def find_walls(level: Level) -> list[Wall]:
     """Walls of a level: rooms stand in walls; corridors where they border on nothing else; areas in none.
 
     Where an outline has nodes on another's edge, it is cut there, so that shared walls are one.
@@ -298,7 +301,7 @@ def walls_of(level: Level) -> list[Wall]:
     found: dict[tuple[float, ...], list[tuple[str, Wall]]] = {}
     for room, ring in rings:
         for start, end in pairwise(np.round(ring, 2)):
-            for a, b in pairwise(_split(start, end, nodes)):
+            for a, b in pairwise(_split_edge(start, end, nodes)):
                 length = float(np.linalg.norm(b - a))
                 if length > _ON:
                     key = (*min(a.tolist(), b.tolist()), *max(a.tolist(), b.tolist()))
@@ -322,7 +325,7 @@ def walls_of(level: Level) -> list[Wall]:
     return walls
 
 
-def _split(start: Floats, end: Floats, nodes: Floats) -> list[Floats]:
+def _split_edge(start: Floats, end: Floats, nodes: Floats) -> list[Floats]:
     """Ends of an edge with the nodes of other outlines that lie on it, in order."""
     along, away = end - start, nodes - start
     length = max(float(np.linalg.norm(along)), 1e-9)
@@ -337,10 +340,10 @@ def _cross(a: Floats, b: Floats) -> Floats:
     return crossed
 
 
-def rooms_source(path: Path, options: Mapping[str, Any], left_out: Counter[str]) -> Source:
+def read_rooms(path: Path, options: Mapping[str, Any], left_out: Counter[str]) -> Source:
     """Source of a scene map of one level of an OpenStreetMap file, `options["level"]`.
 
-    Raises `InputError` and `OptionError` as `read_indoor_osm` and `level_of` do.
+    Raises `InputError` and `OptionError` as `read_indoor_osm` and `select_level` do.
     """
     if strange := set(options) - {"level"}:
         raise OptionError(
@@ -355,8 +358,8 @@ def rooms_source(path: Path, options: Mapping[str, Any], left_out: Counter[str])
     if wanted is not None and len(wanted) != 1:
         raise OptionError(f"level is {given!r}; give one, as 1 or -1 or 0.5.")
     plan = read_indoor_osm(path)
-    level = level_of(plan, wanted[0] if wanted else None)
-    model = model_of(level, path, plan.left_out)
+    level = select_level(plan, wanted[0] if wanted else None)
+    model = build_model(level, path, plan.left_out)
     left_out.update(plan.left_out)
     return Source(model, notes=level.notes, anchors=(level.anchor,))
 
@@ -367,7 +370,7 @@ _BOX = np.array([(0, 1, 3), (0, 3, 2), (4, 7, 5), (4, 6, 7), (0, 4, 5), (0, 5, 1
                  (2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)])  # fmt: skip
 
 
-class _Parts:
+class _ModelBuilder:
     """Things with their triangles, as they come."""
 
     def __init__(self) -> None:
@@ -396,15 +399,15 @@ class _Parts:
         self.add(np.concatenate(corners), _BOX)
 
 
-def model_of(level: Level, path: Path, left_out: Counter[str]) -> Model:
+def build_model(level: Level, path: Path, left_out: Counter[str]) -> Model:
     """Model of a level, its floor at 0 m."""
-    parts = _Parts()
+    parts = _ModelBuilder()
     for room in level.rooms:
-        _floor_and_ceiling(parts, room)
-    walls = walls_of(level)
+        _add_floor_and_ceiling(parts, room)
+    walls = find_walls(level)
     opened: list[list[Door]] = [[] for _ in walls]
     for door in level.doors:
-        far = distances(walls, door.at) if walls else np.full(1, np.inf)
+        far = measure_distances(walls, door.at) if walls else np.full(1, np.inf)
         if far.min() > REACH:
             left_out["doors that are on no wall"] += 1
             continue
@@ -412,7 +415,7 @@ def model_of(level: Level, path: Path, left_out: Counter[str]) -> Model:
         for row in np.flatnonzero(far < REACH + door.width / 2.0).tolist():
             if walls[row].in_line_with(nearest):
                 opened[row].append(door)
-        _frame(parts, nearest, door)
+        _add_frame(parts, nearest, door)
     for wall, doors in zip(walls, opened, strict=True):
         pieces = wall.solid(doors)
         if pieces:
@@ -429,7 +432,7 @@ def model_of(level: Level, path: Path, left_out: Counter[str]) -> Model:
     )  # fmt: skip
 
 
-def _floor_and_ceiling(parts: _Parts, room: Room) -> None:
+def _add_floor_and_ceiling(parts: _ModelBuilder, room: Room) -> None:
     tags = room.shape.tags
     said = {key: tags[key] for key in _KEPT if key in tags}
     kind = tags.get("room") or tags.get("osmAG:areaType", "room")
@@ -441,12 +444,12 @@ def _floor_and_ceiling(parts: _Parts, room: Room) -> None:
             label, tags.get("name", "") if not z else "", said if not z else {"room": room.name}
         )
         for rings in room.polygons:
-            points, triangles = triangulated(rings)
+            points, triangles = triangulate(rings)
             turned = triangles if not z else triangles[:, ::-1]
             parts.add(np.column_stack([points, np.full(len(points), z)]), turned)
 
 
-def _frame(parts: _Parts, wall: Wall, door: Door) -> None:
+def _add_frame(parts: _ModelBuilder, wall: Wall, door: Door) -> None:
     """The frame of a door: what there is of it while it stands open."""
     low, high, top = wall.opening(door)
     if high - low < 3.0 * FRAME:
@@ -466,7 +469,7 @@ _DOORS = frozenset({"door", "doorway", "doors"})
 _SAID = ("indoor", "ref", "amenity", "shop", "office", "highway", "stairs", "access")
 
 
-def shapes_of(scene: Scene) -> list[IndoorShape]:
+def export_shapes(scene: Scene) -> list[IndoorShape]:
     """Rooms and doors of a map, by the best anchor of each of its scenes, longitude and latitude.
 
     A room is outlined by its own floor; where floors go through several rooms, by the free floor,
@@ -487,17 +490,21 @@ def shapes_of(scene: Scene) -> list[IndoorShape]:
                 "`placegraph scene anchor`."
             )
         rows = np.flatnonzero(scene.scene_of == s)
-        shapes += _rooms(scene, s, rows, anchors[0])
-        shapes += _doors(scene, s, rows, anchors[0])
+        shapes += _export_rooms(scene, s, rows, anchors[0])
+        shapes += _export_doors(scene, s, rows, anchors[0])
     if not any(shape.kind in ROOMS for shape in shapes):
         raise OptionError("The map has no room: neither floors nor free floor between walls.")
     return shapes
 
 
-def _rooms(scene: Scene, s: int, rows: NDArray[np.int64], anchor: Anchor) -> list[IndoorShape]:
+def _export_rooms(
+    scene: Scene, s: int, rows: NDArray[np.int64], anchor: Anchor
+) -> list[IndoorShape]:
     floor, found = float(scene.floors[s]), []
     outlined = {
-        row: _outline(scene, row) for row in rows.tolist() if is_floor(scene.graph.labels[row])
+        row: _outline_floor(scene, row)
+        for row in rows.tolist()
+        if is_floor(scene.graph.labels[row])
     }
     names = [scene.attributes[row].get("room", "") for row in outlined]
     own = len(set(names)) == len(names) > 0 and all(names)
@@ -507,29 +514,29 @@ def _rooms(scene: Scene, s: int, rows: NDArray[np.int64], anchor: Anchor) -> lis
             tags = {k: said[k] for k in _SAID if k in said and k != "indoor"}
             kind = said.get("indoor", "room")
             numbered = {"ref": said["room"]} if said["room"].isdecimal() else {}
-            named = _named(scene, row) or ("" if numbered or _of_itself(said) else said["room"])
+            named = _own_name(scene, row) or ("" if numbered or _is_generic(said) else said["room"])
             tags = numbered | tags | {"name": named, "room": said.get("kind", "")}
-            height = _ceiling(scene, rows, said["room"], floor)
-            found.append(_room(anchor, f"way/{row}", kind, rings, tags, (floor, height)))
+            height = _find_ceiling(scene, rows, said["room"], floor)
+            found.append(_make_room(anchor, f"way/{row}", kind, rings, tags, (floor, height)))
         return found
     rooms = rooms_of(scene.mesh, scene.graph.labels, floor)
     for k in range(len(rooms)):
         inside = [scene.attributes[row].get("room", "") for row in rows[rooms.room_of[rows] == k]]
         name = max(set(inside), key=inside.count) if inside else ""
         tags = {"name": "" if name.isdecimal() else name, "ref": name if name.isdecimal() else ""}
-        rings = rings_of_cells(rooms.cells == k, rooms.origin, rooms.cell)
+        rings = trace_cells(rooms.cells == k, rooms.origin, rooms.cell)
         if rings:
-            found.append(_room(anchor, f"way/{k}", "room", rings, tags, (floor, None)))
+            found.append(_make_room(anchor, f"way/{k}", "room", rings, tags, (floor, None)))
     return found
 
 
-def _of_itself(said: dict[str, str]) -> bool:
+def _is_generic(said: dict[str, str]) -> bool:
     """Whether a room's name says what it is, and no more: it was given when the map was made."""
     kind = (said.get("kind") or said.get("indoor", "")).replace("_", " ")
     return bool(kind) and said["room"].rstrip(" 0123456789") == kind
 
 
-def _room(
+def _make_room(
     anchor: Anchor,
     osm: str,
     kind: str,
@@ -541,28 +548,28 @@ def _room(
     said = {"level": level} | {k: v for k, v in tags.items() if v}
     if top is not None:
         said["height"] = f"{top - floor:.2f}"
-    parts = [_lonlat(anchor, ring, floor) for ring in rings]
+    parts = [_to_lonlat(anchor, ring, floor) for ring in rings]
     return IndoorShape(osm, kind if kind in ROOMS else "room", (), said, parts)
 
 
-def _lonlat(anchor: Anchor, points: Floats, height: float) -> Floats:
+def _to_lonlat(anchor: Anchor, points: Floats, height: float) -> Floats:
     there: Floats = anchor.to_earth(np.column_stack([points, np.full(len(points), height)]))[:, :2]
     return there
 
 
-def _outline(scene: Scene, row: int) -> list[Floats]:
+def _outline_floor(scene: Scene, row: int) -> list[Floats]:
     """Closed rings of a floor (n, 2) [m, map]; empty where its triangles make none."""
     mesh = scene.mesh
     triangles = mesh.triangles[mesh.object_of == row].astype(np.int64)
     corners = mesh.vertices[triangles].astype(np.float64)
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     level = np.abs(normals[:, 2]) > LEVEL * np.linalg.norm(normals, axis=1)
-    rings = outlines_of(mesh.vertices[:, :2].astype(np.float64), triangles[level])
+    rings = find_outlines(mesh.vertices[:, :2].astype(np.float64), triangles[level])
     rings = [ring for ring in rings if abs(area(ring)) > LEAST_AREA]
     return sorted(rings, key=lambda ring: -abs(area(ring)))
 
 
-def _ceiling(scene: Scene, rows: NDArray[np.int64], room: str, floor: float) -> float | None:
+def _find_ceiling(scene: Scene, rows: NDArray[np.int64], room: str, floor: float) -> float | None:
     """Height of a room's ceiling [m, map], or of the others'; None where there is none."""
     above: dict[bool, list[float]] = {True: [], False: []}
     for row in rows.tolist():
@@ -574,26 +581,34 @@ def _ceiling(scene: Scene, rows: NDArray[np.int64], room: str, floor: float) -> 
     return float(np.median(heights)) if heights else None
 
 
-def _doors(scene: Scene, s: int, rows: NDArray[np.int64], anchor: Anchor) -> list[IndoorShape]:
+def _export_doors(
+    scene: Scene, s: int, rows: NDArray[np.int64], anchor: Anchor
+) -> list[IndoorShape]:
     graph, floor, found = scene.graph, float(scene.floors[s]), []
     for row in rows.tolist():
         words = label_words(graph.labels[row])
         if not words or words[-1] not in _DOORS or graph.extents is None:
             continue
-        ends = ends_of(scene, row)
+        ends = find_ends(scene, row)
         width, height = float(np.linalg.norm(ends[1] - ends[0])), float(graph.extents[row, 2])
         said = {
             k: scene.attributes[row][k]
             for k in ("entrance", "door", "ref")
             if k in scene.attributes[row]
         }
-        said |= {"level": anchor.level or "0", "width": f"{width:.2f}", "name": _named(scene, row)}
+        said |= {
+            "level": anchor.level or "0",
+            "width": f"{width:.2f}",
+            "name": _own_name(scene, row),
+        }
         said["height"] = f"{height:.2f}"
-        found.append(IndoorShape(f"node/{row}", "door", (), said, [_lonlat(anchor, ends, floor)]))
+        found.append(
+            IndoorShape(f"node/{row}", "door", (), said, [_to_lonlat(anchor, ends, floor)])
+        )
     return found
 
 
-def ends_of(scene: Scene, row: int) -> Floats:
+def find_ends(scene: Scene, row: int) -> Floats:
     """Ends (2, 2) of a door or window seen from above [m, map]: along what it is widest."""
     mesh = scene.mesh
     corners = mesh.vertices[mesh.triangles[mesh.object_of == row], :2].reshape(-1, 2)
@@ -605,7 +620,7 @@ def ends_of(scene: Scene, row: int) -> Floats:
     return ends
 
 
-def _named(scene: Scene, row: int) -> str:
+def _own_name(scene: Scene, row: int) -> str:
     """Name of an object, unless it only says again what it is, as "floor 1"."""
     name, label = scene.graph.names[row], scene.graph.labels[row]
     return "" if name.casefold().rstrip(" 0123456789_.-") == label.casefold() else name

@@ -24,7 +24,7 @@ def area(ring: Floats) -> float:
     return float((x[:-1] * y[1:] - x[1:] * y[:-1]).sum()) / 2.0
 
 
-def polygons(rings: Sequence[Floats]) -> list[list[Floats]]:
+def make_polygons(rings: Sequence[Floats]) -> list[list[Floats]]:
     """Simple polygons of closed rings (n, 2) [m]: the outer ring, counter-clockwise, then its holes.
 
     An outer ring that crosses itself falls into those that it is made of, without holes; what is
@@ -32,23 +32,23 @@ def polygons(rings: Sequence[Floats]) -> list[list[Floats]]:
     """
     found = []
     for outer, *holes in nested(rings):
-        loops = untangled(rings[outer])
+        loops = untangle(rings[outer])
         if len(loops) == 1:
-            inner = [loop for k in holes for loop in untangled(rings[k])]
+            inner = [loop for k in holes for loop in untangle(rings[k])]
             found.append([wound(loops[0], 1.0), *(wound(loop, -1.0) for loop in inner)])
         else:
             found.extend([wound(loop, 1.0)] for loop in loops)
     return found
 
 
-def untangled(ring: Floats) -> list[Floats]:
+def untangle(ring: Floats) -> list[Floats]:
     """Cut a closed ring (n, 2) [m] into closed rings that neither cross nor touch themselves."""
     left, simple = [np.asarray(ring, np.float64)[:-1]], []
     for _ in range(_MOST_SPLITS):
         if not left:
             break
         loop = left.pop()
-        crossing = _crossing(loop)
+        crossing = _find_crossing(loop)
         if crossing is None:
             closed = np.concatenate([loop, loop[:1]])
             if len(loop) > 2 and abs(area(closed)) > LEAST_AREA:
@@ -60,7 +60,7 @@ def untangled(ring: Floats) -> list[Floats]:
     return simple
 
 
-def _crossing(loop: Floats) -> tuple[int, int, Floats] | None:
+def _find_crossing(loop: Floats) -> tuple[int, int, Floats] | None:
     """Edges i < j of an open loop (n, 2) that cross or touch, and where; None: it is simple."""
     n = len(loop)
     for i in range(n):
@@ -95,7 +95,7 @@ def _crossing(loop: Floats) -> tuple[int, int, Floats] | None:
     return None
 
 
-def triangulated(rings: Sequence[Floats]) -> tuple[Floats, NDArray[np.int64]]:
+def triangulate(rings: Sequence[Floats]) -> tuple[Floats, NDArray[np.int64]]:
     """Points (V, 2) and counter-clockwise triangles (T, 3) of a simple polygon, by clipping ears.
 
     `rings`: closed, the outer one counter-clockwise, holes clockwise; no point is added.
@@ -105,23 +105,23 @@ def triangulated(rings: Sequence[Floats]) -> tuple[Floats, NDArray[np.int64]]:
     loops = [list(range(a, b)) for a, b in pairwise(starts.tolist())]
     loop = loops[0]
     for hole in sorted(loops[1:], key=lambda rows: -points[rows, 0].max()):
-        loop = _bridged(points, loop, hole)
-    return points, np.array(_ears(points, loop), np.int64).reshape(-1, 3)
+        loop = _bridge_hole(points, loop, hole)
+    return points, np.array(_clip_ears(points, loop), np.int64).reshape(-1, 3)
 
 
-def _bridged(points: Floats, loop: list[int], hole: list[int]) -> list[int]:
+def _bridge_hole(points: Floats, loop: list[int], hole: list[int]) -> list[int]:
     """Loop that goes into a hole and back by the shortest way that crosses nothing."""
     edges = [*pairwise([*loop, loop[0]]), *pairwise([*hole, hole[0]])]
     start, end = points[[a for a, _ in edges]], points[[b for _, b in edges]]
     lengths = np.linalg.norm(points[loop][:, None] - points[hole][None], axis=2)
     for k in np.argsort(lengths, axis=None, kind="stable").tolist():
         i, j = divmod(k, len(hole))
-        if not _cuts(points[loop[i]], points[hole[j]], start, end):
+        if not _is_crossed(points[loop[i]], points[hole[j]], start, end):
             break
     return [*loop[: i + 1], *hole[j:], *hole[: j + 1], *loop[i:]]
 
 
-def _cuts(a: Floats, b: Floats, start: Floats, end: Floats) -> bool:
+def _is_crossed(a: Floats, b: Floats, start: Floats, end: Floats) -> bool:
     """Whether a segment crosses one of others, ends aside."""
     along, others = b - a, end - start
     turn = _cross(along, others)
@@ -131,7 +131,7 @@ def _cuts(a: Floats, b: Floats, start: Floats, end: Floats) -> bool:
     return bool((within & (np.abs(turn) > _TINY)).any())
 
 
-def _ears(points: Floats, loop: list[int]) -> list[tuple[int, int, int]]:
+def _clip_ears(points: Floats, loop: list[int]) -> list[tuple[int, int, int]]:
     ears: list[tuple[int, int, int]] = []
     loop, i, idle = list(loop), 0, 0
     while len(loop) > 2 and idle <= len(loop):
@@ -140,7 +140,7 @@ def _ears(points: Floats, loop: list[int]) -> list[tuple[int, int, int]]:
         a, b, c = points[list(corner)]
         doubled = float(_cross(b - a, c - b))
         flat = abs(doubled) <= _FLAT
-        if flat or (doubled > 0 and not _holds(a, b, c, points[loop])):
+        if flat or (doubled > 0 and not _contains_any(a, b, c, points[loop])):
             if not flat:
                 ears.append(corner)
             loop.pop(i)
@@ -150,14 +150,14 @@ def _ears(points: Floats, loop: list[int]) -> list[tuple[int, int, int]]:
     return ears
 
 
-def _holds(a: Floats, b: Floats, c: Floats, others: Floats) -> bool:
+def _contains_any(a: Floats, b: Floats, c: Floats, others: Floats) -> bool:
     """Whether a counter-clockwise triangle holds a point that is none of its corners."""
     own = (others == a).all(axis=1) | (others == b).all(axis=1) | (others == c).all(axis=1)
     sides = [_cross(q - p, others - p) for p, q in ((a, b), (b, c), (c, a))]
     return bool((~own & (np.min(sides, axis=0) >= -_TINY)).any())
 
 
-def outlines_of(points: Floats, triangles: NDArray[np.int64]) -> list[Floats]:
+def find_outlines(points: Floats, triangles: NDArray[np.int64]) -> list[Floats]:
     """Closed rings around triangles (T, 3) seen from above: edges that only one of them has.
 
     `points`: (V, 2) [m]; those within 0.1 mm are one. Empty where the edges make no rings.
@@ -176,10 +176,10 @@ def outlines_of(points: Floats, triangles: NDArray[np.int64]) -> list[Floats]:
     for (one, other), count in edges.items():
         for _ in range(count - edges.get((other, one), 0)):
             after.setdefault(one, []).append(other)
-    return [_straightened(np.array([place[k] for k in way])) for way in _ways(after)]
+    return [_straighten(np.array([place[k] for k in way])) for way in _trace_rings(after)]
 
 
-def rings_of_cells(mask: NDArray[np.bool_], origin: Floats, cell: float) -> list[Floats]:
+def trace_cells(mask: NDArray[np.bool_], origin: Floats, cell: float) -> list[Floats]:
     """Closed rings (n, 2) [m] around the set cells (nx, ny) of a grid, straightened to a cell's width.
 
     The largest first, counter-clockwise around cells, clockwise around holes; those below 0.5 m2
@@ -198,14 +198,14 @@ def rings_of_cells(mask: NDArray[np.bool_], origin: Floats, cell: float) -> list
         for a, b in zip(one.tolist(), other.tolist(), strict=True):
             after.setdefault(a, []).append(b)
     rings = [
-        _simplified(origin + cell * np.stack(np.divmod(np.array(way), ny), axis=1), cell)
-        for way in _ways(after)
+        _simplify_ring(origin + cell * np.stack(np.divmod(np.array(way), ny), axis=1), cell)
+        for way in _trace_rings(after)
     ]
     large = [ring for ring in rings if len(ring) > 3 and abs(area(ring)) > 0.5]
     return sorted(large, key=lambda ring: -abs(area(ring)))
 
 
-def _ways(after: dict[int, list[int]]) -> list[list[int]]:
+def _trace_rings(after: dict[int, list[int]]) -> list[list[int]]:
     """Closed ways along directed edges; empty where they make none."""
     ways = []
     while after:
@@ -225,7 +225,7 @@ def _ways(after: dict[int, list[int]]) -> list[list[int]]:
     return ways
 
 
-def _simplified(ring: Floats, tolerance: float) -> Floats:
+def _simplify_ring(ring: Floats, tolerance: float) -> Floats:
     """Closed ring without the points that lie within a tolerance [m] of it (Douglas, Peucker)."""
     far = int(np.linalg.norm(ring - ring[0], axis=1).argmax())
     kept = np.zeros(len(ring), np.bool_)
@@ -245,7 +245,7 @@ def _simplified(ring: Floats, tolerance: float) -> Floats:
     return ring[kept]
 
 
-def _straightened(ring: Floats) -> Floats:
+def _straighten(ring: Floats) -> Floats:
     """Closed ring without the points on straight edges."""
     loop = ring[:-1]
     before, after = loop - np.roll(loop, 1, axis=0), np.roll(loop, -1, axis=0) - loop

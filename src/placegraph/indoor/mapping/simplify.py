@@ -32,7 +32,7 @@ TILED = 0.8  # Share of the bounds that tiles may use up
 _BATCH = 50_000  # triangles a thread takes at a time
 
 
-class Wedged(NamedTuple):
+class WedgeMesh(NamedTuple):
     """A mesh whose vertices are places, and whose corners (wedges) know colour and texture."""
 
     points: Floats  # (V, 3) [m]
@@ -82,13 +82,13 @@ def simplify(
     for share in (TILED, 1.0 - TILED) if vast else (1.0,):
         # as far as rounding goes, what lies in one plane is in one plane
         bounds = share * np.array([error, SLIDE * error, colour])
-        mesh = _fewer(mesh, np.maximum(bounds, [WELD, WELD, 1e-3]), target, told)
+        mesh = _simplify_once(mesh, np.maximum(bounds, [WELD, WELD, 1e-3]), target, told)
     return mesh
 
 
-def _fewer(mesh: Mesh, limits: Floats, target: int, left_out: dict[str, int]) -> Mesh:
+def _simplify_once(mesh: Mesh, limits: Floats, target: int, left_out: dict[str, int]) -> Mesh:
     """Mesh after one round; `limits` as of `collapse`."""
-    whole, kept = wedged(mesh)
+    whole, kept = build_wedges(mesh)
     if not len(kept):  # nothing but lines
         return mesh
     lines = ~np.isin(mesh.object_of, mesh.object_of[kept])  # objects that are but a line stay one
@@ -97,13 +97,13 @@ def _fewer(mesh: Mesh, limits: Floats, target: int, left_out: dict[str, int]) ->
         name = "triangles twice in one place"
         left_out[name] = left_out.get(name, 0) + twins
     object_of, texture_of = mesh.object_of[kept], mesh.texture_of[kept]
-    parts = [tile for rows in batches(object_of) for tile in tiles(whole, rows)]
-    locked = _shared(whole, parts)
+    parts = [tile for rows in batch_objects(object_of) for tile in cut_tiles(whole, rows)]
+    locked = _find_shared(whole, parts)
 
-    def part(rows: Ints) -> tuple[Wedged, Ints]:
-        own, fixed = _part(whole, rows, locked)
+    def part(rows: Ints) -> tuple[WedgeMesh, Ints]:
+        own, fixed = _extract_part(whole, rows, locked)
         share = 0 if not target else int(np.ceil(target * len(rows) / len(object_of)))
-        edges, border = edges_of(own.corners, own.wedges, texture_of[rows])
+        edges, border = find_edges(own.corners, own.wedges, texture_of[rows])
         centre = own.points.mean(axis=0)  # near the origin planes are exact
         own.points[:] -= centre
         collapse(
@@ -111,36 +111,36 @@ def _fewer(mesh: Mesh, limits: Floats, target: int, left_out: dict[str, int]) ->
         )
         own.points[:] += centre
         left = own.corners[:, 0] >= 0
-        return _packed(own, left), rows[left]
+        return _pack_part(own, left), rows[left]
 
     with ThreadPoolExecutor(2) as pool:  # compiled code works outside the interpreter's lock
         done = list(pool.map(part, parts))
-    return _with(_mesh(mesh, done, object_of, texture_of), mesh, lines)
+    return _append_triangles(_join_parts(mesh, done, object_of, texture_of), mesh, lines)
 
 
-def wedged(mesh: Mesh) -> tuple[Wedged, Ints]:
+def build_wedges(mesh: Mesh) -> tuple[WedgeMesh, Ints]:
     """Places and wedges of a mesh, and the rows of its triangles that have three corners, once.
 
     Vertices of one object at one place become one.
     """
-    vertex, owner, node = _apart(mesh.triangles, mesh.object_of, len(mesh.vertices))
+    vertex, owner, node = _split_by_owner(mesh.triangles, mesh.object_of, len(mesh.vertices))
     place = np.rint(mesh.vertices.astype(np.float64) / WELD).astype(np.int64)
-    point, first = groups(np.column_stack([owner, place[vertex]]))
+    point, first = group_rows(np.column_stack([owner, place[vertex]]))
     points = mesh.vertices[vertex[first]].astype(np.float64)
     corners = point[node]
-    kept = _once(corners)
-    row, texture, node = _apart(node, mesh.texture_of, len(vertex))
+    kept = _drop_twins(corners)
+    row, texture, node = _split_by_owner(node, mesh.texture_of, len(vertex))
     at = vertex[row]
     uv = mesh.uv + np.float32(0.0)  # -0 is 0
     shade = mesh.colours.astype(np.int64) @ (1 << 16, 1 << 8, 1)
     looks = np.column_stack([uv.view(np.int32), shade])[at]
-    wedge, first = groups(np.column_stack([point[row], texture, looks]))
+    wedge, first = group_rows(np.column_stack([point[row], texture, looks]))
     at = at[first]
     values = np.column_stack([uv[at].astype(np.float64), mesh.colours[at] / 255.0])
-    return Wedged(points, corners[kept], wedge[node[kept]], values), kept
+    return WedgeMesh(points, corners[kept], wedge[node[kept]], values), kept
 
 
-def _apart(rows: Rows, of: Rows, count: int) -> tuple[Rows, Rows, Rows]:
+def _split_by_owner(rows: Rows, of: Rows, count: int) -> tuple[Rows, Rows, Rows]:
     """What `count` rows become where each belongs to one owner only.
 
     `rows`: (T, 3), `of`: (T,) their owner. Returns the old row and the owner of each of the N >=
@@ -161,7 +161,7 @@ def _apart(rows: Rows, of: Rows, count: int) -> tuple[Rows, Rows, Rows]:
     return old, np.concatenate([owner, more // count]).astype(np.int32), new
 
 
-def edges_of(corners: Rows, wedges: Rows, texture_of: Rows) -> tuple[Rows, Ints]:
+def find_edges(corners: Rows, wedges: Rows, texture_of: Rows) -> tuple[Rows, Ints]:
     """Edges (E, 2), every one once, and a face (E,) of those that have to stay, else -1.
 
     These are the edges of one face, of more than two, and the seams: where the texture or its
@@ -182,7 +182,7 @@ def edges_of(corners: Rows, wedges: Rows, texture_of: Rows) -> tuple[Rows, Ints]
     return ends[one], np.where(smooth, -1, one // 3)
 
 
-def batches(object_of: Rows) -> list[Ints]:
+def batch_objects(object_of: Rows) -> list[Ints]:
     """Rows of triangles by object, small objects together, so that threads share the work."""
     order = np.argsort(object_of, kind="stable")
     ends = np.flatnonzero(np.diff(object_of[order], append=-1)) + 1
@@ -191,7 +191,7 @@ def batches(object_of: Rows) -> list[Ints]:
     return [rows for rows in np.split(order, cuts) if len(rows)]
 
 
-def tiles(whole: Wedged, rows: Ints) -> list[Ints]:
+def cut_tiles(whole: WedgeMesh, rows: Ints) -> list[Ints]:
     """Rows of triangles cut into boxes of at most `TILE` each."""
     if len(rows) <= TILE:
         return [rows]
@@ -199,10 +199,10 @@ def tiles(whole: Wedged, rows: Ints) -> list[Ints]:
     axis = int(np.ptp(middle, axis=0).argmax())
     order = np.argpartition(middle[:, axis], len(rows) // 2)
     halves = np.split(rows[order], [len(rows) // 2])
-    return [tile for half in halves for tile in tiles(whole, np.sort(half))]
+    return [tile for half in halves for tile in cut_tiles(whole, np.sort(half))]
 
 
-def _shared(whole: Wedged, parts: list[Ints]) -> NDArray[np.bool_]:
+def _find_shared(whole: WedgeMesh, parts: list[Ints]) -> NDArray[np.bool_]:
     """Points (V,) of triangles in more than one part."""
     last = np.empty(len(whole.points), np.int32)
     shared = np.zeros(len(whole.points), np.bool_)
@@ -214,11 +214,13 @@ def _shared(whole: Wedged, parts: list[Ints]) -> NDArray[np.bool_]:
     return shared
 
 
-def _part(whole: Wedged, rows: Ints, locked: NDArray[np.bool_]) -> tuple[Wedged, NDArray[np.bool_]]:
+def _extract_part(
+    whole: WedgeMesh, rows: Ints, locked: NDArray[np.bool_]
+) -> tuple[WedgeMesh, NDArray[np.bool_]]:
     """Triangles of their own, and which of their points are locked."""
     used, corners = np.unique(whole.corners[rows], return_inverse=True)
     looks, wedges = np.unique(whole.wedges[rows], return_inverse=True)
-    own = Wedged(
+    own = WedgeMesh(
         whole.points[used],
         corners.reshape(-1, 3).astype(np.int32),
         wedges.reshape(-1, 3).astype(np.int32),
@@ -227,15 +229,17 @@ def _part(whole: Wedged, rows: Ints, locked: NDArray[np.bool_]) -> tuple[Wedged,
     return own, locked[used]
 
 
-def _packed(own: Wedged, left: NDArray[np.bool_]) -> Wedged:
+def _pack_part(own: WedgeMesh, left: NDArray[np.bool_]) -> WedgeMesh:
     """What is left of a part: points are the places of wedges, which are the corners."""
     wedge, place = own.wedges[left].ravel(), own.corners[left].ravel()
     used, first, corner = np.unique(wedge, return_index=True, return_inverse=True)
     corners = corner.reshape(-1, 3).astype(np.int32)
-    return Wedged(own.points[place[first]], corners, corners, own.values[used])
+    return WedgeMesh(own.points[place[first]], corners, corners, own.values[used])
 
 
-def _mesh(mesh: Mesh, parts: list[tuple[Wedged, Ints]], object_of: Rows, texture_of: Rows) -> Mesh:
+def _join_parts(
+    mesh: Mesh, parts: list[tuple[WedgeMesh, Ints]], object_of: Rows, texture_of: Rows
+) -> Mesh:
     """One mesh of what is left of all parts."""
     ends = np.cumsum([len(own.points) for own, _ in parts])
     values = np.concatenate([own.values for own, _ in parts])
@@ -256,7 +260,7 @@ def _mesh(mesh: Mesh, parts: list[tuple[Wedged, Ints]], object_of: Rows, texture
     )
 
 
-def _with(mesh: Mesh, other: Mesh, rows: NDArray[np.bool_]) -> Mesh:
+def _append_triangles(mesh: Mesh, other: Mesh, rows: NDArray[np.bool_]) -> Mesh:
     """Mesh and some triangles (T,) of another with the same objects and textures."""
     if not rows.any():
         return mesh
@@ -271,16 +275,16 @@ def _with(mesh: Mesh, other: Mesh, rows: NDArray[np.bool_]) -> Mesh:
     )
 
 
-def _once(corners: Rows) -> Ints:
+def _drop_twins(corners: Rows) -> Ints:
     """Rows of triangles that have three corners, the first of each."""
     a, b, c = np.sort(corners, axis=1).T
     real = np.flatnonzero((a != b) & (b != c))
-    _, first = groups(np.column_stack([a, b, c])[real].astype(np.int64))
+    _, first = group_rows(np.column_stack([a, b, c])[real].astype(np.int64))
     rows: Ints = real[first]
     return rows
 
 
-def groups(keys: NDArray[np.int64]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+def group_rows(keys: NDArray[np.int64]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
     """Group (N,) int32 of equal rows of keys (N, K) int64, and the first row (G,) of each.
 
     Groups are numbered in the order in which they are met.

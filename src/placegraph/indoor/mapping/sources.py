@@ -20,10 +20,10 @@ from placegraph.indoor.mapping.from_capture import (
     FromCapture,
     Progress,
     Source,
-    captured,
-    things_of,
+    make_things,
+    read_capture,
 )
-from placegraph.indoor.mapping.osm import rooms_source
+from placegraph.indoor.mapping.osm import read_rooms
 from placegraph.io.capture.capture import capture_formats, is_capture
 from placegraph.io.capture.json_files import LabelEntry as Entry
 from placegraph.io.capture.json_files import label_table
@@ -121,7 +121,7 @@ def read_source(
     """Read any source; raises as `placegraph.indoor.build.build_scene`."""
     path = Path(path)
     if is_indoor_osm(path):
-        return rooms_source(path, options.reader, left_out)
+        return read_rooms(path, options.reader, left_out)
     kind = next((k for k in source_kinds() if k.fits(path)), None)
     if kind is None and not is_capture(path):
         raise InputError(_describe_unknown(path))
@@ -140,7 +140,7 @@ def read_source(
                 "belong to meshes; leave them out."
             )
         how = options.capture or FromCapture()
-        source = captured(path, how, left_out, progress, reader=options.reader)
+        source = read_capture(path, how, left_out, progress, reader=options.reader)
         return replace(source, model=_label(source.model, table))
     if options.capture is not None:
         plain = FromCapture()
@@ -177,7 +177,7 @@ def cut(
     from placegraph.indoor.mapping.segment import segment
 
     found = segment(model.vertices, model.triangles, model.colours, progress=progress)
-    things = things_of(found)
+    things = make_things(found)
     if model.relations:
         left_out["relations of objects that were cut anew"] += len(model.relations)
     note = f"It was cut into {len(things)} objects by geometry and colour{why}."

@@ -416,8 +416,9 @@ class _ModelReader:
         if not isinstance(scenes, list) or len(scenes) != 1 or not isinstance(scenes[0], dict):
             return relations, None
         floor = scenes[0].get("floor")
-        known = isinstance(floor, int | float) and abs(floor) < 1e6
-        return relations, float(floor) if known else None
+        if isinstance(floor, int | float) and abs(floor) < 1e6:
+            return relations, float(floor)
+        return relations, None
 
     def add_thing(self, row: int, free: Iterator[str]) -> int:
         """Return the row of a node's object; nodes that share `extras.id` share their object."""

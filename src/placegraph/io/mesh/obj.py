@@ -179,7 +179,7 @@ class _Lines(NamedTuple):
         begins[1:] &= ~begins[:-1]
         return np.flatnonzero(begins)
 
-    def count(self, places: Rows) -> Rows:
+    def count_in(self, places: Rows) -> Rows:
         """Return how many of these places (ascending) each line holds."""
         ends = np.append(self.starts[1:], len(self.text))
         return np.searchsorted(places, ends) - np.searchsorted(places, self.starts)
@@ -289,7 +289,7 @@ class _Parser:
     def read_rows(self, lines: _Lines, least: int, what: str) -> tuple[Rows, Rows, Floats]:
         """Return how many numbers lines hold, where each line's begin, and all numbers."""
         words = lines.words()
-        counts, numbers = lines.count(words), self.parse(lines, words, np.float64)
+        counts, numbers = lines.count_in(words), self.parse(lines, words, np.float64)
         short = np.flatnonzero(counts < least)
         if short.size:
             raise self.error(int(lines.rows[short[0]]), f"it is cut off: {what}")
@@ -308,7 +308,7 @@ class _Parser:
         if len(words) != len(corners) + len(slashes):  # as of 1/ or /1
             raise self.error(int(lines.rows[0]), "after it a corner lacks a number beside its /")
         at = np.cumsum(1 + more) - (1 + more)
-        lengths = lines.count(corners)
+        lengths = lines.count_in(corners)
         row = np.repeat(lines.rows, lengths)
         corner = _resolve(numbers[at], self.vertex_count + vertices[row])
         mapped = np.where(more > 0, _following(numbers, at), 0)
@@ -413,11 +413,11 @@ def _read_pictures(text: _Text, face: Rows) -> tuple[tuple[Picture, ...], Rows]:
     # a line may name several files, or one whose name holds blanks
     for line in dict.fromkeys(text.libraries) if any(n is not None for n in names) else ():
         path = line.replace("\\", "/")
-        for name in [path] if path.lower().count(".mtl") < 2 else path.split():
-            library = text.path.parent / name
-            if name and library.is_file():
+        for file in [path] if path.lower().count(".mtl") < 2 else path.split():
+            library = text.path.parent / file
+            if file and library.is_file():
                 materials = _read_materials(library, text.left_out) | materials
-            elif name:
+            elif file:
                 text.left_out["material files that are missing"] += 1
     rows: dict[Picture, int] = {}
     row_of = []

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,13 +39,15 @@ _LONGEST_NUMBER = 64
 _BLANKS = bytes.maketrans(b"\t\n\v\f\r", b"     ")
 
 
-class _Property(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class _Property:
     name: str
     dtype: str  # without byte order
     count: str = ""  # type of a list's length; empty: a single number
 
 
-class _Element(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class _Element:
     name: str
     count: int
     properties: list[_Property]

@@ -9,7 +9,7 @@ from placegraph.core.geometry import Camera
 from placegraph.core.threads import limited
 from placegraph.errors import OptionError
 from placegraph.indoor.map.mesh import Mesh
-from placegraph.indoor.mapping.atlas.bake import bake, filled, pack
+from placegraph.indoor.mapping.atlas.bake import bake, fill_unknown, pack
 from placegraph.indoor.scene_map import SceneMap
 
 CAMERA = Camera(160, 120, 120.0, 120.0, 80.0, 60.0)
@@ -235,7 +235,7 @@ def test_what_lies_between_is_smooth():
     known = np.zeros((37, 50), bool)
     texels[3:10, 4:9], known[3:10, 4:9] = (200, 100, 0), True
     texels[20:30, 40:45], known[20:30, 40:45] = (100, 200, 50), True
-    out = filled(texels, known)
+    out = fill_unknown(texels, known)
     assert (out[known] == texels[known]).all()
     assert (out.min(axis=(0, 1)) >= (100, 100, 0)).all()
     assert (out.max(axis=(0, 1)) <= (200, 200, 50)).all()
@@ -243,5 +243,5 @@ def test_what_lies_between_is_smooth():
 
 
 def test_a_page_of_which_nothing_is_known_is_one_colour():
-    out = filled(np.full((5, 8, 3), 9, np.uint8), np.zeros((5, 8), bool))
+    out = fill_unknown(np.full((5, 8, 3), 9, np.uint8), np.zeros((5, 8), bool))
     assert len(np.unique(out.reshape(-1, 3), axis=0)) == 1

@@ -12,9 +12,9 @@ from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.mapping.atlas.bake import bake
 from placegraph.indoor.mapping.atlas.colours import (
     frame_colours,
-    keyframes,
+    group_keyframes,
+    measure_sharpness,
     mesh_colours,
-    sharpness,
     surface_colours,
 )
 from placegraph.indoor.rays import RayCaster
@@ -128,8 +128,8 @@ def test_one_wrong_view_is_outvoted(floor, rng):
 def test_of_one_place_the_sharpest_frame_is_kept(floor, field, rng):
     near = np.array([above(1.0 + s, 1.0) for s in (0.0, 0.01, 0.02)])
     frames = [photograph(floor, field, p, blurred=i != 1) for i, p in enumerate(near)]
-    assert np.argmax([sharpness(f.rgb()) for f in frames]) == 1
-    assert keyframes(near, 10) == [[0, 1, 2]]
+    assert np.argmax([measure_sharpness(f.rgb()) for f in frames]) == 1
+    assert group_keyframes(near, 10) == [[0, 1, 2]]
     colour_of = frame_colours(frames, near, floor.vertices, floor.triangles)
     alone = frame_colours(frames[1:2], near[1:2], floor.vertices, floor.triangles)
     points = inner(rng, low=0.8, high=1.2)
@@ -138,9 +138,9 @@ def test_of_one_place_the_sharpest_frame_is_kept(floor, field, rng):
 
 def test_keyframes_are_few_enough_and_in_order():
     walk = np.array([above(0.2 * i, 0.0) for i in range(100)])
-    assert [g[0] for g in keyframes(walk, 100)] == list(range(100))
+    assert [g[0] for g in group_keyframes(walk, 100)] == list(range(100))
     for most in (1, 7, 30):
-        groups = keyframes(walk, most)
+        groups = group_keyframes(walk, most)
         assert 0 < len(groups) <= most
         rows = list(itertools.chain(*groups))
         assert rows == sorted(rows)
@@ -148,8 +148,8 @@ def test_keyframes_are_few_enough_and_in_order():
     for i, pose in enumerate(turning):
         angle = np.radians(30 * i)
         pose[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
-    assert len(keyframes(turning, 100)) == 12
-    assert len(keyframes(walk * np.array([1e7, 1, 1, 1])[:, None] ** [0, 0, 0, 1], 3)) == 3
+    assert len(group_keyframes(turning, 100)) == 12
+    assert len(group_keyframes(walk * np.array([1e7, 1, 1, 1])[:, None] ** [0, 0, 0, 1], 3)) == 3
 
 
 def test_lenses_and_sizes(floor, rng):

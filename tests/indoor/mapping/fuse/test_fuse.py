@@ -15,12 +15,12 @@ from placegraph.errors import InputError, OptionError
 from placegraph.indoor.mapping import fuse_kernels as kernels
 from placegraph.indoor.mapping.fuse import (
     FuseOptions,
+    drop_specks,
+    find_good_poses,
     fuse,
-    good_poses,
-    loop_tables,
-    undistorted,
-    view_of,
-    without_specks,
+    make_loop_tables,
+    read_view,
+    undistort,
 )
 from placegraph.indoor.mapping.fuse_kernels import facets_of, low_corner
 from placegraph.indoor.rays import RayCaster
@@ -246,7 +246,7 @@ WIDE = (-0.28, 0.09, 0.0, 0.0, -0.015)
 @given(k1=st.floats(-0.3, 0.3), p1=st.floats(-0.01, 0.01))
 def test_undistorted_pixels_stand_on_their_rays(k1, p1):
     camera = Camera(64, 48, 50.0, 50.0, 31.0, 25.0, (k1, 0.02, p1, 0.0))
-    plain, table = undistorted(camera)
+    plain, table = undistort(camera)
     v, u = np.nonzero(table >= 0)
     rays = plain.directions(np.stack([u, v], axis=-1) + 0.5)
     line, column = np.divmod(table[v, u], 64)
@@ -268,23 +268,23 @@ def test_a_wall_behind_a_wide_lens_is_flat(scene):
 def test_frames_without_a_reading_give_no_view():
     camera = Camera(8, 6, 5.0, 5.0, 4.0, 3.0)
     rgb = np.zeros((6, 8, 3), np.uint8)
-    assert view_of(Frame.from_arrays(rgb, camera), 0, np.eye(4)) is None
+    assert read_view(Frame.from_arrays(rgb, camera), 0, np.eye(4)) is None
     nothing = Frame.from_arrays(rgb, camera, depth=np.full((6, 8), np.nan))
-    assert view_of(nothing, 0, np.eye(4)) is None
+    assert read_view(nothing, 0, np.eye(4)) is None
 
 
 def test_slips_are_told_from_walks_and_turns():
     walk = np.tile(np.eye(4), (9, 1, 1))
     walk[:, 0, 3] = 0.3 * np.arange(9)
-    assert good_poses(walk).all()
+    assert find_good_poses(walk).all()
     apart = walk.copy()
     apart[4:, 1, 3] += 5.0  # another recording begins
-    assert good_poses(apart).all()
+    assert find_good_poses(apart).all()
     slipped = walk.copy()
     slipped[4, 1, 3] += 5.0
-    assert np.flatnonzero(~good_poses(slipped)).tolist() == [4]
-    assert good_poses(walk[:2]).all()
-    assert good_poses(walk[:0]).shape == (0,)
+    assert np.flatnonzero(~find_good_poses(slipped)).tolist() == [4]
+    assert find_good_poses(walk[:2]).all()
+    assert find_good_poses(walk[:0]).shape == (0,)
 
 
 @pytest.mark.parametrize(
@@ -297,7 +297,7 @@ def test_slips_are_told_from_walks_and_turns():
 def test_what_is_no_pose_is_not_believed(spoil):
     poses = np.tile(np.eye(4), (3, 1, 1))
     poses[1] = spoil(poses[1])
-    assert good_poses(poses).tolist() == [True, False, True]
+    assert find_good_poses(poses).tolist() == [True, False, True]
 
 
 EYE = np.array([90.0, 90.0, 60.0, 45.0])
@@ -353,7 +353,7 @@ def crossed(case):
 
 
 def test_loops_take_up_all_crossed_edges_and_no_other():
-    loop_of, loops = loop_tables()
+    loop_of, loops = make_loop_tables()
     for case in range(1, 255):
         assert ((loop_of[case] >= 0) == crossed(case)).all()
         assert set(loop_of[case][loop_of[case] >= 0]) == set(range(loops[case]))
@@ -363,7 +363,7 @@ def test_loops_take_up_all_crossed_edges_and_no_other():
 
 
 def test_corners_behind_the_surface_are_cut_off_one_by_one():
-    _, loops = loop_tables()
+    _, loops = make_loop_tables()
     assert loops[0b00000001] == 1
     assert loops[0b10000001] == 2  # opposite corners
     assert loops[0b01101001] == 4  # every second corner
@@ -377,7 +377,7 @@ def test_small_parts_are_dropped_and_counted():
     triangles = np.array([[0, 1, 2], [4, 5, 6], [1, 3, 2]])
     colours = np.arange(21, dtype=np.uint8).reshape(7, 3)
     left_out = Counter()
-    kept, rows, shades = without_specks(points, triangles, colours, 0.1, left_out)
+    kept, rows, shades = drop_specks(points, triangles, colours, 0.1, left_out)
     assert rows.tolist() == [[0, 1, 2], [1, 3, 2]]
     assert kept.tolist() == points[:4].tolist()
     assert shades.tolist() == colours[:4].tolist()

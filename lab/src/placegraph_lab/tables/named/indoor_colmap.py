@@ -23,7 +23,7 @@ from placegraph.errors import MissingExtraError
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.map.scene_file import bytes_of
 from placegraph.indoor.mapping.from_capture import FromCapture
-from placegraph.indoor.mapping.landmarks import depth_at
+from placegraph.indoor.mapping.landmarks import read_depth
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.refine.matching.matches import Features, mutual
 from placegraph.indoor.scene_map import SceneMap
@@ -166,7 +166,7 @@ def xfeat_peer(
     for frame, pose in zip(frames, poses, strict=True):
         found = features(frame)
         rays = frame.camera.directions(found.points)
-        depth = depth_at(frame, rays)
+        depth = read_depth(frame, rays)
         known = np.isfinite(depth)
         at = (rays * depth[:, None])[known] @ pose[:3, :3].T + pose[:3, 3]
         views.append(View(at, found.vectors[known]))

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from placegraph.core.geo import Anchor
 from placegraph.core.geometry import Camera, Floats, wrap
 from placegraph.errors import PlacegraphError
-from placegraph.indoor.mapping.outlines import rings_of_cells
+from placegraph.indoor.mapping.outlines import trace_cells
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
@@ -83,7 +83,7 @@ def house(seed: int, number: int) -> House:
     pad, thick = max(BESIDE) + 2 * THICK[1], int(rng.integers(THICK[0], THICK[1] + 1))
     grown = _grown(np.pad(inside, pad), thick + 1)
     origin = np.full(2, -pad * cell)
-    whole = rings_of_cells(grown, origin, cell)[0]
+    whole = trace_cells(grown, origin, cell)[0]
     openings = [flat.corner(*(np.mean(sorted(b.cells), axis=0) + 0.5)) for b in flat.openings]
     kinds = [b.symbol.kind for b in flat.openings]
     outer = [
@@ -136,7 +136,7 @@ def _extended(
             else slice(low[axis] - width, low[axis] + inner)
         )
         larger[tuple(box)] = True
-        return rings_of_cells(larger, origin, cell)[0]
+        return trace_cells(larger, origin, cell)[0]
     return None
 
 

@@ -51,14 +51,14 @@ class Charts:
 
     def grouped(self) -> tuple[Ints, Ints]:
         """Triangles chart by chart, and where each chart starts (C + 1,)."""
-        return _grouped(self.of, len(self.sizes), None)
+        return _group_rows(self.of, len(self.sizes), None)
 
 
-def charts_of(mesh: Mesh, neighbours: Ints, texel: float, longest: int) -> Charts:
+def cut_charts(mesh: Mesh, neighbours: Ints, texel: float, longest: int) -> Charts:
     """Charts of a mesh: no two triangles of one overlap, and none is longer than `longest` texels.
 
     A triangle that is longer than that by itself is a chart of its own. `neighbours` as from
-    `neighbours_of`; `texel` [m].
+    `find_neighbours`; `texel` [m].
     """
     doubled = mesh.normals()
     areas = 0.5 * np.linalg.norm(doubled, axis=1)
@@ -66,18 +66,20 @@ def charts_of(mesh: Mesh, neighbours: Ints, texel: float, longest: int) -> Chart
     points = mesh.vertices[mesh.triangles].astype(np.float64)
     order = np.argsort(-areas, kind="stable")
     of = np.full(len(mesh), -1, np.int64)
-    laid = _Laid(np.zeros((0, 2, 3)), np.zeros((0, 2)), np.zeros((0, 2)))
+    laid = _Layout(np.zeros((0, 2, 3)), np.zeros((0, 2)), np.zeros((0, 2)))
     for round_ in range(ROUNDS):
         first = len(laid.axes)
         count = grow(normals, areas, neighbours, order, of, first, CONE)
         if round_ == 0:
-            planes = _planes(doubled, of, count)
+            planes = _mean_normals(doubled, of, count)
             small = np.bincount(of, areas, count) < SMALL * texel**2
             absorb(normals, neighbours, of, planes, small, STEEP)
         laid = laid.with_new(points, doubled, of, texel * longest)
         plane = np.cross(laid.axes[:, 0], laid.axes[:, 1])  # away from who looks at the surface
         steep = -np.einsum("tk,tk->t", normals, plane[of]) < STEEP
-        bad = (of >= first) & ((steep & (areas > 0)) | _twice(laid, points, of, areas, texel))
+        bad = (of >= first) & (
+            (steep & (areas > 0)) | _find_overlaps(laid, points, of, areas, texel)
+        )
         if not bad.any():
             break
         of[bad] = -1
@@ -86,11 +88,11 @@ def charts_of(mesh: Mesh, neighbours: Ints, texel: float, longest: int) -> Chart
         of[single] = len(laid.axes) + np.arange(len(single))
         laid = laid.with_new(points, doubled, of, np.inf)
     used, of = np.unique(of, return_inverse=True)
-    laid = _Laid(laid.axes[used], laid.low[used], laid.sizes[used])
+    laid = _Layout(laid.axes[used], laid.low[used], laid.sizes[used])
     return Charts(of.reshape(-1), laid.corners(points, of.reshape(-1)), laid.sizes)
 
 
-def neighbours_of(mesh: Mesh) -> Ints:
+def find_neighbours(mesh: Mesh) -> Ints:
     """(T, 3) triangle across each side, of the same object, -1: none.
 
     Vertices at one place count as one. Where more than two triangles share a side, two and two do.
@@ -114,7 +116,7 @@ def neighbours_of(mesh: Mesh) -> Ints:
 
 
 @dataclass(frozen=True, eq=False)
-class _Laid:
+class _Layout:
     """How C charts lie. It stays when a triangle is taken out, so that what was checked holds."""
 
     axes: Floats  # (C, 2, 3) right and down, unit vectors
@@ -125,14 +127,14 @@ class _Laid:
         """Corners (T, 3, 2) on the charts' rectangles of triangles (T, 3, 3) [m]."""
         return np.einsum("tkn,tan->tka", points, self.axes[of]) - self.low[of][:, None]
 
-    def with_new(self, points: Floats, doubled: Floats, of: Ints, limit: float) -> _Laid:
+    def with_new(self, points: Floats, doubled: Floats, of: Ints, limit: float) -> _Layout:
         """These and the new charts, halved where they are longer than `limit` [m]; changes `of`."""
         first = len(self.axes)
-        _compact(of, first)
+        _renumber(of, first)
         fresh = np.flatnonzero(of >= first)
         while True:
             own = of[fresh] - first
-            made = _laid(points[fresh], doubled[fresh], own, int(own.max()) + 1)
+            made = _lay_out(points[fresh], doubled[fresh], own, int(own.max()) + 1)
             middle = made.corners(points[fresh], own).mean(axis=1)  # (F, 2)
             length, side = made.sizes.max(axis=1), made.sizes.argmax(axis=1)
             along = np.take_along_axis(middle, side[own][:, None], axis=1)[:, 0]
@@ -141,15 +143,15 @@ class _Laid:
             beyond &= (np.bincount(own, beyond) < np.bincount(own))[own]
             if not beyond.any():
                 pairs = ((self.axes, made.axes), (self.low, made.low), (self.sizes, made.sizes))
-                return _Laid(*(np.concatenate(pair) for pair in pairs))
+                return _Layout(*(np.concatenate(pair) for pair in pairs))
             of[fresh[beyond]] += len(made.axes)
-            _compact(of, first)
+            _renumber(of, first)
 
 
-def _laid(points: Floats, doubled: Floats, of: Ints, count: int) -> _Laid:
+def _lay_out(points: Floats, doubled: Floats, of: Ints, count: int) -> _Layout:
     """Charts on their mean planes, upright, or turned where that makes a smaller rectangle."""
-    upright = _axes(_planes(doubled, of, count))
-    rows, starts = _grouped(of, count, None)
+    upright = _upright_axes(_mean_normals(doubled, of, count))
+    rows, starts = _group_rows(of, count, None)
     corners = np.einsum("tkn,tan->tka", points, upright[of])
     angle = turns(corners, rows, starts, _ANGLES, _GAIN)
     cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
@@ -157,12 +159,14 @@ def _laid(points: Floats, doubled: Floats, of: Ints, count: int) -> _Laid:
     axes = np.stack([cosine * right + sine * down, cosine * down - sine * right], axis=1)
     corners = np.einsum("tkn,tan->tka", points, axes[of])[rows]
     low = np.minimum.reduceat(corners.min(axis=1), starts[:-1])
-    return _Laid(axes, low, np.maximum.reduceat(corners.max(axis=1), starts[:-1]) - low)
+    return _Layout(axes, low, np.maximum.reduceat(corners.max(axis=1), starts[:-1]) - low)
 
 
-def _twice(laid: _Laid, points: Floats, of: Ints, areas: Floats, texel: float) -> NDArray[np.bool_]:
+def _find_overlaps(
+    laid: _Layout, points: Floats, of: Ints, areas: Floats, texel: float
+) -> NDArray[np.bool_]:
     """Triangles (T,) that lie over a larger one of their chart, on the grid that will be coloured."""
-    rows, starts = _grouped(of, len(laid.axes), -areas)
+    rows, starts = _group_rows(of, len(laid.axes), -areas)
     extents = laid.sizes / texel
     grids = np.maximum(np.ceil(extents - 1e-6), 1.0)
     corners = laid.corners(points, of) / texel + (0.5 * (grids - extents))[of][:, None]
@@ -171,20 +175,20 @@ def _twice(laid: _Laid, points: Floats, of: Ints, areas: Floats, texel: float) -
     return out
 
 
-def _compact(of: Ints, first: int) -> None:
+def _renumber(of: Ints, first: int) -> None:
     """Renumber charts from `first` on so that none is empty, in place."""
     fresh = of >= first
     of[fresh] = np.unique(of[fresh], return_inverse=True)[1].reshape(-1) + first
 
 
-def _planes(doubled: Floats, of: Ints, count: int) -> Floats:
+def _mean_normals(doubled: Floats, of: Ints, count: int) -> Floats:
     """Mean unit normals (C, 3); up where a chart has no area."""
     total = np.stack([np.bincount(of, doubled[:, k], count) for k in range(3)], axis=1)
     length = np.linalg.norm(total, axis=1, keepdims=True)
     return np.where(length > 0, total / np.maximum(length, 1e-30), (0.0, 0.0, 1.0))
 
 
-def _axes(planes: Floats) -> Floats:
+def _upright_axes(planes: Floats) -> Floats:
     """Right and down (C, 2, 3) as seen by who looks at planes (C, 3): upright where these are."""
     down = np.broadcast_to([0.0, 0.0, -1.0], planes.shape)
     level = np.abs(planes[:, 2:]) > 0.95
@@ -194,7 +198,7 @@ def _axes(planes: Floats) -> Floats:
     return np.stack([np.cross(planes, down), down], axis=1)
 
 
-def _grouped(of: Ints, count: int, within: Floats | None) -> tuple[Ints, Ints]:
+def _group_rows(of: Ints, count: int, within: Floats | None) -> tuple[Ints, Ints]:
     """As `Charts.grouped`; triangles of one chart ascend by `within` (T,)."""
     rows = np.argsort(of, kind="stable") if within is None else np.lexsort((within, of))
     starts = np.searchsorted(of[rows], np.arange(count + 1))
@@ -213,7 +217,7 @@ SIDE = 16
 
 
 @dataclass(eq=False)
-class Sheets:
+class ChartImages:
     """Images of C charts."""
 
     step: Floats  # (C,) width of a texel of level 0 [m]
@@ -234,19 +238,21 @@ class Sheets:
             return
         known = self.counts > 0
         colours = self.sums / np.maximum(self.counts, 1)[:, None]
-        of_object = _means(object_of, colours, known)
+        of_object = _average_groups(object_of, colours, known)
         spread(neighbours, colours, known)
         colours = np.where(known[:, None], colours, of_object[object_of])
         every = np.ones(len(colours), bool)
-        self.means[dark] = _means(charts.of, colours, every, len(self.levels))[dark]
+        self.means[dark] = _average_groups(charts.of, colours, every, len(self.levels))[dark]
         self.levels[dark] = FLAT
 
 
-def assembled(mesh: Mesh, charts: Charts, sheets: Sheets, margin: int, largest: int) -> Mesh:
+def assemble_mesh(
+    mesh: Mesh, charts: Charts, sheets: ChartImages, margin: int, largest: int
+) -> Mesh:
     """Mesh with all images on pages."""
     flat = sheets.levels < 0
     drawn = np.flatnonzero(~flat)
-    shades, shade_of = _shades(sheets.means[flat])
+    shades, shade_of = _quantize_means(sheets.means[flat])
     across = max(min(_SHEET, int(np.ceil(np.sqrt(len(shades))))), 1)  # patches side by side
     each = across**2
     cards = -(-len(shades) // each)
@@ -257,7 +263,7 @@ def assembled(mesh: Mesh, charts: Charts, sheets: Sheets, margin: int, largest: 
     )
     canvases = [np.zeros((h, w, 3), np.uint8) for w, h in pages.tolist()]
     masks = [np.zeros((h, w), bool) for w, h in pages.tolist()]
-    _paste(sheets, drawn, page, places, canvases, masks)
+    _paste_images(sheets, drawn, page, places, canvases, masks)
     for card in range(cards):
         k, (x, y) = int(page[len(drawn) + card]), places[len(drawn) + card]
         for i, shade in enumerate(shades[card * each : (card + 1) * each]):
@@ -281,12 +287,12 @@ def assembled(mesh: Mesh, charts: Charts, sheets: Sheets, margin: int, largest: 
     key[flat] = count + shade_of  # charts of one shade share their vertices
     uv = origin[charts.of][:, None] + charts.corners * scale[charts.of][:, None, None]
     uv /= pages[page_of][charts.of][:, None]
-    return _split(mesh, key[charts.of], uv, page_of[charts.of], [
-        filled(canvas, mask) for canvas, mask in zip(canvases, masks, strict=True)
+    return _split_vertices(mesh, key[charts.of], uv, page_of[charts.of], [
+        fill_unknown(canvas, mask) for canvas, mask in zip(canvases, masks, strict=True)
     ])  # fmt: skip
 
 
-def _means(
+def _average_groups(
     of: NDArray[Any], colours: Floats, known: NDArray[np.bool_], count: int | None = None
 ) -> Floats:
     """Mean colours (N, 3) of what is known of each group; of everything where nothing is."""
@@ -297,7 +303,7 @@ def _means(
     return np.where(number[:, None] > 0, sums / np.maximum(number, 1)[:, None], overall)
 
 
-def _shades(means: Floats) -> tuple[Bytes, Ints]:
+def _quantize_means(means: Floats) -> tuple[Bytes, Ints]:
     """Shared colours (S, 3), dark ones first, and which of them each mean colour (N, 3) is."""
     cells, of = np.unique(np.rint(means / SHADES), axis=0, return_inverse=True)
     of = of.reshape(-1)
@@ -310,8 +316,8 @@ def _shades(means: Floats) -> tuple[Bytes, Ints]:
     return shades[order], rank[of]
 
 
-def _paste(
-    sheets: Sheets,
+def _paste_images(
+    sheets: ChartImages,
     drawn: Ints,
     page: Ints,
     places: Ints,
@@ -329,7 +335,7 @@ def _paste(
         start += w * h
 
 
-def _split(mesh: Mesh, key: Ints, uv: Floats, page: Ints, pages: list[Bytes]) -> Mesh:
+def _split_vertices(mesh: Mesh, key: Ints, uv: Floats, page: Ints, pages: list[Bytes]) -> Mesh:
     """Mesh whose vertices are doubled where triangles of different `key` (T,) meet."""
     span = int(key.max()) + 1
     corner = mesh.triangles.astype(np.int64) * span + key[:, None]
@@ -382,7 +388,7 @@ def pack(sizes: Ints, largest: int, shade: NDArray[Any]) -> tuple[Ints, Ints, In
     return page, places, np.array(pages, np.int64)
 
 
-def filled(texels: NDArray[np.uint8], known: NDArray[np.bool_]) -> NDArray[np.uint8]:
+def fill_unknown(texels: NDArray[np.uint8], known: NDArray[np.bool_]) -> NDArray[np.uint8]:
     """Page (h, w, 3) whose unknown texels are smooth between those that are known (h, w).
 
     Means of known texels are taken over squares that double, then handed down: what lies next to a
@@ -391,21 +397,21 @@ def filled(texels: NDArray[np.uint8], known: NDArray[np.bool_]) -> NDArray[np.ui
     weights = [known.astype(np.float32)]
     means = [texels * weights[0][:, :, None]]
     while max(weights[-1].shape) > 1:
-        weight, mean = (_halved(a) for a in (weights[-1], means[-1]))
+        weight, mean = (_halve(a) for a in (weights[-1], means[-1]))
         mean /= np.maximum(weight, 1e-6)[:, :, None]
         weight = np.minimum(weight, 1.0)
         weights.append(weight)
         means.append(mean * weight[:, :, None])
     below: NDArray[Any] = means[-1] / np.maximum(weights[-1], 1e-6)[:, :, None]
     for weight, mean in zip(weights[-2::-1], means[-2::-1], strict=True):
-        wide = _doubled(below, weight.shape)
+        wide = _double(below, weight.shape)
         below = mean + (1.0 - weight[:, :, None]) * wide
     out = np.clip(np.rint(below), 0, 255).astype(np.uint8)
     out[known] = texels[known]
     return out
 
 
-def _halved(array: NDArray[Any]) -> NDArray[Any]:
+def _halve(array: NDArray[Any]) -> NDArray[Any]:
     """Sums over squares of 2 x 2; what is missing at the edge is 0."""
     h, w = array.shape[:2]
     padded = np.pad(array, [(0, h % 2), (0, w % 2), *[(0, 0)] * (array.ndim - 2)])
@@ -414,7 +420,7 @@ def _halved(array: NDArray[Any]) -> NDArray[Any]:
     return out
 
 
-def _doubled(array: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
+def _double(array: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
     """Array twice as large, cut to `shape`, smooth between the texels' centres."""
     for axis in (0, 1):
         before, after = (np.roll(array, s, axis) for s in (1, -1))
@@ -482,28 +488,28 @@ def bake(
         An option is out of range, or `colour_of` returns something else.
 
     """
-    _check(texel, margin, largest, tolerance)
+    _check_options(texel, margin, largest, tolerance)
     if not len(mesh):
         return mesh
-    neighbours = neighbours_of(mesh)
+    neighbours = find_neighbours(mesh)
     room = largest - 2 * margin - 2
-    charts = charts_of(mesh, neighbours, texel, min(room, LONGEST))
+    charts = cut_charts(mesh, neighbours, texel, min(room, LONGEST))
     step = np.maximum(texel, charts.sizes.max(axis=1) / room)  # one triangle may be a whole hall
-    sheets = _painted(mesh, charts, colour_of, step, margin, tolerance)
+    sheets = _paint_charts(mesh, charts, colour_of, step, margin, tolerance)
     sheets.light_up(charts, neighbours, mesh.object_of)
-    return assembled(mesh, charts, sheets, margin, largest)
+    return assemble_mesh(mesh, charts, sheets, margin, largest)
 
 
-def _painted(
+def _paint_charts(
     mesh: Mesh, charts: Charts, colour_of: ColourOf, step: Floats, margin: int, tolerance: float
-) -> Sheets:
+) -> ChartImages:
     """Ask for the colours of all texels, batch by batch, and keep what each chart needs."""
     extents = charts.sizes / step[:, None]
     grids = np.maximum(np.ceil(extents - 1e-6), 1).astype(np.int64) + 2 * margin
     rows, starts = charts.grouped()
     corners = charts.corners / step[charts.of][:, None, None]
     count, ends = len(grids), np.cumsum(grids.prod(axis=1))
-    sheets = Sheets(
+    sheets = ChartImages(
         step, np.zeros(count, np.int32), np.zeros((count, 3)), np.zeros((count, 2), np.int64), [],
         [], np.zeros((len(mesh), 3)), np.zeros(len(mesh)),
     )  # fmt: skip
@@ -525,18 +531,20 @@ def _painted(
         own = owner[at].astype(np.int64)
         u, v = (shares[at, k, None].astype(np.float64) for k in (0, 1))
         a, b, c = np.moveaxis(points[own], 1, 0)
-        found, seen = asked(colour_of, a + u * (b - a) + v * (c - a), normals[own], own)
+        found, seen = query_colours(colour_of, a + u * (b - a) + v * (c - a), normals[own], own)
         colours, state = np.zeros((total, 3), np.uint8), np.zeros(total, np.uint8)
         colours[at], state[at] = found, np.where(seen, SEEN, UNSEEN)
         np.add.at(sheets.counts, own[seen], 1)
         for k in range(3):
             sheets.sums[:, k] += np.bincount(own[seen], found[seen, k], len(mesh))
-        _keep(sheets, part, (colours, state, grids[part], extents[part], firsts, margin), tolerance)
+        _coarsen_charts(
+            sheets, part, (colours, state, grids[part], extents[part], firsts, margin), tolerance
+        )
         first = last
     return sheets
 
 
-def asked(
+def query_colours(
     colour_of: ColourOf, points: Floats, normals: Floats, triangles: Ints
 ) -> tuple[Bytes, NDArray[np.bool_]]:
     """Colours (N, 3) uint8 and whether they are known (N,); `OptionError` where they are neither."""
@@ -550,7 +558,9 @@ def asked(
     return colours, known.astype(bool, copy=False)
 
 
-def _keep(sheets: Sheets, part: slice, grids: tuple[Any, ...], tolerance: float) -> None:
+def _coarsen_charts(
+    sheets: ChartImages, part: slice, grids: tuple[Any, ...], tolerance: float
+) -> None:
     """Take over a batch of charts at the coarsest levels that will do."""
     extents, margin = grids[3], grids[5]
     levels, means = sheets.levels[part], sheets.means[part]  # views
@@ -567,7 +577,7 @@ def _keep(sheets: Sheets, part: slice, grids: tuple[Any, ...], tolerance: float)
     sheets.known.append(known)
 
 
-def _check(texel: float, margin: int, largest: int, tolerance: float) -> None:
+def _check_options(texel: float, margin: int, largest: int, tolerance: float) -> None:
     if not (np.isfinite(texel) and texel > 0):
         raise OptionError(f"texel is {texel}; it must be a width in metres, as 0.01.")
     if not 1 <= margin <= 16:

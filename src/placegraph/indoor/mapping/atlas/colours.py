@@ -45,7 +45,7 @@ UNREAD = 0.05  # Worth of a view at a pixel without depth, of a frame that has s
 _WIDER = 1.2  # steps grow by this until few enough frames are left
 
 
-def keyframes(poses: Floats, most: int) -> list[list[int]]:
+def group_keyframes(poses: Floats, most: int) -> list[list[int]]:
     """At most `most` groups of consecutive frames, each taken from nearly one place.
 
     `poses`: (T, 4, 4) map_from_camera.
@@ -71,7 +71,7 @@ def keyframes(poses: Floats, most: int) -> list[list[int]]:
         scale *= _WIDER
 
 
-def looked(
+def build_keyframes(
     frames: Sequence[Frame],
     poses: Floats,
     groups: Sequence[Sequence[int]],
@@ -80,14 +80,14 @@ def looked(
 ) -> Keyframes:
     """Views of the sharpest frame of each group, all as pinhole cameras of one size, gains 1."""
     total, done = sum(len(g) for g in groups), 0
-    first = _plain(frames[groups[0][0]].camera)
+    first = _make_pinhole(frames[groups[0][0]].camera)
 
     def view(group: Sequence[int]) -> tuple[int, Bytes, NDArray[np.float32], NDArray[np.float32]]:
         colours = [frames[i].rgb() for i in group]
-        best = int(np.argmax([sharpness(c) for c in colours]))
+        best = int(np.argmax([measure_sharpness(c) for c in colours]))
         row, frame = group[best], frames[group[best]]
-        depth, sure = _depth(frame, poses[row], caster, first)
-        return row, _upright(colours[best], frame.camera, first), around(depth), sure
+        depth, sure = _read_depth(frame, poses[row], caster, first)
+        return row, _undistort_image(colours[best], frame.camera, first), around(depth), sure
 
     found = []
     with ThreadPoolExecutor(processors()) as pool:  # Pillow and kernels work outside the lock
@@ -103,14 +103,14 @@ def looked(
         camera_from_map=np.ascontiguousarray(np.linalg.inv(map_from_camera)[:, :3]),
         centres=np.ascontiguousarray(map_from_camera[:, :3, 3]),
         pinholes=np.tile(pinhole, (len(rows), 1)),
-        levels=_levels(np.stack(images)),
+        levels=_build_pyramid(np.stack(images)),
         bounds=np.stack(depths),
         trust=np.stack(trust),
         gains=np.ones((len(rows), 3), np.float32),
     )
 
 
-def sharpness(colours: Bytes) -> float:
+def measure_sharpness(colours: Bytes) -> float:
     """How sharp an image (H, W, 3) is beside others of the same: variance of its Laplacian."""
     grey = colours[:, :, 1].astype(np.float32)
     middle = 4.0 * grey[1:-1, 1:-1]
@@ -119,7 +119,7 @@ def sharpness(colours: Bytes) -> float:
     return float(laplacian.var()) if laplacian.size else 0.0
 
 
-def _plain(camera: Camera) -> Camera:
+def _make_pinhole(camera: Camera) -> Camera:
     """The camera without distortion, no larger than `LONGEST`."""
     camera = replace(camera, distortion=(), model="opencv")
     scale = LONGEST / max(camera.width, camera.height)
@@ -129,7 +129,7 @@ def _plain(camera: Camera) -> Camera:
     return camera.resized(width, height)
 
 
-def _upright(colours: Bytes, camera: Camera, plain: Camera) -> Bytes:
+def _undistort_image(colours: Bytes, camera: Camera, plain: Camera) -> Bytes:
     """Image (h, w, 3) as a camera without distortion would have taken it."""
     if camera == plain:
         return colours
@@ -140,12 +140,12 @@ def _upright(colours: Bytes, camera: Camera, plain: Camera) -> Bytes:
         colours = np.asarray(Image.fromarray(colours).resize(size, Image.Resampling.BOX))
         camera = camera.resized(*size)
     out = np.empty((plain.height, plain.width, 3), np.uint8)
-    resampled(colours, _places(camera, plain), out)
+    resampled(colours, _map_pixels(camera, plain), out)
     return out
 
 
 @lru_cache(maxsize=2)
-def _places(camera: Camera, plain: Camera) -> Floats:
+def _map_pixels(camera: Camera, plain: Camera) -> Floats:
     """Where a camera sees what each pixel of another shows (h, w, 2) [px]; NaN: beyond its lens."""
     v, u = np.mgrid[: plain.height, : plain.width] + 0.5
     rays = plain.directions(np.stack([u, v], axis=-1))
@@ -157,7 +157,7 @@ def _places(camera: Camera, plain: Camera) -> Floats:
     return np.ascontiguousarray(places)
 
 
-def _depth(
+def _read_depth(
     frame: Frame, pose: Floats, caster: RayCaster, plain: Camera
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Depth (h, w) of the frame, of the mesh where there is none [m]; inf: neither. And its worth.
@@ -168,12 +168,14 @@ def _depth(
     scale = min(1.0, DEPTH_LONGEST / max(plain.width, plain.height))
     width, height = (max(1, round(s * scale)) for s in (plain.width, plain.height))
     small = plain.resized(width, height)
-    hits = caster.cast(pose[:3, 3], _rays(small) @ pose[:3, :3].T)  # z is 1: distance is depth
+    hits = caster.cast(
+        pose[:3, 3], _pixel_rays(small) @ pose[:3, :3].T
+    )  # z is 1: distance is depth
     out = hits.distance.reshape(height, width)
     trust = np.ones((height, width), np.float32)
     read = frame.depth()
     if read is not None and frame.depth_camera is not None:
-        row, column, inside = _readings(small, frame.depth_camera)
+        row, column, inside = _map_readings(small, frame.depth_camera)
         measured = np.where(inside, read[row, column], np.nan)
         trust[~np.isfinite(measured)] = UNREAD
         out = np.where(np.isfinite(measured), measured, out)
@@ -181,25 +183,25 @@ def _depth(
 
 
 @lru_cache(maxsize=2)
-def _rays(camera: Camera) -> Floats:
+def _pixel_rays(camera: Camera) -> Floats:
     """Rays (h * w, 3) through the centres of a camera's pixels, z = 1."""
     v, u = np.mgrid[: camera.height, : camera.width] + 0.5
     return camera.directions(np.stack([u, v], axis=-1)).reshape(-1, 3)
 
 
 @lru_cache(maxsize=2)
-def _readings(
+def _map_readings(
     camera: Camera, depth_camera: Camera
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
     """Row, column (h, w) of the reading that each pixel sees, and whether there is one."""
-    at = depth_camera.project(_rays(camera)).reshape(camera.height, camera.width, 2)
+    at = depth_camera.project(_pixel_rays(camera)).reshape(camera.height, camera.width, 2)
     x, y = np.moveaxis(at, 2, 0)
     inside = (x > 0) & (x < depth_camera.width) & (y > 0) & (y < depth_camera.height)
     row, column = (np.where(inside, p, 0.0).astype(np.int64) for p in (y, x))
     return row, column, inside
 
 
-def _levels(images: Bytes) -> tuple[Bytes, ...]:
+def _build_pyramid(images: Bytes) -> tuple[Bytes, ...]:
     """Images (K, H, W, 3) and their halves, quarters, ... as long as they have pixels."""
     out = [np.ascontiguousarray(images)]
     for _ in range(LEVELS - 1):
@@ -264,14 +266,14 @@ def frame_colours(
         An image cannot be read.
 
     """
-    where = _checked(poses, len(frames))
+    where = _check_poses(poses, len(frames))
     if not (np.isfinite(texel) and texel > 0) or views < 1:
         raise OptionError(f"texel is {texel}, views {views}; they must be greater than 0.")
     caster = RayCaster(vertices, triangles)
-    groups = keyframes(where, views)
-    seen = looked(frames, where, groups, caster, progress)
+    groups = group_keyframes(where, views)
+    seen = build_keyframes(frames, where, groups, caster, progress)
     seen = seen._replace(
-        gains=_gains(seen, np.asarray(vertices, np.float64), np.asarray(triangles))
+        gains=_solve_gains(seen, np.asarray(vertices, np.float64), np.asarray(triangles))
     )
 
     def colour_of(points: Floats, normals: Floats, _: Any) -> tuple[Bytes, Any]:  # noqa: ANN401
@@ -282,7 +284,7 @@ def frame_colours(
     return colour_of
 
 
-def _checked(poses: ArrayLike, count: int) -> Floats:
+def _check_poses(poses: ArrayLike, count: int) -> Floats:
     where = np.asarray(poses, np.float64)
     if where.shape != (count, 4, 4) or not count or not np.isfinite(where).all():
         raise OptionError(
@@ -292,9 +294,11 @@ def _checked(poses: ArrayLike, count: int) -> Floats:
     return where
 
 
-def _gains(views: Keyframes, vertices: Floats, triangles: NDArray[Any]) -> NDArray[np.float32]:
+def _solve_gains(
+    views: Keyframes, vertices: Floats, triangles: NDArray[Any]
+) -> NDArray[np.float32]:
     """What the colours of each view are multiplied by (K, 3), near 1, so that all agree."""
-    points, normals = _spread(vertices, triangles, _POINTS)
+    points, normals = _spread_points(vertices, triangles, _POINTS)
     rows = np.full((len(points), OBSERVED), -1, np.int64)
     colours = np.zeros((len(points), OBSERVED, 3))
     share(observe, len(points), views, points, normals, 0.04, rows, colours)
@@ -317,7 +321,7 @@ def _gains(views: Keyframes, vertices: Floats, triangles: NDArray[Any]) -> NDArr
     return np.clip(out, 0.2, 5.0).astype(np.float32)
 
 
-def _spread(vertices: Floats, triangles: NDArray[Any], count: int) -> tuple[Floats, Floats]:
+def _spread_points(vertices: Floats, triangles: NDArray[Any], count: int) -> tuple[Floats, Floats]:
     """About `count` points (N, 3) spread evenly over a surface, and unit normals (N, 3)."""
     a, b, c = np.moveaxis(vertices[triangles], 1, 0)
     doubled = np.cross(b - a, c - a)
@@ -364,7 +368,7 @@ def mesh_colours(mesh: Mesh, *, texel: float = 0.01, reach: float = REACH) -> Co
     first_of[mesh.triangles.ravel()] = np.arange(mesh.triangles.size)
 
     def colour_of(points: Floats, along: Floats, _: Any) -> tuple[NDArray[np.uint8], Any]:  # noqa: ANN401
-        triangle, u, v = _met(caster, normals, points, along, reach)
+        triangle, u, v = _find_facing(caster, normals, points, along, reach)
         bare = np.flatnonzero(triangle < 0)
         rows = np.empty(len(bare), np.int64)
         share(nearest, len(bare), points[bare], mesh.vertices, grid, low, 2.0 * reach, rows)
@@ -379,7 +383,7 @@ def mesh_colours(mesh: Mesh, *, texel: float = 0.01, reach: float = REACH) -> Co
     return colour_of
 
 
-def _met(
+def _find_facing(
     caster: RayCaster, normals: Floats, points: Floats, along: Floats, reach: float
 ) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:
     """Triangle (N,), -1: none, and weights of corners 1 and 2 of what lies next to points."""

@@ -14,7 +14,12 @@ from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
 from placegraph.indoor.mapping.segment.faces import Faces
 from placegraph.indoor.mapping.segment.geometry import Cut, cut_by_geometry
-from placegraph.indoor.mapping.segment.labels import Named, Votes, collect, cut_by_labels
+from placegraph.indoor.mapping.segment.labels import (
+    NamedGroups,
+    Votes,
+    collect_votes,
+    cut_by_labels,
+)
 from placegraph.indoor.mapping.segment.segment_kernels import nearest
 from placegraph.indoor.options import check_numbers, check_positive
 from placegraph.io.capture.frame import Frame
@@ -83,7 +88,7 @@ class Segments:
         return f"Segments({len(self)} objects, {len(self.object_of):,} triangles)"
 
 
-def as_segments(
+def make_segments(
     faces: Faces,
     vertices: Floats,
     triangles: Ints,
@@ -104,15 +109,17 @@ def as_segments(
     order = np.lexsort((groups, -areas, np.array(rank))) if len(groups) else np.zeros(0, np.int64)
     place = np.empty(len(groups), np.int64)
     place[order] = np.arange(len(groups))
-    object_of = _with_strays(faces, vertices, triangles, place[row])
+    object_of = _assign_triangles(faces, vertices, triangles, place[row])
     listed = tuple(words[i] for i in order.tolist())
     if not len(groups) and len(triangles):
         listed = (UNKNOWN,)  # nothing but lines and points
     known = [(ids or {}).get(g) for g in groups[order].tolist()] or [None] * len(listed)
-    return Segments(object_of.astype(np.int32), listed, _names(listed), floor, _ids(known))
+    return Segments(
+        object_of.astype(np.int32), listed, _make_names(listed), floor, _make_ids(known)
+    )
 
 
-def _with_strays(faces: Faces, vertices: Floats, triangles: Ints, of_face: Ints) -> Ints:
+def _assign_triangles(faces: Faces, vertices: Floats, triangles: Ints, of_face: Ints) -> Ints:
     """Object (T,) of each triangle: one without area belongs to the nearest face."""
     out = np.zeros(len(triangles), np.int64)
     known = faces.of_triangle >= 0
@@ -129,7 +136,7 @@ def _with_strays(faces: Faces, vertices: Floats, triangles: Ints, of_face: Ints)
     return out
 
 
-def _names(labels: Sequence[str]) -> tuple[str, ...]:
+def _make_names(labels: Sequence[str]) -> tuple[str, ...]:
     """Names of objects: their label, and a number where there are several; "object" if unknown."""
     words = ["object" if label == UNKNOWN else label for label in labels]
     total = {word: words.count(word) for word in set(words)}
@@ -146,7 +153,7 @@ def _names(labels: Sequence[str]) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _ids(known: Sequence[int | None]) -> tuple[str, ...]:
+def _make_ids(known: Sequence[int | None]) -> tuple[str, ...]:
     """Ids of objects: those known, the lowest free numbers for the others."""
     taken = {i for i in known if i is not None}
     free = (i for i in range(len(known) + len(taken)) if i not in taken)
@@ -200,29 +207,29 @@ def segment(
 
     """
     options = options or SegmentOptions()
-    spots, rows, shades = _checked(vertices, triangles, colours)
+    spots, rows, shades = _check_arrays(vertices, triangles, colours)
 
-    tell = partial(_tell, progress)
+    tell = partial(_report, progress)
     tell("faces")
     faces = Faces.of(spots, rows, shades)
     counts = Counter() if left_out is None else left_out
     if lost := int((faces.of_triangle < 0).sum()):
         counts["triangles without area"] += lost
     if not len(faces):
-        return as_segments(faces, spots, rows, np.zeros(0, np.int64), {}, None)
+        return make_segments(faces, spots, rows, np.zeros(0, np.int64), {}, None)
     cut = cut_by_geometry(faces, options, tell)
-    votes = _votes(faces, frames, poses, progress, counts) if frames else None
-    named = _by_geometry(cut) if votes is None else cut_by_labels(faces, cut, votes, options)
+    votes = _collect_votes(faces, frames, poses, progress, counts) if frames else None
+    named = _name_planes(cut) if votes is None else cut_by_labels(faces, cut, votes, options)
     floor = cut.structure.floor
-    return as_segments(faces, spots, rows, named.groups, named.labels, floor, named.ids)
+    return make_segments(faces, spots, rows, named.groups, named.labels, floor, named.ids)
 
 
-def _tell(progress: Progress | None, stage: str) -> None:
+def _report(progress: Progress | None, stage: str) -> None:
     if progress is not None:
         progress(stage, _STAGES.index(stage), len(_STAGES))
 
 
-def _votes(
+def _collect_votes(
     faces: Faces,
     frames: Sequence[Frame],
     poses: ArrayLike | None,
@@ -235,17 +242,17 @@ def _votes(
         if progress is not None:
             progress(_VOTES, done, whole)
 
-    return collect(faces, frames, _poses(frames, poses), tell, left_out)
+    return collect_votes(faces, frames, _check_poses(frames, poses), tell, left_out)
 
 
-def _by_geometry(cut: Cut) -> Named:
+def _name_planes(cut: Cut) -> NamedGroups:
     """Objects as geometry has them; the planes of the building alone have labels."""
     planes = enumerate(cut.patches.plane.tolist())
     labels = {g: cut.structure.labels[p] for g, p in planes if p >= 0}
-    return Named(cut.groups[cut.patches.of_face], labels, {})
+    return NamedGroups(cut.groups[cut.patches.of_face], labels, {})
 
 
-def _poses(frames: Sequence[Frame], poses: ArrayLike | None) -> NDArray[np.float64]:
+def _check_poses(frames: Sequence[Frame], poses: ArrayLike | None) -> NDArray[np.float64]:
     """Poses (T, 4, 4) map_from_camera of frames."""
     given = [f.odometry for f in frames] if poses is None else poses
     matrices = np.asarray(given, np.float64)
@@ -254,7 +261,7 @@ def _poses(frames: Sequence[Frame], poses: ArrayLike | None) -> NDArray[np.float
     return matrices
 
 
-def _checked(
+def _check_arrays(
     vertices: ArrayLike, triangles: ArrayLike, colours: ArrayLike | None
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.uint8]]:
     """Arrays of a mesh in the types that cutting works with."""

@@ -49,12 +49,12 @@ class Faces:
         with np.errstate(invalid="ignore"):
             good = np.asarray((np.abs(spots) < _FARTHEST).all(axis=1))
         sound = np.flatnonzero(good[rows].all(axis=1)) if len(rows) else np.zeros(0, np.int64)
-        points, corner_of = _welded(spots, rows[sound])
+        points, corner_of = _weld_corners(spots, rows[sound])
         corners = corner_of[rows[sound]]
         crossed = _cross(points, corners)
         whole = (np.linalg.norm(crossed, axis=1) > 0) & (_least_side(corners) > 0)
         sound, corners = sound[whole], corners[whole]
-        first, face_of = _once(corners)
+        first, face_of = _drop_twins(corners)
         of_triangle[sound] = face_of
         sums = np.zeros((len(first), 3))
         shades = np.asarray(colours, np.float64)[rows[sound]].sum(axis=1) if len(sound) else sums
@@ -64,7 +64,7 @@ class Faces:
         corners = corners[first]
         crossed = _cross(points, corners)
         doubled = np.linalg.norm(crossed, axis=1)
-        pairs, lengths, turned = _neighbours(points, corners)
+        pairs, lengths, turned = _find_neighbours(points, corners)
         return cls(
             points=points,
             corners=corners,
@@ -127,7 +127,7 @@ def _least_side(corners: Ints) -> Ints:
     return out
 
 
-def _welded(vertices: Floats, triangles: Ints) -> tuple[Floats, Ints]:
+def _weld_corners(vertices: Floats, triangles: Ints) -> tuple[Floats, Ints]:
     """Points (W, 3) in the order of their coordinates, and the row of each vertex (V,)."""
     used = np.zeros(len(vertices), np.bool_)
     used[triangles.ravel()] = True
@@ -144,7 +144,7 @@ def _welded(vertices: Floats, triangles: Ints) -> tuple[Floats, Ints]:
     return spots[order[changes]], corner_of
 
 
-def _once(corners: Ints) -> tuple[Ints, Ints]:
+def _drop_twins(corners: Ints) -> tuple[Ints, Ints]:
     """First triangle (F,) of each set of corners, and the set of each triangle (T,).
 
     What is modelled from both sides comes twice, wound both ways; the same winding comes first
@@ -164,7 +164,7 @@ def _once(corners: Ints) -> tuple[Ints, Ints]:
     return order[changes], face_of
 
 
-def _neighbours(points: Floats, corners: Ints) -> tuple[Ints, Floats, NDArray[np.bool_]]:
+def _find_neighbours(points: Floats, corners: Ints) -> tuple[Ints, Floats, NDArray[np.bool_]]:
     """Pairs of faces (P, 2) with a common edge, its length (P,), and whether both run along it alike.
 
     At an edge of more than two faces each is paired with the next.
@@ -280,7 +280,7 @@ def step_weights(
     return out
 
 
-def describe(
+def describe_patches(
     faces: Faces,
     normals: Floats,
     patch: Ints,
@@ -295,14 +295,14 @@ def describe(
     starts = np.searchsorted(patch[order], np.arange(count))
     corners = faces.points[faces.corners[order]]
     plane = plane_of[order[starts]]
-    ends, lengths, concave = _contacts(faces, normals, patch, plane, outward, options)
+    ends, lengths, concave = _find_contacts(faces, normals, patch, plane, outward, options)
     return PatchGraph(
         of_face=patch,
         areas=areas,
-        normals=_means(patch, normals, faces.areas, areas) * (1.0 if outward else -1.0),
+        normals=_average_patches(patch, normals, faces.areas, areas) * (1.0 if outward else -1.0),
         low=np.minimum.reduceat(corners.min(axis=1), starts),
         high=np.maximum.reduceat(corners.max(axis=1), starts),
-        lab=_means(patch, faces.lab, faces.areas, areas),
+        lab=_average_patches(patch, faces.lab, faces.areas, areas),
         plane=plane,
         ends=ends,
         lengths=lengths,
@@ -310,13 +310,13 @@ def describe(
     )
 
 
-def _means(patch: Ints, values: Floats, weights: Floats, areas: Floats) -> Floats:
+def _average_patches(patch: Ints, values: Floats, weights: Floats, areas: Floats) -> Floats:
     sums = [np.bincount(patch, values[:, k] * weights, len(areas)) for k in range(3)]
     out: Floats = np.stack(sums, axis=1) / areas[:, None]
     return out
 
 
-def _contacts(
+def _find_contacts(
     faces: Faces, normals: Floats, patch: Ints, plane: Ints, outward: bool, options: SegmentOptions
 ) -> tuple[Ints, Floats, Floats]:
     """Contacts in both directions: ends (E, 2), lengths (E,) [m], concave shares (E,)."""

@@ -17,7 +17,7 @@ from placegraph.indoor.mapping.segment.faces import (
     PatchGraph,
     Samples,
     cut_patches,
-    describe,
+    describe_patches,
 )
 from placegraph.indoor.mapping.segment.segment_kernels import connect, nearest
 
@@ -54,20 +54,20 @@ def find_walls(
             break
         way = np.array([np.cos(turn), np.sin(turn)])
         for _ in range(2):
-            off, facing = _off(faces, normals, rows, way, distance)
+            off, facing = _plane_distances(faces, normals, rows, way, distance)
             near = rows[(off < options.flatness) & facing]
             if near.size:
-                way, distance = _line(faces.centres[near, :2], faces.areas[near], way, distance)
-        off, facing = _off(faces, normals, rows, way, distance)
+                way, distance = _fit_line(faces.centres[near, :2], faces.areas[near], way, distance)
+        off, facing = _plane_distances(faces, normals, rows, way, distance)
         inside = (off < options.flatness) & facing
         own = rows[inside]
         if not own.size:  # a peak of faces that do not lie on its plane: they are left alone
-            off, _ = _off(faces, normals, rows, way, distance)
+            off, _ = _plane_distances(faces, normals, rows, way, distance)
             rows = rows[off >= _BIN] if (off < _BIN).any() else rows[:0]
             continue
-        found += _regions(faces, own, way, distance, options)
+        found += _find_regions(faces, own, way, distance, options)
         rows = rows[~inside]
-    return _kept(faces, found, floor)
+    return _drop_fronts(faces, found, floor)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,7 +83,7 @@ class _Wall:
     area: float
 
 
-def _off(
+def _plane_distances(
     faces: Faces, normals: Floats, rows: Ints, way: Floats, distance: float
 ) -> tuple[Floats, Mask]:
     """How far each face lies from an upright plane (R,) [m], and whether it runs along it (R,)."""
@@ -101,7 +101,7 @@ def _upright_peak(
     turns = np.arange(_TURNS) / _TURNS * np.pi
     spots = faces.centres[rows]
     distance = spots[:, 0] * np.cos(turns[turn]) + spots[:, 1] * np.sin(turns[turn])
-    bins = bins_of(distance)
+    bins = bin_heights(distance)
     low = int(bins.min())
     wide = int(bins.max()) - low + 3
     counts = np.bincount(turn * wide + bins - low + 1, faces.areas[rows], _TURNS * wide)
@@ -114,7 +114,7 @@ def _upright_peak(
     return float(turns[best // wide]), (best % wide - 1 + low + 0.5) * _BIN
 
 
-def _line(spots: Floats, weights: Floats, way: Floats, distance: float) -> tuple[Floats, float]:
+def _fit_line(spots: Floats, weights: Floats, way: Floats, distance: float) -> tuple[Floats, float]:
     """Normal (2,) and distance of the line of least squares through points (N, 2)."""
     whole = weights.sum()
     middle = (spots * weights[:, None]).sum(axis=0) / whole
@@ -128,7 +128,7 @@ def _line(spots: Floats, weights: Floats, way: Floats, distance: float) -> tuple
     return fresh, float(fresh @ middle)
 
 
-def _regions(
+def _find_regions(
     faces: Faces, own: Ints, way: Floats, distance: float, options: SegmentOptions
 ) -> list[_Wall]:
     """Parts of a plane that a grid connects, where they are large and high enough for a wall."""
@@ -165,7 +165,7 @@ def _regions(
     return out
 
 
-def _kept(faces: Faces, found: list[_Wall], floor: float | None) -> list[Mask]:
+def _drop_fronts(faces: Faces, found: list[_Wall], floor: float | None) -> list[Mask]:
     """Masks (F,) of the walls, without fronts of furniture: what stands before a higher wall."""
     kept = []
     for wall in found:
@@ -193,9 +193,9 @@ def _stands_before(wall: _Wall, other: _Wall) -> bool:
     return bool(wall.span[1] - wall.span[0] < _DEEP and abs(cosine) < 0.3)
 
 
-def peak(heights: Floats, areas: Floats) -> tuple[float, float]:
+def find_peak(heights: Floats, areas: Floats) -> tuple[float, float]:
     """Height and area of the level with most area: the median of what lies near its bin."""
-    bins = bins_of(heights)
+    bins = bin_heights(heights)
     low = int(bins.min())
     table = np.bincount(bins - low + 1, areas, int(bins.max()) - low + 3)
     around = table.copy()
@@ -206,7 +206,7 @@ def peak(heights: Floats, areas: Floats) -> tuple[float, float]:
     return height, float(areas[own].sum())
 
 
-def bins_of(values: Floats) -> Ints:
+def bin_heights(values: Floats) -> Ints:
     """Bin (N,) of each value; what is far from most shares the outermost."""
     bins = np.floor(values / _BIN).astype(np.int64)
     middle = int(np.median(bins))
@@ -224,12 +224,14 @@ def join_patches(patches: PatchGraph, floor: float | None, options: SegmentOptio
     """Object (N,) of each patch: its lowest patch; those of the structure's planes stay alone."""
     free = patches.plane < 0
     ends, kept = patches.ends, free[patches.ends].all(axis=1)
-    carried = _carried(patches, free, floor, options)
+    carried = _find_carried(patches, free, floor, options)
     kept &= ~carried
-    return joined(patches, ends[kept], patches.lengths[kept], patches.concave[kept], options)
+    return join_parts(patches, ends[kept], patches.lengths[kept], patches.concave[kept], options)
 
 
-def _carried(patches: PatchGraph, free: Mask, floor: float | None, options: SegmentOptions) -> Mask:
+def _find_carried(
+    patches: PatchGraph, free: Mask, floor: float | None, options: SegmentOptions
+) -> Mask:
     """Contacts (E,) of things with the level surfaces they stand on."""
     ends, lengths = patches.ends, patches.lengths
     base = patches.low[:, 2].min(initial=0.0) if floor is None else floor
@@ -273,7 +275,7 @@ class _Part:
         return self.area >= _ALONE and bool(np.partition(self.high - self.low, 1)[1] >= _WIDE)
 
 
-def joined(
+def join_parts(
     patches: PatchGraph, ends: Ints, lengths: Floats, concave: Floats, options: SegmentOptions
 ) -> Ints:
     """Lowest patch (N,) of what each belongs to once contacts (E,) but the thin ones are closed."""
@@ -290,7 +292,7 @@ def joined(
             parts[one].contacts[two] = (total + half, inward + half * share)
     root = np.arange(len(parts))
     queue = [
-        (-_strength(parts, a, b), a, b)
+        (-_contact_strength(parts, a, b), a, b)
         for a, part in enumerate(parts)
         for b in part.contacts
         if a < b
@@ -298,26 +300,26 @@ def joined(
     heapq.heapify(queue)
     while queue:
         value, a, b = heapq.heappop(queue)
-        if root[a] != a or root[b] != b or value != -_strength(parts, a, b):
+        if root[a] != a or root[b] != b or value != -_contact_strength(parts, a, b):
             continue  # an older state of one of them
-        if _thin(parts, a, b, options):
+        if _is_thin(parts, a, b, options):
             continue
         root[b] = a
-        for other in _merge(parts, a, b):
+        for other in _merge_parts(parts, a, b):
             low, high = min(a, other), max(a, other)
-            heapq.heappush(queue, (-_strength(parts, low, high), low, high))
+            heapq.heappush(queue, (-_contact_strength(parts, low, high), low, high))
     for i in range(len(root)):
         root[i] = root[root[i]]  # roots are lower, so theirs are settled
     return root
 
 
-def _strength(parts: list[_Part], a: int, b: int) -> float:
+def _contact_strength(parts: list[_Part], a: int, b: int) -> float:
     """Length of a contact, the concave part of it at a third, over the size of the smaller part."""
     length, inward = parts[a].contacts[b]
     return (length - 0.67 * inward) / min(parts[a].area, parts[b].area) ** 0.5
 
 
-def _thin(parts: list[_Part], a: int, b: int, options: SegmentOptions) -> bool:
+def _is_thin(parts: list[_Part], a: int, b: int, options: SegmentOptions) -> bool:
     one, two = parts[a], parts[b]
     length, inward = one.contacts[b]
     if inward < 0.5 * length or not (one.alone() and two.alone()):
@@ -325,7 +327,7 @@ def _thin(parts: list[_Part], a: int, b: int, options: SegmentOptions) -> bool:
     return bool(length < options.thin * min(one.area, two.area) ** 0.5)
 
 
-def _merge(parts: list[_Part], a: int, b: int) -> list[int]:
+def _merge_parts(parts: list[_Part], a: int, b: int) -> list[int]:
     """Put part b into part a; returns all that touch it now."""
     one, two = parts[a], parts[b]
     one.area += two.area
@@ -341,7 +343,7 @@ def _merge(parts: list[_Part], a: int, b: int) -> list[int]:
     return list(one.contacts)
 
 
-def settle(
+def absorb_small(
     group: Ints, patches: PatchGraph, fixed: NDArray[np.bool_], options: SegmentOptions
 ) -> Ints:
     """Groups (N,) of patches, those that are too small put into what they touch most.
@@ -350,7 +352,7 @@ def settle(
     touches nothing.
     """
     areas = np.bincount(group, patches.areas, len(patches))
-    contacts = _touched(group, patches)
+    contacts = _measure_contacts(group, patches)
     root = np.arange(len(patches))
     queue = [(float(areas[g]), int(g)) for g in np.unique(group) if not fixed[g]]
     heapq.heapify(queue)
@@ -376,7 +378,7 @@ def settle(
     return root[group]
 
 
-def _touched(group: Ints, patches: PatchGraph) -> list[dict[int, float]]:
+def _measure_contacts(group: Ints, patches: PatchGraph) -> list[dict[int, float]]:
     """Length of contact [m] of each group with others."""
     contacts: list[dict[int, float]] = [{} for _ in range(len(patches))]
     ends = group[patches.ends].tolist()
@@ -410,7 +412,7 @@ def cut_by_geometry(faces: Faces, options: SegmentOptions, tell: Callable[[str],
     structure = find_structure(faces, normals, options)
     tell("patches")
     patch = cut_patches(faces, normals, lab, structure.of_face, structure.outward, options)
-    patches = describe(faces, normals, patch, structure.of_face, structure.outward, options)
+    patches = describe_patches(faces, normals, patch, structure.of_face, structure.outward, options)
     patches, structure = lift_marks(patches, structure, options)
     tell("objects")
     group = join_patches(patches, structure.floor, options)
@@ -418,11 +420,11 @@ def cut_by_geometry(faces: Faces, options: SegmentOptions, tell: Callable[[str],
     first: dict[int, int] = {}
     for row in np.flatnonzero(bound).tolist():
         group[row] = first.setdefault(int(patches.plane[row]), row)
-    group = settle(group, patches, bound, options)
-    return Cut(structure, patches, adopted(group, patches, bound, faces, options.least))
+    group = absorb_small(group, patches, bound, options)
+    return Cut(structure, patches, absorb_lost(group, patches, bound, faces, options.least))
 
 
-def adopted(
+def absorb_lost(
     group: Ints, patches: PatchGraph, fixed: NDArray[np.bool_], faces: Faces, least: float
 ) -> Ints:
     """Groups (N,), those that are too small and touch nothing put into the nearest other one."""
@@ -449,7 +451,7 @@ def lift_marks(
     floor becomes a plane of its own, a floor too: it joins none of the things that stand on it.
     """
     plane, labels = patches.plane.copy(), list(structure.labels)
-    usual = _usual_colours(patches, len(labels))
+    usual = _plane_colours(patches, len(labels))
     shade = np.sqrt(((patches.lab - usual[np.maximum(patches.plane, 0)]) ** 2).sum(axis=1))
     odd = (patches.plane >= 0) & (shade > options.contrast)
     a, b = patches.ends.T
@@ -471,7 +473,7 @@ def lift_marks(
     return replace(patches, plane=plane), replace(structure, labels=tuple(labels))
 
 
-def _usual_colours(patches: PatchGraph, count: int) -> Floats:
+def _plane_colours(patches: PatchGraph, count: int) -> Floats:
     """Colour (P, 3) CIELAB of each plane: the median of its patches by area."""
     out = np.zeros((max(count, 1), 3))
     for row in range(count):
@@ -498,14 +500,14 @@ def find_structure(faces: Faces, normals: Floats, options: SegmentOptions) -> St
     of_face = np.full(len(faces), -1, np.int64)
     labels: list[str] = []
     level = np.abs(normals[:, 2]) > LEVEL
-    height, floor_plane = _floor(faces, normals, level, options)
+    height, floor_plane = _find_floor(faces, normals, level, options)
     outward = True
     if height is not None:
-        below = level & (np.abs(_above(faces.centres, floor_plane)) < options.flatness)
+        below = level & (np.abs(_height_above(faces.centres, floor_plane)) < options.flatness)
         of_face[below] = 0
         labels.append("floor")
         outward = float((faces.areas * normals[:, 2])[below].sum()) >= 0
-        for part in _ceilings(faces, normals, level & (of_face < 0), height, outward, options):
+        for part in _find_ceilings(faces, normals, level & (of_face < 0), height, outward, options):
             of_face[part] = len(labels)
             labels.append("ceiling")
     for part in find_walls(faces, normals, of_face < 0, height, options):
@@ -514,13 +516,13 @@ def find_structure(faces: Faces, normals: Floats, options: SegmentOptions) -> St
     return Structure(of_face, tuple(labels), height, outward)
 
 
-def _above(points: Floats, plane: Floats) -> Floats:
+def _height_above(points: Floats, plane: Floats) -> Floats:
     """Height (N,) of points over a plane z = p0 x + p1 y + p2."""
     out: Floats = points[:, 2] - points[:, 0] * plane[0] - points[:, 1] * plane[1] - plane[2]
     return out
 
 
-def _floor(
+def _find_floor(
     faces: Faces, normals: Floats, level: Mask, options: SegmentOptions
 ) -> tuple[float | None, Floats]:
     """Height and plane of the floor: the largest level surface in the lowest part of the mesh."""
@@ -535,22 +537,22 @@ def _floor(
     chosen = up if faces.areas[up].sum() >= 0.5 * faces.areas[down].sum() else down
     if not chosen.any():
         return None, nothing
-    height, area = peak(z[chosen], faces.areas[chosen])
+    height, area = find_peak(z[chosen], faces.areas[chosen])
     span = np.ptp(faces.points[:, :2], axis=0)
     if area < max(0.5, 0.05 * float(span[0] * span[1])):
         return None, nothing
     plane = np.array([0.0, 0.0, height])
     for _ in range(3):  # a scan's floor may lean by a degree
-        inside = chosen & (np.abs(_above(faces.centres, plane)) < 1.5 * options.flatness)
-        plane = _fitted(faces.centres[inside], faces.areas[inside], plane)
-    inside = chosen & (np.abs(_above(faces.centres, plane)) < options.flatness)
+        inside = chosen & (np.abs(_height_above(faces.centres, plane)) < 1.5 * options.flatness)
+        plane = _fit_plane(faces.centres[inside], faces.areas[inside], plane)
+    inside = chosen & (np.abs(_height_above(faces.centres, plane)) < options.flatness)
     if not inside.any():
         return None, nothing
     (height,) = quantiles(z[inside], faces.areas[inside], (0.5,))
     return height, plane
 
 
-def _fitted(points: Floats, weights: Floats, before: Floats) -> Floats:
+def _fit_plane(points: Floats, weights: Floats, before: Floats) -> Floats:
     """Plane z = p0 x + p1 y + p2 of least squares; the one before where it leans over 3 degrees."""
     if len(points) < 3:
         return before
@@ -571,7 +573,7 @@ def _fitted(points: Floats, weights: Floats, before: Floats) -> Floats:
     return np.array([*lean, middle[2] - lean @ middle[:2]])
 
 
-def _ceilings(
+def _find_ceilings(
     faces: Faces, normals: Floats, free: Mask, floor: float, outward: bool, options: SegmentOptions
 ) -> list[Mask]:
     """Level planes far above the floor that face it, the largest first."""
@@ -580,7 +582,7 @@ def _ceilings(
     found = []
     while free.any():
         z = faces.centres[:, 2]
-        height, area = peak(z[free], faces.areas[free])
+        height, area = find_peak(z[free], faces.areas[free])
         own = free & (np.abs(z - height) < options.flatness)
         if area < options.wall_area:
             break

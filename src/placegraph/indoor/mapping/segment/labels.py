@@ -17,10 +17,16 @@ from placegraph.indoor.mapping.segment.faces import (
     Faces,
     PatchGraph,
     Samples,
-    describe,
+    describe_patches,
     step_weights,
 )
-from placegraph.indoor.mapping.segment.geometry import ROUNDS, Cut, adopted, joined, settle
+from placegraph.indoor.mapping.segment.geometry import (
+    ROUNDS,
+    Cut,
+    absorb_lost,
+    absorb_small,
+    join_parts,
+)
 from placegraph.indoor.mapping.segment.segment_kernels import connect, elect
 from placegraph.indoor.rays import RayCaster
 from placegraph.io.capture.frame import Frame, LabelKind
@@ -58,7 +64,7 @@ class Votes:
     weights: Floats  # (K,)
 
 
-def collect(
+def collect_votes(
     faces: Faces,
     frames: Sequence[Frame],
     poses: Floats,
@@ -75,7 +81,7 @@ def collect(
         return None
     if len(kinds) > 1:
         raise OptionError("frames: some hold labels, others instances; give those of one kind.")
-    box = _Box(kinds.pop(), len(faces))
+    box = _VoteCounter(kinds.pop(), len(faces))
     caster = RayCaster(faces.points, faces.corners)
     for i, (frame, pose) in enumerate(zip(frames, poses, strict=True)):
         tell(i, len(frames))
@@ -86,7 +92,7 @@ def collect(
         if not np.isfinite(pose).all():
             left_out["frames without a pose"] += 1
             continue
-        face, pixel, weight = _seen(faces, caster, frame, pose, image.shape[:2], i)
+        face, pixel, weight = _cast_votes(faces, caster, frame, pose, image.shape[:2], i)
         label = box.rows(frame, image)[pixel]
         if (label < 0).any():
             left_out["pixels whose label has no name"] += int((label < 0).sum())
@@ -94,7 +100,7 @@ def collect(
     return box.votes()
 
 
-class _Box:
+class _VoteCounter:
     """Votes as they come in."""
 
     def __init__(self, kind: LabelKind, count: int) -> None:
@@ -162,7 +168,7 @@ class _Box:
         return Votes(self.kind, tuple(self.words), tuple(self.ids), starts, labels, weights)
 
 
-def _seen(
+def _cast_votes(
     faces: Faces, caster: RayCaster, frame: Frame, pose: Floats, shape: tuple[int, ...], turn: int
 ) -> tuple[Ints, Ints, Floats]:
     """Faces (N,) that a frame shows, the pixels (N,) that show them, and what these weigh (N,)."""
@@ -176,7 +182,7 @@ def _seen(
     ways = rays @ pose[:3, :3].T
     hits = caster.cast(pose[:3, 3], ways)
     depth = hits.distance.astype(np.float64)
-    good = (hits.triangle >= 0) & ~_contradicted(frame, rays, depth)
+    good = (hits.triangle >= 0) & ~_contradicts_depth(frame, rays, depth)
     face = hits.triangle[good].astype(np.int64)
     along = ways[good] / np.linalg.norm(ways[good], axis=1, keepdims=True)
     cosine = np.abs((along * faces.normals[face]).sum(axis=1))
@@ -184,13 +190,13 @@ def _seen(
     return face, (v * width + u)[good], weight
 
 
-def _contradicted(frame: Frame, rays: Floats, depth: Floats) -> NDArray[np.bool_]:
+def _contradicts_depth(frame: Frame, rays: Floats, depth: Floats) -> NDArray[np.bool_]:
     """Rays (N,) on which the frame measured another depth (N,) [m] than the mesh has."""
     out = np.zeros(len(rays), np.bool_)
     measured, camera = frame.depth(), frame.depth_camera
     if measured is None or camera is None:
         return out
-    column, row, inside = _pixels(camera, rays)
+    column, row, inside = _project_pixels(camera, rays)
     reading = measured[row[inside], column[inside]].astype(np.float64)
     with np.errstate(invalid="ignore"):
         off = np.abs(reading - depth[inside]) > _NEAR + _SLOPE * reading
@@ -198,7 +204,7 @@ def _contradicted(frame: Frame, rays: Floats, depth: Floats) -> NDArray[np.bool_
     return out
 
 
-def _pixels(camera: Camera, rays: Floats) -> tuple[Ints, Ints, NDArray[np.bool_]]:
+def _project_pixels(camera: Camera, rays: Floats) -> tuple[Ints, Ints, NDArray[np.bool_]]:
     """Columns and rows (N,) of rays in an image, and whether they lie in it (N,)."""
     uv = np.floor(camera.project(rays))
     inside = (uv >= 0).all(axis=1) & (uv[:, 0] < camera.width) & (uv[:, 1] < camera.height)
@@ -212,7 +218,7 @@ def label_faces(faces: Faces, votes: Votes, patch: Ints, steps: Floats) -> Ints:
     A face's score for a label is its own share of votes, that of its patch around it by area, and
     the share of its neighbours that bear the label, across steps (P,) less.
     """
-    patch = _local(faces, patch)
+    patch = _split_patches(faces, patch)
     count = len(votes.words)
     face = np.repeat(np.arange(len(faces)), np.diff(votes.starts))
     total = np.bincount(face, votes.weights, len(faces)) + _DOUBT
@@ -234,7 +240,7 @@ def label_faces(faces: Faces, votes: Votes, patch: Ints, steps: Floats) -> Ints:
     return np.maximum(labels, 0)
 
 
-def _local(faces: Faces, patch: Ints) -> Ints:
+def _split_patches(faces: Faces, patch: Ints) -> Ints:
     """Patches (F,) cut by a grid of cubes."""
     columns = [patch, *np.floor(faces.centres / _CELL).astype(np.int64).T]
     order = np.lexsort(columns)
@@ -256,7 +262,7 @@ _LARGE = 8.0  # ... and none is as large as this [m2]: a floor of many rooms has
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Named:
+class NamedGroups:
     """Groups (F,) of faces, and what is known of each group."""
 
     groups: Ints
@@ -264,7 +270,7 @@ class Named:
     ids: dict[int, int]
 
 
-def cut_by_labels(faces: Faces, cut: Cut, votes: Votes, options: SegmentOptions) -> Named:
+def cut_by_labels(faces: Faces, cut: Cut, votes: Votes, options: SegmentOptions) -> NamedGroups:
     """Objects by votes; what they leave open is as `cut` has it."""
     normals, lab = faces.smoothed(ROUNDS)
     outward = cut.structure.outward
@@ -272,27 +278,29 @@ def cut_by_labels(faces: Faces, cut: Cut, votes: Votes, options: SegmentOptions)
     label = label_faces(faces, votes, cut.patches.of_face, steps)
     thing = cut.groups[cut.patches.of_face]
     plane = cut.patches.plane[thing]
-    label = _completed(faces, label, thing, plane, len(votes.words))
-    piece = _pieces(faces, label, thing)
-    pieces = describe(faces, normals, piece, np.full(len(faces), -1, np.int64), outward, options)
+    label = _complete_labels(faces, label, thing, plane, len(votes.words))
+    piece = _find_pieces(faces, label, thing)
+    pieces = describe_patches(
+        faces, normals, piece, np.full(len(faces), -1, np.int64), outward, options
+    )
     first = np.unique(piece, return_index=True)[1]
     upright = np.array([word == "wall" for word in (*cut.structure.labels, "wall")])
     level = (plane[first] >= 0) & ~upright[plane[first]]
-    spilt = _spilt(pieces, label[first], plane[first], level, options)
+    spilt = _find_spilt(pieces, label[first], plane[first], level, options)
     label = np.where(spilt[piece], NOTHING, label)
-    group = _grouped(pieces, label[first], thing[first], plane[first], votes.kind, options)
-    group, meant = cover(
+    group = _group_pieces(pieces, label[first], thing[first], plane[first], votes.kind, options)
+    group, meant = assign_covers(
         group, pieces, label[first], plane[first], votes.words, cut.structure.labels, options
     )
     fixed = (label[first] == NOTHING) & (plane[first] >= 0)
     if votes.kind == "labels":
-        group = _gathered(faces, piece, pieces, label[first], group)
-    group = settle(group, pieces, fixed, options)
-    group = adopted(group, pieces, fixed, faces, options.least)
-    return _named(group, label[first], plane[first], votes, cut, piece, meant)
+        group = _gather_fragments(faces, piece, pieces, label[first], group)
+    group = absorb_small(group, pieces, fixed, options)
+    group = absorb_lost(group, pieces, fixed, faces, options.least)
+    return _name_groups(group, label[first], plane[first], votes, cut, piece, meant)
 
 
-def _completed(faces: Faces, label: Ints, thing: Ints, plane: Ints, count: int) -> Ints:
+def _complete_labels(faces: Faces, label: Ints, thing: Ints, plane: Ints, count: int) -> Ints:
     """Labels (F,): where most of a thing bears one, what of it bears none bears it too."""
     table = np.bincount(thing * count + label, faces.areas, (int(thing.max()) + 1) * count)
     table = table.reshape(-1, count)
@@ -304,14 +312,14 @@ def _completed(faces: Faces, label: Ints, thing: Ints, plane: Ints, count: int) 
     return out
 
 
-def _pieces(faces: Faces, label: Ints, thing: Ints) -> Ints:
+def _find_pieces(faces: Faces, label: Ints, thing: Ints) -> Ints:
     """Connected faces (F,) of one label and one thing, numbered from 0."""
     a, b = faces.pairs.T
     same = (label[a] == label[b]) & (thing[a] == thing[b])
     return np.unique(connect(len(faces), faces.pairs[same]), return_inverse=True)[1]
 
 
-def _spilt(
+def _find_spilt(
     pieces: PatchGraph, label: Ints, plane: Ints, level: NDArray[np.bool_], options: SegmentOptions
 ) -> NDArray[np.bool_]:
     """Pieces (N,) of floor or wall whose label is of a larger thing they touch, or that are small.
@@ -327,7 +335,7 @@ def _spilt(
     return out
 
 
-def _grouped(
+def _group_pieces(
     pieces: PatchGraph, label: Ints, thing: Ints, plane: Ints, kind: str, options: SegmentOptions
 ) -> Ints:
     """Group (N,) of each piece, named by its lowest."""
@@ -338,14 +346,18 @@ def _grouped(
     a, b = pieces.ends.T
     same = (label[a] == label[b]) & (label[a] != NOTHING)
     same &= (plane[a] == plane[b]) | (plane[a] < 0) | (plane[b] < 0)  # walls stay apart
-    group = joined(pieces, pieces.ends[same], pieces.lengths[same], pieces.concave[same], options)
+    group = join_parts(
+        pieces, pieces.ends[same], pieces.lengths[same], pieces.concave[same], options
+    )
     open_ = np.flatnonzero(label == NOTHING)
     _, first, row = np.unique(thing[open_], return_index=True, return_inverse=True)
     group[open_] = open_[first[row]]
     return group
 
 
-def _gathered(faces: Faces, piece: Ints, pieces: PatchGraph, label: Ints, group: Ints) -> Ints:
+def _gather_fragments(
+    faces: Faces, piece: Ints, pieces: PatchGraph, label: Ints, group: Ints
+) -> Ints:
     """Groups (N,), the fragments among them put into what bears their label close by."""
     areas = np.bincount(group, pieces.areas, len(pieces))
     named = np.flatnonzero(label[piece] != NOTHING)
@@ -364,7 +376,7 @@ def _gathered(faces: Faces, piece: Ints, pieces: PatchGraph, label: Ints, group:
     return out
 
 
-def _named(
+def _name_groups(
     group: Ints,
     label: Ints,
     plane: Ints,
@@ -372,7 +384,7 @@ def _named(
     cut: Cut,
     piece: Ints,
     meant: dict[int, str],
-) -> Named:
+) -> NamedGroups:
     words: dict[int, str] = {}
     ids: dict[int, int] = {}
     for g in np.unique(group).tolist():
@@ -386,10 +398,10 @@ def _named(
             words[g] = word
         if votes.kind == "instances":
             ids[g] = votes.ids[row]
-    return Named(group[piece], words, ids)
+    return NamedGroups(group[piece], words, ids)
 
 
-def cover(
+def assign_covers(
     group: Ints,
     pieces: PatchGraph,
     label: Ints,
@@ -431,10 +443,10 @@ def cover(
         same = bool(good[i]) and (word or planes[own]) == planes[own]
         covers.setdefault(own, []).append((one, float(area[i]), same))
     open_ = np.flatnonzero(~said & (plane >= 0))
-    return _joined(group, pieces, open_, plane, covers, options), meant
+    return _join_covers(group, pieces, open_, plane, covers, options), meant
 
 
-def _joined(
+def _join_covers(
     group: Ints,
     pieces: PatchGraph,
     open_: Ints,
