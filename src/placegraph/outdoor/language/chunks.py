@@ -13,7 +13,7 @@ from placegraph.outdoor.language.grammar import NounMeaning
 from placegraph.outdoor.language.languages import Language
 from placegraph.outdoor.language.scan import shouting
 from placegraph.outdoor.language.vocabulary.vocabulary import LanguageWords
-from placegraph.outdoor.language.word_order import ordered
+from placegraph.outdoor.language.word_order import order_chunks
 from placegraph.outdoor.language.words import NameFinder, Words, fold, tokens
 
 _OPEN = frozenset(
@@ -431,7 +431,7 @@ class InflectedChunker(Chunker):
         self.proper.bent = {}
         found = self._marked(super().chunks(sentence))
         parts = (found[i : i + _LONGEST_SENTENCE] for i in range(0, len(found), _LONGEST_SENTENCE))
-        return [chunk for part in parts for chunk in ordered(part, self.lexicon)]
+        return [chunk for part in parts for chunk in order_chunks(part, self.lexicon)]
 
     def _mark(self, i: int, word: Word) -> Chunk:
         if word.kind != "quoted":
