@@ -8,17 +8,22 @@ from collections.abc import Iterable, Sequence
 from typing import Protocol
 
 from placegraph.language.text import fold_case
-from placegraph.language.text import fold_case as spelt
 from placegraph.outdoor.language.description import Sense
 
-# fmt: off
-ARTICLES = frozenset((
-    "a", "an", "the", "some", "any", "der", "die", "das", "den", "dem", "des", "ein", "eine",
-    "einen", "einem", "le", "la", "les", "l", "un", "une", "du", "el", "los", "las", "una", "unos",
-    "unas", "il", "lo", "gli", "i", "uno", "o", "os", "as", "um", "uma", "de", "het", "een", "en",
-    "et", "det", "els",
-))
-# fmt: on
+
+def _read_pairs(text: str) -> dict[str, str]:
+    """Read "from>to" pairs of words; an underscore stands for a space."""
+    return dict(pair.replace("_", " ").split(">") for pair in text.split())
+
+
+def _read_words(text: str) -> frozenset[str]:
+    return frozenset(text.split())
+
+
+ARTICLES = _read_words("""
+    a an the some any der die das den dem des ein eine einen einem le la les l un une du el los
+    las una unos unas il lo gli i uno o os as um uma de het een en et det els
+""")
 """Articles that may stand before a noun; English first, then languages quoted in English text."""
 
 _POSSESSIVE = re.compile(r"'s\b|(?<=s)'(?!\w)")
@@ -27,79 +32,28 @@ _SEPARATORS = re.compile(
 )
 """What stands between words; marks that combine with Hebrew, Arabic, Indic, Thai letters do not."""
 _FOLDED_LETTERS = str.maketrans(
-    {
-        "ı": "i",
-        "ς": "σ",
-        "ł": "l",
-        "ø": "o",
-        "đ": "d",
-        "ð": "d",
-        "þ": "th",
-        "æ": "ae",
-        "œ": "oe",
-        "ß": "ss",
-    }
+    {**dict(zip("ıςłøđð", "iσlodd", strict=True)), "þ": "th", "æ": "ae", "œ": "oe", "ß": "ss"}
 )
-_SPELLING = {
-    "center": "centre",
-    "centers": "centres",
-    "theater": "theatre",
-    "theaters": "theatres",
-    "amphitheater": "amphitheatre",
-    "jewellery": "jewelry",
-    "jeweller": "jeweler",
-    "jewellers": "jewelers",
-    "tire": "tyre",
-    "tires": "tyres",
-    "curb": "kerb",
-    "curbs": "kerbs",
-    "neighborhood": "neighbourhood",
-    "neighborhoods": "neighbourhoods",
-    "harbor": "harbour",
-    "harbors": "harbours",
-    "parlour": "parlor",
-    "gray": "grey",
-    "catalog": "catalogue",
-    "storey": "story",
-    "multistorey": "multi story",
-    "yoghurt": "yogurt",
-    "doughnut": "donut",
-    "doughnuts": "donuts",
-    "labor": "labour",
-    "organisation": "organization",
-    "traveler": "traveller",
-    "counseling": "counselling",
-    "pediatrician": "paediatrician",
-    "licence": "license",
-    "bike": "bicycle",
-    "bikes": "bicycles",
-}
+_SPELLING = _read_pairs("""
+    center>centre centers>centres theater>theatre theaters>theatres amphitheater>amphitheatre
+    jewellery>jewelry jeweller>jeweler jewellers>jewelers tire>tyre tires>tyres curb>kerb
+    curbs>kerbs neighborhood>neighbourhood neighborhoods>neighbourhoods harbor>harbour
+    harbors>harbours parlour>parlor gray>grey catalog>catalogue storey>story
+    multistorey>multi_story yoghurt>yogurt doughnut>donut doughnuts>donuts labor>labour
+    organisation>organization traveler>traveller counseling>counselling
+    pediatrician>paediatrician licence>license bike>bicycle bikes>bicycles
+""")
 """Words with two spellings or an everyday short form, so that "bike rental" needs no entry."""
 
-_IRREGULAR = {
-    "people": "person",
-    "children": "child",
-    "men": "man",
-    "women": "woman",
-    "feet": "foot",
-    "teeth": "tooth",
-    "leaves": "leaf",
-    "shelves": "shelf",
-    "buses": "bus",
-    "busses": "bus",
-    "gases": "gas",
-    "heroes": "hero",
-    "potatoes": "potato",
-    "quizzes": "quiz",
-    "mice": "mouse",
-    "geese": "goose",
-}
-# fmt: off
-_UNCHANGED = frozenset((
-    "news", "series", "species", "swiss", "chess", "canvas", "christmas", "lens", "perhaps",
-    "always", "across", "texas", "kansas", "les", "paris", "reis", "mars", "gross",
-))
-# fmt: on
+_IRREGULAR = _read_pairs("""
+    people>person children>child men>man women>woman feet>foot teeth>tooth leaves>leaf
+    shelves>shelf buses>bus busses>bus gases>gas heroes>hero potatoes>potato quizzes>quiz
+    mice>mouse geese>goose
+""")
+_UNCHANGED = _read_words("""
+    news series species swiss chess canvas christmas lens perhaps always across texas kansas les
+    paris reis mars gross
+""")
 
 
 def normal(phrase: str) -> str:
@@ -141,7 +95,7 @@ def folded(phrase: str) -> str:
     """Return a normal form without diacritics: "café" -> "cafe", "kırtasiye" -> "kirtasiye"."""
     if phrase.isascii():
         return phrase
-    parts = unicodedata.normalize("NFKD", spelt(phrase).translate(_FOLDED_LETTERS))
+    parts = unicodedata.normalize("NFKD", fold_case(phrase).translate(_FOLDED_LETTERS))
     bare = "".join([letter for letter in parts if not unicodedata.combining(letter)])
     return unicodedata.normalize("NFC", bare)
 
@@ -244,70 +198,20 @@ class NameFinder(Protocol):
         """Most similar name and its similarity in [0, 1], or None."""
 
 
-_SPELLINGS = {
-    other: one
-    for one, others in {
-        # "St" is a saint as often as a street: on both sides of a comparison it reads the same
-        "st": "street saint str",
-        "ave": "avenue av",
-        "blvd": "boulevard boul bd bulvari bulvar",
-        "rd": "road",
-        "dr": "drive doctor",
-        "ln": "lane",
-        "pl": "place",
-        "sq": "square",
-        "pkwy": "parkway",
-        "hwy": "highway",
-        "ter": "terrace",
-        "mt": "mount",
-        "ft": "fort",
-        "bldg": "building",
-        "center": "centre ctr cntr",
-        "university": "univ uni",
-        "company": "co",
-        "brothers": "bros",
-        "saints": "sts",
-        "heights": "hts",
-        "junction": "jct jctn",
-        "international": "intl",
-        "national": "natl",
-        "hospital": "hosp",
-        "apartments": "apts",
-        "caddesi": "cad cd",
-        "sokak": "sok sk sokagi",
-        "улица": "ул",
-        "вулиця": "вул",
-        "проспект": "пр просп",
-        "площадь": "пл площа",
-        "north": "n",
-        "south": "s",
-        "east": "e",
-        "west": "w",
-        "theater": "theatre",
-        "and": "et und",
-        "1st": "first",
-        "2nd": "second",
-        "3rd": "third",
-        "4th": "fourth",
-        "5th": "fifth",
-        "6th": "sixth",
-        "7th": "seventh",
-        "8th": "eighth",
-        "9th": "ninth",
-        "10th": "tenth",
-        "11th": "eleventh",
-        "12th": "twelfth",
-        "13th": "thirteenth",
-        "14th": "fourteenth",
-        "15th": "fifteenth",
-        "16th": "sixteenth",
-        "17th": "seventeenth",
-        "18th": "eighteenth",
-        "19th": "nineteenth",
-        "20th": "twentieth",
-    }.items()
-    for other in others.split()
-}
+_NAME_SPELLING = _read_pairs("""
+    street>st saint>st str>st avenue>ave av>ave boulevard>blvd boul>blvd bd>blvd bulvari>blvd
+    bulvar>blvd road>rd drive>dr doctor>dr lane>ln place>pl square>sq parkway>pkwy highway>hwy
+    terrace>ter mount>mt fort>ft building>bldg centre>center ctr>center cntr>center
+    univ>university uni>university co>company bros>brothers sts>saints hts>heights jct>junction
+    jctn>junction intl>international natl>national hosp>hospital apts>apartments cad>caddesi
+    cd>caddesi sok>sokak sk>sokak sokagi>sokak ул>улица вул>вулиця пр>проспект просп>проспект
+    пл>площадь площа>площадь n>north s>south e>east w>west theatre>theater et>and und>and
+    first>1st second>2nd third>3rd fourth>4th fifth>5th sixth>6th seventh>7th eighth>8th
+    ninth>9th tenth>10th eleventh>11th twelfth>12th thirteenth>13th fourteenth>14th
+    fifteenth>15th sixteenth>16th seventeenth>17th eighteenth>18th nineteenth>19th
+    twentieth>20th
+""")
+"""Short forms in names; "St" is a saint as often as a street: both sides of a comparison read it alike."""
 COMPASS = frozenset(
     ("north", "south", "east", "west", "northeast", "northwest", "southeast", "southwest")
 )
@@ -316,13 +220,10 @@ ROADS = frozenset(
     ("st", "ave", "rd", "blvd", "ln", "dr", "hwy", "pl", "ter", "alley", "pkwy", "sokak", "caddesi")
 )
 """What names of roads end with, as `tokens` writes it."""
-# fmt: off
-SMALL = frozenset((
-    "the", "a", "an", "of", "and", "at", "in", "on", "for", "by", "de", "la", "le", "les", "du",
-    "des", "d", "l", "del", "della", "di", "da", "do", "dos", "el", "los", "las", "y", "e", "der",
-    "die", "das", "dem", "den", "von", "vom", "zu", "zum", "zur", "am", "im", "van", "het",
-))
-# fmt: on
+SMALL = _read_words("""
+    the a an of and at in on for by de la le les du des d l del della di da do dos el los las y
+    e der die das dem den von vom zu zum zur am im van het
+""")
 """Words of names that tell no two names apart."""
 _ORDINAL = re.compile(r"(\d{1,9})(?:st|nd|rd|th|d)")
 _NAME_WORD = re.compile(r"[^\W_]+(?:['’`´][^\W_]+)*|&")
@@ -340,7 +241,7 @@ def fold(word: str) -> str:
         return ordinal(int(number[1]))  # "43th"
     if word.endswith("strasse") and len(word) > 7:
         return word[:-4]  # "Hauptstr."
-    return _SPELLINGS.get(word, word)
+    return _NAME_SPELLING.get(word, word)
 
 
 def ordinal(number: int) -> str:
