@@ -22,15 +22,44 @@ from placegraph.outdoor.language.words import beginnings, folded, normal, singul
 if TYPE_CHECKING:
     from importlib.resources.abc import Traversable
 
-_PACKED: dict[str, Callable[[bytes], bytes]] = {".gz": gzip.decompress, ".xz": lzma.decompress}
+COLUMNS = ("key", "values", "role", "rank", "with", "said")
+OBJECT, KIND, DETAIL, SKIP = ROLES = ("object", "kind", "detail", "skip")
+KIN = {
+    "shop": ("shop", "amenity", "craft", "office", "leisure"),
+    "office": ("office", "amenity", "healthcare", "craft"),
+    "healthcare": ("healthcare", "amenity"),
+    "craft": ("craft", "shop"),
+}
+"""Keys whose labels "x shop", "x office" ... may mean as well ("pharmacy shop")."""
+SHORTEST = 4
+"""Letters of the shortest word that is corrected."""
+MOST = 24
+"""Senses of a word, at most."""
+LEAST = 0.15
+"""Senses below this weight are left out."""
+CALLED = 0.8
+"""Weight of a label for the name that spoken.tsv gives it, where words.tsv does not list it."""
+WEIGHTS = {"r": 1.0, "n": 1.0, "a": 0.95, "v": 0.85, "t": 0.7}
+"""How likely a word is meant so: a raw tag value, a preset's name, an alias, a part or variant of
+its name, a search term."""
+DIACRITICS = 0.95
+"""Factor for a word that was found only by leaving its diacritics out."""
+LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz"
+"""One for each language of a lexicon, in their order."""
+COMMON_TERM = 12
+"""A search term of more presets than this ("lunch", "transit") says nothing."""
+
+_UNPACK: dict[str, Callable[[bytes], bytes]] = {".gz": gzip.decompress, ".xz": lzma.decompress}
+_ENTRY = re.compile(r"(\d+)([a-z])([A-Za-z]+)")
+"""``12nBD``: preset 12, by its name, in languages B and D."""
+_VALUE = re.compile(r"[^\W_][\w:.+-]{0,39}")
+"""A tag value that can be a label; free text ("The old mill, now closed") cannot."""
 
 
-def shipped() -> Traversable:
-    """Return the folder of the tables that come with placegraph."""
-    return files("placegraph.outdoor.language.vocabulary").joinpath("data")
+# files
 
 
-def user_folder(path: str | Path) -> Path:
+def open_folder(path: str | Path) -> Path:
     """Return a user's folder of tables.
 
     Raises
@@ -49,10 +78,9 @@ def user_folder(path: str | Path) -> Path:
 
 def find(name: str, folder: Path | None) -> Traversable | Path:
     """Return the table `name`, plain, .gz or .xz, from `folder` or else as shipped."""
-    for place in (folder, shipped()):
-        if place is None:
-            continue
-        for suffix in ("", *_PACKED):
+    shipped = files("placegraph.outdoor.language.vocabulary").joinpath("data")
+    for place in (shipped,) if folder is None else (folder, shipped):
+        for suffix in ("", *_UNPACK):
             table = place.joinpath(name + suffix)
             if table.is_file():
                 return table
@@ -67,20 +95,17 @@ def read_text(table: Traversable | Path) -> str:
     InputError
         If it cannot be read, unpacked, or is no UTF-8 text.
     """
-    unpack = _PACKED.get(f".{table.name.rpartition('.')[2]}")
+    unpack = _UNPACK.get(f".{table.name.rpartition('.')[2]}")
     try:
         data = table.read_bytes()
         if unpack is None:
-            return _decode(data)
-        return cached(f"table-{sha256(data).hexdigest()[:16]}", lambda: unpack(data), _decode)
+            return data.decode("utf-8-sig")
+        key = f"table-{sha256(data).hexdigest()[:16]}"
+        return cached(key, lambda: unpack(data), lambda text: text.decode("utf-8-sig"))
     except (OSError, EOFError, lzma.LZMAError) as error:
         raise InputError(f"{table}: cannot be read ({error}). Restore or delete it.") from error
     except UnicodeDecodeError as error:
         raise InputError(f"{table}: is not UTF-8 text ({error}). Save it as UTF-8.") from error
-
-
-def _decode(data: bytes) -> str:
-    return data.decode("utf-8-sig")
 
 
 def rows(
@@ -121,18 +146,7 @@ def rows(
         )
 
 
-KINDS = {"r": 1.0, "n": 1.0, "a": 0.95, "v": 0.85, "t": 0.7}
-"""How likely a word is meant so: a raw tag value, a preset's name, an alias, a part or variant of
-its name, a search term."""
-DIACRITICS = 0.95
-"""Factor for a word that was found only by leaving its diacritics out."""
-LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz"
-"""One for each language of a lexicon, in their order."""
-CROWD = 12
-"""A search term of more presets than this ("lunch", "transit") says nothing."""
-
-_ENTRY = re.compile(r"(\d+)([a-z])([A-Za-z]+)")
-"""``12nBD``: preset 12, by its name, in languages B and D."""
+# lexicons
 
 
 class Entry(NamedTuple):
@@ -171,6 +185,8 @@ def weighted(text: str) -> list[tuple[str, float]]:
 class Lexicon:
     """A sorted word list: which words, in which languages, name which preset.
 
+    Made from the iD presets by `placegraph-lab vocabulary`.
+
     Parameters
     ----------
     text
@@ -195,35 +211,37 @@ class Lexicon:
             if not strong or any(entry.kind != "t" for entry in _entries(line)):
                 yield _word(line)
 
+    def _lines_from(self, key: str) -> Iterator[tuple[str, str]]:
+        """Yield key and line of every word from a key without diacritics on."""
+        for at in range(bisect_left(self._lines, key, key=_key), len(self._lines)):
+            yield _key(self._lines[at]), self._lines[at]
+
     def starts(self, word: str) -> bool:
         """Tell whether any entry is this word or starts with it and a space."""
         key = folded(word)
-        at = bisect_left(self._lines, key, key=_key)
-        if at == len(self._lines):
-            return False
-        first = _key(self._lines[at])
-        return first == key or first.startswith(key + " ")
+        first = next(self._lines_from(key), ("", ""))[0]
+        return bool(first) and (first == key or first.startswith(key + " "))
 
     def entries(self, word: str, letters: str = "") -> tuple[list[Entry], bool]:
-        """Meanings of a word in normal form, and whether it was found with its diacritics.
+        """Return the meanings of a word in normal form, and whether it was found with its diacritics.
 
         `letters`: in the languages of these letters only, if any are given.
         """
         key = folded(word)
-        at = bisect_left(self._lines, key, key=_key)
         near: list[Entry] = []
-        while at < len(self._lines) and _key(self._lines[at]) == key:
-            entries = _entries(self._lines[at])
+        for other, line in self._lines_from(key):
+            if other != key:
+                break
+            entries = _entries(line)
             if letters:
                 entries = [entry for entry in entries if set(letters) & set(entry.languages)]
-            if entries and _word(self._lines[at]) == word:
+            if entries and _word(line) == word:
                 return entries, True
             near += entries
-            at += 1
         return near, False
 
     def senses(self, word: str, *, strong: bool = False, letters: str = "") -> dict[str, float]:
-        """Labels a word may mean, with weights in (0, 1]; `strong` leaves search terms out.
+        """Return labels a word may mean, with weights in (0, 1]; `strong` leaves search terms out.
 
         `letters`: in the languages of these letters only, if any are given.
         """
@@ -234,9 +252,9 @@ class Lexicon:
         named = any(entry.kind != "t" for entry in entries)
         found: dict[str, float] = {}
         for entry in entries:
-            weight = KINDS[entry.kind] if exact else KINDS[entry.kind] * DIACRITICS
+            weight = WEIGHTS[entry.kind] if exact else WEIGHTS[entry.kind] * DIACRITICS
             if entry.kind == "t":
-                if len(terms) > CROWD:
+                if len(terms) > COMMON_TERM:
                     continue
                 # a term shared by many presets is weak, and weaker if it is another's name
                 weight *= (0.5 if named else 1.0) / len(terms) ** 0.5
@@ -245,25 +263,21 @@ class Lexicon:
         return found
 
     def letters(self, language: str) -> str:
-        """Letters of a language and its varieties: those of "pt" are of "pt" and "pt-BR"."""
-        return "".join(
-            letter
-            for letter, code in zip(LETTERS, self.languages, strict=False)
-            if code.partition("-")[0] == language
-        )
+        """Return the letters of a language and its varieties: those of "pt" are of "pt" and "pt-BR"."""
+        pairs = zip(LETTERS, self.languages, strict=False)
+        return "".join([letter for letter, code in pairs if code.partition("-")[0] == language])
 
     def beginning(self, key: str, letters: str) -> list[str]:
-        """Words in the languages of these letters that begin so without diacritics."""
-        at = bisect_left(self._lines, key, key=_key)
+        """Return words in the languages of these letters that begin so without diacritics."""
         found = []
-        while at < len(self._lines) and _key(self._lines[at]).startswith(key):
-            line = self._lines[at]
+        for other, line in self._lines_from(key):
+            if not other.startswith(key):
+                break
             tail = line[line.index("\t") :]
             if any(letter in tail for letter in letters) and any(
                 set(letters) & set(entry.languages) for entry in _entries(line)
             ):
                 found.append(_word(line))
-            at += 1
         return found
 
     def names(self, language: str) -> dict[str, str]:
@@ -280,14 +294,13 @@ class Lexicon:
         }
 
     def names_of_labels(self, language: str) -> dict[tuple[str, str], str]:
-        """Preset names by language and label; a detail takes the name of the first preset that has it."""
+        """Return preset names by language and label; a detail takes that of the first preset that has it."""
         found: dict[tuple[str, str], str] = {}
-        for preset, name in sorted(
-            self.names(language).items(), key=lambda item: item[0].count("=")
-        ):
-            labels = weighted(preset)
-            if labels[-1][1] == 1.0:
-                found.setdefault((language, labels[-1][0]), name)
+        names = self.names(language)
+        for preset in sorted(names, key=lambda preset: preset.count("=")):
+            label, weight = weighted(preset)[-1]
+            if weight == 1.0:
+                found.setdefault((language, label), names[preset])
         return found
 
 
@@ -320,19 +333,7 @@ def _entries(line: str) -> list[Entry]:
     return [Entry(int(preset), kind, languages) for preset, kind, languages in found]
 
 
-COLUMNS = ("key", "values", "role", "rank", "with", "said")
-OBJECT, KIND, DETAIL, SKIP = ROLES = ("object", "kind", "detail", "skip")
-
-_VALUE = re.compile(r"[^\W_][\w:.+-]{0,39}")
-"""A tag value that can be a label; free text ("The old mill, now closed") cannot."""
-
-KIN = {
-    "shop": ("shop", "amenity", "craft", "office", "leisure"),
-    "office": ("office", "amenity", "healthcare", "craft"),
-    "healthcare": ("healthcare", "amenity"),
-    "craft": ("craft", "shop"),
-}
-"""Keys whose labels "x shop", "x office" ... may mean as well ("pharmacy shop")."""
+# objects.tsv
 
 
 class Rule(NamedTuple):
@@ -357,20 +358,19 @@ class _Values(dict[str, tuple[_Hit, ...]]):
         self.key, self.rules, self.common = key, rules, common
 
     def __missing__(self, text: str) -> tuple[_Hit, ...]:
-        hits = tuple(dict.fromkeys(hit for part in text.split(";") for hit in self._hit(part)))
-        self[text] = hits
-        return hits
-
-    def _hit(self, text: str) -> tuple[_Hit, ...]:
-        value = "_".join(text.lower().split())
-        rule = self.rules.get(value) or self.common.get(value) or self.rules.get("*")
-        if not value or rule is None or rule.role == SKIP:
-            return ()
-        if not _VALUE.fullmatch(value):
-            if rule.role != OBJECT:
-                return ()
-            value = "yes"  # a shop of a kind told in free text is still a shop
-        return ((rule.rank, f"{self.key}={value}", rule.role == OBJECT, rule.needs),)
+        hits: dict[_Hit, None] = {}
+        for part in text.split(";"):
+            value = "_".join(part.lower().split())
+            rule = self.rules.get(value) or self.common.get(value) or self.rules.get("*")
+            if not value or rule is None or rule.role == SKIP:
+                continue
+            if not _VALUE.fullmatch(value):
+                if rule.role != OBJECT:
+                    continue
+                value = "yes"  # a shop of a kind told in free text is still a shop
+            hits[rule.rank, f"{self.key}={value}", rule.role == OBJECT, rule.needs] = None
+        self[text] = tuple(hits)
+        return self[text]
 
 
 class ObjectTable:
@@ -385,16 +385,17 @@ class ObjectTable:
     """
 
     def __init__(self, rules: Mapping[str, Mapping[str, Rule]]) -> None:
-        common = rules.get("*", {})
-        own = {key: values for key, values in rules.items() if key != "*"}
-        roles = {key: {rule.role for rule in values.values()} for key, values in own.items()}
-        self.keys = frozenset(key for key in own if OBJECT in roles[key])
-        self.detail_keys = frozenset(key for key in own if roles[key] & {KIND, DETAIL}) - self.keys
-        self._rules, self._common = own, common
-        self._values = {key: _Values(key, values, common) for key, values in own.items()}
+        self._common = rules.get("*", {})
+        self._rules = {key: values for key, values in rules.items() if key != "*"}
+        roles = {k: {rule.role for rule in values.values()} for k, values in self._rules.items()}
+        self.keys = frozenset(key for key in roles if OBJECT in roles[key])
+        self.detail_keys = (
+            frozenset(key for key in roles if roles[key] & {KIND, DETAIL}) - self.keys
+        )
+        self._values = {k: _Values(k, values, self._common) for k, values in self._rules.items()}
 
     def labels_of(self, tags: Mapping[str, str]) -> tuple[str, ...]:
-        """Labels ``key=value`` of a tagged thing, most specific first; none if it is no object."""
+        """Return labels ``key=value`` of a tagged thing, most specific first; none if it is no object."""
         known = self._values
         hits: list[_Hit] = []
         for key in tags:
@@ -421,7 +422,7 @@ class ObjectTable:
         return values.get(value) or values.get("*") or next(iter(values.values()))
 
     def listed(self) -> list[str]:
-        """Labels of objects and kinds that have a row of their own."""
+        """Return the labels of objects and kinds that have a row of their own."""
         return [
             f"{key}={value}"
             for key, values in self._rules.items()
@@ -437,13 +438,13 @@ class ObjectTable:
         return frozenset(singular(normal(value)) for value, said in skipped if said != "{}")
 
     def by_rank(self, found: Mapping[str, float]) -> dict[str, float]:
-        """Nameable labels, those of specific keys first."""
+        """Return nameable labels, those of specific keys first."""
         known = [label for label in found if self.names(label)]
         known.sort(key=lambda label: self.rule(label).rank)
         return {label: found[label] for label in known}
 
     def built(self, form: str) -> Iterator[tuple[str, str]]:
-        """Key and value of a phrase by the way it is built: "kite shop" is ``shop``, "kite"."""
+        """Yield key and value of a phrase by the way it is built: "kite shop" is ``shop``, "kite"."""
         for key, pattern in self._patterns:
             if match := pattern.fullmatch(form):
                 yield key, match[1]
@@ -451,16 +452,14 @@ class ObjectTable:
     @cached_property
     def _patterns(self) -> tuple[tuple[str, re.Pattern[str]], ...]:
         """How unlisted values are said ("0 shop"), as expressions, by key."""
-        said = [
-            (key, normal(values["*"].said.replace("{}", " 0 ")))
-            for key, values in self._rules.items()
-            if "*" in values and values["*"].said != "{}"
-        ]
+        rules = [(key, values["*"]) for key, values in self._rules.items() if "*" in values]
+        said = [(k, normal(r.said.replace("{}", " 0 "))) for k, r in rules if r.said != "{}"]
         said.append(("shop", "0 store"))
         return tuple((key, re.compile(pattern.replace("0", "(.+)", 1))) for key, pattern in said)
 
 
 def _any(needs: tuple[str, ...], tags: Mapping[str, str]) -> bool:
+    """Tell whether tags have one of some needed, ``key`` or ``key=value``."""
     for need in needs:
         key, _, value = need.partition("=")
         if key in tags and (not value or value in tags[key].split(";")):
@@ -509,14 +508,86 @@ def _read_rule(where: str, key: str, role: str, rank: str, needs: str, said: str
     return Rule(role, int(rank or 0), tuple(needs.split()), said or "{}")
 
 
-SHORTEST = 4
-"""Letters of the shortest word that is corrected."""
-MOST = 24
-"""Senses of a word, at most."""
-LEAST = 0.15
-"""Senses below this weight are left out."""
-CALLED = 0.8
-"""Weight of a label for the name that spoken.tsv gives it, where words.tsv does not list it."""
+# words.tsv, spoken.tsv, stop.tsv
+
+Meanings: TypeAlias = dict[str, dict[str, float]]
+"""Word in normal form -> label -> weight."""
+
+
+@dataclass(frozen=True)
+class WordTables:
+    """Content of the hand-made tables."""
+
+    english: Meanings
+    """Replaces what the lexicon says of these words."""
+    others: Meanings
+    """Words of other languages."""
+    tongues: dict[str, Meanings]
+    """The same, language by language."""
+    spoken: dict[tuple[str, str], str]
+    """(language, label) -> everyday name."""
+    stops: frozenset[str]
+    """Ordinary words, in normal form, that name no thing when they stand alone."""
+
+
+def read_words(objects: ObjectTable, folder: Path | None = None) -> WordTables:
+    """Read words.tsv, spoken.tsv and stop.tsv from `folder`, or as shipped.
+
+    Raises
+    ------
+    InputError
+        Naming file, line and field of what is wrong.
+    """
+    english: Meanings = {}
+    others: Meanings = {}
+    tongues: dict[str, Meanings] = {}
+    for where, language, words, labels in _labelled_rows("words.tsv", folder):
+        meaning = english.get(normal(labels)) or _read_meaning(where, labels, objects)
+        if not meaning:
+            continue
+        foreign = (others, tongues.setdefault(language.partition("-")[0], {}))
+        books = (english,) if language == "en" else foreign
+        for form in [normal(word) for word in words.split(",")]:
+            if not form:
+                raise InputError(f"{where}: the field 'words' is {words!r}; it names no word.")
+            for key in dict.fromkeys((form, folded(form))):
+                for book in books:
+                    known = book.setdefault(key, {})
+                    known.update({k: max(w, known.get(k, 0.0)) for k, w in meaning.items()})
+    for word in list(english):  # the singular of every phrase that has no row of its own
+        english.setdefault(singular(word), english[word])
+    spoken = {}
+    for where, language, word, label in _labelled_rows("spoken.tsv", folder):
+        _read_meaning(where, label, objects)
+        spoken[language, label] = word
+    stops = frozenset(
+        folded(normal(word.replace("_", " ")))
+        for _, (line,) in rows(find("stop.tsv", folder), ("words",))
+        for word in line.split()
+    )
+    return WordTables(english, others, tongues, spoken, stops)
+
+
+def _labelled_rows(name: str, folder: Path | None) -> Iterator[tuple[str, str, str, str]]:
+    """Yield where each row of a table stands, its language, words and labels."""
+    table, columns = find(name, folder), ("language", "words", "labels")
+    for number, fields in rows(table, columns):
+        where = f"{table}, line {number}"
+        for column, text in zip(columns, fields, strict=True):
+            if not text:
+                raise InputError(f"{where}: the field {column!r} is empty.")
+        yield (where, *fields)  # type: ignore[misc]  # three fields, as the header
+
+
+def _read_meaning(where: str, labels: str, objects: ObjectTable) -> dict[str, float]:
+    """Read labels and weights of a row, as far as objects.tsv makes them worth naming."""
+    try:
+        meaning = dict(weighted(labels))
+    except ValueError as error:
+        raise InputError(
+            f"{where}: in the field 'labels', {error}, or an English phrase of a row above."
+        ) from error
+    return {label: weight for label, weight in meaning.items() if objects.names(label)}
 
 
 class Sources:
@@ -537,7 +608,7 @@ class Sources:
             normal(label.partition("=")[2]): {label: 1.0} for label in self.objects.listed()
         }
         """Values that have a row of their own in objects.tsv."""
-        self.called: dict[str, dict[str, float]] = {}
+        self.called: Meanings = {}
         """Names of spoken.tsv."""
         for (language, label), name in self.words.spoken.items():
             if language == "en" and not label.endswith("*"):
@@ -566,7 +637,7 @@ class Sources:
         return sorted(word for word in words if len(word) >= SHORTEST)
 
     def ranked(self, found: Mapping[str, float]) -> tuple[Sense, ...]:
-        """Senses of nameable labels, likeliest first, otherwise in the given order."""
+        """Return senses of nameable labels, likeliest first, otherwise in the given order."""
         senses = [
             Sense(label, round(weight, 3))
             for label, weight in found.items()
@@ -576,94 +647,6 @@ class Sources:
         return tuple(senses[:MOST])
 
     def names_in(self, language: str) -> dict[tuple[str, str], str]:
-        """Preset names by language and label; a detail takes the name of the first preset that has it."""
+        """Return preset names by language and label."""
         lexicon = self.english if language in self.english.languages else self.world
         return lexicon.names_of_labels(language)
-
-
-Meanings: TypeAlias = dict[str, dict[str, float]]
-"""Word in normal form -> label -> weight."""
-
-
-@dataclass(frozen=True)
-class Words:
-    """What the hand-made tables say."""
-
-    english: Meanings
-    """Replaces what the lexicon says of these words."""
-    others: Meanings
-    """Words of other languages."""
-    tongues: dict[str, Meanings]
-    """The same, language by language."""
-    spoken: dict[tuple[str, str], str]
-    """(language, label) -> everyday name."""
-    stops: frozenset[str]
-    """Ordinary words, in normal form, that name no thing when they stand alone."""
-
-
-def read_words(objects: ObjectTable, folder: Path | None = None) -> Words:
-    """Read words.tsv, spoken.tsv and stop.tsv from `folder`, or as shipped.
-
-    Raises
-    ------
-    InputError
-        Naming file, line and field of what is wrong.
-    """
-    english: Meanings = {}
-    others: Meanings = {}
-    tongues: dict[str, Meanings] = {}
-    for where, language, words, labels in _rows("words.tsv", folder):
-        meaning = english.get(normal(labels)) or _meaning(where, labels, objects)
-        if not meaning:
-            continue
-        foreign = (others, tongues.setdefault(language.partition("-")[0], {}))
-        books = (english,) if language == "en" else foreign
-        for word in words.split(","):
-            form = normal(word)
-            if not form:
-                raise InputError(f"{where}: the field 'words' is {words!r}; it names no word.")
-            for key in dict.fromkeys((form, folded(form))):
-                for book in books:
-                    known = book.setdefault(key, {})
-                    known.update({k: max(w, known.get(k, 0.0)) for k, w in meaning.items()})
-    _singulars(english)
-    spoken = {}
-    for where, language, word, label in _rows("spoken.tsv", folder):
-        _meaning(where, label, objects)
-        spoken[language, label] = word
-    stops = frozenset(
-        folded(normal(word.replace("_", " ")))
-        for _, (line,) in rows(find("stop.tsv", folder), ("words",))
-        for word in line.split()
-    )
-    return Words(english, others, tongues, spoken, stops)
-
-
-def _rows(name: str, folder: Path | None) -> list[tuple[str, str, str, str]]:
-    """Rows of a table of language, words and labels, each with where it stands."""
-    table = find(name, folder)
-    found = []
-    for number, (language, words, labels) in rows(table, ("language", "words", "labels")):
-        where = f"{table}, line {number}"
-        for field, text in (("language", language), ("words", words), ("labels", labels)):
-            if not text:
-                raise InputError(f"{where}: the field {field!r} is empty.")
-        found.append((where, language, words, labels))
-    return found
-
-
-def _meaning(where: str, labels: str, objects: ObjectTable) -> dict[str, float]:
-    """Labels and weights of a row, as far as objects.tsv makes them worth naming."""
-    try:
-        meaning = dict(weighted(labels))
-    except ValueError as error:
-        raise InputError(
-            f"{where}: in the field 'labels', {error}, or an English phrase of a row above."
-        ) from error
-    return {label: weight for label, weight in meaning.items() if objects.names(label)}
-
-
-def _singulars(book: Meanings) -> None:
-    """Add the singular of every phrase that has no row of its own."""
-    for word in list(book):
-        book.setdefault(singular(word), book[word])

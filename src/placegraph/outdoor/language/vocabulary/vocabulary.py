@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from placegraph.outdoor.language.description import Sense
-from placegraph.outdoor.language.vocabulary.tables import KIN, SHORTEST, Sources, user_folder
+from placegraph.outdoor.language.vocabulary.tables import KIN, SHORTEST, Sources, open_folder
 from placegraph.outdoor.language.words import (
     ARTICLES,
     beginnings,
@@ -269,7 +269,7 @@ class Vocabulary:
         """
         from placegraph.outdoor.language.languages import language
 
-        folder = user_folder(path)
+        folder = open_folder(path)
         for table in (folder / "languages").glob("*.toml"):
             language(table.stem, folder)
         return Vocabulary(Sources(folder))
