@@ -8,16 +8,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from os.path import realpath
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from placegraph.core import mapfile as store
+from placegraph.core.plugins import MAPS, load_plugin
 from placegraph.errors import InputError, MapError, PlacegraphError
 
 if TYPE_CHECKING:
     from placegraph.indoor.library import SceneLibrary
+    from placegraph.indoor.library.library import SceneCollection
     from placegraph.indoor.scene_map import SceneMap
     from placegraph.outdoor.city import CityMap
-    from placegraph_scale.library.shards import SceneShards
 
 KINDS = {".city": "city", ".scene": "scene", ".library": "library"}
 """Kind of map that a file of each name holds."""
@@ -25,9 +26,11 @@ SHARDS = "usual.shard"
 """File of a library in shards that is written last."""
 WORLD, PARTS = "world.json", frozenset(("world.json", "words.table", "shards", ".build"))
 """File of a world in shards that is written last; and what is such a world's own in its folder."""
+FOLDERS = {SHARDS: "library-shards", WORLD: "world-shards"}
+"""Entry point of the kind of map that a folder holds, by the file that is written last."""
 
 
-def open_map(path: str | os.PathLike[str]) -> CityMap | SceneMap | SceneLibrary | SceneShards:
+def open_map(path: str | os.PathLike[str]) -> CityMap | SceneMap | SceneCollection:
     """Open a map file; what it holds is read from its header. A folder of scene maps is a library.
 
     A folder that `placegraph library shard` wrote is a library whose columns are mapped.
@@ -42,14 +45,15 @@ def open_map(path: str | os.PathLike[str]) -> CityMap | SceneMap | SceneLibrary 
         cannot be built without an option, which the message names.
     MapError
         It is foreign, truncated, damaged, of a newer version, or of a kind not known here.
+    MissingExtraError
+        It is a library in shards, and placegraph-scale is not installed.
 
     """
     if _is_scene_graph(Path(path)):
         return open_scene(path)
     if is_shards(path):
-        from placegraph_scale.library.shards import SceneShards
-
-        return SceneShards.open(path)
+        library: SceneCollection = open_folder(path)
+        return library
     if is_world(path):
         raise MapError(f"{path} is a world in shards and no single map; open it by `open_world`.")
     if Path(path).is_dir():
@@ -81,6 +85,19 @@ def open_map(path: str | os.PathLike[str]) -> CityMap | SceneMap | SceneLibrary 
     )
 
 
+def folder_kind(path: str | os.PathLike[str]) -> Any:  # noqa: ANN401  # what the plugin brings
+    """Return the plugin that opens a library or a world in shards.
+
+    Raises `MissingExtraError`, naming the extra, where it is not installed.
+    """
+    return load_plugin(MAPS, FOLDERS[WORLD if is_world(path) else SHARDS], "scale")
+
+
+def open_folder(path: str | os.PathLike[str], **options: Any) -> Any:  # noqa: ANN401  # of the plugin
+    """Open a library in shards (`encoders`) or a world in shards (`scheduler`) by its plugin."""
+    return folder_kind(path).open(path, **options)
+
+
 def is_shards(path: str | os.PathLike[str]) -> bool:
     """Whether a folder is a library in shards, by the name of the file that is written last."""
     return _holds(path, SHARDS)
@@ -100,15 +117,15 @@ def _holds(folder: str | os.PathLike[str], name: str) -> bool:
 
 def open_rooms(path: str | os.PathLike[str]) -> SceneMap | SceneLibrary:
     """Open a scene map or a library; raises as `open_map`, and `MapError` where it is a city's."""
-    from placegraph.outdoor.city import CityMap
-    from placegraph_scale.library.shards import SceneShards
+    from placegraph.indoor.library import SceneLibrary
+    from placegraph.indoor.scene_map import SceneMap
 
-    found = open_map(path)
-    if isinstance(found, SceneShards):
+    if is_shards(path):
         raise MapError(
             f"{path} is a library in shards; ask it by `open_map`, or `placegraph library localize`."
         )
-    if isinstance(found, CityMap):
+    found = open_map(path)
+    if not isinstance(found, SceneMap | SceneLibrary):
         raise MapError(f"{path} is the map of a city; give a scene map, or a library of several.")
     return found
 

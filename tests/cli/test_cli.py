@@ -131,7 +131,7 @@ def test_build_of_a_large_map_with_and_without_its_index(run, osm, tmp_path, mon
 
 
 def test_no_index_is_not_of_an_extract_that_becomes_a_world(run, osm, tmp_path, monkeypatch):
-    monkeypatch.setattr("placegraph_scale.build.split.SMALL", 100)
+    monkeypatch.setattr("placegraph.io.osm.urls.SMALL", 100)
     result = run("city", "build", osm, "-o", tmp_path / "a", "--no-index")
     assert result.code == 7
     assert "--no-index is of one map" in result.err

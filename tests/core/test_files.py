@@ -11,7 +11,7 @@ from placegraph.core.files import put, regular, write_file
 from placegraph.errors import InputError, MapError, MapLockedError
 from placegraph.indoor.encode.confusion import Confusion
 from placegraph.indoor.encode.networks import ImageNetwork
-from placegraph.indoor.library.scenes import digest_of
+from placegraph.indoor.library.library import digest_of
 from placegraph_learn.scenegraphloc.features import read_attributes
 
 

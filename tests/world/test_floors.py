@@ -6,7 +6,7 @@ import pytest
 
 from placegraph.core.estimate import Status
 from placegraph.world import World
-from placegraph.world.floors import ABOVE, ratio_of, said_floors
+from placegraph.world.sentence import ABOVE, compare_floors, read_floors
 
 
 @pytest.mark.parametrize(
@@ -28,7 +28,7 @@ from placegraph.world.floors import ABOVE, ratio_of, said_floors
     ],
 )  # fmt: skip
 def test_floors_are_understood_and_taken_out(text, levels, left):
-    floors, rest = said_floors(text)
+    floors, rest = read_floors(text)
     assert {level for floor in floors for level in floor.levels} == levels
     assert rest == (text if left is None else left)
 
@@ -50,7 +50,7 @@ def test_floors_are_understood_and_taken_out(text, levels, left):
     ],
 )
 def test_what_a_floor_weighs(text, level, storeys, sign):
-    weight = ratio_of(said_floors(text)[0], level, storeys)
+    weight = compare_floors(read_floors(text)[0], level, storeys)
     assert (weight > 0.5) - (weight < -0.5) == sign
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from placegraph.world.split import understand
+from placegraph.world.sentence import parse_sentence
 
 THINGS = ("sofa", "window", "desk", "bookcase", "bed", "sink", "kitchen", "bedroom")
 
@@ -18,7 +18,7 @@ THINGS = ("sofa", "window", "desk", "bookcase", "bed", "sink", "kitchen", "bedro
     ],
 )  # fmt: skip
 def test_split(world, text, outside, inside):
-    told = understand(text, {"west": world.towns["west"]}, THINGS)
+    told = parse_sentence(text, {"west": world.towns["west"]}, THINGS)
     assert bool(told.outside) is outside
     assert told.to_dict()["inside"] == inside
 
@@ -34,7 +34,7 @@ def test_split(world, text, outside, inside):
     ],
 )
 def test_who_may_be_indoors(world, text, indoors):
-    assert understand(text, {"west": world.towns["west"]}, THINGS).indoors is indoors
+    assert parse_sentence(text, {"west": world.towns["west"]}, THINGS).indoors is indoors
 
 
 @pytest.mark.parametrize(
@@ -52,7 +52,7 @@ def test_who_may_be_indoors(world, text, indoors):
     ],
 )  # fmt: skip
 def test_rooms_are_understood_in_other_languages(world, text, outside, inside):
-    told = understand(text, {"west": world.towns["west"]}, THINGS)
+    told = parse_sentence(text, {"west": world.towns["west"]}, THINGS)
     assert bool(told.outside) is outside
     assert told.to_dict()["inside"] == inside
     assert not [i for i in told.ignored if "unknown" in i.reason]
@@ -61,10 +61,10 @@ def test_rooms_are_understood_in_other_languages(world, text, outside, inside):
 def test_a_name_that_is_heard_is_not_called_ignored(world):
     text = "Ich bin in der Küche der Bücherhalle"
     for names, ignored in (((), True), (("Bücherhalle",), False)):
-        told = understand(text, {"west": world.towns["west"]}, THINGS, names=names)
+        told = parse_sentence(text, {"west": world.towns["west"]}, THINGS, names=names)
         assert bool(told.ignored) == ignored
 
 
 def test_addresses_are_known_number_last(world):
-    told = understand("I am at Lange Straße 7", {"west": world.towns["west"]}, THINGS)
+    told = parse_sentence("I am at Lange Straße 7", {"west": world.towns["west"]}, THINGS)
     assert told.outside["west"].mentions[2].name == "7 Lange Straße"

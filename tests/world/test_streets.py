@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from placegraph.world.known import Known
-from placegraph.world.split import understand
-from placegraph.world.streets import on_street, roads_called
-from placegraph.world.witnesses import hear, said
+from placegraph.world.estimate import WorldQuery
+from placegraph.world.evidence import collect_evidence, match_outdoors
+from placegraph.world.outside import compare_address, find_roads
+from placegraph.world.sentence import parse_sentence
 
 
 def corners(city, name):
@@ -28,22 +28,23 @@ def corners(city, name):
 )
 def test_a_building_is_on_its_street(world, building, street, least, most):
     city = world.cities["west"]
-    on = on_street(city, roads_called(city, street), corners(city, building))
+    on = compare_address(city, find_roads(city, street), corners(city, building))
     assert least <= on.probability <= most
 
 
 def test_a_street_far_off_is_not_its_street(world):
     city = world.cities["west"]
     away = corners(city, "Stadtbibliothek") - (0.0, 500.0)
-    assert on_street(city, roads_called(city, "Lange Straße"), away) is None
-    assert not len(roads_called(city, "Hotel Hansa"))
+    assert compare_address(city, find_roads(city, "Lange Straße"), away) is None
+    assert not len(find_roads(city, "Hotel Hansa"))
 
 
 @pytest.mark.parametrize("street", ["Kurze Gasse", "Hafenweg"])
 def test_another_street_weighs_as_much_as_the_wrong_building(world, street):
     def heard(text):
-        known = Known(text)
-        return hear(world, known, said(world, known)).scenes["reading"].told.judged.weights
+        query = WorldQuery(text)
+        found = collect_evidence(world, query, match_outdoors(world, query))
+        return found.scenes["reading"].building_match.score.weights
 
     (_, right), (_, wrong) = (
         heard("I am in the library on Lange Straße"),
@@ -56,5 +57,5 @@ def test_another_street_weighs_as_much_as_the_wrong_building(world, street):
 
 @pytest.mark.parametrize("said", ["on Hafenweg", "at Hafenweg 99", "in the Hafenweg"])
 def test_one_is_along_what_the_map_knows_as_a_street(world, said):
-    told = understand(f"I am {said}", {"west": world.towns["west"]}, ("desk",)).outside["west"]
+    told = parse_sentence(f"I am {said}", {"west": world.towns["west"]}, ("desk",)).outside["west"]
     assert [s.relation.name for s in told.statements] == ["ALONG"]

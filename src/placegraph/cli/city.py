@@ -13,6 +13,7 @@ import click
 
 from placegraph.cli.command import Argument, Option
 from placegraph.cli.common import AsJson, Quiet, console, numbers_of, progress_of, show_facts, table
+from placegraph.core.plugins import load_module
 from placegraph.errors import DescriptionError, OptionError
 
 if TYPE_CHECKING:
@@ -180,10 +181,9 @@ def build(
     """
     from time import perf_counter
 
-    from placegraph.io.osm.urls import is_url
+    from placegraph.io.osm.urls import is_large, is_url
     from placegraph.outdoor.city import build_city
     from placegraph.outdoor.language.vocabulary import Vocabulary
-    from placegraph_scale.build.split import is_large
 
     if is_url(out):
         raise OptionError(
@@ -197,13 +197,11 @@ def build(
                 "--no-index is of one map; of an extract this large a world in shards is made, each with "
                 "its index. Leave it out."
             )
-        from placegraph_scale.build.build import BuildOptions
-        from placegraph_scale.cli.world_build import made_of
-
-        options = BuildOptions(
+        options = load_module("placegraph_scale.build", "scale").BuildOptions(
             cell_size=cell_size, stride=stride, edge_distance=edge_distance, vocabulary=vocabulary
         )
-        made_of([source], out, options, as_json=as_json, quiet=quiet)
+        run_build = load_module("placegraph_scale.cli", "scale").run_build
+        run_build([source], out, options, as_json=as_json, quiet=quiet)
         return
     words = Vocabulary.load(vocabulary) if vocabulary else None
     start = perf_counter()
@@ -505,14 +503,13 @@ def embed(
     from time import perf_counter
 
     from placegraph.outdoor.city import CityMap
-    from placegraph_scale.milvus.server import check_uri, shown
 
     if (out is None) == (store is None):
         raise OptionError("Say where to: a file with --out, or a server with --store.")
     if resume and out is not None:
         raise OptionError("--resume is for --store; a file is written in one go.")
     if store is not None:
-        check_uri(store)
+        load_module("placegraph_scale.milvus", "scale").check_uri(store)
     city = CityMap.open(map_file)
     start = perf_counter()
     with progress_of(hidden=quiet or as_json) as tell:
@@ -524,7 +521,9 @@ def embed(
     seconds = perf_counter() - start
     with made:
         told = {
-            "store": shown(store) if store else str(out),
+            "store": load_module("placegraph_scale.milvus", "scale").shown(store)
+            if store
+            else str(out),
             "cells": len(made),
             "dimension": made.dimension,
             "version": made.origin.version,

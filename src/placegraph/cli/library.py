@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from placegraph.core.estimate import SceneEstimate
     from placegraph.indoor.library import SceneLibrary
-    from placegraph_scale.library.shards import SceneShards
+    from placegraph.indoor.library.library import SceneCollection
 
 Library = Annotated[
     Path,
@@ -324,14 +324,15 @@ def _known(
     names: list[str] | None,
     weights: Path | None,
     tell: Callable[[str, int, int], None],
-) -> SceneLibrary | SceneShards:
+) -> SceneCollection:
     """Library of a file or a folder, or shards."""
     from placegraph.cli.scene_options import encoders_of
-    from placegraph.maps import is_shards
-    from placegraph_scale.library.shards import SceneShards
+    from placegraph.maps import is_shards, open_folder
 
     if is_shards(path):
-        return SceneShards.open(path, encoders=encoders_of(names or [], weights) or None)
+        made = encoders_of(names or [], weights)
+        library: SceneCollection = open_folder(path, encoders=made or None)
+        return library
     return opened(path, names, weights, tell)
 
 

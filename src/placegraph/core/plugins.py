@@ -22,6 +22,8 @@ ENCODERS = "placegraph.encoders"
 """Classes of encoders by the name that `placegraph.encoder` takes."""
 MATCHERS = "placegraph.matchers"
 """Classes of matchers by the name that `placegraph.matcher` takes."""
+MAPS = "placegraph.maps"
+"""Kinds of maps that are folders (`placegraph.maps.FOLDERS`); each has `open(path, ...)`."""
 
 
 @cache

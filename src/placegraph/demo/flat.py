@@ -221,7 +221,7 @@ def furnish(world: Path, flat: Path) -> None:
 
 def standing(scene: SceneMap, town: Path, building: str, level: str, heading: float) -> SceneMap:
     """The scene in the middle of the building that has, or holds, what has a name in a town."""
-    from placegraph.world.footprints import footprints
+    from placegraph.world.outlines import footprints
 
     outline = footprints(town, building)[0]
     ring = outline.rings[0]

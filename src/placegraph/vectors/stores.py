@@ -275,7 +275,7 @@ def open_store(
 
     """
     if is_uri(where):
-        milvus = load_module("placegraph_scale.milvus.milvus", "scale")
+        milvus = load_module("placegraph_scale.milvus", "scale")
         opened: VectorStore = milvus.MilvusStore.open(
             str(where), name=name, origin=origin, timeout=timeout
         )
@@ -324,10 +324,8 @@ def load_store(
         store = EmbeddedStore.of_rows(content, origin=origin, bits=bits)
         store.save(where)
         return store
-    server = load_module("placegraph_scale.milvus.server", "scale").Server.connect(
-        str(where), timeout
-    )
-    load = load_module("placegraph_scale.milvus.milvus_load", "scale").load_milvus
+    server = load_module("placegraph_scale.milvus", "scale").Server.connect(str(where), timeout)
+    load = load_module("placegraph_scale.milvus", "scale").load_milvus
     try:
         loaded: VectorStore = load(
             server, content, name=name, origin=origin, resume=resume, progress=progress
@@ -349,10 +347,8 @@ def drop_store(uri: str, collection: str, *, timeout: float = 10.0) -> Any:  # n
 
 
 def _ask_server(uri: str, timeout: float, what: str, *arguments: str) -> Any:  # noqa: ANN401
-    server = load_module("placegraph_scale.milvus.server", "scale").Server.connect(uri, timeout)
+    server = load_module("placegraph_scale.milvus", "scale").Server.connect(uri, timeout)
     try:
-        return getattr(load_module("placegraph_scale.milvus.milvus", "scale"), what)(
-            server, *arguments
-        )
+        return getattr(load_module("placegraph_scale.milvus", "scale"), what)(server, *arguments)
     finally:
         server.close()

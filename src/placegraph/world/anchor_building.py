@@ -1,23 +1,304 @@
-"""Anchors of a map by itself: its outer walls fitted to the footprint of a named building."""
+"""Anchors of a map from the footprint of a named building: its outer walls are fitted to it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.core.geo import Anchor
 from placegraph.core.geometry import Floats, rotation_z, wrap
 from placegraph.errors import OptionError
+from placegraph.indoor.map.map_kernels import nearest
 from placegraph.indoor.map.scene import Scene
+from placegraph.indoor.mapping.osm import segment_distances
 from placegraph.io.osm.indoor_osm import level_text, levels_of
 from placegraph.world.anchor_points import UNKNOWN_HEIGHT, Fitted
-from placegraph.world.footprints import Footprint, footprints
-from placegraph.world.outer_walls import outer_walls
-from placegraph.world.slides import between
-from placegraph.world.wall_fit import Fit, fits, wrong
+from placegraph.world.outlines import (
+    DOOR,
+    WINDOW,
+    Footprint,
+    OuterWalls,
+    footprints,
+    outer_walls,
+    within,
+)
+
+THICK, VARIES = 0.3, 0.12
+"""Thickness of outer walls, and its deviation [m]."""
+_ROUGH = 0.35  # deviation of a footprint's walls from the building's, each against the others [m]
+_OUTER = 0.7  # of a map's outline that is the building's wall; the rest are neighbours in the house
+_WITHIN, _OUTSIDE = 0.03, 1e-4  # density of the rest, and outside of the building [1/m]
+_SURELY = 0.95  # windows that are in the building's own walls, facing nobody
+_ENTRY = 0.7  # how far from its door an entrance is drawn [m]
+_GRID, _CELLS = 0.25, 1000  # of shifts that are tried [m], at most so many a side
+_TURNS, _SHIFTS = 8, 8  # headings, and shifts of each, that are refined
+_ALIGNED, _REACH = 0.9, 1.0  # walls that may be one: cosine, distance [m]
+_TELLING = 4  # windows that make up for outer walls that a map has few of
+_NATS = 25.0  # what is so much worse is not refined
+
+
+class Fit(NamedTuple):
+    """One pose of a map in a footprint's plane."""
+
+    heading: float
+    shift: Floats
+    """(2,) of the map's origin, east and north of the footprint's base [m]."""
+    score: float
+    """Log-likelihood."""
+    off: Floats
+    """(N,) what is left at each point of the outer walls [m]; NaN: it is no wall of the building."""
+    covariance: Floats
+    """(3, 3) east, north [m], heading [rad]."""
+    outer: tuple[float, float, float]
+    """Shares of the outline that are the building's walls and that stick out; of windows in walls."""
+
+
+def fits(walls: OuterWalls, footprint: Footprint) -> list[Fit]:
+    """All poses that may be one, no two the same."""
+    sigma = float(np.hypot(_ROUGH, footprint.grain / 2.0))
+    found: list[Fit] = []
+    for heading in _headings(walls, footprint):
+        shifts = _shifts(walls, footprint, heading, sigma)
+        found += [_refined(walls, footprint, heading, shift, sigma) for shift in shifts]
+    found.sort(key=lambda fit: -fit.score)
+    kept: list[Fit] = []
+    middle = walls.points.mean(axis=0)
+    for fit in found:
+        if fit.score < found[0].score - _NATS:
+            break
+        if not any(same(fit, other, middle) for other in kept):
+            kept.append(fit)
+    return kept
+
+
+def same(one: Fit, other: Fit, middle: Floats, metres: float = 0.6) -> bool:
+    """Whether two fits have the middle (2,) of a map within some metres, and turn it alike."""
+    turn = abs((one.heading - other.heading + np.pi) % (2 * np.pi) - np.pi)
+    away = moved_by(middle[None], one.heading, one.shift) - moved_by(
+        middle[None], other.heading, other.shift
+    )
+    return bool(turn < 0.1 and np.linalg.norm(away) < metres)
+
+
+def moved_by(points: Floats, heading: float, shift: Floats) -> Floats:
+    """Points (N, 2) of a map [m] in a footprint's plane."""
+    moved: Floats = points @ rotation_z(-heading)[:2, :2].T + shift
+    return moved
+
+
+def _headings(walls: OuterWalls, footprint: Footprint) -> list[float]:
+    """Headings [rad] under which walls face where the footprint's do, the likeliest first."""
+    lengths = np.linalg.norm(footprint.ends - footprint.starts, axis=1)
+    both = []
+    for normals, weights in (
+        (walls.normals, np.ones(len(walls.points))),
+        (footprint.normals, lengths),
+    ):
+        degrees = np.degrees(np.arctan2(normals[:, 1], normals[:, 0])) % 360.0
+        both.append(np.fft.rfft(np.bincount(degrees.astype(int) % 360, weights, 360)))
+    away = np.minimum(np.arange(360), 360 - np.arange(360))
+    blur = np.fft.rfft(np.exp(-0.5 * (away / 3.0) ** 2))
+    alike = np.fft.irfft(np.conj(both[0]) * both[1] * blur, 360)
+    peak = (alike >= np.roll(alike, 1)) & (alike > np.roll(alike, -1)) & (alike > alike.max() / 3)
+    turns = np.flatnonzero(peak)
+    return [float(np.radians(-t)) for t in turns[np.argsort(-alike[turns])][:_TURNS]]
+
+
+def _log_wall(inwards: Floats, sigma: float) -> Floats:
+    """Log density of a point of the outline so far within the building (negative: outside) [m]."""
+    peak = np.exp(-0.5 * ((inwards - THICK) / sigma) ** 2) / (sigma * np.sqrt(2 * np.pi))
+    rest = np.where(inwards > 0, _WITHIN, _OUTSIDE)
+    density: Floats = np.log(_OUTER * peak + (1 - _OUTER) * rest)
+    return density
+
+
+def _shifts(walls: OuterWalls, footprint: Footprint, heading: float, sigma: float) -> list[Floats]:
+    """Shifts (2,) [m] of the map's origin that are worth refining under a heading."""
+    turned = moved_by(walls.points, heading, np.zeros(2))
+    centre = (turned.min(axis=0) + turned.max(axis=0)) / 2.0
+    corners = np.concatenate([footprint.starts, footprint.ends])
+    margin = float(np.linalg.norm(np.ptp(turned, axis=0))) / 2.0 + 2.0
+    low, high = corners.min(axis=0) - margin, corners.max(axis=0) + margin
+    cell = max(_GRID, float((high - low).max()) / _CELLS)
+    nx, ny = np.ceil((high - low) / cell).astype(int).tolist()
+    facade = np.zeros((nx, ny), np.bool_)
+    share = np.linspace(0, 1, 9)[:, None, None]
+    dots = (footprint.starts + share * (footprint.ends - footprint.starts)).reshape(-1, 2)
+    facade[tuple(np.floor((dots - low) / cell).astype(int).T)] = True
+    reach = int(np.ceil(3.0 / cell))
+    distance = np.sqrt(nearest(facade, reach)[0]) * cell
+    x, y = (low[i] + (np.arange(n) + 0.5) * cell for i, n in enumerate((nx, ny)))
+    grid = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+    inside = within(grid, footprint.rings).reshape(nx, ny)
+    field = _log_wall(np.where(inside, distance, -distance), float(np.hypot(sigma, cell)))
+    worst = float(np.log((1 - _OUTER) * _OUTSIDE))
+    stamp = np.zeros((nx, ny))
+    at = np.floor((turned - centre) / cell).astype(int)
+    np.add.at(stamp, (at[:, 0] % nx, at[:, 1] % ny), walls.weights)
+    score = np.fft.irfft2(np.conj(np.fft.rfft2(stamp)) * np.fft.rfft2(field - worst), s=(nx, ny))
+    best, apart = float(score.max()), max(1, round(0.75 / cell))
+    found: list[Floats] = []
+    while len(found) < _SHIFTS and score.max() > best - _NATS:
+        i, j = np.unravel_index(int(score.argmax()), score.shape)
+        found.append(low + cell * (np.array([i, j]) + 0.5) - centre)
+        score[max(0, i - apart) : i + apart + 1, max(0, j - apart) : j + apart + 1] = -np.inf
+    return found
+
+
+def _refined(
+    walls: OuterWalls, footprint: Footprint, heading: float, shift: Floats, sigma: float
+) -> Fit:
+    """Least squares of a pose and of the walls' thickness, from a pose near by."""
+    thick, weights = THICK, np.minimum(walls.weights, walls.step / 2.0)
+    for _ in range(8):
+        moved = moved_by(walls.points, heading, shift)
+        inwards, normal, matched, _ = against(walls, footprint, moved, heading)
+        left = inwards - thick
+        trust = weights * matched / sigma**2 / (1.0 + (left / (2 * sigma)) ** 2) ** 2
+        lever = moved - shift
+        turning = normal[:, 0] * lever[:, 1] - normal[:, 1] * lever[:, 0]
+        rows = np.column_stack([-normal, -turning, -np.ones(len(left))])
+        prior = np.diag([1e-6, 1e-6, 1e-4, 1.0 / VARIES**2])
+        hessian = (rows * trust[:, None]).T @ rows + prior
+        slope = rows.T @ (trust * left) + (0.0, 0.0, 0.0, (thick - THICK) / VARIES**2)
+        step = -np.linalg.solve(hessian, slope)
+        shift, heading, thick = shift + step[:2], heading + float(step[2]), thick + float(step[3])
+        if np.abs(step).max() < 1e-4:
+            break
+    covariance = np.asarray(np.linalg.inv(hessian)[:3, :3], np.float64)
+    return _judged(walls, footprint, (heading, shift, thick), sigma, covariance)
+
+
+def against(
+    walls: OuterWalls, footprint: Footprint, moved: Floats, heading: float
+) -> tuple[Floats, Floats, NDArray[np.bool_], NDArray[np.int64]]:
+    """How far inwards [m] (N,), wall's normal (N, 2), whether one matches (N,), and which (N,)."""
+    facing = (walls.normals @ rotation_z(-heading)[:2, :2].T) @ footprint.normals.T
+    distance = segment_distances(moved, footprint.starts, footprint.ends)
+    distance = np.where(facing > _ALIGNED, distance, np.inf)
+    which = distance.argmin(axis=1)
+    normal = footprint.normals[which]
+    inwards = -((moved - footprint.starts[which]) * normal).sum(axis=1)
+    near = distance[np.arange(len(moved)), which] < _REACH
+    return inwards, normal, near, which
+
+
+def _judged(
+    walls: OuterWalls, footprint: Footprint, pose: tuple[float, Floats, float], sigma: float,
+    covariance: Floats,
+) -> Fit:  # fmt: skip
+    """A pose with its log-likelihood: walls, windows that face nobody, doors at entrances."""
+    heading, shift, thick = pose
+    moved = moved_by(walls.points, heading, shift)
+    inwards, _, near, which = against(walls, footprint, moved, heading)
+    inside = within(moved, footprint.rings)
+    far = segment_distances(moved, footprint.starts, footprint.ends).min(axis=1)
+    depth = np.where(near, inwards - thick + THICK, np.where(inside, np.maximum(far, 0.01), -far))
+    lost = near | (far > 3 * sigma) | ~inside
+    log = np.where(lost, _log_wall(depth, sigma), np.log((1 - _OUTER) * _WITHIN))
+    outer = near & (np.abs(inwards - thick) < 2.5 * sigma)
+    windows = walls.kind == WINDOW
+    log += windows * np.log(np.where(outer & ~footprint.shared[which], _SURELY, 1 - _SURELY))
+    score = float(walls.weights @ log)
+    score -= 0.5 * ((thick - THICK) / VARIES) ** 2
+    score += at_entrances(walls, footprint, moved, outer)
+    out = float((~inside & (far > 3 * sigma)).mean())
+    seen = float(outer[windows].mean()) if windows.any() else np.nan
+    off = np.where(outer, np.abs(inwards - thick), np.nan)
+    return Fit(heading, shift, score, off, covariance, (float(outer.mean()), out, seen))
+
+
+def at_entrances(
+    walls: OuterWalls, footprint: Footprint, moved: Floats, outer: NDArray[np.bool_]
+) -> float:
+    """Log-likelihood of doors (N, 2), where they are moved to, in outer walls (N,), by entrances."""
+    if not len(footprint.entrances):
+        return 0.0
+    doors = walls.kind == DOOR
+    away = np.linalg.norm(moved[:, None] - footprint.entrances, axis=2)
+    close = np.exp(-0.5 * (np.maximum(away - THICK, 0.0) / _ENTRY) ** 2)
+    score = float((walls.weights * doors * outer) @ np.log(0.2 + 3.0 * close.max(axis=1)))
+    # an entrance where the map has a wall without a door
+    covered = (away[outer] < 0.5).any(axis=0)
+    served = (away[doors] < 3 * _ENTRY).any(axis=0)
+    return score + float(np.log(0.3)) * int((covered & ~served).sum())
+
+
+def wrong(walls: OuterWalls, fit: Fit) -> str:
+    """Why the map is not of the building; empty where it may be."""
+    outer, out, seen = fit.outer
+    windows = len(np.unique(walls.opening[walls.kind == WINDOW]))
+    if out > 0.05:
+        return f"{out:.0%} of its outline would lie outside"
+    if windows >= 2 and seen < 0.6:
+        return f"{1 - seen:.0%} of its windows would face no outer wall"
+    if outer < (0.2 if windows >= _TELLING else 0.55):
+        return f"only {outer:.0%} of its outline would be outer walls, which tells no place"
+    return ""
+
+
+_STEP, _FARTHEST = 0.5, 100.0
+"""Along a slide [m]."""
+_SHARE = 0.9
+"""Of points that are to stay as they are."""
+
+
+def between(walls: OuterWalls, footprint: Footprint, fits: Sequence[Fit]) -> list[Fit]:
+    """Poses beside those that fit: for each way along which a map slides, one in its middle.
+
+    Its covariance holds the way, and its score counts how many such maps would lie there, side by side.
+    """
+    found: list[Fit] = []
+    middle = walls.points.mean(axis=0)
+    angles = np.arctan2(walls.normals[:, 1], walls.normals[:, 0])
+    main = float(np.angle(np.exp(4j * angles).sum())) / 4.0
+    for fit in fits:
+        for turn in main - fit.heading + np.pi / 2.0 * np.arange(4):
+            along = np.array([np.cos(turn), np.sin(turn)])
+            width = float(np.ptp(moved_by(walls.points, fit.heading, fit.shift) @ along))
+            far = _far(walls, footprint, fit, along)
+            beside = far / width - 1.0
+            if beside > 0:
+                slid = _slid(walls, footprint, fit, along * far, beside)
+                if not any(same(slid, other, middle, width) for other in found):
+                    found.append(slid)
+    return found
+
+
+def _far(walls: OuterWalls, footprint: Footprint, fit: Fit, along: Floats) -> float:
+    """How far [m] a map slides along a direction (2,)."""
+    moved = moved_by(walls.points, fit.heading, fit.shift)
+    facing = walls.normals @ rotation_z(-fit.heading)[:2, :2].T @ along
+    held = np.isfinite(fit.off) & ((np.abs(facing) < 0.5) | (walls.kind == WINDOW))
+    if not held.any():
+        return 0.0
+    far = 0.0
+    while far < _FARTHEST:
+        there = moved + (far + _STEP) * along
+        _, _, near, _ = against(walls, footprint, there, fit.heading)
+        if near[held].mean() < _SHARE or within(there, footprint.rings).mean() < _SHARE:
+            break
+        far += _STEP
+    return far
+
+
+def _slid(walls: OuterWalls, footprint: Footprint, fit: Fit, way: Floats, beside: float) -> Fit:
+    """The pose in the middle of a way (2,) [m], for so many maps `beside` each other."""
+    shift, covariance = fit.shift + way / 2.0, fit.covariance.copy()
+    covariance[:2, :2] += np.outer(way, way) / 12.0
+    outer = np.isfinite(fit.off)
+    before, after = (
+        at_entrances(walls, footprint, moved_by(walls.points, fit.heading, at), outer)
+        for at in (fit.shift, shift)
+    )
+    score = fit.score - before + after + float(np.log(beside))
+    return fit._replace(shift=shift, covariance=covariance, score=score)
+
 
 _DRAWN = 0.5  # of the whole footprint, as pictures from above are placed [m]
 _LEAST = 0.01  # probability of a candidate that is told

@@ -1,23 +1,76 @@
-"""The answer of a world: modes over place, room and pose."""
+"""Queries of a world, its estimates over place, room and pose, and the questions asked back."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.estimate import Estimate, Explained, Status
-from placegraph.world.ask import question_of
+from placegraph.errors import OptionError
+from placegraph.io.capture.capture import Capture
+from placegraph.io.capture.frame import Frame
+from placegraph.outdoor.search.ask import NO, WORTH, YES, Answer, Question, Thing
+from placegraph.outdoor.search.request import is_count, number
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from placegraph.core.estimate import CityEstimate, Place, PoseEstimate, PoseMode
     from placegraph.core.geo import EarthPose
-    from placegraph.outdoor.search.ask import Question
-    from placegraph.world.split import Understood
+    from placegraph.indoor.pose.query import Progress
+    from placegraph.world.sentence import ParsedSentence
     from placegraph.world.world import World
+
+BUILDING, ROOM = "the building one is in", "the room one is in"
+"""Labels of what such questions are about; no city has things of that label."""
+
+
+@dataclass(frozen=True, eq=False)
+class WorldQuery:
+    """Options of `World.locate`; raises `OptionError` where one is out of its range."""
+
+    text: str | None = None
+    capture: Capture | Sequence[Frame] | None = None
+    frames: slice | Sequence[int] | None = None
+    near: Sequence[float] | None = None
+    radius: float = 1000.0
+    heading: float | None = None
+    seed: int = 0
+    top: int = 5
+    most: int = 8
+    refine: bool = True
+    device: str = "auto"
+    answers: Sequence[Answer] = ()
+    language: str | None = None
+    progress: Progress | None = None
+    budget: float | None = None
+    """Of worlds in shards [s]."""
+
+    def __post_init__(self) -> None:
+        if self.text is None and self.capture is None and self.near is None:
+            raise OptionError(
+                "Nothing is known: give a text, a capture, or `near`, or several of them."
+            )
+        if self.frames is not None and self.capture is None:
+            raise OptionError("frames: they are of a capture, and there is none.")
+        for name in ("top", "most"):
+            if not is_count(getattr(self, name)):
+                raise OptionError(f"{name} is {getattr(self, name)!r}; it is a number from 1 on.")
+        if self.budget is not None and not 0.0 < number(self.budget) < np.inf:
+            raise OptionError(f"budget is {self.budget!r} s; give a time greater than 0.")
+        if self.heading is not None and not abs(number(self.heading)) < 1e6:
+            raise OptionError(f"heading is {self.heading!r}; give a finite angle.")
+        if not 1.0 <= number(self.radius) <= 1e7:
+            raise OptionError(f"radius is {self.radius!r} m; choose between 1 and 10,000,000 m.")
+        if self.near is not None:
+            given = [number(x) for x in self.near]
+            if len(given) != 2 or not (abs(given[0]) <= 180.0 and abs(given[1]) <= 90.0):
+                raise OptionError(
+                    f"near is {self.near!r}; give longitude and latitude in degrees, in this order."
+                )
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +79,7 @@ class WorldMode(Explained):
 
     longitude: float | None
     latitude: float | None
-    """Degrees, WGS84, as the longitude; None of a scene that stands nowhere on Earth."""
+    """Degrees, WGS84, as the longitude; None for a scene without an anchor."""
     probability: float
     """Over all places, rooms and poses, and being elsewhere."""
     covariance: NDArray[np.float64]
@@ -59,7 +112,7 @@ class WorldMode(Explained):
         return f"WorldMode({self.where!r}, {self.probability:.0%})"
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and strings."""
+        """Return plain numbers and strings."""
         return {
             "longitude": self.longitude,
             "latitude": self.latitude,
@@ -80,33 +133,74 @@ class WorldEstimate(Estimate[WorldMode]):
 
     elsewhere: float = 0.0
     """Probability of being in none of the scenes, and nowhere on the cities' maps."""
-    understood: Understood | None = None
-    """What was understood of the text, of the outside and of the inside."""
+    understood: ParsedSentence | None = None
+    """The parsed text, of the outside and of the inside."""
     cities: dict[str, CityEstimate] = field(default_factory=dict)
-    """What each city alone says of the text's outside; each shard, of a world in shards."""
+    """Estimate of each city for the text's outside; of each shard, for a world in shards."""
     poses: dict[str, PoseEstimate] = field(default_factory=dict)
-    """What the frames say in each scene looked into."""
+    """Estimate of the frames in each scene that was looked into."""
     notes: tuple[str, ...] = ()
-    """What of the question could not be used, and why."""
+    """Parts of the question that could not be used, and why."""
     answered: tuple[str, ...] = ()
     """Questions that were answered; they are not asked again."""
 
     def next_question(self, world: World) -> Question | None:
-        """Question that is expected to tell buildings, rooms or places of a city apart; None: none would."""
+        """Return the question expected to tell buildings, rooms or places of a city apart, if any would."""
         best = self.best
         if self.status is not Status.AMBIGUOUS or best is None:
             return None
         if best.place is None:
-            return question_of(self.modes, self.answered)
+            return choose_question(self.modes, self.answered)
         for part, estimate in self.cities.items():
             if best.place in estimate.modes:
                 return world.towns[part.partition("//")[0]].ask(part, estimate)
         return None
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and strings, ready for `json.dumps`."""
+        """Return plain numbers and strings, ready for `json.dumps`."""
         return super().to_dict() | {
             "elsewhere": self.elsewhere,
             "understood": self.understood.to_dict() if self.understood else None,
             "notes": list(self.notes),
         }
+
+
+def choose_question(modes: Sequence[WorldMode], answered: Sequence[str]) -> Question | None:
+    """Return the yes-or-no question with most information about the building, else about the room."""
+    buildings: dict[str, float] = defaultdict(float)
+    rooms: dict[str, float] = defaultdict(float)
+    for m in modes:
+        buildings[m.building or m.scene] += m.probability
+        rooms[m.room] += m.probability
+    for label, shares, words in ((BUILDING, buildings, "{}"), (ROOM, rooms, "the {}")):
+        asked = []
+        for name, share in shares.items():  # of everything: where no mode is, one is elsewhere
+            p = np.clip([share, 1.0 - share], 1e-12, 1.0)
+            entropy = float(-(p * np.log(p)).sum())
+            if name and entropy > WORTH:
+                text = f"Are you in {words.format(name)}?"
+                asked.append(Question(text, (YES, NO), (Thing(name, label),), entropy))
+        left = [q for q in asked if q.text not in answered]
+        if left:
+            return max(left, key=lambda q: q.gain)
+    return None
+
+
+def add_answers(query: WorldQuery) -> WorldQuery:
+    """Append answers about buildings and rooms to the text; the others are a city's."""
+    text, others = [query.text] if query.text else [], []
+    for answer in query.answers:
+        if not isinstance(answer, Answer):
+            raise OptionError(
+                f"answers holds {answer!r}; answer questions by `question.answer(option)`."
+            )
+        thing = answer.question.things[0]
+        if thing.label not in (BUILDING, ROOM):
+            others.append(answer)
+        elif answer.option in (YES, NO):
+            name = thing.words if thing.label == BUILDING else f"the {thing.words}"
+            text.append(f"I am {'not ' if answer.option == NO else ''}in {name}.")
+    if len(text) == bool(query.text):
+        return replace(query, answers=tuple(others))
+    ended = (s if s[-1:] in (".", "!", "?") else f"{s}." for s in map(str.rstrip, text))
+    return replace(query, text=" ".join(ended), answers=tuple(others))

@@ -1,73 +1,297 @@
-"""Where am I, in all that is known? The stages in order."""
+"""Locating in a world: one posterior over place, room and pose, from text, frames and a location prior.
+
+Somebody who speaks of rooms is probably in one that is mapped (`MAPPED`); else in another building of
+a town, or in none of these towns. Statements about the outside tell both apart. Where there are frames,
+scenes are proposed by them and by all else; then poses are sought in the likeliest, one by one, and the
+odds of each add to what is known of its scene.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
-from placegraph.core.estimate import Status
+import numpy as np
+
+from placegraph.core.estimate import SceneEstimate, Status
+from placegraph.core.geometry import angle_between
 from placegraph.errors import OptionError
-from placegraph.world.among import among
-from placegraph.world.ask import with_answers
-from placegraph.world.frames import by_frames
-from placegraph.world.witnesses import hear, said
-from placegraph.world.words import by_words
+from placegraph.indoor.library.answer import by_frames
+from placegraph.indoor.library.localize import looked_into
+from placegraph.indoor.library.search import SearchOptions
+from placegraph.indoor.map.floor import storey_at
+from placegraph.indoor.map.rooms import room_at
+from placegraph.indoor.pose.query import chosen_frames
+from placegraph.indoor.status import choose_scene, doubt_by_search, fit_odds, scene_of, search_odds
+from placegraph.outdoor.language.description import SPEAKER, WITHIN
+from placegraph.world.estimate import WorldEstimate, WorldMode, WorldQuery, add_answers
+from placegraph.world.evidence import collect_evidence, list_rooms, match_outdoors
+from placegraph.world.status import (
+    decide_by_frames,
+    decide_by_text,
+    decide_without_frames,
+    limit_status,
+)
 
 if TYPE_CHECKING:
-    from placegraph.world.estimate import WorldEstimate
-    from placegraph.world.known import Known
-    from placegraph.world.witnesses import Heard
+    from placegraph.core.estimate import Evidence, Place, PoseEstimate, PoseMode
+    from placegraph.io.capture.frame import Frame
+    from placegraph.world.evidence import WorldEvidence
+    from placegraph.world.outside import TownMatch
     from placegraph.world.world import World
 
+MAPPED, IN_TOWN = 0.9, 0.07
+"""Probability that somebody who speaks of a room is in a mapped one; in another place of a town."""
+LEAST = 0.005
+"""Modes of a smaller probability are left out."""
+POSES = 3
+"""Largest number of modes of one scene."""
+LEFT = 0.005
+"""Scenes that together hold less of the probability are not looked into."""
+SHARPNESS, WILD = 8.0, 0.1
+"""Of a compass: concentration (about 20 degrees), and the share of headings that are far off."""
 NO_SCENES = "There is no scene map in this world, so the frames were not used."
 
 
-def locate(world: World, asked: Known) -> WorldEstimate:
-    """One posterior over place, room and pose; parameters and errors: `World.locate`."""
+def locate(world: World, asked: WorldQuery) -> WorldEstimate:
+    """Return one posterior over place, room and pose; parameters and errors: `World.locate`."""
     if asked.budget is not None and not world.planets:
-        raise OptionError("budget: it is of worlds in shards, and here is none; leave it out.")
-    known = with_answers(asked)
-    answered = tuple(answer.question.text for answer in asked.answers)
-    return replace(_located(world, known), answered=answered)
-
-
-def _located(world: World, known: Known) -> WorldEstimate:
-    heard = said(world, known)
-    if world.crowd is not None:
-        world = among(world, world.crowd, known, heard)
-    if known.capture is not None and not world.scenes and known.text is None:
+        raise OptionError("`budget` applies only to worlds in shards, and here is none; remove it.")
+    query = add_answers(asked)
+    text = match_outdoors(world, query)
+    if world.candidates is not None:
+        world = world.candidates.select(world, query, text)
+    if query.capture is not None and not world.scenes and query.text is None:
         raise OptionError(f"capture: {NO_SCENES[0].lower()}{NO_SCENES[1:]}")
-    witnesses = hear(world, known, heard)
+    evidence = collect_evidence(world, query, text)
     notes = world.others.notes if world.others else ()
-    if known.capture is not None and world.scenes:
-        estimate = by_frames(world, known, witnesses)
+    if query.capture is not None and world.scenes:
+        found = _locate_by_frames(world, query, evidence)
     else:
-        estimate = by_words(world, known, witnesses)
-        notes += (NO_SCENES,) if known.capture is not None else ()
-    return _searched(replace(_off_told(world, known, estimate), notes=notes), heard)
+        found = _locate_by_text(world, query, evidence)
+        notes += (NO_SCENES,) if query.capture is not None else ()
+    status, reason = limit_status(found, world, query, text.towns)
+    notes += tuple(note for town in text.towns.values() for note in town.notes)
+    answered = tuple(answer.question.text for answer in asked.answers)
+    return replace(found, status=status, reason=reason, notes=notes, answered=answered)
 
 
-def _searched(estimate: WorldEstimate, heard: Heard) -> WorldEstimate:
-    """Estimate that says what was searched; where that was not all, nothing is sure."""
-    towns = heard.towns.values()
-    gaps = [town.gap for town in towns if town.gap]
-    reason = estimate.reason
-    if gaps and estimate.status is Status.LOST:  # of what was not searched nothing is known
-        gaps, reason = [*gaps, f"In what was, {reason[:1].lower()}{reason[1:]}"], ""
-    told = filter(None, [reason, *gaps, *(town.cost for town in towns)])
-    short = bool(gaps) and estimate.status is Status.OK
-    return replace(
-        estimate, status=Status.AMBIGUOUS if short else estimate.status, reason=" ".join(told),
-        notes=(*estimate.notes, *(note for town in towns for note in town.notes)),
+def _locate_by_text(world: World, query: WorldQuery, evidence: WorldEvidence) -> WorldEstimate:
+    """Return the posterior over scenes, rooms and places of towns, without frames."""
+    is_indoors = evidence.is_indoors or query.text is None
+    if not is_indoors and len(evidence.towns) == 1:  # the town's estimate as it is
+        (town,) = evidence.towns.values()
+        modes = _make_place_modes(town, 1.0)
+        return WorldEstimate(
+            town.estimate.status, tuple(modes), town.estimate.reason,
+            elsewhere=town.posterior.elsewhere, understood=evidence.parsed, cities=evidence.parts,
+        )  # fmt: skip
+    has_scenes = is_indoors and (evidence.scenes or evidence.others)
+    mapped, in_town = (MAPPED, IN_TOWN) if has_scenes else (0.0, MAPPED + IN_TOWN)
+    logs = {
+        name: float(np.log(mapped * evidence.prior(name))) + w.ratio
+        for name, w in evidence.scenes.items()
+    } if mapped else {}  # fmt: skip
+    towns = {
+        n: t.gain + float(np.log(in_town / len(evidence.towns))) for n, t in evidence.towns.items()
+    }
+    unknown = 1.0 - mapped - (in_town if towns else 0.0)
+    weights = np.array([*logs.values(), *towns.values(), np.log(unknown)])
+    if mapped and evidence.others:  # of no mode, and not elsewhere
+        rest = np.log(mapped / evidence.total_near) + evidence.others.weight
+        weights = np.append(weights, rest)
+    shares = np.exp(weights - np.logaddexp.reduce(weights)).tolist()
+    modes = []
+    for name, share in zip(logs, shares, strict=False):
+        modes += _make_room_modes(world, evidence, name, share)
+    for name, share in zip(towns, shares[len(logs) :], strict=False):
+        modes += _make_place_modes(evidence.towns[name], share)
+    elsewhere = shares[len(logs) + len(towns)]
+    modes.sort(key=lambda m: -m.probability)
+    status, reason = decide_by_text(world, query, evidence, modes, elsewhere)
+    return WorldEstimate(
+        status, _choose_modes(modes, query), reason, elsewhere=elsewhere,
+        understood=evidence.parsed, cities=evidence.parts,
     )  # fmt: skip
 
 
-def _off_told(world: World, known: Known, estimate: WorldEstimate) -> WorldEstimate:
-    """Estimate that says so where a fix is off every town, and on one with its numbers swapped."""
-    if known.near is None or estimate.status is Status.OK:
-        return estimate
-    hints = [town.off(known.near, known.radius) for town in world.towns.values()]
-    if not hints or None in hints:
-        return estimate
-    hint = next(filter(None, hints), "")
-    return replace(estimate, reason=f"{estimate.reason} The fix is on none of the maps.{hint}")
+def _choose_modes(modes: list[WorldMode], query: WorldQuery) -> tuple[WorldMode, ...]:
+    return tuple(m for m in modes if m.probability >= LEAST)[: query.top] or tuple(modes[:1])
+
+
+def _make_room_modes(
+    world: World, evidence: WorldEvidence, name: str, probability: float
+) -> list[WorldMode]:
+    """Make modes of a scene: its rooms, as far as the text tells them apart; else all of it."""
+    rooms = evidence.inside.rooms[name] if evidence.inside else {}
+    known = list_rooms(world.library, name)
+    if len(known) == 1:
+        shares = {known[0]: 1.0}
+    elif rooms and max(rooms.values()) * len(known) > 1.5:
+        shares = dict(rooms)
+    else:
+        shares = {"": 1.0}
+    w, longitude, latitude, level = evidence.scenes[name], None, None, ""
+    covariance = np.full((2, 2), np.nan)
+    if w.anchors:
+        best = w.anchors[0].anywhere
+        longitude, latitude, covariance = best.longitude, best.latitude, best.covariance[:2, :2]
+        level = w.anchors[0].anchor.level
+    return [
+        WorldMode(
+            longitude, latitude, share * probability, covariance, building=w.building, scene=name,
+            level=level, room=room, explain=partial(evidence.explain, name),
+        )
+        for room, share in shares.items()
+    ]  # fmt: skip
+
+
+def _make_place_modes(town: TownMatch, share: float) -> list[WorldMode]:
+    """Make modes of a town's posterior, which holds a share of the world's.
+
+    A mode names the building that the speaker is in, by the text.
+    """
+    within = [
+        i for i, s in enumerate(town.query.used) if s.relation in WITHIN and s.source == SPEAKER
+    ]
+
+    def find_building(place: Place) -> str:
+        own = (e for i in within for e in place.evidence[i : i + 1])
+        return next((o.name for e in own for o in e.objects if o.id[0] != "n" and o.name), "")
+
+    return [
+        WorldMode(
+            p.longitude, p.latitude, share * p.probability, p.covariance,
+            building=find_building(p) if within else "", place=p,
+            explain=partial(lambda place: place.evidence, p),
+        )
+        for p in town.estimate.modes
+    ]  # fmt: skip
+
+
+def _locate_by_frames(world: World, query: WorldQuery, evidence: WorldEvidence) -> WorldEstimate:
+    """Return place, room and pose of a capture's last frame."""
+    frames = chosen_frames(query.capture or (), query.frames)
+    found = _propose_scenes(world, frames, evidence)
+    left = 1.0 - found.elsewhere - np.cumsum([0.0, *(m.probability for m in found.modes)])
+    shown = replace(found, modes=found.modes[: min(query.most, max(1, int((left > LEFT).sum())))])
+    inside = evidence.parsed.inside if evidence.parsed else None
+    answers = looked_into(
+        world.library, frames, shown, description=inside, refine=query.refine, seed=query.seed,
+        device=query.device, progress=query.progress,
+    )  # fmt: skip
+    ratios = {n: w.ratio + float(np.log(w.near)) for n, w in evidence.scenes.items()}
+    best = doubt_by_search(choose_scene(answers, ratios), shown, len(answers))
+    poses = {mode.scene: a for mode, a in zip(shown.modes, answers, strict=False)}
+    if best.status is Status.LOST:
+        return _locate_without_frames(world, query, evidence, best, poses)
+    lean, _ = search_odds(scene_of(best), shown, len(answers))
+    elsewhere = 1.0 / (1.0 + float(np.exp(fit_odds(best) + lean)))
+    kept = [a for a in answers if a.status is not Status.LOST]
+    logs = np.array([fit_odds(a) + ratios[scene_of(a)] for a in kept])
+    shares = (1.0 - elsewhere) * np.exp(logs - np.logaddexp.reduce(logs))
+    modes = [
+        m
+        for answer, share in zip(kept, shares.tolist(), strict=True)
+        for m in _make_pose_modes(world, evidence, query, answer, share)
+    ]
+    modes.sort(key=lambda m: (m.pose is not best.best, -m.probability))
+    status, reason = decide_by_frames(best, modes[0], evidence, query)
+    return WorldEstimate(
+        status, _choose_modes(modes, query), reason, elsewhere=elsewhere,
+        understood=evidence.parsed, cities=evidence.parts, poses=poses,
+    )  # fmt: skip
+
+
+def _propose_scenes(
+    world: World, frames: Sequence[Frame], evidence: WorldEvidence
+) -> SceneEstimate:
+    """Return the scenes that frames may show, with all other evidence, likeliest first."""
+    others, count = world.others, len(world.scenes)
+    if others is None:
+        weighed = by_frames(world.library, frames, None, SearchOptions())
+        found = weighed.estimate(world.library, count)
+    else:
+        count = others.count
+        found = SceneEstimate(Status.AMBIGUOUS, others.modes, "", others.elsewhere, others.stats)
+    logs = [
+        np.log(m.probability + 1e-12)
+        + np.log(count * evidence.prior(m.scene))
+        + evidence.scenes[m.scene].ratio
+        for m in found.modes
+    ]
+    gains = [t.gain for t in evidence.towns.values()]
+    in_town = IN_TOWN / (1.0 - MAPPED)
+    off = np.log(in_town * (np.mean(np.exp(gains)) if gains else 1.0) + 1.0 - in_town)
+    weights = np.array([np.log(found.elsewhere + 1e-12) + off, *logs])
+    rest = np.log(count / evidence.total_near) + others.weight if others else -np.inf
+    shares = np.exp(weights - np.logaddexp(np.logaddexp.reduce(weights), rest))
+    modes = [replace(m, probability=float(p)) for m, p in zip(found.modes, shares[1:], strict=True)]
+    modes.sort(key=lambda m: -m.probability)
+    return replace(found, modes=tuple(modes), elsewhere=float(shares[0]))
+
+
+def _make_pose_modes(
+    world: World, evidence: WorldEvidence, query: WorldQuery, answer: PoseEstimate, share: float
+) -> list[WorldMode]:
+    """Make modes of the best poses in a scene, on Earth by the likeliest candidate of its anchor."""
+    name = scene_of(answer)
+    scene, w = world.scenes[name], evidence.scenes[name]
+    out = []
+    for mode in answer.modes[:POSES]:
+        # a library's poses are in the axes of the part of a merged map, anchors in the map's
+        part = mode.scene.partition("/")[2] or scene.scenes[0]
+        there = np.linalg.inv(scene.scene_from_map[scene.scenes.index(part)]) @ mode.map_from_camera
+        at = there[:3, 3]
+        made = WorldMode(
+            None, None, share * mode.probability, np.full((2, 2), np.nan), scene=name,
+            room=room_at(scene, at), pose=mode, explain=partial(_explain, evidence, name, mode),
+        )  # fmt: skip
+        own = [k for k, s in enumerate(w.anchors) if s.part == part]
+        if own:
+            anchors = [w.anchors[k].anchor for k in own]
+            shares = w.shares[own] * [_weigh_heading(a.pose(there).heading, query) for a in anchors]
+            best = int(shares.argmax())
+            earth = anchors[best].pose(
+                there, mode.covariance, room=made.room, storey=storey_at(scene, at)[0]
+            )
+            chance = float(shares[best] / shares.sum())
+            earth = replace(earth, probability=share * mode.probability * chance)
+            made = replace(
+                made, longitude=earth.longitude, latitude=earth.latitude, earth=earth,
+                covariance=earth.covariance[:2, :2], building=earth.building, level=earth.level,
+            )  # fmt: skip
+        out.append(made)
+    return out
+
+
+def _weigh_heading(heading: float, query: WorldQuery) -> float:
+    """Likelihood of a camera's heading, given the compass."""
+    if query.heading is None:
+        return 1.0
+    off = float(angle_between(heading, query.heading))
+    return WILD + (1.0 - WILD) * float(np.exp(SHARPNESS * (np.cos(off) - 1.0)))
+
+
+def _explain(evidence: WorldEvidence, name: str, mode: PoseMode) -> tuple[Evidence, ...]:
+    """Return the evidence for a pose; of a statement that judged the pose, not that for the scene."""
+    own = {e.statement for e in mode.evidence}
+    return (*(e for e in evidence.explain(name) if e.statement not in own), *mode.evidence)
+
+
+def _locate_without_frames(
+    world: World, query: WorldQuery, evidence: WorldEvidence, best: PoseEstimate,
+    poses: dict[str, PoseEstimate],
+) -> WorldEstimate:  # fmt: skip
+    """Return the estimate where frames fit in no scene that was looked into."""
+    by_text, modes = None, []
+    if query.text is not None or query.near is not None:
+        by_text = _locate_by_text(world, query, evidence)
+        modes = [m for m in by_text.modes if m.scene not in poses]
+    elif best.modes:
+        modes = _make_pose_modes(world, evidence, query, best, 0.0)
+    status, reason = decide_without_frames(best, by_text, modes)
+    made = by_text or WorldEstimate(status, (), reason, elsewhere=1.0)
+    return replace(made, status=status, modes=tuple(modes), reason=reason, poses=poses)

@@ -1,35 +1,86 @@
-"""A world: the cities, scenes and libraries of a folder, and one question to all of them."""
+"""A world: the cities, scenes and libraries of a folder, asked as one."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from placegraph.core.files import real_path
+from placegraph.core.plugins import load_module
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.library import SceneLibrary
-from placegraph.indoor.library.scenes import digest_of
-from placegraph.maps import checked, is_world, open_map
-from placegraph.world.maps import Maps
-from placegraph.world.outside import OneCity
+from placegraph.indoor.library.library import digest_of
+from placegraph.io.osm.urls import is_url
+from placegraph.maps import checked, is_world, open_folder, open_map
+from placegraph.world.outside import CityTown, Town
 
 if TYPE_CHECKING:
+    from placegraph.indoor.library.library import SceneCollection
     from placegraph.indoor.scene_map import SceneMap
     from placegraph.io.capture.capture import Capture
     from placegraph.io.capture.frame import Frame
     from placegraph.outdoor.city import CityMap
-    from placegraph.world.among import Crowd, Others
-    from placegraph.world.estimate import WorldEstimate
-    from placegraph.world.outside import Town
-    from placegraph_scale.library.shards import SceneShards
-    from placegraph_scale.shards.planet import Planet
+    from placegraph.world.estimate import WorldEstimate, WorldQuery
+    from placegraph.world.evidence import OtherScenes, OutdoorText
+
+Map = TypeVar("Map")
+
+
+class Maps(Mapping[str, Map]):
+    """Maps by name, each opened on first use; `OptionError` where there is none of a name."""
+
+    def __init__(self, paths: Mapping[str, Path], opener: Callable[[Path], Map]) -> None:
+        self.paths = dict(paths)
+        self._opener = opener
+        self._opened: dict[str, Map] = {}
+
+    def __getitem__(self, name: str) -> Map:
+        if name not in self.paths:
+            known = ", ".join(sorted(self.paths)[:5]) or "none at all"
+            raise OptionError(f"{name!r} is no map of this world; it has {known}.")
+        if name not in self._opened:
+            self._opened[name] = self._opener(self.paths[name])
+        return self._opened[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.paths
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.paths)
+
+    def __len__(self) -> int:
+        return len(self.paths)
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({', '.join(self.paths)})"
+
+
+class TownShards(Town, Protocol):
+    """A world in shards: one town of the world that it is part of."""
+
+    def close(self) -> None:
+        """Close the shards, and leave the cluster that searches them."""
+
+
+class SceneCandidates(Protocol):
+    """All scenes of a world that has libraries in shards, of which a question looks into few."""
+
+    @property
+    def things(self) -> tuple[str, ...]:
+        """Labels of all objects, and names of their rooms."""
+
+    def find_names(self, text: str) -> set[str]:
+        """Return the names of scenes and buildings that stand in a text."""
+
+    def select(self, world: World, query: WorldQuery, text: OutdoorText) -> World:
+        """Return a world of the scenes that a question may be about."""
 
 
 class World:
-    """Maps by name, opened on first use and kept; never changed by locating in them.
+    """Maps by name, opened on first use; locating never changes them.
 
     Made by `open_world`, or of maps in memory.
 
@@ -38,52 +89,50 @@ class World:
     cities, scenes, libraries
         Maps by name. Scenes of a library whose map files are there are scenes of the world.
     shards
-        Libraries in shards, by name: of their scenes a question looks into few.
+        Libraries in shards, by name: a question looks into few of their scenes.
     planets
-        Worlds in shards, by name: of their cities a question looks into few.
+        Worlds in shards, by name: a question looks into few of their cities.
     ignored
         Files left alone, and why.
 
     """
 
-    others: Others | None = None
-    """What scenes hold that a question is not looked into by, where there are shards."""
+    others: OtherScenes | None = None
+    """Weight of the scenes that a question does not look into, where there are shards."""
 
     def __init__(
         self,
-        cities: Maps[CityMap] | dict[str, CityMap] | None = None,
-        scenes: Maps[SceneMap] | dict[str, SceneMap] | None = None,
-        libraries: Maps[SceneLibrary] | dict[str, SceneLibrary] | None = None,
-        shards: Maps[SceneShards] | dict[str, SceneShards] | None = None,
+        cities: Mapping[str, CityMap] | None = None,
+        scenes: Mapping[str, SceneMap] | None = None,
+        libraries: Mapping[str, SceneLibrary] | None = None,
+        shards: Mapping[str, SceneCollection] | None = None,
         *,
-        planets: Mapping[str, Planet] | None = None,
+        planets: Mapping[str, TownShards] | None = None,
         ignored: Sequence[tuple[Path, str]] = (),
     ) -> None:
-        self.cities = {} if cities is None else cities
-        self.scenes: Maps[SceneMap] | dict[str, SceneMap] = {} if scenes is None else scenes
-        self.libraries = {} if libraries is None else libraries
-        self.shards = {} if shards is None else shards
-        self.planets = {} if planets is None else planets
-        self.ignored = tuple(ignored)
+        self.cities, self.scenes, self.libraries = cities or {}, scenes or {}, libraries or {}
+        self.shards, self.planets, self.ignored = shards or {}, planets or {}, tuple(ignored)
 
     @cached_property
     def towns(self) -> Mapping[str, Town]:
-        """All that lies outdoors: cities and worlds in shards."""
-        cities = {name: OneCity(name, city) for name, city in self.cities.items()}
+        """Cities, and worlds in shards, by name."""
+        cities = {name: CityTown(name, city) for name, city in self.cities.items()}
         return {**cities, **self.planets}
 
     @cached_property
-    def crowd(self) -> Crowd | None:
+    def candidates(self) -> SceneCandidates | None:
         """All scenes of shards and beside them, where there are shards; mapped once."""
-        from placegraph.world.among import Crowd
-
-        return Crowd.of(self.shards.values(), self.library) if self.shards else None
+        if not self.shards:
+            return None
+        module = load_module("placegraph_scale.library.candidates", "scale")
+        made: SceneCandidates = module.CandidateScenes.of(self.shards.values(), self.library)
+        return made
 
     @cached_property
     def library(self) -> SceneLibrary:
         """All scenes side by side, to be searched; made once.
 
-        What a library's file says of a scene is taken where it is of the map as it is now.
+        Entries of library files are reused where they are of the map as it is now.
         """
         library = SceneLibrary()
         keys = [e.key for e in library.encoders]
@@ -114,15 +163,15 @@ class World:
         radius: float = 1000.0,
         heading: float | None = None,
         seed: int = 0,
-        **options: Any,  # noqa: ANN401  # of `placegraph.world.known.Known`
+        **options: Any,  # noqa: ANN401  # of `WorldQuery`
     ) -> WorldEstimate:
-        """Where, in all these maps: place, room and pose, from all that is known.
+        """Return place, room and pose in all these maps, from all that is known.
 
         Parameters
         ----------
         text
-            What is said of the place, outside or inside: "in the library on Lange Straße, by the
-            window". Rooms and things are known in English and five other languages.
+            Description of the place, outside or inside: "in the library on Lange Straße, by the
+            window". Rooms and objects are known in English and five other languages.
         capture, frames
             A capture, or frames in order of time, and which of them; all if not given.
         near, radius
@@ -157,13 +206,15 @@ class World:
             The scheduler of a world in shards went away.
 
         """
-        from placegraph.world.known import Known
+        from placegraph.world.estimate import WorldQuery
         from placegraph.world.locate import locate
 
-        return locate(self, Known(text, capture, frames, near, radius, heading, seed, **options))
+        return locate(
+            self, WorldQuery(text, capture, frames, near, radius, heading, seed, **options)
+        )
 
     def close(self) -> None:
-        """Let go of the shards of cities, and of the cluster that searches them."""
+        """Close worlds in shards, and leave the cluster that searches them."""
         for planet in self.planets.values():
             planet.close()
 
@@ -212,12 +263,12 @@ def open_world(
         The scheduler takes Dask, which is not installed; or it does not answer.
 
     """
-    from placegraph_scale.remote import at_hand
-
     given = [places] if isinstance(places, str | os.PathLike) else list(places)
     if not given:
         raise InputError("There is no place to look for maps; name a folder, or map files.")
-    found = checked(at_hand(given, keep))
+    if keep is not None or any(map(is_url, given)):
+        given = load_module("placegraph_scale.folder", "scale").fetch_places(given, keep)
+    found = checked([Path(place) for place in given])
     if scheduler is not None and not found.paths["world"]:
         raise OptionError(
             f"scheduler: its workers search worlds in shards, and {given[0]} holds none; leave it out, "
@@ -246,9 +297,5 @@ def open_world(
 
 
 def opened(path: Path, scheduler: str | None = None) -> Any:  # noqa: ANN401  # any map, or a planet
-    """What a file or folder of `maps.find` holds; raises as `open_map` and `open_world`."""
-    if not is_world(path):
-        return open_map(path)
-    from placegraph_scale.shards.planet import Planet
-
-    return Planet.open(path, scheduler)
+    """Open a file or folder of `maps.find`; raises as `open_map` and `open_world`."""
+    return open_folder(path, scheduler=scheduler) if is_world(path) else open_map(path)

@@ -11,9 +11,7 @@ from hypothesis import strategies as st
 from placegraph.core.estimate import Status
 from placegraph.errors import OptionError
 from placegraph.indoor.library import SceneLibrary, SearchOptions, library_of, search
-from placegraph.indoor.library.index import distinct
-from placegraph.indoor.library.query import WORDS, encode, told_apart
-from placegraph.indoor.library.search import patch_weights, scores
+from placegraph.indoor.library.search import WORDS, encode, patch_weights, scores, told_apart
 from placegraph.indoor.library.search_kernels import (
     CELL,
     FURTHEST,
@@ -21,6 +19,7 @@ from placegraph.indoor.library.search_kernels import (
     best_cosines,
     mixtures,
 )
+from placegraph.indoor.library.signature import distinct
 from placegraph.io.capture.frame import Frame
 from placegraph_lab.worlds.home.change import changed
 from placegraph_lab.worlds.home.home import scene_of

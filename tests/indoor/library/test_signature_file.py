@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from placegraph.indoor.encode import encoder
-from placegraph.indoor.library.signature_file import decoys
+from placegraph.indoor.library.signature import decoys
 
 
 @pytest.mark.parametrize("name", ["labels", "appearance"])

@@ -11,7 +11,7 @@ import placegraph as pg
 from placegraph.errors import InputError, MapError, MissingExtraError, OptionError, ServiceError
 from placegraph.io.osm import urls
 from placegraph.io.osm.urls import fetch_file, size_of
-from placegraph_scale.build.build import BuildOptions, build_world
+from placegraph_scale.build import BuildOptions, build_world
 
 fsspec = pytest.importorskip("fsspec", reason="fsspec is not installed (extra scale)")
 NUMBER = count()
@@ -116,12 +116,11 @@ def test_a_city_of_a_url(extract, remote, tmp_path, run):
 
 
 def test_a_large_one_becomes_a_world(remote, tmp_path, run, monkeypatch):
-    from placegraph_scale.build import split
-    from placegraph_scale.cli import world_build as build
+    from placegraph_scale import cli as build
 
     made = []
-    monkeypatch.setattr(build, "made_of", lambda files, out, *_, **__: made.append((files, out)))
-    monkeypatch.setattr(split, "SMALL", 10)
+    monkeypatch.setattr(build, "run_build", lambda files, out, *_, **__: made.append((files, out)))
+    monkeypatch.setattr(urls, "SMALL", 10)
     assert run("city", "build", remote, "-o", tmp_path / "big").code == 0
     assert made == [([remote], str(tmp_path / "big"))]
 

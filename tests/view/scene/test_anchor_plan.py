@@ -9,7 +9,7 @@ from placegraph.core.geo import Anchor
 from placegraph.errors import GeoPoseError
 from placegraph.view import draw_anchors
 from placegraph.view.draw.style import PALETTE
-from placegraph.world.footprints import footprints
+from placegraph.world.outlines import footprints
 
 HERE = Anchor(9.99, 53.55, 0.0, np.pi / 2, np.eye(4) * 0.01, "Hall", "way/1", "2", 0.6, "building")
 

@@ -20,7 +20,7 @@ MOST = 300.0  # ... and so does what has taken so much CPU time [s].
 LOADED = (
     "placegraph.outdoor.city", "placegraph.outdoor.network", "placegraph.view", "placegraph.indoor.library",
     "placegraph.indoor.build", "placegraph.indoor.localize", "placegraph.indoor.mapping.change.update",
-    "placegraph.indoor.mapping.export", "placegraph.cli", "placegraph_scale.build.build",
+    "placegraph.indoor.mapping.export", "placegraph.cli", "placegraph_scale.build",
     "placegraph.core.jit", "placegraph.maps",
     "placegraph_ros.localizer", "osmium", "embreex.rtcore_scene", "PIL.Image",
 )  # fmt: skip

@@ -16,7 +16,7 @@ from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.map.index import REACH, STRIDE
 from placegraph.outdoor.map.objects import POINT, CityObjects
 from placegraph_scale.shards import WorldFile, finish
-from placegraph_scale.shards.table import Counted
+from placegraph_scale.shards.words import Counted
 
 SIDE = 8  # viewpoints are kept in squares of so many
 DISTINCT = 19  # so many copies of a world have labels that are shuffled anew

@@ -17,7 +17,7 @@ from tests.vectors.conftest import make_cloud
 
 from placegraph.errors import ServiceError
 from placegraph.vectors import Vectors
-from placegraph_scale.milvus.server import Server
+from placegraph_scale.milvus import Server
 
 
 class FakeMilvus:
@@ -148,7 +148,7 @@ def fake():
 @pytest.fixture
 def server(fake, monkeypatch):
     """A `Server` that talks to the fake, and never sleeps."""
-    monkeypatch.setattr("placegraph_scale.milvus.server.sleep", lambda _: None)
+    monkeypatch.setattr("placegraph_scale.milvus.sleep", lambda _: None)
     return Server(fake, "http://root:secret@fake:19530")
 
 

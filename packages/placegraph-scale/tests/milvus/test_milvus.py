@@ -13,15 +13,18 @@ from placegraph.errors import (
     StoreError,
 )
 from placegraph.vectors import Origin, Region, Vectors
-from placegraph_scale.milvus import milvus, milvus_load
-from placegraph_scale.milvus.milvus import (
+from placegraph_scale import milvus
+from placegraph_scale import milvus as milvus_load
+from placegraph_scale.milvus import (
     MilvusStore,
+    Server,
+    check_uri,
     collection_name,
     drop_store,
     list_stores,
+    load_milvus,
+    shown,
 )
-from placegraph_scale.milvus.milvus_load import load_milvus
-from placegraph_scale.milvus.server import Server, check_uri, shown
 
 HERE = Origin("a map", "a model")
 NAME = collection_name("town", HERE)
@@ -186,7 +189,7 @@ def test_a_restarted_server_is_given_time(fake, server, content):
 
 def test_but_not_for_ever(fake, server, content, monkeypatch):
     clock = iter(range(0, 10_000, 7))
-    monkeypatch.setattr("placegraph_scale.milvus.server.monotonic", lambda: next(clock))
+    monkeypatch.setattr("placegraph_scale.milvus.monotonic", lambda: next(clock))
     fake.plan = {"flush": ["refused"] * 999}
     with pytest.raises(ServiceError, match="failed to flush: server unavailable for flush"):
         load(server, content)

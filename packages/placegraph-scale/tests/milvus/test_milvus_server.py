@@ -14,7 +14,7 @@ from placegraph.vectors import (
     load_store,
     open_store,
 )
-from placegraph_scale.milvus import milvus_load
+from placegraph_scale import milvus as milvus_load
 
 COUNT, DIMENSION = 2_500, 64
 

@@ -7,8 +7,7 @@ import pytest
 from tests.vectors.test_stores import URI, shipped  # noqa: F401  # a fixture
 
 from placegraph.vectors import EmbeddedStore, Origin, Vectors, load_store, open_store
-from placegraph_scale.milvus.milvus import MilvusStore
-from placegraph_scale.milvus.server import Server
+from placegraph_scale.milvus import MilvusStore, Server
 
 
 @pytest.fixture

@@ -3,8 +3,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import placegraph as pg
-from placegraph_scale.shards import bounds, search
-from placegraph_scale.shards.merged import Merged
+from placegraph_scale.shards import search
+from placegraph_scale.shards import search as bounds
+from placegraph_scale.shards.search import Merged
 from shards_world import shards_of
 
 SHARES = st.lists(st.floats(0.0, 1.0), min_size=1, max_size=30)

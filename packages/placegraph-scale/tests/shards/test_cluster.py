@@ -11,7 +11,8 @@ import placegraph as pg
 from placegraph.core.estimate import Status
 from placegraph.errors import MissingExtraError, ServiceError
 from placegraph.outdoor.city import CityMap
-from placegraph_scale.shards import cluster, workers
+from placegraph_scale.shards import workers
+from placegraph_scale.shards import workers as cluster
 from shards_world import TEXTS, shards_of
 
 dask = pytest.importorskip("dask")

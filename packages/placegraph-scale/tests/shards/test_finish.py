@@ -6,10 +6,10 @@ import pytest
 from placegraph.errors import InputError, MapError, OptionError
 from placegraph.maps import is_world
 from placegraph.outdoor.city import CityMap
-from placegraph_scale.shards import WorldFile, finish, table
-from placegraph_scale.shards.finish import count
-from placegraph_scale.shards.folder import digest_of
-from placegraph_scale.shards.table import WordTable, keep, kept
+from placegraph_scale.folder import digest_of
+from placegraph_scale.shards import WorldFile, finish
+from placegraph_scale.shards import words as table
+from placegraph_scale.shards.words import WordTable, count, keep, kept
 from shards_world import ZOOM
 
 

@@ -6,7 +6,7 @@ import pytest
 import placegraph as pg
 from placegraph.core.geo import bounds
 from placegraph.outdoor.city import CityMap
-from placegraph_scale.shards.lexicon import Thing, joined
+from placegraph_scale.shards.steps import Thing, joined
 
 
 @pytest.fixture(scope="module")

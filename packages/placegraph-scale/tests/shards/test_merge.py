@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from placegraph.errors import MapError
-from placegraph_scale.shards import merge, table
-from placegraph_scale.shards.merge import Columns, Texts, by_key
-from placegraph_scale.shards.table import Counted, WordTable
+from placegraph_scale.shards import words as merge
+from placegraph_scale.shards import words as table
+from placegraph_scale.shards.words import Columns, Counted, Texts, WordTable, by_key
 
 NAMES = ("Rex", "The Rex Theatre", "Rex Theatre", "rex theatre", "Museum", "Museum of Salt", "12 Rex",
          "12 West Street", "Straße", "\U0001f600", "\uffff", "The Salt")  # fmt: skip

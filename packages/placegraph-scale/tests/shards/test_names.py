@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from placegraph.errors import MapError
 from placegraph.outdoor.language.words import tokens
 from placegraph.outdoor.map.names import NameIndex
-from placegraph_scale.shards import table
-from placegraph_scale.shards.table import Counted, WordTable
+from placegraph_scale.shards import words as table
+from placegraph_scale.shards.words import Counted, WordTable
 
 WORDS = ("Rex", "The", "Theatre", "Station", "Stations", "4th", "West", "Street", "Lange", "Straße",
          "12", "Ulica", "Ulicy", "Museum", "of", "Salt")  # fmt: skip
@@ -59,11 +59,11 @@ def test_a_damaged_table_is_named_or_says_what_it_said(tmp_path_factory, data):
 
 @pytest.mark.parametrize("off", [99, 1])  # a name that is not there; a way in which none is called
 def test_a_forged_posting_is_told(off, tmp_path, monkeypatch):
-    def forged(*given, real=table.names.columns_of):
+    def forged(*given, real=table.columns_of):
         counts, columns = real(*given)
         return counts, columns | {"postings": columns["postings"] + off}
 
-    monkeypatch.setattr(table.names, "columns_of", forged)
+    monkeypatch.setattr(table, "columns_of", forged)
     names = written(tmp_path / "words.table", ("Museum of Salt", "Rex Theatre"))
     with pytest.raises(MapError, match=r"words\.table.*'postings'"):
         names.named("Theatre")

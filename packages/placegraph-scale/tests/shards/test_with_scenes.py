@@ -11,8 +11,8 @@ from placegraph.demo.flat import STANDS, TWIN, WINDOW, furnish
 from placegraph.demo.world import FLAT, TOWN
 from placegraph.errors import MapError, OptionError
 from placegraph_lab.worlds.shards import write_shards
-from placegraph_scale.library.shard_write import Listed
-from placegraph_scale.library.shard_write import write_shards as write_library
+from placegraph_scale.library.write import Listed
+from placegraph_scale.library.write import write_shards as write_library
 
 SAID = (
     WINDOW,

@@ -15,10 +15,9 @@ from placegraph.core.geometry import LocalPlane
 from placegraph.errors import OptionError, PlacegraphError, RequestError
 from placegraph.indoor.library import SceneLibrary
 from placegraph.indoor.scene_map import SceneMap
-from placegraph.maps import SHARDS, WORLD, checked, find, is_world
+from placegraph.maps import SHARDS, WORLD, checked, find, folder_kind, is_world
 from placegraph.world import World, open_world
 from placegraph.world.world import opened
-from placegraph_scale.shards.folder import WorldFile
 from placegraph_serve.options import ServeOptions
 
 if TYPE_CHECKING:
@@ -198,10 +197,10 @@ class Places:
 def _of_shards(folder: Path) -> dict[str, Any]:
     """What is listed of a world in shards; the reason where it cannot be opened."""
     try:
-        shards = WorldFile.read(folder).shards
+        found: dict[str, Any] = folder_kind(folder).summarize(folder)
     except PlacegraphError as error:
         return {"problem": without_folder(error, folder / WORLD)}
-    return {"objects": sum(s.objects for s in shards), "bytes": sum(s.bytes for s in shards)}
+    return found
 
 
 def without_folder(error: PlacegraphError, path: Path) -> str:

@@ -5,6 +5,6 @@ to: `docs/howto-library.md`; the method: `docs/indoor.md`.
 """
 
 from placegraph.indoor.library.library import SceneLibrary, library_of
-from placegraph.indoor.library.options import SearchOptions
+from placegraph.indoor.library.search import SearchOptions
 
 __all__ = ["SceneLibrary", "SearchOptions", "library_of"]

@@ -16,9 +16,14 @@ from placegraph.core.geo import EarthPose
 from placegraph.errors import OptionError
 from placegraph.indoor.encode import Encoder
 from placegraph.indoor.language import Sentence, read, score
-from placegraph.indoor.library.options import SearchOptions
-from placegraph.indoor.library.query import Query, encode
-from placegraph.indoor.library.search import Scores, patch_weights, ratio
+from placegraph.indoor.library.search import (
+    Query,
+    Scores,
+    SearchOptions,
+    encode,
+    patch_weights,
+    ratio,
+)
 from placegraph.indoor.likelihood.observe import spread
 from placegraph.indoor.pose.query import chosen_frames
 from placegraph.indoor.status import decide_scene
@@ -26,7 +31,7 @@ from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
 
 if TYPE_CHECKING:
-    from placegraph.indoor.library.scenes import Scenes
+    from placegraph.indoor.library.library import Scenes
 
 DOUBT, FEW = 1.25, 4
 """Being in none of S scenes is `DOUBT` (S + `FEW`) times as likely, before anything is seen, as being

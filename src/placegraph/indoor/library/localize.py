@@ -23,7 +23,7 @@ from placegraph.indoor.language import Sentence, read
 from placegraph.indoor.language.prior import unused
 from placegraph.indoor.library.answer import Many
 from placegraph.indoor.library.answer import search as search_in
-from placegraph.indoor.library.options import SearchOptions
+from placegraph.indoor.library.search import SearchOptions
 from placegraph.indoor.localize import localized
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.mapping.merge import merge_scenes
@@ -33,7 +33,7 @@ from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
 
 if TYPE_CHECKING:
-    from placegraph.indoor.library.scenes import Scenes
+    from placegraph.indoor.library.library import Scenes
 
 SCENES = 8
 """Scenes localized in at most."""

@@ -7,24 +7,30 @@ takes up, what is seen together, and how that changes along a way.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import json
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
+from importlib.resources import as_file, files
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.graph import SceneGraph
+from placegraph.core.mapfile import MapFile, pack_strings, read_map
 from placegraph.errors import OptionError
 from placegraph.indoor.encode import Encoder, vectors_of
 from placegraph.indoor.language.appearance import with_colours
 from placegraph.indoor.language.index import Described, units
+from placegraph.indoor.library.search_kernels import row_hashes
 from placegraph.indoor.likelihood.visibility import build_table
 from placegraph.indoor.map.free_space import HIGHEST
 from placegraph.indoor.map.map_kernels import AZIMUTHS, ELEVATIONS
-from placegraph.indoor.map.scene import Scene
+from placegraph.indoor.map.scene import Scene, from_8_bits, in_8_bits
 from placegraph.indoor.options import STANDING, FilterOptions
 from placegraph.io.capture.capture import Capture
+from placegraph.vectors import EmbeddedStore
 
 PLACES = 160
 """Panoramas of a scene, or of a merged map's part, at most,"""
@@ -177,3 +183,362 @@ def coarse(objects: NDArray[np.uint16], count: int) -> NDArray[np.uint16]:
         best[longer], most[longer] = ordered[longer, k - 1], run[longer]
         run = np.where(ends, 1, run + 1)
     return np.minimum(best, count).astype(np.uint16).reshape(places, BANDS, TURNS)
+
+
+SAMPLE = 1024
+"""Vectors that stand for all of a library's."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Vocabulary:
+    """What the objects of a library look like to one encoder: each vector once."""
+
+    vectors: NDArray[np.float32]
+    """(U, d) unit, or zero: nothing is known."""
+    unknown: NDArray[np.int64]
+    """Rows of these that are zero."""
+    code: NDArray[np.int32]
+    """(M,) vector of each object."""
+    usual: NDArray[np.int64]
+    """(B,) rows of `vectors` that are seen anywhere, `SAMPLE` at most."""
+    common: NDArray[np.float32]
+    """(B,) share of what is seen that looks like this, all scenes counting alike; adds up to 1."""
+
+    @classmethod
+    def of(cls, vectors: NDArray[np.float32], weight: NDArray[np.floating]) -> Vocabulary:
+        """Vocabulary of objects with vectors (M, d), seen with these weights (M,)."""
+        first, code = distinct(vectors)
+        own = np.ascontiguousarray(vectors[first])
+        share = np.bincount(code, weight, len(first))
+        known = np.flatnonzero(own.any(axis=1))
+        rows = known[np.unique(np.linspace(0, max(0, len(known) - 1), SAMPLE).astype(np.int64))]
+        common = share[rows] / max(1e-12, share[rows].sum())
+        unknown = np.flatnonzero(~own.any(axis=1))
+        return cls(own, unknown, code.astype(np.int32), rows, common.astype(np.float32))
+
+    @property
+    def mean(self) -> NDArray[np.float32]:
+        """(d,) of what is seen anywhere."""
+        return np.asarray(self.common @ self.vectors[self.usual])
+
+    def of_objects(self, rows: NDArray[np.int64]) -> Vocabulary:
+        """Vocabulary of some objects, with the same notion of what is usual."""
+        used = np.concatenate([self.code[rows], self.usual])
+        numbers = np.arange(len(used))
+        return replace(
+            self,
+            vectors=self.vectors[used],
+            unknown=np.flatnonzero(np.isin(used, self.unknown)),
+            code=numbers[: len(rows)].astype(np.int32),
+            usual=numbers[len(rows) :],
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Unit:
+    """What is compared with a capture: a scene, or one of those that a scene was merged of."""
+
+    scene: int
+    """Row of the signature."""
+    objects: NDArray[np.int64]
+    """(N,) rows in the signature."""
+    panoramas: NDArray[np.uint16]
+    """(P, bands, turns) rows of `objects`, N where the unit ends."""
+    places: NDArray[np.float32]
+    """(P, 2) [m]"""
+
+
+def split_into_units(signatures: Sequence[Signature]) -> Iterator[Unit]:
+    """Units of scenes, in their order."""
+    for row, s in enumerate(signatures):
+        for part in np.unique(s.part):
+            objects = np.flatnonzero(s.part == part)
+            number = np.full(len(s) + 1, len(objects), np.uint16)
+            number[objects] = np.arange(len(objects))
+            own = s.place_part == part
+            yield Unit(row, objects, number[s.panoramas[own]], s.places[own])
+
+
+@dataclass(frozen=True, eq=False)
+class Index:
+    """S split_into_units of M objects and K panoramas in all; made anew when scenes come or go."""
+
+    owner: NDArray[np.int64]
+    """(S,) scene of each unit, ascending."""
+    starts: NDArray[np.int64]
+    """(S + 1,) first object of each unit."""
+    share: NDArray[np.float32]
+    """(M,) of what is seen in its unit, by the square root: who stands before a thing sees more of
+    it than who looks around."""
+    vocabularies: dict[str, Vocabulary]
+    """By the key of the encoder."""
+    place_starts: NDArray[np.int64]
+    """(S + 1,) first panorama of each unit."""
+    places: NDArray[np.float32]
+    """(K, 2) [m]"""
+    panoramas: NDArray[np.uint16]
+    """(K, bands, turns)"""
+
+    @classmethod
+    def of(cls, signatures: Sequence[Signature], keys: Sequence[str]) -> Index:
+        """Index of scenes that all have vectors under these keys."""
+        parts = list(split_into_units(signatures))
+        seen = [signatures[u.scene].share[u.objects] for u in parts]
+        roots = [np.sqrt(share) for share in seen]
+        return cls(
+            owner=np.array([u.scene for u in parts]),
+            starts=starts_of([len(u.objects) for u in parts]),
+            share=np.concatenate([r / r.sum() for r in roots]).astype(np.float32),
+            vocabularies={
+                key: Vocabulary.of(
+                    np.concatenate([signatures[u.scene].vectors[key][u.objects] for u in parts]),
+                    np.concatenate([share / share.sum() for share in seen]),
+                )
+                for key in keys
+            },
+            place_starts=starts_of([len(u.places) for u in parts]),
+            places=np.concatenate([u.places for u in parts]),
+            panoramas=np.concatenate([u.panoramas for u in parts]),
+        )
+
+    def __len__(self) -> int:
+        return len(self.starts) - 1
+
+    @cached_property
+    def shown(self) -> NDArray[np.bool_]:
+        """(M,) whether any panorama shows an object."""
+        first = np.repeat(self.starts[:-1], np.diff(self.place_starts))[:, None, None]
+        last = np.repeat(self.starts[1:], np.diff(self.place_starts))[:, None, None]
+        seen = first + self.panoramas.astype(np.int64)
+        out = np.zeros(int(self.starts[-1]), np.bool_)
+        out[seen[seen < last]] = True
+        return out
+
+    @cached_property
+    def store(self) -> EmbeddedStore:
+        """Vectors of whole scenes, for `nearest`; made on first use."""
+        rows = np.zeros((len(self), sum(v.vectors.shape[1] for v in self.vocabularies.values())))
+        first = 0
+        for v in self.vocabularies.values():
+            last = first + v.vectors.shape[1]
+            parts = (v.vectors - v.mean)[v.code] * self.share[:, None]
+            rows[:, first:last] = np.add.reduceat(parts, self.starts[:-1], axis=0)
+            first = last
+        rows += 1e-9  # a scene that is like all others has no direction
+        return EmbeddedStore.of(np.arange(len(self)), rows, bits=32)
+
+    def nearest(self, words: Mapping[str, NDArray[np.floating]], most: int) -> NDArray[np.int64]:
+        """Rows of the scenes most like what was said: the mean vector (d,) by encoder's key."""
+        parts = [
+            words[key] - v.mean if key in words else np.zeros(v.vectors.shape[1])
+            for key, v in self.vocabularies.items()
+        ]
+        found = self.store.search(np.concatenate(parts)[None].astype(np.float32) + 1e-9, most)
+        return np.sort(found.ids[0])
+
+    def subset(self, rows: NDArray[np.int64]) -> Index:
+        """Index of some scenes, with the same notion of what is usual."""
+        objects = runs(self.starts, rows)
+        places = runs(self.place_starts, rows)
+        return Index(
+            owner=np.unique(self.owner[rows], return_inverse=True)[1].ravel(),
+            starts=starts_of(np.diff(self.starts)[rows]),
+            share=self.share[objects],
+            vocabularies={key: v.of_objects(objects) for key, v in self.vocabularies.items()},
+            place_starts=starts_of(np.diff(self.place_starts)[rows]),
+            places=self.places[places],
+            panoramas=self.panoramas[places],
+        )
+
+
+def distinct(rows: NDArray[np.float32]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """First rows (U,) of those that differ of rows (P, d), and which of them each is (P,).
+
+    By a 64-bit hash: sorting the rows themselves would take a hundred times as long.
+    """
+    hashes = row_hashes(np.ascontiguousarray(rows, np.float32).view(np.uint32))
+    _, first, code = np.unique(hashes, return_index=True, return_inverse=True)
+    return first, code.ravel()
+
+
+def starts_of(counts: Sequence[int] | NDArray[np.int64]) -> NDArray[np.int64]:
+    """First row (S + 1,) of each of S runs of these lengths, and where the last ends."""
+    return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+
+
+def runs(starts: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """All numbers from starts[r] to starts[r + 1], for each of some rows."""
+    counts = np.diff(starts)[rows]
+    first = np.repeat(starts[rows] - starts_of(counts)[:-1], counts)
+    return np.asarray(first + np.arange(int(counts.sum())))
+
+
+KIND = "library"
+VERSION = 1
+GRAIN = 0.01
+"""Of positions and extents [m]."""
+DECOYS = "data/decoys.library"
+
+
+def columns(signatures: Sequence[Signature], keys: Sequence[str]) -> dict[str, NDArray[Any]]:
+    """Arrays of signatures, with their vectors of the encoders of these keys."""
+    arrays = _graphs(signatures) | _panoramas(signatures)
+    for i, key in enumerate(keys):
+        arrays |= _vectors(i, np.concatenate([s.vectors[key] for s in signatures]))
+    return arrays
+
+
+def _graphs(signatures: Sequence[Signature]) -> dict[str, NDArray[Any]]:
+    graphs = [s.graph for s in signatures]
+    labels = sorted({label for g in graphs for label in g.labels})
+    kinds = sorted({kind for g in graphs for kind in g.relations})
+    code, kind_code = ({w: i for i, w in enumerate(words)} for words in (labels, kinds))
+    extents = [np.zeros_like(g.positions) if g.extents is None else g.extents for g in graphs]
+    attributes = (a for s in signatures for a in s.attributes)
+    return {
+        "objects": np.array([len(g) for g in graphs], np.int32),
+        "edges": np.array([len(g.relations) for g in graphs], np.int32),
+        "ids": pack_strings([i for g in graphs for i in g.ids]),
+        "labels": pack_strings(labels),
+        "label_of": np.array([code[x] for g in graphs for x in g.labels], np.int32),
+        "object_names": pack_strings([n for g in graphs for n in g.names]),
+        "attributes": pack_strings(
+            [json.dumps(a, ensure_ascii=False, sort_keys=True) if a else "" for a in attributes]
+        ),
+        "positions": _in_steps(np.concatenate([g.positions for g in graphs])),
+        "extents": _in_steps(np.concatenate(extents)),
+        "sources": np.concatenate([g.sources for g in graphs]).astype(np.int32),
+        "targets": np.concatenate([g.targets for g in graphs]).astype(np.int32),
+        "relations": pack_strings(kinds),
+        "relation_of": np.array([kind_code[r] for g in graphs for r in g.relations], np.int32),
+    }
+
+
+def _panoramas(signatures: Sequence[Signature]) -> dict[str, NDArray[Any]]:
+    return {
+        "share": np.concatenate([s.share for s in signatures]).astype(np.float16),
+        "part": np.concatenate([s.part for s in signatures]).astype(np.int32),
+        "place_part": np.concatenate([s.place_part for s in signatures]).astype(np.int32),
+        "place_counts": np.array([len(s.places) for s in signatures], np.int32),
+        "places": _in_steps(np.concatenate([s.places for s in signatures])),
+        "panoramas": np.concatenate([s.panoramas for s in signatures]).reshape(-1, TURNS),
+    }
+
+
+def _vectors(i: int, vectors: NDArray[np.float32]) -> dict[str, NDArray[Any]]:
+    first, code = distinct(vectors)
+    numbers, scales = in_8_bits(vectors[first])
+    return {f"vectors_{i}": numbers, f"scales_{i}": scales, f"code_{i}": code.astype(np.int32)}
+
+
+def _in_steps(metres: NDArray[np.floating]) -> NDArray[np.int32]:
+    return np.rint(metres / GRAIN).astype(np.int32)
+
+
+def signatures_in(file: MapFile, keys: list[str]) -> list[Signature]:
+    """Signatures of a file; raises any error where columns do not fit."""
+    grain = float(file.meta["grain"])
+    objects, edges, places = (
+        _ends(file.array(name, "<i4")) for name in ("objects", "edges", "place_counts")
+    )
+    labels, kinds = file.strings("labels"), file.strings("relations")
+    label_of, kind_of = file.array("label_of", "<i4"), file.array("relation_of", "<i4")
+    ids, names = file.strings("ids"), file.strings("object_names")
+    attributes = [json.loads(a) if a else {} for a in file.strings("attributes")]
+    positions, extents = (file.array(name, "<i4", 2) * grain for name in ("positions", "extents"))
+    sources, targets = file.array("sources", "<i4"), file.array("targets", "<i4")
+    share = file.array("share", "<f2").astype(np.float32)
+    points = (file.array("places", "<i4", 2) * grain).astype(np.float32)
+    panoramas = file.array("panoramas", "<u2", 2).reshape(-1, BANDS, TURNS)
+    part, place_part = file.array("part", "<i4"), file.array("place_part", "<i4")
+    vectors = {key: _unpacked(file, i, int(objects[-1])) for i, key in enumerate(keys)}
+    lengths = {len(x) for x in (ids, names, attributes, positions, extents, label_of, share, part)}
+    of_places = {len(x) for x in (points, panoramas, place_part)}
+    if lengths != {int(objects[-1])} or of_places != {int(places[-1])}:
+        raise ValueError("columns are of different lengths")
+    if (
+        not (np.isfinite(share).all() and (share >= 0).all())
+        or (np.diff(places) < 1).any()
+        or (np.diff(objects) < 1).any()
+    ):
+        raise ValueError("share, place_counts")
+    out = []
+    for s in range(len(objects) - 1):
+        own, edge = slice(*objects[s : s + 2]), slice(*edges[s : s + 2])
+        place = slice(*places[s : s + 2])
+        graph = SceneGraph(
+            ids=ids[own],
+            labels=tuple(labels[i] for i in label_of[own].tolist()),
+            names=names[own],
+            positions=positions[own],
+            extents=extents[own],
+            sources=sources[edge].astype(np.int64),
+            relations=tuple(kinds[i] for i in kind_of[edge].tolist()),
+            targets=targets[edge].astype(np.int64),
+        )
+        if int(panoramas[place].max()) > len(graph):
+            raise ValueError("panoramas point outside the objects")
+        out.append(
+            Signature(
+                graph=graph,
+                attributes=tuple(
+                    {str(k): str(v) for k, v in dict(a).items()} for a in attributes[own]
+                ),
+                vectors={key: v[own] for key, v in vectors.items()},
+                share=share[own],
+                places=points[place],
+                panoramas=panoramas[place],
+                part=part[own],
+                place_part=place_part[place],
+            )
+        )
+    return out
+
+
+def _unpacked(file: MapFile, i: int, count: int) -> NDArray[np.float32]:
+    numbers, scales = file.array(f"vectors_{i}", "|i1", 2), file.array(f"scales_{i}", "<f4")
+    code = file.array(f"code_{i}", "<i4")
+    if len(scales) != len(numbers) or not np.isfinite(scales).all() or len(code) != count:
+        raise ValueError(f"vectors_{i} do not fit")
+    if count and not 0 <= int(code.min()) <= int(code.max()) < len(numbers):
+        raise ValueError(f"code_{i} points outside the vectors")
+    vectors = from_8_bits(numbers, scales)
+    lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.asarray((vectors / np.where(lengths > 1e-6, lengths, np.inf))[code], np.float32)
+
+
+def _ends(counts: NDArray[np.int32]) -> NDArray[np.int64]:
+    if not counts.size or int(counts.min()) < 0:
+        raise ValueError("a count is negative, or there is no scene")
+    return np.concatenate([[0], np.cumsum(counts.astype(np.int64))])
+
+
+def decoys(encoders: Sequence[Encoder]) -> list[Signature]:
+    """Signatures of homes that are in no library, with vectors of these encoders.
+
+    A library of one scene could say nothing of what is rare, and every capture would be of the best of
+    its scenes. So drawn homes of many styles stand beside it (`placegraph-lab decoys` makes them, of homes
+    that no figure is taken on): they tell what is usual in homes, and a capture that fits some of them
+    as well as any scene was taken elsewhere. Speaker verification calls such a set a cohort.
+
+    Vectors of labels are made of the labels; of encoders that the file has no vectors of, they are
+    zero: to these, the homes say neither yes nor no.
+    """
+    return [replace(s, vectors={e.key: _decoy_vectors(s, e) for e in encoders}) for s in _decoys()]
+
+
+@lru_cache(maxsize=1)
+def _decoys() -> tuple[Signature, ...]:
+    with as_file(files("placegraph.indoor.library").joinpath(DECOYS)) as path:
+        file = read_map(path, KIND, VERSION)
+        return tuple(signatures_in(file, [str(e["key"]) for e in file.meta["encoders"]]))
+
+
+def _decoy_vectors(signature: Signature, encoder: Encoder) -> NDArray[np.float32]:
+    if encoder.name == "labels":
+        from placegraph.indoor.encode.labels import LabelsEncoder
+
+        assert isinstance(encoder, LabelsEncoder)  # noqa: S101
+        return np.stack([encoder.vector(label) for label in signature.graph.labels])
+    zeros = np.zeros((len(signature), encoder.dimension), np.float32)
+    return signature.vectors.get(encoder.key, zeros)

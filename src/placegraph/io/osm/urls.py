@@ -39,6 +39,10 @@ CONNECT, SILENT = 30.0, 120.0
 """A server that does not answer, or says nothing more, for so long is gone [s]."""
 
 
+SMALL = 64 << 20
+"""Bytes of an extract that one map is made of, in memory: some 9 million nodes, 16 bytes each."""
+
+
 def is_url(place: object) -> bool:
     """Whether a place is no path of this machine."""
     return "://" in str(place)
@@ -55,6 +59,14 @@ def name_of(place: str | PathLike[str]) -> str:
 def of_osm(url: str) -> bool:
     """Whether a URL is of an OpenStreetMap file, by its name."""
     return name_of(url).lower().endswith(SUFFIXES)
+
+
+def is_large(extract: str | PathLike[str]) -> bool:
+    """Return whether one map of an extract, or of one at a URL, may take more memory than there is."""
+    if is_url(extract):
+        return (size_of(str(extract)) or 0) > SMALL
+    path = Path(extract)
+    return path.is_file() and path.stat().st_size > SMALL
 
 
 def system_of(url: str) -> tuple[Any, str]:

@@ -22,7 +22,7 @@ from placegraph.view.scene.room_plan import MARGIN, RoomPlan, paint_room, plain_
 if TYPE_CHECKING:
     from placegraph.indoor.mapping.change.changes import Change, SceneDiff
     from placegraph.indoor.scene_map import SceneMap
-    from placegraph.world.footprints import Footprint
+    from placegraph.world.outlines import Footprint
 
 FAR = 150.0
 """Candidates farther from the best are told, not drawn [m]."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from placegraph.world import Fitted
-from placegraph.world.footprints import footprints, within
+from placegraph.world.outlines import footprints, within
 from placegraph_lab.tables.named.scene_anchor import (
     BUILDINGS,
     WALKS,

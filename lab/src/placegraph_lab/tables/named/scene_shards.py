@@ -23,10 +23,8 @@ from placegraph.errors import OptionError
 from placegraph.indoor.encode import Encoder, encoder
 from placegraph.indoor.language import read
 from placegraph.indoor.library.answer import by_query
-from placegraph.indoor.library.library import SceneLibrary
-from placegraph.indoor.library.options import SearchOptions
-from placegraph.indoor.library.query import Query, Said, told_apart
-from placegraph.indoor.library.scenes import Entry
+from placegraph.indoor.library.library import Entry, SceneLibrary
+from placegraph.indoor.library.search import Query, Said, SearchOptions, told_apart
 from placegraph.indoor.library.search_kernels import beside
 from placegraph.indoor.library.signature import BANDS, TURNS, Signature, signature_of
 from placegraph_lab.tables.retrieval.retrieval_scale import Stock
@@ -44,9 +42,8 @@ from placegraph_lab.tables.runner import (
 from placegraph_lab.tables.scene.sentences import Scene, describe
 from placegraph_lab.tables.statistics import apart, peak
 from placegraph_lab.worlds.home.home import STYLES, home, scene_of
-from placegraph_scale.library.shard import HEAD
-from placegraph_scale.library.shard_write import SIZE, Listed, write_shards
-from placegraph_scale.library.shards import SceneShards
+from placegraph_scale.library.shards import HEAD, SceneShards
+from placegraph_scale.library.write import SIZE, Listed, write_shards
 
 WRONG = (0.0, 0.1, 0.3)
 FRAMES, FACTS = 5, 6

@@ -19,12 +19,9 @@ import numpy as np
 
 from placegraph.indoor.encode import Encoder, vectors_of
 from placegraph.indoor.library import SceneLibrary
-from placegraph.indoor.library.index import Index
-from placegraph.indoor.library.options import SearchOptions
-from placegraph.indoor.library.query import encode
-from placegraph.indoor.library.scenes import Entry
-from placegraph.indoor.library.search import scores
-from placegraph.indoor.library.signature import Signature, signature_of
+from placegraph.indoor.library.library import Entry
+from placegraph.indoor.library.search import SearchOptions, encode, scores
+from placegraph.indoor.library.signature import Index, Signature, signature_of
 from placegraph.io.capture.capture import Capture
 
 if TYPE_CHECKING:

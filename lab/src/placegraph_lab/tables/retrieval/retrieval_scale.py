@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from placegraph.core.geometry import rotation_z
 from placegraph.indoor.encode import Encoder
-from placegraph.indoor.library.options import SearchOptions
+from placegraph.indoor.library.search import SearchOptions
 from placegraph.indoor.library.signature import TURNS, Signature
 from placegraph_lab.tables.retrieval.retrieval import library_of
 

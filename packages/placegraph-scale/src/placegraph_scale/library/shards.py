@@ -1,8 +1,6 @@
-"""A library too large to be read: shards that are mapped, and few scenes looked at closely.
+"""Whether the columns of a shard fit each other: compiled code believes them.
 
-An inverted index over labels and relations ranks all scenes by a text; what the labels of frames say
-is summed over all scenes, and their looks over the mean vector of each. The best by either are
-then compared with the frames in every direction, beside the same homes that no library has.
+Checksums tell damage; these tell a file that was forged with the right ones.
 """
 
 from __future__ import annotations
@@ -11,49 +9,381 @@ import itertools
 import json
 import os
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.estimate import Evidence
-from placegraph.core.files import real_path
+from placegraph.core.files import Watch, real_path
 from placegraph.core.geo import EarthPose
-from placegraph.core.mapfile import read_map, sound
+from placegraph.core.mapfile import read_header, read_map, sound
 from placegraph.errors import InputError, MapError, OptionError, PlacegraphError
 from placegraph.indoor.encode import Encoder
 from placegraph.indoor.language import Sentence, score
+from placegraph.indoor.language.appearance import with_colours
+from placegraph.indoor.language.index import Columns, Postings
 from placegraph.indoor.language.score import compared, of_scenes
 from placegraph.indoor.library.answer import evidence
-from placegraph.indoor.library.library import Asked, SceneLibrary, encoders_of
-from placegraph.indoor.library.options import SearchOptions
-from placegraph.indoor.library.query import Query
-from placegraph.indoor.library.scenes import Entry, digest_of
-from placegraph.indoor.library.search import Scores, scores
-from placegraph.indoor.scene_map import SceneMap
-from placegraph_scale.library.shard import (
-    BESIDE,
-    HEAD,
-    KIND,
-    MEND,
-    VERSION,
-    Shard,
-    Usual,
-    together,
+from placegraph.indoor.library.library import (
+    Entry,
+    SceneCollection,
+    SceneLibrary,
+    digest_of,
+    encoders_of,
 )
-from placegraph_scale.library.shard_check import check_usual
+from placegraph.indoor.library.search import (
+    Query,
+    Scores,
+    SearchOptions,
+    patch_weights,
+    ratio,
+    scores,
+)
+from placegraph.indoor.library.search_kernels import held
+from placegraph.indoor.library.signature import (
+    BANDS,
+    TURNS,
+    Index,
+    Signature,
+    Vocabulary,
+    runs,
+    starts_of,
+)
+from placegraph.indoor.map.scene import Scene, from_8_bits
+from placegraph.indoor.scene_map import SceneMap
+
+STRINGS = ("names", "paths", "digests", "earth", "buildings")
+"""Columns of bytes, each beside one that says where those of a scene begin."""
+
+
+def check_usual(usual: Usual) -> None:
+    """Raise any of LookupError, TypeError, ValueError where columns do not fit each other."""
+    if not usual.keys:
+        raise ValueError("no encoders")
+    for i in range(len(usual.keys)):
+        vectors, common = usual.seen(i)
+        if vectors.ndim != 2 or common.shape != (len(vectors),) or not np.isfinite(vectors).all():
+            raise ValueError(f"vectors_{i}")
+    _check_texts(usual.columns)
+
+
+def check_scenes(shard: Shard) -> None:
+    """The same of a shard."""
+    a = shard.arrays
+    units, objects, views = len(a["starts"]) - 1, len(a["share"]), len(a["places"])
+    _ends(a["unit_starts"], units, least=1)
+    _ends(a["starts"], objects, least=1)
+    _ends(a["place_starts"], views)
+    shapes = {"panoramas": (views, BANDS, TURNS), "places": (views, 2), "share": (objects,)}
+    for i in range(len(shard.usual.keys)):
+        known, d = len(a[f"scales_{i}"]), shard.usual.seen(i)[0].shape[1]
+        shapes |= {f"vectors_{i}": (known, d), f"means_{i}": (units, d), f"code_{i}": (objects,)}
+        _rows(f"code_{i}", a[f"code_{i}"], known)
+    if "order" in a:  # scenes, not the homes beside them
+        shapes |= {"order": (objects,), "stands": (len(a["stands"]), 6)}
+        _check_told(shard)
+    for name, shape in shapes.items():
+        if a[name].shape != shape:
+            raise ValueError(f"{name} is {a[name].shape}, not {shape}")
+    many = np.repeat(np.diff(a["starts"]), np.diff(a["place_starts"]))
+    if views and (a["panoramas"].reshape(views, -1).max(axis=1) > many).any():
+        raise ValueError("panoramas point outside the objects")
+
+
+def _check_told(shard: Shard) -> None:
+    a, count = shard.arrays, len(shard)
+    _ends(a["stand_starts"], len(a["stands"]))
+    for name in STRINGS:
+        starts = a[f"{name}_starts"]
+        _ends(starts, int(starts[-1]))
+        if int(starts[-1]) > a[name].size or len(starts) != count + 1:
+            raise ValueError(name)
+    if len(a["stand_starts"]) != count + 1 or not np.isfinite(a["stands"]).all():
+        raise ValueError("stands")
+    _check_texts(shard.columns)
+    if shard.columns.scenes != count:
+        raise ValueError("texts are of other scenes")
+
+
+def _ends(starts: NDArray[Any], total: int, least: int = 0) -> None:
+    """Raise `ValueError` where runs do not begin at 0, shrink, or end elsewhere."""
+    ends = (int(starts[0]), int(starts[-1])) if starts.ndim == 1 and len(starts) > 1 else None
+    if starts.dtype != np.int64 or ends != (0, total) or (np.diff(starts) < least).any():
+        raise ValueError("runs do not fit what they are of")
+
+
+def _rows(name: str, rows: NDArray[Any], count: int) -> None:
+    """Raise `ValueError` where integers are no rows of so many."""
+    if rows.size and not (rows.dtype.kind == "i" and rows.min() >= 0 and rows.max() < count):
+        raise ValueError(f"{name} points outside what it is of")
+
+
+def _check_texts(c: Columns) -> None:
+    """Raise `ValueError` where columns of texts do not fit each other."""
+    count = len(c.scene)
+    for of, words in ((c.of_labels, len(c.labels)), (c.of_triples, len(c.triples))):
+        _ends(of.starts, len(of.units))
+        if len(of.starts) - 1 != words or len(of.counts) != len(of.units):
+            raise ValueError("postings of texts")
+        _rows("postings", of.units, count)
+    rows = len(c.looks) - len(c.of_labels.units), len(c.room_looks) - count
+    lengths = {len(c.much) - count, len(c.rooms) - count, len(c.whole) - count, *rows}
+    ascending = np.array_equal(np.unique(c.scene), np.arange(c.scenes))
+    if lengths != {0} or not ascending or (np.diff(c.scene) < 0).any():
+        raise ValueError("columns of texts are of different lengths")
+    for numbers, least in (
+        (c.of_labels.counts, 0),
+        (c.of_triples.counts, 0),
+        (c.much, 1),
+        (c.rooms, 0),
+    ):
+        if not ((numbers >= least) & (numbers < np.inf)).all():
+            raise ValueError("numbers of texts")
+    for name, rows, many in zip(
+        ("subjects", "relations", "targets"), c.triples.T,
+        (len(c.labels), len(c.relations), len(c.labels)), strict=True,
+    ):  # fmt: skip
+        _rows(name, rows, many)
+
+
+KIND, VERSION = "shard", 1
+"""Of map files."""
+HEAD, BESIDE = "usual.shard", "beside.shard"
+"""What is usual and which shards there are, written last; the homes that no library has."""
+MEND = "Make the shards again with `placegraph library shard`."
+FEW = 5_000
+"""Vectors of a shard that all are compared with every word of a query: those of labels are so few."""
+
+
+@dataclass(frozen=True, eq=False)
+class Usual:
+    """What is usual in homes, the same for all shards: looks and names of things, and texts."""
+
+    meta: Mapping[str, Any]
+    arrays: Mapping[str, NDArray[Any]]
+    keys: Sequence[str]
+
+    def seen(self, i: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Vectors (B, d) that are seen anywhere, and the share (B,) of each, to encoder i."""
+        return self.arrays[f"vectors_{i}"], self.arrays[f"common_{i}"]
+
+    def mean(self, i: int) -> NDArray[np.float32]:
+        """(d,) of these."""
+        vectors, common = self.seen(i)
+        return np.asarray(common @ vectors)
+
+    @cached_property
+    def columns(self) -> Columns:
+        """Scenes that say what is usual in a text."""
+        return columns_in(self.meta, self.arrays)
+
+    def vocabulary(self, i: int, own: NDArray[np.float32], code: NDArray[np.int32]) -> Vocabulary:
+        """Vocabulary of objects with rows (M,) of vectors (U, d), in which what is usual comes last."""
+        vectors, common = self.seen(i)
+        every = np.concatenate([own, vectors])
+        unknown = np.flatnonzero(~every.any(axis=1))
+        return Vocabulary(every, unknown, code, np.arange(len(own), len(every)), common)
+
+
+@dataclass(frozen=True, eq=False)
+class Shard:
+    """Mapped columns of S scenes; everything that is derived of all of them is on disk."""
+
+    meta: Mapping[str, Any]
+    arrays: Mapping[str, NDArray[Any]]
+    usual: Usual
+    folder: Path = Path()
+    """To which paths of maps are relative."""
+    watch: Watch | None = None
+    """Of the file that columns are windows on."""
+
+    @classmethod
+    def open(cls, path: Path, usual: Usual) -> Shard:
+        """Map a shard; its checksum is compared, and what its columns point to.
+
+        Raises `InputError` where it is not there, `MapError` where it is damaged, newer or none.
+        """
+        file = read_map(path, KIND, VERSION, [b.name for b in read_header(path).blocks])
+        with sound(path, MEND):
+            # compiled code takes what is written to as any array; these are small
+            own = ("share", "starts", *(f"code_{i}" for i in range(len(usual.keys))))
+            arrays = file.arrays | {n: np.array(file.arrays[n]) for n in own}
+            shard = cls(file.meta, arrays, usual, path.parent, file.watch)
+            check_scenes(shard)
+        return shard
+
+    def check(self) -> None:
+        """Raise `MapError` where the file was changed since, instead of replaced."""
+        if self.watch is not None:
+            self.watch.check()
+
+    def __len__(self) -> int:
+        return len(self.arrays["unit_starts"]) - 1
+
+    def string(self, column: str, row: int) -> str:
+        """What a column of strings says of a scene."""
+        starts = self.arrays[f"{column}_starts"]
+        part = self.arrays[column][starts[row] : starts[row + 1]]
+        return bytes(part).decode("utf-8", "replace")
+
+    def strings(self, column: str) -> list[str]:
+        """What it says of all scenes."""
+        blob = self.arrays[column].tobytes()
+        ends = self.arrays[f"{column}_starts"].tolist()
+        return [blob[a:b].decode("utf-8", "replace") for a, b in itertools.pairwise(ends)]
+
+    def signature(self, row: int, scene: Scene) -> Signature:
+        """Signature of a scene, with what only its map says of it."""
+        a = self.arrays
+        first, last = a["unit_starts"][row : row + 2]
+        objects = np.arange(a["starts"][first], a["starts"][last])
+        views = slice(*a["place_starts"][[first, last]])
+        order = a["order"][objects].astype(np.int64)
+        if not np.array_equal(np.sort(order), np.arange(len(scene))):
+            raise MapError(
+                f"{scene.source} has other objects than its shard; make the shards again."
+            )
+        at, part, panoramas = len(order), np.zeros(len(order), np.int32), []
+        numbers = {}
+        for number, unit_ in enumerate(range(first, last)):
+            own = a["order"][a["starts"][unit_] : a["starts"][unit_ + 1]]
+            part[own], numbers[unit_] = number, np.append(own, at)
+            seen = a["panoramas"][a["place_starts"][unit_] : a["place_starts"][unit_ + 1]]
+            panoramas.append(numbers[unit_][seen].astype(np.uint16))
+        back = np.argsort(order)
+        share = np.square(a["share"][objects])[back]
+        counts = np.diff(a["place_starts"])[first:last]
+        return Signature(
+            graph=replace(scene.graph, embeddings=None),
+            attributes=with_colours(scene),
+            vectors={k: self.vectors(i, objects)[back] for i, k in enumerate(self.usual.keys)},
+            share=share / share.sum(),
+            places=np.array(a["places"][views]),
+            panoramas=np.concatenate(panoramas),
+            part=part,
+            place_part=np.repeat(np.arange(len(counts), dtype=np.int32), counts),
+        )
+
+    @cached_property
+    def columns(self) -> Columns:
+        """As texts ask for them."""
+        return columns_in(self.meta, self.arrays)
+
+    def promising(
+        self, query: Query, options: SearchOptions
+    ) -> tuple[NDArray[np.float64] | None, NDArray[np.float64] | None]:
+        """How promising (S,) each scene is by encoders of few vectors, and by those of many.
+
+        By the first it is what the frames say of all that it holds: no finalist of an exhaustive
+        search is missing among the best. By the others, how like its mean is to what was seen.
+        """
+        a = self.arrays
+        few: NDArray[Any] | None = None
+        many: NDArray[Any] | None = None
+        for i, key in enumerate(self.usual.keys):
+            for said in (s for s in query.said if s.key == key):
+                if len(a[f"vectors_{i}"]) <= FEW:
+                    told = ratio(said, self._all(i), options)
+                    patches = patch_weights(said, len(query), options)
+                    weight = np.bincount(said.word, patches, len(said.words))
+                    units = held(
+                        told, a[f"code_{i}"], a["share"], a["starts"], weight, options.wrong
+                    )
+                    few = units if few is None else few + units
+                else:
+                    counts = np.bincount(said.word, minlength=len(said.words))
+                    seen = counts @ said.words / len(said.word) - self.usual.mean(i)
+                    near = a[f"means_{i}"] @ seen.astype(np.float32)
+                    many = near if many is None else many + near
+        first = a["unit_starts"][:-1]
+        best = [w if w is None else np.maximum.reduceat(w, first) for w in (few, many)]
+        return best[0], best[1]
+
+    def _all(self, i: int) -> Vocabulary:
+        if i not in self._kept:
+            own = from_8_bits(self.arrays[f"vectors_{i}"], self.arrays[f"scales_{i}"])
+            self._kept[i] = self.usual.vocabulary(i, unit(own), self.arrays[f"code_{i}"])
+        return self._kept[i]
+
+    @cached_property
+    def _kept(self) -> dict[int, Vocabulary]:
+        """Few vectors, unpacked."""
+        return {}
+
+    def vectors(self, i: int, objects: NDArray[np.int64]) -> NDArray[np.float32]:
+        """Vectors (M, d) of some objects."""
+        rows = self.arrays[f"code_{i}"][objects]
+        return unit(
+            from_8_bits(self.arrays[f"vectors_{i}"][rows], self.arrays[f"scales_{i}"][rows])
+        )
+
+
+def together(picks: Sequence[tuple[Shard, NDArray[np.int64]]]) -> Index:
+    """Index of some scenes (rows ascending) of several shards, in this order."""
+    usual = picks[0][0].usual
+    parts: list[dict[str, NDArray[Any]]] = []
+    vectors: list[list[NDArray[np.float32]]] = []
+    for shard, rows in picks:
+        a = shard.arrays
+        units = runs(a["unit_starts"], rows)
+        objects, places = runs(a["starts"], units), runs(a["place_starts"], units)
+        parts.append({
+            "owner": np.diff(a["unit_starts"])[rows],
+            "objects": np.diff(a["starts"])[units],
+            "share": a["share"][objects],
+            "views": np.diff(a["place_starts"])[units],
+            "places": a["places"][places],
+            "panoramas": a["panoramas"][places],
+        })  # fmt: skip
+        vectors.append([shard.vectors(i, objects) for i in range(len(usual.keys))])
+    whole = {name: np.concatenate([p[name] for p in parts]) for name in parts[0]}
+    every = [np.concatenate(own) for own in zip(*vectors, strict=True)]
+    return Index(
+        owner=np.repeat(np.arange(len(whole["owner"])), whole["owner"]),
+        starts=starts_of(whole["objects"]),
+        share=whole["share"],
+        vocabularies={
+            key: usual.vocabulary(i, every[i], np.arange(len(every[i]), dtype=np.int32))
+            for i, key in enumerate(usual.keys)
+        },
+        place_starts=starts_of(whole["views"]),
+        places=whole["places"],
+        panoramas=whole["panoramas"],
+    )
+
+
+def unit(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Unit vectors (N, d) of these, zero ones as they are."""
+    lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.asarray(vectors / np.where(lengths > 1e-6, lengths, np.inf), np.float32)
+
+
+def columns_in(meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Columns:
+    """Columns of texts as `shard_write.of_texts` wrote them."""
+    a = {name.removeprefix("text_"): v for name, v in arrays.items() if name.startswith("text_")}
+    return Columns(
+        labels=tuple(map(str, meta["labels"])),
+        relations=tuple(map(str, meta["relations"])),
+        of_labels=Postings(a["label_starts"], a["label_units"], a["label_counts"]),
+        of_triples=Postings(a["triple_starts"], a["triple_units"], a["triple_counts"]),
+        triples=a["triples"], looks=a["looks"], room_looks=a["room_looks"], much=a["much"],
+        rooms=a["rooms"], whole=a["whole"], scene=a["scene"], scenes=int(meta["scenes"]),
+    )  # fmt: skip
+
 
 _OPEN = 64
 """Maps kept open."""
 
 
 @dataclass(frozen=True, eq=False)
-class SceneShards(Asked):
+class SceneShards(SceneCollection):
     """Scenes in shards, asked as a library is; `shard_write.write_shards` makes them.
 
     By rows. Of more scenes than `SearchOptions.shortlist` half as many by labels, and as many by

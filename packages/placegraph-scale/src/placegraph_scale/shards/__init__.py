@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from placegraph_scale.shards.finish import finish
-from placegraph_scale.shards.folder import WorldFile
+from placegraph_scale.folder import WorldFile
+from placegraph_scale.shards.words import finish
 
 __all__ = ["WorldFile", "finish"]

@@ -1,32 +1,330 @@
-"""From a query to a posterior over all viewpoints of a world, shard after shard.
+"""What a shard can weigh at most for what was said, by the table of words alone.
 
-Shards come in the order of what they can hold. The search ends where all that were not looked into
-cannot together change the answer, or where the time is over. Candidates of all shards are ranked
-together, scored, looked at more closely and weighed, as those of one city are.
+The likelihood ratio of a viewpoint is at most a product over statements of 1 + gain * p for a thing
+and the speaker, or 1 + gain * q * p * p' for two things, where p is the share that a mention has of
+all in sight. No share is larger than the largest in the shard. And since shares are of one whole, those
+of labels together are no more than `spread`: without that, six common words would outweigh a rare
+name. The largest product under both is bounded by Lagrange's dual, which separates the mentions.
+
+What counts is not the best viewpoint but what all of them weigh, and few have much of a rare thing in
+sight: the table knows the mean share of each word. By Hölder's inequality the mean of a product of
+functions, one of each mention, is at most the product of the k-norms of k of them and of the largest
+values of all others; and the mean of a function of a share is at most that of a line above it.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 from time import monotonic
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from placegraph.outdoor.language.description import Relation
+from placegraph.outdoor.likelihood.match_kernels import ME, SLACK
+from placegraph.outdoor.likelihood.query import OPERATION
 from placegraph.outdoor.map.index import REACH
-from placegraph.outdoor.search.candidates import DRAWN, FAR_REACH
-from placegraph.outdoor.search.posterior import ELSEWHERE
-from placegraph_scale.shards.bounds import most
-from placegraph_scale.shards.lexicon import distance
-from placegraph_scale.shards.merged import Look, Merged
-from placegraph_scale.shards.workers import Lost, Task
+from placegraph.outdoor.search.candidates import DRAWN, FAR_REACH, MOST_CANDIDATES, ranks
+from placegraph.outdoor.search.posterior import CLOSER, ELSEWHERE, FEWEST, WITHIN, are_enough
+from placegraph_scale.shards.steps import distance, joined_columns, own_bounds
+from placegraph_scale.shards.workers import Crew, Lost, Source, Task
 
 if TYPE_CHECKING:
-    from placegraph_scale.shards.steps import Asked, Fix
-    from placegraph_scale.shards.table import WordTable
-    from placegraph_scale.shards.workers import Crew, Source
+    from placegraph.outdoor.likelihood.query import Query
+    from placegraph_scale.shards.steps import (
+        Asked,
+        Compared,
+        Fix,
+        Proposed,
+    )
+    from placegraph_scale.shards.words import WordTable
+
+_SHARES = np.concatenate(([0.0], np.geomspace(1e-6, 8.0, 64)))
+"""Shares at which the parts of the dual are looked up ..."""
+_BELOW = np.concatenate(([0.0], _SHARES[:-1]))
+"""... a share between two of them pays for the lower ..."""
+_PRICES = np.concatenate(([0.0], np.geomspace(0.25, 64.0, 17)))
+"""... and prices of a share [nat]: every one gives a bound, and the least of them is taken."""
+_NORMS = (1, 2, 3, 4, 6)
+"""So many mentions are bounded by their means."""
+_TOGETHER = 4096
+"""Shards whose bounds are reckoned at once."""
+
+
+class Held(NamedTuple):
+    """What viewpoints of each shard have of each mention in sight."""
+
+    peaks: NDArray[np.float64]
+    """(N, M) largest share of all in sight ..."""
+    means: NDArray[np.float64]
+    """... and the mean share."""
+    labelled: NDArray[np.bool_]
+    """(M,) which mentions stand for labels alone."""
+    budget: NDArray[np.float64]
+    """(N,) largest sum of the shares of those."""
+
+
+def most(query: Query, table: WordTable, *, even: bool) -> NDArray[np.float64]:
+    """Log of what the mean viewpoint (N,) of each shard can weigh at most; -inf: nothing at all.
+
+    Of the best viewpoint, where they are not all as likely beforehand (`even`).
+    """
+    held, pairs = _held(query, table), _statements(query)
+    patterns, which = np.unique(held.peaks > 0.0, axis=0, return_inverse=True)
+    found = np.full(len(table), -np.inf)
+    for k, there in enumerate(patterns):
+        rows = np.flatnonzero(which.ravel() == k)
+        heard = [s for s in pairs if all(m == ME or there[m] for m in s[1:3])]
+        if heard:
+            pull = float(table.pull[rows].max())
+            found[rows] = _dual(held, rows, _worth(heard, len(there), pull), even=even)
+    return found + query.statements.floor + SLACK
+
+
+def _held(query: Query, table: WordTable) -> Held:
+    starts, tokens, weights = query.mentions
+    peaks = np.zeros((len(table), len(starts) - 1))
+    means = np.zeros_like(peaks)
+    for m, (first, last) in enumerate(itertools.pairwise(starts.tolist())):
+        for k in range(first, last):
+            held = table.of(int(tokens[k]))
+            peaks[held.shards, m] += weights[k] * held.peak
+            means[held.shards, m] += weights[k] * held.shares
+    labels = tokens < len(table.labels)
+    labelled = np.array([labels[a:b].all() for a, b in itertools.pairwise(starts.tolist())], bool)
+    peaks = np.where(labelled, np.minimum(peaks, table.spread[:, None]), peaks)
+    means /= np.maximum(table.viewpoints, 1)[:, None]
+    # how often one label counts at most: several mentions may stand for it
+    twice = np.bincount(tokens[labels], weights[labels]) if labels.any() else np.ones(1)
+    return Held(peaks, means, labelled, table.spread * float(twice.max()))
+
+
+def _statements(query: Query) -> list[tuple[float, int, int]]:
+    """Gain of each statement that can speak for a place, and the two mentions that it is about."""
+    columns, found = query.statements, []
+    between = OPERATION[Relation.BETWEEN]
+    for s, gain in enumerate(columns.gain.tolist()):
+        a, b = int(columns.source[s]), int(columns.target[s])
+        if columns.op[s] == between and a == ME:
+            a = int(columns.target2[s])
+        if not columns.negated[s] and a != b:
+            found.append((gain, a, b))
+    return found
+
+
+def _worth(heard: list[tuple[float, int, int]], mentions: int, pull: float) -> NDArray[np.float64]:
+    """What each mention adds to the log (M, J) where it has a share of all in sight."""
+    of = np.zeros((mentions, len(_SHARES)))
+    for gain, a, b in heard:
+        for m in (a, b):
+            if ME in (a, b) and m != ME:
+                of[m] += np.log1p(gain * np.minimum(1.0, _SHARES))
+            elif m != ME:  # (1 + g p p')^2 <= (1 + g p^2) (1 + g p'^2)
+                of[m] += 0.5 * np.log1p(gain * pull * _SHARES**2)
+    return of
+
+
+def _dual(
+    held: Held, rows: NDArray[np.int64], of: NDArray[np.float64], *, even: bool
+) -> NDArray[np.float64]:
+    """Bounds of the shards in `rows`, all of which have the same mentions."""
+    best = np.empty(len(rows))
+    worth = of - _PRICES[:, None, None] * _BELOW * held.labelled[:, None]
+    for part in (slice(k, k + _TOGETHER) for k in range(0, len(rows), _TOGETHER)):
+        mine = rows[part]
+        at = np.minimum(np.searchsorted(_SHARES, held.peaks[mine]), len(_SHARES) - 1).T
+        largest = _upto(worth, at)
+        total = _PRICES[:, None] * held.budget[mine] + largest.sum(axis=1)
+        best[part] = total.min(axis=0)
+        for k in _NORMS if even else ():
+            saved = np.maximum(largest - _norms(worth, at, held.means[mine].T, k), 0.0)
+            saved = np.sort(saved, axis=1)[:, -k:].sum(axis=1)
+            best[part] = np.minimum(best[part], (total - saved).min(axis=0))
+    return best
+
+
+def _norms(
+    worth: NDArray[np.float64], at: NDArray[np.int64], means: NDArray[np.float64], k: int
+) -> NDArray[np.float64]:
+    """Log of the k-norm (P, M, N) over viewpoints, at most, of e to what mentions are `worth` (P, M, J)."""
+    slope = np.zeros_like(worth)
+    with np.errstate(over="ignore", invalid="ignore"):  # a value too large bounds nothing
+        value = np.exp(k * worth)
+        first = np.maximum(1.0, value[..., :2].max(axis=2, keepdims=True))
+        slope[..., 2:] = (value[..., 2:] - first) / _BELOW[2:]
+        found = np.log(first + means * np.maximum(_upto(slope, at), 0.0)) / k
+    return np.where(np.isfinite(found), found, np.inf)
+
+
+def _upto(table: NDArray[np.float64], at: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Largest (P, M, N) of each row of a table (P, M, J) up to places (M, N)."""
+    found: NDArray[np.float64] = np.maximum.accumulate(table, axis=2)[
+        :, np.arange(len(at))[:, None], at
+    ]
+    return found
+
+
+class Look(NamedTuple):
+    """A closer look around some candidates of a shard."""
+
+    at: NDArray[np.int64]
+    """(B,) rows among its candidates."""
+    positions: NDArray[np.float64]
+    """(B, 9, 2) in its plane [m]."""
+    scores: NDArray[np.float64]
+    """(B, 9) log-likelihood ratios."""
+
+
+class Ranked(NamedTuple):
+    """Candidates that count: the most promising first, then those that stand for all others."""
+
+    shard: NDArray[np.int64]
+    """(K,)"""
+    at: NDArray[np.int64]
+    """(K,) row among the candidates of that shard ..."""
+    of_all: NDArray[np.int64]
+    """(K,) ... and among those of all shards, in order of the shards."""
+    log_prior: NDArray[np.float64]
+    """(K,)"""
+    stands: NDArray[np.float64]
+    """(K,) as of `Candidates`."""
+
+
+@dataclass(eq=False)
+class Merged:
+    """What shards proposed, and what became of it."""
+
+    asked: Asked
+    proposals: dict[int, Proposed] = field(default_factory=dict)
+    scores: dict[int, NDArray[np.float64]] = field(default_factory=dict)
+    """Of each candidate of a shard; -inf where it was not compared."""
+    positions: dict[int, NDArray[np.float64]] = field(default_factory=dict)
+    """(K, 2) of each candidate of a shard in its plane [m]; NaN where it was not compared."""
+    told: int = FEWEST
+    """So many of those that stand for others are compared."""
+    looks: dict[int, Look] = field(default_factory=dict)
+    """The closer look that was taken in a shard."""
+
+    def add(self, row: int, proposed: Proposed) -> None:
+        """What a shard proposes."""
+        self.proposals[row] = proposed
+        self.scores[row] = np.full(len(proposed.rows), -np.inf)
+        self.positions[row] = np.full((len(proposed.rows), 2), np.nan)
+        if proposed.scored is not None:
+            self.scored(row, *proposed.scored)
+        self.__dict__.pop("ranked", None)
+
+    def dropped(self, rows: Iterable[int]) -> None:
+        """Shards that are lost after all."""
+        for row in rows:
+            of: dict[int, Any]
+            for of in (self.proposals, self.scores, self.positions, self.looks):
+                of.pop(row, None)
+        self.__dict__.pop("ranked", None)
+
+    @cached_property
+    def ranked(self) -> Ranked:
+        """Candidates of largest bound among those of all shards, and some that stand for all others."""
+        given, highest = sorted(self.proposals.items()), self.highest
+        scale = [np.exp(p.highest - highest) for _, p in given]
+        bounds = joined_columns([p.bounds * s for (_, p), s in zip(given, scale, strict=True)])
+        rows, stands = ranks(bounds, joined_columns([p.stands for _, p in given]), MOST_CANDIDATES)
+        return Ranked(
+            joined_columns([np.full(len(p.rows), r) for r, p in given], np.int64)[rows],
+            joined_columns([np.arange(len(p.rows)) for _, p in given], np.int64)[rows],
+            rows, joined_columns([p.log_prior for _, p in given])[rows], stands,
+        )  # fmt: skip
+
+    @property
+    def highest(self) -> float:
+        """Largest log prior of a viewpoint."""
+        return max((p.highest for p in self.proposals.values()), default=-np.inf)
+
+    @property
+    def least(self) -> float:
+        """Log of a bound times the prior from which on candidates count, however many more there are."""
+        told = np.sort(joined_columns([own_bounds(p) for p in self.proposals.values()]))
+        return float(told[-MOST_CANDIDATES]) if len(told) >= MOST_CANDIDATES else -np.inf
+
+    def unscored(self, told: int) -> Iterator[tuple[int, NDArray[np.int64]]]:
+        """Shards, and rows among their candidates, that count and were not compared.
+
+        Of those that stand for others so many are `told`.
+        """
+        count = np.count_nonzero(self.ranked.stands == 0.0) + told
+        shard, rows = self.ranked.shard[:count], self.ranked.at[:count]
+        for row in np.unique(shard).tolist():
+            at = np.unique(rows[shard == row])
+            at = at[np.isnan(self.positions[row][at, 0])]
+            if len(at):
+                yield row, at
+
+    def best(self) -> Iterator[tuple[int, NDArray[np.int64]]]:
+        """Shards, and rows among their candidates, that a closer look is worth."""
+        weights = self.values() + self.ranked.log_prior
+        order = np.argsort(-weights, kind="stable")[:CLOSER]
+        order = order[weights[order] > -np.inf]
+        for row in dict.fromkeys(self.ranked.shard[order].tolist()):
+            yield row, self.ranked.at[order[self.ranked.shard[order] == row]]
+
+    def more(self) -> bool:
+        """Whether chance has its say as yet: four times as many for others are to be `told` then."""
+        here = self.values() + self.ranked.log_prior
+        if self.weight == -np.inf:
+            return False
+        best = int(np.argmax(here))
+        row = int(self.ranked.shard[best])
+        mine = (self.ranked.shard == row) & (here > -np.inf)
+        positions = self.positions[row][self.ranked.at[mine]]
+        delta = positions - self.positions[row][self.ranked.at[best]]
+        near = np.exp(here[mine] - self.weight) @ (np.hypot(*delta.T) <= WITHIN)
+        weights, drawn = self._others()
+        if are_enough(np.exp(weights - self.weight), drawn, float(near)):
+            return False
+        self.told *= 4
+        return True
+
+    def _others(self) -> tuple[NDArray[np.float64], int]:
+        """What those that stand for others weigh, as far as they are told (log), and how many there are."""
+        ranked, others = self.ranked, self.ranked.stands > 0.0
+        scores = self._of(self.scores)[others][: self.told]
+        weights = (
+            scores
+            + (ranked.log_prior + np.log(np.maximum(ranked.stands, 1e-300)))[others][: self.told]
+        )
+        return weights[scores > -np.inf], int(np.count_nonzero(others))
+
+    def scored(self, row: int, at: NDArray[np.int64], compared: Compared) -> None:
+        """What comparing candidates of a shard came to."""
+        self.scores[row][at], self.positions[row][at] = compared
+
+    def values(self) -> NDArray[np.float64]:
+        """Scores (K,) of the ranked; -inf of those that stand for others."""
+        return np.where(self.ranked.stands > 0.0, -np.inf, self._of(self.scores))
+
+    def _of(self, columns: dict[int, NDArray[np.float64]]) -> NDArray[np.float64]:
+        """A column (K,) of the ranked."""
+        return joined_columns([columns[row] for row in sorted(columns)])[self.ranked.of_all]
+
+    @property
+    def weight(self) -> float:
+        """Log of what all that was scored weighs together."""
+        if not self.proposals:
+            return -np.inf
+        return float(np.logaddexp.reduce(self.values() + self.ranked.log_prior, initial=-np.inf))
+
+    def rest(self) -> float:
+        """Log of what all other viewpoints of these shards weigh; as `viewpoints.score` has it."""
+        weights, drawn = self._others()
+        scale = np.log(drawn / max(1, len(weights))) if drawn else 0.0
+        ranked = self.ranked
+        share = float(np.exp(ranked.log_prior) @ np.where(ranked.stands > 0.0, ranked.stands, 1.0))
+        unseen = self.asked.query.statements.floor + np.log(max(1e-12, 1.0 - share))
+        return float(np.logaddexp.reduce(weights + scale, initial=unseen))
 
 
 NEGLIGIBLE = 0.002

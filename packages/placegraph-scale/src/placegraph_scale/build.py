@@ -1,0 +1,502 @@
+"""Builds of worlds in shards from extracts of any size."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import closing
+from dataclasses import asdict, dataclass, replace
+from itertools import islice
+from multiprocessing import get_context
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from placegraph.core import files as locks
+from placegraph.core.files import cannot_write, write_file
+from placegraph.core.geo import check_zoom
+from placegraph.core.threads import end_with_parent, processors
+from placegraph.errors import InputError, MapError, OptionError, ServiceError
+from placegraph.io.osm.osm import checked_osm
+from placegraph.io.osm.urls import all_on_disk, is_url, size_of
+from placegraph.outdoor.map.cells import LARGEST, SMALLEST
+from placegraph_scale.folder import bring, digest_of
+from placegraph_scale.shards import WorldFile, finish
+from placegraph_scale.shards.words import keep, kept
+from placegraph_scale.shards.workers import connected
+from placegraph_scale.tiles import (
+    Split,
+    TileDone,
+    TileJob,
+    build_tile,
+    no_room,
+    split,
+    spread_large,
+)
+
+Task = TypeVar("Task")
+Made = TypeVar("Made")
+
+
+TRIES = 3
+"""A task is given up when so many of its workers were killed."""
+
+
+def done(
+    work: Callable[[Task], Made], tasks: Sequence[Task], workers: int, scheduler: str | None = None
+) -> Generator[tuple[int, Made]]:
+    """Numbers and results of all tasks, in the order in which they are done; close it if you leave it.
+
+    Parameters
+    ----------
+    work
+        Function of a module, so that other processes find it.
+    tasks
+        What it is called with, once each; again where a worker was killed.
+    workers
+        Processes of this machine; 1: this one itself.
+    scheduler
+        Address of a Dask scheduler (``tcp://host:port``), whose workers do it instead.
+
+    Raises
+    ------
+    MissingExtraError
+        Dask is wanted, and not installed.
+    MapError
+        A task's worker was killed again and again.
+    OptionError
+        `workers` is less than 1.
+    ServiceError
+        The scheduler does not answer, or is of another version.
+
+    """
+    if workers < 1:
+        raise OptionError(f"workers is {workers}; give at least 1.")
+    if scheduler is not None:
+        return _on_cluster(work, tasks, scheduler)
+    if workers == 1 or len(tasks) < 2:
+        return (pair for pair in enumerate(map(work, tasks)))
+    return _in_processes(work, tasks, workers)
+
+
+def _in_processes(
+    work: Callable[[Task], Made], tasks: Sequence[Task], workers: int
+) -> Generator[tuple[int, Made]]:
+    """Results from processes of this machine; new ones take the place of those that were killed."""
+    left, killed = dict(enumerate(tasks)), 0
+    while left:
+        before = len(left)
+        try:
+            with ProcessPoolExecutor(workers, get_context("spawn"), end_with_parent) as pool:
+                try:
+                    for number, result in _answers(pool, work, left, workers):
+                        del left[number]
+                        yield number, result
+                except BaseException:
+                    pool.shutdown(wait=False, cancel_futures=True)
+                    raise
+        except BrokenProcessPool as error:
+            killed = killed + 1 if len(left) == before else 1
+            if killed == TRIES:
+                raise _killed(next(iter(left.values())), "Give fewer --workers") from error
+
+
+def _answers(
+    pool: ProcessPoolExecutor, work: Callable[[Task], Made], tasks: dict[int, Task], workers: int
+) -> Iterator[tuple[int, Made]]:
+    """Numbers and results; few wait in the pool at a time, so that the first that fails ends it."""
+    rest = iter(list(tasks.items()))
+    waiting = {pool.submit(work, task): n for n, task in islice(rest, 2 * workers)}
+    while waiting:
+        ready, _ = wait(waiting, return_when=FIRST_COMPLETED)
+        for future in ready:
+            number = waiting.pop(future)
+            for n, task in islice(rest, 1):
+                waiting[pool.submit(work, task)] = n
+            yield number, future.result()
+
+
+def _on_cluster(
+    work: Callable[[Task], Made], tasks: Sequence[Task], scheduler: str
+) -> Generator[tuple[int, Made]]:
+    """Results from the workers of a Dask scheduler, which gives a killed one's tasks to others."""
+    client = connected(scheduler)
+    import distributed
+
+    try:
+        rest = iter(enumerate(tasks))
+        running, numbers = distributed.as_completed(loop=client.loop), {}
+
+        def start(most: int) -> None:
+            for n, task in islice(rest, most):
+                future = client.submit(work, task, pure=False)
+                numbers[future.key] = n
+                running.add(future)
+
+        start(4 * max(1, len(client.scheduler_info(n_workers=-1)["workers"])))
+        for future in running:
+            result = _result(distributed, future)
+            start(1)
+            yield numbers.pop(future.key), result
+    finally:
+        client.close()
+
+
+def _result(distributed: Any, future: Any) -> Any:  # noqa: ANN401  # Dask has no types
+    try:
+        return future.result()
+    except distributed.scheduler.KilledWorker as error:
+        raise _killed(future.key, "Give workers more memory") from error
+    except (distributed.CancelledError, distributed.comm.CommClosedError) as error:
+        raise ServiceError(
+            f"The scheduler went away ({error}); start it and the same command again, which goes on "
+            "where it stopped."
+        ) from error
+
+
+def _killed(task: object, mend: str) -> MapError:
+    key = getattr(task, "key", task)
+    return MapError(
+        f"{key}, or a task beside it: its worker was killed {TRIES} times, as it is where memory is "
+        f"short. {mend}, or choose a higher --zoom (smaller tiles); what is finished stays."
+    )
+
+
+def told(path: Path) -> dict[str, Any]:
+    """What a file of a build says; `MapError` where it is damaged."""
+    try:
+        found = json.loads(path.read_bytes())
+    except ValueError:
+        found = None
+    if not isinstance(found, dict):
+        raise MapError(f"{path} is damaged; remove {path.parent}, and run the same command again.")
+    return found
+
+
+def sha256_of(path: Path) -> str:
+    """SHA-256 of a file, in hexadecimal."""
+    with path.open("rb") as file:
+        os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_SEQUENTIAL)
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def plan_of(extracts: Iterable[Path], options: BuildOptions) -> dict[str, Any]:
+    """What a build depends on; if any of it changes, it is another build."""
+    known = asdict(options)
+    for name in ("workers", "scheduler", "vocabulary", "work"):
+        del known[name]
+    words = hashlib.sha256()
+    if options.vocabulary is not None:
+        for path in sorted(options.vocabulary.iterdir()):
+            words.update(path.name.encode() + path.read_bytes())
+    return {
+        "extracts": [[path.name, path.stat().st_size, sha256_of(path)] for path in extracts],
+        "options": known,
+        "vocabulary": words.hexdigest(),
+    }
+
+
+class Journal:
+    """Tiles that are finished, and the file that says so."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.done: dict[str, TileDone] = {}
+        """By key."""
+
+    def read(self) -> None:
+        """Read what is there; a last line that was cut off is taken away."""
+        if not self.path.exists():
+            return
+        whole = 0
+        with self.path.open("rb+") as file:
+            for line in file:
+                try:
+                    made = TileDone(**json.loads(line))
+                except (ValueError, TypeError):
+                    break
+                self.done[made.key] = made
+                whole += len(line)
+            file.truncate(whole)
+
+    def add(self, made: TileDone) -> None:
+        """Write down that a tile is finished; raises `MapError` where the disk is full."""
+        line = json.dumps(asdict(made)).encode() + b"\n"
+        try:
+            with self.path.open("ab") as file:
+                file.write(line)
+                file.flush()
+                os.fsync(file.fileno())
+        except OSError as error:
+            raise no_room(self.path, error) from error
+        self.done[made.key] = made
+
+
+if TYPE_CHECKING:
+    from placegraph_scale.shards.words import Counted
+
+    Progress = Callable[[str, int, int | None], None]
+
+
+WORK, PLAN, COUNTS, EXTRACTS = ".build", "plan.json", "counts", "extracts"
+OVERLAP = 500.0
+"""Viewpoints near a rare thing are looked at up to 400 m from it, and things are in sight up to 38 m
+from a viewpoint: with this margin [m] a border changes neither."""
+ZOOM = 12
+"""Tiles of 10 km at the equator and 6 km at 50 degrees: 200,000 things in the densest cities."""
+
+
+@dataclass(frozen=True)
+class BuildOptions:
+    """How a world is cut up, and by whom it is built."""
+
+    zoom: int = ZOOM
+    """Level of the quadtree: its tiles are the cores of shards."""
+    overlap: float = OVERLAP
+    """How far shards reach beyond their cores [m]."""
+    cell_size: float = 50.0
+    """Edge of a cell [m]."""
+    stride: float | None = None
+    """Distance of neighbouring cells' centres [m]; the cell size where not given."""
+    edge_distance: float | None = None
+    """Objects of a cell nearer than this are joined [m]; the cell size where not given."""
+    vocabulary: Path | None = None
+    """Folder with edited vocabulary tables."""
+    workers: int | None = None
+    """Processes of this machine; one a processor where not given."""
+    scheduler: str | None = None
+    """Address of a Dask scheduler, whose workers see the same folders."""
+    work: Path | None = None
+    """Folder of this machine where a world is built that is brought to a URL."""
+
+    @property
+    def sizes(self) -> tuple[float, float, float]:
+        """Cells, their distance, and how far edges reach [m]."""
+        stride = self.cell_size if self.stride is None else self.stride
+        edges = self.cell_size if self.edge_distance is None else self.edge_distance
+        return self.cell_size, stride, edges
+
+    def check(self) -> None:
+        """Raise `OptionError` where something is out of its range."""
+        check_zoom(self.zoom)
+        if not 0.0 <= self.overlap <= LARGEST:
+            raise OptionError(f"overlap is {self.overlap} m; choose between 0 and 10,000 m.")
+        if not all(SMALLEST <= size <= LARGEST for size in self.sizes):
+            raise OptionError(f"sizes of cells are {self.sizes} m; choose between 1 and 10,000 m.")
+        if self.workers is not None and self.workers < 1:
+            raise OptionError(f"workers is {self.workers}; give at least 1.")
+
+
+def build_world(
+    extracts: Sequence[str | PathLike[str]],
+    folder: str | PathLike[str],
+    options: BuildOptions | None = None,
+    progress: Progress | None = None,
+) -> WorldFile:
+    """Build a folder of shards from OpenStreetMap extracts of any size.
+
+    Begun, killed and called again with the same arguments, it goes on where it stopped; the bytes of
+    the shards depend neither on that nor on how many workers there are.
+
+    Parameters
+    ----------
+    extracts
+        Files in the formats of `build_city`, or URLs of such; where they overlap, things are taken
+        once. What lies at a URL is fetched to ``WORLD/.build/extracts`` and stays there.
+    folder
+        Is made where it is missing. A URL that fsspec knows takes `BuildOptions.work`.
+    options
+        See `BuildOptions`.
+    progress
+        Is told the step, how much of it is done, and of how much.
+
+    Raises
+    ------
+    InputError
+        An extract is missing, cannot be read, changed meanwhile, or none holds anything worth naming.
+    MapError
+        The folder cannot be written, as on a full disk; what is half done in it is damaged; or a
+        worker was killed again and again.
+    MapLockedError
+        Somebody else is building there.
+    MissingExtraError, ServiceError
+        Dask, or what a URL takes, is not installed; the scheduler or a URL does not answer, or the
+        former is of another version.
+    OptionError
+        An option is out of its range, or another build was begun in this folder.
+
+    """
+    options = options or BuildOptions()
+    options.check()
+    if is_url(folder):
+        if options.work is None:
+            raise OptionError(
+                f"{folder} is a URL: name a folder of this machine (work) to build in."
+            )
+        here = replace(options, work=None)
+        return bring(build_world(extracts, options.work, here, progress), str(folder), progress)
+    if options.work is not None:
+        raise OptionError("work: it is of worlds that are brought to a URL; leave it out.")
+    tell = progress or (lambda _step, _done, _total: None)
+    target = Path(folder)
+    work = target / WORK
+    if not extracts:
+        raise OptionError("No extract is given; name at least one.")
+    for path in extracts:  # before anything is made
+        _ = size_of(str(path)) if is_url(path) else checked_osm(Path(path))
+    try:
+        (target / "shards").mkdir(parents=True, exist_ok=True)
+        work.mkdir(exist_ok=True)
+        with locks.exclusive(work / "journal.jsonl"):
+            build = _Build(target, options, tell)
+            build.begin(all_on_disk(extracts, work / EXTRACTS, tell))
+            build.split()
+            build.tiles()
+            tell("counting words", 0, None)
+            made = finish(target, options.zoom, options.overlap, build.each)
+            build.clear()
+    except OSError as error:
+        raise cannot_write(Path(error.filename or work), error) from error
+    return made
+
+
+@dataclass(frozen=True)
+class _SplitJob:
+    """An extract to be split, in a folder of its own."""
+
+    path: str
+    folder: str
+    options: BuildOptions
+
+
+def _split(job: _SplitJob, tell: Progress | None = None) -> None:
+    from placegraph.outdoor.language.vocabulary import Vocabulary
+
+    folder, options = Path(job.folder), job.options
+    folder.mkdir(exist_ok=True)
+    words = Vocabulary.load(options.vocabulary) if options.vocabulary else None
+    said = None if tell is None else lambda step, n: tell(step, n, None)
+    split(Path(job.path), folder, options.zoom, options.overlap, words, said)
+
+
+class _Build:
+    """One build in its folder, step after step."""
+
+    def __init__(self, target: Path, options: BuildOptions, tell: Progress) -> None:
+        self.target, self.options, self.tell = target, options, tell
+        self.work, self.extracts = target / WORK, [Path()]
+        self.journal = Journal(self.work / "journal.jsonl")
+        self.workers = options.workers or processors()
+
+    def begin(self, extracts: list[Path]) -> None:
+        """Take up the build that was begun here, if it is the same."""
+        self.extracts = sorted(extracts)
+        plan, path = plan_of(self.extracts, self.options), self.work / PLAN
+        if path.exists():
+            known = told(path)
+            for what in plan:
+                if known.get(what) != plan[what]:
+                    raise OptionError(
+                        f"{self.target} was begun with other {what}; build with the same, into another "
+                        f"folder, or remove {self.target} to begin anew."
+                    )
+        elif (self.target / "world.json").exists():
+            raise OptionError(
+                f"{self.target} holds a world already; build into another folder, or remove it."
+            )
+        else:  # what was built by another plan is none of ours
+            for shard in (self.target / "shards").glob("*.city"):
+                shard.unlink()
+            write_file(path, [json.dumps(plan, indent=1).encode()])
+        self.journal.read()
+
+    def split(self) -> None:
+        """Split the extracts that are not, unless what is left to be built lies there."""
+        if (self.work / "tiles.json").exists() and all(job.lies_there for job in self._missing()):
+            return
+        todo = [
+            _SplitJob(str(path), str(folder), self.options)
+            for path, folder in zip(self.extracts, self._folders("things"), strict=True)
+            if (begun := Split.read_in(folder)) is None or not begun.whole
+        ]
+        if todo:  # what touches many tiles is shared out anew as well
+            (self.work / "tiles.json").unlink(missing_ok=True)
+        if len(todo) == 1 or self.workers == 1:
+            for job in todo:
+                _split(job, self.tell)
+        else:
+            with closing(done(_split, todo, self.workers)) as parts:
+                for n, _ in enumerate(parts, 1):
+                    self.tell("splitting extracts", n, len(todo))
+
+    def each(self, work: Callable[[Path], Counted], paths: list[Path]) -> Iterator[Counted]:
+        """Words of all shards, in their order: as kept when they were built, else counted by `work`."""
+        lost = [path for path in paths if not self._counts(path.stem).exists()]
+        for n, counted in done(work, lost, self.workers, self.options.scheduler):
+            keep(counted, self._counts(lost[n].stem), digest_of(lost[n]))
+        for path in paths:
+            yield kept(self._counts(path.stem), digest_of(path)) or work(path)
+
+    def tiles(self) -> None:
+        """Build the shards that are missing, each as soon as a worker is free."""
+        (self.work / COUNTS).mkdir(exist_ok=True)
+        jobs = self._missing() if (self.work / "tiles.json").exists() else self._spread()
+        total = len(jobs)
+        with closing(done(build_tile, jobs, self.workers, self.options.scheduler)) as built:
+            for n, (row, made) in enumerate(built, 1):
+                self.journal.add(made)
+                for path, _ in jobs[row].things:
+                    Path(path).unlink(missing_ok=True)
+                self.tell("building tiles", n, total)
+        if not any(made.digest for made in self.journal.done.values()):
+            raise InputError(f"{self.extracts[0]} holds no two things that stand near each other.")
+
+    def clear(self) -> None:
+        """Remove what is of no more use: a journal and a plan are left, and take no room."""
+        for folder in (*self._folders("things"), *self._folders("large"), self.work / COUNTS):
+            shutil.rmtree(folder, ignore_errors=True)
+
+    def _counts(self, key: str) -> Path:
+        return self.work / COUNTS / key
+
+    def _folders(self, name: str) -> list[Path]:
+        return [self.work / f"{name}-{n}" for n in range(len(self.extracts))]
+
+    def _spread(self) -> list[TileJob]:
+        """Jobs of all tiles, once what touches many of them is spread over those that hold more."""
+        self.tell("sharing out what is large", 0, None)
+        splits = [Split.read_in(folder) for folder in self._folders("things")]
+        populated = sorted({key for s in splits if s for key in s.populated})
+        files: dict[str, list[tuple[str, int]]] = {key: [] for key in populated}
+        for found, things, large in zip(
+            splits, self._folders("things"), self._folders("large"), strict=True
+        ):
+            if found is None or not found.whole:
+                raise MapError(f"{things} has gone; run the same command again.")
+            shutil.rmtree(large, ignore_errors=True)
+            large.mkdir()
+            sizes = spread_large(things, large, found.sizes, populated, self.options.overlap)
+            for folder, its in ((things, found.sizes), (large, sizes)):
+                for key in its.keys() & files.keys():
+                    files[key].append((str(folder / f"{key}.things"), its[key]))
+        write_file(self.work / "tiles.json", [json.dumps(files, sort_keys=True).encode()])
+        return self._missing()
+
+    def _missing(self) -> list[TileJob]:
+        """Jobs of the tiles whose shard is not there as the journal has it, by key."""
+        source = ", ".join(path.name for path in self.extracts)
+        jobs = []
+        for key, things in sorted(told(self.work / "tiles.json").items()):
+            out = self.target / "shards" / f"{key}.city"
+            built: TileDone | None = self.journal.done.get(key)
+            if built is None or not built.stands(out):
+                named = tuple((path, size) for path, size in things)
+                margin, sizes = self.options.overlap, self.options.sizes
+                counts = str(self._counts(key))
+                jobs.append(TileJob(key, named, str(out), margin, sizes, source, counts))
+        return jobs

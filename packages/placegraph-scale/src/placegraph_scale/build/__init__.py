@@ -1,1 +1,0 @@
-"""Building worlds in shards in bounded memory."""

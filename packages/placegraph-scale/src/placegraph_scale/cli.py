@@ -1,0 +1,156 @@
+"""Commands `placegraph world build` and `placegraph library shard`."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import click
+
+from placegraph.cli.command import Argument, Option
+from placegraph.cli.common import AsJson, Quiet, echo_json, progress_of
+from placegraph.cli.library import ItsEncoders, opened
+from placegraph.cli.scene_options import NoProgress, WeightsFile
+from placegraph.core.files import real_path
+from placegraph.errors import MapError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from placegraph.indoor.library import SceneLibrary
+    from placegraph_scale.build import BuildOptions
+    from placegraph_scale.library.write import Listed
+
+
+def build(
+    files: Annotated[
+        list[str],
+        Argument(
+            help="OpenStreetMap extracts, as of `city build`, or URLs of such; they may overlap."
+        ),
+    ],
+    out: Annotated[
+        str, Option("--out", "-o", help="Folder to write, such as europe/, or URL (s3://...).")
+    ],
+    zoom: Annotated[
+        int, Option(help="Level of the quadtree: tiles of 10 km at the equator by 12.")
+    ] = 12,
+    overlap: Annotated[float, Option(help="How far shards reach beyond their tiles [m].")] = 500.0,
+    cell_size: Annotated[float, Option(help="Edge of a cell [m].")] = 50.0,
+    stride: Annotated[
+        float | None, Option(help="Distance of cell centres [m]; the cell size if not given.")
+    ] = None,
+    edge_distance: Annotated[
+        float | None,
+        Option(help="Objects nearer than this are joined [m]; the cell size if not given."),
+    ] = None,
+    vocabulary: Annotated[Path | None, Option(help="Folder with edited vocabulary tables.")] = None,
+    workers: Annotated[
+        int | None, Option(help="Processes; one a processor if not given.", least=1)
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        Option(help="Dask scheduler (tcp://host:port) whose workers see the same folders."),
+    ] = None,
+    work: Annotated[
+        Path | None, Option(help="Folder to build in what is then brought to a URL.")
+    ] = None,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Build a folder of shards from OpenStreetMap extracts of any size.
+
+    Interrupted or killed, the same command goes on where it stopped.
+
+    Example: placegraph world build germany.osm.pbf -o germany/
+    """
+    from placegraph_scale.build import BuildOptions
+
+    options = BuildOptions(
+        zoom=zoom, overlap=overlap, cell_size=cell_size, stride=stride,
+        edge_distance=edge_distance, vocabulary=vocabulary, workers=workers, scheduler=scheduler,
+        work=work,
+    )  # fmt: skip
+    run_build(files, out, options, as_json=as_json, quiet=quiet)
+
+
+def run_build(
+    files: Sequence[str], out: str, options: BuildOptions, *, as_json: bool, quiet: bool
+) -> None:
+    """Build a world, and say what it holds."""
+    from time import perf_counter
+
+    from placegraph_scale.build import build_world
+
+    start = perf_counter()
+    with progress_of(hidden=quiet or as_json) as tell:
+        made = build_world(files, out, options, tell)
+    told = {
+        "shards": len(made.shards),
+        "objects": sum(shard.objects for shard in made.shards),
+        "cells": sum(shard.cells for shard in made.shards),
+        "bytes": sum(shard.bytes for shard in made.shards),
+        "seconds": round(perf_counter() - start, 3),
+    }
+    if as_json:
+        echo_json(told)
+    elif not quiet:
+        click.echo(
+            f"{out}: {told['objects']:,} objects in {told['shards']:,} shards, "
+            f"{told['bytes'] / 1e6:,.1f} MB, built in {told['seconds']:.1f} s."
+        )
+
+
+def shard(
+    libraries: Annotated[
+        list[Path], Argument(help="Libraries (.library), or folders of scene maps.")
+    ],
+    out: Annotated[Path, Option("--out", "-o", help="Folder to write, such as homes.shards.")],
+    size: Annotated[int, Option(help="Scenes of a shard.", least=1)] = 10_000,
+    encoder: ItsEncoders = None,
+    weights: WeightsFile = None,
+    as_json: AsJson = False,
+    quiet: NoProgress = False,
+) -> None:
+    """Put the scenes of libraries into shards, which a search maps instead of reading them.
+
+    For tens of thousands of scenes. Maps stay where they are, known by their place relative to the
+    folder. `library search` and `library localize` take the folder as they take a library.
+
+    Example: placegraph library shard north.library south.library -o homes.shards
+    """
+    from placegraph_scale.library.write import write_shards
+
+    with progress_of(hidden=quiet or as_json) as tell:
+        first = opened(libraries[0], encoder, weights, tell)
+        every = _listed(libraries, first, out, lambda path: opened(path, encoder, weights, tell))
+        made = write_shards(out, every, first.encoders, size)
+    told = {"scenes": len(made), "shards": len(made.shards)}
+    told["bytes"] = sum(f.stat().st_size for f in out.rglob("*") if f.is_file())
+    if as_json:
+        echo_json(told)
+    elif not quiet:
+        click.echo(
+            f"{out}: {len(made):,} scenes in {len(made.shards)} shards, {told['bytes'] / 1e6:,.1f} MB."
+        )
+
+
+def _listed(
+    paths: list[Path], first: SceneLibrary, out: Path, open_: Callable[[Path], SceneLibrary]
+) -> Iterator[Listed]:
+    """Scenes of all libraries, one library open at a time; names say of which, if there are several."""
+    from placegraph_scale.library.write import Listed
+
+    for i, path in enumerate(paths):
+        library = open_(path) if i else first
+        if [e.key for e in library.encoders] != [e.key for e in first.encoders]:
+            raise MapError(
+                f"{path} was encoded by others than {paths[0]}; make both by the same encoders."
+            )
+        for name in library:
+            entry = library.entry(name)
+            at = entry.path and real_path(entry.path)
+            place = os.path.relpath(at, real_path(out)) if at else ""
+            yield Listed(name if len(paths) == 1 else f"{path.stem}: {name}", entry, place)

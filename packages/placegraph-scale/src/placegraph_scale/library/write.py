@@ -1,0 +1,196 @@
+"""Shards of a library as files: everything that a search derives of all scenes is written once."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from placegraph.core.geo import EarthPose
+from placegraph.core.mapfile import write_map
+from placegraph.errors import MapError, OptionError
+from placegraph.indoor.encode import Encoder, encoder
+from placegraph.indoor.language.index import columns_of
+from placegraph.indoor.library.library import Entry
+from placegraph.indoor.library.signature import Index, decoys
+from placegraph.indoor.library.signature import split_into_units as units
+from placegraph.indoor.map.scene import in_8_bits
+from placegraph_scale.library.shards import BESIDE, HEAD, KIND, VERSION, SceneShards, Shard, Usual
+
+Arrays = dict[str, NDArray[Any]]
+
+
+SIZE = 10_000
+"""Scenes of a shard."""
+SCENES_OF_USUAL = 2_000
+"""Scenes of the first shard that tell what is usual."""
+
+
+class Listed(NamedTuple):
+    """One scene on its way into a shard."""
+
+    name: str
+    entry: Entry
+    place: str = ""
+    """Path of its map file, relative to the folder of the shards; empty: there is none."""
+
+
+def write_shards(
+    folder: str | os.PathLike[str],
+    scenes: Iterable[Listed],
+    encoders: Sequence[str | Encoder] = ("labels", "appearance"),
+    size: int = SIZE,
+) -> SceneShards:
+    """Write scenes into shards, so many at a time, and open them.
+
+    What is usual is told by the first shard, for all: draw the order of scenes at random.
+
+    Raises
+    ------
+    OptionError
+        There is no scene, or two have one name, or the size is not positive.
+    MapError
+        They cannot be written.
+
+    """
+    from placegraph_scale.library.shards import SceneShards
+
+    made = [encoder(e) if isinstance(e, str) else e for e in encoders]
+    keys = [e.key for e in made]
+    if size < 1:
+        raise OptionError(f"size is {size}; a shard holds at least one scene.")
+    folder, left = Path(folder), iter(scenes)
+    usual: Usual | None = None
+    names: set[str] = set()
+    files: list[dict[str, Any]] = []
+    for number in itertools.count():
+        some = list(itertools.islice(left, size))
+        if not some:
+            break
+        if usual is None:
+            _empty(folder)
+            usual = usual_of(some, made)
+        for listed in some:
+            if listed.name in names:
+                raise OptionError(f"Two scenes are called {listed.name!r}; rename one of them.")
+            names.add(listed.name)
+        file = f"{number:05d}.shard"
+        _write(folder / file, *shard_arrays(some, keys))
+        files.append({"file": file, "scenes": len(some)})
+    if usual is None:
+        raise OptionError("There is no scene: a library in shards holds at least one.")
+    _write(folder / BESIDE, {}, of_index(Index.of(decoys(made), keys)))
+    told = {"encoders": [{"name": e.name, "key": e.key} for e in made], "shards": files}
+    _write(folder / HEAD, {**told, **usual.meta}, usual.arrays)
+    return SceneShards.open(folder, encoders=made)
+
+
+def _empty(folder: Path) -> None:
+    """Make the folder, without shards that stood there: its head first, so that none are half new."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / HEAD).unlink(missing_ok=True)
+        for old in folder.glob("*.shard"):
+            old.unlink()
+    except OSError as error:
+        raise MapError(
+            f"{folder} cannot be written ({error.strerror}); choose another place."
+        ) from error
+
+
+def _write(path: Path, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
+    write_map(path, KIND, VERSION, meta, arrays, mapped=tuple(arrays))
+
+
+def shard_of(scenes: Sequence[Listed], usual: Usual) -> Shard:
+    """A shard in memory."""
+    return Shard(*shard_arrays(scenes, usual.keys), usual)
+
+
+def shard_arrays(scenes: Sequence[Listed], keys: Sequence[str]) -> tuple[dict[str, Any], Arrays]:
+    """Metadata and columns of a shard."""
+    meta, arrays = of_texts(scenes)
+    signatures = [s.entry.signature for s in scenes]
+    arrays |= of_index(Index.of(signatures, keys))
+    arrays["order"] = np.concatenate([u.objects for u in units(signatures)]).astype(np.uint16)
+    earth = [s.entry.earth for s in scenes]
+    told = {
+        "names": [s.name for s in scenes],
+        "paths": [s.place for s in scenes],
+        "digests": [s.entry.digest for s in scenes],
+        "earth": [json.dumps([p.to_dict() for p in poses]) if poses else "" for poses in earth],
+        "buildings": [
+            "\n".join(sorted({p.building for p in poses if p.building})) for poses in earth
+        ],
+    }
+    for name, strings in told.items():
+        arrays[name], arrays[f"{name}_starts"] = packed(strings)
+    arrays["stand_starts"] = np.cumsum([0, *map(len, earth)]).astype(np.int64)
+    arrays["stands"] = np.array([_stand(p) for own in earth for p in own], float).reshape(-1, 6)
+    meta["rooms"] = list(dict.fromkeys(room for s in signatures for room in s.rooms))
+    return meta, arrays
+
+
+def _stand(pose: EarthPose) -> tuple[float, ...]:
+    """Longitude, latitude [deg], covariance east, both and north [m^2], and probability."""
+    (east, both), (_, north) = pose.covariance[:2, :2].tolist()
+    return pose.longitude, pose.latitude, east, both, north, pose.probability
+
+
+def usual_of(scenes: Sequence[Listed], encoders: Sequence[Encoder]) -> Usual:
+    """What is usual in some scenes and in the homes beside them."""
+    keys = [e.key for e in encoders]
+    signatures = [s.entry.signature for s in scenes[:SCENES_OF_USUAL]]
+    index = Index.of(signatures + decoys(encoders), keys)
+    meta, arrays = of_texts(scenes[:SCENES_OF_USUAL])
+    for i, key in enumerate(keys):
+        v = index.vocabularies[key]
+        arrays[f"vectors_{i}"], arrays[f"common_{i}"] = v.vectors[v.usual], v.common
+    return Usual(meta, arrays, keys)
+
+
+def of_index(index: Index) -> Arrays:
+    """What frames are compared with; vectors in 8 bits, each once."""
+    scenes = int(index.owner[-1]) + 1
+    arrays: Arrays = {
+        "unit_starts": np.searchsorted(index.owner, np.arange(scenes + 1)).astype(np.int64),
+        "starts": index.starts, "share": index.share, "place_starts": index.place_starts,
+        "places": index.places, "panoramas": index.panoramas,
+    }  # fmt: skip
+    for i, v in enumerate(index.vocabularies.values()):
+        numbers, scales = in_8_bits(v.vectors)
+        arrays |= {f"vectors_{i}": numbers, f"scales_{i}": scales, f"code_{i}": v.code}
+        sums = np.add.reduceat(
+            (v.vectors - v.mean)[v.code] * index.share[:, None], index.starts[:-1]
+        )
+        lengths = np.linalg.norm(sums, axis=1, keepdims=True)
+        arrays[f"means_{i}"] = (sums / np.maximum(lengths, 1e-9)).astype(np.float32)
+    return arrays
+
+
+def of_texts(scenes: Sequence[Listed]) -> tuple[dict[str, Any], Arrays]:
+    """What texts are compared with: postings of labels and of relations."""
+    columns = columns_of([s.entry.signature.described for s in scenes])
+    meta = {"labels": columns.labels, "relations": columns.relations, "scenes": columns.scenes}
+    found = {
+        "label_starts": columns.of_labels.starts, "label_units": columns.of_labels.units,
+        "label_counts": columns.of_labels.counts, "triple_starts": columns.of_triples.starts,
+        "triple_units": columns.of_triples.units, "triple_counts": columns.of_triples.counts,
+        "triples": columns.triples, "looks": columns.looks, "room_looks": columns.room_looks,
+        "much": columns.much, "rooms": columns.rooms, "whole": columns.whole,
+        "scene": columns.scene,
+    }  # fmt: skip
+    return meta, {f"text_{name}": np.asarray(array) for name, array in found.items()}
+
+
+def packed(strings: Sequence[str]) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+    """Strings as bytes, and where each begins and the last ends."""
+    parts = [s.encode() for s in strings]
+    starts = np.concatenate([[0], np.cumsum([len(p) for p in parts])]).astype(np.int64)
+    return np.frombuffer(b"".join(parts) or b"\0", np.uint8), starts

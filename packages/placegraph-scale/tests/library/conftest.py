@@ -1,3 +1,0 @@
-"""Rooms."""
-
-from tests.indoor.library.conftest import *  # noqa: F403  # fixtures

@@ -1,0 +1,209 @@
+"""Splitting: every thing in every tile that it touches, and what is large only where something is."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import osmium
+import pytest
+
+from placegraph.core.geo import bounds, key_at
+from placegraph.errors import InputError
+from placegraph.io.osm import urls
+from placegraph.outdoor.city import CityMap
+from placegraph.outdoor.map import extract
+from placegraph_scale import tiles as module
+from placegraph_scale.tiles import LARGE, Split, TileJob, build_tile, split, spread_large, things_of
+
+ZOOM, MARGIN = 15, 100.0  # tiles of 780 m at 50 degrees
+BENCH, TREE = {"amenity": "bench"}, {"natural": "tree"}
+
+
+def split_up(path, folder, zoom=ZOOM):
+    folder.mkdir(exist_ok=True)
+    return split(path, folder, zoom, MARGIN)
+
+
+def held(folder, sizes, key):
+    tables = things_of(folder / f"{key}.things", sizes[key])
+    return {i for things in tables for i in things.osm_id.tolist()}
+
+
+def city_of(folder, found, key, tmp_path):
+    """City of a tile, with what is large in it."""
+    (tmp_path / "large").mkdir(exist_ok=True)
+    large = spread_large(folder, tmp_path / "large", found.sizes, found.populated, MARGIN)
+    files = [(str(folder / f"{key}.things"), found.sizes[key])]
+    files += [(str(tmp_path / "large" / f"{key}.things"), large[key])] if key in large else []
+    out = tmp_path / f"{key}.city"
+    done = build_tile(TileJob(key, tuple(files), str(out), MARGIN, (50.0, 50.0, 50.0), "w"))
+    assert done.stands(out)
+    return CityMap.open(out)
+
+
+def test_things_near_a_border_are_in_both_tiles(write_world, tmp_path):
+    east = bounds(key_at(10.0, 50.0, ZOOM)).east
+    steps = (-500.0, -80.0, 80.0, 500.0)
+    at = (east - 10.0) * 71_700
+    path = write_world([(at + step, 0.0, BENCH) for step in steps])
+    found = split_up(path, tmp_path / "things")
+    west, other = key_at(10.0, 50.0, ZOOM), key_at(east + 1e-6, 50.0, ZOOM)
+    assert held(tmp_path / "things", found.sizes, west) == {1, 2, 3}
+    assert held(tmp_path / "things", found.sizes, other) == {2, 3, 4}
+    assert found.populated == sorted([west, other])
+    assert Split.read_in(tmp_path / "things") == found
+    assert split_up(path, tmp_path / "things") == found
+
+
+def test_a_road_of_600_km_costs_its_part_in_populated_tiles(write_world, tmp_path):
+    """And so does a park of two degrees around two stray benches."""
+    park = [
+        (-70_000.0, -110_000.0),
+        (70_000.0, -110_000.0),
+        (70_000.0, 110_000.0),
+        (-70_000.0, 110_000.0),
+    ]
+    nodes = [(0, 0, BENCH), (30, 0, TREE), (20_000, 5, BENCH), (-300_000, 7, {}), (300_000, 7, {})]
+    path = write_world(
+        [*nodes, *((x, y, {}) for x, y in park)],
+        [([3, 4], {"highway": "primary", "name": "Long"}), ([5, 6, 7, 8, 5], {"leisure": "park"})],
+    )
+    found = split_up(path, tmp_path / "things")
+    assert len(found.populated) == 2
+    key = key_at(10.0, 50.0, ZOOM)
+    assert held(tmp_path / "things", found.sizes, LARGE) == {1, 2}
+    city = city_of(tmp_path / "things", found, key, tmp_path)
+    assert sorted(city.objects.osm(i) for i in range(len(city.objects))) == [
+        "node/1", "node/2", "way/1", "way/2",
+    ]  # fmt: skip
+    assert np.ptp(city.objects.points, axis=0).max() < 1200
+    assert len(city.cells) < 800
+    assert city.locate("There is a bench next to a tree. I am on Long.").best is not None
+
+
+def test_a_tile_on_the_date_line_is_whole(tmp_path):
+    nodes = "".join(
+        f'<node id="{i}" version="1" lon="{lon}" lat="-16.8"><tag k="amenity" v="bench"/></node>'
+        for i, lon in enumerate((179.9995, 179.9999, -179.9999, -179.9995), 1)
+    )
+    path = tmp_path / "taveuni.osm"
+    path.write_text(f'<osm version="0.6">{nodes}</osm>')
+    found = split_up(path, tmp_path / "things")
+    assert len(found.populated) == 2
+    for key in found.populated:
+        city = city_of(tmp_path / "things", found, key, tmp_path)
+        assert len(city.objects) == 4
+        assert np.ptp(city.objects.points, axis=0).max() < 200
+
+
+def test_nodes_on_disk_give_the_same(write_world, tmp_path, monkeypatch):
+    nodes = [(30.0 * i, 20.0 * (i % 7), BENCH if i % 2 else TREE) for i in range(60)]
+    ways = [([3 * i, 3 * i + 1, 3 * i + 2], {"highway": "path"}) for i in range(20)]
+    path = write_world(nodes, ways)
+    one = split_up(path, tmp_path / "one")
+    monkeypatch.setattr(urls, "SMALL", 0)
+    assert split_up(path, tmp_path / "two") == one
+    names = sorted(p.name for p in (tmp_path / "one").iterdir())
+    assert sorted(p.name for p in (tmp_path / "two").iterdir()) == names
+    for name in names:
+        assert (tmp_path / "two" / name).read_bytes() == (tmp_path / "one" / name).read_bytes()
+
+
+def test_an_extract_that_changes_meanwhile(write_world, tmp_path, monkeypatch):
+    path = write_world([(0, 0, BENCH)])
+    real = module.labelled
+
+    def touched(*given):
+        yield from real(*given)
+        os.utime(path, (1, 1))
+
+    monkeypatch.setattr(module, "labelled", touched)
+    with pytest.raises(InputError, match=r"world\.osm changed while it was read"):
+        split_up(path, tmp_path / "things")
+    assert Split.read_in(tmp_path / "things") is None
+
+
+def along(n):
+    """Benches and trees, paths that lack a node, and a lake."""
+    nodes = [(30.0 * i, 20.0 * (i % 7), BENCH if i % 2 else TREE) for i in range(n)]
+    ways = [([3 * i, 3 * i + 1, 900 + i], {"highway": "path"}) for i in range(n // 3)]
+    ways += [([0, 6], {}), ([6, 7, 0], {})]
+    lake = ([(n // 3, "outer"), (n // 3 + 1, "outer")], {"natural": "water"})
+    return nodes, ways, [lake, ([(0, "outer")], {"natural": "water"})]
+
+
+@pytest.mark.parametrize("batches", [1, 2])
+def test_a_split_that_was_killed_goes_on(batches, write_world, tmp_path, monkeypatch):
+    path = write_world(*along(60))
+    monkeypatch.setattr(extract, "BATCH", 10)
+    whole = split_up(path, tmp_path / "whole")
+    assert whole.left_out == {
+        "multipolygons with missing or crossing members": 1,
+        "ways cut where members are missing": 20,
+    }
+    monkeypatch.setattr(module.Spills, "full", True)  # written down after every block
+    real, seen = module._spread, []
+
+    def dies(*given):
+        if len(seen) == batches:
+            raise KeyboardInterrupt
+        seen.append(real(*given))
+
+    monkeypatch.setattr(module, "_spread", dies)
+    with pytest.raises(KeyboardInterrupt):
+        split_up(path, tmp_path / "things")
+    torn = next((tmp_path / "things").glob("*.things"))
+    torn.write_bytes(torn.read_bytes() + b"half a frame")
+    (tmp_path / "things" / "stray.things").touch()
+    seen.clear()
+    monkeypatch.setattr(module, "_spread", lambda *given: seen.append(real(*given)))
+    assert split_up(path, tmp_path / "things") == whole
+    assert len(seen) == 3 - batches
+    for file in (tmp_path / "whole").glob("*.things"):
+        assert (tmp_path / "things" / file.name).read_bytes() == file.read_bytes()
+    assert not (tmp_path / "things" / "stray.things").exists()
+
+
+def test_an_extract_that_changed_since_it_was_killed_begins_anew(write_world, tmp_path):
+    path = write_world([(0, 0, BENCH)])
+    split_up(path, tmp_path / "things")
+    os.utime(path, (1, 1))
+    again = split_up(path, tmp_path / "things")
+    assert again.things == 1
+    assert again.of[1] == 10**9
+
+
+@pytest.mark.parametrize(("what", "limit"), [("nodes.index", 0), ("things", 1 << 20)])
+def test_a_full_disk_is_said_and_the_split_goes_on(what, limit, write_world, tmp_path):
+    """The system lets no file grow beyond a limit."""
+    path = tmp_path / "world.osm.pbf"
+    with osmium.SimpleWriter(str(path)) as writer:
+        for thing in osmium.FileProcessor(str(write_world(*along(60)))):
+            writer.add(thing)
+    code = (
+        "import resource, sys\n"
+        "from pathlib import Path\n"
+        "from placegraph.errors import MapError\n"
+        "from placegraph.io.osm import urls\n"
+        "from placegraph_scale import tiles as split\n"
+        "urls.SMALL = int(sys.argv[3])\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (100, resource.RLIM_INFINITY))\n"
+        "try: split.split(Path(sys.argv[1]), Path(sys.argv[2]), 15, 100.0)\n"
+        "except MapError as error: print(error)\n"
+    )
+    folder = tmp_path / "things"
+    folder.mkdir()
+    said = subprocess.run(  # noqa: S603  # our own interpreter and code
+        [sys.executable, "-c", code, path, folder, str(limit)],
+        check=True, capture_output=True, text=True, env=os.environ,
+    )  # fmt: skip
+    assert what in said.stdout
+    assert "cannot be written" in said.stdout
+    assert "File too large" in said.stdout
+    assert split_up(path, folder).things == 81
+
+
+def test_nothing_worth_naming(write_world, tmp_path):
+    with pytest.raises(InputError, match="nothing worth naming"):
+        split_up(write_world([(0, 0, {"source": "survey"})]), tmp_path / "things")

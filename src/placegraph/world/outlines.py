@@ -1,0 +1,328 @@
+"""Outlines: footprints of buildings in OpenStreetMap, and outer walls of scene maps."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from placegraph.core.geo import Anchor
+from placegraph.core.geojson import nested
+from placegraph.core.geometry import Floats
+from placegraph.errors import OptionError
+from placegraph.indoor.map.floor import label_words
+from placegraph.indoor.map.map_kernels import nearest
+from placegraph.indoor.map.rooms import rooms_of
+from placegraph.indoor.map.scene import Scene
+from placegraph.indoor.mapping.osm import find_ends, segment_distances
+from placegraph.indoor.mapping.outlines import area, trace_cells
+from placegraph.io.osm.indoor_osm import levels_of
+from placegraph.io.osm.osm import POINT, read_osm
+
+_KEYS = ("building", "entrance", "door", "name", "addr:housenumber")
+_NAMES = ("name", "official_name", "alt_name", "short_name", "old_name", "loc_name")
+_NEAR = 5.0  # what lies this close to a building may be its neighbour, or its entrance [m]
+_BEYOND = 0.6  # what is beyond a wall is looked for this far outside of it [m]
+_PIECE, _MOST = 1.0, 400  # of walls, length [m] and number
+
+
+@dataclass(frozen=True, eq=False)
+class Footprint:
+    """Walls of a building seen from above, M pieces, in metres east and north of `base`."""
+
+    name: str
+    osm: str
+    tags: Mapping[str, str] = field(repr=False)
+    base: Anchor = field(repr=False)
+    """Its first point: an anchor that looks north."""
+    rings: Sequence[Floats] = field(repr=False)
+    """Closed (n, 2) [m]."""
+    starts: Floats = field(repr=False)
+    ends: Floats = field(repr=False)
+    """(M, 2) [m]"""
+    normals: Floats = field(repr=False)
+    """(M, 2) unit vectors, outwards."""
+    shared: NDArray[np.bool_] = field(repr=False)
+    """(M,) bool, where another building stands wall to wall."""
+    entrances: Floats = field(repr=False)
+    """(E, 2) [m], of the floor in question."""
+    grain: float = 0.0
+    """Coordinates are steps of this [m]."""
+
+    @property
+    def levels(self) -> tuple[float, ...]:
+        """Levels that the building has, as far as its tags say."""
+        if told := levels_of(self.tags.get("level", "")):
+            return told
+        count = levels_of(self.tags.get("building:levels", ""))
+        lowest = levels_of(self.tags.get("building:min_level", "0"))
+        return tuple(np.arange(lowest[0] if lowest else 0.0, count[-1])) if count else ()
+
+
+class _Thing(NamedTuple):
+    """Something on the map, longitude and latitude."""
+
+    osm: str
+    point: bool
+    tags: Mapping[str, str]
+    rings: Sequence[Floats]
+
+
+def footprints(path: Path, name: str, level: str = "") -> list[Footprint]:
+    """Footprints of the buildings of a name, at most a few.
+
+    Parameters
+    ----------
+    path
+        Extract of OpenStreetMap, or a city map.
+    name
+        Of the building or of something in it, such as a shop; an address, or an id: ``way/12``.
+    level
+        OpenStreetMap's level; entrances of others are left out.
+
+    Raises
+    ------
+    InputError, MapError
+        The file cannot be read.
+    OptionError
+        Nothing there has that name, or what has it stands in no building.
+
+    """
+    if path.suffix.lower() == ".city":
+        things, grain = _of_city(path)
+    else:
+        things = [
+            _Thing(f"{('node', 'way', 'relation')[e.osm_type]}/{e.osm_id}", e.kind == POINT, e.tags, e.parts)
+            for e in read_osm(path, _KEYS)
+        ]  # fmt: skip
+        grain = 0.0
+    wanted = " ".join(name.split()).casefold()
+    named = [t for t in things if wanted in {n.casefold() for n in _names(t)}]
+    if not named:
+        others = sorted({n for t in things for n in _names(t) if "/" not in n})
+        close = get_close_matches(name, others, 3, 0.5)
+        hint = f" Is it {' or '.join(map(repr, close))}?" if close else ""
+        raise OptionError(f"--building {name!r}: nothing in {path} has that name.{hint}")
+    buildings = [t for t in things if _is_building(t)]
+    found: dict[str, tuple[_Thing, Mapping[str, str]]] = {}
+    for thing in named:
+        around = [thing] if _is_building(thing) else _around(thing, buildings)
+        for building in around:
+            found.setdefault(building.osm, (building, {**building.tags, **thing.tags}))
+    if not found:
+        raise OptionError(
+            f"--building {name!r}: it stands in no building of {path}; name the building itself."
+        )
+    if len(found) > 8:
+        ids = ", ".join(sorted(found)[:3])
+        raise OptionError(f"--building {name!r}: {len(found)} bear that name; give an id ({ids}).")
+    doors = [t for t in things if t.point and {"entrance", "door"} & t.tags.keys()]
+    doors = [t for t in doors if _same_level(t.tags.get("level", "0"), level)]
+    return [
+        _footprint(building, tags, buildings, doors, grain) for building, tags in found.values()
+    ]
+
+
+def _same_level(one: str, other: str) -> bool:
+    return not other or bool(set(levels_of(one)) & set(levels_of(other)))
+
+
+def _names(thing: _Thing) -> Iterator[str]:
+    tags = thing.tags
+    yield thing.osm
+    for key, value in tags.items():
+        if key in _NAMES or key.startswith("name:"):
+            yield from (" ".join(v.split()) for v in value.split(";"))
+    number, street = tags.get("addr:housenumber", ""), tags.get("addr:street", "")
+    if number and street:
+        yield from (f"{street} {number}", f"{number} {street}")
+
+
+def _is_building(thing: _Thing) -> bool:
+    return not thing.point and thing.tags.get("building", "no") != "no" and len(thing.rings[0]) > 3
+
+
+def _around(thing: _Thing, buildings: Iterable[_Thing]) -> list[_Thing]:
+    """Buildings that something stands in."""
+    middle = thing.rings[0][:-1].mean(axis=0) if len(thing.rings[0]) > 3 else thing.rings[0][0]
+    return [b for b in buildings if _box_holds(b, middle) and within(middle[None], b.rings)[0]]
+
+
+def _box_holds(building: _Thing, point: Floats) -> bool:
+    ring = building.rings[0]
+    return bool((ring.min(axis=0) <= point).all() and (point <= ring.max(axis=0)).all())
+
+
+def _of_city(path: Path) -> tuple[list[_Thing], float]:
+    from placegraph.outdoor.city import CityMap
+    from placegraph.outdoor.map.objects import GRAIN
+
+    city = CityMap.open(path)
+    o, things = city.objects, []
+    for i in range(len(o)):
+        labels = o.label_values[o.label_starts[i] : o.label_starts[i + 1]]
+        tags = dict(o.labels[k].split("=", 1) for k in labels.tolist())
+        names = o.name_values[o.name_starts[i] : o.name_starts[i + 1]]
+        tags["name"] = ";".join(o.names[k] for k in names.tolist())
+        rings = [city.plane.to_lonlat(part.astype(np.float64)) for part in o.parts(i)]
+        things.append(_Thing(o.osm(i), o.kind[i] == POINT, tags, rings))
+    return things, GRAIN
+
+
+def _footprint(
+    building: _Thing,
+    tags: Mapping[str, str],
+    buildings: Sequence[_Thing],
+    doors: Sequence[_Thing],
+    grain: float,
+) -> Footprint:
+    lon, lat = building.rings[0][0].tolist()
+    base = Anchor(lon, lat, 0.0, 0.0)
+
+    def plane(points: Floats) -> Floats:
+        return base.to_map(np.column_stack([points, np.zeros(len(points))]))[:, :2]
+
+    near = _NEAR / 111e3 / np.array([np.cos(np.radians(lat)), 1.0])
+    low, high = building.rings[0].min(axis=0) - near, building.rings[0].max(axis=0) + near
+    others = [
+        [plane(ring) for ring in b.rings]
+        for b in buildings
+        if b.osm != building.osm
+        and (b.rings[0].max(axis=0) >= low).all()
+        and (b.rings[0].min(axis=0) <= high).all()
+    ]
+    rings = [plane(ring) for ring in building.rings]
+    length = sum(float(np.linalg.norm(np.diff(r, axis=0), axis=1).sum()) for r in rings)
+    piece, starts, ends = max(_PIECE, length / _MOST), [], []
+    for ring in rings:
+        for a, b in pairwise(ring):
+            count = max(1, round(float(np.linalg.norm(b - a)) / piece))
+            cuts = a + np.linspace(0, 1, count + 1)[:, None] * (b - a)
+            starts.append(cuts[:-1])
+            ends.append(cuts[1:])
+    start, end = np.concatenate(starts), np.concatenate(ends)
+    along = (end - start) / np.maximum(np.linalg.norm(end - start, axis=1), 1e-9)[:, None]
+    normals, middles = np.stack([along[:, 1], -along[:, 0]], axis=1), (start + end) / 2.0
+    normals[within(middles + 0.05 * normals, rings)] *= -1.0
+    beyond, shared = middles + _BEYOND * normals, np.zeros(len(start), np.bool_)
+    for other in others:
+        shared |= within(beyond, other)
+    at = [t.rings[0][0] for t in doors]
+    places = [p for p in at if (p >= low).all() and (p <= high).all()]
+    entrances = plane(np.array(places)) if places else np.zeros((0, 2))
+    return Footprint(
+        tags.get("name", ""),
+        building.osm,
+        tags,
+        base,
+        rings,
+        start,
+        end,
+        normals,
+        shared,
+        entrances,
+        grain,
+    )
+
+
+def within(points: Floats, rings: Sequence[Floats]) -> NDArray[np.bool_]:
+    """(N,) bool: whether points (N, 2) lie within closed rings, by the even-odd rule."""
+    inside = np.zeros(len(points), np.bool_)
+    x, y = points.T
+    for ring in rings:
+        for (ax, ay), (bx, by) in pairwise(ring.tolist()):
+            if ay != by:
+                inside ^= ((ay > y) != (by > y)) & (x < (bx - ax) * (y - ay) / (by - ay) + ax)
+    return inside
+
+
+WALL, WINDOW, DOOR = 0, 1, 2
+"""What a point of the outer walls lies in."""
+_WORDS = {"window": WINDOW, "windows": WINDOW, "door": DOOR, "doors": DOOR, "entrance": DOOR}
+_THICK = 0.7  # thicker walls between two rooms are not closed [m]
+_BESIDE = 0.5  # an opening lies no farther from the inner face of its wall [m]
+_WIDEST = 8.0  # what is wider is all the windows of a house in one object [m]
+_STEP, _MOST_POINTS = 0.1, 600  # between points [m], or so many
+_WORTH = 2.0  # of a wall, so much of it is one independent look [m]
+
+
+@dataclass(frozen=True, eq=False)
+class OuterWalls:
+    """N points along the inner faces of the outer walls."""
+
+    points: Floats
+    """(N, 2) [m, map]."""
+    normals: Floats
+    """(N, 2) unit vectors, outwards."""
+    kind: NDArray[np.int64]
+    """(N,) WALL, WINDOW or DOOR."""
+    opening: NDArray[np.int64]
+    """(N,) number of the window or door; -1: wall."""
+    step: float
+    """Between points [m]."""
+    rings: list[Floats]
+    """Closed outlines (n, 2) [m, map]."""
+
+    @property
+    def weights(self) -> Floats:
+        """(N,) of how many independent looks each point is worth: an opening is one."""
+        count = np.bincount(self.opening[self.opening >= 0], minlength=1)
+        return np.where(self.opening >= 0, 1.0 / count[self.opening], self.step / _WORTH)
+
+
+def outer_walls(scene: Scene) -> OuterWalls:
+    """Outer walls of the floor of a map of one scene: the outline of its rooms, inner walls closed.
+
+    Raises
+    ------
+    OptionError
+        The map is of several scenes, or has no room.
+
+    """
+    if len(scene.scenes) != 1:
+        raise OptionError(
+            f"The map is merged of {len(scene.scenes)} scenes; anchor each before they are merged."
+        )
+    rooms = rooms_of(scene.mesh, scene.graph.labels, float(scene.floors[0]))
+    reach = int(np.ceil(_THICK / 2.0 / rooms.cell))
+    inside = np.pad(rooms.cells >= 0, reach + 1)
+    grown = nearest(inside, reach)[1] >= 0
+    inside |= nearest(~grown, reach)[1] < 0
+    rings = trace_cells(inside, rooms.origin - (reach + 1) * rooms.cell, rooms.cell)
+    outer = [rings[first] for first, *_ in nested(rings)] if rings else []
+    if not outer:
+        raise OptionError("The map has no room, so it has no outer walls; give --pair or --pose.")
+    length = sum(float(np.linalg.norm(np.diff(r, axis=0), axis=1).sum()) for r in outer)
+    step = max(_STEP, length / _MOST_POINTS)
+    points, normals = [], []
+    for ring in outer:
+        for a, b in pairwise(ring if area(ring) > 0 else ring[::-1]):
+            far = float(np.linalg.norm(b - a))
+            share = (np.arange(max(1, round(far / step))) + 0.5) / max(1, round(far / step))
+            points.append(a + share[:, None] * (b - a))
+            normals.append(np.tile([(b - a)[1] / far, -(b - a)[0] / far], (len(share), 1)))
+    at = np.concatenate(points)
+    kind, opening = _openings(scene, at)
+    return OuterWalls(at, np.concatenate(normals), kind, opening, step, outer)
+
+
+def _openings(scene: Scene, at: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Kind (N,) and number (N,) of the opening that each point lies in."""
+    kind, opening, number = np.zeros(len(at), np.int64), np.full(len(at), -1), 0
+    for row, label in enumerate(scene.graph.labels):
+        what = _WORDS.get((label_words(label) or [""])[-1], WALL)
+        if what == WALL:
+            continue
+        a, b = find_ends(scene, row)
+        if np.linalg.norm(b - a) > _WIDEST:
+            continue
+        beside = (segment_distances(at, a[None], b[None])[:, 0] < _BESIDE) & (opening < 0)
+        if beside.any():
+            kind[beside], opening[beside], number = what, number, number + 1
+    return kind, opening

@@ -1,0 +1,128 @@
+"""Status of an estimate of a world: `OK`, `AMBIGUOUS` or `LOST`, and why."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from placegraph.core.estimate import Status
+from placegraph.core.geometry import angle_between
+from placegraph.indoor.status import SURE_SCENE as SURE
+from placegraph.world.evidence import list_rooms
+from placegraph.world.sentence import compare_floors
+
+if TYPE_CHECKING:
+    from placegraph.core.estimate import PoseEstimate
+    from placegraph.world.estimate import WorldEstimate, WorldMode, WorldQuery
+    from placegraph.world.evidence import SceneEvidence, WorldEvidence
+    from placegraph.world.outside import TownMatch
+    from placegraph.world.world import World
+
+FAR_OFF = 0.01
+"""A location prior that fits a scene no better than this contradicts it."""
+OTHER_FLOOR = -1.0
+"""Log-likelihood ratio of a level below which the floors of the text contradict it."""
+TURNED = float(np.radians(60.0))
+"""A compass heading so far off contradicts a pose [rad]."""
+
+
+def decide_by_text(
+    world: World, query: WorldQuery, evidence: WorldEvidence, modes: list[WorldMode], elsewhere: float
+) -> tuple[Status, str]:  # fmt: skip
+    """Return the status and reason of modes, best first, that a text and a location prior tell."""
+    if not modes:
+        why = evidence.obstacle or "Nothing that was said can be found on these maps."
+        return Status.LOST, why
+    best = modes[0]
+    where, share = best.where, f"({best.probability:.0%})"
+    if elsewhere > max(0.5, best.probability):
+        why = f"No place and no room fits better than being elsewhere ({elsewhere:.0%})."
+        return Status.LOST, why
+    if query.text is None:
+        return Status.AMBIGUOUS, f"A fix alone tells no room; nearest is {where}."
+    if best.place is not None:
+        town = next(t for t in evidence.towns.values() if best.place in t.estimate.modes).estimate
+        held = best.probability / max(best.place.probability, 1e-9)
+        rooms = " No mapped room fits." if evidence.is_indoors and evidence.scenes else ""
+        why = town.reason
+        if held < SURE and town.status is not Status.LOST:  # its reason speaks of the town alone
+            why = f"The best place holds only {best.probability:.0%} of the probability."
+        is_sure = town.status is Status.OK and held >= SURE
+        return Status.OK if is_sure else Status.AMBIGUOUS, why + rooms
+    of_scene = sum(m.probability for m in modes if m.scene == best.scene)
+    if of_scene >= SURE and evidence.scenes[best.scene].ratio < 0:
+        return Status.AMBIGUOUS, f"{where} fits best {share}, but not what was said."
+    if best.probability >= SURE and (best.room or len(list_rooms(world.library, best.scene)) == 1):
+        return Status.OK, f"{where} fits {share}."
+    if of_scene >= SURE:
+        why = f"{best.scene} fits ({of_scene:.0%}); which room of it was not told."
+        return Status.AMBIGUOUS, why
+    rivals = [m.where for m in modes[1:4] if m.probability > 0.1 * best.probability]
+    others = f"; so may {'; '.join(rivals)}" if rivals else ""
+    return Status.AMBIGUOUS, f"{where} fits best {share}{others}."
+
+
+def decide_by_frames(
+    best: PoseEstimate, mode: WorldMode, evidence: WorldEvidence, query: WorldQuery
+) -> tuple[Status, str]:
+    """Return the status and reason of the best pose, unless all else contradicts it."""
+    where = f"In {mode.where}: {best.reason}"
+    against = _find_contradictions(evidence.scenes[mode.scene], mode, query)
+    if not against or "not what was said" in best.reason:
+        return best.status, where
+    also = "But" if best.status is Status.OK else "And"
+    return Status.AMBIGUOUS, f"{where} {also} {' and '.join(against)}."
+
+
+def _find_contradictions(w: SceneEvidence, mode: WorldMode, query: WorldQuery) -> list[str]:
+    """Return what does not fit a pose, in words."""
+    out = []
+    if w.outside < 0:
+        out.append("what was said of the outside is not so there")
+    if w.inside < 0 and not any(e.verdict == "for" for e in mode.evidence if not e.objects):
+        out.append("what was said of the room is not so there")
+    if mode.level and compare_floors(w.floors, mode.level) < OTHER_FLOOR:
+        out.append(f"level {mode.level} is not the floor that was said")
+    if query.near is not None and w.anchors and w.near < FAR_OFF:
+        out.append("it is far from the fix")
+    if query.heading is not None and mode.earth is not None:
+        off = float(angle_between(mode.earth.heading, query.heading))
+        if off > TURNED:
+            out.append(f"the camera looks {np.degrees(off):.0f} degrees away from the heading")
+    return out
+
+
+def decide_without_frames(
+    best: PoseEstimate, by_text: WorldEstimate | None, left: Sequence[WorldMode]
+) -> tuple[Status, str]:
+    """Return the status and reason where frames fit in no scene that was looked into.
+
+    `left` are modes by the text and the location prior in other places; they are never sure.
+    """
+    if by_text is None:
+        return Status.LOST, best.reason
+    reason = f"The frames fit in none of the scenes that were looked into: {best.reason}"
+    is_open = bool(left) and by_text.status is not Status.LOST
+    return Status.AMBIGUOUS if is_open else Status.LOST, reason
+
+
+def limit_status(
+    found: WorldEstimate, world: World, query: WorldQuery, searched: Mapping[str, TownMatch]
+) -> tuple[Status, str]:
+    """Return the status and reason, given what was not searched and where the location prior is off.
+
+    Where a part that matters was not searched, nothing is sure.
+    """
+    reason, status = found.reason, found.status
+    if query.near is not None and status is not Status.OK:
+        hints = [t.explain_prior(query.near, query.radius) for t in world.towns.values()]
+        if hints and None not in hints:
+            reason = f"{reason} The fix is on none of the maps.{next(filter(None, hints), '')}"
+    gaps = [town.gap for town in searched.values() if town.gap]
+    is_short = bool(gaps) and status is Status.OK
+    if gaps and status is Status.LOST:  # nothing is known of what was not searched
+        gaps, reason = [*gaps, f"In what was, {reason[:1].lower()}{reason[1:]}"], ""
+    parts = filter(None, [reason, *gaps, *(town.cost for town in searched.values())])
+    return Status.AMBIGUOUS if is_short else status, " ".join(parts)
