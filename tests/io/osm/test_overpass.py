@@ -197,7 +197,7 @@ def test_what_is_asked(servers, out):
     assert re.search(r'^relation\["type"~"\^\(multipolygon\|boundary\)\$"\]', query, re.MULTILINE)
 
 
-@pytest.mark.parametrize("islands", [1, 7, 60])
+@pytest.mark.parametrize("islands", [1, 7, pytest.param(60, marks=pytest.mark.all)])
 def test_query_surrounds_the_place_and_stays_short(servers, out, islands):
     from shapely import MultiPolygon, Point, Polygon
     from shapely.geometry import mapping

@@ -525,7 +525,13 @@ def read_overture(source: Overture, left_out: LeftOut | None = None) -> Iterator
         A file is missing, no Parquet, of another schema, or damaged; nothing lies in the box.
 
     """
-    _check_installed()
+    try:
+        import pyarrow.parquet  # noqa: F401
+        import shapely  # noqa: F401
+    except ImportError as error:
+        raise MissingExtraError(
+            "Overture's files are read by PyArrow and Shapely: pip install 'placegraph[overture]'."
+        ) from error
     counts = (LeftOut() if left_out is None else left_out).counts
     found = 0
     for file in files_of(source.paths, SUFFIXES, counts):
@@ -539,16 +545,6 @@ def read_overture(source: Overture, left_out: LeftOut | None = None) -> Iterator
             f"{source}: nothing that can be told{where}; left out: {left}. Give west,south,east,north "
             "of a part that the files hold, or other files."
         )
-
-
-def _check_installed() -> None:
-    try:
-        import pyarrow.parquet  # noqa: F401
-        import shapely  # noqa: F401
-    except ImportError as error:
-        raise MissingExtraError(
-            "Overture's files are read by PyArrow and Shapely: pip install 'placegraph[overture]'."
-        ) from error
 
 
 def _elements(file: OvertureFile, source: Overture, counts: Counter[str]) -> Iterator[OsmElement]:

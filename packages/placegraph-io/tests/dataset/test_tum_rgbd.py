@@ -41,7 +41,7 @@ def test_points_and_colours(recorded, save, tmp_path):
     assert "groundtruth.txt, the truth" in capture.notes[0]
 
 
-@pytest.mark.parametrize("number", [1, 2, 3])
+@pytest.mark.parametrize("number", [1, *(pytest.param(n, marks=pytest.mark.all) for n in (2, 3))])
 def test_cameras_of_the_benchmark(number, recorded, save, tmp_path):
     """Intrinsics and distortion by the folder's name; depth of the colour images' size."""
     world = recorded(frames=1, camera=CAMERAS[number], shrink=1)

@@ -355,19 +355,6 @@ class LocalizerNode:
             return None
 
 
-def _spin(ros: Ros) -> None:
-    shell = LocalizerNode(ros)
-    try:
-        # a thread for what takes long, which is to open another map
-        executor = ros.executors.MultiThreadedExecutor(num_threads=2)
-        executor.add_node(shell.node)
-        executor.spin()
-    except (KeyboardInterrupt, ros.executors.ExternalShutdownException):
-        pass
-    finally:
-        shell.close()
-
-
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node until it is shut down; the exit code is that of placegraph's errors."""
     try:
@@ -377,7 +364,16 @@ def main(args: Sequence[str] | None = None) -> int:
         return error.exit_code
     ros.rclpy.init(args=args)
     try:
-        _spin(ros)
+        shell = LocalizerNode(ros)
+        try:
+            # a thread for what takes long, which is to open another map
+            executor = ros.executors.MultiThreadedExecutor(num_threads=2)
+            executor.add_node(shell.node)
+            executor.spin()
+        except (KeyboardInterrupt, ros.executors.ExternalShutdownException):
+            pass
+        finally:
+            shell.close()
     except PlacegraphError as error:
         ros.rclpy.logging.get_logger(NAME).fatal(str(error))
         return error.exit_code

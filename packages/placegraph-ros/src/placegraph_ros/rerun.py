@@ -121,7 +121,10 @@ class RerunWriter:
         poses = message.fields["poses"]
         turns = np.array([[*pose["orientation"].values()] for pose in poses]).reshape(-1, 4)
         origins = [_xyz(pose["position"]) for pose in poses]
-        ahead = _ahead(turns)
+        quaternions = turns
+        from placegraph.core.geometry import rotation_from_quaternion
+
+        ahead = rotation_from_quaternion(quaternions)[:, :, 0]
         self._log("map/modes", self._rr.Arrows3D(vectors=0.4 * ahead, origins=origins))
 
     def _particles(self, message: Message) -> None:
@@ -241,10 +244,3 @@ def _rgba(colours: Sequence[Fields]) -> Any:  # noqa: ANN401  # of rerun
     """(N, 4) uint8 of colours."""
     found = np.array([(c["r"], c["g"], c["b"], c["a"]) for c in colours])
     return np.rint(255.0 * found).astype(np.uint8)
-
-
-def _ahead(quaternions: Floats) -> Floats:
-    """X axes (N, 3) of orientations (N, 4)."""
-    from placegraph.core.geometry import rotation_from_quaternion
-
-    return rotation_from_quaternion(quaternions)[:, :, 0]

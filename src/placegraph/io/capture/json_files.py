@@ -225,11 +225,10 @@ def _table_entry(path: Path, row: int, entry: Any) -> tuple[str, LabelEntry]:  #
     return str(id_), LabelEntry(
         label,
         name if isinstance(name, str) else "",
-        {str(k): _attribute_text(v) for k, v in attributes.items()}
+        {
+            str(k): (", ".join(map(str, v)) if isinstance(v, list) else str(v))
+            for k, v in attributes.items()
+        }
         if isinstance(attributes, dict)
         else {},
     )
-
-
-def _attribute_text(value: object) -> str:
-    return ", ".join(map(str, value)) if isinstance(value, list) else str(value)

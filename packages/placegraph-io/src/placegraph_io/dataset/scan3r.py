@@ -545,24 +545,20 @@ def _placed(model: Model, rooms: Rooms, scan: str, *, undo_moves: bool) -> Model
     scan_from_reference = np.linalg.inv(rooms.reference_from(scan))
     for row, thing in enumerate(model.things):
         if thing.id in back:
-            model = _with_moved(model, row, back[thing.id] @ scan_from_reference)
+            moved = back[thing.id] @ scan_from_reference
+            own = model.thing_of == row
+            used, corners = np.unique(model.triangles[own], return_inverse=True)
+            triangles = model.triangles.copy()
+            triangles[own] = corners.reshape(-1, 3) + len(model.vertices)
+            placed = _moved(model.vertices[used], moved)
+            model = replace(
+                model,
+                triangles=triangles,
+                vertices=np.concatenate([model.vertices, placed]),
+                colours=np.concatenate([model.colours, model.colours[used]]),
+                uv=np.concatenate([model.uv, model.uv[used]]),
+            )
     return model
-
-
-def _with_moved(model: Model, row: int, moved: NDArray[np.float64]) -> Model:
-    """Model with one thing elsewhere; vertices it shares with others are there twice."""
-    own = model.thing_of == row
-    used, corners = np.unique(model.triangles[own], return_inverse=True)
-    triangles = model.triangles.copy()
-    triangles[own] = corners.reshape(-1, 3) + len(model.vertices)
-    placed = _moved(model.vertices[used], moved)
-    return replace(
-        model,
-        triangles=triangles,
-        vertices=np.concatenate([model.vertices, placed]),
-        colours=np.concatenate([model.colours, model.colours[used]]),
-        uv=np.concatenate([model.uv, model.uv[used]]),
-    )
 
 
 def _moved(points: NDArray[np.float64], transform: NDArray[np.float64]) -> NDArray[np.float64]:

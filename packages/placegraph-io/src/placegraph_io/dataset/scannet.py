@@ -445,7 +445,14 @@ def read_scannet(
     if files is None:
         model = _by_class(scan)
     else:
-        model = _by_object(files, _label_map(scan, label_table, label_column))
+        labels = _label_map(scan, label_table, label_column)
+        mesh = read_ply(files.mesh)
+        groups = read_aggregation(files.objects)
+        segments = _segments(files, len(mesh.vertices))
+        left_out: Counter[str] = Counter()
+        of_vertex = _group_of_vertex(files, groups, segments, left_out)
+        things = [_thing(group, labels, left_out) for group in groups]
+        model = _model(mesh, things, of_vertex, left_out)
     named = scan.folder if scan.folder.absolute().name == scan.name else model.path
     if align:
         map_from_scan = alignment_of(scan)
@@ -504,16 +511,6 @@ def _label_map(
 # -------------------------------------------------------------------------- objects of segments
 
 
-def _by_object(files: _Files, labels: LabelMap | None) -> Model:
-    mesh = read_ply(files.mesh)
-    groups = read_aggregation(files.objects)
-    segments = _segments(files, len(mesh.vertices))
-    left_out: Counter[str] = Counter()
-    of_vertex = _group_of_vertex(files, groups, segments, left_out)
-    things = [_thing(group, labels, left_out) for group in groups]
-    return _model(mesh, things, of_vertex, left_out)
-
-
 def _segments(files: _Files, count: int) -> NDArray[np.int64]:
     """Segment (V,) of each vertex."""
     content = read_json(files.segments)
@@ -570,7 +567,11 @@ def _thing(group: Group, labels: LabelMap | None, left_out: Counter[str]) -> Thi
 def _by_class(scan: Scan) -> Model:
     file = scan.file(LABELLED)
     coloured = scan.file(ANNOTATED[0][0])
-    label = _classes(file)
+    vertex = read_columns(file).get("vertex")
+    if vertex is None or "label" not in vertex.single:
+        raise InputError(f"{file} has no vertices with a `label`; download the file again.")
+    column = vertex.single["label"]
+    label = np.where((column >= 1) & (column <= len(NYU40)), column, 0).astype(np.int64)
     left_out: Counter[str] = Counter()
     mesh = read_ply(coloured if coloured.is_file() else file)
     if len(mesh.vertices) != len(label):
@@ -587,15 +588,6 @@ def _by_class(scan: Scan) -> Model:
     row = np.where(known, np.cumsum(known) - 1, -1)
     things = [Thing(str(i), NYU40[int(c) - 1]) for i, c in enumerate(label[roots[known]], start=1)]
     return _model(mesh, things, row[inverse], left_out)
-
-
-def _classes(file: Path) -> NDArray[np.int64]:
-    """Class (V,) of each vertex, 1 to 40; 0: none."""
-    vertex = read_columns(file).get("vertex")
-    if vertex is None or "label" not in vertex.single:
-        raise InputError(f"{file} has no vertices with a `label`; download the file again.")
-    column = vertex.single["label"]
-    return np.where((column >= 1) & (column <= len(NYU40)), column, 0).astype(np.int64)
 
 
 def patches(triangles: NDArray[np.int64], label: NDArray[np.int64]) -> NDArray[np.int64]:

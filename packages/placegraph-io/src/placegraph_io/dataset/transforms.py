@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from placegraph.core.geometry import Camera
 from placegraph.errors import InputError, OptionError
 from placegraph.io.capture.frame import Capture, DepthUnit, LazyImages, colour_file, depth_file
 from placegraph.io.capture.images import ENDINGS, image_size
@@ -160,7 +159,20 @@ def _shot(
     path: Path, content: dict[str, Any], i: int, image: Path, pose: NDArray[np.float64]
 ) -> Shot:
     file, frame = path / _FILE, content["frames"][i]
-    camera = _camera(file, content | frame, i)
+    said = content | frame
+    lens = _LENSES.get(str(said.get("camera_model", "OPENCV")))
+    if lens is None:
+        raise InputError(
+            f"{file}: camera_model is {str(said['camera_model'])[:40]!r}; {', '.join(_LENSES)} are read. "
+            "Undistort the images."
+        )
+    width, height = (number(file, said, field) for field in ("w", "h"))
+    if not (1 <= width < 1 << 16 and 1 <= height < 1 << 16):
+        raise InputError(f"{file}: frames[{i}]: w and h are {width} and {height}; export again.")
+    intrinsics = [number(file, said, field) for field in ("fl_x", "fl_y", "cx", "cy")]
+    bent = [number(file, said, field) if field in said else 0.0 for field in _BENT[lens]]
+    bent = bent if any(bent) or lens == "fisheye" else []
+    camera = camera_of(f"{file}: frames[{i}]", (int(width), int(height)), intrinsics, bent, lens)
     depth_camera = metres = None
     named = frame.get("depth_file_path") or frame.get("depth_path")
     per_metre = 1000.0
@@ -181,19 +193,3 @@ def _shot(
         images=LazyImages(colour_file(image, camera), metres, unit=unit),
         depth_camera=depth_camera,
     )
-
-
-def _camera(file: Path, said: dict[str, Any], i: int) -> Camera:
-    lens = _LENSES.get(str(said.get("camera_model", "OPENCV")))
-    if lens is None:
-        raise InputError(
-            f"{file}: camera_model is {str(said['camera_model'])[:40]!r}; {', '.join(_LENSES)} are read. "
-            "Undistort the images."
-        )
-    width, height = (number(file, said, field) for field in ("w", "h"))
-    if not (1 <= width < 1 << 16 and 1 <= height < 1 << 16):
-        raise InputError(f"{file}: frames[{i}]: w and h are {width} and {height}; export again.")
-    intrinsics = [number(file, said, field) for field in ("fl_x", "fl_y", "cx", "cy")]
-    bent = [number(file, said, field) if field in said else 0.0 for field in _BENT[lens]]
-    bent = bent if any(bent) or lens == "fisheye" else []
-    return camera_of(f"{file}: frames[{i}]", (int(width), int(height)), intrinsics, bent, lens)

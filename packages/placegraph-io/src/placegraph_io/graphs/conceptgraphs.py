@@ -87,7 +87,10 @@ def read_conceptgraphs(
     turn = np.eye(3)
     if up == "y":
         turn = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-    objects = [_turned(held, turn) for held in objects]
+    objects = [
+        held._replace(centre=turn @ held.centre, extent=np.abs(turn) @ held.extent)
+        for held in objects
+    ]
     relations = _relations(file, [held.thing for held in objects], left_out)
     turned = _is_turned(file.parent)
     if mesh is not None:
@@ -148,11 +151,6 @@ def _objects(file: Path, left_out: Counter[str]) -> list[_Object]:
     if not held:
         raise InputError(f"{file} holds no object with a box; map again.")
     return held
-
-
-def _turned(held: _Object, turn: Floats) -> _Object:
-    """Object in axes with z up."""
-    return held._replace(centre=turn @ held.centre, extent=np.abs(turn) @ held.extent)
 
 
 def _relations(

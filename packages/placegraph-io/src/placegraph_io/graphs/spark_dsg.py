@@ -350,7 +350,11 @@ class _Reader:
         version = self._version()
         layer = self._layer("OBJECTS", OBJECTS)
         names = self._label_names(layer)
-        found = [n for n in self.content["nodes"] if _is_object(n, layer)]
+        found = [
+            n
+            for n in self.content["nodes"]
+            if (int(n["layer"]) == layer and "bounding_box" in n["attributes"])
+        ]
         rooms = rooms_of(self.content, layer, self._layer("ROOMS", ROOMS))
         taken: set[str] = set()
         nodes = [self._node(n, version, names, rooms, taken) for n in found]
@@ -507,11 +511,6 @@ class _Reader:
             if source is not None and 0 <= vertex < count:
                 owner[vertex] = source
         return owner
-
-
-def _is_object(node: Json, layer: int) -> bool:
-    """Whether a node is an object: agents share its layer, in other partitions."""
-    return int(node["layer"]) == layer and "bounding_box" in node["attributes"]
 
 
 def _within(rows: NDArray[np.int64], count: int) -> NDArray[np.int64]:

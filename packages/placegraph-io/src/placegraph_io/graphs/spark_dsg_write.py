@@ -64,7 +64,10 @@ def encode_spark_dsg(
     semantic = np.array([number[t.label] for t in model.things], np.int64)
     boxes = _boxes(corners, vertex_thing, len(model.things))
     colours = model.colours[vertex]
-    own = _rows_of(vertex_thing, len(model.things))
+    owner = vertex_thing
+    count = len(model.things)
+    ends = np.searchsorted(owner, np.arange(count + 1))
+    own = [np.arange(low, high) for low, high in pairwise(ends.tolist())]
     objects = [
         _object(i, model, int(semantic[i]), boxes[i], rows, colours[rows])
         for i, rows in enumerate(own)
@@ -120,12 +123,6 @@ def _owned(
     unique, corners = np.unique(pairs, return_inverse=True)
     thing, vertex = np.divmod(unique, max(count, 1))
     return model.vertices[vertex], corners.reshape(-1, 3), thing, vertex
-
-
-def _rows_of(owner: NDArray[np.int64], count: int) -> list[NDArray[np.int64]]:
-    """Rows of each of `count` owners; they stand in order."""
-    ends = np.searchsorted(owner, np.arange(count + 1))
-    return [np.arange(low, high) for low, high in pairwise(ends.tolist())]
 
 
 def _boxes(
