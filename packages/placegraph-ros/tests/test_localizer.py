@@ -46,7 +46,7 @@ def followed(source, room, options=ONE_BY_ONE, **given):
     """Summary and messages of a source."""
     heard = Heard()
     localizer = Localizer(room.scene, options, plan=source.plan, **given)
-    return run(source.happenings, localizer, [heard]), heard
+    return run(source.events, localizer, [heard]), heard
 
 
 def test_a_bag(room):
@@ -123,7 +123,7 @@ def test_a_folder_that_fills(room, tmp_path):
 
     patience = WaitPolicy(np.inf, pause)
     frames = []
-    for frame in open_source(walk, patience).happenings:
+    for frame in open_source(walk, patience).events:
         if frame is None:
             assert frames, "what an image has told is asked for while nothing comes"
         else:
@@ -144,14 +144,14 @@ def test_a_bag_that_is_being_recorded(room, tmp_path):
             patience.over.set()
 
     patience = WaitPolicy(np.inf, pause)
-    grown = [p for p in open_source(path, patience).happenings if "/camera/color/" in p.topic]
+    grown = [p for p in open_source(path, patience).events if "/camera/color/" in p.topic]
     assert len(grown) == 2 * FRAMES, "images, and intrinsics"
 
 
 def halves(room):
     """Messages of the first frames of the bag, and of the others."""
     source = bag_source(room.bag)
-    packets = list(source.happenings)
+    packets = list(source.events)
     half = START + room.clip.stamps[FRAMES // 2]
     return (
         source.plan,
@@ -259,7 +259,7 @@ def test_a_stream_without_intrinsics_says_so_and_goes_on_when_they_come(room):
 def test_odometry_that_falls_silent_is_the_status(room):
     """Images alone do not tell a robot with odometry where it is; nor do those of another clock."""
     source = bag_source(room.bag)
-    packets = list(source.happenings)
+    packets = list(source.events)
     localizer = Localizer(room.scene, ONE_BY_ONE, plan=source.plan)
     last = START + room.clip.stamps[4] + 0.01
     said = statuses(taken(localizer, [p for p in packets if p.topic != "/odom" or p.time <= last]))
@@ -278,7 +278,7 @@ def test_what_odometry_says_of_its_errors(variance, room):
     """Frames are followed all the same; what is no covariance is not used, and that is said."""
     source, store = bag_source(room.bag), typestore("cdr")
     localizer = Localizer(room.scene, ONE_BY_ONE, plan=source.plan)
-    for packet in source.happenings:
+    for packet in source.events:
         if packet.topic == "/odom" and packet.time > START + room.clip.stamps[6]:
             said = store.deserialize_cdr(packet.data, packet.type)
             said.pose.covariance = variance * np.eye(6).ravel()
@@ -304,7 +304,7 @@ def test_stamps_that_ros_cannot_say(seconds, room):
     localizer = Localizer(room.scene, ONE_BY_ONE, plan=bag_source(room.bag).plan)
     packets = [
         p._replace(data=p.data[:4] + pack("<i", seconds) + p.data[8:]) if p.topic != "/tf_static" else p
-        for p in bag_source(room.bag).happenings
+        for p in bag_source(room.bag).events
     ]  # fmt: skip
     said = [*taken(localizer, packets), *localizer.finish()]
     assert localizer.summary.left_out

@@ -14,7 +14,7 @@ from placegraph_io.ros.decode import typestore
 from placegraph_io.ros.stream import Packet, packets_of
 from placegraph_ros import node as ros_node
 from placegraph_ros.localizer import Localizer
-from placegraph_ros.node import NEWEST, Inbox, LocalizerNode, Ros, main
+from placegraph_ros.node import NEWEST, Inbox, LocalizerNode, RosModules, main
 from placegraph_ros.options import PARAMETERS
 from placegraph_ros.sources import bag_source
 from ros_world import FRAMES
@@ -40,7 +40,7 @@ def robot(room, recorded, monkeypatch):
         world = World({"map": str(room.map)} | parameters, recorded[1], lacks)
         world.install(monkeypatch)
         world.init()
-        shell = LocalizerNode(Ros.imported())
+        shell = LocalizerNode(RosModules.imported())
         nodes.append(shell)
         return world, shell
 

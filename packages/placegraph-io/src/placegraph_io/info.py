@@ -13,18 +13,18 @@ from placegraph.io.capture.frame import Capture
 from placegraph_io.ros.capture import capture_from
 from placegraph_io.ros.containers import Topic, open_bag
 from placegraph_io.ros.poses import OF_OTHERS
-from placegraph_io.ros.topics import Plan, plan_of, wishes_of
+from placegraph_io.ros.topics import Plan, plan_of, read_topic_choice
 
 USES = ("localize", "refine", "build", "track")
 
 
 def bag_facts(path: Path, topics: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    """Plain numbers and strings about a bag; errors as of `open_bag` and `wishes_of`.
+    """Plain numbers and strings about a bag; errors as of `open_bag` and `read_topic_choice`.
 
     `topics`: one entry each, with what it is `used` for; `chosen`: by role; `transforms`: parent,
     child, and whether they never change; `uses`: by use, a list of sentences that say what it lacks.
     """
-    plan = plan_of(open_bag(path), wishes_of(path, topics))
+    plan = plan_of(open_bag(path), read_topic_choice(path, topics))
     capture: Capture | None = None
     if not plan.lacks:
         try:
@@ -35,7 +35,7 @@ def bag_facts(path: Path, topics: Mapping[str, Any] | None = None) -> dict[str, 
     first = min(int(t.times[0]) for t in held)
     last = max(int(t.times[-1]) for t in held)
     used = _used(plan)
-    tree = plan.placing.tree if plan.placing else None
+    tree = plan.pose_reader.tree if plan.pose_reader else None
     return {
         "bag": str(path),
         "duration_s": round((last - first) * 1e-9, 3),
@@ -46,7 +46,7 @@ def bag_facts(path: Path, topics: Mapping[str, Any] | None = None) -> dict[str, 
             for (parent, child), edge in (tree.edges.items() if tree else ())
         ],
         "chosen": {role: name for name, roles in used.items() for role in roles},
-        "poses_in": plan.placing.frame if plan.placing else "",
+        "poses_in": plan.pose_reader.frame if plan.pose_reader else "",
         "frames": len(capture) if capture else 0,
         "left_out": dict(capture.left_out) if capture else {},
         "uses": {use: _lacks(plan, use) for use in USES},
@@ -66,10 +66,10 @@ def _used(plan: Plan) -> dict[str, list[str]]:
     put("camera", plan.camera_topic)
     put("depth", plan.depth.topic if plan.depth else None)
     put("depth_camera", plan.depth_camera_topic)
-    if plan.placing:
-        put("odometry", plan.placing.odometry)
-        put("imu", plan.placing.imu)
-        for topic in plan.placing.moves:
+    if plan.pose_reader:
+        put("odometry", plan.pose_reader.odometry)
+        put("imu", plan.pose_reader.imu)
+        for topic in plan.pose_reader.moves:
             put("static_transforms" if topic.name.endswith("tf_static") else "transforms", topic)
     return out
 
@@ -93,15 +93,15 @@ def _topic(plan: Plan, topic: Topic, used: dict[str, list[str]]) -> dict[str, An
 def _lacks(plan: Plan, use: str) -> list[str]:
     """Sentences on what a use lacks; none: it can be done."""
     lacks = list(plan.lacks.values())
-    path, placing = plan.bag.path, plan.placing
+    path, pose_reader = plan.bag.path, plan.pose_reader
     if use == "build" and plan.colour is not None and plan.depth is None:
         lacks.append(
             f"{path} holds no depth, of which a map is fused; record the depth camera's image topic, "
             "16UC1 or 32FC1, with its CameraInfo."
         )
-    if use == "track" and placing is not None and placing.frame in OF_OTHERS:
+    if use == "track" and pose_reader is not None and pose_reader.frame in OF_OTHERS:
         lacks.append(
-            f"{path}: poses are those of {placing.frame}, which tracking itself should tell; record the "
+            f"{path}: poses are those of {pose_reader.frame}, which tracking itself should tell; record the "
             "transform odom -> base_link, or nav_msgs/Odometry."
         )
     return lacks

@@ -29,7 +29,7 @@ from placegraph.io.capture.json_files import read_json
 from placegraph.io.capture.posed import (
     ARKIT_FROM_OPENCV,
     MAP_FROM_Y_UP,
-    Shot,
+    StoredFrame,
     camera_of,
     capture_of,
     exact_pose,
@@ -209,7 +209,7 @@ def read_record3d(path: Path) -> Capture:
             unit=DepthUnit(f"{source.path}, {depths}", 1.0),
         )
         pose = MAP_FROM_Y_UP @ pose @ ARKIT_FROM_OPENCV
-        shots.append(Shot(name, stamps[row], pose, camera, images, depth_camera))
+        shots.append(StoredFrame(name, stamps[row], pose, camera, images, depth_camera))
     return capture_of(path, shots, left_out=left_out)
 
 
@@ -335,7 +335,7 @@ def read_arkit_app(path: Path) -> Capture:
 
 def _arkit_app_shot(
     path: Path, images: dict[str, Path], row: str, first: tuple[Path, Path]
-) -> Shot:
+) -> StoredFrame:
     """Frame of a number; `first` are the colour and the depth image whose sizes all have."""
     file = path / f"frame_{row}.json"
     content = read_json(file)
@@ -352,7 +352,7 @@ def _arkit_app_shot(
     depth, sure = images[f"depth_{row}"], images.get(f"conf_{row}")
     depth_camera = smaller_view(camera, image_size(first[1]), first[1])
     pose = exact_pose(numbers(file, content, "cameraPoseARFrame", 16), f"{file}: cameraPoseARFrame")
-    return Shot(
+    return StoredFrame(
         name=str(file),
         stamp=number(file, content, "time") if "time" in content else float(int(row)),
         pose=MAP_FROM_Y_UP @ pose @ ARKIT_FROM_OPENCV,
@@ -397,7 +397,7 @@ def read_ios_logger(path: Path) -> Capture:
         camera = camera_of(line, video.size, intrinsics)
         pose = MAP_FROM_Y_UP @ pose_of((x, y, z), (*q, qw), where) @ ARKIT_FROM_OPENCV
         images = LazyImages(partial(video.picture, number, camera))
-        shots.append(Shot(where, stamp, pose, camera, images))
+        shots.append(StoredFrame(where, stamp, pose, camera, images))
     return capture_of(path, shots, left_out=left_out)
 
 
@@ -437,7 +437,7 @@ def read_polycam(path: Path) -> Capture:
         depth_camera = smaller_view(camera, size, first)
         depth = depth_file(depths[stem], depth_camera, _UNIT, confidence=sure.get(stem))
         shots.append(
-            Shot(
+            StoredFrame(
                 name=str(cameras[stem]),
                 stamp=int(stem) / 1e6 if stem.isascii() and stem.isdigit() else float(i),
                 pose=pose,
@@ -507,7 +507,7 @@ def read_stray(path: Path) -> Capture:
         position, xyzw = ([row[name] for name in _POSE[a:b]] for a, b in ((2, 5), (5, 9)))
         depth = depth_file(depths[stem], depth_camera, _UNIT, confidence=sure.get(stem))
         shots.append(
-            Shot(
+            StoredFrame(
                 name=line,
                 stamp=row["timestamp"],
                 pose=MAP_FROM_Y_UP @ pose_of(position, xyzw, line),

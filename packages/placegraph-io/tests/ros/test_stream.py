@@ -14,8 +14,15 @@ from placegraph.io.capture.frame import Frame
 from placegraph_io.ros.containers import open_bag
 from placegraph_io.ros.mcap_stream import mcap_packets
 from placegraph_io.ros.poses import Tree
-from placegraph_io.ros.stream import SILENT, Assembly, Discovery, Fault, Move, packets_of
-from placegraph_io.ros.topics import Wishes, plan_of
+from placegraph_io.ros.stream import (
+    SILENT,
+    Discovery,
+    Fault,
+    FrameAssembly,
+    OdometryPose,
+    packets_of,
+)
+from placegraph_io.ros.topics import TopicChoice, plan_of
 from placegraph_lab.worlds.bags import BASE_FROM_CAMERA, OPTICAL, BagWriter, Layout, write_capture
 from placegraph_ros.message import pose
 from placegraph_ros.pose_messages import base_pose
@@ -33,8 +40,8 @@ def assembled(assembly, packets):
 
 
 def of_bag(path):
-    """Assembly of a bag, and its packets."""
-    assembly = Assembly(plan_of(open_bag(path), Wishes()))
+    """FrameAssembly of a bag, and its packets."""
+    assembly = FrameAssembly(plan_of(open_bag(path), TopicChoice()))
     return assembly, list(packets_of(assembly.plan.bag, assembly.topics))
 
 
@@ -73,12 +80,12 @@ def test_a_pipe_is_heard_until_it_is_known_what_comes(bag):
     """What was heard before is not lost."""
     path = bag()
     data = next(path.glob("*.mcap")).read_bytes()
-    listening = Discovery(Path("stdin"), Wishes())
+    listening = Discovery(Path("stdin"), TopicChoice())
     packets = list(mcap_packets(io.BytesIO(data).read, "stdin"))
     assert not any(isinstance(p, Fault) for p in packets)
     coming = iter(packets)
     plan = next(filter(None, map(listening.take, coming)), None) or listening.found()
-    said = assembled(Assembly(plan), [*listening.heard(), *coming])
+    said = assembled(FrameAssembly(plan), [*listening.heard(), *coming])
     same([f for f in said if isinstance(f, Frame)], pg.open_capture(path))
 
 
@@ -118,7 +125,7 @@ def test_a_damaged_chunk_of_a_pipe_is_named(bag):
 def test_what_lacks_is_named_until_it_comes(layout, words, bag):
     """Nothing is chosen while something lacks; when it comes, all is well."""
     lacking = list(mcap_packets(bytes_of(bag("mcap", layout)), "robot"))
-    listening = Discovery(Path("robot"), Wishes())
+    listening = Discovery(Path("robot"), TopicChoice())
     assert not any(listening.take(p) for p in lacking)
     assert listening.found() is None
     assert words in listening.lacks[0]
@@ -147,8 +154,8 @@ def test_odometry_between_images_is_told(tmp_path, clip):
         write_capture(writer, clip, Layout(poses="none"))
     assembly, packets = of_bag(tmp_path / "more")
     said = assembled(assembly, packets)
-    moves = [m for m in said if isinstance(m, Move)]
-    assert isinstance(said[0], Move), "odometry is told before the first frame"
+    moves = [m for m in said if isinstance(m, OdometryPose)]
+    assert isinstance(said[0], OdometryPose), "odometry is told before the first frame"
     assert len(moves) > 150
     assert all(b.stamp > a.stamp for a, b in itertools.pairwise(moves))
     along = moves[-1].odometry_from_camera[0, 3] - clip.frames[0].odometry[0, 3]
@@ -171,7 +178,7 @@ def test_what_odometry_says_of_its_errors_is_the_cameras(bag, clip, rng):
             )  # fmt: skip
 
     assembly, packets = of_bag(bag(layout=Layout(poses="none"), more=wheels))
-    moves = [m for m in assembled(assembly, packets) if isinstance(m, Move)]
+    moves = [m for m in assembled(assembly, packets) if isinstance(m, OdometryPose)]
     assert moves
     for move in moves:
         _, spread = base_pose(move.odometry_from_camera, move.covariance, BASE_FROM_CAMERA)

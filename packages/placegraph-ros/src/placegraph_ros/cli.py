@@ -132,12 +132,12 @@ def live(
         options = LiveOptions(mode=mode_of(mode), whole=bool(sinks), seed=seed)
         localizer = Localizer(
             open_rooms(map_file), options, plan=stream.plan, name=str(stream.path),
-            wishes=stream.wishes, device=device,
+            choice=stream.choice, device=device,
         )  # fmt: skip
         stack.enter_context(listen_to_keys(clock, wait_policy))
         stack.enter_context(stop_on_interrupt(clock, wait_policy))
         lines = _Lines(as_json=as_json, quiet=quiet)
-        events = clock.paced(stream.happenings, time_of)
+        events = clock.paced(stream.events, time_of)
         with suppress(KeyboardInterrupt):  # a second Ctrl-C
             summary = run(events, localizer, sinks, lines)
             if not summary.frames and not clock.stopped:
@@ -289,7 +289,7 @@ def localize(
         def told(localizer: Localizer) -> None:
             tell("localizing", localizer.frames, source.frames)
 
-        summary = run(source.happenings, localizer, sinks, told)
+        summary = run(source.events, localizer, sinks, told)
     written = {"out": str(out)} | ({"rerun": str(rerun)} if rerun else {})
     if as_json or not quiet:
         show_summary(summary, written, as_json=as_json)

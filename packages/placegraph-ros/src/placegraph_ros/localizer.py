@@ -20,8 +20,8 @@ from placegraph.errors import InputError, OptionError
 from placegraph.indoor.track.live import LiveTracker
 from placegraph.indoor.track.live_pose import LivePose
 from placegraph.io.capture.frame import Frame
-from placegraph_io.ros.stream import Assembly, Discovery, Fault, Move, Packet
-from placegraph_io.ros.topics import Plan, Wishes
+from placegraph_io.ros.stream import Discovery, Fault, FrameAssembly, OdometryPose, Packet
+from placegraph_io.ros.topics import Plan, TopicChoice
 from placegraph_ros.message import Message, nanoseconds
 from placegraph_ros.options import LiveOptions, Summary
 from placegraph_ros.pose_messages import PoseReporter, frame_ids
@@ -48,7 +48,7 @@ class Localizer:
         `LiveOptions`.
     plan
         What frames are made of, where it is known; else the stream is listened to for a second.
-    name, wishes
+    name, choice
         What the stream is called in messages, and what the user says of it.
     **known
         options, encoder and device, as of `SceneMap.localize`.
@@ -67,18 +67,18 @@ class Localizer:
         *,
         plan: Plan | None = None,
         name: str = "stream",
-        wishes: Wishes | None = None,
+        choice: TopicChoice | None = None,
         **known: Any,  # noqa: ANN401  # of `SceneMap.localize`
     ) -> None:
         self.options = options or LiveOptions()
         self._known = known
-        self._discovery = Discovery(Path(name), wishes or Wishes())
-        self._assembly: Assembly | None = None
+        self._discovery = Discovery(Path(name), choice or TopicChoice())
+        self._assembly: FrameAssembly | None = None
         self._left_out: Counter[str] = Counter()
         self._stamps: dict[int, float] = {}
         self._reason = ""
         self._told: Counter[str] = Counter()  # in maps before this one
-        self._unheard = ""  # why odometry's covariance is not used
+        self._covariance_fault = ""  # why odometry's covariance is not used
         self.frames = self._dropped = 0
         self._placed: tuple[Floats, Floats] | None = None
         self._begin(maps)
@@ -91,7 +91,7 @@ class Localizer:
             maps, seed=options.seed, background=options.background, **self._known
         )
         names = frame_ids(options, self._assembly)
-        self._telling = PoseReporter(maps, names, options.tolerance, whole=options.whole)
+        self._reporter = PoseReporter(maps, names, options.tolerance, whole=options.whole)
         self._live: LivePose | None = None  # as it is after the last move
         self._wanted = True  # whether images are to be looked at
         self._moves = False
@@ -129,7 +129,7 @@ class Localizer:
                 messages += self._part(part)
         self.tracker.wait()
         if self.options.background and self._carried is not None:  # by what the last image told
-            messages += self._telling.moved(self.tracker.pose(), *self._carried)
+            messages += self._reporter.moved(self.tracker.pose(), *self._carried)
         return messages + self._news()
 
     def _hear(self, packet: Packet) -> list[Message]:
@@ -139,7 +139,7 @@ class Localizer:
         if plan is not None:
             return self._found(plan)
         lacks = self._discovery.lacks
-        return self._telling.lacking(lacks[0], packet.time) if lacks else []
+        return self._reporter.lacking(lacks[0], packet.time) if lacks else []
 
     def _found(self, plan: Plan) -> list[Message]:
         """Begin with what was heard before it was known what frames are made of."""
@@ -149,12 +149,12 @@ class Localizer:
             messages += self._assembled(assembly, packet)
         return messages
 
-    def _choose(self, plan: Plan) -> Assembly:
-        self._assembly = Assembly(plan)
-        self._telling.begin(frame_ids(self.options, self._assembly))
+    def _choose(self, plan: Plan) -> FrameAssembly:
+        self._assembly = FrameAssembly(plan)
+        self._reporter.begin(frame_ids(self.options, self._assembly))
         return self._assembly
 
-    def _assembled(self, assembly: Assembly, packet: Packet) -> list[Message]:
+    def _assembled(self, assembly: FrameAssembly, packet: Packet) -> list[Message]:
         messages: list[Message] = []
         try:
             for part in assembly.take(packet):
@@ -163,7 +163,7 @@ class Localizer:
             messages += self._amiss(packet.topic, str(error))
         return messages
 
-    def _part(self, part: Frame | Move) -> list[Message]:
+    def _part(self, part: Frame | OdometryPose) -> list[Message]:
         if isinstance(part, Frame):
             return self._see(part)
         self._moves = True
@@ -172,15 +172,15 @@ class Localizer:
             live = self.tracker.move(*self._carried, part.covariance)
         except OptionError as error:
             live = self.tracker.move(*self._carried)
-            self._unheard = f"What odometry says of its own errors is not used: {error}"
+            self._covariance_fault = f"What odometry says of its own errors is not used: {error}"
         self._live = None if self._mounted() else live
-        return self._telling.moved(live, *self._carried)
+        return self._reporter.moved(live, *self._carried)
 
     def _mounted(self) -> bool:
         """Know where the camera sits, and whether it was told before where it is: that counts now."""
         mount = self._assembly.base_from_camera() if self._assembly is not None else None
         if mount is not None:
-            self._telling.base_from_camera = mount
+            self._reporter.base_from_camera = mount
         told, self._placed = self._placed, None
         if told is not None:
             self.place(*told)
@@ -195,7 +195,7 @@ class Localizer:
         try:
             nanoseconds(frame.stamp)  # of a clock that is none, nothing can be told
             if self.options.whole:
-                messages += image_messages(frame, frame.stamp, self._telling.frames)
+                messages += image_messages(frame, frame.stamp, self._reporter.frames)
             if self._wanted:
                 self.tracker.see(frame)
         except (InputError, OptionError) as error:
@@ -203,7 +203,7 @@ class Localizer:
         if not self._moves:  # images alone tell odometry
             self._mounted()
             self._carried = frame.stamp, frame.odometry
-            messages += self._telling.moved(self.tracker.pose(), *self._carried)
+            messages += self._reporter.moved(self.tracker.pose(), *self._carried)
         return messages
 
     def _news(self) -> list[Message]:
@@ -216,8 +216,8 @@ class Localizer:
         if self.options.mode == "once" and live.status is Status.OK:
             self._wanted = False
         if self.frames:
-            return self._telling.news(live, self._stamp_of(live))
-        return self._telling.unusable(self.summary.left_out, newest)
+            return self._reporter.news(live, self._stamp_of(live))
+        return self._reporter.unusable(self.summary.left_out, newest)
 
     def _stamp_of(self, live: LivePose) -> float:
         """When the last image that told something was taken [s]."""
@@ -245,11 +245,11 @@ class Localizer:
         spread[unsaid] = spread[:, unsaid] = 0.0
         spread[np.diag_indices(6)] += np.where(unsaid, UNTOLD, 0.0)
         try:
-            self.tracker.place(np.asarray(map_from_base) @ self._telling.base_from_camera, spread)
+            self.tracker.place(np.asarray(map_from_base) @ self._reporter.base_from_camera, spread)
         except OptionError as error:
             live = self.tracker.pose()
             reason = f"The pose that was told is not taken: {error}"
-            return self._telling.status(live.status, reason, live.stamp, live=live)
+            return self._reporter.status(live.status, reason, live.stamp, live=live)
         self._wanted = True
         return self._news()
 
@@ -268,9 +268,9 @@ class Localizer:
         self.tracker.close()
         self._dropped += self.tracker.dropped
         self._told += self.tracker.told
-        mount = self._telling.base_from_camera
+        mount = self._reporter.base_from_camera
         self._begin(maps)
-        self._telling.base_from_camera = mount
+        self._reporter.base_from_camera = mount
         return self._news()
 
     # ------------------------------------------------------------------------------- the end
@@ -285,8 +285,8 @@ class Localizer:
             if parts.jumps:
                 notes.append(f"The clock was set back {parts.jumps} times, and went on from there.")
         lacks = self._discovery.lacks if parts is None else ()
-        if self._unheard:
-            notes.append(self._unheard)
+        if self._covariance_fault:
+            notes.append(self._covariance_fault)
         told = self._told + self.tracker.told
         if self.frames and not told[Status.OK.name]:
             notes.append(f"No pose was sure: {self._reason}")
@@ -309,7 +309,7 @@ class Sink(Protocol):
 
 
 def run(
-    happenings: Iterable[Packet | Fault | Frame | Request | None],
+    events: Iterable[Packet | Fault | Frame | Request | None],
     localizer: Localizer,
     sinks: Sequence[Sink],
     told: Callable[[Localizer], None] | None = None,
@@ -318,7 +318,7 @@ def run(
 
     Parameters
     ----------
-    happenings
+    events
         Messages, frames, what somebody asks of the localizer, or None: time has gone by.
     localizer, sinks
         Who takes them, and who carries what it says.
@@ -336,7 +336,7 @@ def run(
             if told is not None:
                 told(localizer)
 
-        for event in happenings:
+        for event in events:
             send(event(localizer) if callable(event) else localizer.take(event))
         send(localizer.finish())
         return localizer.summary

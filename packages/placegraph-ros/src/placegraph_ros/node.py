@@ -24,7 +24,7 @@ from placegraph_io.ros.stream import WANTED, Packet
 from placegraph_io.ros.topics import IMAGES
 from placegraph_ros.localizer import Localizer, Request, run
 from placegraph_ros.message import Message, cdr
-from placegraph_ros.options import PARAMETERS, LiveOptions, stream_name, wishes_of_parameters
+from placegraph_ros.options import PARAMETERS, LiveOptions, choice_of_parameters, stream_name
 from placegraph_ros.pose_messages import STATUS
 
 NEWEST = 4
@@ -105,7 +105,7 @@ class Services:
     answered when the map is open.
     """
 
-    def __init__(self, ros: Ros, node: Any, inbox: Inbox, map_frame: str) -> None:  # noqa: ANN401
+    def __init__(self, ros: RosModules, node: Any, inbox: Inbox, map_frame: str) -> None:  # noqa: ANN401
         self._node, self._inbox, self._map = node, inbox, map_frame
         told = ros.message("geometry_msgs/msg/PoseWithCovarianceStamped")
         node.create_subscription(told, "initialpose", self.place, 10)
@@ -117,7 +117,7 @@ class Services:
             empty, "request_nomotion_update", partial(self._asked, Localizer.update)
         )
         try:
-            placing = ros.service("nav2_msgs/srv/SetInitialPose")
+            pose_reader = ros.service("nav2_msgs/srv/SetInitialPose")
             loading = ros.service("nav2_msgs/srv/LoadMap")
         except (ImportError, AttributeError, ValueError):
             node.get_logger().warning(
@@ -125,7 +125,7 @@ class Services:
                 "(apt install ros-$ROS_DISTRO-nav2-msgs)."
             )
             return
-        node.create_service(placing, "set_initial_pose", self.set_pose)
+        node.create_service(pose_reader, "set_initial_pose", self.set_pose)
         alone = ros.groups.MutuallyExclusiveCallbackGroup()  # opening takes seconds; others go on
         node.create_service(loading, "load_map", self.load, callback_group=alone)
 
@@ -180,7 +180,7 @@ _GLOBAL = ("tf", "tf_static", "diagnostics")  # topics that stand in no namespac
 
 
 @dataclass(frozen=True, slots=True)
-class Ros:
+class RosModules:
     """What is used of ROS 2."""
 
     rclpy: Any
@@ -192,7 +192,7 @@ class Ros:
     service: Any
 
     @classmethod
-    def imported(cls) -> Ros:
+    def imported(cls) -> RosModules:
         """Import it; `MissingExtraError` where it is not installed."""
         try:
             import rclpy
@@ -219,7 +219,7 @@ class LocalizerNode:
 
     """
 
-    def __init__(self, ros: Ros) -> None:
+    def __init__(self, ros: RosModules) -> None:
         self.ros = ros
         self.node = ros.rclpy.create_node(NAME)
         given = {
@@ -234,7 +234,7 @@ class LocalizerNode:
         self.inbox = Inbox()
         self.localizer = Localizer(
             open_rooms(given["map"]), LiveOptions.from_parameters(given), name=str(stream_name(given, NAME)),
-            wishes=wishes_of_parameters(given, NAME), device=given["device"],
+            choice=choice_of_parameters(given, NAME), device=given["device"],
         )  # fmt: skip
         self._subscribed: dict[tuple[str, str], Any] = {}
         self._publishers: dict[str, Any] = {}
@@ -358,7 +358,7 @@ class LocalizerNode:
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node until it is shut down; the exit code is that of placegraph's errors."""
     try:
-        ros = Ros.imported()
+        ros = RosModules.imported()
     except PlacegraphError as error:
         print(f"placegraph: {error}", file=sys.stderr)  # noqa: T201  # nobody logs yet
         return error.exit_code

@@ -11,7 +11,7 @@ from typing import Any, Literal, Self
 
 from placegraph.core.estimate import Status
 from placegraph.errors import OptionError
-from placegraph_io.ros.topics import Wishes, wishes_of
+from placegraph_io.ros.topics import TopicChoice, read_topic_choice
 
 Mode = Literal["continuous", "once"]
 
@@ -77,13 +77,13 @@ def stream_name(given: Mapping[str, Any], name: str) -> Path:
     return Path(given["topics"].removesuffix(".json") or name)
 
 
-def wishes_of_parameters(given: Mapping[str, Any], name: str) -> Wishes:
+def choice_of_parameters(given: Mapping[str, Any], name: str) -> TopicChoice:
     """Return the topics that a node's parameters and its file `topics` (NAME.json if not given) choose.
 
     The file is as one beside a bag; empty parameters say nothing. Raises `InputError` for its content.
     """
     chosen = {role: given[role] for role in TOPICS if given[role]}
-    return wishes_of(stream_name(given, name), chosen)
+    return read_topic_choice(stream_name(given, name), chosen)
 
 
 @dataclass(slots=True)

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from placegraph.indoor.library.library import SceneLibrary
     from placegraph.indoor.scene_map import SceneMap
     from placegraph.indoor.track.live_pose import LivePose
-    from placegraph_io.ros.stream import Assembly
+    from placegraph_io.ros.stream import FrameAssembly
 
 UPRIGHT_BASE = np.array(
     [[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
@@ -128,7 +128,7 @@ def transforms_message(
 STATUS = "localization/status"
 
 
-def frame_ids(options: LiveOptions, parts: Assembly | None) -> FrameIds:
+def frame_ids(options: LiveOptions, parts: FrameAssembly | None) -> FrameIds:
     """Names of the frames by what the user says, and by what frames are made of."""
     if parts is None:
         return FrameIds(map=options.map_frame, base=options.base_frame or "base_link")

@@ -17,7 +17,7 @@ from placegraph_io.ros.capture import is_bag
 from placegraph_io.ros.containers import is_whole, open_bag
 from placegraph_io.ros.mcap_stream import mcap_packets
 from placegraph_io.ros.stream import Fault, Packet, packets_of
-from placegraph_io.ros.topics import Plan, Wishes, plan_of, wishes_of
+from placegraph_io.ros.topics import Plan, TopicChoice, plan_of, read_topic_choice
 
 T = TypeVar("T")
 TICK = 0.02
@@ -115,10 +115,10 @@ class Source:
     """What happens, in order; None: nothing has, for a while."""
 
     path: Path
-    happenings: Iterator[StreamEvent]
+    events: Iterator[StreamEvent]
     plan: Plan | None = None
     """What frames are made of, where it is known before."""
-    wishes: Wishes | None = None
+    choice: TopicChoice | None = None
     frames: int | None = None
     """How many there are, where it is known."""
     span: tuple[float, float] | None = None
@@ -165,13 +165,13 @@ def open_source(path: Path, patience: WaitPolicy, stdin: BinaryIO | None = None)
     """
     if str(path) == "-":
         read = (stdin or sys.stdin.buffer).read
-        return Source(STDIN, mcap_packets(read, STDIN.name), wishes=wishes_of(STDIN, None))
+        return Source(STDIN, mcap_packets(read, STDIN.name), choice=read_topic_choice(STDIN, None))
     if not path.exists():
         raise InputError(f"{path} does not exist; name a bag, a folder of images, or - for a pipe.")
     if not is_bag(path):
         return Source(path, _filling(path, patience if path.is_dir() else WaitPolicy(0.0)))
     if path.suffix.lower() == ".mcap" and not path.is_dir() and not is_whole(path):
-        return Source(path, _growing(path, patience), wishes=wishes_of(path, None))
+        return Source(path, _growing(path, patience), choice=read_topic_choice(path, None))
     return bag_source(path)
 
 
@@ -182,18 +182,18 @@ def bag_source(path: Path) -> Source:
     """
     if not is_bag(path):
         raise InputError(f"{path} is no bag: .mcap, .db3, .bag, or a folder of rosbag2.")
-    wishes = wishes_of(path, None)
-    plan = plan_of(open_bag(path), wishes)
+    choice = read_topic_choice(path, None)
+    plan = plan_of(open_bag(path), choice)
     if plan.lacks:
         raise InputError(next(iter(plan.lacks.values())))
-    assert plan.placing is not None and plan.colour is not None  # noqa: S101, PT018  # nothing lacks
-    used = [plan.colour.topic, plan.placing.odometry, *plan.placing.moves]
+    assert plan.pose_reader is not None and plan.colour is not None  # noqa: S101, PT018  # nothing lacks
+    used = [plan.colour.topic, plan.pose_reader.odometry, *plan.pose_reader.moves]
     used += [plan.depth.topic if plan.depth is not None else None]
     topics = [topic for topic in used if topic is not None]
     first = min(float(t.times[0]) for t in topics) * 1e-9
     last = max(float(t.times[-1]) for t in topics) * 1e-9
     return Source(
-        path, packets_of(plan.bag, {t.name for t in topics}), plan, wishes,
+        path, packets_of(plan.bag, {t.name for t in topics}), plan, choice,
         len(plan.colour.topic), (first, last),
     )  # fmt: skip
 

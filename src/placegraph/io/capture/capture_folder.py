@@ -17,8 +17,8 @@ from placegraph.io.capture.frame import (
     DepthUnit,
     Frame,
     LabelKind,
+    LabelMeanings,
     LazyImages,
-    Meanings,
     colour_file,
     depth_file,
     label_file,
@@ -80,7 +80,7 @@ def _frames(
     gravity = _gravity(path / "gravity.txt", odometry.poses)
     known = None
     if kind == "labels":
-        known = Meanings(names, path / "labels.json", cameras.offsets[kind])
+        known = LabelMeanings(names, path / "labels.json", cameras.offsets[kind])
     shown = {i: name for i, name in names.items() if name}
     unit = DepthUnit(f"`depth.scale` in {cameras.path}", cameras.depth_scale)
 

@@ -419,7 +419,7 @@ def _depth(
 
 
 def label_file(
-    path: Path, camera: Camera, offset: int = 0, known: Meanings | None = None
+    path: Path, camera: Camera, offset: int = 0, known: LabelMeanings | None = None
 ) -> Callable[[], NDArray[np.int32]]:
     """Reads ids of labels or objects, of 8 or 16 bits; below `offset`, which is subtracted: none.
 
@@ -429,13 +429,13 @@ def label_file(
 
 
 def _labels(
-    path: Path, size: tuple[int, int], offset: int, known: Meanings | None
+    path: Path, size: tuple[int, int], offset: int, known: LabelMeanings | None
 ) -> NDArray[np.int32]:
     ids = np.maximum(read_whole(path, size, WHOLE_MODES) - offset, -1)
     return ids if known is None else known.of(ids, path)
 
 
-class Meanings(NamedTuple):
+class LabelMeanings(NamedTuple):
     """What label ids mean."""
 
     names: Mapping[int, str | None]

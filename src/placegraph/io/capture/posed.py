@@ -1,6 +1,6 @@
 """What readers of other recorders' captures share: poses checked, axes converted, frames made.
 
-They describe every frame as a `Shot`, with images, intrinsics and pose as they are stored, in a
+They describe every frame as a `StoredFrame`, with images, intrinsics and pose as they are stored, in a
 world with z up and camera axes as OpenCV has them; `capture_of` makes a `Capture` of them and
 turns a telephone's images upright.
 """
@@ -35,7 +35,7 @@ _RIGID = 1e-2  # rotations are written with few digits
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shot:
+class StoredFrame:
     """A frame as it is stored."""
 
     name: str
@@ -52,7 +52,7 @@ class Shot:
 
 def capture_of(
     path: Path,
-    shots: Iterable[Shot],
+    shots: Iterable[StoredFrame],
     *,
     left_out: Counter[str] | None = None,
     notes: Sequence[str] = (),

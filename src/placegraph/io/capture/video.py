@@ -17,7 +17,7 @@ from placegraph.io.capture.frame import Capture, LazyImages, check_shape
 from placegraph.io.capture.json_files import read_camera, read_json
 from placegraph.io.capture.posed import (
     SAME_MOMENT,
-    Shot,
+    StoredFrame,
     capture_of,
     exact_pose,
     nearest_stamps,
@@ -139,7 +139,7 @@ def read_video_folder(path: Path) -> Capture:
     else:
         moments = stamps
     shots = [
-        Shot(
+        StoredFrame(
             f"{path}, trajectory row {row + 1}",
             float(moments[i]),
             poses[row] @ body_from_camera,

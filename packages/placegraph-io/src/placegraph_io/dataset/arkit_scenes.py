@@ -19,7 +19,7 @@ from placegraph.errors import InputError
 from placegraph.io.capture.frame import Capture, DepthUnit, LazyImages, colour_file, depth_file
 from placegraph.io.capture.images import image_size, images_of
 from placegraph.io.capture.posed import (
-    Shot,
+    StoredFrame,
     camera_of,
     capture_of,
     nearest_stamps,
@@ -73,7 +73,7 @@ def read_arkit_scenes(path: Path) -> Capture:
             depth_file(depth, depth_camera, _UNIT, confidence=sure),
             unit=unit,
         )
-        shots.append(Shot(str(file), stamp, poses[pose_of[i]], camera, images, depth_camera))
+        shots.append(StoredFrame(str(file), stamp, poses[pose_of[i]], camera, images, depth_camera))
     return capture_of(path, shots, left_out=left_out)
 
 

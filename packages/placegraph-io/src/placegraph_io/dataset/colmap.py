@@ -31,7 +31,7 @@ from placegraph.io.capture.frame import (
 )
 from placegraph.io.capture.images import image_size, natural
 from placegraph.io.capture.posed import (
-    Shot,
+    StoredFrame,
     camera_of,
     capture_of,
     pose_of,
@@ -363,7 +363,7 @@ def read_colmap(path: Path, *, scale: float | None = None, up: ArrayLike | None 
             unit=unit,
         )
         name = f"{folder / 'images'}, {view.picture.name!r}"
-        shots.append(Shot(name, float(i), pose, view.camera, images, view.depth_camera))
+        shots.append(StoredFrame(name, float(i), pose, view.camera, images, view.depth_camera))
     return capture_of(path, shots, left_out=left_out, notes=(said, direction))
 
 

@@ -28,7 +28,7 @@ from placegraph.io.capture.json_files import read_json
 from placegraph.io.capture.posed import (
     ARKIT_FROM_OPENCV,
     MAP_FROM_Y_UP,
-    Shot,
+    StoredFrame,
     camera_of,
     capture_of,
     exact_pose,
@@ -61,12 +61,12 @@ def read_multiscan(path: Path) -> Capture:
             f"{path} holds no .jsonl with an .mp4 of its name; copy the whole recording."
         )
     video = Video(path / f"{name}.mp4")
-    said = _Said.of(path / f"{name}.json")
+    said = _StreamSizes.of(path / f"{name}.json")
     depth, sure = (
         _stream(path / f"{name}.{kind}.zlib", said, kind) for kind in ("depth", "confidence")
     )
     left_out: Counter[str] = Counter()
-    shots: dict[float, Shot] = {}
+    shots: dict[float, StoredFrame] = {}
     for i, line in enumerate(read_text(path / f"{name}.jsonl").splitlines()):
         if not line.strip():
             continue
@@ -82,7 +82,7 @@ def read_multiscan(path: Path) -> Capture:
     return capture_of(path, shots.values(), left_out=left_out)
 
 
-class _Said(NamedTuple):
+class _StreamSizes(NamedTuple):
     """What of `X.json` is used."""
 
     path: Path
@@ -92,7 +92,7 @@ class _Said(NamedTuple):
     unit: str
 
     @classmethod
-    def of(cls, path: Path) -> _Said:
+    def of(cls, path: Path) -> _StreamSizes:
         content = read_json(path)
         streams = content.get("streams") if isinstance(content, dict) else None
         if not isinstance(streams, list) or not all(isinstance(s, dict) for s in streams):
@@ -121,7 +121,7 @@ def _name(path: Path) -> str | None:
     return min(held, default=None)
 
 
-def _stream(path: Path, said: _Said, kind: str) -> Deflated | None:
+def _stream(path: Path, said: _StreamSizes, kind: str) -> Deflated | None:
     if not path.is_file():
         return None
     if said.depth is None:
@@ -130,7 +130,7 @@ def _stream(path: Path, said: _Said, kind: str) -> Deflated | None:
     return Deflated(path, width * height * (2 if kind == "depth" else 1))
 
 
-def _shot(where: Path, line: str, index: int, video: Video, said: _Said) -> Shot:
+def _shot(where: Path, line: str, index: int, video: Video, said: _StreamSizes) -> StoredFrame:
     try:
         content = json.loads(line)
     except (ValueError, RecursionError) as error:
@@ -144,18 +144,18 @@ def _shot(where: Path, line: str, index: int, video: Video, said: _Said) -> Shot
     pose = MAP_FROM_Y_UP @ exact_pose(turn, f"{where}: transform") @ ARKIT_FROM_OPENCV
     images = LazyImages(partial(video.picture, index, camera))
     stamp = number(where, content, "timestamp") / 1e9
-    return Shot(f"{where}: transform", stamp, pose, camera, images)
+    return StoredFrame(f"{where}: transform", stamp, pose, camera, images)
 
 
 def _with_depth(
-    shot: Shot, index: int, said: _Said, streams: tuple[Deflated, Deflated | None]
-) -> Shot:
+    shot: StoredFrame, index: int, said: _StreamSizes, streams: tuple[Deflated, Deflated | None]
+) -> StoredFrame:
     assert said.depth is not None  # noqa: S101  # else there is no stream
     camera = smaller_view(shot.camera, said.depth, streams[0].path)
     metres = partial(_metres, *streams, index, camera, said.unit)
     unit = DepthUnit(f"`depth_unit` in {said.path}", _UNITS[said.unit][1])
     images = LazyImages(shot.images.colours, metres, unit=unit)
-    return Shot(shot.name, shot.stamp, shot.pose, shot.camera, images, camera)
+    return StoredFrame(shot.name, shot.stamp, shot.pose, shot.camera, images, camera)
 
 
 def _metres(

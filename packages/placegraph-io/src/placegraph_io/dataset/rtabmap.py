@@ -26,7 +26,7 @@ from placegraph.core.geometry import Camera
 from placegraph.errors import InputError
 from placegraph.io.capture.frame import Capture, DepthUnit, LazyImages, check_shape
 from placegraph.io.capture.images import opened, read_rgb
-from placegraph.io.capture.posed import Shot, camera_of, capture_of, exact_pose, smaller_view
+from placegraph.io.capture.posed import StoredFrame, camera_of, capture_of, exact_pose, smaller_view
 from placegraph_io.storage import Database, rvl_image
 
 _TYPES = {0: "u1", 4: "<i4", 5: "<f4"}
@@ -292,7 +292,7 @@ def _capture(
     if not poses:
         poses, notes = _odometry(whole)
     left_out = Counter({"no stamp": len(nodes) - len(whole)})
-    shots: dict[float, Shot] = {}
+    shots: dict[float, StoredFrame] = {}
     sizes = _Sizes(base)
     for node in whole:
         pose = poses.get(node.id)
@@ -333,7 +333,7 @@ def _shot(
     node: _Node,
     world_from_base: NDArray[np.float64],
     sizes: _Sizes,
-) -> Shot:
+) -> StoredFrame:
     name = f"{base.path}, node {node.id}"
     model = calibration(node.calibration, version, f"{name}, calibration")
     wide, height = sizes.of("image", node.id)
@@ -349,7 +349,7 @@ def _shot(
         metres,
         unit=DepthUnit(f"the depth images of {base.path}", 1000.0),
     )
-    return Shot(f"{name}, pose", node.stamp, pose, camera, images, depth_camera)
+    return StoredFrame(f"{name}, pose", node.stamp, pose, camera, images, depth_camera)
 
 
 def _blob(base: Database, column: str, node: int) -> tuple[bytes, str]:

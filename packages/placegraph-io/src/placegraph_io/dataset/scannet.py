@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from placegraph.core.files import regular
 from placegraph.core.geometry import Camera
 from placegraph.errors import InputError, OptionError
-from placegraph.io.capture.frame import LabelKind, Meanings, label_file
+from placegraph.io.capture.frame import LabelKind, LabelMeanings, label_file
 from placegraph.io.capture.images import image_size
 from placegraph.io.capture.json_files import read_json
 from placegraph.io.mesh.model import UNKNOWN, Model, Thing
@@ -268,7 +268,7 @@ class LabelImages:
     camera: Camera | None = None
     kind: LabelKind = "labels"
     names: dict[int, str] = field(default_factory=dict)
-    known: Meanings | None = None
+    known: LabelMeanings | None = None
     notes: tuple[str, ...] = ()
     """Why label images are not used."""
 
@@ -330,7 +330,7 @@ def find_labels(
 
 def _meanings(
     folder: Path, kind: LabelKind, column: str | None
-) -> tuple[dict[int, str], Meanings | None]:
+) -> tuple[dict[int, str], LabelMeanings | None]:
     """Names by id, and what ids mean."""
     table = find_table(folder)
     labels = read_label_map(table, column or "raw_category") if table else None
@@ -346,7 +346,7 @@ def _meanings(
             f"{folder} or above."
         )
     names = dict(labels.of_id)
-    return names, Meanings(names, labels.path, 0)
+    return names, LabelMeanings(names, labels.path, 0)
 
 
 def numbered(folder: Path, endings: tuple[str, ...]) -> dict[int, Path]:

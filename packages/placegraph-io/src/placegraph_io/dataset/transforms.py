@@ -24,7 +24,7 @@ from placegraph.io.capture.images import ENDINGS, image_size
 from placegraph.io.capture.json_files import read_json
 from placegraph.io.capture.posed import (
     ARKIT_FROM_OPENCV,
-    Shot,
+    StoredFrame,
     camera_of,
     capture_of,
     exact_pose,
@@ -157,7 +157,7 @@ def _inside(path: Path, name: str, i: int) -> Path:
 
 def _shot(
     path: Path, content: dict[str, Any], i: int, image: Path, pose: NDArray[np.float64]
-) -> Shot:
+) -> StoredFrame:
     file, frame = path / _FILE, content["frames"][i]
     said = content | frame
     lens = _LENSES.get(str(said.get("camera_model", "OPENCV")))
@@ -185,7 +185,7 @@ def _shot(
         depth_camera = smaller_view(camera, image_size(depth), depth)
         metres = depth_file(depth, depth_camera, per_metre)
     unit = DepthUnit(f"the depth images that {file} names", per_metre)
-    return Shot(
+    return StoredFrame(
         name=f"{file}: frames[{i}].transform_matrix",
         stamp=number(file, frame, "timestamp") if "timestamp" in frame else float(i),
         pose=pose,

@@ -19,7 +19,7 @@ from placegraph.io.capture.frame import Capture, DepthUnit, LazyImages, colour_f
 from placegraph.io.capture.json_files import read_camera
 from placegraph.io.capture.posed import (
     SAME_MOMENT,
-    Shot,
+    StoredFrame,
     capture_of,
     nearest_stamps,
     read_text,
@@ -75,7 +75,7 @@ def read_tum_rgbd(path: Path, *, poses: Path | None = None) -> Capture:
             continue
         depth = depth_file(depths[depth_of[i]][1], depth_camera, per_metre)
         shots.append(
-            Shot(
+            StoredFrame(
                 name=f"rgb.txt, {file.name}",
                 stamp=stamp,
                 pose=trajectory.poses[pose_of[i]],

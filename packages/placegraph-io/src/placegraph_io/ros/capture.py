@@ -1,7 +1,7 @@
 """Captures from bags of ROS 1 and ROS 2; nothing of ROS needs to be installed.
 
 `walk.mcap`, `walk.db3`, `walk.bag`, or a folder of rosbag2. `walk.mcap.json` beside it may say what
-the bag does not (`wishes_of`). Poses are those of the camera's optical frame, whose axes are OpenCV's
+the bag does not (`read_topic_choice`). Poses are those of the camera's optical frame, whose axes are OpenCV's
 (REP 103), in `odom`, whose z points up (REP 105).
 """
 
@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 from placegraph.core.geometry import Camera
 from placegraph.errors import InputError
 from placegraph.io.capture.frame import Capture, DepthUnit, LazyImages, check_shape
-from placegraph.io.capture.posed import SAME_MOMENT, Shot, capture_of, nearest_stamps
+from placegraph.io.capture.posed import SAME_MOMENT, StoredFrame, capture_of, nearest_stamps
 from placegraph.io.capture.tum import read_tum
 from placegraph_io.ros.containers import Message, Topic, looks_like_bag, open_bag
 from placegraph_io.ros.decode import Registration, colours, decoded, depths
-from placegraph_io.ros.poses import Placing
-from placegraph_io.ros.topics import Plan, plan_of, wishes_of
+from placegraph_io.ros.poses import PoseReader
+from placegraph_io.ros.topics import Plan, plan_of, read_topic_choice
 
 
 def is_bag(path: Path) -> bool:
@@ -40,7 +40,7 @@ def read_bag(
     `BAG.json` may say. Raises `InputError` where the bag is damaged or lacks what a capture needs,
     `OptionError` for `topics` that are none, `MissingExtraError` where `rosbags` is not installed.
     """
-    return capture_from(plan_of(open_bag(path), wishes_of(path, topics)), poses)
+    return capture_from(plan_of(open_bag(path), read_topic_choice(path, topics)), poses)
 
 
 def capture_from(plan: Plan, poses: Path | None = None) -> Capture:
@@ -48,56 +48,60 @@ def capture_from(plan: Plan, poses: Path | None = None) -> Capture:
     for role in ("colour", "camera", "depth") if poses else ("colour", "camera", "poses", "depth"):
         if role in plan.lacks:
             raise InputError(plan.lacks[role])
-    placing = plan.placing
-    assert placing is not None  # noqa: S101  # else there would be no colour
+    pose_reader = plan.pose_reader
+    assert pose_reader is not None  # noqa: S101  # else there would be no colour
     if poses is None:
-        missing = f"no transform from {placing.colour.frame} to {placing.frame}"
-        shots = _shots(plan, placing, placing.poses(), missing)
+        missing = f"no transform from {pose_reader.colour.frame} to {pose_reader.frame}"
+        shots = _shots(plan, pose_reader, pose_reader.poses(), missing)
     else:
-        shots = _shots(plan, placing, _given(poses, placing), f"no pose in {poses.name}")
-    return capture_of(plan.bag.path, shots, left_out=placing.left_out, notes=plan.notes)
+        shots = _shots(plan, pose_reader, _given(poses, pose_reader), f"no pose in {poses.name}")
+    return capture_of(plan.bag.path, shots, left_out=pose_reader.left_out, notes=plan.notes)
 
 
-def _given(poses: Path, placing: Placing) -> NDArray[np.float64]:
+def _given(poses: Path, pose_reader: PoseReader) -> NDArray[np.float64]:
     """Poses (T, 4, 4) of the images by a trajectory's rows, or stamps; NaN where it has none."""
-    trajectory, stamps = read_tum(poses), placing.stamps[placing.rows]
+    trajectory, stamps = read_tum(poses), pose_reader.stamps[pose_reader.rows]
     row_of = np.arange(len(stamps))
     if len(trajectory) != len(stamps):
         row_of = nearest_stamps(trajectory.stamps, stamps, SAME_MOMENT)
     return np.where((row_of >= 0)[:, None, None], trajectory.poses[row_of], np.nan)
 
 
-def _shots(plan: Plan, placing: Placing, poses: NDArray[np.float64], missing: str) -> list[Shot]:
+def _shots(
+    plan: Plan, pose_reader: PoseReader, poses: NDArray[np.float64], missing: str
+) -> list[StoredFrame]:
     """A shot a colour image that has a pose, and depth where there is any."""
-    colour, depth, camera = placing.colour, placing.depth, plan.camera
+    colour, depth, camera = pose_reader.colour, pose_reader.depth, plan.camera
     assert camera is not None  # noqa: S101  # else it would lack
-    stamps = placing.stamps[placing.rows]
+    stamps = pose_reader.stamps[pose_reader.rows]
     lost = np.full(len(stamps), "", object)
     depth_of, moved = np.full(len(stamps), -1), None
     if depth is not None:
-        depth_of = nearest_stamps(placing.depth_stamps, stamps, SAME_MOMENT)
+        depth_of = nearest_stamps(pose_reader.depth_stamps, stamps, SAME_MOMENT)
         lost[depth_of < 0] = f"no depth within {SAME_MOMENT * 1000:.0f} ms"
         if plan.registration is not None:
-            moved = placing.tree.between(colour.frame, depth.frame, stamps)
+            moved = pose_reader.tree.between(colour.frame, depth.frame, stamps)
             assert moved is not None  # noqa: S101  # else depth would lack
             lost[np.isnan(moved[:, 0, 0])] = f"no transform from {depth.frame} to {colour.frame}"
     lost[np.isnan(poses[:, 0, 0])] = missing
     lost[np.setdiff1d(np.arange(len(stamps)), np.unique(stamps, return_index=True)[1])] = (
         "its stamp twice"
     )
-    placing.left_out.update(why for why in lost if why)
+    pose_reader.left_out.update(why for why in lost if why)
     unit, source = unit_of(plan), Source.of(colour.topic)
     shots = []
     for i in np.flatnonzero(lost == "").tolist():
-        row, metres = int(placing.rows[i]), None
+        row, metres = int(pose_reader.rows[i]), None
         if depth is not None:
             metres = partial(
                 metres_of, depth.topic[int(depth_of[i])], Source.of(depth.topic), depth.size,
-                plan.wishes.depth_scale, plan.registration, None if moved is None else moved[i],
+                plan.choice.depth_scale, plan.registration, None if moved is None else moved[i],
             )  # fmt: skip
         images = LazyImages(partial(picture, colour.topic[row], source, camera), metres, unit=unit)
         name = f"{plan.bag.path}, {colour.topic.name}, message {row}"
-        shots.append(Shot(name, float(stamps[i]), poses[i], camera, images, plan.depth_camera))
+        shots.append(
+            StoredFrame(name, float(stamps[i]), poses[i], camera, images, plan.depth_camera)
+        )
     return shots
 
 
@@ -105,8 +109,8 @@ def unit_of(plan: Plan) -> DepthUnit | None:
     """Where the unit of its depth is said; None: it has none."""
     if plan.depth is None:
         return None
-    if plan.wishes.depth_scale:
-        return DepthUnit(f'"depth_scale" in {plan.bag.path}.json', plan.wishes.depth_scale)
+    if plan.choice.depth_scale:
+        return DepthUnit(f'"depth_scale" in {plan.bag.path}.json', plan.choice.depth_scale)
     metres = plan.depth.encoding.startswith("32F")
     said = f"the encoding {plan.depth.encoding} of {plan.depth.topic.name}"
     return DepthUnit(said, 1.0 if metres else 1000.0)

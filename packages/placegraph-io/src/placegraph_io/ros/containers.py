@@ -38,7 +38,7 @@ _SMALL = 1024
 _KEPT = 2  # unpacked chunks of a file: colour and depth of a moment mostly lie in one
 
 
-class Place(Protocol):
+class MessageStore(Protocol):
     """What messages lie in."""
 
     @property
@@ -124,7 +124,7 @@ class Chunk:
         return self.file.read(self.start + offset, max(0, min(count, self.size - offset)))
 
     def read(self, offset: int, most: int | None = None) -> bytes:
-        """As `Place.read`."""
+        """As `MessageStore.read`."""
         head = self.peek(offset, _HEAD + min(most or _SMALL, _SMALL))
         try:
             if self.rosbag1:
@@ -164,7 +164,7 @@ class Messages(Database):
         return _messages, (self.path, self.packed)
 
     def read(self, offset: int, most: int | None = None) -> bytes:
-        """As `Place.read`; the offset is the row's id."""
+        """As `MessageStore.read`; the offset is the row's id."""
         name = f"{self.path}: message {offset}"
         data = self.blob(("messages", "data", offset), name, None if self.packed else most)
         if self.packed:
@@ -180,7 +180,7 @@ def _messages(path: Path, packed: bool) -> Messages:
 class Message(NamedTuple):
     """One message, not yet read."""
 
-    place: Place
+    place: MessageStore
     offset: int
 
     def read(self) -> bytes:
@@ -199,7 +199,7 @@ class Topic:
     """`cdr` (ROS 2), `ros1`, or something else, which is not read."""
     times: NDArray[np.int64]
     """(N,) ascending [ns]."""
-    places: tuple[Place, ...]
+    places: tuple[MessageStore, ...]
     which: NDArray[np.int64]
     """(N,) row of `places`."""
     offsets: NDArray[np.int64]
@@ -241,21 +241,21 @@ def read_all(
     return out
 
 
-class Part(NamedTuple):
+class TopicPart(NamedTuple):
     """Messages of one topic in one file."""
 
     name: str
     type: str
     encoding: str
     times: NDArray[np.int64]
-    places: Sequence[Place]
+    places: Sequence[MessageStore]
     which: NDArray[np.int64]
     offsets: NDArray[np.int64]
 
 
-def joined(parts: Sequence[Part]) -> Iterator[Topic]:
+def joined(parts: Sequence[TopicPart]) -> Iterator[Topic]:
     """Topics of the parts of all files of a bag; of types that share a name, the most frequent."""
-    names: dict[str, dict[tuple[str, str], list[Part]]] = {}
+    names: dict[str, dict[tuple[str, str], list[TopicPart]]] = {}
     for part in parts:
         names.setdefault(part.name, {}).setdefault((part.type, part.encoding), []).append(part)
     for name, kinds in names.items():
@@ -278,7 +278,7 @@ _FEW = 1 << 20  # bytes of a schema or channel
 _LIMIT = 1 << 28  # of the summary of a file
 
 
-class Cut(Exception):  # noqa: N818  # no error of the user's
+class MissingIndexError(Exception):  # no error of the user's
     """The file has no whole index."""
 
 
@@ -340,16 +340,16 @@ class _Index(Channels):
             self.found[channel].append((row, np.array(found, np.uint64)))
         return whole
 
-    def parts(self) -> Iterator[Part]:
+    def parts(self) -> Iterator[TopicPart]:
         """Messages by channel."""
         for number, found in self.found.items():
             channel = self.channels[number]
             rows = np.concatenate([pairs for _, pairs in found]).astype(np.int64)
             which = np.repeat([row for row, _ in found], [len(pairs) for _, pairs in found])
-            yield Part(*channel, rows[:, 0], self.chunks, which, rows[:, 1])
+            yield TopicPart(*channel, rows[:, 0], self.chunks, which, rows[:, 1])
 
 
-def read_mcap(path: Path, notes: list[str]) -> list[Part]:
+def read_mcap(path: Path, notes: list[str]) -> list[TopicPart]:
     """Messages of a file by topic; `notes` is told where its index is missing.
 
     Raises `InputError` where it is no MCAP or holds nothing that can be read.
@@ -361,11 +361,11 @@ def read_mcap(path: Path, notes: list[str]) -> list[Part]:
         )
     try:
         index = _listed(file)
-    except (Cut, struct.error, ValueError) as error:
+    except (MissingIndexError, struct.error, ValueError) as error:
         index = _scanned(file)
+        why = error if isinstance(error, MissingIndexError) else "its index is damaged"
         notes.append(
-            f"{path.name}: {error if isinstance(error, Cut) else 'its index is damaged'}; it is read "
-            "as far as it goes. `mcap recover` makes it whole."
+            f"{path.name}: {why}; it is read as far as it goes. `mcap recover` makes it whole."
         )
     if not index.found:
         raise InputError(f"{path} holds no message; record again.")
@@ -383,10 +383,10 @@ def _listed(file: File) -> _Index:
     size = file.size
     end = file.read(max(size - _FOOTER, 0), _FOOTER)
     if end[-8:] != MAGIC or end[:1] != b"\x02":
-        raise Cut("the file was cut off, for it has no end")
+        raise MissingIndexError("the file was cut off, for it has no end")
     (start,) = unpack_from("<Q", end, 9)
     if not 0 < start < size or size - start > _LIMIT:
-        raise Cut("it was written without an index")
+        raise MissingIndexError("it was written without an index")
     summary = file.read(start, size - start - _FOOTER)
     index = _Index(file)
     for op, at, length in records(summary):
@@ -395,7 +395,7 @@ def _listed(file: File) -> _Index:
         elif op == _CHUNK_INDEX:
             _chunk(index, summary, at)
     if set(index.found) - set(index.channels) or not index.found:
-        raise Cut("it was written without an index")
+        raise MissingIndexError("it was written without an index")
     return index
 
 
@@ -457,7 +457,7 @@ def records(data: bytes) -> Iterator[tuple[int, int, int]]:
         op, length = unpack_from("<BQ", data, at)
         at += 9
         if at + length > len(data):
-            raise Cut("its index is damaged")
+            raise MissingIndexError("its index is damaged")
         yield op, at, length
         at += length
 
@@ -604,7 +604,7 @@ def _metadata(path: Path) -> dict[str, Any]:
     return said
 
 
-def read_database(path: Path, notes: list[str], *, packed: bool = False) -> list[Part]:
+def read_database(path: Path, notes: list[str], *, packed: bool = False) -> list[TopicPart]:
     """Messages of a database by topic; `packed`: each is compressed by zstd.
 
     Where it is damaged it is read as far as it goes, of which `notes` is told. Raises `InputError`
@@ -631,12 +631,12 @@ def read_database(path: Path, notes: list[str], *, packed: bool = False) -> list
         mine = table[table[:, 0] == number]
         zeros = np.zeros(len(mine), np.int64)
         parts.append(
-            Part(str(name), str(kind), str(encoding), mine[:, 1], (base,), zeros, mine[:, 2])
+            TopicPart(str(name), str(kind), str(encoding), mine[:, 1], (base,), zeros, mine[:, 2])
         )
     return parts
 
 
-def read_rosbag1(path: Path) -> list[Part]:
+def read_rosbag1(path: Path) -> list[TopicPart]:
     """Messages of a bag by topic; `InputError` where it is damaged, or was not closed."""
     from rosbags.rosbag1 import Reader
 
@@ -655,7 +655,7 @@ def read_rosbag1(path: Path) -> list[Part]:
     return parts
 
 
-def _parts(path: Path, reader: Reader) -> list[Part]:
+def _parts(path: Path, reader: Reader) -> list[TopicPart]:
     from lz4.frame import decompress as lz4
 
     file, packings = File(path), {bz2.decompress: "bz2", lz4: "lz4"}
@@ -670,5 +670,5 @@ def _parts(path: Path, reader: Reader) -> list[Part]:
         rows = np.array([(e.time, row_of[e.chunk_pos], e.offset) for e in index], np.int64)
         times, which, offsets = rows.reshape(-1, 3).T
         name, kind = connection.topic, connection.msgtype
-        parts.append(Part(name, kind, "ros1", times, chunks, which, offsets))
+        parts.append(TopicPart(name, kind, "ros1", times, chunks, which, offsets))
     return parts

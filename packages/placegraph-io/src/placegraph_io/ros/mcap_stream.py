@@ -7,7 +7,15 @@ from collections.abc import Callable, Iterator
 from struct import unpack_from
 
 from placegraph.errors import InputError
-from placegraph_io.ros.containers import CHUNK, MAGIC, MESSAGE, Channels, Cut, records, ros2_type
+from placegraph_io.ros.containers import (
+    CHUNK,
+    MAGIC,
+    MESSAGE,
+    Channels,
+    MissingIndexError,
+    records,
+    ros2_type,
+)
 from placegraph_io.ros.stream import Fault, Packet
 from placegraph_io.storage import LARGEST_MESSAGE, CompressedBytes
 
@@ -47,7 +55,7 @@ def mcap_packets(read: Callable[[int], bytes], name: str) -> Iterator[Packet | F
         whole = len(data) == length
         try:
             yield from _told(known, op, data, name) if whole or op == CHUNK else ()
-        except (Cut, InputError, struct.error) as error:
+        except (MissingIndexError, InputError, struct.error) as error:
             if whole:
                 said = str(error) or "it is cut off"
                 yield Fault("", f"{name}, a chunk: {said}; what follows is read.")

@@ -19,7 +19,7 @@ from placegraph_io.ros.decode import HEAD, decode, frame_of, stamp_of, stamps
 from placegraph_io.up import upright
 
 if TYPE_CHECKING:
-    from placegraph_io.ros.topics import View, Wishes
+    from placegraph_io.ros.topics import TopicChoice, View
 
 LONGEST = 0.5
 """Between samples of a transform [s], beyond which nothing is said of what happened between them."""
@@ -267,7 +267,7 @@ def numbers_of(move: Any, turn: Any) -> tuple[float, ...]:  # noqa: ANN401  # ro
     return move.x, move.y, move.z, turn.x, turn.y, turn.z, turn.w
 
 
-class Spread(NamedTuple):
+class OdometryCovariance(NamedTuple):
     """How far odometry may be off, by its own account, and where it has the robot."""
 
     covariance: NDArray[np.float64]
@@ -303,11 +303,11 @@ OF_OTHERS = ("map", "world")
 
 
 @dataclass(eq=False)
-class Placing:
+class PoseReader:
     """Stamps of the images, the tree of frames, and the frame in which poses are told."""
 
     bag: Bag
-    wishes: Wishes
+    choice: TopicChoice
     colour: View
     depth: View | None
     stamps: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
@@ -342,7 +342,7 @@ class Placing:
 
         Raises `InputError` where no transform leads to the camera; stamps are known then.
         """
-        self.imu = _imu(self.bag, self.wishes)
+        self.imu = _imu(self.bag, self.choice)
         self.moves = self.bag.of_type(*TRANSFORM_TYPES)
         shown = [v.topic for v in (self.colour, self.depth) if v is not None]
         wanted: list[tuple[Topic, NDArray[np.intp] | None, int | None]]
@@ -392,30 +392,30 @@ class Placing:
         for static in (True, False):
             rows = [moves for topic, moves in held if is_static(topic.name) is static]
             self.tree.add(samples_of(rows, recorded=recorded), static=static)
-        self.tree.add(self.wishes.transforms, static=True)
+        self.tree.add(self.choice.transforms, static=True)
         self.tree.edges = told | self.tree.edges
 
     def _choose(self, window: tuple[int, int]) -> None:
         """Choose the frame in which poses are told; odometry is read where transforms have none."""
-        wishes, bag = self.wishes, self.bag
+        choice, bag = self.choice, self.bag
         above = self.tree.above(self.colour.frame)
         moving = [f for f, moves in above.items() if moves or f in OF_OTHERS]
         odom = next((f for f in above if "odom" in f.rpartition("/")[2]), "")
-        asked = odom if wishes.frame is None else wishes.frame
-        if wishes.odometry is None and asked in above:
+        asked = odom if choice.frame is None else choice.frame
+        if choice.odometry is None and asked in above:
             self.frame = asked
             return
         topics = bag.of_type("nav_msgs/Odometry")
-        if wishes.odometry is not None:
-            topics = [t for t in topics if t.name == wishes.odometry]
+        if choice.odometry is not None:
+            topics = [t for t in topics if t.name == choice.odometry]
             if not topics:
                 raise InputError(
-                    f"{bag.path}: {wishes.odometry} is no nav_msgs/Odometry with messages."
+                    f"{bag.path}: {choice.odometry} is no nav_msgs/Odometry with messages."
                 )
         lost = []
         for topic in sorted(topics, key=len, reverse=True):
             parent, child = self._odometry(topic, window)
-            wanted = wishes.frame or parent
+            wanted = choice.frame or parent
             if self.tree.path(child, self.colour.frame) and wanted in self.tree.names:
                 self.odometry, self.frame = topic, wanted
                 return
@@ -425,7 +425,7 @@ class Placing:
             lost.append(
                 f"{topic.name} tells of {child!r}, which no transform joins with the camera"
             )
-        if not moving or wishes.frame is not None or wishes.odometry is not None:
+        if not moving or choice.frame is not None or choice.odometry is not None:
             raise self._nowhere(lost)
         own = [f for f in moving if f not in OF_OTHERS and "base" not in f]
         self.frame = own[-1] if own else moving[-1]  # the outermost: in inner ones, joints move
@@ -451,7 +451,7 @@ class Placing:
 
     def _nowhere(self, lost: list[str]) -> InputError:
         path, names = self.bag.path, self.tree.names
-        wanted = repr(self.wishes.frame) if self.wishes.frame else "a frame in which it moves"
+        wanted = repr(self.choice.frame) if self.choice.frame else "a frame in which it moves"
         known = f"frames are {', '.join(names[:12])}" if names else "there are no transforms"
         return InputError(
             f"{path}: no transform leads from the camera's frame {self.colour.frame!r} to {wanted}; "
@@ -480,7 +480,7 @@ class Placing:
     def _tell(self) -> None:
         by = self.odometry.name if self.odometry is not None else "/tf"
         self.notes.append(f"Poses are those of {self.colour.frame} in {self.frame}, by {by}.")
-        if self.frame in OF_OTHERS and self.wishes.frame is None:
+        if self.frame in OF_OTHERS and self.choice.frame is None:
             self.notes.append(
                 f"{self.frame} is a frame in which a localization or SLAM tells poses, no odometry; the "
                 "bag has no other."
@@ -522,10 +522,10 @@ class Placing:
             )
 
 
-def _imu(bag: Bag, wishes: Wishes) -> Topic | None:
-    topics = bag.of_type("sensor_msgs/Imu") if wishes.with_imu else []
-    if wishes.imu is not None:
-        topics = [t for t in topics if t.name == wishes.imu]
+def _imu(bag: Bag, choice: TopicChoice) -> Topic | None:
+    topics = bag.of_type("sensor_msgs/Imu") if choice.with_imu else []
+    if choice.imu is not None:
+        topics = [t for t in topics if t.name == choice.imu]
         if not topics:
-            raise InputError(f"{bag.path}: {wishes.imu} is no sensor_msgs/Imu with messages.")
+            raise InputError(f"{bag.path}: {choice.imu} is no sensor_msgs/Imu with messages.")
     return max(topics, key=len, default=None)

@@ -20,8 +20,16 @@ from placegraph.io.capture.posed import SAME_MOMENT
 from placegraph_io.ros.capture import Source, metres_of, picture, unit_of
 from placegraph_io.ros.containers import Bag, Message, Topic
 from placegraph_io.ros.decode import decode, frame_of, stamp_of
-from placegraph_io.ros.poses import BACK, TRANSFORM_TYPES, Edge, Spread, Tree, is_static, numbers_of
-from placegraph_io.ros.topics import IMAGES, Plan, Wishes, plan_of
+from placegraph_io.ros.poses import (
+    BACK,
+    TRANSFORM_TYPES,
+    Edge,
+    OdometryCovariance,
+    Tree,
+    is_static,
+    numbers_of,
+)
+from placegraph_io.ros.topics import IMAGES, Plan, TopicChoice, plan_of
 
 
 class Packet(NamedTuple):
@@ -50,7 +58,7 @@ class Packet(NamedTuple):
 
     def message(self, path: Path) -> Message:
         """The same as a message of a bag of this name."""
-        return Message(Held(path, (self.data,)), 0)
+        return Message(MemoryStore(path, (self.data,)), 0)
 
 
 class Fault(NamedTuple):
@@ -62,15 +70,15 @@ class Fault(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Held:
-    """Messages in memory, as what messages of a bag lie in (`storage.Place`)."""
+class MemoryStore:
+    """Messages in memory, as what messages of a bag lie in (`storage.MessageStore`)."""
 
     path: Path
     """What they are called in messages."""
     data: Sequence[bytes]
 
     def read(self, offset: int, most: int | None = None) -> bytes:
-        """As `storage.Place.read`; the offset counts messages."""
+        """As `storage.MessageStore.read`; the offset counts messages."""
         return self.data[offset][:most]
 
 
@@ -110,13 +118,13 @@ class Discovery:
     path
         What the stream is called in messages; a file of this name with ``.json`` behind it is where
         they say that what is missing can be written.
-    wishes
+    choice
         What the user says of it.
 
     """
 
-    def __init__(self, path: Path, wishes: Wishes) -> None:
-        self.path, self.wishes = path, wishes
+    def __init__(self, path: Path, choice: TopicChoice) -> None:
+        self.path, self.choice = path, choice
         self.lacks: tuple[str, ...] = ()
         """Sentences on what is missing still."""
         self._heard: dict[tuple[str, str, str], deque[Packet]] = {}
@@ -145,7 +153,7 @@ class Discovery:
             return None
         self._next = max(packet.time for packet in held) + LISTEN
         try:
-            plan = plan_of(self._bag(), self.wishes)
+            plan = plan_of(self._bag(), self.choice)
         except PlacegraphError as error:
             self.lacks = (str(error),)
             return None
@@ -168,13 +176,13 @@ class Discovery:
             topics[name] = Topic(
                 name=name, type=kind, encoding=encoding,
                 times=np.rint(times[order] * 1e9).astype(np.int64),
-                places=(Held(self.path, [p.data for p in packets]),),
+                places=(MemoryStore(self.path, [p.data for p in packets]),),
                 which=np.zeros(len(packets), np.int64), offsets=order.astype(np.int64),
             )  # fmt: skip
         return Bag(self.path, dict(sorted(topics.items())), ())
 
 
-PATIENCE = 0.5
+LONGEST_WAIT = 0.5
 """A frame waits so long for its depth and its transforms [s]."""
 SILENT = 1.0
 """Where no depth came for so long [s], colours go on alone."""
@@ -183,7 +191,7 @@ _WAITING, _DEPTHS = 30, 30
 _BASES = ("base_link", "base_footprint")
 
 
-class Move(NamedTuple):
+class OdometryPose(NamedTuple):
     """Where odometry has the camera."""
 
     stamp: float
@@ -194,7 +202,7 @@ class Move(NamedTuple):
     it may hold anything. None: transforms tell where it is."""
 
 
-class Assembly:
+class FrameAssembly:
     """Makes frames of messages, and moves, of which the first comes before the first frame.
 
     `left_out` counts what could not be used, by reason, `jumps` how often the clock was set back:
@@ -202,25 +210,25 @@ class Assembly:
     """
 
     def __init__(self, plan: Plan) -> None:
-        assert plan.placing is not None and plan.colour is not None  # noqa: S101, PT018  # nothing lacks
+        assert plan.pose_reader is not None and plan.colour is not None  # noqa: S101, PT018  # nothing lacks
         self.plan = plan
         self.path = plan.bag.path
         self.left_out: Counter[str] = Counter()
         self.jumps = 0
-        self.odometry, self.camera = plan.placing.frame, plan.colour.frame
+        self.odometry, self.camera = plan.pose_reader.frame, plan.colour.frame
         """Names of frames."""
-        self.base = self._base(plan.placing.tree)
+        self.base = self._base(plan.pose_reader.tree)
         self._colour = plan.colour.topic
         self._depth = plan.depth.topic if plan.depth is not None else None
-        self._told = plan.placing.odometry
-        self._edges = self._wanted(plan.placing.tree)
+        self._told = plan.pose_reader.odometry
+        self._edges = self._wanted(plan.pose_reader.tree)
         self._lean = np.eye(4)
-        self._lean[:3, :3] = plan.placing.lean
+        self._lean[:3, :3] = plan.pose_reader.lean
         self._turns: int | None = None
         self._mount: NDArray[np.float64] | None = None
-        self._spread: Spread | None = None
+        self._spread: OdometryCovariance | None = None
         self._tree = Tree()
-        self._tree.add(plan.wishes.transforms, static=True)
+        self._tree.add(plan.choice.transforms, static=True)
         self._waiting: deque[tuple[float, Packet]] = deque()
         self._depths: deque[tuple[float, Packet]] = deque(maxlen=_DEPTHS)
         self._last, self._moved, self._count = -np.inf, -np.inf, 0
@@ -233,11 +241,11 @@ class Assembly:
     @property
     def topics(self) -> frozenset[str]:
         """Names of the topics that frames are made of."""
-        assert self.plan.placing is not None  # noqa: S101
-        parts = (self._colour, self._depth, self._told, *self.plan.placing.moves)
+        assert self.plan.pose_reader is not None  # noqa: S101
+        parts = (self._colour, self._depth, self._told, *self.plan.pose_reader.moves)
         return frozenset(topic.name for topic in parts if topic is not None)
 
-    def take(self, packet: Packet) -> Iterator[Frame | Move]:
+    def take(self, packet: Packet) -> Iterator[Frame | OdometryPose]:
         """Take in a message; `InputError` where it cannot be read, and nothing is changed."""
         if packet.topic == self._colour.name:
             self._see(packet)
@@ -248,7 +256,7 @@ class Assembly:
             yield from self._move()
         yield from self._ready(packet.time)
 
-    def rest(self) -> Iterator[Frame | Move]:
+    def rest(self) -> Iterator[Frame | OdometryPose]:
         """The frames that wait for what will not come any more: the stream has ended."""
         yield from self._ready(np.inf)
 
@@ -268,8 +276,8 @@ class Assembly:
     # --------------------------------------------------------------------------------- images
 
     def _stamp(self, packet: Packet) -> float:
-        assert self.plan.placing is not None  # noqa: S101
-        return packet.time if self.plan.placing.recorded else packet.stamp
+        assert self.plan.pose_reader is not None  # noqa: S101
+        return packet.time if self.plan.pose_reader.recorded else packet.stamp
 
     def _see(self, packet: Packet) -> None:
         stamp = self._stamp(packet)
@@ -296,11 +304,11 @@ class Assembly:
         self._tree.edges = {k: e for k, e in edges if e.fixed or e.stamps[-1] <= after}
         self._moved = -np.inf
 
-    def _ready(self, now: float) -> Iterator[Frame | Move]:
+    def _ready(self, now: float) -> Iterator[Frame | OdometryPose]:
         """Frames all of whose parts have come, or will not come any more."""
         while self._waiting:
             stamp, packet = self._waiting[0]
-            over = now - packet.time > PATIENCE
+            over = now - packet.time > LONGEST_WAIT
             if not (over or (self._depth_is_settled(stamp) and self._covered() >= stamp)):
                 return
             self._waiting.popleft()
@@ -316,11 +324,11 @@ class Assembly:
         return any(s > stamp - SAME_MOMENT for s, _ in self._depths)
 
     def _frame(self, stamp: float, packet: Packet) -> Frame | None:
-        placing, camera = self.plan.placing, self.plan.camera
-        assert placing is not None and camera is not None  # noqa: S101, PT018
-        found = self._tree.between(placing.frame, self.camera, np.array([stamp]))
+        pose_reader, camera = self.plan.pose_reader, self.plan.camera
+        assert pose_reader is not None and camera is not None  # noqa: S101, PT018
+        found = self._tree.between(pose_reader.frame, self.camera, np.array([stamp]))
         if found is None or np.isnan(found).any():
-            self.left_out[f"no transform from {self.camera} to {placing.frame}"] += 1
+            self.left_out[f"no transform from {self.camera} to {pose_reader.frame}"] += 1
             return None
         pose = self._lean @ found[0]
         nearest = min(self._depths, key=lambda held: abs(held[0] - stamp), default=None)
@@ -353,7 +361,7 @@ class Assembly:
             moved = found[0]
         return partial(
             metres_of, packet.message(self.path), Source.of(depth.topic), depth.size,
-            self.plan.wishes.depth_scale, self.plan.registration, moved,
+            self.plan.choice.depth_scale, self.plan.registration, moved,
         )  # fmt: skip
 
     # ----------------------------------------------------------------------------- transforms
@@ -382,7 +390,7 @@ class Assembly:
             else:
                 self._tree.extend(key, table, _KEEP)
 
-    def _move(self) -> Iterator[Move]:
+    def _move(self) -> Iterator[OdometryPose]:
         """Where odometry has the camera by now, if it has told anything new."""
         newest = self._covered()
         if (
@@ -396,18 +404,18 @@ class Assembly:
             self._moved = newest
             pose = self._lean @ self._turned(found[0])
             spread = self._spread and self._spread.at(found[0], self._lean)
-            yield Move(newest, pose, spread)
+            yield OdometryPose(newest, pose, spread)
 
     def _rows(self, packet: Packet) -> dict[tuple[str, str], list[tuple[float, ...]]]:
         """Stamps and numbers of transforms by parent and child."""
         said = decode(packet.data, f"{self.path}, {packet.topic}", packet.type, packet.encoding)
-        assert self.plan.placing is not None  # noqa: S101
-        by_recording = self.plan.placing.recorded
+        assert self.plan.pose_reader is not None  # noqa: S101
+        by_recording = self.plan.pose_reader.recorded
         out: dict[tuple[str, str], list[tuple[float, ...]]] = {}
         if self._told is not None and packet.topic == self._told.name:
             at = said.pose.pose
             if frame_of(said.header.frame_id) == self.odometry:
-                self._spread = Spread.of(said.pose)
+                self._spread = OdometryCovariance.of(said.pose)
             held = [(said.header, said.child_frame_id, at.position, at.orientation)]
         else:
             held = [

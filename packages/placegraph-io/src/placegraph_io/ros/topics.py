@@ -27,7 +27,7 @@ from placegraph_io.ros.decode import (
     is_colour,
     size_of,
 )
-from placegraph_io.ros.poses import Placing, Samples
+from placegraph_io.ros.poses import PoseReader, Samples
 
 IMAGES = ("sensor_msgs/Image", "sensor_msgs/CompressedImage")
 _RECTIFIED = re.compile(r"(^|[/_])rect([/_]|$)")
@@ -272,7 +272,7 @@ _KEYS = (*_NAMES, *_CAMERAS, "depth_scale", "transforms")
 
 
 @dataclass(frozen=True, slots=True)
-class Wishes:
+class TopicChoice:
     """Topics and frames by their role; None: found by type."""
 
     colour: str | None = None
@@ -292,7 +292,7 @@ class Wishes:
     with_imu: bool = True
 
 
-def wishes_of(path: Path, given: Mapping[str, Any] | None) -> Wishes:
+def read_topic_choice(path: Path, given: Mapping[str, Any] | None) -> TopicChoice:
     """What `BAG.json` says, and over it what is given.
 
     Raises `InputError` of the file's content, `OptionError` of what is given.
@@ -311,7 +311,7 @@ def wishes_of(path: Path, given: Mapping[str, Any] | None) -> Wishes:
     }
     for role in ("depth", "imu"):
         out[f"with_{role}"] = not (role in said and said[role] is None)
-    return Wishes(**out)
+    return TopicChoice(**out)
 
 
 def _check(said: Mapping[str, Any], name: str, error: type[InputError | OptionError]) -> None:
@@ -354,7 +354,7 @@ class Plan:
     """What was found in a bag for a capture. Nothing is raised: what is lacking is told."""
 
     bag: Bag
-    wishes: Wishes
+    choice: TopicChoice
     views: list[View] = field(default_factory=list)
     colour: View | None = None
     camera: Camera | None = None
@@ -365,7 +365,7 @@ class Plan:
     depth_camera_topic: Topic | None = None
     registration: Registration | None = None
     """Where depth was measured by another camera."""
-    placing: Placing | None = None
+    pose_reader: PoseReader | None = None
     lacks: dict[str, str] = field(default_factory=dict)
     """By role (colour, camera, poses, depth) the sentence of the error."""
     notes: list[str] = field(default_factory=list)
@@ -378,24 +378,24 @@ class Plan:
             self.lacks.setdefault(role, str(error))
 
 
-def plan_of(bag: Bag, wishes: Wishes) -> Plan:
+def plan_of(bag: Bag, choice: TopicChoice) -> Plan:
     """Choose what a capture is made of, and read what is needed to place its frames."""
-    plan = Plan(bag, wishes, views_of(bag), notes=list(bag.notes))
+    plan = Plan(bag, choice, views_of(bag), notes=list(bag.notes))
     plan.tried("colour", lambda: _choose(plan))
     if plan.colour is None:
         return plan
     plan.tried("camera", lambda: _camera(plan))
-    plan.placing = Placing(bag, wishes, plan.colour, plan.depth)
-    plan.tried("poses", plan.placing.read)
-    plan.notes += plan.placing.notes
+    plan.pose_reader = PoseReader(bag, choice, plan.colour, plan.depth)
+    plan.tried("poses", plan.pose_reader.read)
+    plan.notes += plan.pose_reader.notes
     plan.tried("depth", lambda: _depth(plan))
     return plan
 
 
 def _choose(plan: Plan) -> None:
-    wishes = plan.wishes
+    choice = plan.choice
     plan.colour, plan.depth = chosen_views(
-        plan.bag, plan.views, wishes.colour, wishes.depth, with_depth=wishes.with_depth
+        plan.bag, plan.views, choice.colour, choice.depth, with_depth=choice.with_depth
     )
     plan.notes.append(f"Colour is {plan.colour.said}.")
     if plan.depth is not None:
@@ -404,17 +404,17 @@ def _choose(plan: Plan) -> None:
 
 def _camera(plan: Plan) -> None:
     assert plan.colour is not None  # noqa: S101  # chosen before
-    found = camera_for(plan.bag, plan.colour, plan.wishes.camera, "camera")
+    found = camera_for(plan.bag, plan.colour, plan.choice.camera, "camera")
     plan.camera, plan.camera_topic = found
 
 
 def _depth(plan: Plan) -> None:
-    colour, depth, wishes = plan.colour, plan.depth, plan.wishes
-    if depth is None or colour is None or plan.placing is None:
+    colour, depth, choice = plan.colour, plan.depth, plan.choice
+    if depth is None or colour is None or plan.pose_reader is None:
         return
     same = depth.frame == colour.frame
     try:
-        found = camera_for(plan.bag, depth, wishes.depth_camera, "depth_camera")
+        found = camera_for(plan.bag, depth, choice.depth_camera, "depth_camera")
         camera, plan.depth_camera_topic = found
     except InputError:
         if not (same and plan.camera is not None and depth.size == colour.size):
@@ -423,7 +423,7 @@ def _depth(plan: Plan) -> None:
     plan.depth_camera = camera
     if same or plan.camera is None:
         return
-    if plan.placing.tree.path(colour.frame, depth.frame) is None:
+    if plan.pose_reader.tree.path(colour.frame, depth.frame) is None:
         raise InputError(
             f"{plan.bag.path}: no transform joins {colour.frame!r}, where colours are seen, and "
             f"{depth.frame!r}, where depth is measured; record /tf_static, or write it as "
