@@ -18,7 +18,7 @@ from placegraph.io.osm.indoor_osm import levels_of
 
 if TYPE_CHECKING:
     from placegraph.core.geo import Anchor
-    from placegraph.indoor.pose.query import Progress
+    from placegraph.indoor.pose.window import Progress
     from placegraph.indoor.scene_map import SceneMap
     from placegraph.world import Fitted
 

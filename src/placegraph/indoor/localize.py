@@ -14,16 +14,20 @@ from placegraph.indoor.encode.labels import foreign
 from placegraph.indoor.likelihood.observe import sight
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.options import check_device
-from placegraph.indoor.pose.bend import bend
-from placegraph.indoor.pose.estimate import estimate_pose
-from placegraph.indoor.pose.passes import run_passes
-from placegraph.indoor.pose.placed import placed
-from placegraph.indoor.pose.polish import heaviest, polished
-from placegraph.indoor.pose.query import PoseQuery
+from placegraph.indoor.pose.covariance import explore_unobservable
+from placegraph.indoor.pose.drift import correct_drift
+from placegraph.indoor.pose.estimate import add_earth_poses, estimate_pose
+from placegraph.indoor.pose.faults import (
+    COVERED,
+    find_divided_capture,
+    find_fault,
+    find_spoiled,
+    is_blank,
+)
+from placegraph.indoor.pose.local_fit import fit_window, heaviest_modes
+from placegraph.indoor.pose.particle_filter import run_passes
 from placegraph.indoor.pose.search import search
-from placegraph.indoor.pose.slide import freed
-from placegraph.indoor.pose.suspect import COVERED, blank, divided_all, spoiled, suspected
-from placegraph.indoor.pose.window import Window, observe, timed
+from placegraph.indoor.pose.window import PoseQuery, Window, observe, timed
 from placegraph.indoor.refine import (
     RefineOptions,
     RefineSetup,
@@ -40,8 +44,7 @@ from placegraph.indoor.status import (
     needs_fault_search,
     reject_frames,
 )
-from placegraph.indoor.track.tracker import Tracker
-from placegraph.indoor.track.whole import follow
+from placegraph.indoor.track.tracker import Tracker, track_capture
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
 
@@ -65,7 +68,7 @@ def localized(
     options = refine if isinstance(refine, RefineOptions) else None
     refining = RefineSetup.of(options, matcher, device) if refine else None
     check_device(device, network=refining is not None and refining.matcher is not None)
-    return placed(scene, localize(query, refining))
+    return add_earth_poses(scene, localize(query, refining))
 
 
 def localize(query: PoseQuery, refining: RefineSetup | None) -> PoseEstimate:
@@ -98,7 +101,7 @@ def _suspected(window: Window, estimate: PoseEstimate) -> PoseEstimate:
     if not (wrong and here and searched and estimate.modes):
         return estimate
     with timed(window.seconds, "faults"):
-        fault = suspected(window, found.ratio, np.random.default_rng(query.seed))
+        fault = find_fault(window, found.ratio, np.random.default_rng(query.seed))
     seconds = estimate.stats["seconds"] | {"faults": round(window.seconds["faults"], 4)}
     estimate = replace(estimate, stats=estimate.stats | {"seconds": seconds})
     if not fault:
@@ -111,18 +114,18 @@ def _found(query: PoseQuery, refining: RefineSetup | None) -> tuple[Window, Pose
     """The answer if the camera is as it is said to be, and the frames that it rests on."""
     if len(query.frames) > WINDOW and query.options.tracked:
         tracker = Tracker(query)
-        estimate = follow(tracker, query.frames)
+        estimate = track_capture(tracker, query.frames)
         if estimate.status is Status.OK:
-            fault = divided_all(query, tracker.scorer, estimate.trajectory)
+            fault = find_divided_capture(query, tracker.scorer, estimate.trajectory)
             estimate = doubt_tracked(estimate, fault)
         window = _tail(query, tracker)
         return window, refine_estimate(window, estimate, refining) if refining else estimate
     rng = np.random.default_rng(query.seed)
     window = observe(query)
-    fault = spoiled(window)
+    fault = find_spoiled(window)
     if fault:  # no search could help
         return window, reject_frames(fault, [s.frame.index for s in window.sightings])
-    covered = blank(window.sightings)
+    covered = is_blank(window.sightings)
     if covered:  # depth and labels are better off without such images
         window.sightings = [replace(s, rgb=None) for s in window.sightings]
     seeds = search(window, rng)
@@ -130,11 +133,11 @@ def _found(query: PoseQuery, refining: RefineSetup | None) -> tuple[Window, Pose
         seeds = np.concatenate([locate_by_landmarks(window), seeds])
     passes = run_passes(window, seeds, rng)
     if query.options.answer == "mle":
-        fits = heaviest(window.chain, passes.particles, query.options.modes)
+        fits = heaviest_modes(window.chain, passes.particles, query.options.modes)
     else:
         starts = np.concatenate([passes.modes, seeds])
-        fits = bend(window, polished(window, starts, rng), rng)
-        fits = freed(window, fits, rng)
+        fits = correct_drift(window, fit_window(window, starts, rng), rng)
+        fits = explore_unobservable(window, fits, rng)
     estimate = estimate_pose(window, fits)
     if covered:
         estimate = add_note(estimate, COVERED)

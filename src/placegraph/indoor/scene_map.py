@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from placegraph.indoor.mapping.check import Finding
     from placegraph.indoor.options import FilterOptions
     from placegraph.indoor.pose.prior import Prior
-    from placegraph.indoor.pose.query import Progress
+    from placegraph.indoor.pose.window import Progress
     from placegraph.indoor.refine import RefineOptions
     from placegraph.indoor.refine.matching import Matcher
     from placegraph.indoor.render import Rendering
@@ -170,8 +170,8 @@ class SceneMap(Shown, Scene):
 
         """
         from placegraph.indoor.options import FilterOptions, check_device
-        from placegraph.indoor.pose.placed import placed
-        from placegraph.indoor.pose.query import PoseQuery
+        from placegraph.indoor.pose.estimate import add_earth_poses
+        from placegraph.indoor.pose.window import PoseQuery
         from placegraph.indoor.refine import RefineSetup, refine
         from placegraph.indoor.render import checked_pose
 
@@ -181,7 +181,7 @@ class SceneMap(Shown, Scene):
         query = PoseQuery.of(
             self, capture, frames=frames, options=senses, seed=seed, progress=progress,
         )  # fmt: skip
-        return placed(self, refine(query, checked_pose(map_from_camera), refining))
+        return add_earth_poses(self, refine(query, checked_pose(map_from_camera), refining))
 
     def render(
         self, map_from_camera: ArrayLike, camera: Camera, *, samples: int = 4, device: str = "auto"
@@ -257,7 +257,7 @@ class SceneMap(Shown, Scene):
 
         `known`: options, encoder, description, shares and device, as of `localize`.
         """
-        from placegraph.indoor.pose.query import PoseQuery
+        from placegraph.indoor.pose.window import PoseQuery
         from placegraph.indoor.track.tracker import Tracker
 
         return Tracker(PoseQuery.of(self, seed=seed, **known), camera)

@@ -17,7 +17,7 @@ from placegraph.core.estimate import Status
 from placegraph.core.geo import Anchor
 from placegraph.core.geometry import Floats, rotation_z
 from placegraph.errors import InputError, OptionError
-from placegraph.indoor.pose.query import Progress
+from placegraph.indoor.pose.window import Progress
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture, with_poses
 from placegraph.io.capture.fixes import FILE, Fix, fixes_of

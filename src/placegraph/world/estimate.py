@@ -20,7 +20,7 @@ from placegraph.outdoor.search.request import is_count, number
 if TYPE_CHECKING:
     from placegraph.core.estimate import CityEstimate, Place, PoseEstimate, PoseMode
     from placegraph.core.geo import EarthPose
-    from placegraph.indoor.pose.query import Progress
+    from placegraph.indoor.pose.window import Progress
     from placegraph.world.sentence import ParsedSentence
     from placegraph.world.world import World
 

@@ -23,7 +23,7 @@ from placegraph.indoor.library.localize import looked_into
 from placegraph.indoor.library.search import SearchOptions
 from placegraph.indoor.map.floor import storey_at
 from placegraph.indoor.map.rooms import room_at
-from placegraph.indoor.pose.query import chosen_frames
+from placegraph.indoor.pose.window import chosen_frames
 from placegraph.indoor.status import choose_scene, doubt_by_search, fit_odds, scene_of, search_odds
 from placegraph.outdoor.language.description import SPEAKER, WITHIN
 from placegraph.world.estimate import WorldEstimate, WorldMode, WorldQuery, add_answers

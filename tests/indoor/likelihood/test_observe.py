@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 
 from placegraph.core.geometry import Camera, level_from_camera
 from placegraph.indoor.encode import Patches
-from placegraph.indoor.likelihood.model import model_of
-from placegraph.indoor.likelihood.observe import sight, views
-from placegraph.indoor.likelihood.view import Background
+from placegraph.indoor.likelihood.observe import Background, sight, views
+from placegraph.indoor.likelihood.score import model_of
 from placegraph.indoor.map.map_kernels import opponent
 from placegraph.indoor.options import FilterOptions, Likelihood
 from placegraph.io.capture.frame import Frame

@@ -8,8 +8,8 @@ import pytest
 
 from placegraph.core.geometry import Camera, level_from_camera, rotation_z
 from placegraph.indoor.encode.labels import InstancesEncoder
-from placegraph.indoor.likelihood.model import model_of
-from placegraph.indoor.likelihood.observe import sight, views
+from placegraph.indoor.likelihood.observe import View, sight, views
+from placegraph.indoor.likelihood.score import model_of
 from placegraph.indoor.likelihood.score_kernels import (
     COLOUR,
     DEPTH,
@@ -20,7 +20,6 @@ from placegraph.indoor.likelihood.score_kernels import (
     look,
     score_poses,
 )
-from placegraph.indoor.likelihood.view import View
 from placegraph.indoor.map.map_kernels import colour_at, opponent
 from placegraph.indoor.map.mesh import Mesh, Surface
 from placegraph.indoor.options import FilterOptions, Likelihood

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from placegraph.core.geometry import compose
-from placegraph.indoor.likelihood.model import model_of
 from placegraph.indoor.likelihood.observe import sight, views
-from placegraph.indoor.likelihood.score import Scorer
+from placegraph.indoor.likelihood.score import Scorer, model_of
 from placegraph.indoor.options import FilterOptions
 
 pytestmark = pytest.mark.usefixtures("one_thread")

@@ -9,9 +9,8 @@ import pytest
 from placegraph.core.geometry import between, compose, level_from_camera, split_pose, wrap
 from placegraph.indoor.build import scene_of_model
 from placegraph.indoor.likelihood.calibrated import TEMPERATURE
-from placegraph.indoor.likelihood.model import model_of
-from placegraph.indoor.likelihood.observe import sight, views
-from placegraph.indoor.likelihood.view import View
+from placegraph.indoor.likelihood.observe import View, sight, views
+from placegraph.indoor.likelihood.score import model_of
 from placegraph.indoor.likelihood.visibility import build_table, floor_under
 from placegraph.indoor.map import free_space as free
 from placegraph.indoor.map.free_space import HIGHEST, range_of

@@ -21,7 +21,7 @@ from placegraph.indoor.map.scene_file import VIEWPOINTS, columns, near_box, save
 from placegraph.indoor.mapping import merge
 from placegraph.indoor.mapping.from_capture import thin_points
 from placegraph.indoor.options import FilterOptions
-from placegraph.indoor.pose.placed import placed
+from placegraph.indoor.pose.estimate import add_earth_poses
 from placegraph.indoor.scene_map import SceneMap
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -82,7 +82,7 @@ def test_a_camera_upstairs_is_a_level_up_and_in_a_room_there(stacked, flat):
         mode = PoseMode(pose, np.zeros(4), np.eye(6), 1.0, stacked.scenes[0], pose)
         for said, told in (("2", level), ("mezzanine", "mezzanine")):
             anchored = stacked.anchored(Anchor(7.4, 43.7, 50.0, 0.3, level=said))
-            (earth,) = placed(anchored, PoseEstimate(Status.OK, (mode,), "")).best.earth
+            (earth,) = add_earth_poses(anchored, PoseEstimate(Status.OK, (mode,), "")).best.earth
             assert (earth.level, earth.room) == (told, room), up
 
 

@@ -11,9 +11,8 @@ from placegraph.core.geometry import Camera, between, compose, split_pose
 from placegraph.indoor.build import scene_of_model
 from placegraph.indoor.encode import bound
 from placegraph.indoor.encode.labels import InstancesEncoder, LabelsEncoder
-from placegraph.indoor.likelihood.model import model_of
 from placegraph.indoor.likelihood.observe import sight, views
-from placegraph.indoor.likelihood.score import Scorer
+from placegraph.indoor.likelihood.score import Scorer, model_of
 from placegraph.indoor.likelihood.score_kernels import look
 from placegraph.indoor.options import FilterOptions, Likelihood
 from placegraph.indoor.pose.agreement import Agreement, agreement, explain

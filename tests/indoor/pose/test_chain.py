@@ -5,7 +5,13 @@ import pytest
 
 from placegraph.core.geometry import between, compose, wrap
 from placegraph.indoor.options import MotionNoise
-from placegraph.indoor.pose.chain import USUAL, Chain, Course, Told, bent
+from placegraph.indoor.pose.drift import (
+    USUAL,
+    Chain,
+    QuadraticFactors,
+    Trajectory,
+    solve_trajectory,
+)
 
 NOISE = MotionNoise(0.01, 0.03, 0.005, 0.02)
 KNOWN = np.array([0.02, 0.02, 0.02, 0.006])
@@ -33,15 +39,15 @@ def drifting(truth, degrees, rng, systematic):
 
 def seen(truth, rng, rows=slice(None)):
     """What frames say of their poses, each with its own error."""
-    told = Told.nothing(truth + rng.normal(size=truth.shape) * KNOWN)
+    told = QuadraticFactors.nothing(truth + rng.normal(size=truth.shape) * KNOWN)
     told.information[rows] = np.diag(1.0 / KNOWN**2)
     return told
 
 
 def settled(chain, told, start, steps=12):
-    course = Course.start(chain, start, np.array([0.1, 0.1, 0.1, 0.05]))
+    course = Trajectory.start(chain, start, np.array([0.1, 0.1, 0.1, 0.05]))
     for _ in range(steps):
-        course = bent(chain, course, told)
+        course = solve_trajectory(chain, course, told)
     return course
 
 
@@ -61,7 +67,7 @@ def test_drift_is_found(rng, degrees, systematic):
     assert np.abs(error[:, 3]).max() < 3 * KNOWN[3]
     assert np.linalg.norm(error[-1, :3]) < 0.06
     assert course.scales[3] > 2 * USUAL
-    rigid = errors_of(Course.start(chain, truth[-1], KNOWN), truth)
+    rigid = errors_of(Trajectory.start(chain, truth[-1], KNOWN), truth)
     assert np.abs(rigid[:, 3]).max() > np.abs(error[:, 3]).max()
 
 

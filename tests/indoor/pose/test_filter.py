@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from placegraph.core.geometry import between, compose, wrap
 from placegraph.indoor.options import FilterOptions, Likelihood, MotionNoise
-from placegraph.indoor.pose.filter import ParticleFilter, run_pass
-from placegraph.indoor.pose.particles import Particles, kld_count
+from placegraph.indoor.pose.kld_sampling import Particles, kld_count
+from placegraph.indoor.pose.particle_filter import ParticleFilter, run_pass
 
 OPTIONS = FilterOptions()
 PAPER = FilterOptions.paper()

@@ -12,19 +12,15 @@ from tests.indoor.pose import paper_filter as theirs
 
 from placegraph.core.geometry import Camera, between, compose, pose_matrix, wrap
 from placegraph.indoor.encode import Patches
-from placegraph.indoor.likelihood.model import model_of
 from placegraph.indoor.likelihood.observe import sight, views
-from placegraph.indoor.likelihood.score import Scorer
+from placegraph.indoor.likelihood.score import Scorer, model_of
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.options import FilterOptions
-from placegraph.indoor.pose.chain import Chain
-from placegraph.indoor.pose.filter import ParticleFilter
-from placegraph.indoor.pose.motion import propagate
-from placegraph.indoor.pose.particles import Particles, kld_bound, kld_count, resample
-from placegraph.indoor.pose.passes import _later, everywhere
-from placegraph.indoor.pose.polish import heaviest
-from placegraph.indoor.pose.query import PoseQuery
-from placegraph.indoor.pose.window import Window
+from placegraph.indoor.pose.kld_sampling import Particles, kld_bound, kld_count, resample
+from placegraph.indoor.pose.local_fit import heaviest_modes
+from placegraph.indoor.pose.motion import Chain, propagate
+from placegraph.indoor.pose.particle_filter import ParticleFilter, _later, everywhere
+from placegraph.indoor.pose.window import PoseQuery, Window
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.frame import Frame
 
@@ -239,7 +235,7 @@ def test_the_mle(rng):
     poses = scattered(rng, 500)
     particles, _ = Particles.even(poses).reweighted(-rng.exponential(1.0, 500))
     expected = theirs.heaviest(poses, particles.weights)
-    (fit,) = heaviest(Chain.of(np.zeros((1, 4)), PAPER.motion), particles, PAPER.modes)
+    (fit,) = heaviest_modes(Chain.of(np.zeros((1, 4)), PAPER.motion), particles, PAPER.modes)
     np.testing.assert_array_equal(fit.pose, expected)
     filter_ = ParticleFilter(None, PAPER, rng, particles, 500)
     np.testing.assert_array_equal(filter_.modes(), expected[None])

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from placegraph.core.geometry import wrap
 from placegraph.indoor.options import FilterOptions
-from placegraph.indoor.pose.particles import (
+from placegraph.indoor.pose.kld_sampling import (
     BIN,
     Particles,
     distinct,

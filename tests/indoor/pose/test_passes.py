@@ -9,11 +9,10 @@ import pytest
 from placegraph.errors import OptionError
 from placegraph.indoor.likelihood.score import Scorer
 from placegraph.indoor.options import FilterOptions, Pass
-from placegraph.indoor.pose.passes import _later, everywhere
+from placegraph.indoor.pose.particle_filter import _later, everywhere
 from placegraph.indoor.pose.prior import Prior
-from placegraph.indoor.pose.query import PoseQuery
 from placegraph.indoor.pose.search import near_prior
-from placegraph.indoor.pose.window import Window
+from placegraph.indoor.pose.window import PoseQuery, Window
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 OPTIONS = FilterOptions()

@@ -7,23 +7,21 @@ from hypothesis import strategies as st
 
 from placegraph.core.geometry import compose, split_pose, wrap
 from placegraph.indoor.encode.labels import InstancesEncoder
-from placegraph.indoor.likelihood.model import model_of
 from placegraph.indoor.likelihood.observe import sight, views
-from placegraph.indoor.likelihood.score import Scorer
+from placegraph.indoor.likelihood.score import Scorer, model_of
 from placegraph.indoor.options import FilterOptions, MotionNoise
-from placegraph.indoor.pose.chain import Chain
 from placegraph.indoor.pose.covariance import WIDENED, pose_covariance
-from placegraph.indoor.pose.motion import level_poses
-from placegraph.indoor.pose.particles import Particles
-from placegraph.indoor.pose.polish import (
+from placegraph.indoor.pose.kld_sampling import Particles
+from placegraph.indoor.pose.local_fit import (
     NARROWEST,
     SPREAD,
-    Round,
-    heaviest,
-    polish,
+    FitLevel,
+    fit_modes,
+    fit_pose,
+    heaviest_modes,
     probabilities,
-    refine,
 )
+from placegraph.indoor.pose.motion import Chain, level_poses
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -50,7 +48,7 @@ ALONE = Chain.of(np.zeros((1, 4)), MotionNoise())
 
 
 def level(rounds=4, most=6, gap=60.0):
-    return Round(ALONE, np.array([0]), [None], rounds, most, gap)
+    return FitLevel(ALONE, np.array([0]), [None], rounds, most, gap)
 
 
 PEAK = np.array([2.0, -1.0, 1.6, 3.1])  # its yaws lie on both sides of the half turn
@@ -70,7 +68,7 @@ def test_a_mode_climbs_its_hill(seed, sharpness):
     spread = SPREAD / 2.0**sharpness
     hills = Hills((PEAK, 100.0, spread))
     start = PEAK + rng.uniform(-1.2, 1.2, 4) * SPREAD
-    (fit,) = polish(hills, start[None], [level(), level()], rng)
+    (fit,) = fit_modes(hills, start[None], [level(), level()], rng)
     assert np.abs(error_of(fit) / SPREAD).max() < 0.5
     assert fit.log_likelihood > 98
     first = hills.together(start[None], None, None)[0]
@@ -91,13 +89,13 @@ class Ridge(Hills):
 def test_a_mode_follows_a_ridge(seed):
     """Samples drawn axis by axis would stay where it was met, tens of nats short."""
     start = PEAK + np.array([0.0, 1.0, 0.0, -1.0]) * SPREAD
-    (fit,) = polish(Ridge(), start[None], [level()] * 3, np.random.default_rng(seed))
+    (fit,) = fit_modes(Ridge(), start[None], [level()] * 3, np.random.default_rng(seed))
     assert fit.log_likelihood > 99
 
 
 def test_fits_are_as_good_as_they_say(rng):
     hills = Hills((PEAK, 100.0, NARROW))
-    (fit,) = polish(hills, PEAK[None] + SPREAD, [level(), level()], rng)
+    (fit,) = fit_modes(hills, PEAK[None] + SPREAD, [level(), level()], rng)
     at_pose = hills.together(fit.pose[None], None, None)[0]
     assert fit.log_likelihood - at_pose <= 1.0
     assert (fit.spread >= NARROWEST).all()
@@ -109,7 +107,7 @@ def test_the_best_of_several_comes_first(rng):
     third = np.array([0.0, 4.0, 1.6, -2.0])
     hills = Hills((PEAK, 80.0, NARROW), (other, 100.0, NARROW), (third, 70.0, NARROW))
     starts = np.stack([PEAK, PEAK + 0.05, third, other]) + SPREAD / 2
-    fits = polish(hills, starts, [level(), level()], rng)
+    fits = fit_modes(hills, starts, [level(), level()], rng)
     assert len(fits) == 3  # two starts led to one place
     for fit, peak, height in zip(fits, (other, PEAK, third), (100, 80, 70), strict=True):
         assert np.abs(error_of(fit, peak)).max() < 0.06
@@ -119,7 +117,7 @@ def test_the_best_of_several_comes_first(rng):
 def test_places_on_opposite_headings_are_two(rng):
     turned = PEAK + np.array([0, 0, 0, np.pi])
     hills = Hills((PEAK, 50.0, NARROW), (turned, 49.0, NARROW))
-    fits = polish(hills, np.stack([turned, PEAK]), [level()], rng)
+    fits = fit_modes(hills, np.stack([turned, PEAK]), [level()], rng)
     assert len(fits) == 2
     assert abs(wrap(fits[0].pose[3] - fits[1].pose[3])) > 3
 
@@ -129,7 +127,7 @@ def test_hopeless_modes_are_left_but_not_forgotten(rng):
     far = np.array([-3.0, 0, 1.6, 0])
     hills = Hills((PEAK, 500.0, NARROW), (far, 20.0, NARROW))
     start = PEAK + SPREAD
-    fits = polish(hills, np.stack([far, start]), [level(gap=60.0), level()], rng)
+    fits = fit_modes(hills, np.stack([far, start]), [level(gap=60.0), level()], rng)
     assert [f.log_likelihood > 400 for f in fits] == [True, False]
     behind = hills.together(start[None], None, None)[0] - 20
     assert fits[0].log_likelihood - fits[1].log_likelihood == pytest.approx(behind, abs=1e-6)
@@ -141,7 +139,7 @@ def test_hopeless_modes_are_left_but_not_forgotten(rng):
 def test_only_so_many_modes_take_part(rng):
     peaks = [np.array([3.0 * i, 0, 1.6, 0]) for i in range(6)]
     hills = Hills(*((p, 100.0 - i, NARROW) for i, p in enumerate(peaks)))
-    fits = polish(hills, np.stack(peaks), [level(most=2)], rng)
+    fits = fit_modes(hills, np.stack(peaks), [level(most=2)], rng)
     assert len(fits) == 6
     polished = [not np.allclose(f.spread, SPREAD) for f in fits]
     assert polished == [True, True, False, False, False, False]
@@ -151,21 +149,21 @@ def test_only_so_many_modes_take_part(rng):
 
 def test_no_rounds_only_score(rng):
     hills = Hills((PEAK, 10.0, NARROW))
-    (fit,) = polish(hills, PEAK[None] + 0.01, [level(rounds=0)], rng)
+    (fit,) = fit_modes(hills, PEAK[None] + 0.01, [level(rounds=0)], rng)
     np.testing.assert_allclose(fit.pose, PEAK + 0.01)
 
 
 def test_the_same_seed():
     hills = Hills((PEAK, 10.0, NARROW))
     fits = [
-        polish(hills, PEAK[None] + SPREAD, [level()], np.random.default_rng(4)) for _ in range(2)
+        fit_modes(hills, PEAK[None] + SPREAD, [level()], np.random.default_rng(4)) for _ in range(2)
     ]
     np.testing.assert_array_equal(*(f[0].pose for f in fits))
 
 
 def test_refining_one_pose(rng):
     hills = Hills((PEAK, 10.0, NARROW))
-    fit = refine(hills, PEAK + NARROW, 2 * NARROW, level(rounds=3), rng)
+    fit = fit_pose(hills, PEAK + NARROW, 2 * NARROW, level(rounds=3), rng)
     assert np.abs(error_of(fit) / NARROW).max() < 1
 
 
@@ -193,7 +191,7 @@ def test_probabilities_are_some(values, temperature):
 
 def test_what_is_badly_known_has_a_large_variance(rng):
     spread = np.array([0.01, 0.1, 0.02, 0.005])  # along a corridor, say
-    (fit,) = polish(Hills((PEAK, 100.0, spread)), PEAK[None] + 0.02, [level(), level()], rng)
+    (fit,) = fit_modes(Hills((PEAK, 100.0, spread)), PEAK[None] + 0.02, [level(), level()], rng)
     covariance = pose_covariance(fit.covariance) / WIDENED
     np.testing.assert_allclose(covariance, covariance.T)
     assert np.linalg.eigvalsh(covariance).min() > 0
@@ -205,7 +203,7 @@ def test_what_is_badly_known_has_a_large_variance(rng):
 
 
 def test_no_pose_is_known_without_error(rng):
-    (fit,) = polish(Hills((PEAK, 1e6, NARROW / 100)), PEAK[None], [level()], rng)
+    (fit,) = fit_modes(Hills((PEAK, 1e6, NARROW / 100)), PEAK[None], [level()], rng)
     assert (np.diag(pose_covariance(fit.covariance))[[0, 1, 2, 5]] >= NARROWEST**2).all()
 
 
@@ -219,7 +217,7 @@ def test_the_heaviest_particle_is_the_estimate(rng):
     logs = np.log(np.append(rng.uniform(0.5, 1.0, 300), np.full(100, 0.2)))
     particles, _ = Particles.even(poses).reweighted(logs)
     best = particles.weights.argmax()
-    (fit,) = heaviest(ALONE, particles, 1)
+    (fit,) = heaviest_modes(ALONE, particles, 1)
     np.testing.assert_array_equal(fit.pose, poses[best])
     assert np.exp(fit.log_likelihood) == pytest.approx(particles.weights[:300].sum())
     away = poses[:300] - poses[best]
@@ -227,7 +225,7 @@ def test_the_heaviest_particle_is_the_estimate(rng):
     share = particles.weights[:300] / particles.weights[:300].sum()
     expected = (away * share[:, None]).T @ away + np.diag(NARROWEST**2)
     np.testing.assert_allclose(fit.covariance, expected, rtol=1e-9)
-    both = heaviest(ALONE, particles, 5)
+    both = heaviest_modes(ALONE, particles, 5)
     np.testing.assert_allclose([f.pose for f in both], [poses[best], rival], rtol=1e-12)
     assert sum(np.exp(f.log_likelihood) for f in both) == pytest.approx(1.0)
 
@@ -246,11 +244,11 @@ def test_a_walk_is_fitted_to_centimetres(room, walk, truth, rng):
         around,
     )
     chain = Chain.of(level_poses(walk.odometry, walk.gravity), options.motion)
-    rig = Round(chain, np.arange(len(seen)), seen, 5, 4, 60.0)
+    rig = FitLevel(chain, np.arange(len(seen)), seen, 5, 4, 60.0)
     true = split_pose(truth(walk)[-1])[0]
     start = compose(true, np.array([0.15, -0.1, 0.05, 0.05]))
     scorer = Scorer(room, options.likelihood)
-    fits = polish(scorer, np.stack([start, compose(start, [1, 0, 0, 0])]), [rig], rng)
+    fits = fit_modes(scorer, np.stack([start, compose(start, [1, 0, 0, 0])]), [rig], rng)
     assert np.linalg.norm(error_of(fits[0], true)[:3]) < 0.05
     assert abs(error_of(fits[0], true)[3]) < np.deg2rad(2.5)
     sd = np.sqrt(np.diag(pose_covariance(fits[0].covariance) / WIDENED))[[0, 1, 2, 5]]

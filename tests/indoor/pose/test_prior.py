@@ -8,7 +8,7 @@ from placegraph.errors import OptionError
 from placegraph.indoor.map.map_kernels import AZIMUTHS
 from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.options import FilterOptions
-from placegraph.indoor.pose.prior import Leaning
+from placegraph.indoor.pose.prior import LogPrior
 
 
 @pytest.fixture(scope="module")
@@ -19,12 +19,12 @@ def twins(room):
 
 def test_nothing_said_is_no_leaning(room):
     table = room.visibility(FilterOptions())
-    assert Leaning.of(room, table, None, None) is None
+    assert LogPrior.of(room, table, None, None) is None
 
 
 def test_a_sentence_leans_towards_where_it_is_true(room):
     table = room.visibility(FilterOptions())
-    leaning = Leaning.of(room, table, "next to the sofa", None)
+    leaning = LogPrior.of(room, table, "next to the sofa", None)
     assert leaning.logs.shape == (len(table), AZIMUTHS)
     sofa = room.graph.positions[room.graph.labels.index("sofa"), :2]
     away = np.linalg.norm(table.positions[:, :2] - sofa, axis=1)
@@ -38,18 +38,18 @@ def test_a_sentence_leans_towards_where_it_is_true(room):
 def test_a_sentence_about_nothing_here_is_told(room):
     table = room.visibility(FilterOptions())
     with pytest.raises(OptionError, match="says nothing of this map"):
-        Leaning.of(room, table, "next to the swimming pool", None)
+        LogPrior.of(room, table, "next to the swimming pool", None)
 
 
 @pytest.mark.parametrize("shares", [[1.0], [0.0, 0.0], [-1.0, 2.0], [np.nan, 1.0]])
 def test_shares_are_one_for_each_scene(twins, shares):
     with pytest.raises(OptionError, match="shares"):
-        Leaning.of(twins, twins.visibility(FilterOptions()), None, shares)
+        LogPrior.of(twins, twins.visibility(FilterOptions()), None, shares)
 
 
 def test_a_scene_without_a_share_gets_no_particles(twins):
     table = twins.visibility(FilterOptions())
-    leaning = Leaning.of(twins, table, None, [0.0, 1.0])
+    leaning = LogPrior.of(twins, table, None, [0.0, 1.0])
     ((rows, share),) = leaning.parts
     assert share == 1.0
     assert {twins.scene_at(p[:2]) for p in table.positions[rows]} == {1}

@@ -8,7 +8,7 @@ import pytest
 from placegraph.core.geometry import Camera
 from placegraph.errors import OptionError
 from placegraph.indoor.options import FilterOptions
-from placegraph.indoor.pose.query import PoseQuery, chosen_frames
+from placegraph.indoor.pose.window import PoseQuery, chosen_frames
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
 

@@ -11,8 +11,8 @@ from placegraph.core.estimate import Status
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor import localize
 from placegraph.indoor.likelihood.observe import Sighting
+from placegraph.indoor.pose.faults import find_divided
 from placegraph.indoor.pose.prior import Prior
-from placegraph.indoor.pose.suspect import divided
 from placegraph.io.capture.capture import open_capture
 from placegraph_lab.tables.indoor import perturb as bad
 from placegraph_lab.tables.indoor.perturb import Recording, Shot, height
@@ -152,4 +152,4 @@ def test_images_alone_can_contradict_each_other(colours, said, shot):
     sightings = [Sighting(f, np.eye(3), None, None, f.rgb()) for f in shot.frames]
     window = SimpleNamespace(sightings=sightings)
     frames = np.column_stack([np.full((10, 2), np.nan), colours])
-    assert bool(divided(window, frames)) is said
+    assert bool(find_divided(window, frames)) is said

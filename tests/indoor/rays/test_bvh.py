@@ -5,11 +5,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph.indoor.rays import bvh, bvh_kernels
+from placegraph.indoor.rays import caster as bvh
+from placegraph.indoor.rays import trace_kernels as bvh_kernels
 
 
 def _tree(vertices, triangles):
-    return bvh.build(np.asarray(vertices, np.float32), np.asarray(triangles, np.int32))
+    return bvh.build_tree(np.asarray(vertices, np.float32), np.asarray(triangles, np.int32))
 
 
 def _check(tree, vertices, triangles):

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from placegraph.errors import MissingExtraError, OptionError
 from placegraph.indoor.rays import RayCaster, embree
 from placegraph.indoor.rays.caster import Hits
-from placegraph.indoor.rays.packets_kernels import cast_rays
+from placegraph.indoor.rays.trace_kernels import cast_rays
 from placegraph_lab.tables.indoor.maps import decimate
 
 ROOM = (0.0, 0.0, 0.0), (10.0, 8.0, 3.0)

@@ -11,8 +11,7 @@ import pytest
 from placegraph.core.estimate import Status
 from placegraph.errors import MissingExtraError, OptionError
 from placegraph.indoor.options import FilterOptions
-from placegraph.indoor.pose.query import PoseQuery
-from placegraph.indoor.pose.window import observe
+from placegraph.indoor.pose.window import PoseQuery, observe
 from placegraph.indoor.refine import RefineOptions, RefineSetup, refine_estimate
 from placegraph.indoor.refine.confidence import Confirmation
 from placegraph.indoor.refine.matching.guided import GuidedMatcher

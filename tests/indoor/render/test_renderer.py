@@ -20,7 +20,7 @@ from placegraph.core.threads import limited
 from placegraph.errors import OptionError
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.rays import RayCaster
-from placegraph.indoor.render.renderer import (
+from placegraph.indoor.render import (
     SAMPLES,
     Renderer,
     camera_rays,

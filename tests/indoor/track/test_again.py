@@ -7,7 +7,7 @@ import pytest
 
 from placegraph.core.estimate import PoseEstimate, PoseMode, Status
 from placegraph.core.geometry import pose_matrix
-from placegraph.indoor.track.again import NEAR, Again
+from placegraph.indoor.track.tracker import SAME_WAY, Confirmation
 
 HERE = (1.0, 2.0, 1.6, 0.5)
 STEP = pose_matrix(np.array([0.2, 0.0, 0.0, 0.1]), np.eye(3))
@@ -33,7 +33,7 @@ def poses():
 
 
 def test_the_second_answer_of_one_place_counts(poses):
-    again, ((before, here), (now, there)) = Again(), poses
+    again, ((before, here), (now, there)) = Confirmation(), poses
     first = again.judged("flat", at(before), found(here))
     assert first.status is Status.AMBIGUOUS
     assert first.modes
@@ -46,9 +46,9 @@ def test_the_second_answer_of_one_place_counts(poses):
 
 def test_an_alias_does_not(poses):
     """Nor does another map, or a camera that looks elsewhere; of each the next answer decides."""
-    again, ((before, here), (now, there)) = Again(), poses
+    again, ((before, here), (now, there)) = Confirmation(), poses
     alias = here.copy()
-    alias[2, 3] += 1.1 * NEAR
+    alias[2, 3] += 1.1 * SAME_WAY
     turned = there @ pose_matrix(np.array([0.0, 0.0, 0.0, 0.3]), np.eye(3))
     for scene, odometry, pose in (
         ("flat", before, alias), ("flat", now, there), ("hall", now, there), ("hall", now, turned),

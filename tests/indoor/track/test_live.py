@@ -12,7 +12,7 @@ from placegraph.core.estimate import Status
 from placegraph.core.geometry import Camera
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.options import FilterOptions
-from placegraph.indoor.track.finder import Finder
+from placegraph.indoor.track.follower import Relocalizer
 from placegraph.indoor.track.odometry import AHEAD, JUMP, KEPT, Odometry
 from placegraph.io.capture.frame import Frame
 
@@ -377,7 +377,7 @@ def test_odometry_that_falls_silent(told, live, film):
 
 def test_an_alias_that_one_image_fits_is_not_believed(live, film, truth, monkeypatch):
     """As wallpaper that repeats: the first image is found 0.7 m too high, and those after it are not."""
-    whole, asked = Finder.anywhere, []
+    whole, asked = Relocalizer.anywhere, []
 
     def fooled(finder, frames, rng):
         name, told = whole(finder, frames, rng)
@@ -390,7 +390,7 @@ def test_an_alias_that_one_image_fits_is_not_believed(live, film, truth, monkeyp
             told, status=Status.OK, modes=(replace(told.best, map_from_camera=pose),)
         )
 
-    monkeypatch.setattr(Finder, "anywhere", fooled)
+    monkeypatch.setattr(Relocalizer, "anywhere", fooled)
     poses = [live.step(frame) for frame in film[:8]]
     assert poses[0].status is Status.AMBIGUOUS
     assert "when another image finds it again" in poses[0].reason
@@ -401,13 +401,13 @@ def test_an_alias_that_one_image_fits_is_not_believed(live, film, truth, monkeyp
 
 @pytest.mark.parametrize("count", [1, 2])
 def test_of_several_places_none_is_the_pose(count, live, film, monkeypatch):
-    whole = Finder.anywhere
+    whole = Relocalizer.anywhere
 
     def doubted(finder, frames, rng):
         name, told = whole(finder, frames, rng)
         return name, replace(told, status=Status.AMBIGUOUS, modes=told.modes[:1] * count)
 
-    monkeypatch.setattr(Finder, "anywhere", doubted)
+    monkeypatch.setattr(Relocalizer, "anywhere", doubted)
     pose = live.step(film[0])
     assert pose.status is Status.AMBIGUOUS
     assert (pose.map_from_camera is None) == (count > 1)

@@ -10,7 +10,7 @@ from placegraph.core.geometry import rotation_from_vector
 from placegraph.errors import OptionError
 from placegraph.indoor.options import MotionNoise
 from placegraph.indoor.status import LiveState
-from placegraph.indoor.track.live_pose import Anchor, predicted
+from placegraph.indoor.track.belief import Anchor, predict_pose
 from placegraph.indoor.track.odometry import (
     AHEAD,
     KEPT,
@@ -120,7 +120,7 @@ def test_a_pose_is_less_sure_the_further_odometry_leads():
     anchor = Anchor.of(odometry.at(0.0), here, 1e-4 * np.eye(6), "room")
     last = LiveState(Status.OK, "One place fits.")
     found = [
-        predicted(anchor, odometry.at(t), MotionNoise(), last, 0.0) for t in (0.0, 1.0, 4.0, 9.0)
+        predict_pose(anchor, odometry.at(t), MotionNoise(), last, 0.0) for t in (0.0, 1.0, 4.0, 9.0)
     ]
     spread = [np.trace(p.covariance[:3, :3]) for p in found]
     assert np.all(np.diff(spread) > 0)

@@ -8,8 +8,7 @@ import pytest
 from placegraph.core.estimate import Status
 from placegraph.core.mapfile import read_map, write_map
 from placegraph.errors import InputError, MapError, OptionError
-from placegraph.indoor.track.live import LiveTracker
-from placegraph.indoor.track.saved import KIND, VERSION, Saved
+from placegraph.indoor.track.live import KIND, VERSION, LiveTracker, SavedPose
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -95,4 +94,4 @@ def test_columns_that_are_none(saved, tmp_path, name, value):
         arrays[name] = value
     write_map(tmp_path / "a.track", KIND, VERSION, meta, arrays)
     with pytest.raises(MapError, match=r"a\.track"):
-        Saved.read(tmp_path / "a.track")
+        SavedPose.read(tmp_path / "a.track")

@@ -23,7 +23,7 @@ from placegraph_io.info import BagFile
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from placegraph.indoor.track.live_pose import LivePose
+    from placegraph.indoor.track.belief import LivePose
     from placegraph_ros.localizer import Localizer, Sink
     from placegraph_ros.options import Summary
     from placegraph_ros.sources import PlaybackClock, WaitPolicy

@@ -17,8 +17,8 @@ import numpy as np
 from placegraph.core.estimate import Status
 from placegraph.core.geometry import Floats
 from placegraph.errors import InputError, OptionError
+from placegraph.indoor.track.belief import LivePose
 from placegraph.indoor.track.live import LiveTracker
-from placegraph.indoor.track.live_pose import LivePose
 from placegraph.io.capture.frame import Frame
 from placegraph_io.ros.stream import Discovery, Fault, FrameAssembly, OdometryPose, Packet
 from placegraph_io.ros.topics import Plan, TopicChoice

@@ -34,7 +34,7 @@ from placegraph_ros.scene_messages import map_messages, objects_message
 if TYPE_CHECKING:
     from placegraph.indoor.library.library import SceneLibrary
     from placegraph.indoor.scene_map import SceneMap
-    from placegraph.indoor.track.live_pose import LivePose
+    from placegraph.indoor.track.belief import LivePose
     from placegraph_io.ros.stream import FrameAssembly
 
 UPRIGHT_BASE = np.array(

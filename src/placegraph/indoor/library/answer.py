@@ -25,7 +25,7 @@ from placegraph.indoor.library.search import (
     ratio,
 )
 from placegraph.indoor.likelihood.observe import spread
-from placegraph.indoor.pose.query import chosen_frames
+from placegraph.indoor.pose.window import chosen_frames
 from placegraph.indoor.status import decide_scene
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame

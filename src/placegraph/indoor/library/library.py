@@ -38,7 +38,7 @@ from placegraph.indoor.library.signature import (
     signatures_in,
 )
 from placegraph.indoor.map.scene import Scene
-from placegraph.indoor.pose.placed import whereabouts
+from placegraph.indoor.pose.estimate import whereabouts
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.indoor.track.live import LiveTracker
 from placegraph.io.capture.capture import Capture

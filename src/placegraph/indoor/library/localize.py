@@ -27,7 +27,7 @@ from placegraph.indoor.library.search import SearchOptions
 from placegraph.indoor.localize import localized
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.mapping.merge import merge_scenes
-from placegraph.indoor.pose.query import chosen_frames
+from placegraph.indoor.pose.window import chosen_frames
 from placegraph.indoor.status import choose_scene, diagnostics_of, doubt_by_search, fit_odds
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame

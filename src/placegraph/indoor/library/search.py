@@ -26,7 +26,7 @@ from placegraph.indoor.library.search_kernels import (
 )
 from placegraph.indoor.library.signature import BANDS, REACH, TURNS, distinct
 from placegraph.indoor.options import check_numbers, check_positive, check_whole
-from placegraph.indoor.pose.query import leveled
+from placegraph.indoor.pose.window import leveled
 from placegraph.io.capture.frame import Frame
 
 if TYPE_CHECKING:

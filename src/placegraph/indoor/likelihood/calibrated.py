@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.geometry import Floats
+from placegraph.indoor.likelihood.observe import Background, Noise, View
 from placegraph.indoor.likelihood.score_kernels import COLOUR, DEPTH
-from placegraph.indoor.likelihood.view import Background, Noise, View
 from placegraph.indoor.options import Likelihood
 
 TEMPERATURE = 2.7

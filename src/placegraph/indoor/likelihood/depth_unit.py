@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from placegraph.core.geometry import Floats
 from placegraph.errors import InputError, OptionError
-from placegraph.indoor.likelihood.observe import Sighting
-from placegraph.indoor.likelihood.view import Background, View
+from placegraph.indoor.likelihood.observe import Background, Sighting, View
 from placegraph.io.capture.frame import Frame, LazyImages
 
 FACTORS = (1000.0, 100.0, 39.37, 10.0, 5.0, 3.281)

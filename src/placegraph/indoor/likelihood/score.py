@@ -1,4 +1,4 @@
-"""Scores of poses against frames in one map, and what they cost."""
+"""What a likelihood is, and which one the options choose."""
 
 from __future__ import annotations
 
@@ -10,11 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.geometry import Floats, compose
-from placegraph.indoor.likelihood.model import model_of
+from placegraph.indoor.likelihood.calibrated import Calibrated
+from placegraph.indoor.likelihood.observe import Model, View
+from placegraph.indoor.likelihood.paper import Paper
 from placegraph.indoor.likelihood.score_kernels import score_poses
-from placegraph.indoor.likelihood.view import View
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.options import Likelihood
+
+
+def model_of(options: Likelihood) -> Model:
+    """The likelihood that the options name: the paper's Eq. 2, or the calibrated one."""
+    return Paper(options) if options.kind == "gaussian" else Calibrated(options)
 
 
 class Scorer:

@@ -8,8 +8,17 @@ import numpy as np
 from placegraph.core.jit import kernel
 from placegraph.core.threads import share
 from placegraph.indoor.map.map_kernels import colour_at, opponent
-from placegraph.indoor.rays.layout import DIRECTION, FAR, LANES, ORIGIN, TRIANGLE, U, V
-from placegraph.indoor.rays.packets_kernels import new_packet, trace16
+from placegraph.indoor.rays.trace_kernels import (
+    DIRECTION,
+    FAR,
+    LANES,
+    ORIGIN,
+    TRIANGLE,
+    U,
+    V,
+    new_packet,
+    trace16,
+)
 
 SEMANTIC, DEPTH, COLOUR, TONE = range(4)
 """Columns of scores: of images their steps of colour and, beside depth, their tones."""

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
 from placegraph.indoor.likelihood.calibrated import TEMPERATURE, reading_ratio
+from placegraph.indoor.likelihood.observe import Background, Noise, View
 from placegraph.indoor.likelihood.score_kernels import COLOUR, DEPTH, SEMANTIC
-from placegraph.indoor.likelihood.view import Background, Noise, View
 from placegraph.indoor.map.free_space import (
     DIRECTIONS,
     HIGHEST,
@@ -45,7 +45,7 @@ from placegraph.indoor.map.map_kernels import (
 )
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.options import FilterOptions
-from placegraph.indoor.rays.layout import LANES
+from placegraph.indoor.rays.trace_kernels import LANES
 
 _ASKED = {
     SEMANTIC: 240,

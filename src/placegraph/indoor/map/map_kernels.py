@@ -9,8 +9,17 @@ from numpy.typing import NDArray
 
 from placegraph.core.jit import kernel
 from placegraph.core.threads import share
-from placegraph.indoor.rays.layout import DIRECTION, FAR, LANES, ORIGIN, TRIANGLE, U, V
-from placegraph.indoor.rays.packets_kernels import new_packet, trace16
+from placegraph.indoor.rays.trace_kernels import (
+    DIRECTION,
+    FAR,
+    LANES,
+    ORIGIN,
+    TRIANGLE,
+    U,
+    V,
+    new_packet,
+    trace16,
+)
 
 # mypy: allow-untyped-defs, allow-incomplete-defs
 

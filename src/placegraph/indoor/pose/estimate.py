@@ -1,24 +1,60 @@
-"""Pose estimates from fits: probabilities, covariance, evidence and diagnostics."""
+"""Pose estimates from fits: probabilities, covariance, evidence, diagnostics, and poses on Earth."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from placegraph.core.estimate import Evidence, PoseEstimate, PoseMode, Status
+from placegraph.core.geo import EarthPose
 from placegraph.core.geometry import Floats, between, pose_matrix
 from placegraph.indoor.likelihood.depth_unit import hint
 from placegraph.indoor.likelihood.observe import FINE
+from placegraph.indoor.map.floor import storey_at
+from placegraph.indoor.map.rooms import room_at
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.pose.agreement import CONFIDENCE, Agreement, agreement, explain
 from placegraph.indoor.pose.covariance import pose_covariance
-from placegraph.indoor.pose.polish import Fit, probabilities
-from placegraph.indoor.pose.prior import Leaning
-from placegraph.indoor.pose.suspect import divided, spoiled, unmoved
+from placegraph.indoor.pose.faults import find_divided, find_spoiled, find_unmoved
+from placegraph.indoor.pose.local_fit import Fit, probabilities
+from placegraph.indoor.pose.prior import LogPrior
 from placegraph.indoor.pose.window import Window, timed
 from placegraph.indoor.status import RIVAL, Diagnostics, decide_pose
+
+
+def add_earth_poses(scene: Scene, estimate: PoseEstimate) -> PoseEstimate:
+    """The estimate with `PoseMode.earth` of each mode, where the map has anchors."""
+    if not scene.anchors:
+        return estimate
+    return replace(estimate, modes=tuple(_add_earth_pose(scene, mode) for mode in estimate.modes))
+
+
+def _add_earth_pose(scene: Scene, mode: PoseMode) -> PoseMode:
+    at = mode.map_from_camera[:3, 3]
+    room, (storey, _) = room_at(scene, at), storey_at(scene, at)
+    poses = [
+        a.pose(
+            mode.map_from_camera, mode.covariance, probability=mode.probability, room=room,
+            storey=storey,
+        )
+        for a in scene.anchors_of(mode.scene)
+    ]  # fmt: skip
+    return replace(mode, earth=tuple(poses))
+
+
+def whereabouts(scene: Scene) -> tuple[EarthPose, ...]:
+    """Where somebody may be who is anywhere in a map: each candidate of its anchor, likeliest first."""
+    share = 1.0 / len(scene.scenes)
+    found = [
+        anchor.somewhere(box, probability=share)
+        for name, box in zip(scene.scenes, scene.scene_bounds, strict=True)
+        for anchor in scene.anchors_of(name)
+    ]
+    return tuple(sorted(found, key=lambda pose: -pose.probability))
+
 
 _EXPLAINED = 3
 """Modes that can be explained."""
@@ -34,11 +70,11 @@ def estimate_pose(window: Window, fits: list[Fit]) -> PoseEstimate:
             steps = between(fit.pose, fit.poses[looked])
             return agreement(judging.scorer, fit.pose, told_apart, steps)
 
-        fits, shares = _shared(window, fits, window.scorer.model.heat(told_apart))
+        fits, shares = _probabilities(window, fits, window.scorer.model.heat(told_apart))
         count = max(_EXPLAINED, int((shares > RIVAL).sum()))
         agreed = [agreed_at(fit) for fit in fits[:count]]
         if window.options.likelihood.tempered:
-            shares = believed(shares, np.array([CONFIDENCE.odds(a) for a in agreed]))
+            shares = weigh_by_confidence(shares, np.array([CONFIDENCE.odds(a) for a in agreed]))
             order = np.argsort(-shares, kind="stable")
             shares, fits = shares[order], [fits[i] for i in order]
             agreed = [agreed[i] for i in order[: len(agreed)]]
@@ -55,9 +91,9 @@ def estimate_pose(window: Window, fits: list[Fit]) -> PoseEstimate:
             agreement=agreed[0],
             frames=frames,
             ratio_per_frame=float(told) / len(looked),
-            spoiled=spoiled(judging),
-            unmoved=unmoved(sightings),
-            divided=divided(judging, frames),
+            spoiled=find_spoiled(judging),
+            unmoved=find_unmoved(sightings),
+            divided=find_divided(judging, frames),
             unnamed=any(s.patches is not None and not s.patches.named for s in sightings),
             unmet="" if prior is None else prior.against(modes[0].pose),
         )
@@ -93,7 +129,7 @@ def _agreement_of_frames(window: Window, poses: Floats, agreed: Agreement) -> Fl
     return np.concatenate([before.frames, agreed.frames])
 
 
-def _shared(window: Window, fits: list[Fit], heat: float) -> tuple[list[Fit], Floats]:
+def _probabilities(window: Window, fits: list[Fit], heat: float) -> tuple[list[Fit], Floats]:
     """Fits, likeliest first, and their probabilities.
 
     What somebody said of the place is no image: it is a witness of its own, and counts in full.
@@ -110,7 +146,7 @@ def _shared(window: Window, fits: list[Fit], heat: float) -> tuple[list[Fit], Fl
     return [fits[i] for i in order], shares[order] / shares.sum()
 
 
-def believed(shares: Floats, odds: Floats) -> Floats:
+def weigh_by_confidence(shares: Floats, odds: Floats) -> Floats:
     """Probabilities (M,) of fits by their shares (M,), falling, and the log odds (K,) of the first.
 
     A pose is right where frames fit, and no other place fits better: both are multiplied. Depth may
@@ -142,7 +178,7 @@ def _mode(window: Window, fit: Fit, share: float, agreed: Agreement | None) -> P
 
 
 def _explained(
-    leaning: Leaning | None, scene: Scene, agreed: Agreement, pose: Floats
+    leaning: LogPrior | None, scene: Scene, agreed: Agreement, pose: Floats
 ) -> tuple[Evidence, ...]:
     said = () if leaning is None else leaning.evidence(pose)
     return said + explain(scene, agreed)

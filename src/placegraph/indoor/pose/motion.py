@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
+
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from placegraph.core.geometry import compose, level_from_camera, wrap
+from placegraph.core.geometry import Floats, between, compose, level_from_camera, wrap
 from placegraph.indoor.options import MotionNoise
 
 
@@ -65,3 +68,27 @@ def keyframes(
         if moved or turned or waited or i == len(stamps) - 1:
             kept.append(i)
     return kept
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """Odometry of the T frames of a window."""
+
+    poses: Floats
+    """(T, 4) level poses in odometry's own frame."""
+    deviations: Floats
+    """(T - 1, 4) standard deviations of the steps between, in units of which errors are measured."""
+
+    @classmethod
+    def of(cls, poses: Floats, noise: MotionNoise) -> Chain:
+        """Chain of level odometry (T, 4)."""
+        return cls(poses, deviations(between(poses[:-1], poses[1:]), noise))
+
+    @cached_property
+    def steps(self) -> Floats:
+        """(T - 1, 4) from each frame to the next."""
+        return between(self.poses[:-1], self.poses[1:])
+
+    def rigid(self, pose: Floats) -> Floats:
+        """Poses (T, 4) of all frames if odometry were right, from that of the last (4,)."""
+        return compose(pose, between(self.poses[-1], self.poses))

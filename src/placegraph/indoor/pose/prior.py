@@ -41,7 +41,7 @@ class Prior:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Leaning:
+class LogPrior:
     """A log prior over the poses of a visibility table, and the shares of its merged scenes."""
 
     scene: Scene
@@ -59,8 +59,8 @@ class Leaning:
         table: VisibilityTable,
         description: str | Sentence | None,
         shares: ArrayLike | None,
-    ) -> Leaning | None:
-        """Leaning of a description and of shares (S,) of the merged scenes; None of neither.
+    ) -> LogPrior | None:
+        """LogPrior of a description and of shares (S,) of the merged scenes; None of neither.
 
         Raises
         ------

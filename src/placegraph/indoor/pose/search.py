@@ -11,14 +11,13 @@ from numpy.typing import NDArray
 
 from placegraph.core.geometry import Floats, between, compose
 from placegraph.errors import OptionError
-from placegraph.indoor.likelihood.observe import COARSE, spread
-from placegraph.indoor.likelihood.view import Noise, View
+from placegraph.indoor.likelihood.observe import COARSE, Noise, View, spread
 from placegraph.indoor.likelihood.visibility import VisibilityTable, floor_under
 from placegraph.indoor.map.map_kernels import AZIMUTHS, HEADINGS
-from placegraph.indoor.pose.particles import distinct
-from placegraph.indoor.pose.prior import Leaning, Prior
+from placegraph.indoor.pose.kld_sampling import distinct
+from placegraph.indoor.pose.prior import LogPrior, Prior
 from placegraph.indoor.pose.window import Window, timed
-from placegraph.indoor.rays.layout import LANES
+from placegraph.indoor.rays.trace_kernels import LANES
 
 LOOKS = 5
 """Frames of a window that are looked up in the table."""
@@ -121,7 +120,7 @@ def table_seeds(
     noise: Noise,
     reference: int,
     most: int = SEEDS,
-    leaning: Leaning | None = None,
+    leaning: LogPrior | None = None,
 ) -> tuple[Floats, Floats]:
     """Poses (K, 4) of the reference frame that fit up to `LOOKS` views together, and their ranks.
 

@@ -1,19 +1,56 @@
-"""Rays at a triangle mesh on the CPU, by Embree or by a tree of our own."""
+"""Rays at a triangle mesh on the CPU, by Embree or by a bounding volume hierarchy."""
 
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from placegraph.core.threads import processors
 from placegraph.errors import OptionError
-from placegraph.indoor.rays import bvh, embree
-from placegraph.indoor.rays.layout import LANES, NONE
-from placegraph.indoor.rays.packets_kernels import Tracer, cast_rays
+from placegraph.indoor.rays import embree
+from placegraph.indoor.rays.trace_kernels import (
+    LANES,
+    NONE,
+    Tracer,
+    _boxes,
+    _fill,
+    _split_all,
+    cast_rays,
+)
+
+
+class Bvh(NamedTuple):
+    """Tree and triangles, laid out for walking.
+
+    A reference to a child is the row of a node, or ``~(first * 8 + number - 1)``: a leaf of `number`
+    triangles from `first` on.
+    """
+
+    nodes: NDArray[np.float32]
+    """(16 M,) a node: low x y z and high x y z of the left child, of the right child, 4 integers."""
+    links: NDArray[np.int32]
+    """(16 M,) the same memory: integers 12 and 13 of a node refer to its children."""
+    corners: NDArray[np.float32]
+    """(12 T,) a triangle, in the order of the leaves: its three corners, 3 integers."""
+    rows: NDArray[np.int32]
+    """(12 T,) the same memory: integer 9 of a triangle is its row in the mesh."""
+
+
+def build_tree(vertices: NDArray[np.float32], triangles: NDArray[np.int32]) -> Bvh:
+    """Tree over triangles (T, 3), rows of vertices (V, 3) [m]; T >= 1, every number finite."""
+    boxes = _boxes(vertices, triangles)
+    nodes = np.zeros(16 * max(1, len(triangles) - 1), np.float32)
+    order = np.arange(len(triangles), dtype=np.int32)
+    used = _split_all(boxes, order, nodes, nodes.view(np.int32))
+    nodes = nodes[: 16 * used].copy()
+    corners = np.zeros(12 * len(triangles), np.float32)
+    _fill(vertices, triangles, order, corners, corners.view(np.int32))
+    return Bvh(nodes, nodes.view(np.int32), corners, corners.view(np.int32))
+
 
 Backend = Literal["auto", "embree", "bvh"]
 
@@ -84,9 +121,9 @@ class RayCaster:
         self.tracer = (
             embree.trace_by_embree(corners, rows)
             if self.backend == "embree"
-            else Tracer(0, 0, 0, *bvh.build(corners, rows))
+            else Tracer(0, 0, 0, *build_tree(corners, rows))
         )
-        """For compiled code (`packets_kernels.trace16`); it keeps what it needs alive."""
+        """For compiled code (`trace_kernels.trace16`); it keeps what it needs alive."""
 
     def cast(self, origins: ArrayLike, directions: ArrayLike) -> Hits:
         """Closest hits of rays from `origins` (N, 3) or (3,) [m] along `directions` (N, 3).

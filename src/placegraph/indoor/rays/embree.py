@@ -1,7 +1,7 @@
 """Embree 4 from the ``embreex`` wheel, by its C interface: no compiled extension of our own.
 
 The wheel's libraries are loaded by ctypes, the scene is set up from Python, and kernels call
-``rtcIntersect16`` by its address (`packets_kernels.trace16`). Layouts and numbers are declared by hand, so
+``rtcIntersect16`` by its address (`trace_kernels.trace16`). Layouts and numbers are declared by hand, so
 they hold for the versions named here alone, and a scene with known answers proves them first.
 """
 
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from placegraph.core.threads import processors
 from placegraph.errors import MissingExtraError, PlacegraphError
-from placegraph.indoor.rays.layout import (
+from placegraph.indoor.rays.trace_kernels import (
     DIRECTION,
     FAR,
     LANES,
@@ -30,10 +30,10 @@ from placegraph.indoor.rays.layout import (
     ORIGIN,
     ROWS,
     TRIANGLE,
+    Tracer,
     U,
     V,
 )
-from placegraph.indoor.rays.packets_kernels import Tracer
 
 WHEEL = "4.4."
 """Versions of ``embreex`` that start so are known."""

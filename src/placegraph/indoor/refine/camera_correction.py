@@ -31,8 +31,7 @@ from placegraph.core.geometry import (
 from placegraph.core.threads import product
 from placegraph.indoor.likelihood.observe import spread
 from placegraph.indoor.map.scene import Scene
-from placegraph.indoor.pose.query import PoseQuery
-from placegraph.indoor.pose.window import Window
+from placegraph.indoor.pose.window import PoseQuery, Window
 from placegraph.indoor.refine.fit import (
     POINTS,
     READINGS,

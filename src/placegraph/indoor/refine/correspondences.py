@@ -20,7 +20,7 @@ from placegraph.core.geometry import (
 from placegraph.errors import MissingExtraError, OptionError
 from placegraph.indoor.likelihood.observe import REFERENCE
 from placegraph.indoor.map.scene import Scene
-from placegraph.indoor.rays.packets_kernels import Tracer
+from placegraph.indoor.rays.trace_kernels import Tracer
 from placegraph.indoor.refine.matching import Matcher, Matches
 from placegraph.indoor.refine.matching.guided import resized
 from placegraph.indoor.refine.options import RefineOptions

@@ -5,8 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from placegraph.core.jit import kernel
-from placegraph.indoor.rays.layout import DIRECTION, FAR, LANES, ORIGIN, TRIANGLE
-from placegraph.indoor.rays.packets_kernels import new_packet, trace16
+from placegraph.indoor.rays.trace_kernels import (
+    DIRECTION,
+    FAR,
+    LANES,
+    ORIGIN,
+    TRIANGLE,
+    new_packet,
+    trace16,
+)
 
 # mypy: allow-untyped-defs, allow-incomplete-defs
 

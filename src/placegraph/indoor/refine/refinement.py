@@ -10,12 +10,11 @@ from placegraph.core.estimate import PoseEstimate, PoseMode, Refinement, Status
 from placegraph.core.geometry import Floats, between, compose, pose_matrix, split_pose, wrap
 from placegraph.errors import MissingExtraError, OptionError, ServiceError
 from placegraph.indoor.likelihood.observe import COARSE, FINE
-from placegraph.indoor.pose import polish
-from placegraph.indoor.pose.chain import Chain
+from placegraph.indoor.pose import local_fit
 from placegraph.indoor.pose.covariance import FITTED
 from placegraph.indoor.pose.estimate import estimate_pose, evidence_at
-from placegraph.indoor.pose.query import PoseQuery
-from placegraph.indoor.pose.window import Window, observe
+from placegraph.indoor.pose.motion import Chain
+from placegraph.indoor.pose.window import PoseQuery, Window, observe
 from placegraph.indoor.refine.camera_correction import find_camera_correction
 from placegraph.indoor.refine.confidence import Confirmation, confirm_fit
 from placegraph.indoor.refine.matching import Matcher
@@ -205,7 +204,7 @@ def _refined(query: PoseQuery, given: Floats, refining: RefineSetup) -> tuple[Wi
     # the status that the window has at this pose, were it the only one
     chain = Chain.of(split_pose(told.trajectory)[0], window.options.motion)
     covariance = told.best.covariance[np.ix_(FITTED, FITTED)]
-    fit = replace(polish.Fit.at(chain, told.best.pose), covariance=covariance)
+    fit = replace(local_fit.Fit.at(chain, told.best.pose), covariance=covariance)
     return window, decide_given(told, estimate_pose(window, [fit]))
 
 
@@ -214,11 +213,11 @@ def _searched(window: Window, given: Floats, options: RefineOptions) -> Floats:
     rng = np.random.default_rng(window.query.seed)
     pose, _ = split_pose(given)
     reach = _reach(options)[[0, 1, 2, 5]]
-    wide = polish.round_of(window, COARSE, rounds=4)
-    fit = polish.refine(window.scorer, pose, reach, wide, rng)
+    wide = local_fit.fit_level(window, COARSE, rounds=4)
+    fit = local_fit.fit_pose(window.scorer, pose, reach, wide, rng)
     spread = np.maximum(fit.spread, _NEARLY)
-    narrow = polish.round_of(window, FINE, rounds=2)
-    fit = polish.refine(window.scorer, fit.pose, spread, narrow, rng)
+    narrow = local_fit.fit_level(window, FINE, rounds=2)
+    fit = local_fit.fit_pose(window.scorer, fit.pose, spread, narrow, rng)
     # what no reading holds, such as the height between bare walls, wanders off
     off = fit.pose - pose
     off[3] = wrap(off[3])

@@ -16,8 +16,7 @@ from placegraph.core.geometry import Floats
 from placegraph.core.threads import processors
 from placegraph.indoor.likelihood.observe import spread
 from placegraph.indoor.map.scene import Scene
-from placegraph.indoor.pose.query import Progress
-from placegraph.indoor.pose.window import Window, timed
+from placegraph.indoor.pose.window import Progress, Window, timed
 from placegraph.indoor.refine.correspondences import (
     PointMatches,
     Readings,

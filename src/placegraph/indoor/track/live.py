@@ -1,21 +1,26 @@
-"""Frames and odometry as they come, in any order and at any rate, and the pose at any time."""
+"""What a live tracker believes as a file of kilobytes: `docs/formats.md`. The map is never written to."""
 
 from __future__ import annotations
 
+import hashlib
 from collections import Counter
+from dataclasses import dataclass
 from os import PathLike
+from pathlib import Path
 from threading import Condition
 from typing import TYPE_CHECKING, Any, Self
 
+import numpy as np
 from numpy.typing import ArrayLike
 
-from placegraph.errors import MapError, OptionError
+from placegraph.core.geometry import Floats
+from placegraph.core.mapfile import read_map, write_map
+from placegraph.errors import InputError, MapError, OptionError
+from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.track.belief import Belief
-from placegraph.indoor.track.finder import Finder
-from placegraph.indoor.track.follower import Follower
+from placegraph.indoor.track.follower import Follower, Relocalizer
 from placegraph.indoor.track.odometry import checked_covariance, checked_odometry, checked_pose
-from placegraph.indoor.track.saved import Saved, digest_of
 from placegraph.indoor.track.worker import Worker
 
 if TYPE_CHECKING:
@@ -24,8 +29,75 @@ if TYPE_CHECKING:
     from placegraph.core.geometry import Camera
     from placegraph.indoor.library.library import SceneLibrary
     from placegraph.indoor.scene_map import SceneMap
-    from placegraph.indoor.track.live_pose import LivePose
+    from placegraph.indoor.track.belief import LivePose
     from placegraph.io.capture.frame import Frame
+
+KIND = "track"
+VERSION = 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SavedPose:
+    """A pose, and odometry at its time."""
+
+    scene: str
+    """Name of its map ..."""
+    digest: str
+    """... and what tells it from another map of that name (`digest_of`)."""
+    stamp: float
+    moved: bool
+    """Whether odometry came by itself, and not with images."""
+    odom_from_camera: Floats
+    map_from_camera: Floats
+    covariance: Floats
+    """(6, 6)"""
+
+    def write(self, path: str | PathLike[str]) -> None:
+        """Write it (atomically); `MapError` where the file cannot be written."""
+        meta = {"scene": self.scene, "digest": self.digest, "moved": self.moved}
+        names = ("odom_from_camera", "map_from_camera", "covariance")
+        arrays = {name: np.asarray(getattr(self, name), np.float64) for name in names}
+        write_map(path, KIND, VERSION, meta, arrays | {"stamp": np.array([self.stamp], np.float64)})
+
+    @classmethod
+    def read(cls, path: str | PathLike[str]) -> SavedPose:
+        """Read it; raises `InputError` and `MapError` where it is missing, or no sound file."""
+        if not Path(path).exists():
+            raise InputError(f"{path} does not exist; `LiveTracker.save` writes it.")
+        file = read_map(path, KIND, VERSION)
+        try:
+            stamp, odometry, _ = checked_odometry(
+                file.array("stamp", "<f8")[0], file.array("odom_from_camera", "<f8", 2), None
+            )
+            return cls(
+                scene=_text(file.meta["scene"]),
+                digest=_text(file.meta["digest"]),
+                stamp=stamp,
+                moved=bool(file.meta["moved"]),
+                odom_from_camera=odometry,
+                map_from_camera=checked_pose(
+                    "map_from_camera", file.array("map_from_camera", "<f8", 2)
+                ),
+                covariance=checked_covariance("covariance", file.array("covariance", "<f8", 2)),
+            )
+        except (OptionError, KeyError, TypeError, IndexError) as error:
+            raise MapError(
+                f"{path}: its columns contradict each other ({error}). Save it again."
+            ) from error
+
+
+def digest_of(scene: Scene) -> str:
+    """What tells a map from others: of its surfaces and the names of its objects."""
+    sha = hashlib.sha256("\n".join(scene.graph.ids).encode())
+    for column in (scene.mesh.vertices, scene.mesh.triangles):
+        sha.update(np.ascontiguousarray(column).data)
+    return sha.hexdigest()[:32]
+
+
+def _text(value: object) -> str:
+    if not isinstance(value, str):
+        raise TypeError(f"{value!r} is no text")
+    return value
 
 
 class LiveTracker:
@@ -70,7 +142,7 @@ class LiveTracker:
         if not options.tracked:
             raise OptionError("options: a live tracker needs start='table' and answer='fit'.")
         self.maps, self.camera = maps, camera
-        self._finder = Finder(maps, known)
+        self._finder = Relocalizer(maps, known)
         self._follower = Follower(self._finder, camera, seed)
         self._belief = Belief(options.motion)
         self._changed = Condition()
@@ -222,7 +294,7 @@ class LiveTracker:
         if now is None or pose.map_from_camera is None or pose.covariance is None:
             raise OptionError(f"There is no pose to save: {pose.reason}")
         digest = digest_of(self._finder.scene(pose.scene))
-        Saved(
+        SavedPose(
             pose.scene, digest, now.stamp, moved, now.pose, pose.map_from_camera, pose.covariance
         ).write(path)
 
@@ -250,7 +322,7 @@ class LiveTracker:
             The file is missing, or no sound file of a tracker; it is of another map than these.
 
         """
-        saved = Saved.read(path)
+        saved = SavedPose.read(path)
         live = cls(maps, **options)
         try:
             same = digest_of(live._finder.scene(live._finder.named(saved.scene))) == saved.digest

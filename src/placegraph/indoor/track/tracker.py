@@ -1,4 +1,4 @@
-"""One frame at a time: the same algorithm for a robot that wants a pose now, and again soon."""
+"""Tracking of one camera in one map, frame by frame, or over a capture too long to be fitted together."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.random import Generator
 
 from placegraph.core.estimate import PoseEstimate, Status
 from placegraph.core.geometry import (
@@ -17,23 +18,56 @@ from placegraph.core.geometry import (
     level_from_camera,
     pose_matrix,
     split_pose,
+    vector_from_rotation,
     wrap,
 )
 from placegraph.errors import OptionError
 from placegraph.indoor.likelihood.observe import FINE, Cut, Sighting, sight
 from placegraph.indoor.likelihood.score import Scorer
-from placegraph.indoor.pose.chain import Chain
-from placegraph.indoor.pose.covariance import FITTED
-from placegraph.indoor.pose.estimate import estimate_pose
-from placegraph.indoor.pose.motion import deviations
-from placegraph.indoor.pose.placed import placed
-from placegraph.indoor.pose.polish import NARROWEST, Fit, refine, round_of
-from placegraph.indoor.pose.query import PoseQuery, leveled
-from placegraph.indoor.pose.window import Window, own_encoder, shows_something
-from placegraph.indoor.status import decide_followed, diagnostics_of, give_up
-from placegraph.indoor.track.again import Again
-from placegraph.indoor.track.finder import look_up
+from placegraph.indoor.pose.covariance import FITTED, explore_unobservable
+from placegraph.indoor.pose.estimate import add_earth_poses, estimate_pose
+from placegraph.indoor.pose.local_fit import NARROWEST, Fit, fit_level, fit_pose, fit_window
+from placegraph.indoor.pose.motion import Chain, deviations
+from placegraph.indoor.pose.search import search
+from placegraph.indoor.pose.window import PoseQuery, Window, leveled, own_encoder, shows_something
+from placegraph.indoor.status import await_confirmation, decide_followed, diagnostics_of, give_up
 from placegraph.io.capture.frame import Frame
+
+SAME_WAY, SAME_TURN = 0.3, 0.17
+"""Two poses are of one place where they are no further apart [m, rad]."""
+
+
+class Confirmation:
+    """Judges what is found in a whole map: one image may fit an alias, such as wallpaper that repeats.
+
+    A place counts when the next answer that is sure finds it where odometry has come to since.
+    """
+
+    def __init__(self) -> None:
+        self._before: tuple[str, Floats] | None = None
+
+    def judged(self, scene: str, frame: Frame, estimate: PoseEstimate) -> PoseEstimate:
+        """The estimate of a frame's pose in a scene; where it was found first, `AMBIGUOUS`."""
+        best = estimate.best
+        if estimate.status is not Status.OK or best is None:
+            return estimate
+        found = best.map_from_camera
+        before, self._before = self._before, (scene, found @ np.linalg.inv(frame.odometry))
+        if (
+            before is not None
+            and before[0] == scene
+            and _is_same_place(before[1] @ frame.odometry, found)
+        ):
+            return estimate
+        return await_confirmation(estimate)
+
+
+def _is_same_place(pose: Floats, other: Floats) -> bool:
+    """Whether two poses (4, 4) are of one place."""
+    apart = np.linalg.norm(pose[:3, 3] - other[:3, 3])
+    turned = np.linalg.norm(vector_from_rotation(pose[:3, :3].T @ other[:3, :3]))
+    return bool(apart <= SAME_WAY and turned <= SAME_TURN)
+
 
 KEPT = 10
 """Keyframes remembered: what a search after the camera was lost has to go by."""
@@ -51,6 +85,13 @@ WAIT = 5
 """Frames after which a camera that stands still, and is lost, is looked up again."""
 PATIENCE = 3
 """Frames that may contradict the pose before it is given up."""
+
+
+def look_up(window: Window, rng: Generator) -> tuple[PoseEstimate, Fit]:
+    """Estimate of a window's last frame in the whole map, or around the query's prior, and its best fit."""
+    seeds = search(window, rng)
+    fits = explore_unobservable(window, fit_window(window, seeds, rng), rng)
+    return estimate_pose(window, fits), fits[0]
 
 
 class Tracker:
@@ -88,7 +129,7 @@ class Tracker:
         self.scorer = Scorer(query.scene, query.options.likelihood)
         self.keyframes: deque[Sighting] = deque(maxlen=KEPT)
         self._cut: Cut = {}
-        self._again = Again()
+        self._again = Confirmation()
         self._since = np.zeros(4)
         self._fit: Fit | None = None
         self._last: Frame | None = None
@@ -133,7 +174,7 @@ class Tracker:
             self._waited += 1
             due = keyframe or self._waited >= WAIT or self._answer is None
             estimate = self._search(sighting) if due else self._carried(frame)
-        self._last, self._answer = frame, placed(self.query.scene, estimate)
+        self._last, self._answer = frame, add_earth_poses(self.query.scene, estimate)
         return self._answer
 
     def reset(self) -> None:
@@ -142,7 +183,7 @@ class Tracker:
         self._fit, self._last, self._answer = None, None, None
         self._cut, self._since = {}, np.zeros(4)
         self._doubts = self._waited = 0
-        self._again = Again()
+        self._again = Confirmation()
 
     def _sighted(self, frame: Frame) -> Sighting:
         if self.camera is not None and frame.camera != self.camera:
@@ -165,8 +206,8 @@ class Tracker:
         step = _steps([self._last, frame])[1]
         erred = DOUBT * deviations(step, self.query.options.motion)
         spread = np.clip(np.hypot(self._fit.spread, erred), NEAREST, FARTHEST)
-        level = round_of(window, FINE, rounds=ROUNDS, samples=SAMPLES)
-        fit = refine(self.scorer, compose(self._fit.pose, step), spread, level, self.rng)
+        level = fit_level(window, FINE, rounds=ROUNDS, samples=SAMPLES)
+        fit = fit_pose(self.scorer, compose(self._fit.pose, step), spread, level, self.rng)
         estimate = self._believed(estimate_pose(window, [fit]), erred)
         consistent = diagnostics_of(estimate).consistent
         against = estimate.status is not Status.OK and not consistent
@@ -257,3 +298,49 @@ def _steps(frames: Sequence[Frame]) -> Floats:
     steps = np.zeros_like(poses)
     steps[1:] = between(poses[:-1], poses[1:])
     return steps
+
+
+def track_capture(tracker: Tracker, frames: Sequence[Frame]) -> PoseEstimate:
+    """The last pose of a long capture, and a trajectory of poses as they were known.
+
+    Frames before the pose was first known are led back from there by odometry.
+    """
+    if tracker.query.prior is not None:
+        raise OptionError(
+            f"prior: a capture of {len(frames)} frames is tracked, which starts without one; "
+            "choose fewer frames."
+        )
+    known: list[Floats | None] = []
+    for i, frame in enumerate(frames):
+        estimate = tracker.update(frame)
+        sure = estimate.status is Status.OK and estimate.best is not None
+        known.append(estimate.best.map_from_camera if sure and estimate.best else None)
+        if tracker.query.progress:
+            tracker.query.progress("tracking", i + 1, len(frames))
+    rows = [i for i, matrix in enumerate(known) if matrix is not None]
+    stats = {"known": len(rows), "frames": len(frames)} | tracker.scorer.stats()
+    if not rows:
+        return replace(estimate, stats=stats, diagnostics=None)
+    trajectory = _fill_by_odometry(known, rows, frames)
+    if estimate.best is not None:
+        trajectory[-1] = estimate.best.map_from_camera
+    stamped = np.array([f.index for f in frames])
+    return replace(estimate, trajectory=trajectory, frames=stamped, stats=stats, diagnostics=None)
+
+
+def _fill_by_odometry(
+    known: list[Floats | None], rows: list[int], frames: Sequence[Frame]
+) -> Floats:
+    """Matrices (T, 4, 4): unknown ones by odometry from the nearest known, the earlier of two."""
+    poses = leveled(frames)
+    out = np.empty((len(frames), 4, 4))
+    for i, matrix in enumerate(known):
+        if matrix is not None:
+            out[i] = matrix
+            continue
+        near = min(rows, key=lambda r: (abs(r - i), r))
+        anchor = known[near]
+        assert anchor is not None  # noqa: S101  rows are known
+        pose = compose(split_pose(anchor)[0], between(poses[near], poses[i]))
+        out[i] = pose_matrix(pose, level_from_camera(frames[i].gravity))
+    return out

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from threading import Condition
 
     from placegraph.indoor.track.belief import Belief
-    from placegraph.indoor.track.follower import Follower, Found, Question, Said
+    from placegraph.indoor.track.follower import Follower, FrameResult, Relocalization, Relocalized
 
 
 class Inline(Executor):
@@ -52,7 +52,7 @@ class Worker:
         self._seen = -np.inf
         self._heard = belief.epoch
         self._inbox: Frame | None = None
-        self._answer: Found | None = None
+        self._answer: Relocalized | None = None
         self._busy = self._searching = False
         self._failed: BaseException | None = None
 
@@ -135,7 +135,7 @@ class Worker:
         self._belief.carried(why)
         return None
 
-    def _publish(self, epoch: int, said: Said | None) -> None:
+    def _publish(self, epoch: int, said: FrameResult | None) -> None:
         """Tell the belief what an image said, unless all was begun anew meanwhile."""
         with self._changed:
             if said is not None and epoch == self._belief.epoch:
@@ -149,7 +149,7 @@ class Worker:
         if question is not None:
             self._executor.submit(self._search, epoch, question)
 
-    def _search(self, epoch: int, question: Question) -> None:
+    def _search(self, epoch: int, question: Relocalization) -> None:
         try:
             with limited(max(1, processors() - 1)):  # a core is left to those that follow
                 found = question.asked(self._follower.finder)

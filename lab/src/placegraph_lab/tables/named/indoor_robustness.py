@@ -13,8 +13,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from placegraph.core.geometry import Floats
-from placegraph.indoor.pose.agreement import ConfidenceModel as Trust
-from placegraph.indoor.pose.agreement import features
+from placegraph.indoor.pose.agreement import ConfidenceModel, features
 from placegraph.indoor.status import ALONE, SURE
 from placegraph_lab.tables.indoor.bench import chosen
 from placegraph_lab.tables.indoor.metrics import NEAR, rounded
@@ -193,7 +192,7 @@ def samples(rows: Sequence[Row]) -> list[tuple[Told, bool]]:
     ]
 
 
-def fitted(told: Sequence[Told]) -> Trust:
+def fitted(told: Sequence[Told]) -> ConfidenceModel:
     """Logistic regression of being right, by Newton's method; no coefficient of a share is negative.
 
     Over answers without a rival: how far others may fit is another factor. Best poses with depth and
@@ -212,13 +211,16 @@ def fitted(told: Sequence[Told]) -> Trust:
             break
         free &= ~wrong
     level, *rest = weights.round(2).tolist()
-    single = Trust(level, (rest[0], rest[1], rest[2]), (rest[3], rest[4]), (0.0, 0.0))
+    single = ConfidenceModel(level, (rest[0], rest[1], rest[2]), (rest[3], rest[4]), (0.0, 0.0))
     return toned(single, columns, right, rivals)
 
 
 def toned(
-    trust: Trust, columns: Floats, right: Floats, rivals: Sequence[dict[str, float | None]]
-) -> Trust:
+    trust: ConfidenceModel,
+    columns: Floats,
+    right: Floats,
+    rivals: Sequence[dict[str, float | None]],
+) -> ConfidenceModel:
     """Coefficients with those of tones, by features (N, 8) of poses and whether (N,) they are right."""
     both = columns[:, _TONES] > 0
     samples = np.concatenate([columns[both], np.array([_features(r) for r in rivals])])
@@ -259,7 +261,7 @@ def _probability(told: Told) -> float:
     return told.trust["probability"] or 0.0
 
 
-def honest(trust: Trust, found: Sequence[tuple[Told, bool]]) -> str:
+def honest(trust: ConfidenceModel, found: Sequence[tuple[Told, bool]]) -> str:
     """What coefficients would call `OK`: of windows that were fitted, that were held out, and others."""
     weights = np.array(trust.coefficients)
     lines = []

@@ -17,10 +17,8 @@ import numpy as np
 from placegraph.core.geometry import Floats, level_from_camera, rotation_z, split_pose
 from placegraph.errors import PlacegraphError
 from placegraph.indoor.encode.labels import InstancesEncoder
-from placegraph.indoor.likelihood.model import model_of
-from placegraph.indoor.likelihood.observe import sight, views
-from placegraph.indoor.likelihood.score import Scorer
-from placegraph.indoor.likelihood.view import Background
+from placegraph.indoor.likelihood.observe import Background, sight, views
+from placegraph.indoor.likelihood.score import Scorer, model_of
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.rays import RayCaster

@@ -18,10 +18,9 @@ from placegraph.indoor.likelihood.depth_unit import mended, suspected_factor
 from placegraph.indoor.likelihood.observe import FINE, Sighting, sight, spread
 from placegraph.indoor.likelihood.score import Scorer
 from placegraph.indoor.pose.agreement import SPEAK, agreement
-from placegraph.indoor.pose.polish import polished
-from placegraph.indoor.pose.query import PoseQuery
+from placegraph.indoor.pose.local_fit import fit_window
 from placegraph.indoor.pose.search import search
-from placegraph.indoor.pose.window import Window
+from placegraph.indoor.pose.window import PoseQuery, Window
 
 _FLAT = 2.0
 """Deviation of the means of an image's blocks, of 255 steps, below which it shows nothing."""
@@ -65,7 +64,7 @@ COVERED = "No image shows anything: the lens seems to be covered, and images wer
 _OUTSIDE = "They fit a camera {} of the map: check which storey this is, and the map's floor."
 
 
-def spoiled(window: Window) -> str:
+def find_spoiled(window: Window) -> str:
     """What is wrong with frames whatever the map is, in a sentence; empty: nothing."""
     if _covered(window.sightings):
         return (
@@ -85,10 +84,10 @@ def spoiled(window: Window) -> str:
 def _covered(sightings: list[Sighting]) -> bool:
     """Whether all images are flat, and no frame has depth or labels."""
     bare = not any(s.depth is not None or s.patches for s in sightings)
-    return bare and blank(sightings)
+    return bare and is_blank(sightings)
 
 
-def blank(sightings: list[Sighting]) -> bool:
+def is_blank(sightings: list[Sighting]) -> bool:
     """Whether no image shows anything."""
     return all(s.rgb is not None and _flat(s.rgb) for s in sightings)
 
@@ -141,7 +140,7 @@ def _moved(poses: Floats, first: int, last: int) -> bool:
     return bool(way > _MOVED or turn > _TURNED)
 
 
-def divided(window: Window, frames: Floats) -> str:
+def find_divided(window: Window, frames: Floats) -> str:
     """Which frames contradict the others, in a sentence; empty: they agree.
 
     `frames`: (T, 3) how far each agrees with one pose of the window (`Agreement.frames`).
@@ -166,7 +165,7 @@ def divided(window: Window, frames: Floats) -> str:
     )
 
 
-def unmoved(sightings: Sequence[Sighting]) -> str:
+def find_unmoved(sightings: Sequence[Sighting]) -> str:
     """That odometry is one pose all along, as where it is missing, though most of the depth moved."""
     first, last = sightings[0].depth, sightings[-1].depth
     if len(sightings) < 2 or first is None or last is None or first.shape != last.shape:
@@ -182,20 +181,22 @@ def unmoved(sightings: Sequence[Sighting]) -> str:
     )
 
 
-def divided_all(query: PoseQuery, scorer: Scorer, trajectory: Floats) -> str:
-    """`divided` of a long capture by its trajectory (T, 4, 4) and some of its frames."""
+def find_divided_capture(query: PoseQuery, scorer: Scorer, trajectory: Floats) -> str:
+    """`find_divided` of a long capture by its trajectory (T, 4, 4) and some of its frames."""
     rows = spread(len(trajectory), _SOME)
     seen = [sight(query.frames[i], query.encoder, query.options) for i in rows.tolist()]
     window, (poses, _) = Window(query, scorer, seen), split_pose(trajectory[rows])
     steps = between(poses[-1], poses)
     judging = window.judging
-    return divided(window, agreement(judging.scorer, poses[-1], judging.views(FINE), steps).frames)
+    return find_divided(
+        window, agreement(judging.scorer, poses[-1], judging.views(FINE), steps).frames
+    )
 
 
 # ------------------------------------------------------------------------------------ hypotheses
 
 
-def suspected(window: Window, ratio: float, rng: Generator) -> str:
+def find_fault(window: Window, ratio: float, rng: Generator) -> str:
     """The fault of the input that explains why frames do not fit, in a sentence; empty: none does.
 
     `ratio`: log-likelihood ratio against anywhere that the frames reached as they are, a frame [nat].
@@ -204,7 +205,7 @@ def suspected(window: Window, ratio: float, rng: Generator) -> str:
         if not len(other.table):
             continue
         seeds = search(other, rng)
-        fit = polished(other, seeds[:_STARTS], rng)[0]
+        fit = fit_window(other, seeds[:_STARTS], rng)[0]
         judging, looked = other.judging, other.newest
         views = [judging.views(FINE)[i] for i in looked]
         agreed = agreement(judging.scorer, fit.pose, views, between(fit.pose, fit.poses[looked]))

@@ -1,4 +1,4 @@
-"""Weighted particles: log weights, effective size, KLD-sampling, stratified resampling, modes."""
+"""Weighted particles and how many are drawn: KLD-sampling and stratified resampling."""
 
 from __future__ import annotations
 

@@ -17,13 +17,10 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from placegraph.core.geometry import Floats, between, compose, wrap
-from placegraph.indoor.likelihood.observe import COARSE, FINE, recent
+from placegraph.indoor.likelihood.observe import COARSE, FINE, View, recent
 from placegraph.indoor.likelihood.score import Scorer
 from placegraph.indoor.likelihood.score_kernels import DEPTH
-from placegraph.indoor.likelihood.view import View
-from placegraph.indoor.pose.chain import Chain
-from placegraph.indoor.pose.covariance import WIDENED
-from placegraph.indoor.pose.particles import (
+from placegraph.indoor.pose.kld_sampling import (
     APART,
     TURNED,
     Particles,
@@ -33,13 +30,16 @@ from placegraph.indoor.pose.particles import (
     moments,
     near,
 )
+from placegraph.indoor.pose.motion import Chain
 from placegraph.indoor.pose.search import SCREENED, thinned
 from placegraph.indoor.pose.window import Window, timed
-from placegraph.indoor.rays.layout import LANES
+from placegraph.indoor.rays.trace_kernels import LANES
 
 SPREAD = np.array([0.12, 0.12, 0.08, 0.05])
 """First standard deviations: x, y, z [m], yaw [rad]; about a cell of the table."""
 NARROWEST = np.array([0.004, 0.004, 0.004, 0.0015])
+WIDENED = 3.0
+"""Factor on the covariance of samples that brings normalised errors to what they should be (benchmark)."""
 GAP = 400.0
 """Modes further behind the best [nat] are not fitted to the last level."""
 SOFT = 6.0  # nats that count as one: neighbouring samples of an image err together
@@ -82,8 +82,8 @@ class Fit:
 
 
 @dataclass(frozen=True, slots=True)
-class Round:
-    """One level of the polish."""
+class FitLevel:
+    """One level of the coarse-to-fine fit."""
 
     chain: Chain
     """Of all frames of the window."""
@@ -101,10 +101,12 @@ class Round:
     """Drawn at once."""
 
 
-def polish(scorer: Scorer, starts: Floats, levels: Sequence[Round], rng: Generator) -> list[Fit]:
+def fit_modes(
+    scorer: Scorer, starts: Floats, levels: Sequence[FitLevel], rng: Generator
+) -> list[Fit]:
     """Fits at the modes `starts` (M, 4) of the last frame, best first, coarse to fine.
 
-    A mode that falls behind is not polished further but stays in the list, as far behind the best
+    A mode that falls behind is not fitted further but stays in the list, as far behind the best
     as it was when it was left: it is what the best has to be told from.
     """
     chain, level = levels[0].chain, levels[0]
@@ -118,21 +120,21 @@ def polish(scorer: Scorer, starts: Floats, levels: Sequence[Round], rng: Generat
         fits, fallen = _survivors(fits, level, reach)
         top = fits[0].log_likelihood
         left += [(fit, top - fit.log_likelihood) for fit in fallen]
-        fits = [_fit(scorer, fit, level, rng) for fit in fits]
+        fits = [_fit_by_cross_entropy(scorer, fit, level, rng) for fit in fits]
     best = max(fit.log_likelihood for fit in fits)
     # a rival must not lose by chance what more samples would find
     fits = [
-        max(fit, _fit(scorer, fit, level, rng), key=lambda f: f.log_likelihood)
+        max(fit, _fit_by_cross_entropy(scorer, fit, level, rng), key=lambda f: f.log_likelihood)
         if 0.0 < best - fit.log_likelihood < level.gap
         else fit
         for fit in fits
     ]
     best = max(fit.log_likelihood for fit in fits)
     fits += [replace(fit, log_likelihood=best - behind) for fit, behind in left]
-    return told_apart(fits)
+    return merge_fits(fits)
 
 
-def told_apart(fits: list[Fit]) -> list[Fit]:
+def merge_fits(fits: list[Fit]) -> list[Fit]:
     """Of fits near each other the best; best first."""
     poses = np.array([f.pose for f in fits])
     kept = distinct(poses, np.array([f.log_likelihood for f in fits]), len(fits), **MERGED)
@@ -144,7 +146,7 @@ MERGED = {"apart": 0.3, "turned": 0.2}
 
 
 def _survivors(
-    fits: list[Fit], level: Round, reach: Mapping[str, float]
+    fits: list[Fit], level: FitLevel, reach: Mapping[str, float]
 ) -> tuple[list[Fit], list[Fit]]:
     """Distinct fits within the gap, best first, and the other distinct ones."""
     poses = np.array([f.pose for f in fits])
@@ -154,12 +156,12 @@ def _survivors(
     return able, kept[len(able) :]
 
 
-def refine(scorer: Scorer, pose: Floats, spread: Floats, level: Round, rng: Generator) -> Fit:
+def fit_pose(scorer: Scorer, pose: Floats, spread: Floats, level: FitLevel, rng: Generator) -> Fit:
     """Fit of one pose (4,), known to about `spread` (4,), to all frames."""
-    return _fit(scorer, Fit.at(level.chain, pose, spread=spread), level, rng)
+    return _fit_by_cross_entropy(scorer, Fit.at(level.chain, pose, spread=spread), level, rng)
 
 
-def _fit(scorer: Scorer, fit: Fit, level: Round, rng: Generator) -> Fit:
+def _fit_by_cross_entropy(scorer: Scorer, fit: Fit, level: FitLevel, rng: Generator) -> Fit:
     """Draw poses of the course as a whole, weigh them by all frames, and draw again around these."""
     mean, sampling, steps = fit.pose, fit.sampling, between(fit.pose, fit.poses)
     along = steps[level.rows]
@@ -185,8 +187,8 @@ def _fit(scorer: Scorer, fit: Fit, level: Round, rng: Generator) -> Fit:
     return Fit(compose(pose, steps), float(scores[best]), sampling, covariance)
 
 
-def heaviest(chain: Chain, particles: Particles, most: int) -> list[Fit]:
-    """At most so many modes of particles as they are, heaviest particle first (Sec. 3.5).
+def heaviest_modes(chain: Chain, particles: Particles, most: int) -> list[Fit]:
+    """At most so many modes of particles as they are, heaviest_modes particle first (Sec. 3.5).
 
     The first is the maximum likelihood estimate. A mode weighs what the particles within `APART` and
     `TURNED` of it weigh, and errs as these do.
@@ -204,19 +206,19 @@ def heaviest(chain: Chain, particles: Particles, most: int) -> list[Fit]:
     return fits
 
 
-def polished(window: Window, starts: Floats, rng: Generator) -> list[Fit]:
+def fit_window(window: Window, starts: Floats, rng: Generator) -> list[Fit]:
     """Fits of the last frame's pose, first at `starts` (M, 4), to all frames of a window, best first."""
-    with timed(window.seconds, "polish"):
+    with timed(window.seconds, "fit_modes"):
         # two rounds for all before any is dropped: a start may lie a hand's breadth off its peak
         levels = [
-            round_of(window, COARSE, rounds=2, samples=32, most=10, frames=5),
-            round_of(window, COARSE, rounds=3, samples=32, most=4, gap=800.0),
-            round_of(window, FINE, rounds=4, samples=40, most=3, gap=GAP),
+            fit_level(window, COARSE, rounds=2, samples=32, most=10, frames=5),
+            fit_level(window, COARSE, rounds=3, samples=32, most=4, gap=800.0),
+            fit_level(window, FINE, rounds=4, samples=40, most=3, gap=GAP),
         ]
-        return polish(window.scorer, starts, levels, rng)
+        return fit_modes(window.scorer, starts, levels, rng)
 
 
-def round_of(
+def fit_level(
     window: Window,
     stride: float,
     *,
@@ -225,8 +227,8 @@ def round_of(
     most: int = 1,
     gap: float = np.inf,
     frames: int = SCREENED,
-) -> Round:
-    """A level of the polish.
+) -> FitLevel:
+    """Return a level of the fit.
 
     Coarse levels look at frames of the whole window as a rig, the newest above all; fine ones at the
     newest alone, and bend the way to the others. With depth in all of them fewer samples and half of
@@ -240,7 +242,7 @@ def round_of(
         views = [thinned(view, 2, i) for view, i in zip(views, looked, strict=True)]
     else:
         samples = _SAMPLES
-    return Round(window.chain, looked, views, rounds, most, gap, samples)
+    return FitLevel(window.chain, looked, views, rounds, most, gap, samples)
 
 
 def probabilities(values: Floats, temperature: float) -> Floats:
