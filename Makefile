@@ -25,8 +25,8 @@ demo: $(CORE) ## locate three sentences in a small town and a film in a flat; se
 
 venv: $(TOOLS) ## create .venv and install placegraph, placegraph-lab and the tools
 
-test: $(TOOLS) ## run the tests on every core, in minutes
-	$(PYTEST)
+test: $(TOOLS) ## run the tests on every core, in minutes; PACKAGE=placegraph-ros: those of one package
+	$(PYTEST) $(if $(PACKAGE),$(or $(wildcard packages/$(PACKAGE)/tests),tests))
 
 test-all: $(TOOLS) ## run every test, the long ones too, with more examples of each property
 	$(PYTEST) -m "all or not all" --hypothesis-profile thorough
@@ -43,10 +43,10 @@ docs: $(TOOLS) ## build the documentation into site/
 bench: $(TOOLS) ## print the benchmark tables but KITTI360Pose (needs ../shared; long)
 	set -e; for table in $$($(BIN)/placegraph-lab table --list | cut -d" " -f1 | grep -v kitti360pose); do $(BIN)/placegraph-lab table $$table; done
 
-release: $(TOOLS) ## build wheel and sdist into dist/, check them, and write what they stand on (SBOM)
+release: $(TOOLS) ## build all wheels and sdists into dist/, check them, and write what they stand on (SBOM)
 	$(PIP) 'build>=1.2' 'cyclonedx-bom>=7' 'twine>=6'
 	rm -rf dist
-	$(BIN)/python -m build --outdir dist .
+	for part in . $(addprefix packages/placegraph-,$(PLUGINS)); do $(BIN)/python -m build --outdir dist $$part || exit 1; done
 	$(BIN)/twine check --strict dist/*.whl dist/*.tar.gz
 	$(BIN)/python -m venv dist/empty
 	dist/empty/bin/python -m pip install --quiet --disable-pip-version-check dist/*.whl

@@ -51,6 +51,8 @@ def compile_all(calls: list[str], *, hidden: bool) -> list[str]:
     if not calls:
         return []
     done = 0
+    if not (hidden or sys.stderr.isatty()) and len(calls) > 1:  # a bar would show it in a terminal
+        click.echo(f"{_line(0, len(calls))} ...", err=True)
     with progress_of(hidden=hidden) as tell:
         tell(_line(done, len(calls)), done, len(calls))
 
