@@ -1,10 +1,9 @@
 """Meshes of a given number of triangles."""
 
 import numpy as np
-import pytest
 
 from placegraph.indoor.map.mesh import Mesh
-from placegraph_lab.tables.indoor.maps import coarse, fine
+from placegraph_lab.tables.indoor.maps import coarse
 
 
 def sheet(n, size=2.0, height=lambda x, y: 0.0 * x * y):
@@ -37,15 +36,3 @@ def test_coarse_meshes_are_painted_as_the_surface_is(rng):
     right = mesh.vertices[:, 0] > 1.5
     assert np.abs(mesh.colours[left].astype(int) - (200, 40, 0)).max() <= 1
     assert np.abs(mesh.colours[right].astype(int) - (0, 40, 200)).max() <= 1
-
-
-def test_finer_meshes_are_the_same_surface():
-    points, triangles = sheet(2)
-    mesh = Mesh.plain(points, triangles, np.arange(8), np.full((9, 3), 90, np.uint8))
-    cut = fine(mesh, 50)
-    assert 50 <= len(cut) <= 52
-    assert area(cut.vertices, cut.triangles) == pytest.approx(4.0, abs=1e-5)
-    assert (cut.normals()[:, 2] > 0).all()
-    assert (cut.colours == 90).all()
-    shares = np.bincount(cut.object_of, np.linalg.norm(cut.normals(), axis=1) / 2)
-    assert shares == pytest.approx(0.5, abs=1e-5)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -91,50 +90,6 @@ def mean_colours(
     if bare.size:
         mean[bare] = colours[cKDTree(points).query(vertices[bare])[1]]
     return np.rint(mean).astype(np.uint8)
-
-
-def fine(mesh: Mesh, target: int) -> Mesh:
-    """The same surface in about `target` triangles: the largest are cut into four, again and again.
-
-    For measuring time only: a neighbour that was not cut touches three corners with one edge.
-    """
-    while len(mesh) < target:
-        size = np.linalg.norm(mesh.normals(), axis=1)
-        count = min(len(mesh), -(-(target - len(mesh)) // 3))
-        mesh = quartered(mesh, np.sort(np.argsort(-size, kind="stable")[:count]))
-    return mesh
-
-
-def quartered(mesh: Mesh, rows: NDArray[np.int64]) -> Mesh:
-    """Mesh whose triangles `rows` are cut into four at the middles of their edges."""
-    corners = mesh.triangles[rows]
-    pairs = np.sort(corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    edges, middle = np.unique(pairs, axis=0, return_inverse=True)
-    middle = middle.reshape(-1, 3) + len(mesh.vertices)
-    a, b, c = corners.T
-    ab, bc, ca = middle.T
-    parts = np.stack([a, ab, ca, ab, b, bc, ca, bc, c, ab, bc, ca], axis=1).reshape(-1, 3)
-    kept = np.ones(len(mesh), bool)
-    kept[rows] = False
-
-    def halved(column: NDArray[Any]) -> NDArray[Any]:
-        between = column[edges].mean(axis=1)
-        if column.dtype == np.uint8:
-            between = np.rint(between)
-        return np.concatenate([column, between.astype(column.dtype)])
-
-    def shared(column: NDArray[np.int32]) -> NDArray[np.int32]:
-        return np.concatenate([column[kept], np.repeat(column[rows], 4)])
-
-    return Mesh(
-        vertices=halved(mesh.vertices),
-        triangles=np.concatenate([mesh.triangles[kept], parts.astype(np.int32)]),
-        object_of=shared(mesh.object_of),
-        colours=halved(mesh.colours),
-        uv=halved(mesh.uv),
-        texture_of=shared(mesh.texture_of),
-        textures=mesh.textures,
-    )
 
 
 COARSE = 20_000  # triangles of the coarse house
