@@ -7,14 +7,12 @@ from dataclasses import replace
 import pytest
 
 from placegraph.errors import InputError
-from placegraph_lab.campaign import changed, faults
-from placegraph_lab.campaign.changed import CHANGES, change
-from placegraph_lab.campaign.kills import Ground, worse
-from placegraph_lab.campaign.outages import Load
+from placegraph_lab.campaign import faults
+from placegraph_lab.campaign import outages as changed
+from placegraph_lab.campaign.faults import Ground, worse
+from placegraph_lab.campaign.outages import CHANGES, Load, change, judged
 from placegraph_lab.campaign.row import Effort
-from placegraph_lab.campaign.services import judged
-from placegraph_lab.campaign.trial import Ended, files_in
-from placegraph_lab.campaign.writings import OLD, Writing
+from placegraph_lab.campaign.trial import OLD, Ended, Writing, files_in
 
 WRITING = Writing("city build", ("city", "build"), ("a.city", "a.png"), (".a.mcap.*",))
 

@@ -2,8 +2,7 @@
 
 import pytest
 
-from placegraph_lab.campaign.platforms import Platform, agrees, quick, together
-from placegraph_lab.campaign.processes import Told, pose_apart
+from placegraph_lab.campaign.platforms import Platform, Told, agrees, pose_apart, quick, together
 
 
 @pytest.fixture(scope="module")

@@ -3,14 +3,11 @@
 import numpy as np
 import pytest
 
-from placegraph_lab.campaign import (
-    processes,
-    properties,
-    room_properties,
-    town_properties,
-)
+from placegraph_lab.campaign import platforms as processes
+from placegraph_lab.campaign import properties, town_properties
+from placegraph_lab.campaign import properties as room_properties
 from placegraph_lab.campaign.properties import Property, tried
-from placegraph_lab.campaign.towns import turn
+from placegraph_lab.campaign.town_properties import turn
 
 OUTDOORS, INDOORS, OVER_PROCESSES = (
     list(world[2].items())

@@ -5,7 +5,7 @@ import pytest
 
 from placegraph_lab.campaign.row import Effort
 from placegraph_lab.campaign.soak import LOADS, Worn, drawn, lived, rows
-from placegraph_lab.campaign.writings import prepare
+from placegraph_lab.campaign.trial import prepare
 
 MEGABYTE = 1e6
 

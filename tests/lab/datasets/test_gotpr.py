@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from placegraph.errors import InputError
-from placegraph_lab.datasets.gotpr import file_of, read_graphs
+from placegraph_lab.datasets.pickles import file_of, read_graphs
 
 CELLS = "scene_graphs/osm_cell_graphs_*.pkl"
 

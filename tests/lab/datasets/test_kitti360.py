@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.core.geometry import LocalPlane
-from placegraph_lab.datasets.kitti360 import WORLD
+from placegraph_lab.datasets.kitti360pose import WORLD
 
 ORIGIN = (8.4295857, 48.9843445)
 

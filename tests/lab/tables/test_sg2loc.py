@@ -10,10 +10,10 @@ from placegraph.core.geometry import Camera
 from placegraph.errors import InputError
 from placegraph.indoor.likelihood import visibility
 from placegraph.indoor.scene_map import SceneMap
+from placegraph_lab.tables.indoor.sg2loc import LAYOUT, Asking, How, Set, Walk, recipes
 from placegraph_lab.tables.named.sg2loc import SPECS
 from placegraph_lab.tables.named.sg2loc import published as figures
 from placegraph_lab.tables.runner import Run, load, names
-from placegraph_lab.tables.sg2loc.ask import LAYOUT, Asking, How, Set, Walk, recipes
 from placegraph_lab.worlds.home.home import changed, home, record, scene_of, visit
 
 TABLES = [f"sg2loc-{n}" for n in range(1, 15)]

@@ -8,11 +8,7 @@ from hypothesis import strategies as st
 from placegraph_lab.worlds.flat.furniture import MODELS, Body, box, frustum
 from placegraph_lab.worlds.flat.legend import look
 from placegraph_lab.worlds.flat.render import Shot, develop, measured
-from placegraph_lab.worlds.flat.textures import (
-    PAINTERS,
-    Look,
-    paint,
-)
+from placegraph_lab.worlds.flat.textures import PAINTERS, Look, paint
 
 GREY = (128, 128, 128)
 

@@ -3,23 +3,28 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass, field, replace
 from http.client import HTTPConnection, HTTPException
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numpy.random import Generator
 
+from placegraph.errors import PlacegraphError
 from placegraph_lab.campaign.row import Effort, Row
 
 HONEST = {
@@ -189,3 +194,279 @@ def _line(number: int) -> bytes:
         return Path(f"/proc/{number}/cmdline").read_bytes()
     except OSError:
         return b""
+
+
+SENTENCE = "A bakery is north of me. A church is south of me."
+
+
+def services(inputs: Path, effort: Effort, seconds: float) -> Iterator[Row]:
+    """Rows of every service that is installed here, half of the time each."""
+    for what, packages, work in (
+        ("a Milvus server that is none", ("pymilvus",), connections),
+        ("a Milvus server stopped and started", ("pymilvus", "milvus"), milvus),
+        ("a Dask scheduler stopped and started", ("distributed",), scheduler),
+    ):
+        if lacking := [name for name in packages if find_spec(name) is None]:
+            effort.say(f"{what}: {', '.join(lacking)} is not installed")
+            continue
+        start = time.perf_counter()
+        counts = work(inputs, effort, seconds / 2)
+        yield Row.counted("faults", what, counts, effort.seed, time.perf_counter() - start)
+
+
+def milvus(inputs: Path, effort: Effort, seconds: float) -> Counter[str]:  # noqa: ARG001  # of its own
+    """What becomes of searches while a server goes, and comes again with what it held."""
+    from milvus import MilvusServer
+    from placegraph.vectors import Origin, Vectors, load_store, open_store
+
+    rng, counts = np.random.default_rng(effort.seed), Counter[str]()
+    vectors = rng.standard_normal((200, 16)).astype(np.float32)
+    server = MilvusServer()
+    server.set_base_dir(str(effort.folder / "milvus"))
+    server.start()
+    try:
+        at = f"http://127.0.0.1:{server.listen_port}"
+        load_store(
+            at, Vectors.of(np.arange(200), vectors), name="any", origin=Origin(), timeout=60.0
+        ).close()
+        start = time.perf_counter()
+        while not counts or time.perf_counter() - start < seconds:
+            store = open_store(f"http://127.0.0.1:{server.listen_port}", name="any", timeout=60.0)
+            with closing(store):
+                ask = lambda store=store: store.search(vectors[:3], 1).ids[:, 0].tolist()  # noqa: E731
+                counts[judged(ask, [0, 1, 2], effort)] += 1
+                server.stop()
+                counts[judged(ask, None, effort)] += 1
+            server.start()
+    finally:
+        server.stop()
+    return counts
+
+
+def scheduler(inputs: Path, effort: Effort, seconds: float) -> Counter[str]:
+    """What becomes of sentences while all workers are killed, and the scheduler goes and comes again."""
+    from distributed import LocalCluster
+
+    from placegraph.world.world import open_world
+    from placegraph_scale.build.build import BuildOptions, build_world
+
+    def started(port: int) -> LocalCluster:
+        return LocalCluster(
+            n_workers=1, threads_per_worker=1, dashboard_address=":0", scheduler_port=port,
+            silence_logs=logging.CRITICAL,
+        )  # fmt: skip
+
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    folder, counts = effort.folder / "shards", Counter[str]()
+    build_world([inputs / "hafenstadt.osm"], folder, BuildOptions(zoom=15, overlap=50.0, workers=1))
+    wanted = open_world(folder).locate(SENTENCE).to_dict()
+    cluster = started(0)
+    try:
+        world: Any = open_world(folder, scheduler=cluster.scheduler_address)
+        port = int(cluster.scheduler_address.rpartition(":")[2])
+        ask = lambda: world.locate(SENTENCE).to_dict()  # noqa: E731
+        start = time.perf_counter()
+        while not counts or time.perf_counter() - start < seconds:
+            counts[judged(ask, wanted, effort)] += 1
+            for worker in world.planets[folder.name].crew.client.run(os.getpid).values():
+                os.kill(worker, signal.SIGKILL)
+            counts[judged(ask, wanted, effort)] += 1
+            cluster.close()
+            counts[judged(ask, None, effort)] += 1
+            cluster = started(port)
+        counts[judged(ask, wanted, effort)] += 1
+        world.close()
+    finally:
+        cluster.close()
+    return counts
+
+
+def judged(ask: Callable[[], object], wanted: object, effort: Effort) -> str:
+    """Outcome of a question: this answer is right, or, where it is None, a typed error."""
+    start = time.perf_counter()
+    try:
+        found = ask()
+    except PlacegraphError as error:
+        outcome, said = "untyped" if wanted is not None else "typed", str(error)
+    except Exception as error:  # noqa: BLE001  # it is counted
+        outcome, said = "untyped", f"{type(error).__name__}: {error}"
+    else:
+        outcome, said = "accepted" if found == wanted else "untyped", "another answer"
+    if outcome == "untyped":
+        effort.say(f"a service: {said[:300]}")
+    return outcome if time.perf_counter() - start < ASKING else "hang"
+
+
+def connections(inputs: Path, effort: Effort, seconds: float) -> Counter[str]:  # noqa: ARG001
+    """What becomes of those who connect to what hangs up, says nothing, babbles, or is gone."""
+    said = (None, b"", b"HTTP/1.1 200 OK\r\n\r\n", b"\0\0\0\4\0\0\0\0\0", b"gone")
+    return Counter(_connected(each, effort) for each in said)
+
+
+def _connected(said: bytes | None, effort: Effort) -> str:
+    """Connect to a socket that says something: None hangs up, empty says nothing, `gone` is closed."""
+    from placegraph.vectors import open_store
+
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        port = listening.getsockname()[1]
+        over = threading.Event()
+
+        def answer() -> None:
+            held = []
+            listening.settimeout(0.1)
+            while not over.is_set():
+                with suppress(OSError):
+                    connection, _ = listening.accept()
+                    if said is None:
+                        connection.close()
+                        continue
+                    connection.sendall(said)
+                    held.append(connection)
+            for connection in held:
+                connection.close()
+
+        thread = threading.Thread(target=answer)
+        thread.start()
+        if said == b"gone":
+            over.set()
+            thread.join()
+            listening.close()
+        try:
+            return judged(
+                lambda: open_store(f"http://127.0.0.1:{port}", name="any", timeout=2.0),
+                None,
+                effort,
+            )
+        finally:
+            over.set()
+            thread.join()
+
+
+TYPED, UNTYPED = 20, 21  # exit codes of a trial
+CHANGES = ("cut short", "deleted", "replaced", "overwritten", "older")
+
+
+def change(path: Path, how: str, rng: Generator) -> None:
+    """Do it to a file; `older` is another file, last changed long before: a clock was set back."""
+    content = path.read_bytes()
+    if how == "cut short":
+        os.truncate(path, int(rng.integers(len(content))))
+    elif how == "deleted":
+        path.unlink()
+    elif how == "replaced":
+        other = path.with_name(f"{path.name}.new")
+        other.write_bytes(content[: len(content) // 2])
+        other.replace(path)
+    elif how == "overwritten":
+        with path.open("r+b") as file:
+            file.seek(int(rng.integers(len(content))))
+            file.write(rng.bytes(len(content) // 2))
+    else:
+        os.utime(path, (0, 0))
+
+
+def city(path: Path) -> Callable[[], Any]:
+    """A city's map, and a sentence in it; one with an index is mapped, as a large one is."""
+    from placegraph.outdoor.city import CityMap
+
+    found = CityMap.open(path, shard=True)
+    return lambda: found.locate(SENTENCE)
+
+
+def scene(path: Path) -> Callable[[], Any]:
+    """A scene's map, and a window of frames in it."""
+    from placegraph.io.capture.capture import open_capture
+    from placegraph.maps import open_scene
+
+    found, frames = open_scene(path), open_capture(path.parent / "window")
+    return lambda: found.localize(frames, seed=0)
+
+
+def library(path: Path) -> Callable[[], Any]:
+    """A library, one of whose maps is looked into."""
+    from placegraph.indoor.library import SceneLibrary
+
+    found = SceneLibrary.open(path.with_name("homes.library"))
+    return lambda: len(found.scene("home1"))
+
+
+def vectors(path: Path) -> Callable[[], Any]:
+    """Vectors of a city, and those nearest to one of them."""
+    from placegraph.vectors import EmbeddedStore
+
+    found = EmbeddedStore.open(path)
+    return lambda: found.search(np.ones((1, found.dimension), np.float32), 3)
+
+
+def capture(path: Path) -> Callable[[], Any]:
+    """A folder of frames, one of whose images is asked for."""
+    from placegraph.io.capture.capture import open_capture
+
+    found = open_capture(path.parent.parent)
+    return lambda: [frame.rgb() for frame in found]
+
+
+def bag(path: Path) -> Callable[[], Any]:
+    """A bag whose images are asked for."""
+    from placegraph.io.capture.capture import open_capture
+
+    found = open_capture(path)
+    return lambda: [frame.rgb() for frame in found]
+
+
+def weights(path: Path) -> Callable[[], Any]:
+    """Weights of PyTorch, which are computed with."""
+    import torch
+
+    from placegraph.core.networks import read_state
+
+    found = read_state(torch, path, "test")
+    return lambda: float(sum(tensor.sum() for tensor in found.values()))
+
+
+USES: dict[str, tuple[str, Callable[[Path], Callable[[], Any]]]] = {
+    "a city's map": ("town.city", city),
+    "a city's map that is mapped": ("indexed.city", city),
+    "a scene's map": ("flat.scene", scene),
+    "a map of a library": ("home1.scene", library),
+    "vectors": ("town.vectors", vectors),
+    "an image of a capture": ("window/rgb/*", capture),
+    "a bag": ("walk.mcap", bag),
+    "weights": ("any.pt", weights),
+}
+"""What is opened: its file among the inputs, and how it is used."""
+
+
+def used(what: str, how: str, folder: Path, seed: int) -> None:
+    """Open, let something happen to the file, and use what was opened; ends the process."""
+    pattern, use = USES[what]
+    path = max(folder.glob(pattern))
+    code = 0
+    try:
+        ask = use(path)
+        change(path, how, np.random.default_rng(seed))
+        ask()
+    except PlacegraphError:
+        code = TYPED
+    except BaseException as error:  # noqa: BLE001  # it is counted
+        (folder / "said.txt").write_text(f"{type(error).__name__}: {error}")
+        code = UNTYPED
+    os._exit(code)
+
+
+def served_anew(folder: Path) -> bool:
+    """Whether a server's maps are opened anew where another takes a map's place, of any time."""
+    from placegraph_serve.places import Places
+
+    places, path = Places([folder]), folder / "town.city"
+    first: Any = places.city("town")
+    other = replace(first, source="another")
+    for when in (0.0, 4e9):
+        other.save(path)
+        os.utime(path, (when, when))
+        if places.city("town").source != "another":
+            return False
+        first.save(path)
+        if places.city("town").source != first.source:
+            return False
+    return True

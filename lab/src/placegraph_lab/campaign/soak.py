@@ -22,7 +22,7 @@ import numpy as np
 from placegraph.core.threads import processors
 from placegraph_lab.campaign.outages import Server
 from placegraph_lab.campaign.row import Effort, Row
-from placegraph_lab.campaign.writings import prepare
+from placegraph_lab.campaign.trial import prepare
 
 FLAT = 0.02  # memory may grow by so much of itself after the first quarter
 ROUGH = 4e6  # and by so much at least: what allocators move to and fro [bytes]

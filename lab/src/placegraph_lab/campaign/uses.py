@@ -1,14 +1,13 @@
-"""What is done with an input: opened, and what opens is used as a user would use it.
-
-Each function returns where the input was taken, and raises whatever is raised where it was not.
-"""
+"""A server on this machine that answers every question with the same bytes."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from contextlib import suppress
-from functools import cached_property
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from functools import cache, cached_property
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import TYPE_CHECKING
 from unittest.mock import patch
@@ -23,7 +22,41 @@ from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import open_capture
 from placegraph.maps import open_map
 from placegraph.outdoor.city import CityMap, build_city
-from placegraph_lab.campaign.seeds_maps import POSE, SMALL, Places
+from placegraph_lab.campaign.seeds import POSE, SMALL
+from placegraph_lab.campaign.seeds import DrawnPlaces as Places
+
+
+class _Handler(BaseHTTPRequestHandler):
+    body = b""
+
+    def do_GET(self) -> None:
+        self.send_response(200)
+        self.send_header("Content-Type", "application/json")
+        self.send_header("Content-Length", str(len(_Handler.body)))
+        self.end_headers()
+        self.wfile.write(_Handler.body)
+
+    def do_POST(self) -> None:
+        self.rfile.read(int(self.headers["Content-Length"]))
+        self.do_GET()
+
+    def log_message(self, *_: object) -> None:
+        """Say nothing."""
+
+
+@cache
+def _serving() -> str:
+    server = ThreadingHTTPServer(("127.0.0.1", 0), _Handler)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    return f"http://127.0.0.1:{server.server_port}"
+
+
+@contextmanager
+def answering(body: bytes) -> Iterator[str]:
+    """Address that answers so; the server is kept."""
+    _Handler.body = body
+    yield _serving()
+
 
 if TYPE_CHECKING:
     Use = Callable[["Bench", Path, Generator], object]
@@ -270,7 +303,7 @@ def nominatim(bench: Bench, path: Path, _rng: Generator) -> None:
     import osmnx as ox
 
     from placegraph.io.osm.overpass import find, rings
-    from placegraph_lab.campaign.answers import answering
+    from placegraph_lab.campaign.uses import answering
 
     # osmnx waits a second before each question, as Nominatim asks of who asks it
     with answering(path.read_bytes()) as url, patch("osmnx._nominatim.time"):
@@ -285,7 +318,7 @@ def overpass(bench: Bench, path: Path, _rng: Generator) -> None:
     import osmnx as ox
 
     from placegraph.io.osm.overpass import copied, download
-    from placegraph_lab.campaign.answers import answering
+    from placegraph_lab.campaign.uses import answering
 
     answer = bench.file("answer.osm")
     with answering(path.read_bytes()) as url:

@@ -9,12 +9,7 @@ from placegraph.core.geometry import Camera, level_from_camera, pose_matrix
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
 from placegraph_lab.tables.indoor.metrics import pose_error, position_error, rotation_error
-from placegraph_lab.tables.indoor.windows import (
-    LEAN,
-    RISE,
-    disturbed,
-    without_depth,
-)
+from placegraph_lab.tables.indoor.windows import LEAN, RISE, disturbed, without_depth
 
 TRUTH = pose_matrix([1.0, 2.0, 1.6, 0.7], level_from_camera([0.05, 0.99, 0.1]))
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from placegraph.errors import InputError
-from placegraph_lab.datasets.gotpr import file_of, read_graphs
+from placegraph_lab.datasets.pickles import file_of, read_graphs
 from placegraph_lab.tables.named.outdoor_gotpr import BigGNN, recalls
 
 

@@ -8,24 +8,12 @@ import numpy as np
 import pytest
 
 from placegraph.errors import OptionError
-from placegraph.outdoor.language.description import (
-    SPEAKER,
-)
+from placegraph.outdoor.language.description import SPEAKER
 from placegraph.outdoor.map.cells import compass
 from placegraph_lab.datasets.kitti360pose import DIRECTIONS, Kitti360Pose, convert_kitti360pose
-from placegraph_lab.tables.kitti.graphs import (
-    Names,
-    description_of,
-    parsed,
-    scene_graph,
-    text_of,
-)
-from placegraph_lab.tables.kitti.kitti360pose import (
-    MATCHERS,
-    Split,
-    evaluate,
-)
-from placegraph_lab.tables.kitti.relational import REACH, Relational
+from placegraph_lab.tables.kitti.graphs import Names, description_of, parsed, scene_graph, text_of
+from placegraph_lab.tables.kitti.kitti360pose import MATCHERS, Split, evaluate
+from placegraph_lab.tables.kitti.matchers import REACH, Relational
 
 
 @pytest.fixture(scope="module")

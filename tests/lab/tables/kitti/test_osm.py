@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from placegraph.errors import InputError, OptionError
-from placegraph_lab.datasets.kitti360 import WORLD
-from placegraph_lab.datasets.kitti360pose import Kitti360Pose, convert_kitti360pose
+from placegraph_lab.datasets.kitti360pose import WORLD, Kitti360Pose, convert_kitti360pose
 from placegraph_lab.tables.kitti.graphs import description_of, scene_graph
 from placegraph_lab.tables.kitti.osm import Crop, on_osm
 from placegraph_lab.worlds.town.town import Town

@@ -9,18 +9,18 @@ import pytest
 from placegraph.core.geometry import Camera, between, pose_matrix, split_pose
 from placegraph.io.capture.frame import Frame
 from placegraph_lab.tables.indoor.perturb import Recording
-from placegraph_lab.tables.live.walks import (
+from placegraph_lab.tables.named.robot_live import (
     PERIOD,
     Clock,
     Row,
     Seen,
+    cells,
     longest,
     looped,
     play,
     recoveries,
     walks,
 )
-from placegraph_lab.tables.named.robot_live import cells
 
 LEVEL = split_pose(np.eye(4))[1]
 

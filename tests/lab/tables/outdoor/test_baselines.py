@@ -5,8 +5,8 @@ import pytest
 
 from placegraph_lab.tables.outdoor.baselines import Bag
 from placegraph_lab.tables.outdoor.nearby import Bins
+from placegraph_lab.tables.outdoor.places import read_raw
 from placegraph_lab.tables.outdoor.queries import Query, Said, load, make_queries
-from placegraph_lab.tables.outdoor.raw import read_raw
 
 TREE, BENCH, FOUNTAIN = {"natural": "tree"}, {"amenity": "bench"}, {"amenity": "fountain"}
 

@@ -5,8 +5,8 @@ import pytest
 
 from placegraph_lab.tables.outdoor.ceiling import Ceiling, Contest, ceiling, oracle
 from placegraph_lab.tables.outdoor.nearby import Bins
+from placegraph_lab.tables.outdoor.places import read_raw
 from placegraph_lab.tables.outdoor.queries import Query, Said
-from placegraph_lab.tables.outdoor.raw import read_raw
 
 TREE, BENCH, FOUNTAIN = {"natural": "tree"}, {"amenity": "bench"}, {"amenity": "fountain"}
 PLACE = [(0.0, 0.0, TREE), (0.0, 10.0, BENCH)]

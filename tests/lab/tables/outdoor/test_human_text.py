@@ -5,13 +5,8 @@ import json
 import pytest
 
 from placegraph.errors import InputError
-from placegraph_lab.tables.outdoor.human_text import (
-    Baselines,
-    Record,
-    landmarks,
-    read_records,
-)
 from placegraph_lab.tables.outdoor.metrics import distances
+from placegraph_lab.tables.outdoor.places import Baselines, Record, landmarks, read_records
 
 PLACES = [
     ("cafe", 10.000, 50.000),

@@ -3,11 +3,7 @@
 import numpy as np
 import pytest
 
-from placegraph_lab.tables.named.outdoor_matchers import (
-    advantage,
-    advantages,
-    report,
-)
+from placegraph_lab.tables.named.outdoor_matchers import advantage, advantages, report
 from placegraph_lab.tables.outdoor.matchers import (
     DENSE,
     FUSED,

@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph_lab.tables.outdoor.nearby import Bins
+from placegraph_lab.tables.outdoor.places import AREA, read_raw
 from placegraph_lab.tables.outdoor.queries import load
-from placegraph_lab.tables.outdoor.raw import AREA, read_raw
 
 
 def own(city, i):

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from placegraph.errors import OptionError
+from placegraph_lab.tables.outdoor.places import AREA
 from placegraph_lab.tables.outdoor.queries import SETTINGS, load, make_queries
-from placegraph_lab.tables.outdoor.raw import AREA
 
 N = 60
 

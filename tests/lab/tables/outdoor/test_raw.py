@@ -4,7 +4,7 @@ import pytest
 
 from placegraph.core.geometry import LocalPlane
 from placegraph.errors import InputError
-from placegraph_lab.tables.outdoor.raw import AREA, LINE, POINT, is_area, read_raw
+from placegraph_lab.tables.outdoor.places import AREA, LINE, POINT, is_area, read_raw
 
 
 @pytest.mark.parametrize(

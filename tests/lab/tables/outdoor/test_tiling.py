@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from placegraph_lab.tables.named.world_build import country
-from placegraph_lab.tables.outdoor.raw import read_raw
+from placegraph_lab.tables.outdoor.places import read_raw
 from placegraph_lab.tables.outdoor.tiling import tile
 
 

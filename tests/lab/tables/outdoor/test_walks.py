@@ -6,13 +6,7 @@ import numpy as np
 import pytest
 
 from placegraph.core.geometry import angle_between, bearing
-from placegraph_lab.tables.named.outdoor_track import (
-    FARTHEST,
-    METHODS,
-    NEAREST,
-    follow,
-    make_walks,
-)
+from placegraph_lab.tables.named.outdoor_track import FARTHEST, METHODS, NEAREST, follow, make_walks
 from placegraph_lab.tables.outdoor.metrics import distances
 from placegraph_lab.tables.outdoor.queries import load
 

@@ -10,13 +10,13 @@ from PIL import Image
 
 from placegraph.errors import InputError, OptionError
 from placegraph_io.dataset.scan3r import read_rooms
-from placegraph_lab.tables.indoor.windows import drifting_windows
-from placegraph_lab.tables.pairs.scan3r import (
+from placegraph_lab.tables.indoor.scan3r import (
     cross_temporal_pairs,
     recorded,
     scan_folder,
     split_rooms,
 )
+from placegraph_lab.tables.indoor.windows import drifting_windows
 
 
 def transform(yaw, x, y):

@@ -6,14 +6,14 @@ import pytest
 from placegraph.core.geometry import rotation_z
 from placegraph.errors import OptionError
 from placegraph_io.dataset.sens import read_sens
-from placegraph_lab.tables.indoor.windows import drifting_windows
-from placegraph_lab.tables.pairs.scannet import (
+from placegraph_lab.tables.indoor.scannet import (
     ScanPair,
     derive_pairs,
     read_pairs,
     recorded,
     true_poses,
 )
+from placegraph_lab.tables.indoor.windows import drifting_windows
 
 FOUND = ["scene0001_00", "scene0002_00", "scene0001_01", "scene0001_03", "scene0010_00"]
 MAP_FROM_QUERY = np.eye(4)

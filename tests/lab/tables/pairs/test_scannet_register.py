@@ -9,7 +9,7 @@ import pytest
 from placegraph.core.geometry import rotation_z
 from placegraph.indoor.build import build_scene, scene_of_model
 from placegraph.io.mesh.model import Model, Picture, Thing
-from placegraph_lab.tables.pairs.scannet import register_scans
+from placegraph_lab.tables.indoor.scannet import register_scans
 from placegraph_lab.worlds.flat.flat import Flat
 
 LEGEND = """

@@ -12,32 +12,31 @@ from placegraph.indoor.library import SearchOptions
 from placegraph.indoor.map.rooms import rooms_of
 from placegraph.io.capture.frame import Frame
 from placegraph_lab.tables.named.scene_retrieval import figures, report
-from placegraph_lab.tables.retrieval import retrieval
-from placegraph_lab.tables.retrieval.retrieval import (
-    ABSENT,
-    Answer,
-    Scenes,
-    ask,
-    pool,
-    recall,
-    searcher,
-)
-from placegraph_lab.tables.retrieval.retrieval_places import (
-    Place,
-    Walk,
-    room_scene,
-)
-from placegraph_lab.tables.retrieval.retrieval_scale import measure
-from placegraph_lab.tables.retrieval.retrieval_study import Row, Study
-from placegraph_lab.tables.retrieval.retrieval_vectors import (
+from placegraph_lab.tables.runner import Journal
+from placegraph_lab.tables.scene import search as retrieval
+from placegraph_lab.tables.scene.places import (
     NOISY,
     THINGS,
+    Place,
+    Walk,
     encoded,
     encoder_of,
     noisy,
     replay,
+    room_scene,
 )
-from placegraph_lab.tables.runner import Journal
+from placegraph_lab.tables.scene.search import (
+    ABSENT,
+    Answer,
+    Row,
+    Scenes,
+    Study,
+    ask,
+    measure,
+    pool,
+    recall,
+    searcher,
+)
 from placegraph_lab.worlds.flat.flat import Flat
 from placegraph_lab.worlds.home.home import home, record, scene_of, visit
 

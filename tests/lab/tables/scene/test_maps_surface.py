@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.indoor.map.mesh import Mesh
-from placegraph_lab.tables.scene.maps_surface import REACH, compare, distances
+from placegraph_lab.tables.scene.surface import REACH, compare, distances
 
 
 def sheet(height=0.0, side=2.0):

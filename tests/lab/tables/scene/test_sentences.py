@@ -12,9 +12,8 @@ from placegraph.core.geometry import level_from_camera, pose_matrix
 from placegraph.core.graph import SceneGraph
 from placegraph.indoor.language import Kind, read, score
 from placegraph.indoor.scene_map import SceneMap
-from placegraph_lab.tables.indoor import spoken_poses
-from placegraph_lab.tables.indoor.spoken_poses import describe_pose
 from placegraph_lab.tables.indoor.windows import Window
+from placegraph_lab.tables.scene import spoken_poses
 from placegraph_lab.tables.scene.sentences import (
     Asked,
     Scene,
@@ -25,6 +24,7 @@ from placegraph_lab.tables.scene.sentences import (
     report,
     speed,
 )
+from placegraph_lab.tables.scene.spoken_poses import describe_pose
 from placegraph_lab.worlds.flat.flat import Flat
 from placegraph_lab.worlds.home.home import scene_of
 

@@ -26,8 +26,8 @@ from placegraph_lab.tables.indoor import perturb as perturb_images
 from placegraph_lab.tables.indoor.maps import place
 from placegraph_lab.tables.indoor.metrics import NEAR, position_error, rotation_error, rounded
 from placegraph_lab.tables.indoor.perturb import Recording, Shot, half_elsewhere, only
+from placegraph_lab.tables.indoor.sg2loc import RPY
 from placegraph_lab.tables.indoor.windows import HALVES, OFFICE_STRIDE, TILT, true_poses
-from placegraph_lab.tables.sg2loc.ask import RPY
 from placegraph_lab.worlds.flat.walks import drifted
 
 THRESHOLDS = ((0.05, 5.0), (0.10, 5.0), (0.25, 2.0), (0.25, 10.0))

@@ -25,8 +25,13 @@ from placegraph_lab.tables.kitti.graphs import (
     description_of,
     scene_graph,
 )
-from placegraph_lab.tables.kitti.matchers import EditDistance, Matcher, Transformer, TripleBag
-from placegraph_lab.tables.kitti.relational import Relational
+from placegraph_lab.tables.kitti.matchers import (
+    EditDistance,
+    Matcher,
+    Relational,
+    Transformer,
+    TripleBag,
+)
 from placegraph_lab.tables.runner import markdown, number, share, shares
 
 RANKS = (1, 3, 5)  # k of the retrieval recall

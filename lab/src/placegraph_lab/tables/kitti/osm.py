@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from placegraph.core.geometry import Floats
 from placegraph.errors import InputError, OptionError
 from placegraph.outdoor.map.objects import of_name
-from placegraph_lab.datasets.kitti360 import WORLD
 from placegraph_lab.datasets.kitti360pose import (
     DIRECTIONS,
+    WORLD,
     Cells,
     Hints,
     Kitti360Pose,
@@ -30,7 +30,7 @@ from placegraph_lab.datasets.kitti360pose import (
 )
 from placegraph_lab.tables.outdoor.nearby import DIRECTIONS as WINDS
 from placegraph_lab.tables.outdoor.nearby import Around, Bins, relations
-from placegraph_lab.tables.outdoor.raw import KEYS, RawCity, read_raw
+from placegraph_lab.tables.outdoor.places import KEYS, RawCity, read_raw
 
 REACH = 15.0  # things this near to a cell's centre are in it [m]: half of KITTI360Pose's 30 m
 SIGHT = (

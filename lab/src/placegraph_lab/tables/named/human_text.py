@@ -17,14 +17,14 @@ import numpy as np
 
 from placegraph.core.geometry import Floats
 from placegraph.errors import PlacegraphError
-from placegraph_lab.tables.outdoor.human_text import (
+from placegraph_lab.tables.outdoor.metrics import HIT, distances
+from placegraph_lab.tables.outdoor.places import (
     Baselines,
     Record,
     landmarks,
     read_records,
     write_osm,
 )
-from placegraph_lab.tables.outdoor.metrics import HIT, distances
 from placegraph_lab.tables.runner import Quick, Run, markdown, number, option, share, shares, table
 from placegraph_lab.tables.statistics import reliability
 

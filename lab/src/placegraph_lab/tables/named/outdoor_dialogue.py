@@ -31,8 +31,8 @@ from placegraph.outdoor.search.ask import (
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, names_of, open_city
 from placegraph_lab.tables.outdoor.nearby import DIRECTIONS, Bins, relations
 from placegraph_lab.tables.outdoor.outdoor_kernels import holds
+from placegraph_lab.tables.outdoor.places import AREA, KEYS, RawCity
 from placegraph_lab.tables.outdoor.queries import Query, load, make_queries
-from placegraph_lab.tables.outdoor.raw import AREA, KEYS, RawCity
 from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, option, share, table
 
 SIGHT = 35.0  # the speaker sees things up to this far [m]

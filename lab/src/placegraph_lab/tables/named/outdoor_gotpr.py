@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from placegraph.core.networks import read_state, torch_for
 from placegraph.errors import InputError
-from placegraph_lab.datasets.gotpr import Graph, Graphs, file_of, read_graphs
+from placegraph_lab.datasets.pickles import Graph, Graphs, file_of, read_graphs
 from placegraph_lab.tables.kitti.kitti360pose import PAPER, RANKS
 from placegraph_lab.tables.runner import Quick, Run, markdown, option, share, table
 

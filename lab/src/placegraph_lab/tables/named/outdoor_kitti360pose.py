@@ -30,8 +30,8 @@ from placegraph_lab.tables.kitti.kitti360pose import (
     retrieval_table,
     size_table,
 )
+from placegraph_lab.tables.kitti.matchers import Relational
 from placegraph_lab.tables.kitti.osm import REACH, SIGHT, TOLD, Crop, on_osm
-from placegraph_lab.tables.kitti.relational import Relational
 from placegraph_lab.tables.runner import Quick, Run, Seed, known, option, parts, table
 
 

@@ -23,7 +23,7 @@ from placegraph.io.capture.frame import Frame
 from placegraph.io.mesh.gltf import read_glb
 from placegraph_lab.tables.indoor.windows import true_poses
 from placegraph_lab.tables.runner import Quick, Run, markdown, number, table
-from placegraph_lab.tables.scene.maps_surface import distances, spread
+from placegraph_lab.tables.scene.surface import distances, spread
 from placegraph_lab.tables.statistics import apart, peak
 
 Fuser = Callable[[Sequence[Frame], Floats], Mesh]

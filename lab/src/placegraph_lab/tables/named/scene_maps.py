@@ -49,7 +49,7 @@ from placegraph_lab.tables.scene.maps import (
     refinings,
     study,
 )
-from placegraph_lab.tables.scene.maps_surface import Apart
+from placegraph_lab.tables.scene.surface import Apart
 
 KILO, MEGA, MILLI = 1e-3, 1e-6, 1e3
 ROOM = 30  # objects of a usual room

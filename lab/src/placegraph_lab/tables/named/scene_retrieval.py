@@ -10,19 +10,6 @@ import numpy as np
 
 from placegraph.core.estimate import Status
 from placegraph.errors import MissingExtraError
-from placegraph_lab.tables.retrieval.retrieval import ABSENT, LENGTHS, METHODS, Answer, hit, recall
-from placegraph_lab.tables.retrieval.retrieval_places import (
-    FIRST,
-    HOMES,
-    Place,
-    Walk,
-    homes,
-    house_rooms,
-    office_half,
-)
-from placegraph_lab.tables.retrieval.retrieval_scale import Scale
-from placegraph_lab.tables.retrieval.retrieval_study import WHOLE, Row, Study
-from placegraph_lab.tables.retrieval.retrieval_vectors import BOTH, ROWS
 from placegraph_lab.tables.runner import (
     Fresh,
     Quick,
@@ -34,6 +21,29 @@ from placegraph_lab.tables.runner import (
     share,
     shares,
     table,
+)
+from placegraph_lab.tables.scene.places import (
+    BOTH,
+    FIRST,
+    HOMES,
+    ROWS,
+    Place,
+    Walk,
+    homes,
+    house_rooms,
+    office_half,
+)
+from placegraph_lab.tables.scene.search import (
+    ABSENT,
+    LENGTHS,
+    METHODS,
+    WHOLE,
+    Answer,
+    Row,
+    Scale,
+    Study,
+    hit,
+    recall,
 )
 from placegraph_lab.tables.statistics import reliability
 

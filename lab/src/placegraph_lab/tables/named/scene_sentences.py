@@ -17,10 +17,9 @@ import numpy as np
 
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.scene_map import SceneMap
-from placegraph_lab.tables.indoor import spoken_poses
 from placegraph_lab.tables.indoor.windows import house_windows
 from placegraph_lab.tables.runner import Quick, Run, Seed, option, table
-from placegraph_lab.tables.scene import told
+from placegraph_lab.tables.scene import spoken_poses, told
 from placegraph_lab.tables.scene.sentences import (
     FACTS,
     WRONG,

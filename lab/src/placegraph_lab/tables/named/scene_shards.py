@@ -27,7 +27,6 @@ from placegraph.indoor.library.library import Entry, SceneLibrary
 from placegraph.indoor.library.search import Query, Said, SearchOptions, told_apart
 from placegraph.indoor.library.search_kernels import beside
 from placegraph.indoor.library.signature import BANDS, TURNS, Signature, signature_of
-from placegraph_lab.tables.retrieval.retrieval_scale import Stock
 from placegraph_lab.tables.runner import (
     Fresh,
     Quick,
@@ -39,6 +38,7 @@ from placegraph_lab.tables.runner import (
     share,
     table,
 )
+from placegraph_lab.tables.scene.search import Stock
 from placegraph_lab.tables.scene.sentences import Scene, describe
 from placegraph_lab.tables.statistics import apart, peak
 from placegraph_lab.worlds.home.home import STYLES, home, scene_of

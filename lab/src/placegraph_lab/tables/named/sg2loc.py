@@ -18,15 +18,23 @@ import typer
 
 from placegraph.errors import InputError
 from placegraph.indoor.scene_map import SceneMap
+from placegraph_lab.tables.indoor import sg2loc as at_hand
+from placegraph_lab.tables.indoor import sg2loc as brought
 from placegraph_lab.tables.indoor.metrics import rounded, score
 from placegraph_lab.tables.indoor.report import errors
+from placegraph_lab.tables.indoor.scan3r import Split
+from placegraph_lab.tables.indoor.sg2loc import (
+    IMAGES,
+    LAYOUT,
+    Asking,
+    How,
+    Reply,
+    Set,
+    group,
+    recipes,
+)
 from placegraph_lab.tables.indoor.windows import DRIFT
 from placegraph_lab.tables.named.scene_retrieval import figures, main_table
-from placegraph_lab.tables.pairs.scan3r import Split
-from placegraph_lab.tables.retrieval.retrieval import Cosines, Scenes
-from placegraph_lab.tables.retrieval.retrieval_places import FIRST, HOMES, Place, Walk, homes
-from placegraph_lab.tables.retrieval.retrieval_study import Study
-from placegraph_lab.tables.retrieval.retrieval_vectors import NOISY
 from placegraph_lab.tables.runner import (
     Device,
     Fresh,
@@ -41,9 +49,8 @@ from placegraph_lab.tables.runner import (
     parts,
     shares,
 )
-from placegraph_lab.tables.sg2loc import ask as at_hand
-from placegraph_lab.tables.sg2loc import ask as brought
-from placegraph_lab.tables.sg2loc.ask import IMAGES, LAYOUT, Asking, How, Reply, Set, group, recipes
+from placegraph_lab.tables.scene.places import FIRST, HOMES, NOISY, Place, Walk, homes
+from placegraph_lab.tables.scene.search import Cosines, Scenes, Study
 
 _PRINTED = """
 1; 3RScan: HLoc; 2.05e12 46.68 .18 6.32 | 5.1e10 36.85 .13 4.15 | 1030.9 22.74 .08 2.44 | 732.2 16.09 .07 2.06

@@ -35,8 +35,8 @@ from placegraph.outdoor.search.status import (
 from placegraph.view.draw.canvas import Disc, Frame, Mark, Points, Stroke, Text
 from placegraph.view.draw.painter import paint_picture
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, TRAINED
-from placegraph_lab.tables.outdoor.human_text import landmarks, read_records, write_osm
 from placegraph_lab.tables.outdoor.metrics import HIT, Protocol, distances, positions
+from placegraph_lab.tables.outdoor.places import landmarks, read_records, write_osm
 from placegraph_lab.tables.outdoor.queries import make_queries
 from placegraph_lab.tables.runner import LAB, Quick, Run, Seed, markdown, option, share, table
 from placegraph_lab.tables.statistics import Reliability, reliability

@@ -19,8 +19,8 @@ from placegraph_lab.tables.outdoor.nearby import (
     relations,
 )
 from placegraph_lab.tables.outdoor.outdoor_kernels import SHORTEST
+from placegraph_lab.tables.outdoor.places import Ints
 from placegraph_lab.tables.outdoor.queries import Query
-from placegraph_lab.tables.outdoor.raw import Ints
 
 Words = Literal["labels", "triples", "speaker"]
 """What a bag holds: labels, triples of two objects, or triples of an object and the speaker."""

@@ -12,8 +12,8 @@ from placegraph.core.geometry import Floats
 from placegraph_lab.tables.outdoor.baselines import Words, spoken, words_around
 from placegraph_lab.tables.outdoor.nearby import DIRECTIONS, Bins, Position
 from placegraph_lab.tables.outdoor.outdoor_kernels import _likeliest, _rank
+from placegraph_lab.tables.outdoor.places import Ints
 from placegraph_lab.tables.outdoor.queries import CELL, NOISE, SIGHT, Query
-from placegraph_lab.tables.outdoor.raw import Ints
 
 STEP = 12.5  # edge of the grid of viewpoints that compete with the truth [m]
 CHUNK = 50_000  # viewpoints looked at in one go: keeps memory small

@@ -22,7 +22,7 @@ from placegraph_lab.tables.outdoor.outdoor_kernels import (
     _pairs,
     _rasterize,
 )
-from placegraph_lab.tables.outdoor.raw import AREA, Ints, RawCity
+from placegraph_lab.tables.outdoor.places import AREA, Ints, RawCity
 
 Position = Literal["nearest", "centroid"]
 """Where an object stands: at its point nearest to the viewpoint, or at its centre."""

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from placegraph.core.geometry import Floats
 from placegraph.core.jit import kernel
-from placegraph_lab.tables.outdoor.raw import Ints
+from placegraph_lab.tables.outdoor.places import Ints
 
 # mypy: allow-untyped-defs, allow-incomplete-defs
 

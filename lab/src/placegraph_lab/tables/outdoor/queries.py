@@ -16,7 +16,7 @@ from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
 from placegraph_lab.tables.outdoor.nearby import DIRECTIONS, Bins, Position, Triples, relations
 from placegraph_lab.tables.outdoor.outdoor_kernels import SHORTEST
-from placegraph_lab.tables.outdoor.raw import KEYS, RawCity, read_raw
+from placegraph_lab.tables.outdoor.places import KEYS, RawCity, read_raw
 
 EVERYDAY: dict[str, tuple[str, ...]] = {
     "aeroway=helipad": ("helicopter pad",),

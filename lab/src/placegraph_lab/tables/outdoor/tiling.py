@@ -9,7 +9,7 @@ import numpy as np
 from numpy.random import Generator
 
 from placegraph.core.geometry import Floats
-from placegraph_lab.tables.outdoor.raw import read_raw, tag_label
+from placegraph_lab.tables.outdoor.places import read_raw, tag_label
 
 GAP = 0.005  # space between copies [deg]
 

@@ -38,7 +38,7 @@ from placegraph_lab.tables.indoor.windows import (
     office_windows,
 )
 from placegraph_lab.tables.runner import INDOOR, Journal, code_key
-from placegraph_lab.tables.scene.maps_surface import Apart, compare
+from placegraph_lab.tables.scene.surface import Apart, compare
 
 EMBEDDING = 512  # length of the embeddings whose bytes are measured
 CHEAP = 30.0  # what takes less than this is built three times, and the median told [s]

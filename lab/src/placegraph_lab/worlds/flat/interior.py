@@ -119,7 +119,7 @@ class Interior:
 
     def write_glb(self, path: str | Path) -> Path:
         """Write a binary glTF 2.0 file; the same flat gives the same bytes."""
-        from placegraph_lab.worlds.flat.glb import write_glb
+        from placegraph_lab.worlds.flat.glb_flat import write_glb
 
         return write_glb(self, path)
 

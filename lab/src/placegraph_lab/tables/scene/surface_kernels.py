@@ -1,4 +1,3 @@
-# mypy: allow-untyped-defs, allow-incomplete-defs
 """Compiled parts of `maps_surface`."""
 
 from __future__ import annotations
@@ -9,6 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.jit import kernel
+
+# mypy: allow-untyped-defs, allow-incomplete-defs
+
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

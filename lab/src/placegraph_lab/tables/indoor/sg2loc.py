@@ -28,9 +28,11 @@ from placegraph.io.capture.capture import Capture, open_capture
 from placegraph_io.dataset.scan3r import read_rooms
 from placegraph_io.dataset.scannet import axis_alignment
 from placegraph_lab.tables.indoor import maps as indoor_maps
+from placegraph_lab.tables.indoor import scan3r, scannet
 from placegraph_lab.tables.indoor.bench import NoisyEncoder, NoisyLabels
 from placegraph_lab.tables.indoor.maps import place
 from placegraph_lab.tables.indoor.metrics import Answer, measure
+from placegraph_lab.tables.indoor.scannet import register_scans
 from placegraph_lab.tables.indoor.windows import (
     DRIFT,
     HALVES,
@@ -40,8 +42,6 @@ from placegraph_lab.tables.indoor.windows import (
     is_changed,
     true_poses,
 )
-from placegraph_lab.tables.pairs import scan3r, scannet
-from placegraph_lab.tables.pairs.scannet import register_scans
 from placegraph_lab.tables.runner import INDOOR, WORLDS, code_key
 from placegraph_lab.worlds.flat.flat import Flat
 from placegraph_lab.worlds.flat.interior import Interior

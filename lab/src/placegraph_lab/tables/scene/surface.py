@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.indoor.map.mesh import Mesh
-from placegraph_lab.tables.scene.maps_surface_kernels import _CELL, Grid, _distances
+from placegraph_lab.tables.scene.surface_kernels import _CELL, Grid, _distances
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -1,1 +1,0 @@
-"""Lists of pairs of 3RScan and ScanNet: which recording is asked in which map."""
