@@ -20,6 +20,7 @@ from urllib.parse import quote
 
 from numpy.random import Generator
 from PIL import Image
+from placegraph_serve.protocol import Patient
 
 from placegraph.errors import PlacegraphError, RequestError
 from placegraph_lab.campaign import uses
@@ -30,8 +31,7 @@ from placegraph_serve.app import create_app
 from placegraph_serve.options import ServeOptions
 from placegraph_serve.places import Desk, Places
 from placegraph_serve.problem import problem
-from placegraph_serve.protocol import Patient
-from placegraph_serve.worker import VERBS, Answer, dumped
+from placegraph_serve.workers import VERBS, Answer, dumped
 
 if TYPE_CHECKING:
     from starlette.testclient import TestClient
