@@ -200,7 +200,7 @@ def relisted(room: Room, rng: np.random.Generator) -> str:
     """The objects of a map in another order change nothing."""
     walk = room.walk(rng)
     here = room.scene.localize(walk)
-    return apart(here, relisted(room.scene, rng).localize(walk))
+    return apart(here, relist_scene(room.scene, rng).localize(walk))
 
 
 def still(room: Room, rng: np.random.Generator) -> str:

@@ -310,7 +310,7 @@ def _areas(path: Path, _places: DrawnPlaces) -> None:
 
 def _indoor(*, osmag: bool) -> DrawMap:
     def draw(path: Path, _places: DrawnPlaces) -> None:
-        hall = writer("indoor.mapping.test_osm_rooms").HALL
+        hall = writer("indoor.mapping.test_osm").HALL
         path.write_bytes(encode_rooms(hall, osmag=osmag, generator="campaign"))
 
     return draw

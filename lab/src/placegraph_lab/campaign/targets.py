@@ -20,7 +20,6 @@ from urllib.parse import quote
 
 from numpy.random import Generator
 from PIL import Image
-from placegraph_serve.protocol import Patient
 
 from placegraph.errors import PlacegraphError, RequestError
 from placegraph_lab.campaign import uses
@@ -28,8 +27,9 @@ from placegraph_lab.campaign.mutate import WORDS, flipped, spoil, spoil_world
 from placegraph_lab.campaign.seeds import CAPTURES, MAPS, POSE, ROOT, STORES, DrawnPlaces, save
 from placegraph_lab.campaign.uses import INSIDE, SAID, Bench, chance
 from placegraph_serve.app import create_app
+from placegraph_serve.limits import HeadTimeoutProtocol
 from placegraph_serve.options import ServeOptions
-from placegraph_serve.places import Desk, Places
+from placegraph_serve.places import Dispatcher, Places
 from placegraph_serve.problem import problem
 from placegraph_serve.workers import VERBS, Answer, dumped
 
@@ -45,7 +45,7 @@ class Here:
     ready, name = True, "here"
     waiting = running = answered = replaced = 0
 
-    def __init__(self, desk: Desk) -> None:
+    def __init__(self, desk: Dispatcher) -> None:
         self.desk = desk
 
     def begin(self) -> None:
@@ -75,7 +75,7 @@ class Served:
         bench.room.save(folder / "room.scene")
         places, options = Places([folder]), ServeOptions()
         self.app = create_app(places, options)
-        lane: Any = Here(Desk(Places([folder]), options))
+        lane: Any = Here(Dispatcher(Places([folder]), options))
         server = self.app.state.server
         server.sentences = server.captures = server.steps = lane
         server.sessions._lane = lane  # noqa: SLF001  # the routes hold the sessions
@@ -95,7 +95,7 @@ class Served:
         """Of the same on the network of this machine."""
         import uvicorn
 
-        http: Any = partial(Patient, seconds=20.0)
+        http: Any = partial(HeadTimeoutProtocol, seconds=20.0)
         config = uvicorn.Config(
             self.app, http=http, port=0, log_level="critical", ws="websockets-sansio"
         )

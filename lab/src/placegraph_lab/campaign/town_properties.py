@@ -24,7 +24,7 @@ from placegraph.outdoor.language.description import (
 )
 from placegraph.outdoor.likelihood.match_kernels import SLACK
 from placegraph.outdoor.likelihood.score_kernels import score_views
-from placegraph.outdoor.locate import Hints, understand
+from placegraph.outdoor.locate import Hints
 from placegraph.outdoor.map.index import REACH, STRIDE
 from placegraph.outdoor.search.candidates import Candidates
 from placegraph.outdoor.search.request import Matching
@@ -249,7 +249,7 @@ def descriptions(city: CityMap, rng: np.random.Generator) -> list[Description]:
 
 
 def _moved(town: Town, motion: Motion, rng: np.random.Generator, within: Within) -> str:
-    city = built(carried(town.extract, motion), town.folder)
+    city = built(carry_extract(town.extract, motion), town.folder)
     for told in descriptions(town.city, rng):
         here, there = town.city.locate(told), city.locate(motion.said(told))
         if broken := apart(city, here, there, within, motion):
@@ -277,7 +277,7 @@ def turned(town: Town, rng: np.random.Generator) -> str:
 
 def renumbered(town: Town, rng: np.random.Generator) -> str:
     """The same objects under other numbers, in another order."""
-    city = built(renumbered(town.extract, rng), town.folder)
+    city = built(renumber_extract(town.extract, rng), town.folder)
     for told in descriptions(town.city, rng):
         if broken := apart(city, town.city.locate(told), city.locate(told), SAME):
             return broken
@@ -301,7 +301,7 @@ def accompanied(town: Town, rng: np.random.Generator) -> str:
     """Another town to the north-east, where nothing was said, makes no answer surer."""
     away = town.plane.to_lonlat(rng.uniform(1500.0, 30_000.0, 2))
     motion = Motion(np.eye(2), middle(town.other), LocalPlane(*away))
-    both = beside(town.extract, carried(town.other, motion))
+    both = beside(town.extract, carry_extract(town.other, motion))
     city = built(both, town.folder)
     for told in descriptions(town.city, rng):
         here, there = town.city.locate(told), city.locate(told)

@@ -483,7 +483,7 @@ def ask(
     `matcher` is what `job.matcher` names: the word, or the matcher itself where it has weights.
     """
     capture = window.capture if job.depth else without_depth(window.capture)
-    start = None if job.coarse else start_of(window, seed)
+    start = start_of(window, seed)
     encoder = encoder_of(job.coarse, scene, window, seed) if job.coarse else None
     began = time.perf_counter()
     if job.coarse is not None:
@@ -502,4 +502,5 @@ def ask(
         return Refined(errors_of(start, window.truth), after, accepted=None)
     else:
         estimate = scene.refine(capture, start, matcher=matcher, options=job.options, seed=seed)
-    return measure_refined(estimate, window, seconds=time.perf_counter() - began, start=start)
+    seconds, own = time.perf_counter() - began, None if job.coarse else start
+    return measure_refined(estimate, window, seconds=seconds, start=own)
