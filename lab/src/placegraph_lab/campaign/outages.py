@@ -248,7 +248,7 @@ def scheduler(inputs: Path, effort: Effort, seconds: float) -> Counter[str]:
     from distributed import LocalCluster
 
     from placegraph.world.world import open_world
-    from placegraph_scale.build.build import BuildOptions, build_world
+    from placegraph_scale.build import BuildOptions, build_world
 
     def started(port: int) -> LocalCluster:
         return LocalCluster(

@@ -468,7 +468,7 @@ def _library(folder: Path, places: DrawnPlaces) -> None:
 
 def _shards(folder: Path, places: DrawnPlaces) -> None:
     """One map under four names, two a shard; the folder is a world as well."""
-    from placegraph_scale.library.shard_write import Listed, write_shards
+    from placegraph_scale.library.write import Listed, write_shards
 
     entry = _rooms(folder, places).entry("room")
     listed = [Listed(f"room {i}", entry, "../room.scene") for i in range(4)]

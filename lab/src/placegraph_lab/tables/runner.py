@@ -140,8 +140,7 @@ def markdown(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 class Column:
     """Column of a table: title, value of a row, and how the value is written.
 
-    `value` is a key of a mapping, a path of keys and attributes (`score.recall`), or a function of
-    the row. `write` is a function of the value or a number of decimals; missing values are dashes.
+    `value` is a path of keys, attributes and indices (`score.recall.0`), or a function of the row. `write` is a function of the value or a number of decimals; missing values are dashes.
     """
 
     title: str
@@ -162,7 +161,10 @@ class Column:
 
 def _lookup(row: Any, path: str) -> Any:  # noqa: ANN401
     for key in path.split("."):
-        row = row.get(key) if isinstance(row, Mapping) else getattr(row, key)
+        if isinstance(row, Mapping):
+            row = row.get(key)
+        else:
+            row = row[int(key)] if key.isdecimal() else getattr(row, key)
         if row is None:
             return None
     return row

@@ -7,10 +7,9 @@ import pytest
 
 import placegraph as pg
 from placegraph.errors import InputError, MapError, PlacegraphError
-from placegraph.indoor.library.scenes import Entry
-from placegraph.world import among, open_world
+from placegraph.indoor.library.library import Entry
+from placegraph.world import open_world
 from placegraph_lab.tables.scene.search import varied
-from placegraph_scale.library.shard_write import Listed, write_shards
 from placegraph_scale.library.shards import SceneShards
 from placegraph_scale.library.write import Listed, write_shards
 

@@ -10,9 +10,8 @@ from placegraph.core import mapfile as store
 from placegraph.errors import InputError, MapError, OptionError
 from placegraph.indoor.language import read
 from placegraph.indoor.library import library_of
-from placegraph.indoor.library.scenes import Entry
+from placegraph.indoor.library.library import Entry
 from placegraph_lab.tables.scene.search import varied
-from placegraph_scale.library.shard_write import Listed, write_shards
 from placegraph_scale.library.shards import SceneShards
 from placegraph_scale.library.write import Listed, write_shards
 

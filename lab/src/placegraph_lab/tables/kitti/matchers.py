@@ -26,10 +26,10 @@ from placegraph.outdoor.language.description import (
     Relation,
     Statement,
 )
-from placegraph.outdoor.likelihood.fit_kernels import DIRECTION, INSIDE, direction_table
+from placegraph.outdoor.likelihood.match_kernels import DIRECTION, INSIDE, direction_table
 from placegraph.outdoor.map.objects import of_name
 from placegraph.outdoor.network.graphs import PlaceGraphs
-from placegraph.outdoor.network.graphs_kernels import MOST_THINGS
+from placegraph.outdoor.network.network_kernels import MOST_THINGS
 from placegraph_lab.datasets.kitti360pose import Kitti360Pose
 from placegraph_lab.tables.kitti.kitti_kernels import between, from_speaker, nearest_owner, sighted
 from placegraph_lab.tables.outdoor.nearby import DIRECTIONS as WINDS

@@ -56,21 +56,21 @@ RECALLS = " / ".join(
 )
 Line = tuple[str, Score]
 SCORES = (
-    Col("", lambda r: r[0]), Col("windows", lambda r: r[1].windows),
-    Col("mean", lambda r: r[1].mean, errors), Col("median", lambda r: r[1].median, errors),
-    Col(RECALLS, lambda r: r[1].recall, shares),
+    Col("", "0"), Col("windows", "1.windows"),
+    Col("mean", "1.mean", errors), Col("median", "1.median", errors),
+    Col(RECALLS, "1.recall", shares),
     Col("OK", lambda r: r[1].status.get("OK", 0.0), share),
-    Col("OK right", lambda r: r[1].right, share), Col("truth in modes", lambda r: r[1].held, share),
-    Col("honest", lambda r: r[1].honest, share), Col("particles", lambda r: r[1].particles, 0),
-    Col("s/frame", lambda r: r[1].frame_seconds, 3),
+    Col("OK right", "1.right", share), Col("truth in modes", "1.held", share),
+    Col("honest", "1.honest", share), Col("particles", "1.particles", 0),
+    Col("s/frame", "1.frame_seconds", 3),
 )  # fmt: skip
 CALIBRATION = (
-    Col("", lambda r: r[0]), Col("answers", lambda r: r[1].windows),
-    Col("calibration error", lambda r: r[1].calibration.error, share),
-    Col("of perfect", lambda r: r[1].calibration.floor, share),
-    *(Col(f"error / sigma: {axis}" if not i else axis, lambda r, i=i: r[1].spread[i], 2)
+    Col("", "0"), Col("answers", "1.windows"),
+    Col("calibration error", "1.calibration.error", share),
+    Col("of perfect", "1.calibration.floor", share),
+    *(Col(f"error / sigma: {axis}" if not i else axis, f"1.spread.{i}", 2)
       for i, axis in enumerate(AXES)),
-    Col("within the 95 % ellipsoid", lambda r: r[1].inside, share),
+    Col("within the 95 % ellipsoid", "1.inside", share),
 )  # fmt: skip
 
 

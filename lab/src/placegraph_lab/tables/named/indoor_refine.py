@@ -68,23 +68,23 @@ ask = rows_of.ask
 NEAREST = LIMITS.index((0.10, 5.0))
 RECALLS = " / ".join(f"{100 * m:.0f} cm {d:.0f}°" for m, d in LIMITS)
 SCORES = (
-    Col("", lambda r: r[0]), Col("windows", lambda r: r[1].windows),
-    Col("mean before", lambda r: r[1].before.mean, errors),
-    Col("after", lambda r: r[1].after.mean, errors),
-    Col("median before", lambda r: r[1].before.median, errors),
-    Col("after", lambda r: r[1].after.median, errors),
-    Col(f"{RECALLS} before", lambda r: r[1].before.recall, shares),
-    Col("after", lambda r: r[1].after.recall, shares),
-    Col("accepted", lambda r: r[1].accepted, share), Col("harmful", lambda r: r[1].harmful, share),
-    Col("wrongly refused", lambda r: r[1].wrongly_refused, share),
-    Col("s refining", lambda r: r[1].refine_seconds, 2), Col("s in all", lambda r: r[1].seconds, 2),
+    Col("", "0"), Col("windows", "1.windows"),
+    Col("mean before", "1.before.mean", errors),
+    Col("after", "1.after.mean", errors),
+    Col("median before", "1.before.median", errors),
+    Col("after", "1.after.median", errors),
+    Col(f"{RECALLS} before", "1.before.recall", shares),
+    Col("after", "1.after.recall", shares),
+    Col("accepted", "1.accepted", share), Col("harmful", "1.harmful", share),
+    Col("wrongly refused", "1.wrongly_refused", share),
+    Col("s refining", "1.refine_seconds", 2), Col("s in all", "1.seconds", 2),
 )  # fmt: skip
 SPREADS = (
-    Col("", lambda r: r[0]), Col("poses", lambda r: r[1]["count"]),
-    *(Col(f"rms {axis}", lambda r, i=i: r[1]["rms"][i], 2) for i, axis in enumerate(AXES)),
+    Col("", "0"), Col("poses", "1.count"),
+    *(Col(f"rms {axis}", f"1.rms.{i}", 2) for i, axis in enumerate(AXES)),
     Col("within 1 / 2 / 3 σ",
         lambda r: shares(sum(w) / len(w) for w in r[1]["within_sigma"].values())),
-    Col("within the 95 % ellipsoid", lambda r: r[1]["within_95_percent"], share),
+    Col("within the 95 % ellipsoid", "1.within_95_percent", share),
 )  # fmt: skip
 NORMAL = ["*a normal distribution*", "–", *["1.00"] * len(AXES), ".68/.95/1.00", ".95"]
 

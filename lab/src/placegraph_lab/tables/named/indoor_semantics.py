@@ -243,13 +243,13 @@ def error(pair: tuple[float, float] | None) -> str:
 
 COLUMNS = (
     Col("encoder", lambda r: "–" if r.job.encoder == NONE else r.job.encoder),
-    Col("terms", lambda r: r.job.terms), Col("windows", lambda r: r.score.windows),
-    Col("mean", lambda r: r.score.mean, error), Col("median", lambda r: r.score.median, error),
+    Col("terms", "job.terms"), Col("windows", "score.windows"),
+    Col("mean", "score.mean", error), Col("median", "score.median", error),
     *(Col(f"R@{100 * limits[0]:.0f}cm {limits[1]:.0f}°",
-          lambda r, limits=limits: r.score.recall[THRESHOLDS.index(limits)], share)
+          f"score.recall.{THRESHOLDS.index(limits)}", share)
       for limits in LIMITS),
     Col("OK", lambda r: r.score.status.get("OK", 0.0), share),
-    Col("OK right", lambda r: r.score.right, share), Col("s/frame", lambda r: r.score.frame_seconds, 3),
+    Col("OK right", "score.right", share), Col("s/frame", "score.frame_seconds", 3),
 )  # fmt: skip
 
 

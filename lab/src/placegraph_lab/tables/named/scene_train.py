@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from time import perf_counter, process_time
 from typing import Annotated, Any
@@ -27,7 +27,7 @@ class Told(Progress):
         """As `Progress.preparing`."""
         self._say(f"looked at {name}, {done} of {total}")
 
-    def epoch(self, row: dict[str, float]) -> None:
+    def epoch(self, row: Mapping[str, float]) -> None:
         """As `Progress.epoch`."""
         self._say(", ".join(f"{name} {value:.3f}" for name, value in row.items()))
 

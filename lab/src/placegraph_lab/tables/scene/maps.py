@@ -169,7 +169,7 @@ class Maps:
             start = time.perf_counter()
             assert SceneMap.open(path).caster is not None  # noqa: S101  # made on first use
             spent.append(time.perf_counter() - start)
-        facts = (
+        facts: dict[str, Any] = (
             {"place": place, "size": size.name}
             | {
                 "digest": digest(path),

@@ -21,12 +21,9 @@ from numpy.typing import NDArray
 from placegraph.core.geometry import rotation_z
 from placegraph.indoor.encode import Encoder, vectors_of
 from placegraph.indoor.library import SceneLibrary
-from placegraph.indoor.library.index import Index
-from placegraph.indoor.library.options import SearchOptions
-from placegraph.indoor.library.query import encode
-from placegraph.indoor.library.scenes import Entry
-from placegraph.indoor.library.search import scores
-from placegraph.indoor.library.signature import TURNS, Signature, signature_of
+from placegraph.indoor.library.library import Entry
+from placegraph.indoor.library.search import SearchOptions, encode, scores
+from placegraph.indoor.library.signature import TURNS, Index, Signature, signature_of
 from placegraph.io.capture.capture import Capture
 from placegraph_lab.tables.runner import INDOOR, WORLDS, Journal, code_key
 from placegraph_lab.tables.scene.places import (
