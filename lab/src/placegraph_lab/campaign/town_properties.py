@@ -23,11 +23,10 @@ from placegraph.outdoor.language.description import (
     Statement,
 )
 from placegraph.outdoor.likelihood.match_kernels import SLACK, score_views
-from placegraph.outdoor.locate import Hints
 from placegraph.outdoor.map.index import REACH, STRIDE
 from placegraph.outdoor.search.candidates import Candidates
 from placegraph.outdoor.search.posterior import TOGETHER
-from placegraph.outdoor.search.request import Matching, make_request
+from placegraph.outdoor.search.request import Hints, Matching, make_request
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element

@@ -140,7 +140,8 @@ def markdown(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 class Column:
     """Column of a table: title, value of a row, and how the value is written.
 
-    `value` is a path of keys, attributes and indices (`score.recall.0`), or a function of the row. `write` is a function of the value or a number of decimals; missing values are dashes.
+    `value` is a path of keys, attributes and indices (`score.recall.0`), or a function of the row;
+    `write` a function of the value or a number of decimals. Missing values are dashes.
     """
 
     title: str

@@ -50,8 +50,8 @@ from placegraph_lab.tables.statistics import apart
 from placegraph_lab.worlds.bags import BagWriter, Layout, write_capture
 
 if TYPE_CHECKING:
+    from placegraph.indoor.track.belief import LivePose
     from placegraph.indoor.track.live import LiveTracker
-    from placegraph.indoor.track.live_pose import LivePose
 
 PERIOD = 0.2  # seconds from an image to the next
 RATE = 10  # samples of odometry an image: 50 Hz
