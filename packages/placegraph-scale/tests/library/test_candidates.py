@@ -10,6 +10,7 @@ from placegraph.errors import InputError, MapError, PlacegraphError
 from placegraph.indoor.library.library import Entry
 from placegraph.world import open_world
 from placegraph_lab.tables.scene.search import varied
+from placegraph_scale.library import candidates
 from placegraph_scale.library.shards import SceneShards
 from placegraph_scale.library.write import Listed, write_shards
 
