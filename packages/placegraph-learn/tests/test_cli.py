@@ -13,7 +13,7 @@ from placegraph_lab.worlds.town.town import Town
 from placegraph_learn.city.train import TrainOptions
 from placegraph_learn.cli import ShownProgress, choose_worlds, train_city
 
-TINY = ("--epochs", 2, "--examples", 6, "--steps", 2, "--batch", 3, "--check", 3, "--device", "cpu")
+TINY = ("--epochs", 2, "--examples", 4, "--steps", 1, "--batch", 2, "--check", 2, "--device", "cpu")
 TEXT = "I am on Speicherweg. The museum is south of me."
 
 
@@ -31,16 +31,6 @@ def pools(tmp_path_factory):
     return tmp_path_factory.mktemp("pools")
 
 
-@pytest.fixture
-def needs_torch():
-    torch = pytest.importorskip("torch", reason="PyTorch is not installed (extra learn)")
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)  # so small are these networks
-    yield
-    torch.set_num_threads(before)
-
-
-@pytest.mark.usefixtures("needs_torch")
 def test_train_writes_weights_a_table_and_curves(run, city, pools, tmp_path):
     out, work = tmp_path / "a.weights", tmp_path / "work"
     result = run("city", "train", city, "-o", out, "--work", work, "--pools", pools, *TINY)
@@ -59,7 +49,6 @@ def test_train_writes_weights_a_table_and_curves(run, city, pools, tmp_path):
     assert [row["epoch"] for row in again.json["curves"]] == [1, 2]
 
 
-@pytest.mark.usefixtures("needs_torch")
 def test_train_takes_word_vectors(run, city, pools, tmp_path):
     out, work, words = (tmp_path / name for name in ("a.weights", "work", "words.txt"))
     words.write_text("2 3\nmuseum 1 2 3\nhouse 3 2 1\n", "utf-8")
@@ -71,7 +60,6 @@ def test_train_takes_word_vectors(run, city, pools, tmp_path):
     assert here.json["modes"]
 
 
-@pytest.mark.usefixtures("needs_torch")
 def test_ctrl_c_says_how_to_go_on(run, city, pools, tmp_path, monkeypatch):
     out, work = tmp_path / "a.weights", tmp_path / "work"
     command = ("city", "train", city, "-o", out, "--work", work, "--pools", pools, *TINY)
@@ -105,7 +93,6 @@ def test_sizes_and_losses_are_those_of_the_library():
     assert tuple(options["losses"].default.split(",")) == TrainOptions().losses
 
 
-@pytest.mark.usefixtures("needs_torch")
 def test_the_papers_network_is_trained_and_locates(run, city, pools, tmp_path):
     out = tmp_path / "paper.weights"
     made = run(
@@ -135,7 +122,6 @@ def test_what_cannot_be_trained_is_refused_at_once(run, city, tmp_path):
     assert not work.exists()
 
 
-@pytest.mark.usefixtures("needs_torch")
 def test_another_training_and_a_strange_device_are_refused(run, city, pools, tmp_path):
     train = ("city", "train", city, "-o", tmp_path / "a.weights", "--work", tmp_path / "work")
     (tmp_path / "work").mkdir()

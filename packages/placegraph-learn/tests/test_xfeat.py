@@ -12,6 +12,7 @@ torch = pytest.importorskip("torch", reason="needs PyTorch: pip install 'placegr
 feature = pytest.importorskip("kornia.feature", reason="needs kornia: 'placegraph[xfeat]'")
 
 MODES = {"points": {}, "larger": {"scale": 2.0}, "cells": {"dense": True}}
+LONG = [pytest.param("larger", marks=pytest.mark.all)]
 
 
 @pytest.fixture(scope="module")
@@ -19,7 +20,7 @@ def weights(shared):
     return shared / "weights/xfeat.pt"
 
 
-@pytest.fixture(scope="module", params=MODES)
+@pytest.fixture(scope="module", params=["points", "cells", *LONG])
 def xfeat(request, weights):
     return matcher("xfeat", weights=weights, **MODES[request.param])
 

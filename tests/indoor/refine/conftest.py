@@ -125,7 +125,13 @@ def exact(room, walk, truth):
     return SimpleNamespace(capture=_frames(room, poses), poses=poses)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
+def located(room, walk):
+    """The drawn room's first five frames, localized."""
+    return room.localize(walk, frames=slice(0, 5))
+
+
+@pytest.fixture(scope="session")
 def in_memory():
     """Rebuild a capture in memory: `in_memory(capture, rgb=function of the frame, ...)`."""
 

@@ -7,17 +7,6 @@ from placegraph_learn.scenegraphloc.features import ColourFeatures
 from placegraph_learn.scenegraphloc.lessons import placed
 
 
-@pytest.fixture(autouse=True)
-def one_torch_thread():
-    """So small are these networks."""
-    torch = pytest.importorskip("torch", reason="PyTorch is not installed (extra learn)")
-    pytest.importorskip("safetensors", reason="safetensors is not installed (extra learn)")
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
-
-
 @pytest.fixture(scope="session")
 def survey(walk, truth):
     """The walk through the room as one of the map: its odometry is map_from_camera."""

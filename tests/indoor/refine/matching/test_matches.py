@@ -96,7 +96,22 @@ def test_never_more_than_asked_for(height, width, count):
     assert 1 <= len(found) <= count
 
 
-@pytest.fixture(scope="module", params=["sift", "xfeat", "xfeat dense"])
+pytestmark = pytest.mark.usefixtures("one_torch_thread")
+
+
+@pytest.fixture(scope="module")
+def one_torch_thread():
+    """So small are the networks."""
+    torch = pytest.importorskip("torch", reason="PyTorch is not installed (extra learn)")
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.fixture(
+    scope="module", params=["sift", "xfeat dense", pytest.param("xfeat", marks=pytest.mark.all)]
+)
 def any_matcher(request):
     if request.param == "sift":
         pytest.importorskip("cv2", reason="needs OpenCV: pip install 'placegraph[sift]'")
@@ -111,8 +126,7 @@ def test_it_is_a_matcher(any_matcher):
     assert any_matcher.name in MATCHERS
 
 
-@pytest.mark.parametrize("value", [0, 128, 255])
-@pytest.mark.parametrize("size", [(90, 160), (33, 47)])
+@pytest.mark.parametrize(("value", "size"), [(0, (33, 47)), (255, (90, 160))])
 def test_blank_and_burnt_out_images_match_nothing(any_matcher, picture, value, size):
     empty = np.full((*size, 3), value, np.uint8)
     noisy = empty.copy()
@@ -123,7 +137,7 @@ def test_blank_and_burnt_out_images_match_nothing(any_matcher, picture, value, s
         assert found.query.shape == found.rendered.shape == (0, 2)
 
 
-@pytest.mark.parametrize("size", [(1, 1), (2, 3), (7, 9), (8, 8), (1, 300), (33, 15)])
+@pytest.mark.parametrize("size", [(1, 1), (7, 9), (1, 300), (33, 15)])
 def test_tiny_images_are_no_trouble(any_matcher, picture, rng, size):
     tiny = rng.integers(0, 256, (*size, 3), dtype=np.uint8)
     for found in (*any_matcher.match(tiny, [picture, tiny]), *any_matcher.match(picture, [tiny])):
