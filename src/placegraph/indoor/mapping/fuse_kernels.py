@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, allow-incomplete-defs
 """Compiled loops of the sparse volume: a hash of blocks, and views taken into them; see `volume`.
 
 A block is a cube of SIDE^3 voxels; its key packs its whole coordinates. The hash is open addressing
@@ -11,9 +12,6 @@ import numpy as np
 from placegraph.core.jit import kernel
 from placegraph.core.threads import share
 
-# mypy: allow-untyped-defs, allow-incomplete-defs
-
-
 SIDE = 8  # Voxels along the edge of a block
 SIZE = SIDE**3
 RANGE = 1 << 20  # Coordinates of blocks are below this, either way
@@ -24,6 +22,16 @@ NEAR = 0.15  # Readings and voxels nearer than this are none [m]
 def key_of(x, y, z):
     """Key of the block at whole coordinates."""
     return ((x + RANGE) << 42) | ((y + RANGE) << 21) | (z + RANGE)
+
+
+@kernel(inline="always")
+def transform(pose, x, y, z):
+    """Point as three numbers after a rigid motion (4, 4)."""
+    return (
+        pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z + pose[0, 3],
+        pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z + pose[1, 3],
+        pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z + pose[2, 3],
+    )
 
 
 @kernel
@@ -77,21 +85,9 @@ def touch(keys, rows, places, count, room, facets, eye, pose, edge, band, step):
             for part in range(parts):
                 at = max(z + (2 * part / (parts - 1) - 1) * band / ray, 0.0)
                 px, py = x * at, y * at
-                bx = np.int64(
-                    np.floor(
-                        (pose[0, 0] * px + pose[0, 1] * py + pose[0, 2] * at + pose[0, 3]) / edge
-                    )
-                )
-                by = np.int64(
-                    np.floor(
-                        (pose[1, 0] * px + pose[1, 1] * py + pose[1, 2] * at + pose[1, 3]) / edge
-                    )
-                )
-                bz = np.int64(
-                    np.floor(
-                        (pose[2, 0] * px + pose[2, 1] * py + pose[2, 2] * at + pose[2, 3]) / edge
-                    )
-                )
+                mx, my, mz = transform(pose, px, py, at)
+                bx, by = np.int64(np.floor(mx / edge)), np.int64(np.floor(my / edge))
+                bz = np.int64(np.floor(mz / edge))
                 if abs(bx) >= RANGE or abs(by) >= RANGE or abs(bz) >= RANGE:
                     continue
                 key = key_of(bx, by, bz)
@@ -111,23 +107,9 @@ def touch(keys, rows, places, count, room, facets, eye, pose, edge, band, step):
 
 @kernel(error_model="numpy")
 def integrate(
-    distance,
-    weight,
-    colour,
-    paint,
-    places,
-    chosen,
-    voxel,
-    truncation,
-    facets,
-    image,
-    gain,
-    eyes,
-    pose,
-    band,
-    first,
-    last,
-):
+    distance, weight, colour, paint, places, chosen, voxel, truncation, facets, image, gain, eyes,
+    pose, band, first, last,
+):  # fmt: skip
     """Take one view into the blocks `chosen`, from `first` to `last` of them, in place.
 
     `distance`, `weight`, `paint`: (B, SIZE) float32 signed distance [m], its weight, and that of the
@@ -145,9 +127,7 @@ def integrate(
             px = (places[row, 0] * SIDE + line // SIDE + 0.5) * voxel
             py = (places[row, 1] * SIDE + line % SIDE + 0.5) * voxel
             pz = (places[row, 2] * SIDE + 0.5) * voxel
-            x0 = pose[0, 0] * px + pose[0, 1] * py + pose[0, 2] * pz + pose[0, 3]
-            y0 = pose[1, 0] * px + pose[1, 1] * py + pose[1, 2] * pz + pose[1, 3]
-            z0 = pose[2, 0] * px + pose[2, 1] * py + pose[2, 2] * pz + pose[2, 3]
+            x0, y0, z0 = transform(pose, px, py, pz)
             for k in range(SIDE):
                 x, y, z = x0 + k * sx, y0 + k * sy, z0 + k * sz
                 if z < NEAR:
@@ -178,9 +158,8 @@ def integrate(
                 u, v = eyes[1, 0] * a + eyes[1, 2], eyes[1, 1] * b + eyes[1, 3]
                 if u < 0 or v < 0 or u >= wide or v >= tall:
                     continue
-                new = near * np.sqrt(
-                    new
-                )  # near and frontal views count most, yet noise is averaged
+                # near and frontal views count most, yet noise is averaged
+                new = near * np.sqrt(new)
                 paint[row, at] += new
                 share = new / paint[row, at]
                 pixel = image[int(v), int(u)]
@@ -236,15 +215,9 @@ def brightness_ratios(keys, rows, colour, paint, voxel, facets, image, eyes, pos
             if max(pixel[0], pixel[1], pixel[2]) > 245 or seen < 12:
                 continue  # clipped, or noise
             px, py = x * z, y * z
-            a = np.int64(
-                np.floor((pose[0, 0] * px + pose[0, 1] * py + pose[0, 2] * z + pose[0, 3]) / voxel)
-            )
-            b = np.int64(
-                np.floor((pose[1, 0] * px + pose[1, 1] * py + pose[1, 2] * z + pose[1, 3]) / voxel)
-            )
-            c = np.int64(
-                np.floor((pose[2, 0] * px + pose[2, 1] * py + pose[2, 2] * z + pose[2, 3]) / voxel)
-            )
+            mx, my, mz = transform(pose, px, py, z)
+            a, b = np.int64(np.floor(mx / voxel)), np.int64(np.floor(my / voxel))
+            c = np.int64(np.floor(mz / voxel))
             row = row_of(keys, rows, a // SIDE, b // SIDE, c // SIDE)
             if row < 0:
                 continue
@@ -257,9 +230,6 @@ def brightness_ratios(keys, rows, colour, paint, voxel, facets, image, eyes, pos
                 out[n] = known / seen
                 n += 1
     return out[:n]
-
-
-# mypy: allow-untyped-defs, allow-incomplete-defs
 
 
 FLAT = 0.1  # Least cosine of the angle at which a reading's surface is looked at
@@ -407,16 +377,10 @@ def visible(places, count, edge, far, tile, eye, shape, pose, band):
     n = 0
     radius = 0.5 * np.sqrt(3.0) * edge
     for row in range(count):
-        px, py, pz = (
-            (places[row, 0] + 0.5) * edge,
-            (places[row, 1] + 0.5) * edge,
-            (places[row, 2] + 0.5) * edge,
-        )
-        z = pose[2, 0] * px + pose[2, 1] * py + pose[2, 2] * pz + pose[2, 3]
+        px, py = (places[row, 0] + 0.5) * edge, (places[row, 1] + 0.5) * edge
+        x, y, z = transform(pose, px, py, (places[row, 2] + 0.5) * edge)
         if z < -radius:
             continue
-        x = pose[0, 0] * px + pose[0, 1] * py + pose[0, 2] * pz + pose[0, 3]
-        y = pose[1, 0] * px + pose[1, 1] * py + pose[1, 2] * pz + pose[1, 3]
         left, right, top, low = 0.0, shape[1] - 1.0, 0.0, shape[0] - 1.0
         front = z - radius
         if front > NEAR:  # bounds of the sphere's picture, on the safe side
@@ -436,9 +400,6 @@ def visible(places, count, edge, far, tile, eye, shape, pose, band):
             found[n] = row
             n += 1
     return found[:n]
-
-
-# mypy: allow-untyped-defs, allow-incomplete-defs
 
 
 _WIDE = SIDE + 1

@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, allow-incomplete-defs
 """Compiled parts of `groups`."""
 
 from __future__ import annotations
@@ -7,8 +8,6 @@ import heapq
 import numpy as np
 
 from placegraph.core.jit import kernel
-
-# mypy: allow-untyped-defs, allow-incomplete-defs
 
 
 @kernel
@@ -38,9 +37,6 @@ def _grouped(keys, table, group, first):
                 break
             at = (at + np.uint64(1)) & mask
     return count
-
-
-# mypy: allow-untyped-defs, allow-incomplete-defs
 
 
 BORDER = 10.0
@@ -322,9 +318,6 @@ def quadrics_of(points, faces, ends, planes):
         for k in range(2):
             add_plane(quadrics[ends[e, k]], p[0], p[1], p[2], p[3], weight)
     return quadrics
-
-
-# mypy: allow-untyped-defs, allow-incomplete-defs
 
 
 TURN = 0.3  # Cosine of the angle that a face may turn in one collapse

@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, allow-incomplete-defs
 """Nearest points within a reach, by a grid: carries labels from one mesh to another."""
 
 from __future__ import annotations
@@ -6,8 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.jit import kernel
-
-# mypy: allow-untyped-defs, allow-incomplete-defs
 
 
 @kernel

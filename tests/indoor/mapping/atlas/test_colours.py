@@ -15,7 +15,6 @@ from placegraph.indoor.mapping.atlas.colours import (
     group_keyframes,
     measure_sharpness,
     mesh_colours,
-    surface_colours,
 )
 from placegraph.indoor.rays import RayCaster
 from placegraph.io.capture.frame import Frame
@@ -192,6 +191,10 @@ def test_what_is_refused(floor, options, word):
 
 UPWARD, DOWNWARD = np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 0.0, -1.0]])
 NONE = np.zeros(1, np.int64)
+
+
+def surface_colours(vertices, triangles, colours, **options):
+    return mesh_colours(Mesh.plain(vertices, triangles, colours=colours), **options)
 
 
 def waves(points):

@@ -472,7 +472,7 @@ def bake(
         Triangles with shared vertices; its own colours and textures are not looked at. Triangles,
         their order and their objects stay; vertices are doubled where charts meet.
     colour_of
-        `surface_colours`, `mesh_colours`, `frame_colours`, or any function like them.
+        `mesh_colours`, `frame_colours`, or any function like them.
     texel
         Width of a texel [m].
     margin

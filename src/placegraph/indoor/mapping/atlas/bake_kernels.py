@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, allow-incomplete-defs
 """Compiled loops that cut a surface into charts."""
 
 from __future__ import annotations
@@ -7,9 +8,6 @@ from heapq import heappop, heappush
 import numpy as np
 
 from placegraph.core.jit import kernel
-
-# mypy: allow-untyped-defs, allow-incomplete-defs
-
 
 STRICT = 1e-3
 """Share of each corner that a texel's centre needs to lie inside a triangle beyond doubt."""
@@ -176,9 +174,6 @@ def _mean_of(neighbours, colours, known, row):
             colours[row] += colours[other]
             count += 1
     colours[row] /= count
-
-
-# mypy: allow-untyped-defs, allow-incomplete-defs
 
 
 REACH = 1.5

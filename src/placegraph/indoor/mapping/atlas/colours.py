@@ -22,13 +22,12 @@ from placegraph.indoor.mapping.atlas.colour_kernels import (
     balance,
     colours_of,
     mixed,
-    nearest,
     observe,
     resampled,
-    sorted_cells,
 )
 from placegraph.indoor.rays import RayCaster
 from placegraph.io.capture.frame import Frame
+from placegraph.io.mesh.nearest_kernels import nearest
 
 if TYPE_CHECKING:
     from placegraph.indoor.mapping.atlas.bake import ColourOf
@@ -338,18 +337,8 @@ def _spread_points(vertices: Floats, triangles: NDArray[Any], count: int) -> tup
     return points, doubled[rows] / np.maximum(area[rows], 1e-30)[:, None]
 
 
-def surface_colours(
-    vertices: ArrayLike, triangles: ArrayLike, colours: ArrayLike, *, reach: float = REACH
-) -> ColourOf:
-    """Colours of a dense mesh: vertices (V, 3) [m], triangles (T, 3), colours (V, 3) uint8.
-
-    Parameters and errors otherwise as of `mesh_colours`.
-    """
-    return mesh_colours(Mesh.plain(vertices, triangles, colours=colours), reach=reach)
-
-
 def mesh_colours(mesh: Mesh, *, texel: float = 0.01, reach: float = REACH) -> ColourOf:
-    """Colours of a mesh of the same surface, with textures or without.
+    """Return the colours of a mesh of the same surface, with textures or without.
 
     A point has the colour that a ray along its normal, or against it, meets within `reach` [m],
     rather on a face that looks the same way; where there is none, that of the nearest vertex within
@@ -360,22 +349,19 @@ def mesh_colours(mesh: Mesh, *, texel: float = 0.01, reach: float = REACH) -> Co
     if not (np.isfinite(reach) and reach > 0):
         raise OptionError(f"reach is {reach}; it must be a length in metres, as {REACH}.")
     caster = RayCaster(mesh.vertices, mesh.triangles)
-    surface = Surface.of(mesh)
-    normals = mesh.normals()
-    low = mesh.bounds()[0]
-    grid = sorted_cells(mesh.vertices, low, 2.0 * reach)
-    first_of = np.zeros(len(mesh.vertices), np.int64)  # a triangle and a corner of each vertex
+    surface, normals = Surface.of(mesh), mesh.normals()
+    vertices = mesh.vertices.astype(np.float64)
+    first_of = np.zeros(len(vertices), np.int64)  # a triangle and a corner of each vertex
     first_of[mesh.triangles.ravel()] = np.arange(mesh.triangles.size)
 
     def colour_of(points: Floats, along: Floats, _: Any) -> tuple[NDArray[np.uint8], Any]:  # noqa: ANN401
         triangle, u, v = _find_facing(caster, normals, points, along, reach)
         bare = np.flatnonzero(triangle < 0)
-        rows = np.empty(len(bare), np.int64)
-        share(nearest, len(bare), points[bare], mesh.vertices, grid, low, 2.0 * reach, rows)
-        found = rows >= 0
-        place = first_of[rows[found]]
-        triangle[bare[found]] = place // 3
-        u[bare[found]], v[bare[found]] = place % 3 == 1, place % 3 == 2
+        if len(bare):
+            rows = nearest(points[bare], vertices, 2.0 * reach)
+            place = first_of[rows[rows >= 0]]
+            met = bare[rows >= 0]
+            triangle[met], u[met], v[met] = place // 3, place % 3 == 1, place % 3 == 2
         out = np.zeros((len(points), 3), np.uint8)
         share(colours_of, len(points), surface, triangle, u, v, np.float32(texel), out)
         return out, triangle >= 0

@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, allow-incomplete-defs
 """Compiled: colours of hits, and cells that touch."""
 
 from __future__ import annotations
@@ -7,9 +8,6 @@ from numpy.typing import NDArray
 
 from placegraph.core.jit import kernel
 from placegraph.indoor.map.map_kernels import colour_at
-
-# mypy: allow-untyped-defs, allow-incomplete-defs
-
 
 BITS = 20  # Of a cell's number along one axis
 
