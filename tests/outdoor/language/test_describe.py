@@ -13,7 +13,7 @@ from placegraph.language.measures import metres
 from placegraph.outdoor.language import describe, normalise, tokens
 from placegraph.outdoor.language.description import SPEAKER
 from placegraph.outdoor.language.languages import english
-from placegraph.outdoor.language.scan import scan
+from placegraph.outdoor.language.scan import scan_english
 
 
 @pytest.mark.parametrize(
@@ -144,13 +144,13 @@ def test_names_meet_in_their_normal_form(one, other):
     ],
 )  # fmt: skip
 def test_distances(text, expected):
-    words = [word for sentence in scan(f"{text} north", english()) for word in sentence]
+    words = [word for sentence in scan_english(f"{text} north", english()) for word in sentence]
     assert [word.metres for word in words if word.kind == "measure"] == [pytest.approx(expected)]
 
 
 def test_a_block_alone_is_no_distance():
     assert metres("a block", "a") == pytest.approx(100)
-    words = [w.kind for w in scan("on a block with trees", english())[0]]
+    words = [w.kind for w in scan_english("on a block with trees", english())[0]]
     assert "measure" not in words
 
 
@@ -164,7 +164,7 @@ def test_a_block_alone_is_no_distance():
     ],
 )
 def test_sentences(text, sentences):
-    assert len(scan(text, english())) == sentences
+    assert len(scan_english(text, english())) == sentences
 
 
 def test_a_heading_turns_with_the_speaker():

@@ -5,15 +5,17 @@ from __future__ import annotations
 import json
 import threading
 import time
-from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from math import pi
+from types import SimpleNamespace
 
 import pytest
 
 from placegraph.errors import DescriptionError, OptionError, ServiceError
 from placegraph.outdoor.language import LanguageModelDescriber
 from placegraph.outdoor.language.description import Relation
+from placegraph.outdoor.language.language_model import Answer
+from placegraph.outdoor.language.vocabulary import Vocabulary
 
 TEXT = "I'm at a bakery on Penn Avenue. Two benches are north of me, no trees. It is nice."
 ANSWER = {
@@ -42,21 +44,21 @@ def reply(content):
     ).encode()
 
 
-@contextmanager
-def service(body, *, status=200, delay=0.0):
-    """Serve one body at an address on this machine; yield the address and what was asked."""
-    asked = []
+@pytest.fixture(scope="module")
+def service():
+    """A service on this machine: its address, what it was asked, and what it answers with."""
+    now = SimpleNamespace(asked=[], body=b"", status=200, delay=0.0)
 
     class Handler(BaseHTTPRequestHandler):
         def do_POST(self):
             length = int(self.headers["Content-Length"])
-            asked.append((self.path, dict(self.headers), json.loads(self.rfile.read(length))))
-            time.sleep(delay)
+            now.asked.append((self.path, dict(self.headers), json.loads(self.rfile.read(length))))
+            time.sleep(now.delay)
             try:
-                self.send_response(status)
-                self.send_header("Content-Length", str(len(body)))
+                self.send_response(now.status)
+                self.send_header("Content-Length", str(len(now.body)))
                 self.end_headers()
-                self.wfile.write(body)
+                self.wfile.write(now.body)
             except OSError:
                 pass  # the client gave up
 
@@ -64,31 +66,27 @@ def service(body, *, status=200, delay=0.0):
             pass
 
     server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-    thread = threading.Thread(target=server.serve_forever, daemon=True)
+    thread = threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True)
     thread.start()
-    try:
-        yield f"http://127.0.0.1:{server.server_address[1]}/v1", asked
-    finally:
-        server.shutdown()
-        thread.join()
-        server.server_close()
+    now.address = f"http://127.0.0.1:{server.server_address[1]}/v1"
+    yield now
+    server.shutdown()
+    thread.join()
+    server.server_close()
 
 
-def ask(body, text=TEXT, **options):
-    timeout = options.pop("timeout", 5.0)
-    with service(body, **options) as (address, asked):
-        describer = LanguageModelDescriber(address, "small", api_key="key", timeout=timeout)
-        return describer.describe(text), asked
+def ask(service, body, *, status=200, delay=0.0, timeout=5.0):
+    service.asked.clear()
+    service.body, service.status, service.delay = body, status, delay
+    describer = LanguageModelDescriber(service.address, "small", api_key="key", timeout=timeout)
+    return describer.describe(TEXT)
 
 
-def test_a_recorded_answer_becomes_a_query_graph():
-    description, asked = ask(reply(json.dumps(ANSWER)))
+def test_a_recorded_answer_becomes_a_query_graph(service):
+    description = ask(service, reply(json.dumps(ANSWER)))
     bakery, avenue, benches, trees = description.mentions[2:]
-    assert (bakery.words, bakery.definite, bakery.senses[0].label) == (
-        "a bakery",
-        False,
-        "shop=bakery",
-    )
+    assert (bakery.words, bakery.definite) == ("a bakery", False)
+    assert bakery.senses[0].label == "shop=bakery"
     assert avenue.name == "Penn Avenue"
     assert benches.count == 2
     same, along, north, no, far = description.statements
@@ -103,7 +101,7 @@ def test_a_recorded_answer_becomes_a_query_graph():
     assert far.bearing == pytest.approx(pi / 4)
     assert description.ignored[0].text == "It is nice."
 
-    path, headers, request = asked[0]
+    path, headers, request = service.asked[0]
     assert path == "/v1/chat/completions"
     assert headers["Authorization"] == "Bearer key"
     assert request["model"] == "small"
@@ -111,93 +109,76 @@ def test_a_recorded_answer_becomes_a_query_graph():
     assert '"direction"' in request["messages"][0]["content"]
 
 
-def changed(path, value):
-    """Return the answer with another value at a path."""
-    answer = json.loads(json.dumps(ANSWER))
-    *way, last = path
-    part = answer
-    for key in way:
-        part = part[key]
-    part[last] = value
-    return answer
+NONSENSE = [
+    (["statements", 0, "relation"], "above", r"statements\[0\].relation"),
+    (["statements", 0, "target"], 9, r"statements\[0\].target"),
+    (["statements", 0, "target"], -1, r"statements\[0\].target"),
+    (["statements", 0, "target"], True, r"statements\[0\].target"),
+    (["statements", 0, "source"], "god", r"statements\[0\].source"),
+    (["statements", 1, "source"], 1, r"statements\[1\].target"),
+    (["statements", 1, "certainty"], 2, r"statements\[1\].certainty"),
+    (["statements", 1, "distance_m"], -3, r"statements\[1\].distance_m"),
+    (["statements", 1, "bearing_deg"], 3, r"statements\[1\].bearing_deg"),
+    (["statements", 2, "bearing_deg"], None, r"statements\[2\].bearing_deg"),
+    (["statements", 2, "bearing_deg"], float("nan"), r"statements\[2\].bearing_deg"),
+    (["statements", 2, "bearing_deg"], 10**400, r"statements\[2\].bearing_deg"),
+    (["statements", 1, "relation"], "between", r"statements\[1\].target2"),
+    (["statements", 0, "mood"], "good", r"statements\[0\].mood"),
+    (["things", 0, "words"], None, r"things\[0\].words"),
+    (["things", 0], "a bakery", r"things\[0\]"),
+    (["things"], [{"words": "x"}] * 500, "things has 500 items"),
+]
 
 
-@pytest.mark.parametrize(
-    ("answer", "field"),
-    [
-        (changed(["statements", 0, "relation"], "above"), r"statements\[0\].relation"),
-        (changed(["statements", 0, "target"], 9), r"statements\[0\].target"),
-        (changed(["statements", 0, "target"], -1), r"statements\[0\].target"),
-        (changed(["statements", 0, "target"], True), r"statements\[0\].target"),
-        (changed(["statements", 0, "source"], "god"), r"statements\[0\].source"),
-        (changed(["statements", 1, "source"], 1), r"statements\[1\].target"),
-        (changed(["statements", 1, "certainty"], 2), r"statements\[1\].certainty"),
-        (changed(["statements", 1, "distance_m"], -3), r"statements\[1\].distance_m"),
-        (changed(["statements", 1, "bearing_deg"], 3), r"statements\[1\].bearing_deg"),
-        (changed(["statements", 2, "bearing_deg"], None), r"statements\[2\].bearing_deg"),
-        (changed(["statements", 2, "bearing_deg"], float("nan")), r"statements\[2\].bearing_deg"),
-        (changed(["statements", 2, "bearing_deg"], 10**400), r"statements\[2\].bearing_deg"),
-        (changed(["statements", 1, "relation"], "between"), r"statements\[1\].target2"),
-        (changed(["statements", 0, "mood"], "good"), r"statements\[0\].mood"),
-        (changed(["things", 0, "words"], None), r"things\[0\].words"),
-        (changed(["things", 0], "a bakery"), r"things\[0\]"),
-        (changed(["things"], [{"words": "x"}] * 500), "things has 500 items"),
-        ({"things": [], "statements": []}, "answer.ignored is missing"),
-        ([], "not of type object"),
-        (None, "not of type object"),
-    ],
-)
-def test_nonsense_is_refused_by_its_field(answer, field):
-    with pytest.raises(ServiceError, match=field):
-        ask(reply(json.dumps(answer)))
+def test_nonsense_is_refused_by_its_field(service):
+    for path, value, field in NONSENSE:
+        answer = json.loads(json.dumps(ANSWER))
+        part = answer
+        for key in path[:-1]:
+            part = part[key]
+        part[path[-1]] = value
+        with pytest.raises(ServiceError, match=field):
+            Answer(answer, "here").describe(TEXT, Vocabulary.default())
+    for answer in ([], None):
+        with pytest.raises(ServiceError, match="not of type object"):
+            Answer(answer, "here")
+    with pytest.raises(ServiceError, match=r"answer\.ignored is missing"):
+        ask(service, reply('{"things": [], "statements": []}'))
 
 
-@pytest.mark.parametrize(
-    "body",
-    [
+def test_no_json_is_refused(service):
+    bodies = (
         b"",
         b"<html>",
         b"{}",
         b'{"choices": []}',
         b"[1]",
         b"\xff\xfe",
-        reply("Sure! Here it is:"),
+        reply("Sure!"),
         reply(None),
-    ],
-)
-def test_no_json_is_refused(body):
-    with pytest.raises(ServiceError, match="is no JSON"):
-        ask(body)
+    )
+    for body in bodies:
+        with pytest.raises(ServiceError, match="is no JSON"):
+            ask(service, body)
 
 
-@pytest.mark.parametrize("status", [401, 404, 500, 503])
-def test_a_refusal_is_told_with_its_code(status):
-    with pytest.raises(ServiceError, match=f"{status}.*api_key"):
-        ask(b"no", status=status)
-
-
-def test_a_slow_service_is_given_up():
+def test_a_service_that_fails_is_given_up(service):
+    for status in (401, 404, 500, 503):
+        with pytest.raises(ServiceError, match=f"{status}.*api_key"):
+            ask(service, b"no", status=status)
     with pytest.raises(ServiceError, match="timeout="):
-        ask(reply("{}"), delay=1.0, timeout=0.2)
-
-
-def test_an_endless_answer_is_given_up():
+        ask(service, reply("{}"), delay=0.3, timeout=0.1)
     with pytest.raises(ServiceError, match="longer than"):
-        ask(b" " * 1_100_000)
-
-
-def test_no_service_at_all():
-    with service(b"") as (address, _):
-        pass
+        ask(service, b" " * 1_100_000)
     with pytest.raises(ServiceError, match="Is it running"):
-        LanguageModelDescriber(address, "small", timeout=2.0).describe(TEXT)
+        LanguageModelDescriber("http://127.0.0.1:9/v1", "small", timeout=2.0).describe(TEXT)
 
 
-def test_bad_texts_and_options_are_refused_before_anything_is_sent():
-    with service(b"") as (address, asked):
-        with pytest.raises(DescriptionError):
-            LanguageModelDescriber(address, "small").describe(" ")
-        assert asked == []
+def test_bad_texts_and_options_are_refused_before_anything_is_sent(service):
+    service.asked.clear()
+    with pytest.raises(DescriptionError):
+        LanguageModelDescriber(service.address, "small").describe(" ")
+    assert service.asked == []
     with pytest.raises(OptionError, match="http"):
         LanguageModelDescriber("file:///etc/passwd", "small")
     with pytest.raises(OptionError, match="timeout"):

@@ -1,4 +1,4 @@
-"""From words to a query graph: what a text says about a place (Eq. 3-4)."""
+"""Descriptions of places in free text: from words to a query graph (Eq. 3-4)."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from placegraph.language.text import Ignored, check_text
 from placegraph.outdoor.language.build import GraphBuilder
 from placegraph.outdoor.language.chunks import Chunker
 from placegraph.outdoor.language.clauses import cut_clauses
-from placegraph.outdoor.language.description import Description, conflicts
+from placegraph.outdoor.language.description import Description, find_conflicts
 from placegraph.outdoor.language.grammar import parse
 from placegraph.outdoor.language.language_model import LanguageModelDescriber
-from placegraph.outdoor.language.languages.recognise import UNKNOWN, Stretch, stretches
-from placegraph.outdoor.language.scan import clean, labels, scan
-from placegraph.outdoor.language.scan import scan_any as scan_other
+from placegraph.outdoor.language.languages.recognise import UNKNOWN, Stretch, find_stretches
+from placegraph.outdoor.language.relations import NO_PLACE
+from placegraph.outdoor.language.scan import clean, find_labels, scan_any, scan_english
 from placegraph.outdoor.language.words import NameFinder, Words, normalise, tokens
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ __all__ = [
 
 
 NO_LANGUAGE = "in no language that is known"
-"""Why nothing that a sentence seems to say is to be trusted."""
+"""Reason of a sentence that may mean something else."""
 
 
 class Describer(Protocol):
@@ -93,71 +93,61 @@ def describe(
 
     vocabulary = vocabulary or Vocabulary.default()
     sources = vocabulary.sources if isinstance(vocabulary, Vocabulary) else None
+    folder, things = (sources.folder, sources.words.english) if sources else (None, ())
     cleaned = clean(text)
-    parts = stretches(
-        cleaned,
-        language,
-        sources.folder if sources else None,
-        sources.words.english if sources else (),
-    )
+    parts = find_stretches(cleaned, language, folder, things)
     sentences = [
         (sentence, part.language)
         for part in parts
-        for sentence in _sentences(cleaned, part, vocabulary, names)
+        for sentence in _find_sentences(cleaned, part, vocabulary, names)
     ]
     main = max(parts, key=lambda part: part.end - part.start)
-    directive = any(_leads_the_way(sentence) for sentence, _ in sentences)
+    directive = any(_is_directive(sentence) for sentence, _ in sentences)
     builder = GraphBuilder(
         cleaned, main.language, vocabulary, heading, directive=directive, block_length=block_length
     )
-    for sentence, tongue in sentences:
-        _take(sentence, tongue, builder)
+    for sentence, own in sentences:
+        _read_sentence(sentence, own, builder)
     builder.finish()
-    builder.ignored += builder.references.list_unknown()
-    if not (builder.places.statements or builder.ignored):
-        builder.ignored.append(Ignored(text.strip(), "says nothing about where things stand"))
-    for stretch in parts:
-        if builder.places.statements and not stretch.certain:
-            unread = cleaned[stretch.start : stretch.end].strip()
-            builder.ignored.append(Ignored(unread, NO_LANGUAGE))
+    references, statements = builder.references, builder.places.statements
+    builder.ignored += references.list_unknown()
+    if not (statements or builder.ignored):
+        builder.ignored.append(Ignored(text.strip(), NO_PLACE))
+    for part in parts:
+        if statements and not part.certain:
+            builder.ignored.append(Ignored(cleaned[part.start : part.end].strip(), NO_LANGUAGE))
+    conflicts = find_conflicts(statements, references.heads, builder.places.goals, references.kinds)
     return Description(
         text,
-        tuple(builder.references.mentions),
-        tuple(builder.places.statements),
+        tuple(references.mentions),
+        tuple(statements),
         tuple(builder.ignored),
-        conflicts(
-            builder.places.statements,
-            builder.references.heads,
-            builder.places.goals,
-            builder.references.kinds,
-        ),
+        conflicts,
         main.language.code if main.certain else UNKNOWN,
     )
 
 
-def _sentences(
+def _find_sentences(
     text: str, part: Stretch, vocabulary: Words, names: NameFinder | None
 ) -> Iterator[list[Chunk]]:
-    """Chunks of the sentences of a part of a text in one language."""
-    tongue, span = part.language, (part.start, part.end)
-    if tongue.code == "en":
-        english = Chunker(text, tongue, vocabulary, names)
-        found = [
-            span for span in labels(text, vocabulary, names) if part.start <= span[0] < part.end
-        ]
-        for sentence in scan(text[: part.end], tongue, found, part.start):
-            yield english.chunks(sentence)
+    """Yield the chunks of the sentences of a part of a text in one language."""
+    if part.language.code == "en":
+        chunker = Chunker(text, part.language, vocabulary, names)
+        spans = find_labels(text, vocabulary, names)
+        inside = [span for span in spans if part.start <= span[0] < part.end]
+        for sentence in scan_english(text[: part.end], part.language, inside, part.start):
+            yield chunker.chunks(sentence)
         return
     from placegraph.outdoor.language.chunks import InflectedChunker
     from placegraph.outdoor.language.vocabulary import Vocabulary
 
     known = vocabulary if isinstance(vocabulary, Vocabulary) else Vocabulary.default()
-    chunker = InflectedChunker(text, tongue, known.of(tongue), names)
-    for sentence in scan_other(text, tongue, chunker.known, span):
-        yield chunker.chunks(sentence)
+    inflected = InflectedChunker(text, part.language, known.of(part.language), names)
+    for sentence in scan_any(text, part.language, inflected.known, (part.start, part.end)):
+        yield inflected.chunks(sentence)
 
 
-def _take(sentence: list[Chunk], language: Language, builder: GraphBuilder) -> None:
+def _read_sentence(sentence: list[Chunk], language: Language, builder: GraphBuilder) -> None:
     """Add what a sentence says."""
     for part in cut_clauses(sentence, language):
         opens = part.opens
@@ -169,7 +159,7 @@ def _take(sentence: list[Chunk], language: Language, builder: GraphBuilder) -> N
                     builder.ignored.append(Ignored(chunk.words, "unknown word"))
 
 
-def _leads_the_way(sentence: list[Chunk]) -> bool:
+def _is_directive(sentence: list[Chunk]) -> bool:
     """Tell whether a sentence speaks to somebody who is to come."""
     orders = ("GO", "PASS", "CROSS", "FOLLOW", "MEET")
     return any(chunk.type in ("YOU", "YOUR", "MEET") for chunk in sentence) or (

@@ -11,7 +11,7 @@ from placegraph.language.text import Terminal, Word
 from placegraph.outdoor.language.description import Sense
 from placegraph.outdoor.language.grammar import NounMeaning
 from placegraph.outdoor.language.languages import Language
-from placegraph.outdoor.language.scan import shouting
+from placegraph.outdoor.language.scan import is_shouting
 from placegraph.outdoor.language.vocabulary.vocabulary import LanguageWords
 from placegraph.outdoor.language.word_order import order_chunks
 from placegraph.outdoor.language.words import NameFinder, Words, fold, tokens
@@ -46,7 +46,7 @@ class Chunker:
         """Chunks of a sentence, in order; what says nothing about a place is left out."""
         self.words = sentence
         self.lower = [word.lower for word in sentence]
-        self.shouting = shouting(sentence)
+        self.shouting = is_shouting(sentence)
         self.proper.take(sentence, shouting=self.shouting)
         found: list[Chunk] = []
         i = 0

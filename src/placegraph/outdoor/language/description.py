@@ -154,7 +154,7 @@ SURE = 0.75
 _HERE = (Relation.VISIBLE, Relation.NEAR, Relation.DIRECTION)
 
 
-def conflicts(
+def find_conflicts(
     statements: Sequence[Statement],
     nouns: Sequence[str],
     here: Collection[int],
@@ -174,12 +174,22 @@ def conflicts(
     """
     sure = [s for s in statements if s.certainty >= SURE]
     of_one = [s for s in sure if s.source not in kinds and s.target not in kinds]
-    found = [*_opposite(of_one, here), *_denied(sure, nouns, here)]
-    return tuple(dict.fromkeys(found))
+    found = [*_find_opposites(of_one, here), *_find_denials(sure, nouns, here)]
+    return tuple(
+        dict.fromkeys(
+            f"“{one.text}” contradicts itself."
+            if one.text == other.text
+            else f"“{one.text}” and “{other.text}” cannot both be true."
+            for one, other in found
+        )
+    )
 
 
-def _opposite(statements: Sequence[Statement], here: Collection[int]) -> Iterator[str]:
-    """Two things that lie in opposite directions of each other, twice."""
+_Pairs = Iterator[tuple[Statement, Statement]]
+
+
+def _find_opposites(statements: Sequence[Statement], here: Collection[int]) -> _Pairs:
+    """Yield statements of two things that lie in opposite directions of each other."""
     first: dict[tuple[int, int], tuple[float, Statement]] = {}
     for statement in statements:
         if statement.bearing is None or statement.negated:
@@ -188,29 +198,21 @@ def _opposite(statements: Sequence[Statement], here: Collection[int]) -> Iterato
         bearing = statement.bearing if a < b else statement.bearing + pi
         known = first.setdefault((min(a, b), max(a, b)), (bearing, statement))
         if angle_between(known[0], bearing) > OPPOSITE:
-            yield _say(known[1], statement)
+            yield known[1], statement
 
 
-def _denied(
+def _find_denials(
     statements: Sequence[Statement], nouns: Sequence[str], here: Collection[int]
-) -> Iterator[str]:
-    """Something that is said to be here and not to be here."""
+) -> _Pairs:
+    """Yield statements of something that is said to be here and not to be here."""
     claims = [s for s in statements if s.relation in _HERE and s.target in here and not s.far]
     for no in claims:
         noun = nouns[no.source]
-        if not no.negated or not noun:
-            continue
-        for yes in claims:
+        for yes in claims if no.negated and noun else ():
             if yes.negated or nouns[yes.source] != noun:
                 continue
             if no.bearing is None or (
                 yes.bearing is not None and angle_between(yes.bearing, no.bearing) < ALIKE
             ):
-                yield _say(no, yes)
+                yield no, yes
                 break
-
-
-def _say(one: Statement, other: Statement) -> str:
-    if one.text == other.text:
-        return f"“{one.text}” contradicts itself."
-    return f"“{one.text}” and “{other.text}” cannot both be true."

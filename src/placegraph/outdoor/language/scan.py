@@ -188,7 +188,7 @@ def _cut(written: str, known: Callable[[str], bool]) -> list[str]:
     return [written[a:b] for a, b, _ in reversed(cuts)]
 
 
-def scan(
+def scan_english(
     text: str, language: Language, labels: Iterable[tuple[int, int]] = (), begin: int = 0
 ) -> list[list[Word]]:
     """Cut a text from `begin` on into sentences (`language.words.scan`); "St. Mary's" ends none."""
@@ -208,13 +208,15 @@ _ENGLISH = re.compile(
 """What makes a stretch of text more than a label."""
 
 
-def shouting(sentence: list[Word]) -> bool:
+def is_shouting(sentence: list[Word]) -> bool:
     """Tell whether so many words have capitals that these say nothing."""
     spoken = [word for word in sentence if word.kind == "word"]
     return len(spoken) >= 6 and sum(word.capital for word in spoken) > 0.8 * len(spoken)
 
 
-def labels(text: str, vocabulary: Words, names: NameFinder | None) -> Iterator[tuple[int, int]]:
+def find_labels(
+    text: str, vocabulary: Words, names: NameFinder | None
+) -> Iterator[tuple[int, int]]:
     """Find the labels of sentences of the paper's form: (start, end) of each, in order."""
     for sentence in _SENTENCE.finditer(text):
         for end in ("source", "target"):

@@ -11,7 +11,7 @@ from placegraph.language.measures import MEASURE, metres
 from placegraph.language.text import Word
 from placegraph.outdoor.language.description import LOOSE_SIGMA, SHARP_SIGMA
 from placegraph.outdoor.language.languages import english
-from placegraph.outdoor.language.scan import scan
+from placegraph.outdoor.language.scan import scan_english
 
 _UNITS = {
     "zero": 0, "one": 1, "two": 2, "three": 3, "four": 4, "five": 5, "six": 6, "seven": 7,
@@ -223,7 +223,7 @@ def ways(text: str) -> list[Leg | str]:
     if not STEMS.search(text):
         return [text]
     parts: list[Leg | str] = []
-    for sentence in scan(text, english()):
+    for sentence in scan_english(text, english()):
         spans = list(_clauses(sentence))
         for part in _of_sentence(text, spans):
             if isinstance(part, str) and parts and isinstance(parts[-1], str):

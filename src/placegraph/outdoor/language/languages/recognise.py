@@ -122,7 +122,7 @@ def _listed(pattern: re.Pattern[str], text: str) -> Iterator[str]:
                 yield from phrase.lower().split()
 
 
-def stretches(
+def find_stretches(
     text: str,
     code: str | None,
     folder: Path | None = None,
