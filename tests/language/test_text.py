@@ -31,15 +31,12 @@ def parsed(types):
 @pytest.mark.parametrize(
     ("types", "found"),
     [
-        ("AB", [(("A0", "B1"), "")]),
-        ("AXB", [(("A0", "B2"), "X")]),
+        ("AB", [(("A0", "B1"), "")]), ("AXB", [(("A0", "B2"), "X")]),
         ("ABAB", [(("A0", "B1"), ""), (("A2", "B3"), "")]),
-        ("ABB", [(("A0", "B1"), ""), (None, "B")]),
-        ("BAB", [(None, "B"), (("A1", "B2"), "")]),
-        ("A", [(None, "A")]),
-        ("", []),
+        ("ABB", [(("A0", "B1"), ""), (None, "B")]), ("BAB", [(None, "B"), (("A1", "B2"), "")]),
+        ("A", [(None, "A")]), ("", []),
     ],
-)
+)  # fmt: skip
 def test_islands(types, found):
     assert parsed(types) == found
 

@@ -37,19 +37,14 @@ SCENES = [KITCHEN, ONE_SINK, BEDROOM, BATHROOM, LIVING, LOUNGE]
 @pytest.mark.parametrize(
     ("text", "best"),
     [
-        ("a kitchen with two sinks", KITCHEN),
-        ("a kitchen with one sink", ONE_SINK),
-        ("a kitchen", KITCHEN),
-        ("a bedroom", BEDROOM),
-        ("a bathroom", BATHROOM),
-        ("a plant on the table", LIVING),
-        ("the plant is beside the sofa", LOUNGE),
+        ("a kitchen with two sinks", KITCHEN), ("a kitchen with one sink", ONE_SINK),
+        ("a kitchen", KITCHEN), ("a bedroom", BEDROOM), ("a bathroom", BATHROOM),
+        ("a plant on the table", LIVING), ("the plant is beside the sofa", LOUNGE),
         ("a couch and a tv, with a plant on the coffee table", LIVING),
-        ("chairs but no table", BEDROOM),
-        ("there is a sink and no stove", BATHROOM),
+        ("chairs but no table", BEDROOM), ("there is a sink and no stove", BATHROOM),
         ("a night stand", BEDROOM),
     ],
-)
+)  # fmt: skip
 def test_the_scene_that_is_meant_is_first(text, best):
     assert SCENES[TextIndex(SCENES).search(read(text), 1)[0][0]] is best
 

@@ -19,15 +19,12 @@ from placegraph.outdoor.language.scan import scan_english
 @pytest.mark.parametrize(
     ("text", "mend"),
     [
-        ("", "say what stands around you"),
-        (" \n\t ", "say what stands around you"),
+        ("", "say what stands around you"), (" \n\t ", "say what stands around you"),
         ("north " * 20_000, "keep what describes the place"),
-        ("a bakery\x00 north of me", "Remove it"),
-        ("a bakery \x1b[1m north of me", "Remove it"),
-        (b"a bakery north of me", "pass a str"),
-        (None, "pass a str"),
+        ("a bakery\x00 north of me", "Remove it"), ("a bakery \x1b[1m north of me", "Remove it"),
+        (b"a bakery north of me", "pass a str"), (None, "pass a str"),
     ],
-)
+)  # fmt: skip
 def test_refused_with_a_mend(text, mend):
     start = time.perf_counter()
     with pytest.raises(DescriptionError, match=mend):
@@ -93,12 +90,10 @@ def test_common_nouns_stay_nouns_though_the_map_has_such_names():
     ("written", "name"),
     [
         ("Ripleys Acquarium of Canada", "ripleys aquarium of canada"),
-        ("Smalman Street", "smallman st"),
-        ("Quite Another Cafe", "Quite Another Cafe"),
-        ("4th Street", "4th Street"),
-        ("East Canal Street", "East Canal Street"),
+        ("Smalman Street", "smallman st"), ("Quite Another Cafe", "Quite Another Cafe"),
+        ("4th Street", "4th Street"), ("East Canal Street", "East Canal Street"),
     ],
-)
+)  # fmt: skip
 def test_misspelt_names_are_mended_where_the_map_tells(written, name):
     names = Names(
         "Ripley's Aquarium of Canada", "Smallman Street", "14th Street", "West Canal Street"
@@ -118,14 +113,11 @@ def test_the_longest_name_wins():
     ("one", "other"),
     [
         ("Ripley's_Aquarium_of_Canada", "ripleys aquarium of canada"),
-        ("E Carson St.", "East Carson Street"),
-        ("St. Mary's", "Saint Marys"),
-        ("Café Zoë", "cafe zoe"),
-        ("Ben & Jerry's", "Ben and Jerry’s"),
-        ("Fifth Avenue", "5th Ave"),
+        ("E Carson St.", "East Carson Street"), ("St. Mary's", "Saint Marys"),
+        ("Café Zoë", "cafe zoe"), ("Ben & Jerry's", "Ben and Jerry’s"), ("Fifth Avenue", "5th Ave"),
         ("Rex Theatre", "rex theater"),
     ],
-)
+)  # fmt: skip
 def test_names_meet_in_their_normal_form(one, other):
     assert normalise(one) == normalise(other)
 
@@ -158,11 +150,10 @@ def test_a_block_alone_is_no_distance():
     ("text", "sentences"),
     [
         ("I'm on E. Carson St. near St. Clair Ave. It is wide.", 2),
-        ("North of me: a church; south of me: a school.", 2),
-        ("It's 2.5 km away. OK?", 2),
+        ("North of me: a church; south of me: a school.", 2), ("It's 2.5 km away. OK?", 2),
         ("one\n\ntwo", 2),
     ],
-)
+)  # fmt: skip
 def test_sentences(text, sentences):
     assert len(scan_english(text, english())) == sentences
 
@@ -213,12 +204,11 @@ def test_legs_make_one_way_in_blocks_of_the_map(text, target, east, north):
     [
         "The church is north of the school. The church is south of the school.",
         "The church is north of me. I'm north of the church.",
-        "A bakery is to my east. It is west of me.",
-        "There are no trees here. There is a tree.",
+        "A bakery is to my east. It is west of me.", "There are no trees here. There is a tree.",
         "There is no church to my north. A church is north of me.",
         "I'm at the bank. The church is north of me. The church is south of the bank.",
     ],
-)
+)  # fmt: skip
 def test_contradictions_are_told(text):
     assert describe(text).conflicts
 
@@ -231,11 +221,10 @@ def test_contradictions_are_told(text):
         "There are no trees to my north. There is a tree to my south.",
         "The bench is on the north of the bench.",
         "The building is on the east of the road. The building is on the west of the road.",
-        "A bench is north of the bank. A bench is south of the bank.",
-        "Head north, then south.",
+        "A bench is north of the bank. A bench is south of the bank.", "Head north, then south.",
         "There is no bank. There is a church.",
     ],
-)
+)  # fmt: skip
 def test_no_contradiction(text):
     assert describe(text).conflicts == ()
 
@@ -269,13 +258,12 @@ def test_a_text_of_the_papers_form_takes_little_time():
         ("Turn onto W. 38th. Walk past the bank.", ["W. 38th", "bank"]),
         ("It's on the south side of East 34th in the middle of the block.", ["East 34th"]),
         ("Go north on 6th Ave. After passing the bank turn left.", ["6th Ave", "bank"]),
-        ("Wanna join me? I'm at the bank.", ["bank"]),
-        ("Zappos is near me.", ["Zappos"]),
+        ("Wanna join me? I'm at the bank.", ["bank"]), ("Zappos is near me.", ["Zappos"]),
         ("I'm at the corner of 5th and West 34th.", ["5th", "West 34th"]),
         ("I'm at 125 Main Street, on the 5th floor.", ["125 Main Street"]),
         ("There are 12 benches on Elm Street.", ["benches", "Elm Street"]),
     ],
-)
+)  # fmt: skip
 def test_names_and_common_nouns(text, found):
     """A name has capitals, or is no word of the vocabulary; a word with a capital may be none."""
     names = Names("Salvation Army", "The Independent", "Aldi", "Craft", "Cathedral Square")

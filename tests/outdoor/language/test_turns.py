@@ -7,8 +7,6 @@ from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-import pytest
-
 from placegraph.outdoor.language import describe
 from placegraph.outdoor.language.description import LISTENER, SPEAKER, Relation
 
@@ -107,11 +105,11 @@ def _meaning(line: str) -> Meaning:
 TURNS = list(meanings())
 
 
-@pytest.mark.parametrize(("sentence", "lines"), TURNS[::2])
-def test_turns_of_phrase_are_read(sentence: str, lines: list[Meaning]) -> None:
-    said = describe(sentence)
-    missed = [m.line for m in lines if m.is_read(said) != m.wanted]
-    assert not missed, [(s.relation.value, s.source, s.target) for s in said.statements]
+def test_turns_of_phrase_are_read() -> None:
+    for sentence, lines in TURNS[::2]:
+        said = describe(sentence)
+        missed = [m.line for m in lines if m.is_read(said) != m.wanted]
+        assert not missed, [(s.relation.value, s.source, s.target) for s in said.statements]
 
 
 def test_most_turns_of_phrase_are_read_that_nobody_looked_at() -> None:

@@ -126,7 +126,6 @@ def settle_chunks(chunks: Sequence[Chunk], language: Language) -> Iterator[Chunk
     before, hedge, hedged_at = "", "", 0
     measured: Measure | None = None
     for i, chunk in enumerate(chunks):
-        rest = chunks[i + 1 :]
         if chunk.type == "ADVERB":
             if chunk.value in ("sharp", "loose"):
                 hedge, hedged_at = chunk.value, i
@@ -135,9 +134,11 @@ def settle_chunks(chunks: Sequence[Chunk], language: Language) -> Iterator[Chunk
             continue
         if chunk.type == "DIST":
             measured = chunk.value
-        elif chunk.type == "NUM" and measured and chunk.value and _is_distance(before, rest):
+        counted = chunk.type == "NUM" and measured is not None and chunk.value
+        if measured and counted and _is_distance(before, chunks[i + 1 : i + 5]):
             chunk.type, chunk.value = "DIST", measured.again(chunk.value)
-        for settled in _settle(chunk, before, rest, language):
+        ambiguous = chunk.type in _TYPES or chunk.type in _BY_REST
+        for settled in _settle(chunk, before, chunks[i + 1 :], language) if ambiguous else (chunk,):
             if settled.type == "DIR" and hedge and i - hedged_at <= 2:
                 said: Direction = settled.value
                 settled.value = (
@@ -206,6 +207,12 @@ _TYPES: dict[str, Callable[[Chunk, str, str], str | None]] = {
     ),
 }
 """Types that an ambiguous chunk takes between its neighbours; none: it is dropped, None: it stays."""
+
+
+_BY_REST = frozenset(
+    ("WORD", "A", "ANOTHER", "OF", "ON", "IN", "AT", "TO", "WHERE", "NOT", "CALLED", "LETS")
+)
+"""Types of other chunks that are settled by what follows them."""
 
 
 def _settle(
