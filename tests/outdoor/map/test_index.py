@@ -1,13 +1,17 @@
-"""Viewpoints and what is in sight of each, against brute force."""
+"""The index of viewpoints: what is seen from where, and how its columns lie in a file."""
 
+import os
 import pickle
 from dataclasses import replace
+from mmap import mmap
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from placegraph.errors import MapError
+from placegraph.outdoor.map.city import City
 from placegraph.outdoor.map.geometry_kernels import nearest_on_parts
 from placegraph.outdoor.map.index import FADE, REACH, SIGHT, STRIDE, ViewIndex
 from placegraph.outdoor.map.index_kernels import EDGE, WIDE, below, grade_of, pack, slot_of, unpack
@@ -329,3 +333,48 @@ def test_a_forged_index_is_searched_without_harm(harbour, said, seed):
     forged.__dict__["_views"] = ViewIndex.of(columns, harbour.views.grid)
     forged.locate(said(("amenity=bench", "near", "me"), ("natural=tree", "north", "amenity=bench")))
     forged.locate(said(("amenity=bench", "near", "me")), near=(0.0, 0.0), radius=1e7)
+
+
+@pytest.fixture
+def stored(harbour, tmp_path, monkeypatch):
+    monkeypatch.setattr("placegraph.core.mapfile.ALIGNMENT", 1)
+    path = tmp_path / "harbour.city"
+    harbour.save(path, index=True)
+    return path
+
+
+@pytest.mark.parametrize("how", ["cut short", "written to"])
+def test_a_file_that_is_changed_while_its_index_is_used_is_refused(how, harbour, stored):
+    path = stored
+    city = City.open(path, shard=True)
+    assert isinstance(city.views.columns.postings.base.base, mmap)
+    sent = pickle.loads(pickle.dumps(city))  # noqa: S301  # our own
+    if how == "cut short":
+        os.truncate(path, 100)
+    else:
+        with path.open("r+b") as file:
+            file.write(b"x")
+        os.utime(path, (0, 0))
+    with pytest.raises(MapError, match="changed while it was open"):
+        city.views  # noqa: B018
+    np.testing.assert_array_equal(sent.views.columns.postings, harbour.views.columns.postings)
+
+
+def test_a_file_may_be_replaced_or_removed_while_its_index_is_used(harbour, stored):
+    path = stored
+    city = City.open(path, shard=True)
+    harbour.save(path, index=False)
+    np.testing.assert_array_equal(city.views.columns.postings, harbour.views.columns.postings)
+    path.unlink()
+    np.testing.assert_array_equal(city.views.columns.postings, harbour.views.columns.postings)
+
+
+def test_an_index_that_is_not_large_is_read_and_its_file_may_be_cut_short(
+    harbour, stored, monkeypatch
+):
+    city = City.open(stored)
+    os.truncate(stored, 100)
+    np.testing.assert_array_equal(city.views.columns.postings, harbour.views.columns.postings)
+    harbour.save(stored, index=True)
+    monkeypatch.setattr("placegraph.outdoor.map.city.LARGE", 1000)
+    assert isinstance(City.open(stored).views.columns.postings.base.base, mmap)

@@ -1,4 +1,4 @@
-"""A city as GeoJSON, and as a table of GeoPandas."""
+"""Checks of a city map, and its objects and cells as GeoJSON."""
 
 import json
 
@@ -7,6 +7,73 @@ import pytest
 import placegraph as pg
 from placegraph.core.geojson import areas
 from placegraph.errors import OptionError
+from placegraph.outdoor.map.city import findings
+
+BENCH, TREE = {"amenity": "bench", "name": "B"}, {"natural": "tree", "name": "T"}
+
+
+def found(city):
+    """Findings, each a sentence or two of which the last says what to do."""
+    lines = findings(city)
+    assert all((line.endswith(".") and line[0].isupper()) or line[0].isdigit() for line in lines)
+    return " ".join(lines)
+
+
+@pytest.mark.parametrize("name", ["monaco", "toronto", "harbour"])
+def test_sound_maps(name, request):
+    assert findings(request.getfixturevalue(name)) == []
+
+
+def mixed(n=20):
+    kinds = ("bench", "cafe", "bar", "fountain", "pharmacy")
+    return [(5.0 * i, 0.0, {"amenity": kinds[i % 5], "name": f"N{i}"}) for i in range(n)]
+
+
+def test_a_mixed_world_is_sound(build_world):
+    assert findings(build_world(mixed())) == []
+
+
+def test_too_wide(build_world):
+    said = found(build_world([*mixed(), (70_000, 0, BENCH)]))
+    assert "spans 70 km" in said
+    assert "Cut the extract" in said
+
+
+def test_no_cells(build_world):
+    assert "No cell holds two objects" in found(build_world([(0, 0, BENCH), (900, 900, TREE)]))
+
+
+def test_no_names(build_world):
+    city = build_world([(e, n, {"amenity": t["amenity"]}) for e, n, t in mixed(100)])
+    assert "have a name" in found(city)
+
+
+def test_all_alike(build_world):
+    said = found(build_world([(5 * i, 0, BENCH) for i in range(20)]))
+    assert "100% of the objects are amenity=bench" in said
+
+
+def test_twice(tmp_path):
+    from placegraph.outdoor.city import build_city
+
+    tag = '<tag k="amenity" v="bench"/><tag k="name" v="B"/>'
+    nodes = "".join(
+        f'<node id="{i}" version="1" lon="10" lat="50.000{i}">{tag}</node>' for i in (1, 1, 2, 2)
+    )
+    path = tmp_path / "overlapping.osm"
+    path.write_text(f'<osm version="0.6">{nodes}</osm>')
+    said = found(build_city(path, tmp_path / "a.city"))
+    assert "2 objects occur twice" in said
+
+
+def test_clipped(write_world, tmp_path):
+    from placegraph.outdoor.city import build_city
+
+    ways = [([0, 1, 500 + i], {"highway": "path"}) for i in range(10)]
+    path = write_world(mixed(), ways)
+    said = found(build_city(path, tmp_path / "a.city"))
+    assert "10 elements of the extract lacked members" in said
+    assert "Clip it with complete ways" in said
 
 
 def ring(low, high):

@@ -1,4 +1,4 @@
-"""What is known of a place before a word is heard."""
+"""Priors of the place."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Why a place: what served each statement, and what spoke against it."""
+"""Evidence of an estimate."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""How long a block is, on grids of streets whose spacing is known."""
+"""Length of a block."""
 
 from math import radians
 
