@@ -69,7 +69,11 @@ class Backbone:
         network = _made(timm, self._torch, model, pretrained=pretrained and weights is None)
         if weights is not None:
             _fill(network, _state(self._torch, Path(weights), model), weights, model)
-        self.digest = _digest(network)
+        digest = hashlib.sha256()
+        for name, value in sorted(network.state_dict().items()):
+            digest.update(name.encode() + str(value.dtype).encode())
+            digest.update(value.detach().cpu().contiguous().numpy().tobytes())
+        self.digest = digest.hexdigest()[:12]
         """Twelve hexadecimal digits of the weights."""
         self._network = network.eval().requires_grad_(requires_grad=False).to(self._device)
         self._mean, self._deviation = (
@@ -184,14 +188,6 @@ def _fill(network: Any, state: dict[str, Any], path: str | Path, model: str) -> 
             )
 
 
-def _digest(network: Any) -> str:  # noqa: ANN401
-    digest = hashlib.sha256()
-    for name, value in sorted(network.state_dict().items()):
-        digest.update(name.encode() + str(value.dtype).encode())
-        digest.update(value.detach().cpu().contiguous().numpy().tobytes())
-    return digest.hexdigest()[:12]
-
-
 def _why(error: Exception) -> str:
     return " ".join((str(error).strip() or type(error).__name__).split())[:160]
 
@@ -270,7 +266,10 @@ class FeaturesEncoder:
         from PIL import Image
 
         rgb = image.rgb()
-        rows, columns = self._grid(rgb.shape[0], rgb.shape[1])
+        height, width = rgb.shape[:2]
+        longer, shorter = max(height, width), min(height, width)
+        other = max(1, round(self._cells * shorter / longer))
+        rows, columns = (self._cells, other) if height > width else (other, self._cells)
         cell = self._backbone.cell
         small = Image.fromarray(rgb).resize(
             (columns * cell, rows * cell), Image.Resampling.BICUBIC, reducing_gap=3.0
@@ -300,11 +299,6 @@ class FeaturesEncoder:
                 seen = vectors.reshape(-1, self.dimension)[patch]
                 np.add.at(sums, row, seen * share[:, None] ** 2)
         return _unit(sums.astype(np.float32))
-
-    def _grid(self, height: int, width: int) -> tuple[int, int]:
-        longer, shorter = max(height, width), min(height, width)
-        other = max(1, round(self._cells * shorter / longer))
-        return (self._cells, other) if height > width else (other, self._cells)
 
 
 def covered(

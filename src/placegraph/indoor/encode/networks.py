@@ -90,7 +90,20 @@ class ImageNetwork:
         self.weights = weights
         self._mean, self._deviation = np.array(mean, np.float32), np.array(deviation, np.float32)
         self._model = _loaded(weights, threads or os.cpu_count() or 1)
-        self._input, self._output = _ends(self._model, weights)
+        # input and output of a model from image to image
+        inputs, outputs = self._model.get_input_details(), self._model.get_output_details()
+        into, out = inputs[0]["shape"], outputs[0]["shape"]
+        if len(inputs) != 1 or len(into) != 4 or into[0] != 1 or into[3] != 3:
+            raise InputError(
+                f"{weights} takes {[i['shape'].tolist() for i in inputs]}; such a network takes one image "
+                "[1, height, width, 3]."
+            )
+        if len(outputs) != 1 or len(out) not in {3, 4} or out[0] != 1:
+            raise InputError(
+                f"{weights} gives {[o['shape'].tolist() for o in outputs]}; such a network gives one image "
+                "[1, height, width] or [1, height, width, channels]."
+            )
+        self._input, self._output = inputs[0], outputs[0]
         self.shape = tuple(int(n) for n in self._output["shape"])
         """Of what it gives: (1, h, w) or (1, h, w, channels)."""
 
@@ -163,23 +176,6 @@ def _loaded(path: Path, threads: int) -> Any:  # noqa: ANN401  # an interpreter
         why = " ".join(str(error).split())
         raise InputError(f"{path} cannot be loaded ({why[:200]}); copy it again.") from error
     return model
-
-
-def _ends(model: Any, path: Path) -> tuple[dict[str, Any], dict[str, Any]]:  # noqa: ANN401
-    """Input and output of a model from image to image."""
-    inputs, outputs = model.get_input_details(), model.get_output_details()
-    into, out = inputs[0]["shape"], outputs[0]["shape"]
-    if len(inputs) != 1 or len(into) != 4 or into[0] != 1 or into[3] != 3:
-        raise InputError(
-            f"{path} takes {[i['shape'].tolist() for i in inputs]}; such a network takes one image "
-            "[1, height, width, 3]."
-        )
-    if len(outputs) != 1 or len(out) not in {3, 4} or out[0] != 1:
-        raise InputError(
-            f"{path} gives {[o['shape'].tolist() for o in outputs]}; such a network gives one image "
-            "[1, height, width] or [1, height, width, channels]."
-        )
-    return inputs[0], outputs[0]
 
 
 PASCAL = (

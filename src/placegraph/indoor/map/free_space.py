@@ -110,7 +110,11 @@ def grid_of(scene: Scene, heights: Sequence[float], spacing: float) -> Grid:
     floor = np.repeat(floors, len(above), axis=0)
     height = np.where(away > BEYOND, np.nan, floor + np.tile(above, count)[:, None])
     if len(scene.viewpoints):
-        seen = _walked(scene.viewpoints, bare)
+        # height (nx * ny,) at which a camera was nearest to each cell; NaN where none came near
+        apart = np.linalg.norm(bare.centres[:, None] - scene.viewpoints[None, :, :2], axis=2)
+        nearest = apart.argmin(axis=1)
+        near = apart.min(axis=1) < max(_WALKED, bare.spacing)
+        seen = np.where(near, scene.viewpoints[nearest, 2], np.nan)
         under = np.nanmax(np.where(floors <= seen, floors, floors[0]), axis=0)
         floor, height = np.vstack([under, floor]), np.vstack([seen, height])
     return Grid(box[0], spacing, (nx, ny), floor, height)
@@ -132,14 +136,6 @@ def nearest_scene(scene: Scene, points: Floats) -> tuple[NDArray[np.int64], Floa
     outside = np.maximum(boxes[:, 0] - points[:, None], points[:, None] - boxes[:, 1])
     away = np.maximum(outside, 0.0).sum(axis=2)
     return away.argmin(axis=1), away.min(axis=1)
-
-
-def _walked(viewpoints: Floats, grid: Grid) -> Floats:
-    """Height (nx * ny,) at which a camera was nearest to each cell; NaN where none came near."""
-    apart = np.linalg.norm(grid.centres[:, None] - viewpoints[None, :, :2], axis=2)
-    nearest = apart.argmin(axis=1)
-    near = apart.min(axis=1) < max(_WALKED, grid.spacing)
-    return np.where(near, viewpoints[nearest, 2], np.nan)
 
 
 def _ground(scene: Scene, spacing: float) -> Floats:

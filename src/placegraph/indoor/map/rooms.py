@@ -243,7 +243,8 @@ def rooms_of(mesh: Mesh, labels: Sequence[str], floor: float) -> Rooms:
     )
     grid = grid_of(corners[near])
     if grid is None:
-        return _no_rooms(len(labels))
+        none = np.full(len(labels), -1, np.int32)
+        return Rooms(none, np.zeros(0), np.full((1, 1), -1, np.int32), np.zeros(2), CELL)
     walls = wall_cells(mesh, labels, corners, grid)
     floor_cells, ground = ground_cells(normals, corners, walls, grid)
     cells = _cut(ground & ~walls, floor_cells, grid)
@@ -260,13 +261,15 @@ def rooms_of(mesh: Mesh, labels: Sequence[str], floor: float) -> Rooms:
     )
     if len(rooms):
         areas = np.linalg.norm(normals, axis=1) / 2.0 * near
-        rooms.room_of[:] = _rooms_of_objects(mesh.object_of, labels, corners, areas, rooms)
+        number = nearest(rooms.cells >= 0, int(REACH / rooms.cell))[1]
+        within = np.where(number >= 0, rooms.cells.reshape(-1)[number], np.int32(-1))
+        votes = np.zeros((len(labels), len(rooms) + 1))
+        areas_within(corners, areas, mesh.object_of, rooms.origin, rooms.cell, within, votes)
+        best = votes[:, :-1].argmax(axis=1)
+        share = votes[np.arange(len(labels)), best] / np.maximum(votes.sum(axis=1), 1e-12)
+        needed = np.where(structure(labels), _MOSTLY, _PARTLY)
+        rooms.room_of[:] = np.where(share >= needed, best, -1).astype(np.int32)
     return rooms
-
-
-def _no_rooms(count: int) -> Rooms:
-    none = np.full(count, -1, np.int32)
-    return Rooms(none, np.zeros(0), np.full((1, 1), -1, np.int32), np.zeros(2), CELL)
 
 
 def _cut(free: Mask, floor: Mask, grid: Grid) -> Cells:
@@ -320,24 +323,6 @@ def _owner(owner: NDArray[np.int64], i: int) -> int:
     while owner[i] != i:
         i = int(owner[i])
     return i
-
-
-def _rooms_of_objects(
-    object_of: NDArray[np.int32],
-    labels: Sequence[str],
-    corners: Corners,
-    areas: Floats,
-    rooms: Rooms,
-) -> NDArray[np.int32]:
-    """Room (N,) over whose floor most of an object's triangles lie, by their areas [m2]; -1: none."""
-    number = nearest(rooms.cells >= 0, int(REACH / rooms.cell))[1]
-    within = np.where(number >= 0, rooms.cells.reshape(-1)[number], np.int32(-1))
-    votes = np.zeros((len(labels), len(rooms) + 1))
-    areas_within(corners, areas, object_of, rooms.origin, rooms.cell, within, votes)
-    best = votes[:, :-1].argmax(axis=1)
-    share = votes[np.arange(len(labels)), best] / np.maximum(votes.sum(axis=1), 1e-12)
-    needed = np.where(structure(labels), _MOSTLY, _PARTLY)
-    return np.where(share >= needed, best, -1).astype(np.int32)
 
 
 _HIGHEST = 3.0  # what is higher above a floor is in none of its rooms [m]

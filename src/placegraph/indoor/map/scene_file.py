@@ -44,27 +44,23 @@ def open_scene(path: str | PathLike[str], kind: type[S]) -> S:
     """Open a map file; raises `InputError` or `MapError` where it is not a sound scene map."""
     file = read_map(path, KIND, VERSION)
     with sound(path, "Build it again."):
-        return _sound(kind(**_fields(file)))
+        scene = kind(**_fields(file))
+        scenes = len(scene.scenes)
+        if len(scene.viewpoints) > VIEWPOINTS * scenes:
+            raise ValueError(f"viewpoints: {len(scene.viewpoints):,}; at most {VIEWPOINTS} a scene")
+        if len(scene.landmarks or ()) > MOST_LANDMARKS * scenes:
+            raise ValueError(
+                f"landmarks: {len(scene.landmarks or ()):,}; at most {MOST_LANDMARKS:,} a scene"
+            )
+        slack = np.array([[-CENTIMETRE], [CENTIMETRE]])  # both were rounded
+        if not near_box(scene.viewpoints, scene.bounds + slack).all():
+            raise ValueError(f"viewpoints: some lie more than {FAR:.0f} m outside the mesh")
+        return scene
 
 
 def near_box(points: NDArray[np.float64], box: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Which of points (N, 3) lie at most `FAR` outside a box (2, 3) [m]."""
     return np.asarray(((points > box[0] - FAR) & (points < box[1] + FAR)).all(axis=1))
-
-
-def _sound(scene: S) -> S:
-    """A scene as it is; raises `ValueError` where it has too many viewpoints, landmarks or far ones."""
-    scenes = len(scene.scenes)
-    if len(scene.viewpoints) > VIEWPOINTS * scenes:
-        raise ValueError(f"viewpoints: {len(scene.viewpoints):,}; at most {VIEWPOINTS} a scene")
-    if len(scene.landmarks or ()) > MOST_LANDMARKS * scenes:
-        raise ValueError(
-            f"landmarks: {len(scene.landmarks or ()):,}; at most {MOST_LANDMARKS:,} a scene"
-        )
-    slack = np.array([[-CENTIMETRE], [CENTIMETRE]])  # both were rounded
-    if not near_box(scene.viewpoints, scene.bounds + slack).all():
-        raise ValueError(f"viewpoints: some lie more than {FAR:.0f} m outside the mesh")
-    return scene
 
 
 def columns(scene: Scene) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
@@ -130,7 +126,15 @@ def bytes_of(path: str | PathLike[str]) -> dict[str, int]:
 
 def _fields(file: MapFile) -> dict[str, Any]:
     """Fields of a `Scene` from a file's columns."""
-    blobs = _blobs(file)
+    data = file.array("textures", "|u1").tobytes()
+    lengths = file.array("texture_bytes", "<i8")
+    ends = np.cumsum(lengths)
+    if not lengths.size or int(lengths.min()) < 0 or int(ends[-1]) != len(data):
+        raise ValueError("texture_bytes do not add up")
+    blobs = tuple(
+        data[end - length : end]
+        for end, length in zip(ends.tolist(), lengths.tolist(), strict=True)
+    )
     return {
         "graph": _graph(file),
         "mesh": _mesh(file, textures.decode(blobs, file.header.path)),
@@ -189,18 +193,6 @@ def _mesh(file: MapFile, decoded: tuple[NDArray[np.uint8], ...]) -> Mesh:
         uv=file.array("uv", "<i4", 2).astype(np.float32) * np.float32(uv_grain),
         texture_of=file.array("texture_of", "<i4"),
         textures=decoded,
-    )
-
-
-def _blobs(file: MapFile) -> tuple[bytes, ...]:
-    data = file.array("textures", "|u1").tobytes()
-    lengths = file.array("texture_bytes", "<i8")
-    ends = np.cumsum(lengths)
-    if not lengths.size or int(lengths.min()) < 0 or int(ends[-1]) != len(data):
-        raise ValueError("texture_bytes do not add up")
-    return tuple(
-        data[end - length : end]
-        for end, length in zip(ends.tolist(), lengths.tolist(), strict=True)
     )
 
 

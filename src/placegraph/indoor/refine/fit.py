@@ -316,7 +316,9 @@ def solve(
             lags = np.clip(lags + whole[-2:], -MOST * usual, MOST * usual)
             taken += 1
             if number:  # not before the poses have had one step to come near
-                shares = _shares(told)
+                # weight (N,) of each object: what less than half fits is likely to have moved
+                fits = told[:, 0] / np.maximum(told[:, 1], 1.0)
+                shares = np.where(told[:, 1] > _TELLING, np.clip(2.0 * fits, _MOVED, 1.0), 1.0)
             if np.abs(step).max() < _STILL:
                 break
         late = Lags(lags, np.sqrt(np.diag(np.linalg.inv(h))[-2:]), twist, usual)
@@ -339,12 +341,6 @@ def _add(says: NormalEquations, way: Floats, row: int, h: Floats, g: Floats) -> 
     h[row, row] += np.sum(way * moved)
     g[held] += says.gradient.ravel()
     g[row] += np.sum(way * says.gradient)
-
-
-def _shares(told: Floats) -> Floats:
-    """Weight (N,) of each object: what less than half fits is likely to have moved."""
-    fits = told[:, 0] / np.maximum(told[:, 1], 1.0)
-    return np.where(told[:, 1] > _TELLING, np.clip(2.0 * fits, _MOVED, 1.0), 1.0)
 
 
 def odometry_errors(problem: Problem, poses: Floats) -> tuple[Floats, Floats]:
@@ -393,7 +389,12 @@ def _add_odometry(problem: Problem, poses: Floats, h: Floats, g: Floats) -> None
 def add_beliefs(problem: Problem, poses: Floats, start: Floats, h: Floats, g: Floats) -> None:
     """Add what is believed of poses (T, 4, 4) without looking to normal equations (6 T)."""
     _add_odometry(problem, poses, h, g)
-    _add_gravity(problem, poses, h, g)
+    # the known tilt is a prior, not a cage: it gives way where frames are seen to lean far
+    up, variance = lean(problem, poses)
+    for t, j in enumerate(-cross_matrix(up)[:, :2]):
+        rows = slice(6 * t + 3, 6 * t + 6)
+        h[rows, rows] += j.T @ j / variance
+        g[rows] += j.T @ up[t, :2] / variance
     _add_known(problem, poses, start, h, g)
 
 
@@ -401,15 +402,6 @@ def lean(problem: Problem, poses: Floats) -> tuple[Floats, float]:
     """Up (T, 3) in map axes as gravity has it at poses (T, 4, 4), and the variance of its x and y."""
     up = -np.einsum("tij,tj->ti", poses[:, :3, :3], problem.gravity)
     return up, problem.options.tilt**2 + float(np.mean(up[:, :2] ** 2)) / STEADY
-
-
-def _add_gravity(problem: Problem, poses: Floats, h: Floats, g: Floats) -> None:
-    """The known tilt is a prior, not a cage: it gives way where frames are seen to lean far."""
-    up, variance = lean(problem, poses)
-    for t, j in enumerate(-cross_matrix(up)[:, :2]):
-        rows = slice(6 * t + 3, 6 * t + 6)
-        h[rows, rows] += j.T @ j / variance
-        g[rows] += j.T @ up[t, :2] / variance
 
 
 def _add_known(problem: Problem, poses: Floats, start: Floats, h: Floats, g: Floats) -> None:

@@ -126,7 +126,16 @@ def _told(estimate: PoseEstimate, refiner: Refiner, judgement: Confirmation) -> 
     if judgement.accepted:
         before = trajectory[: len(trajectory) - len(fitted.poses)]
         trajectory = np.concatenate([before, fitted.poses])
-        best = _moved_to(coarse, fitted)
+        # a mode at its refined pose
+        matrix = fitted.poses[-1]
+        into_scene = coarse.scene_from_camera @ np.linalg.inv(coarse.map_from_camera)
+        best = replace(
+            coarse,
+            map_from_camera=matrix,
+            pose=split_pose(matrix)[0],
+            covariance=fitted.covariance,
+            scene_from_camera=into_scene @ matrix,
+        )
     matcher = refiner.matcher.name if refiner.matcher else "guided"
     seconds = {stage: round(value, 4) for stage, value in refiner.seconds.items()}
     stats = {**judgement.stats, **refiner.stats, "matcher": matcher, "seconds": seconds}
@@ -153,19 +162,6 @@ def _told(estimate: PoseEstimate, refiner: Refiner, judgement: Confirmation) -> 
             judgement.accepted, judgement.reason, coarse, estimate.trajectory, stats
         ),
         diagnostics=replace(diagnostics_of(estimate), refinement=found),
-    )
-
-
-def _moved_to(mode: PoseMode, fitted: FittedTrajectory) -> PoseMode:
-    """A mode at its refined pose."""
-    matrix = fitted.poses[-1]
-    into_scene = mode.scene_from_camera @ np.linalg.inv(mode.map_from_camera)
-    return replace(
-        mode,
-        map_from_camera=matrix,
-        pose=split_pose(matrix)[0],
-        covariance=fitted.covariance,
-        scene_from_camera=into_scene @ matrix,
     )
 
 

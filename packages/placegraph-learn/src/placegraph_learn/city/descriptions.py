@@ -143,7 +143,14 @@ class Speaker:
             position = views.positions[view] + rng.uniform(-10.0, 10.0, 2)
             if not self.mine(position[None])[0]:
                 continue
-            seen = _look(self.city, self.city.in_sight(np.array([view])).objects, position)
+            o, nearby = self.city.objects, self.city.in_sight(np.array([view])).objects
+            off = _nearest(o.kind, o.part_starts, o.point_starts, o.points, nearby, *position)
+            close = np.hypot(*off.T)
+            around = (o.kind[nearby] == AREA) & (close == 0.0)
+            at = position + off
+            at[around] = o.center[nearby[around]]
+            close = np.where(around, np.hypot(*(at - position).T), close)
+            seen = _Seen(nearby.astype(np.int64), at, around, close)
             description = self.describe(seen, position, rng)
             if description is not None:
                 yield Example(description, position)
@@ -152,7 +159,14 @@ class Speaker:
         self, seen: _Seen, position: NDArray[np.float64], rng: Generator
     ) -> Description | None:
         """What somebody may say at a position (2,) [m]; None where there is too little."""
-        habits = _habits(rng)
+        habits = _Habits(
+            slip=float(rng.choice([0.0, 0.08, 0.25], p=[0.5, 0.25, 0.25])),
+            absent=float(rng.choice([0.0, 0.06, 0.15], p=[0.5, 0.25, 0.25])),
+            words=str(rng.choice(["tags", "everyday", "foreign"], p=[0.45, 0.45, 0.1])),
+            language=str(rng.choice(LANGUAGES)),
+            names=float(rng.choice([0.0, 0.3, 0.9], p=[0.7, 0.15, 0.15])),
+            about=str(rng.choice(["pairs", "me", "mixed"], p=[0.45, 0.25, 0.3])),
+        )
         told = _Told(self, habits, position, rng)
         wanted = int(rng.choice([3, 4, 5, 6, 6, 6, 8, 10]))
         for _ in range(4 * wanted):
@@ -302,28 +316,6 @@ class _Told:
             self.statements.append(
                 Statement(relation, source, target, bearing=bearing, negated=negated)
             )
-
-
-def _habits(rng: Generator) -> _Habits:
-    return _Habits(
-        slip=float(rng.choice([0.0, 0.08, 0.25], p=[0.5, 0.25, 0.25])),
-        absent=float(rng.choice([0.0, 0.06, 0.15], p=[0.5, 0.25, 0.25])),
-        words=str(rng.choice(["tags", "everyday", "foreign"], p=[0.45, 0.45, 0.1])),
-        language=str(rng.choice(LANGUAGES)),
-        names=float(rng.choice([0.0, 0.3, 0.9], p=[0.7, 0.15, 0.15])),
-        about=str(rng.choice(["pairs", "me", "mixed"], p=[0.45, 0.25, 0.3])),
-    )
-
-
-def _look(city: CityMap, nearby: NDArray[np.int32], position: NDArray[np.float64]) -> _Seen:
-    o = city.objects
-    off = _nearest(o.kind, o.part_starts, o.point_starts, o.points, nearby, *position)
-    close = np.hypot(*off.T)
-    around = (o.kind[nearby] == AREA) & (close == 0.0)
-    at = position + off
-    at[around] = o.center[nearby[around]]
-    close = np.where(around, np.hypot(*(at - position).T), close)
-    return _Seen(nearby.astype(np.int64), at, around, close)
 
 
 OTHERS = 4

@@ -109,7 +109,22 @@ class SceneGraphLocEncoder:
         self.features = _features(features, feature_weights, held.notes, device)
         self.rotate, self.points, self.views, self.seed = rotate, points, views, seed
         self.attributes = () if attributes is None else read_attributes(attributes)
-        self._check()
+        widths = self.network.widths
+        if widths.feature != self.features.dimension:
+            raise OptionError(
+                f"features: {self.features.key} has {self.features.dimension} numbers, the network "
+                f"was trained on {widths.feature}; choose the features of its training."
+            )
+        if widths.relations != len(RELATIONS):
+            raise InputError(
+                f"weights: the network counts {widths.relations} relation words, 3DSSG has "
+                f"{len(RELATIONS)}; give weights trained on those."
+            )
+        if self.attributes and len(self.attributes) != widths.attributes:
+            raise OptionError(
+                f"attributes: {len(self.attributes)} words, the network counts {widths.attributes}; "
+                "give the file of its training."
+            )
         self.temperature = _number(held.notes, "temperature", TEMPERATURE, temperature, 10.0)
         self._points = int(_number(held.notes, "points", POINTS, None, POINTS))
         settings = f"{points}{seed}{'' if views else ',no views'}"
@@ -172,24 +187,6 @@ class SceneGraphLocEncoder:
                 unit = torch.nn.functional.normalize(vectors, dim=-1, eps=1e-12)
                 out[rows] = unit.cpu().numpy()
         return out
-
-    def _check(self) -> None:
-        widths = self.network.widths
-        if widths.feature != self.features.dimension:
-            raise OptionError(
-                f"features: {self.features.key} has {self.features.dimension} numbers, the network "
-                f"was trained on {widths.feature}; choose the features of its training."
-            )
-        if widths.relations != len(RELATIONS):
-            raise InputError(
-                f"weights: the network counts {widths.relations} relation words, 3DSSG has "
-                f"{len(RELATIONS)}; give weights trained on those."
-            )
-        if self.attributes and len(self.attributes) != widths.attributes:
-            raise OptionError(
-                f"attributes: {len(self.attributes)} words, the network counts {widths.attributes}; "
-                "give the file of its training."
-            )
 
 
 def _features(

@@ -311,28 +311,24 @@ def _created(timm: Any, model: str, weights: Path | str | None) -> Any:  # noqa:
 
         with torch.device("meta"):  # its own numbers would be drawn, and thrown away
             made = timm.create_model(model, num_classes=0)
-        return _filled(made, model, Path(weights))
+        # a model with the weights of a file, spelled as timm or as DINOv2's authors do
+        from timm.models.vision_transformer import checkpoint_filter_fn
+
+        from placegraph_learn.scenegraphloc.weights import read_state
+
+        state, _ = read_state(Path(weights), f"name the weights of {model}")
+        try:
+            own = checkpoint_filter_fn({key: value.float() for key, value in state.items()}, made)
+            made.load_state_dict(own, assign=True)  # those of the file: ViT-g's are 4.5 GB
+        except Exception as error:  # of keys and shapes that are another network's
+            raise InputError(f"{weights}: not the weights of {model} ({_why(error)}).") from error
+        return made
     try:
         return timm.create_model(model, pretrained=True, num_classes=0)
     except Exception as error:  # timm raises whatever its hub does
         raise ServiceError(
             f"The weights of {model} cannot be fetched ({_why(error)}); give feature_weights a file."
         ) from error
-
-
-def _filled(made: Any, model: str, path: Path) -> Any:  # noqa: ANN401
-    """A model with the weights of a file, spelled as timm or as DINOv2's authors do."""
-    from timm.models.vision_transformer import checkpoint_filter_fn
-
-    from placegraph_learn.scenegraphloc.weights import read_state
-
-    state, _ = read_state(path, f"name the weights of {model}")
-    try:
-        own = checkpoint_filter_fn({key: value.float() for key, value in state.items()}, made)
-        made.load_state_dict(own, assign=True)  # those of the file: ViT-g's are 4.5 GB
-    except Exception as error:  # of keys and shapes that are another network's
-        raise InputError(f"{path}: not the weights of {model} ({_why(error)}).") from error
-    return made
 
 
 def _why(error: Exception) -> str:

@@ -361,21 +361,17 @@ def barycentre(points: NDArray[np.floating]) -> NDArray[np.float64]:
     things enough for a mean.
     """
     found = np.unique(points, axis=0).astype(np.float64)
-    ways = _ways()
+    # directions (3, 1024), evenly spread over the sphere (Fibonacci's lattice)
+    k = np.arange(_DIRECTIONS) + 0.5
+    z, turn = 1.0 - 2.0 * k / _DIRECTIONS, np.pi * (1.0 + 5.0**0.5) * k
+    r = np.sqrt(1.0 - z * z)
+    ways = np.stack([r * np.cos(turn), r * np.sin(turn), z])
     corners = [
         part[np.unique((part @ ways).argmax(axis=0))]
         for part in np.split(found, range(_PORTION, len(found), _PORTION))
     ]
     near = np.concatenate(corners)
     return np.asarray(near[np.unique((near @ ways).argmax(axis=0))].mean(axis=0))
-
-
-def _ways() -> NDArray[np.float64]:
-    """Directions (3, 1024), evenly spread over the sphere (Fibonacci's lattice)."""
-    k = np.arange(_DIRECTIONS) + 0.5
-    z, turn = 1.0 - 2.0 * k / _DIRECTIONS, np.pi * (1.0 + 5.0**0.5) * k
-    r = np.sqrt(1.0 - z * z)
-    return np.stack([r * np.cos(turn), r * np.sin(turn), z])
 
 
 class _Clouds:

@@ -199,7 +199,15 @@ class Trainer:
 
     def epoch(self, progress: Progress) -> float:
         """Learn all pictures once; returns the mean loss."""
-        rooms = self._distort_rooms()
+        # all rooms, their points fewer and pulled to and fro, anew in each epoch
+        rooms = {}
+        for row, lesson in enumerate(self.lessons):
+            for earlier, room in enumerate(_rooms(lesson)):
+                kept = self.rng.permutation(room.points.shape[1])[: self.options.points]
+                points = room.points[:, kept]
+                if self.options.elastic:
+                    points = distort(points, self.rng)
+                rooms[row, bool(earlier)] = replace(room, points=points)
         batches = self._batches()
         devices = [torch.cuda.current_device()] if self.device == "cuda" else []
         total = 0.0
@@ -213,18 +221,6 @@ class Trainer:
         self.scheduler.step()
         self.epochs += 1
         return total / len(batches)
-
-    def _distort_rooms(self) -> dict[tuple[int, bool], Room]:
-        """All rooms, their points fewer and pulled to and fro, anew in each epoch."""
-        out = {}
-        for row, lesson in enumerate(self.lessons):
-            for earlier, room in enumerate(_rooms(lesson)):
-                kept = self.rng.permutation(room.points.shape[1])[: self.options.points]
-                points = room.points[:, kept]
-                if self.options.elastic:
-                    points = distort(points, self.rng)
-                out[row, bool(earlier)] = replace(room, points=points)
-        return out
 
     def _batches(self) -> list[list[Picture]]:
         """All pictures that show anything, or as many as the options say, in a new order."""

@@ -7,7 +7,6 @@ with the options of `SiftMatcher`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -96,22 +95,18 @@ class SiftMatcher(ViewByView):
             lightness = self._clahe.apply(lightness)
         found = self._sift.detect(lightness, None)
         if turn is not None:
-            found = _turned(found, turn)
+            # keypoints turned alike; one that was found with several turns is kept once
+            seen: dict[tuple[float, float, float], Any] = {}
+            for point in found:
+                point.angle = turn
+                seen.setdefault((*point.pt, point.size), point)
+            found = list(seen.values())
         found, vectors = self._sift.compute(lightness, found)
         if vectors is None or not len(found):
             return Features.none(128)
         # OpenCV counts from the centre of the first pixel, we from its corner
         points = np.array([k.pt for k in found], np.float64) + 0.5
         return Features(points, _rooted(vectors))
-
-
-def _turned(found: Sequence[Any], turn: float) -> list[Any]:
-    """Keypoints turned alike; one that was found with several turns is kept once."""
-    seen: dict[tuple[float, float, float], Any] = {}
-    for point in found:
-        point.angle = turn
-        seen.setdefault((*point.pt, point.size), point)
-    return list(seen.values())
 
 
 def _rooted(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
