@@ -1,7 +1,6 @@
 """Faults of machines are made, and what became of them is judged."""
 
 import os
-import signal
 from dataclasses import replace
 
 import pytest
@@ -9,10 +8,10 @@ import pytest
 from placegraph.errors import InputError
 from placegraph_lab.campaign import faults
 from placegraph_lab.campaign import outages as changed
-from placegraph_lab.campaign.faults import Ground, worse
-from placegraph_lab.campaign.outages import CHANGES, Load, change, judged
+from placegraph_lab.campaign.faults import Ground
+from placegraph_lab.campaign.outages import CHANGES, change, judged
 from placegraph_lab.campaign.row import Effort
-from placegraph_lab.campaign.trial import OLD, Ended, Writing, files_in
+from placegraph_lab.campaign.trial import OLD, Writing, files_in
 
 WRITING = Writing("city build", ("city", "build"), ("a.city", "a.png"), (".a.mcap.*",))
 
@@ -25,32 +24,11 @@ def ground(tmp_path):
     return made
 
 
-def ended(code=0, said="", *, killed=False):
-    return Ended(code, said, 1.0, killed)
-
-
 @pytest.mark.all
 def test_nothing_breaks(tmp_path):
     found = list(faults.rows(Effort(240.0, 20261123, tmp_path, tmp_path / "none", print)))
     assert [row for row in found if row.faults] == []
     assert sum(row.tried for row in found) > 100
-
-
-@pytest.mark.parametrize(
-    ("how", "outcome"),
-    [
-        (ended(), "accepted"),
-        (ended(3, "placegraph: a.city is no map."), "typed"),
-        (ended(4, "Traceback (most recent call last):"), "untyped"),
-        (ended(1, "ValueError"), "untyped"),
-        (ended(-signal.SIGSEGV), "crash"),
-        (ended(None), "hang"),
-    ],
-)
-def test_how_a_command_ended(how, outcome):
-    assert how.outcome == outcome
-    assert worse("accepted") == worse("typed") == "untyped"
-    assert worse("crash") == "crash"
 
 
 def test_a_file_is_the_old_or_the_new_one(ground):
@@ -108,21 +86,6 @@ def test_what_becomes_of_a_changed_file_is_an_exit_code(tmp_path, monkeypatch, f
     assert codes == [code]
 
 
-def test_clients_tell_what_they_saw_of_a_server():
-    answers = [(200, {}), (500, {"code": "worker_died"}), (500, {"code": "internal"}), (-1, None)]
-
-    class Server:
-        def ask(self, *_):
-            status, told = answers.pop(0)
-            if not answers:
-                load.over.set()
-            return status, told
-
-    load = Load(Server())
-    load.ask(lambda _: None)
-    assert dict(load.counts) == {"accepted": 1, "typed": 1, "untyped": 1, "hang": 1}
-
-
 def test_what_a_service_says_is_judged(tmp_path):
     told = []
     effort = Effort(1.0, 7, tmp_path, tmp_path, told.append)
@@ -142,20 +105,3 @@ def test_what_a_service_says_is_judged(tmp_path):
         "a service: gone",
         "a service: KeyError: 'workers'",
     ]
-
-
-def test_a_folder_is_unfinished_until_its_last_file_is_there(ground):
-    made = Writing("world build", (), ("w",), ("w/.*",), ends="w/world.json")
-    ground = replace(ground, writing=made, new={"w/a.city": b"new", "w/world.json": b"told"})
-    (ground.folder / "w/.build").mkdir(parents=True)
-    (ground.folder / "w/.build/journal").touch()
-    (ground.folder / "w/a.city").write_bytes(b"new")
-    assert made.before(ground.inputs, ground.folder) == {}
-    assert ground.whole({}) == ""
-    (ground.folder / "w/a.city").unlink()
-    (ground.folder / "w/world.json").write_bytes(b"told")
-    assert ground.whole({}) == "w/a.city is gone"
-    (ground.folder / "w/a.city").write_bytes(b"ne")
-    assert ground.whole({}) == "w/a.city is neither the old nor the new one"
-    made.before(ground.inputs, ground.folder)
-    assert not (ground.folder / "w").exists()

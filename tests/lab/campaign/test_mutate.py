@@ -76,16 +76,3 @@ def test_stores_are_wrong_behind_their_checksums(tmp_path):
             json.dumps(held.meta) + "".join(a.tobytes().hex() for a in held.arrays.values())
         )
     assert len(set(opened)) > TIMES // 3
-
-
-def test_folders_lose_files_and_get_pipes(tmp_path):
-    kinds = set()
-    for i in range(400):
-        folder = tmp_path / str(i)
-        folder.mkdir()
-        (folder / "a.txt").write_text("1 2\n")
-        (folder / "b.json").write_text("{}")
-        spoil(folder, np.random.default_rng(i))
-        kinds.add(tuple(sorted((p.name, p.is_file(), p.is_dir()) for p in folder.iterdir())))
-    assert (("a.txt", False, False), ("b.json", True, False)) in kinds
-    assert any(len(kind) == 1 for kind in kinds)

@@ -23,6 +23,7 @@ def test_a_turkish_machine_of_one_core_in_the_far_east(first, known):
     assert agrees(together(*(known[n] for n in names if n in known)), first) == ""
 
 
+@pytest.mark.all
 def test_a_machine_without_embree_and_poselib(first, known):
     assert agrees(known["no Embree, no PoseLib"], first) == ""
 

@@ -10,7 +10,6 @@ from placegraph.errors import InputError, MapError
 from placegraph_lab.datasets.kitti360pose import (
     DIRECTIONS,
     GRAIN,
-    KIND,
     RELEASE,
     Kitti360Pose,
     convert_kitti360pose,
@@ -93,16 +92,6 @@ def test_poses_and_what_was_said(folder, data):
                 np.testing.assert_allclose(column[i], 30.0 * finished(hint[name]), rtol=1e-6)
 
 
-@pytest.mark.parametrize("protocol", [2, 3, 5])
-def test_protocols_agree(kitti360pose_world, tmp_path, out, protocol):
-    folder = kitti360pose_world.write_set(tmp_path / "k360_tiny", protocol=protocol)
-    convert_kitti360pose(folder, tmp_path / "a")
-    ours, theirs = (read_map(path, KIND, 1) for path in (tmp_path / "a", out))
-    assert ours.arrays.keys() == theirs.arrays.keys()
-    for name, array in ours.arrays.items():
-        np.testing.assert_array_equal(array, theirs.arrays[name])
-
-
 # --- spoiled ---
 
 
@@ -163,25 +152,6 @@ def test_spoiled_fields_are_named(kitti360pose_world, tmp_path, edit, words):
     for word in (*words, "0003_sync.pkl"):
         assert word in str(caught.value)
     assert not list(tmp_path.glob("*a*")), "nothing half is left behind"
-
-
-def test_padding_and_pose_cells(kitti360pose_world, tmp_path):
-    def edit(module, cells, poses):
-        pad = kitti360pose_world.made(
-            module.Object3d, id=-1, instance_id=-1, xyz=np.zeros((8, 3)), rgb=np.zeros((8, 3)),
-            label="pad",
-        )  # fmt: skip
-        cells[0].objects.append(pad)
-        told = kitti360pose_world.made(module.DescriptionPoseCell)
-        told.__dict__.update(poses[0].descriptions[0].__dict__)
-        poses[0].descriptions[0] = told
-
-    folder = kitti360pose_world.write_set(tmp_path / "k", drives=["0003"], edit=edit)
-    found = convert_kitti360pose(folder, tmp_path / "a")
-    assert found.padding == 1
-    data = Kitti360Pose.open(tmp_path / "a")
-    assert "pad" not in data.labels
-    assert data.hints.objects[0] == -1, "ids of a pose cell are not those of the best cell"
 
 
 def test_folders_that_are_none(kitti360pose_world, tmp_path, out):

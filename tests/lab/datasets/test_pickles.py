@@ -117,16 +117,6 @@ def test_published_classes_become_records(tmp_path, protocol, kitti360pose_world
     assert MODULE not in sys.modules, "nothing was imported"
 
 
-plain = st.recursive(
-    st.none() | st.booleans() | st.integers(-(1 << 90), 1 << 90) | st.floats(allow_nan=False)
-    | st.text(st.characters(codec="utf-8")),
-    lambda inner: st.lists(inner, max_size=20)
-    | st.dictionaries(st.text(max_size=5) | st.integers(-(1 << 90), 1 << 90), inner)
-    | st.tuples(inner) | st.tuples(inner, inner, inner, inner),
-    max_leaves=30,
-)  # fmt: skip
-
-
 # --- what is refused ---
 
 
@@ -165,27 +155,6 @@ def test_calls_are_never_made(tmp_path, name, protocol):
     assert not mark.exists()
 
 
-def test_python_would_have_run_it(tmp_path):
-    """The test above can fail: Python's own unpickler makes the file."""
-    mark = tmp_path / "mark"
-    raw = pickle.dumps(Anything(os.mkdir, str(mark)))
-    refused(tmp_path, raw, "asks for")
-    assert not mark.exists()
-    pickle.loads(raw)  # noqa: S301
-    assert mark.exists()
-
-
-CELL = f"c{MODULE}\nCell\n".encode()
-
-
-def test_attributes_are_only_keys(tmp_path):
-    """What is set on an instance never becomes an attribute, whatever it is called."""
-    for key in ("__class__", "__dict__", "__setstate__", "kind", "fields"):
-        text = pickle.dumps(key, protocol=3)[2:-1]
-        record = loaded(tmp_path, b"\x80\x03" + CELL + b")\x81}" + text + b"K\x07sb.")
-        assert (type(record), record.kind, record.fields) == (Record, "Cell", {key: 7})
-
-
 @pytest.mark.parametrize(
     "raw",
     [
@@ -209,19 +178,6 @@ def test_lengths_are_not_believed(tmp_path):
 
 
 # --- damage ---
-
-
-def test_files_that_are_none(tmp_path):
-    for raw, word in ((b"", "empty"), (b"PK\x03\x04zip", "no pickle"), (b"\x80\x06N.", "no pickle"),
-                      (b"(lp0\n.", "no pickle"), (b"\x80", "ends here")):  # fmt: skip
-        refused(tmp_path, raw, word)
-    with pytest.raises(InputError, match="cannot be read"):
-        read_pickle(tmp_path / "missing.pkl")
-    with pytest.raises(InputError, match="plain file"):
-        read_pickle(tmp_path)
-    os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(InputError, match="plain file"):
-        read_pickle(tmp_path / "pipe")
 
 
 @pytest.fixture(scope="module")

@@ -67,6 +67,7 @@ def test_a_drawn_town(measure, tmp_path):
     assert all(f"{row['bytes'] * 1e-6:.3f}" in result.stdout for row in rows)
 
 
+@pytest.mark.all
 def test_drawn_homes(measure, tmp_path, monkeypatch):
     described = told.told()[:20]  # of few homes
     monkeypatch.setattr(told, "told", lambda: described)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from placegraph_lab.worlds.flat.furniture import MODELS, Body, box, frustum
 from placegraph_lab.worlds.flat.legend import look
-from placegraph_lab.worlds.flat.render import Shot, develop, measured
+from placegraph_lab.worlds.flat.render import Shot, measured
 from placegraph_lab.worlds.flat.textures import PAINTERS, Look, paint
 
 GREY = (128, 128, 128)
@@ -81,12 +81,3 @@ def test_depth_errors_grow_with_the_square_of_the_distance(distance, rng):
     assert 0.8 < len(read) / depth.size < 0.985
     assert np.std(read - distance) == pytest.approx(sigma, rel=0.35)
     assert np.mean(read) == pytest.approx(distance, abs=sigma)
-
-
-def test_exposure_brightens_and_noise_is_small(rng):
-    radiance = np.full((90, 160, 3), 0.3, np.float32)
-    radiance[:, 80:] = 0.6
-    dark, mid, light = (develop(radiance, e, rng).astype(float) for e in (0.5, 1.0, 2.0))
-    assert dark.mean() < mid.mean() < light.mean()
-    assert mid[:, 90:].mean() > mid[:, :70].mean() + 15
-    assert 0.5 < mid[40:50, 20:30].std(axis=(0, 1)).mean() < 8

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from placegraph.core.geometry import Camera
-from placegraph.indoor.encode import Encoder, MapEncoder, Patches
+from placegraph.indoor.encode import Encoder, Patches
 from placegraph.indoor.encode.labels import LabelsEncoder
 from placegraph.io.capture.frame import Frame
-from placegraph_lab.tables.indoor.bench import NoisyEncoder, NoisyLabels, mislabel
+from placegraph_lab.tables.indoor.bench import NoisyLabels, mislabel
 
 CAMERA = Camera(32, 18, 20.0, 20.0, 16.0, 9.0)
 
@@ -17,16 +17,6 @@ CAMERA = Camera(32, 18, 20.0, 20.0, 16.0, 9.0)
 def patches(rows, count=5):
     table = np.eye(count, 7, dtype=np.float32)
     return Patches(CAMERA, (1, len(rows)), np.array(rows, np.int32), table)
-
-
-class Fixed:
-    """An encoder that says the same of every frame."""
-
-    def __init__(self, said):
-        self.said = said
-
-    def encode(self, frame):  # noqa: ARG002
-        return self.said
 
 
 def frame(index):
@@ -41,21 +31,6 @@ def test_as_many_are_wrong_as_said_and_all_others_equally_often(rng):
     share = np.bincount(noisy.rows, minlength=5) / 40_000
     assert share[3] == pytest.approx(0.7, abs=0.01)
     assert share[[0, 1, 2, 4]] == pytest.approx(0.075, abs=0.006)
-
-
-def test_a_frame_errs_alike_whenever_it_is_encoded():
-    clean = patches(np.arange(500) % 5)
-    noisy = NoisyEncoder(Fixed(clean), seed=1, name="seq00")
-    assert isinstance(noisy, MapEncoder)
-    first = noisy.encode(frame(7)).rows
-    other = noisy.encode(frame(8)).rows
-    assert (noisy.encode(frame(7)).rows == first).all()
-    assert (NoisyEncoder(Fixed(clean), seed=1, name="seq00").encode(frame(7)).rows == first).all()
-    elsewhere = NoisyEncoder(Fixed(clean), seed=1, name="seq01").encode(frame(7)).rows
-    again = NoisyEncoder(Fixed(clean), seed=2, name="seq00").encode(frame(7)).rows
-    for rows in (other, elsewhere, again):
-        both = (rows != clean.rows) & (first != clean.rows)
-        assert both.mean() == pytest.approx(0.09, abs=0.05)  # independent
 
 
 # -------------------------------------------------------------------- encoders that know no map

@@ -6,7 +6,7 @@ import pytest
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor import maps as indoor_maps
-from placegraph_lab.tables.indoor.maps import coarse_house, house, office, with_mesh
+from placegraph_lab.tables.indoor.maps import coarse_house, office
 
 
 def box(low, high):
@@ -33,16 +33,6 @@ def scene():
     )  # fmt: skip
 
 
-def test_another_mesh_leaves_the_objects_as_they_are(scene):
-    other = with_mesh(scene, scene.mesh)
-    assert other.graph.ids == scene.graph.ids
-    assert other.graph.labels == scene.graph.labels
-    assert other.graph.relations == ("on",)
-    assert other.attributes[1] == {"material": "oak"}
-    assert other.floors.tolist() == [0.0]
-    assert other.graph.positions == pytest.approx(scene.graph.positions)
-
-
 def test_maps_are_made_once_and_old_ones_go(scene, tmp_path, monkeypatch):
     made = []
 
@@ -60,12 +50,6 @@ def test_maps_are_made_once_and_old_ones_go(scene, tmp_path, monkeypatch):
     coarse_house(tmp_path, tmp_path / "cache", 100)
     assert len(made) == 2
     assert [p.name for p in (tmp_path / "cache").iterdir()] == [f"house_100_{'0' * 16}.scene"]
-
-
-def test_the_house_is_whole(shared, tmp_path):
-    found = house(shared / "data", tmp_path)
-    assert len(found) == 86
-    assert len(house(shared / "data", tmp_path).mesh) == len(found.mesh)
 
 
 def test_half_of_the_office_is_a_map(shared, tmp_path, monkeypatch):

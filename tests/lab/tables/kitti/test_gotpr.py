@@ -99,24 +99,6 @@ def test_the_forward_pass_is_the_published_one(gotpr_world, texts, cells, layers
     assert network.first(cells)[4] == pytest.approx(first, rel=1e-4, abs=1e-5)
 
 
-def test_recall_is_that_of_eval(gotpr_world, texts, cells):
-    state = gotpr_world.state()
-    network = BigGNN.of(state, "x")
-    places = [name for name in cells.graphs if name.startswith("0003")]
-    hits = {k: [] for k in (1, 3, 5)}
-    for name in texts.graphs:
-        found = [big_gnn(state, 1, 2, plain(texts, name), plain(cells, p))[:2] for p in places]
-        cosine = [a @ b / np.linalg.norm(a) / np.linalg.norm(b) for a, b in found]
-        order = [places[i] for i in np.argsort([1 - c for c in cosine])]
-        for k, told in hits.items():
-            told.append(name[:10] in order[:k])
-    expected = {k: np.mean(told) for k, told in hits.items()}
-    assert recalls(network, texts, cells, candidates=None) == pytest.approx(expected)
-    assert recalls(network, texts, cells, candidates=len(places)) == pytest.approx(expected)
-    few = recalls(network, texts, cells, candidates=1)
-    assert few[1] == few[3] == few[5]
-
-
 def test_the_table_runs_a_release(gotpr_world, folder, tmp_path, capsys):
     torch = pytest.importorskip("torch", reason="PyTorch is not installed (extra learn)")
     from placegraph_lab.tables.named.outdoor_gotpr import outdoor_gotpr

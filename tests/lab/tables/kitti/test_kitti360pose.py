@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 
 from placegraph.errors import OptionError
-from placegraph.outdoor.language.description import SPEAKER
-from placegraph.outdoor.map.cells import compass
-from placegraph_lab.datasets.kitti360pose import DIRECTIONS, Kitti360Pose, convert_kitti360pose
-from placegraph_lab.tables.kitti.graphs import Names, description_of, parsed, scene_graph, text_of
+from placegraph_lab.datasets.kitti360pose import Kitti360Pose, convert_kitti360pose
+from placegraph_lab.tables.kitti.graphs import Names
 from placegraph_lab.tables.kitti.kitti360pose import MATCHERS, Split, evaluate
-from placegraph_lab.tables.kitti.matchers import REACH, Relational
+from placegraph_lab.tables.kitti.matchers import Relational
 
 
 @pytest.fixture(scope="module")
@@ -35,70 +33,6 @@ def fold(data):
 # --- graphs ---
 
 
-def test_scene_graphs_are_of_equation_6(data):
-    for cell in range(0, 40, 7):
-        graph = scene_graph(data, cell, edge_distance=12.0)
-        span = data.cells.objects(cell)
-        np.testing.assert_array_equal(graph.positions, data.objects.centers[span, :2])
-        assert graph.labels == tuple(data.labels[i] for i in data.objects.labels[span])
-        at = graph.positions
-        expected = {
-            (a, b, compass(at[a] - at[b]))
-            for a in range(len(at))
-            for b in range(len(at))
-            if 0.0 < np.hypot(*(at[a] - at[b])) <= 12.0
-        }
-        found = set(
-            zip(graph.sources.tolist(), graph.targets.tolist(), graph.relations, strict=True)
-        )
-        assert found == expected
-        assert expected
-
-
-def test_the_text_is_the_published_one(data):
-    text = text_of(data, 0)
-    h, span = data.hints, data.poses.hints(0)
-    first = f"The pose is {DIRECTIONS[h.directions[0]]} of a "
-    assert text.startswith(first + f"{data.colours[h.colours[0]]} {data.labels[h.labels[0]]}. ")
-    assert text.count("The pose is") == span.stop - span.start == 6
-    assert "on-top" in " ".join(text_of(data, p) for p in range(80))
-
-
-@pytest.mark.parametrize("options", [{}, {"coloured": True}, {"osm": True}])
-def test_our_parser_reads_the_same_graph(data, options):
-    names = Names(data, **options)
-    for pose in range(80):
-        direct, read = description_of(data, pose, names=names), parsed(data, pose, names=names)
-        assert read.mentions == direct.mentions
-        assert read.statements == direct.statements
-        assert read.ignored == ()
-
-
-def test_papers_relations_are_those_of_where_things_stand(data):
-    """Compared with the cell's own objects, where a thing lies in the best cell as a whole."""
-    compared = 0
-    for pose in range(80):
-        cell = int(data.poses.cells[pose])
-        span = data.cells.objects(cell)
-        rows = range(*data.poses.hints(pose).indices(480))
-        at = {}
-        for node, row in enumerate(rows, 2):
-            if data.hints.objects[row] >= 0:
-                at[node] = data.objects.centers[span.start + data.hints.objects[row], :2]
-                true = data.poses.positions[pose, :2] - data.hints.offsets[row]
-                if np.hypot(*(true - at[node])) > 0.2:  # cut otherwise in the best cell
-                    del at[node]
-        told = description_of(data, pose, reading="paper")
-        assert all(SPEAKER not in (s.source, s.target) for s in told.statements)
-        for s in told.statements:
-            if s.source in at and s.target in at:
-                delta = at[s.source] - at[s.target]
-                if abs(abs(delta[0]) - abs(delta[1])) > 0.5:
-                    assert f"on the {compass(delta)} of" in s.text
-                    compared += 1
-    assert compared > 200
-
-
 # --- matchers ---
 
 
@@ -108,23 +42,6 @@ def test_papers_relations_are_those_of_where_things_stand(data):
 @pytest.fixture(scope="module")
 def relational(data, fold):
     return Relational.of(data, fold.cells)
-
-
-def test_what_is_in_sight(data, relational):
-    for v in range(0, len(relational.points), 97):
-        owner = relational.owner[v]
-        objects = range(relational.object_starts[owner], relational.object_starts[owner + 1])
-        expected = {}
-        for i in objects:
-            off = data.objects.footprint(int(relational.objects[i])) - relational.points[v]
-            nearest = off[np.argmin(np.hypot(*off.T))]
-            if np.hypot(*nearest) <= REACH:
-                expected[i] = nearest
-        seen = slice(relational.starts[v], relational.starts[v + 1])
-        assert relational.seen[seen].tolist() == list(expected)
-        np.testing.assert_allclose(
-            relational.offsets[seen], np.reshape(list(expected.values()), (-1, 2)), atol=1e-4
-        )
 
 
 # --- the protocol ---

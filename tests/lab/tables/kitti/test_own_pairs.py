@@ -5,7 +5,6 @@ import shutil
 
 import pytest
 
-from placegraph.errors import InputError
 from placegraph.outdoor.city import build_city
 from placegraph_lab.tables.kitti.own_pairs import evaluate_folder
 from placegraph_lab.tables.outdoor.metrics import HIT
@@ -62,32 +61,6 @@ def test_recall_and_calibration(folder):
     assert json.loads(json.dumps(told, allow_nan=False)) == told
     assert [a["id"] for a in told["answers"]] == ["clear", "wrong", "lost", "long"]
     assert "4 descriptions" in found.table()
-
-
-def test_near_and_heading_reach_the_map(folder):
-    lon, lat = TRUE
-    text = "There is a fountain to my right. There is a café behind me."
-    squares = {"text": text, "longitude": lon, "latitude": lat}
-    write(folder, [
-        squares | {"id": 1},
-        squares | {"id": 2, "heading_deg": 0.0},
-        {"id": 3, "text": CLEAR, "longitude": lon, "latitude": lat, "near": [9.0, 50.0, 100]},
-    ])  # fmt: skip
-    unsure, looking, elsewhere = evaluate_folder(folder).answers
-    assert unsure.probability != looking.probability
-    assert elsewhere.status == "LOST"
-
-
-def test_folders_that_are_none(folder):
-    shutil.copy(folder / "town.city", folder / "other.city")
-    with pytest.raises(InputError, match="several maps"):
-        evaluate_folder(folder)
-    for path in folder.glob("*.city"):
-        path.unlink()
-    with pytest.raises(InputError, match="holds no map"):
-        evaluate_folder(folder)
-    with pytest.raises(InputError, match=r"descriptions\.jsonl cannot be read"):
-        evaluate_folder(folder / "missing")
 
 
 def test_the_command(run, folder):

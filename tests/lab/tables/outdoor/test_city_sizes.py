@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 
-from placegraph.errors import OptionError
 from placegraph.outdoor.city import CityMap, build_city
-from placegraph_lab.tables.outdoor.extracts import busiest_tile, crop, tile
-from placegraph_learn.city.descriptions import held_out
+from placegraph_lab.tables.outdoor.extracts import crop, tile
 
 
 @pytest.fixture(scope="module")
@@ -37,19 +35,6 @@ def test_a_part_has_the_cells_of_the_whole(city, tmp_path):
     assert len(CityMap.open(tmp_path / "part.city").cells) == 40
 
 
-def test_the_busiest_tile_has_the_most_objects(city):
-    def inside(middle):
-        return (np.abs(city.objects.center - middle).max(axis=1) <= 500.0).sum()
-
-    best = busiest_tile(city)
-    assert (best % 1000.0 == 500.0).all()
-    around = [
-        best + np.array([x, y]) for x in (-1000.0, 0.0, 1000.0) for y in (-1000.0, 0.0, 1000.0)
-    ]
-    assert inside(best) == max(map(inside, around))
-    assert held_out(*busiest_tile(city, unseen=True))
-
-
 def test_copies_stand_apart_and_differ(city):
     three = tile(city, 3, np.random.default_rng(0))
     three.objects.check()
@@ -70,11 +55,3 @@ def test_copies_stand_apart_and_differ(city):
     assert spans[2][:, 1].min() > spans[0][:, 1].max() + 100.0
     # stones' throws are kept: every copy has as many cells
     assert abs(len(three.cells) - 3 * len(city.cells)) <= 0.05 * len(three.cells)
-
-
-def test_what_cannot_be_made_is_said(city):
-    for cells in (0, len(city.cells) + 1):
-        with pytest.raises(OptionError, match="cells"):
-            crop(city, cells)
-    with pytest.raises(OptionError, match="copies"):
-        tile(city, 0, np.random.default_rng(0))

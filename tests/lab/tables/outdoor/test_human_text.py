@@ -6,26 +6,7 @@ import pytest
 
 from placegraph.errors import InputError
 from placegraph_lab.tables.outdoor.metrics import distances
-from placegraph_lab.tables.outdoor.places import Baselines, Record, landmarks, read_records
-
-PLACES = [
-    ("cafe", 10.000, 50.000),
-    ("cafe", 10.010, 50.000),
-    ("Rex Theater", 10.005, 50.005),
-    ("bank", 10.000, 50.010),
-    ("bank", 10.0001, 50.010),  # next door to the other: one landmark
-]
-
-
-def record(text, start=(10.009, 50.0)):
-    return Record(text, (10.0, 50.0), start, ())
-
-
-def test_the_rarest_landmark_is_chosen():
-    simple = Baselines(PLACES)
-    assert simple.rarest(record("A cafe by the REX THEATER.")) == pytest.approx([10.005, 50.005])
-    assert simple.rarest(record("Between a bank and a cafe")) == pytest.approx([10.0, 50.010])
-    assert simple.rarest(record("Nowhere, cafeteria")) is None
+from placegraph_lab.tables.outdoor.places import Baselines, landmarks, read_records
 
 
 def test_points_are_listed_latitude_first(tmp_path):

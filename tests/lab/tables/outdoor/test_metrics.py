@@ -16,7 +16,7 @@ from placegraph_lab.tables.outdoor.metrics import (
     report,
     score,
 )
-from placegraph_lab.tables.runner import markdown, number, share, shares
+from placegraph_lab.tables.runner import markdown
 
 
 def answer(*off, exact=(), seconds=0.001, status="OK", probability=0.9):
@@ -85,10 +85,3 @@ def test_tables_are_markdown():
     assert len({len(x) for x in lines}) == 1
     with pytest.raises(ValueError, match="as many cells"):
         markdown(["a"], [["b", "c"]])
-
-
-def test_numbers_are_short():
-    assert [share(x) for x in (0.454, 1.0, 0.0, None)] == [".45", "1.00", ".00", "–"]
-    assert shares([0.5, 0.25]) == ".50/.25"
-    assert [number(x, 1, "ms") for x in (12.34, np.inf, None)] == ["12.3 ms", "∞", "–"]
-    assert number(1234567.0) == "1,234,567"

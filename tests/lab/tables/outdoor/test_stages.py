@@ -14,7 +14,6 @@ from placegraph_lab.tables.named.outdoor_ablation import (
     printed,
     recall,
 )
-from placegraph_lab.tables.named.outdoor_pairs import Pairs
 from placegraph_lab.tables.outdoor.matchers import STAGES, medians, run
 from placegraph_lab.tables.outdoor.queries import load, make_queries
 
@@ -77,10 +76,3 @@ def test_a_network_is_evaluated_on_given_cells_and_its_own(city, network, town, 
     text = printed({OURS: [[table]], "other": [[table], [table]]}, 0)
     assert "| other |     2 |" in text
     assert "+0.000 to +0.000" in text
-
-
-def test_every_pair_is_judged_by_either_network(city, network, asked):
-    pairs = Pairs.of(city, asked, 5, np.random.default_rng(0))
-    assert pairs.by_network(network)() == 4 * 5
-    pytest.importorskip("torch", reason="the learn extra is not installed")
-    assert pairs.by_torch(network, "cpu")() == 4 * 5

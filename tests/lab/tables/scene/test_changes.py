@@ -52,6 +52,7 @@ def test_what_was_changed_is_read(tmp_path):
     assert found["4"] is None
 
 
+@pytest.mark.all
 def test_an_unchanged_sequence_of_the_house_raises_no_alarm(shared):
     scene = build_scene(shared / "data/house/map/house.glb", None)
     answer = ask(scene, shared / "data/house/seq03", 10, 5)

@@ -5,7 +5,6 @@ import json
 import numpy as np
 import pytest
 
-from placegraph.errors import PlacegraphError
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor.metrics import Answer
@@ -20,11 +19,9 @@ from placegraph_lab.tables.scene.maps import (
     VERTICES,
     Asking,
     Maps,
-    Paired,
     Place,
     Run,
     Size,
-    difference,
     findings,
     study,
 )
@@ -103,15 +100,6 @@ def test_smaller_maps_lie_near_the_full_one(maps):
     assert maps.apart("house", VERTICES).mean < 0.01
 
 
-def test_a_process_of_its_own_has_its_own_memory(tmp_path):
-    ballast = np.ones(60_000_000)  # 480 MB that are not the command's
-    told = scene_maps.run(["--version"])
-    assert told.out.strip()
-    assert 1e7 < told.peak < ballast.nbytes
-    with pytest.raises(PlacegraphError, match=r"nowhere\.glb"):
-        scene_maps.run(["scene", "build", str(tmp_path / "nowhere.glb"), "-o", "x.scene"])
-
-
 # -------------------------------------------------------------------------------------- recall
 
 
@@ -121,23 +109,6 @@ def answer(name, position, rotation=1.0, place="seq00"):
         rotation=rotation, status="OK", probability=0.9, held=True,
         whitened=(0.0,) * 6, frames=5, seconds=0.1,
     )  # fmt: skip
-
-
-def paired(now, full, row="instances: semantic, 5 frames", size="small"):
-    both = [[answer(f"w{i}", p) for i, p in enumerate(row)] for row in (now, full)]
-    return Paired(row, size, *map(tuple, both), limits=((0.10, 5.0), (0.25, 2.0)))
-
-
-def test_windows_are_compared_one_by_one():
-    found = paired([0.05, 0.2, 0.3, 0.01], [0.05, 0.3, 0.2, 0.9])
-    assert found.recalls == (0.5, 0.75)
-    assert found.steps == (0, 1, -1, 1)
-    assert found.gained == ["w1", "w3"]
-    assert found.lost == ["w2 0.30 m 1.0 deg"]
-    points, error = difference(found.steps)
-    assert points == pytest.approx(25.0)
-    assert error == pytest.approx(100 * np.std([0, 1, -1, 1]) / 2)
-    assert np.isnan(difference(())).all()
 
 
 @pytest.fixture

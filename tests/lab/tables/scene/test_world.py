@@ -1,10 +1,12 @@
 """The quarter of `world_locate`: houses stand where the city has them, and answers are judged."""
 
 import numpy as np
+import pytest
 
 from placegraph_lab.tables.named.world_locate import ROWS, ask, quarter, report
 
 
+@pytest.mark.all
 def test_a_house_is_where_its_address_is_and_found_by_it(tmp_path):
     world, visits = quarter(2, tmp_path, seed=1)
     city = world.cities["quarter"]

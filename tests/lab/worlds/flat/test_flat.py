@@ -1,6 +1,5 @@
 """Flats drawn in ASCII: what the text means, and what is said of texts that mean nothing."""
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -44,13 +43,6 @@ def test_settings_and_size(chamber):
     assert chamber.size == (6.0, 1.75)
 
 
-def test_page_and_metres_lead_back_to_each_other(chamber):
-    assert chamber.corner(0, 0) == (0.0, 1.75)
-    assert chamber.corner(7, 12) == (6.0, 0.0)
-    for cell in ((0, 0), (3, 7), (6, 11)):
-        assert chamber.cell(*chamber.corner(cell[0] + 0.5, cell[1] + 0.5)) == cell
-
-
 def test_rooms_walls_and_the_outside(chamber):
     assert [room.name for room in chamber.rooms] == ["study"]
     assert chamber.rooms[0].symbol.looks["walls"].kind == "wallpaper"
@@ -69,15 +61,6 @@ def test_things_and_what_carries_them(chamber):
     assert chamber.host(desk) is None
     assert chamber.base(desk) == 0.0
     assert chamber.base(vase) == desk.symbol.height == 0.75
-
-
-def test_blocked(chamber):
-    blocked = chamber.blocked
-    assert blocked[1, 3]  # a sofa
-    assert blocked[0, 6]  # a window
-    assert not blocked[3, 11]  # a doorway
-    assert not blocked[5, 8]  # floor
-    assert blocked[0, 0]  # outside
 
 
 def test_a_closed_door_blocks_and_divides():
@@ -167,20 +150,6 @@ def test_errors_of_furnishing(row, kind, said, rng):
         flat.furnish(rng)
     assert said in str(error.value)
     assert "x.txt, line 4, column" in str(error.value)
-
-
-GLYPHS = "##  .=:+STv1"
-LEGEND = "\n[legend]\n1 room:\nS sofa:\nT table:\nv drum: in=T height=0.2\n"
-
-
-@given(st.lists(st.text(GLYPHS, max_size=9), max_size=9))
-def test_any_drawing_is_a_flat_or_an_error(rows):
-    try:
-        flat = Flat.parse("[drawing]\n" + "\n".join(rows) + LEGEND)
-        interior = flat.furnish(np.random.default_rng(0))
-    except PlacegraphError:
-        return
-    assert len(interior.things) >= 2 * len(flat.rooms)
 
 
 @given(st.text())

@@ -1,14 +1,10 @@
 """Procedural homes: sound, alike and yet each its own."""
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from placegraph.errors import OptionError
-from placegraph_lab.worlds.drawing import blots
 from placegraph_lab.worlds.flat.flat import Flat
-from placegraph_lab.worlds.flat.walks import BODY, FloorPlan
 from placegraph_lab.worlds.home.catalogue import KINDS, ROOMS, SYNONYMS
 from placegraph_lab.worlds.home.change import SHELL, on
 from placegraph_lab.worlds.home.home import (
@@ -43,18 +39,6 @@ def test_every_home_parses_and_the_same_seed_draws_the_same(seed, style):
     assert {room.name for room in flat.rooms} <= ROOMS.keys()
     assert len({room.name for room in flat.rooms}) == len(flat.rooms)
     assert {blot.symbol.label for blot in flat.things} <= WORDS
-
-
-@given(SEEDS)
-@FEW
-def test_who_walks_gets_into_every_room(seed):
-    flat = home(np.random.default_rng(seed))
-    floor = FloorPlan(flat)
-    groups = blots(map(tuple, np.argwhere(floor.clear >= BODY).tolist()))
-    largest = max(groups, key=len)
-    x, y = ((np.array(sorted(largest)) + 0.5) * 0.1).T
-    rooms = {int(flat.room_of[flat.cell(*at)]) for at in zip(x.tolist(), y.tolist(), strict=True)}
-    assert {i for i in rooms if i >= 0} == set(range(len(flat.rooms)))
 
 
 @given(SEEDS)
@@ -162,16 +146,3 @@ def test_a_capture_in_memory():
     assert np.allclose(np.linalg.norm(one.gravity, axis=1), 1.0)
     # odometry begins level, at its own origin
     assert np.allclose(one.odometry[0, :3, 3], 0.0)
-
-
-def test_bad_options():
-    rng = np.random.default_rng(0)
-    with pytest.raises(OptionError, match="no style 'baroque'"):
-        home(rng, style="baroque")
-    _, interior, _ = _furnished(0)
-    with pytest.raises(OptionError, match="moved=2"):
-        changed(interior, rng, moved=2)
-    flat = home(rng)
-    walk = visit(flat, flat.furnish(rng), rng, frames=1)
-    with pytest.raises(OptionError, match="labels is 'colours'"):
-        record(interior, walk, rng, labels="colours")

@@ -3,7 +3,7 @@
 import osmium
 import pytest
 
-from placegraph.errors import InputError, OptionError
+from placegraph.errors import InputError
 from placegraph_lab.worlds.town.town import Town, shipped
 
 
@@ -56,13 +56,6 @@ def test_points_roads_and_bridge(tmp_path):
     [bridge] = [town.plane.to_plane(line) for tags, line in roads if "bridge" in tags]
     assert bridge[0] == pytest.approx((-10.0, 0.0), abs=0.02)
     assert bridge[-1] == pytest.approx((-10.0, -40.0), abs=0.02)
-
-
-def test_roads_share_the_node_where_they_cross(tmp_path):
-    _, ways, _ = osm(CROSSING, tmp_path)
-    [east_west] = [line for tags, line in ways if tags.get("name")]
-    north_south = [line for tags, line in ways if tags.get("highway") == "residential"]
-    assert any(set(east_west) & set(line) for line in north_south)
 
 
 def test_area_with_hole_is_a_multipolygon(tmp_path):
@@ -124,17 +117,6 @@ def osm_of(town, tmp_path):
     return counts
 
 
-def test_hafenstadt_has_two_look_alike_squares():
-    town = Town.load("hafenstadt")
-    for cafe, square in (("u", ","), ("v", ";")):
-        east, north = town.plane.to_plane(town.position(cafe)) - town.plane.to_plane(
-            town.position(square)
-        )
-        assert east > 30
-        assert abs(north) < 20
-    assert len(town.positions("F")) == 3
-
-
 @pytest.mark.parametrize(
     ("text", "where", "mend"),
     [
@@ -164,12 +146,3 @@ def test_errors_name_the_place_and_the_mend(text, where, mend, tmp_path):
         Town.parse(text).write_osm(tmp_path / "town.osm")
     assert where in str(error.value)
     assert mend in str(error.value)
-
-
-def test_asking_for_what_is_not_there():
-    with pytest.raises(OptionError, match="hafenstadt"):
-        Town.load("atlantis")
-    with pytest.raises(OptionError, match="0 places"):
-        Town.parse("[drawing]\n--\n").position("B")
-    with pytest.raises(OptionError, match="2 places"):
-        Town.parse("[drawing]\n* *\n").position("*")

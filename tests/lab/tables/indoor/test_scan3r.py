@@ -67,25 +67,6 @@ def test_the_rule(rooms):
     assert not everything["test"]
 
 
-def test_lists_that_cannot_be(rooms, tmp_path):
-    with pytest.raises(InputError, match=r"has none of train_resplit_scans\.txt"):
-        split_rooms(rooms, tmp_path)
-    own = tmp_path / "mine.txt"
-    own.write_text("\n")
-    with pytest.raises(InputError, match="names no scan"):
-        split_rooms(rooms, {"test": own})
-    own.write_text("zz\n")
-    with pytest.raises(InputError, match=r"mine\.txt: .*knows no scan 'zz'"):
-        split_rooms(rooms, {"test": own})
-    own.write_text("d0-x\n")
-    with pytest.raises(InputError, match="both name the room d0-x"):
-        split_rooms(rooms, {"test": own, "validation": own})
-    with pytest.raises(OptionError, match="no splits"):
-        split_rooms(rooms, {"val": own})
-    with pytest.raises(OptionError, match="validation_rooms"):
-        split_rooms(rooms, validation_rooms=-1)
-
-
 def test_pairs(rooms):
     left_out = Counter()
     pairs = cross_temporal_pairs(rooms.rooms, left_out=left_out)

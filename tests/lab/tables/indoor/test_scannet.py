@@ -33,14 +33,6 @@ def test_pairs_are_of_one_room_and_of_different_scans():
     assert derive_pairs([]) == []
 
 
-@pytest.mark.parametrize("wrong", [["scene1_00"], ["scene0001"], [""]])
-def test_names_that_are_none_of_scannet_s_are_refused(wrong):
-    with pytest.raises(OptionError, match="is no scan of ScanNet"):
-        derive_pairs(wrong)
-    with pytest.raises(OptionError, match="which is 'last'"):
-        derive_pairs(FOUND, "last")
-
-
 def test_pairs_are_read_with_what_registers_them(tmp_path):
     numbers = " ".join(f"{v:.6f}" for v in MAP_FROM_QUERY.ravel())
     path = tmp_path / "pairs.txt"

@@ -9,7 +9,6 @@ from placegraph.core.geometry import Camera
 from placegraph.errors import OptionError
 from placegraph.indoor.encode.labels import LabelsEncoder
 from placegraph.indoor.library import SearchOptions
-from placegraph.indoor.map.rooms import rooms_of
 from placegraph.io.capture.frame import Frame
 from placegraph_lab.tables.named.scene_retrieval import figures, report
 from placegraph_lab.tables.runner import Journal
@@ -23,7 +22,6 @@ from placegraph_lab.tables.scene.places import (
     encoder_of,
     noisy,
     replay,
-    room_scene,
 )
 from placegraph_lab.tables.scene.search import (
     ABSENT,
@@ -33,34 +31,10 @@ from placegraph_lab.tables.scene.search import (
     Study,
     ask,
     measure,
-    pool,
     recall,
     searcher,
 )
-from placegraph_lab.worlds.flat.flat import Flat
 from placegraph_lab.worlds.home.home import home, record, scene_of, visit
-
-TWO_ROOMS = """
-[drawing]
-################################
-#BBBB          #         SSSSSS#
-#BBBB          #         SSSSSS#
-#              #         SSSSSS#
-#              #               #
-#      1       :       2       #
-#              :               #
-#              :               #
-#     TTTT     #               #
-#     TTTT     #        CCCC   #
-################################
-[legend]
-1 room: label=study
-2 room: label=living room
-B shelf: label=bookcase
-T table: label=desk
-S sofa: look=fabric darkred
-C cabinet: label=sideboard
-"""
 
 
 def _walk(seed, frames=10, changed=False):
@@ -142,23 +116,6 @@ def test_things_are_mistaken_for_the_same_as_long_as_they_are_in_view(world):
     assert 0.1 < np.mean(wrong) < 0.5
 
 
-def test_pools_hold_the_right_scene_once_or_not_at_all():
-    names = [f"home {i}" for i in range(60)]
-    for place in names[:5]:
-        ten, fifty, absent = (pool(place, names, kind) for kind in ("10", "50", ABSENT))
-        assert len(ten) == len(set(ten)) == 10
-        assert len(fifty) == len(set(fifty)) == 50
-        assert place in ten
-        assert set(ten) <= set(fifty)
-        assert place not in absent
-        assert len(set(absent)) == 50
-        assert pool(place, names, "50") == fifty
-    first = [pool(place, names, "10").index(place) for place in names]
-    assert len(set(first)) > 5  # its position tells nothing
-    assert sorted(pool("home 0", names[:40], "50")) == sorted(names[:40])  # all that there are
-    assert sorted(pool("home 0", names[:40], ABSENT)) == sorted(names[1:40])
-
-
 def test_truth_is_held_against_the_answer_only_afterwards(world, scenes):
     encoder = LabelsEncoder()
     walk = world[2][1]
@@ -205,24 +162,7 @@ def record_without_labels(walk):
     return type(walk.capture).from_frames(frames)
 
 
-def test_rooms_become_scenes_of_their_own():
-    interior = Flat.parse(TWO_ROOMS).furnish(np.random.default_rng(0))
-    scene = scene_of(interior)
-    rooms = rooms_of(scene.mesh, scene.graph.labels, 0.0)
-    assert len(rooms) == 2
-    parts = [room_scene(scene, rooms, i) for i in range(2)]
-    things = [set(part.graph.labels) - {"wall", "floor", "ceiling"} for part in parts]
-    assert {"bookcase", "desk"} in [t - {"doorway"} for t in things]
-    assert {"sofa", "sideboard"} in [t - {"doorway"} for t in things]
-    for part in parts:
-        assert {"wall", "floor", "ceiling"} <= set(part.graph.labels)
-        width = part.bounds[1, 0] - part.bounds[0, 0]
-        assert 3.4 < width < 5.0
-        for a, b in zip(part.graph.sources, part.graph.targets, strict=True):
-            assert 0 <= a < len(part)
-            assert 0 <= b < len(part)
-
-
+@pytest.mark.all
 def test_a_study_of_four_homes(tmp_path, world, monkeypatch):
     monkeypatch.setitem(retrieval.POOLS, "10", 2)
     monkeypatch.setitem(retrieval.POOLS, "50", 3)
