@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from placegraph.core.estimate import Status
 from placegraph.errors import InputError, OptionError
-from placegraph.indoor.likelihood.observe import FACTORS, check_unit, hint, suspected_factor
+from placegraph.indoor.likelihood.depth_unit import FACTORS, check_unit, hint, suspected_factor
 from placegraph.indoor.likelihood.observe import FINE, sight, views
 from placegraph.indoor.likelihood.score import model_of
 from placegraph.indoor.options import FilterOptions

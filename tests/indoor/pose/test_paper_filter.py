@@ -18,7 +18,7 @@ from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.pose.kld_sampling import Particles, kld_bound, kld_count, resample
 from placegraph.indoor.pose.local_fit import heaviest_modes
-from placegraph.indoor.pose.window import Chain, propagate
+from placegraph.indoor.pose.motion import Chain, propagate
 from placegraph.indoor.pose.particle_filter import ParticleFilter, _later, everywhere
 from placegraph.indoor.pose.window import PoseQuery, Window
 from placegraph.indoor.scene_map import SceneMap

@@ -21,7 +21,7 @@ from placegraph.indoor.pose.local_fit import (
     heaviest_modes,
     probabilities,
 )
-from placegraph.indoor.pose.window import Chain, level_poses
+from placegraph.indoor.pose.motion import Chain, level_poses
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 

@@ -42,5 +42,5 @@ def test_every_part_is_weighed(tmp_path):
 def test_the_house_keeps_its_rules():
     now = {figure.name: figure.now for figure in shape(LAB.parent)}
     assert now["functions over 80 lines"] == 0
-    assert now["functions over 8 parameters"] <= 7  # doors, whose keywords are the interface
+    assert now["functions over 8 parameters"] <= 8  # doors, whose keywords are the interface
     assert now["lines of the README"] <= 150

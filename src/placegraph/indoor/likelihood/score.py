@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.geometry import Floats, compose
-from placegraph.indoor.likelihood.score import Calibrated
+from placegraph.indoor.likelihood.calibrated import Calibrated
 from placegraph.indoor.likelihood.observe import Model, View
 from placegraph.indoor.likelihood.paper import Paper
 from placegraph.indoor.likelihood.score_kernels import score_poses

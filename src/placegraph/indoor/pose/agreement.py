@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from placegraph.core.estimate import Evidence
 from placegraph.core.geometry import Floats, compose
-from placegraph.indoor.likelihood.score import reading_ratio
+from placegraph.indoor.likelihood.calibrated import reading_ratio
 from placegraph.indoor.likelihood.observe import View
 from placegraph.indoor.likelihood.score import Scorer
 from placegraph.indoor.likelihood.score_kernels import COLOUR, DEPTH, SEMANTIC, TONE, look

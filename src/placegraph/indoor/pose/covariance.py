@@ -19,7 +19,7 @@ from placegraph.indoor.pose.local_fit import (
     merge_fits,
     probabilities,
 )
-from placegraph.indoor.pose.window import Chain
+from placegraph.indoor.pose.motion import Chain
 from placegraph.indoor.pose.window import Window, timed
 
 TILT = 0.006

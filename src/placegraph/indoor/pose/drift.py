@@ -24,7 +24,7 @@ from placegraph.indoor.pose.local_fit import (
     FitLevel,
     fit_level,
 )
-from placegraph.indoor.pose.window import Chain
+from placegraph.indoor.pose.motion import Chain
 from placegraph.indoor.pose.window import Window, timed
 
 USUAL = 0.25

@@ -11,7 +11,7 @@ import numpy as np
 from placegraph.core.estimate import Evidence, PoseEstimate, PoseMode, Status
 from placegraph.core.geo import EarthPose
 from placegraph.core.geometry import Floats, between, pose_matrix
-from placegraph.indoor.likelihood.observe import hint
+from placegraph.indoor.likelihood.depth_unit import hint
 from placegraph.indoor.likelihood.observe import FINE
 from placegraph.indoor.map.floor import storey_at
 from placegraph.indoor.map.rooms import room_at

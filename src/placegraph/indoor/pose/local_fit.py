@@ -30,7 +30,7 @@ from placegraph.indoor.pose.kld_sampling import (
     moments,
     near,
 )
-from placegraph.indoor.pose.window import Chain
+from placegraph.indoor.pose.motion import Chain
 from placegraph.indoor.pose.search import SCREENED, thinned
 from placegraph.indoor.pose.window import Window, timed
 from placegraph.indoor.rays.trace_kernels import LANES

@@ -22,7 +22,7 @@ from placegraph.indoor.pose.kld_sampling import (
     masses,
     resample,
 )
-from placegraph.indoor.pose.window import propagate
+from placegraph.indoor.pose.motion import propagate
 from placegraph.indoor.pose.search import around, near_prior, table_seeds
 from placegraph.indoor.pose.window import Window, timed
 

@@ -17,13 +17,13 @@ from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
 from placegraph.indoor.encode import Encoder, MapEncoder, bound, for_map
 from placegraph.indoor.encode.labels import InstancesEncoder, LabelsEncoder
-from placegraph.indoor.likelihood.observe import check_unit
+from placegraph.indoor.likelihood.depth_unit import check_unit
 from placegraph.indoor.likelihood.observe import Cut, Sighting, View, sight, views
 from placegraph.indoor.likelihood.score import Scorer
 from placegraph.indoor.likelihood.visibility import VisibilityTable, visibility
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.options import FilterOptions, check_device
-from placegraph.indoor.pose.window import Chain, keyframes, level_poses
+from placegraph.indoor.pose.motion import Chain, keyframes, level_poses
 from placegraph.indoor.pose.prior import LogPrior
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame

@@ -134,7 +134,7 @@ def functions(path: Path) -> Iterator[tuple[str, int, int]]:
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
             told = ast.get_docstring(node) is not None
             first = node.body[min(int(told), len(node.body) - 1)].lineno
-            head = 1 if "cli" in path.parts else node.body[0].lineno - node.lineno
+            head = 1 if "cli" in (*path.parts, path.stem) else node.body[0].lineno - node.lineno
             each = (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)
             parameters = sum(argument.arg not in {"self", "cls"} for argument in each)
             yield node.name, head + (node.end_lineno or 0) - first + 1, parameters
@@ -145,7 +145,7 @@ def shape(root: Path) -> list[Figure]:
     files = sorted([*(root / "src").rglob("*.py"), *root.glob("packages/*/src/**/*.py")])
     plain = [(p, f) for p in files if not p.stem.endswith("_kernels") for f in functions(p)]
     lengths = [lines for _, (_, lines, _) in plain]
-    apart = [f for p, f in plain if "cli" not in p.parts]
+    apart = [f for p, f in plain if "cli" not in (*p.parts, p.stem)]
     longest = max(p.read_text("utf-8").count("\n") for p in files)
     folders = {p.parent for p in files}
     entries = max(sum(p.parent == folder for p in files) for folder in folders)
