@@ -76,7 +76,13 @@ def level_model(model: Model, up: str, notes: list[str]) -> Model:
         return model
     rows = np.array([is_floor(t.label) for t in model.things], np.bool_)[model.thing_of]
     if not rows.any():
-        _note_side(model, notes)
+        low, high = np.quantile(_sample_corners(model).reshape(-1, 3), (0.01, 0.99), axis=0)
+        x, y, z = high - low
+        if ROOM[0] < y < ROOM[1] and z > ROOM[1] and y < 0.75 * min(x, z):
+            notes.append(
+                f"It is {z:.1f} m high, and {y:.1f} m along y, as rooms are high: if it lies on its side, "
+                "pass --up y."
+            )
         return model
     corners = model.vertices[model.triangles]
     a, b, c = np.moveaxis(corners[rows], 1, 0)
@@ -90,17 +96,6 @@ def level_model(model: Model, up: str, notes: list[str]) -> Model:
     )
     turn = Z_UP if below else Z_UP.T
     return replace(model, vertices=model.vertices @ turn.T, floor=None)
-
-
-def _note_side(model: Model, notes: list[str]) -> None:
-    """Note a model that is as high along y as rooms are, and much longer along z."""
-    low, high = np.quantile(_sample_corners(model).reshape(-1, 3), (0.01, 0.99), axis=0)
-    x, y, z = high - low
-    if ROOM[0] < y < ROOM[1] and z > ROOM[1] and y < 0.75 * min(x, z):
-        notes.append(
-            f"It is {z:.1f} m high, and {y:.1f} m along y, as rooms are high: if it lies on its side, "
-            "pass --up y."
-        )
 
 
 def clean_model(

@@ -301,7 +301,14 @@ def _encode_spark_dsg(scene: Scene, paths: dict[str, NDArray[np.float64]]) -> by
 
 def _write_ply(scene: Scene, path: Path, table: Path) -> None:
     model = paint_vertices(scene)
-    numbers = _number_ids([t.id for t in model.things])
+    ids = [t.id for t in model.things]
+    own = {id_ for id_ in ids if id_.isdecimal() and id_.isascii() and str(int(id_)) == id_}
+    own = {id_ for id_ in own if int(id_) < 1 << 30}
+    last = max((int(id_) for id_ in own), default=-1)
+    numbers = []
+    for id_ in ids:
+        last += id_ not in own
+        numbers.append(int(id_) if id_ in own else last)
     entries = []
     for number, thing in zip(numbers, model.things, strict=True):
         attributes = dict(thing.attributes)
@@ -318,18 +325,6 @@ def _write_ply(scene: Scene, path: Path, table: Path) -> None:
     write_ply(
         path, model.vertices, model.triangles, model.colours, objects=objects, comments=(MARK,)
     )
-
-
-def _number_ids(ids: list[str]) -> list[int]:
-    """Return whole numbers for ids: the id itself where it is one, else the next beyond all."""
-    own = {id_ for id_ in ids if id_.isdecimal() and id_.isascii() and str(int(id_)) == id_}
-    own = {id_ for id_ in own if int(id_) < 1 << 30}
-    last = max((int(id_) for id_ in own), default=-1)
-    numbers = []
-    for id_ in ids:
-        last += id_ not in own
-        numbers.append(int(id_) if id_ in own else last)
-    return numbers
 
 
 def _is_free(path: Path) -> bool:

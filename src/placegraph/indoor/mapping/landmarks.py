@@ -81,7 +81,12 @@ def map_landmarks(
             vectors[rows] += (share * (look.vectors - vectors[rows])).astype(np.float32)
             counts[rows] += 1
             tracks.append(_Tracks(rows, np.full(len(rows), row), look.rays, look.depth))
-    track = _join_tracks(tracks)
+    track = _Tracks(
+        np.concatenate([t.landmark for t in tracks]),
+        np.concatenate([t.frame for t in tracks]),
+        np.concatenate([t.rays for t in tracks]),
+        np.concatenate([t.depth for t in tracks]),
+    )
     points, missed = _triangulate(points, track, poses, LARGEST * _focal_length(frames[0]))
     kept = _choose_landmarks(track, counts, missed)
     lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
@@ -157,15 +162,6 @@ def _match_landmarks(
     mutual = best[own_first & its_first]
     out[feature[mutual]] = landmark[mutual]
     return out
-
-
-def _join_tracks(tracks: Sequence[_Tracks]) -> _Tracks:
-    return _Tracks(
-        np.concatenate([t.landmark for t in tracks]),
-        np.concatenate([t.frame for t in tracks]),
-        np.concatenate([t.rays for t in tracks]),
-        np.concatenate([t.depth for t in tracks]),
-    )
 
 
 def _triangulate(

@@ -105,20 +105,15 @@ def triangulate(rings: Sequence[Floats]) -> tuple[Floats, NDArray[np.int64]]:
     loops = [list(range(a, b)) for a, b in pairwise(starts.tolist())]
     loop = loops[0]
     for hole in sorted(loops[1:], key=lambda rows: -points[rows, 0].max()):
-        loop = _bridge_hole(points, loop, hole)
+        edges = [*pairwise([*loop, loop[0]]), *pairwise([*hole, hole[0]])]
+        start, end = points[[a for a, _ in edges]], points[[b for _, b in edges]]
+        lengths = np.linalg.norm(points[loop][:, None] - points[hole][None], axis=2)
+        for k in np.argsort(lengths, axis=None, kind="stable").tolist():
+            i, j = divmod(k, len(hole))
+            if not _is_crossed(points[loop[i]], points[hole[j]], start, end):
+                break
+        loop = [*loop[: i + 1], *hole[j:], *hole[: j + 1], *loop[i:]]
     return points, np.array(_clip_ears(points, loop), np.int64).reshape(-1, 3)
-
-
-def _bridge_hole(points: Floats, loop: list[int], hole: list[int]) -> list[int]:
-    """Loop that goes into a hole and back by the shortest way that crosses nothing."""
-    edges = [*pairwise([*loop, loop[0]]), *pairwise([*hole, hole[0]])]
-    start, end = points[[a for a, _ in edges]], points[[b for _, b in edges]]
-    lengths = np.linalg.norm(points[loop][:, None] - points[hole][None], axis=2)
-    for k in np.argsort(lengths, axis=None, kind="stable").tolist():
-        i, j = divmod(k, len(hole))
-        if not _is_crossed(points[loop[i]], points[hole[j]], start, end):
-            break
-    return [*loop[: i + 1], *hole[j:], *hole[: j + 1], *loop[i:]]
 
 
 def _is_crossed(a: Floats, b: Floats, start: Floats, end: Floats) -> bool:

@@ -132,10 +132,21 @@ class _Layout:
         first = len(self.axes)
         _renumber(of, first)
         fresh = np.flatnonzero(of >= first)
+        placed = points[fresh]
         while True:
             own = of[fresh] - first
-            made = _lay_out(points[fresh], doubled[fresh], own, int(own.max()) + 1)
-            middle = made.corners(points[fresh], own).mean(axis=1)  # (F, 2)
+            count = int(own.max()) + 1
+            upright = _upright_axes(_mean_normals(doubled[fresh], own, count))
+            rows, starts = _group_rows(own, count, None)
+            corners = np.einsum("tkn,tan->tka", placed, upright[own])
+            angle = turns(corners, rows, starts, _ANGLES, _GAIN)
+            cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
+            right, down = upright[:, 0], upright[:, 1]
+            axes = np.stack([cosine * right + sine * down, cosine * down - sine * right], axis=1)
+            corners = np.einsum("tkn,tan->tka", placed, axes[own])[rows]
+            low = np.minimum.reduceat(corners.min(axis=1), starts[:-1])
+            made = _Layout(axes, low, np.maximum.reduceat(corners.max(axis=1), starts[:-1]) - low)
+            middle = made.corners(placed, own).mean(axis=1)  # (F, 2)
             length, side = made.sizes.max(axis=1), made.sizes.argmax(axis=1)
             along = np.take_along_axis(middle, side[own][:, None], axis=1)[:, 0]
             beyond = (length[own] > limit) & (along > 0.5 * length[own])
@@ -146,20 +157,6 @@ class _Layout:
                 return _Layout(*(np.concatenate(pair) for pair in pairs))
             of[fresh[beyond]] += len(made.axes)
             _renumber(of, first)
-
-
-def _lay_out(points: Floats, doubled: Floats, of: Ints, count: int) -> _Layout:
-    """Charts on their mean planes, upright, or turned where that makes a smaller rectangle."""
-    upright = _upright_axes(_mean_normals(doubled, of, count))
-    rows, starts = _group_rows(of, count, None)
-    corners = np.einsum("tkn,tan->tka", points, upright[of])
-    angle = turns(corners, rows, starts, _ANGLES, _GAIN)
-    cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
-    right, down = upright[:, 0], upright[:, 1]
-    axes = np.stack([cosine * right + sine * down, cosine * down - sine * right], axis=1)
-    corners = np.einsum("tkn,tan->tka", points, axes[of])[rows]
-    low = np.minimum.reduceat(corners.min(axis=1), starts[:-1])
-    return _Layout(axes, low, np.maximum.reduceat(corners.max(axis=1), starts[:-1]) - low)
 
 
 def _find_overlaps(
@@ -252,7 +249,15 @@ def assemble_mesh(
     """Mesh with all images on pages."""
     flat = sheets.levels < 0
     drawn = np.flatnonzero(~flat)
-    shades, shade_of = _quantize_means(sheets.means[flat])
+    cells, of = np.unique(np.rint(sheets.means[flat] / SHADES), axis=0, return_inverse=True)
+    of = of.reshape(-1)
+    number = np.maximum(np.bincount(of, minlength=len(cells)), 1)
+    sums = [np.bincount(of, sheets.means[flat][:, k], len(cells)) for k in range(3)]
+    shades = np.rint(np.stack(sums, axis=1) / number[:, None]).astype(np.uint8)
+    order = np.argsort(shades.astype(np.int64).sum(axis=1), kind="stable")
+    rank = np.empty(len(order), np.int64)
+    rank[order] = np.arange(len(order))
+    shades, shade_of = shades[order], rank[of]
     across = max(min(_SHEET, int(np.ceil(np.sqrt(len(shades))))), 1)  # patches side by side
     each = across**2
     cards = -(-len(shades) // each)
@@ -301,19 +306,6 @@ def _average_groups(
     sums = np.stack([np.bincount(of[known], colours[known, k], count) for k in range(3)], axis=1)
     overall = colours[known].mean(axis=0) if known.any() else np.full(3, 128.0)
     return np.where(number[:, None] > 0, sums / np.maximum(number, 1)[:, None], overall)
-
-
-def _quantize_means(means: Floats) -> tuple[Bytes, Ints]:
-    """Shared colours (S, 3), dark ones first, and which of them each mean colour (N, 3) is."""
-    cells, of = np.unique(np.rint(means / SHADES), axis=0, return_inverse=True)
-    of = of.reshape(-1)
-    number = np.maximum(np.bincount(of, minlength=len(cells)), 1)
-    sums = [np.bincount(of, means[:, k], len(cells)) for k in range(3)]
-    shades = np.rint(np.stack(sums, axis=1) / number[:, None]).astype(np.uint8)
-    order = np.argsort(shades.astype(np.int64).sum(axis=1), kind="stable")
-    rank = np.empty(len(order), np.int64)
-    rank[order] = np.arange(len(order))
-    return shades[order], rank[of]
 
 
 def _paste_images(
@@ -488,7 +480,14 @@ def bake(
         An option is out of range, or `colour_of` returns something else.
 
     """
-    _check_options(texel, margin, largest, tolerance)
+    if not (np.isfinite(texel) and texel > 0):
+        raise OptionError(f"texel is {texel}; it must be a width in metres, as 0.01.")
+    if not 1 <= margin <= 16:
+        raise OptionError(f"margin is {margin}; it must be 1 to 16 texels.")
+    if not 64 <= largest <= _LARGEST:
+        raise OptionError(f"largest is {largest}; it must be 64 to {_LARGEST} texels.")
+    if not (np.isfinite(tolerance) and tolerance >= 0):
+        raise OptionError(f"tolerance is {tolerance}; it must be a number from 0 on.")
     if not len(mesh):
         return mesh
     neighbours = find_neighbours(mesh)
@@ -575,14 +574,3 @@ def _coarsen_charts(
     share(draw, len(levels), *grids, levels, np.cumsum(counts) - counts, texels, known)
     sheets.texels.append(texels)
     sheets.known.append(known)
-
-
-def _check_options(texel: float, margin: int, largest: int, tolerance: float) -> None:
-    if not (np.isfinite(texel) and texel > 0):
-        raise OptionError(f"texel is {texel}; it must be a width in metres, as 0.01.")
-    if not 1 <= margin <= 16:
-        raise OptionError(f"margin is {margin}; it must be 1 to 16 texels.")
-    if not 64 <= largest <= _LARGEST:
-        raise OptionError(f"largest is {largest}; it must be 64 to {_LARGEST} texels.")
-    if not (np.isfinite(tolerance) and tolerance >= 0):
-        raise OptionError(f"tolerance is {tolerance}; it must be a number from 0 on.")

@@ -128,7 +128,13 @@ def find_appeared(
     least = min(options.least_frames, len(rest.looks))
     kept: list[tuple[Cluster, int]] = []
     for clump in found:
-        part = _drop_explained(clump, used)
+        free = np.ones(len(clump.points), np.bool_)
+        for low, high, back in used:
+            before = transform_points(back, clump.points)
+            free &= ~np.all((before > low - _MARGIN) & (before < high + _MARGIN), axis=1)
+        part = replace(
+            clump, points=clump.points[free], colours=clump.colours[free], cells=clump.cells[free]
+        )
         pixels = clump.pixels * len(part.points) // len(clump.points)
         if len(part.points) < max(4, 0.3 * len(clump.points)) or clump.frames < least:
             continue
@@ -139,17 +145,6 @@ def find_appeared(
         _describe_cluster(part, pixels, _cut_piece(part, fused, options.voxel))
         for part, pixels in kept
     ]
-
-
-def _drop_explained(clump: Cluster, used: Sequence[tuple[Floats, Floats, Floats]]) -> Cluster:
-    """What of a clump does not belong to a thing that moved."""
-    free = np.ones(len(clump.points), np.bool_)
-    for low, high, back in used:
-        before = transform_points(back, clump.points)
-        free &= ~np.all((before > low - _MARGIN) & (before < high + _MARGIN), axis=1)
-    return replace(
-        clump, points=clump.points[free], colours=clump.colours[free], cells=clump.cells[free]
-    )
 
 
 def _describe_cluster(clump: Cluster, pixels: int, piece: Piece) -> Change:
@@ -184,7 +179,15 @@ def _cut_piece(clump: Cluster, fused: Fused | None, voxel: float) -> Piece:
     """What was fused in a clump's cells; a box where that is nothing."""
     if fused is not None:
         centres = np.floor(fused.vertices[fused.triangles].mean(axis=1) / voxel).astype(np.int64)
-        inside = _find_touching(centres, clump.cells)
+        steps = np.stack(np.meshgrid(*[(-1, 0, 1)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+        grown = np.unique((clump.cells[:, None] + steps).reshape(-1, 3), axis=0)
+        low, high = grown.min(axis=0), grown.max(axis=0)
+        near = np.flatnonzero(((centres >= low) & (centres <= high)).all(axis=1))
+        mask = np.zeros(high - low + 1, np.bool_)
+        mask[tuple((grown - low).T)] = True
+        out = np.zeros(len(centres), np.bool_)
+        out[near] = mask[tuple((centres[near] - low).T)]
+        inside = out
         if np.count_nonzero(inside) >= _LEAST_TRIANGLES:
             rows, triangles = np.unique(fused.triangles[inside], return_inverse=True)
             return Piece(fused.vertices[rows], triangles.reshape(-1, 3), fused.colours[rows])
@@ -201,19 +204,6 @@ def _fuse_frames(frames: Sequence[Frame], poses: Sequence[Floats]) -> Fused | No
         return fuse(frames, np.array(poses), voxel=_FINE)
     except InputError:
         return None
-
-
-def _find_touching(cells: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which cells (N, 3) are one of others (M, 3), or touch one."""
-    steps = np.stack(np.meshgrid(*[(-1, 0, 1)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    grown = np.unique((others[:, None] + steps).reshape(-1, 3), axis=0)
-    low, high = grown.min(axis=0), grown.max(axis=0)
-    near = np.flatnonzero(((cells >= low) & (cells <= high)).all(axis=1))
-    mask = np.zeros(high - low + 1, np.bool_)
-    mask[tuple((grown - low).T)] = True
-    out = np.zeros(len(cells), np.bool_)
-    out[near] = mask[tuple((cells[near] - low).T)]
-    return out
 
 
 POINTS = 120  # On a thing, for the first round
@@ -546,7 +536,10 @@ _SEEN = 0.6  # Share of the thing's face that a frame has to see to be asked
 
 def slide_on_wall(rest: Unexplained, thing: MovableObject) -> Placement | None:
     """Placement of a flat thing along its wall, or None where nothing there looks like it."""
-    across = _find_level_axis(thing)
+    spread = thing.many.normals.T @ thing.many.normals
+    facing = np.linalg.eigh(spread)[1][:, -1]
+    level = np.hypot(facing[0], facing[1])
+    across = None if level < 0.8 else np.array([-facing[1], facing[0], 0.0]) / level
     face = _blur_face(thing)
     if across is None or float(np.ptp(face.colours, axis=0).max()) < 0.1:
         return None  # of one colour: it looks like any patch of such a colour
@@ -600,14 +593,6 @@ def _blur_face(thing: MovableObject) -> _Face:
 def _shift_points(across: Floats, shifts: Floats) -> Floats:
     """(S, 3) of shifts (S, 2) along the wall and up [m]."""
     return np.asarray(shifts[:, :1] * across + shifts[:, 1:] * np.array([0.0, 0.0, 1.0]))
-
-
-def _find_level_axis(thing: MovableObject) -> Floats | None:
-    """(3,) level direction along the wall a flat thing hangs on; None of what lies."""
-    spread = thing.many.normals.T @ thing.many.normals
-    facing = np.linalg.eigh(spread)[1][:, -1]
-    level = np.hypot(facing[0], facing[1])
-    return None if level < 0.8 else np.array([-facing[1], facing[0], 0.0]) / level
 
 
 def _select_near(rest: Unexplained, thing: MovableObject, across: Floats) -> list[int]:

@@ -70,7 +70,10 @@ def observe_frame(scene: Scene, frame: Frame, map_from_camera: Floats) -> Observ
         factor = -(-camera.width // WIDTH)
         camera = camera.resized(-(-camera.width // factor), -(-camera.height // factor))
         if depth is not None:
-            depth = _pick_depth(depth, camera)
+            h, w = depth.shape
+            y = ((np.arange(camera.height) + 0.5) * h / camera.height).astype(int)
+            x = ((np.arange(camera.width) + 0.5) * w / camera.width).astype(int)
+            depth = depth[y[:, None], x]
     rgb = _resample_colours(frame, camera)
     return observe_images(scene, frame.index, camera, map_from_camera, depth, rgb)
 
@@ -126,14 +129,6 @@ def _layer(
     return Layer(
         distance.reshape(shape), objects.astype(np.int32).reshape(shape), colour.reshape(*shape, 3)
     )
-
-
-def _pick_depth(depth: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
-    """Depth (h, w) at the centres of another camera's pixels: readings are never mixed."""
-    h, w = depth.shape
-    y = ((np.arange(camera.height) + 0.5) * h / camera.height).astype(int)
-    x = ((np.arange(camera.width) + 0.5) * w / camera.width).astype(int)
-    return depth[y[:, None], x]
 
 
 def _resample_colours(frame: Frame, camera: Camera) -> NDArray[np.float32]:

@@ -291,7 +291,18 @@ def update(
         The diff is of another map; `take` names nothing there is; no object would be left.
 
     """
-    chosen = _select_changes(diff, take, least_confidence)
+    wanted = {take} if isinstance(take, str) else set(take)
+    known = {*KINDS, *(c.id for c in diff if c.id), *(c.other for c in diff if c.other)}
+    if unknown := sorted(wanted - known):
+        raise OptionError(
+            f"take: {unknown[0]!r} is no kind of change ({', '.join(KINDS)}), and no id in the diff."
+        )
+    chosen = [
+        c
+        for c in diff
+        if (c.kind in wanted and c.confidence >= least_confidence)
+        or {c.id, c.other} & (wanted - {""})
+    ]
     rows = {id_: i for i, id_ in enumerate(scene.graph.ids)}
     if strange := [c.id for c in chosen if c.id and c.id not in rows]:
         raise OptionError(
@@ -341,17 +352,3 @@ def update_file(
             raise InputError(f"{path} cannot be read: {error.strerror}.") from error
     save_scene(scene, out)
     return scene
-
-
-def _select_changes(diff: SceneDiff, take: Collection[str], least: float) -> list[Change]:
-    wanted = {take} if isinstance(take, str) else set(take)
-    known = {*KINDS, *(c.id for c in diff if c.id), *(c.other for c in diff if c.other)}
-    if unknown := sorted(wanted - known):
-        raise OptionError(
-            f"take: {unknown[0]!r} is no kind of change ({', '.join(KINDS)}), and no id in the diff."
-        )
-    return [
-        c
-        for c in diff
-        if (c.kind in wanted and c.confidence >= least) or {c.id, c.other} & (wanted - {""})
-    ]

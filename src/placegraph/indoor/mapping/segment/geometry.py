@@ -67,7 +67,16 @@ def find_walls(
             continue
         found += _find_regions(faces, own, way, distance, options)
         rows = rows[~inside]
-    return _drop_fronts(faces, found, floor)
+    kept = []
+    for wall in found:
+        reach = wall.high - (floor if floor is not None else wall.low)
+        front = any(_stands_before(wall, other) for other in found if other is not wall)
+        if reach < 1.5 or front:
+            continue
+        mask = np.zeros(len(faces), np.bool_)
+        mask[wall.rows] = True
+        kept.append(mask)
+    return kept
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,20 +172,6 @@ def _find_regions(
             wall = _Wall(own[part == p], way, distance, low, high, ends, float(areas[p]))
             out.append(wall)
     return out
-
-
-def _drop_fronts(faces: Faces, found: list[_Wall], floor: float | None) -> list[Mask]:
-    """Masks (F,) of the walls, without fronts of furniture: what stands before a higher wall."""
-    kept = []
-    for wall in found:
-        reach = wall.high - (floor if floor is not None else wall.low)
-        front = any(_stands_before(wall, other) for other in found if other is not wall)
-        if reach < 1.5 or front:
-            continue
-        mask = np.zeros(len(faces), np.bool_)
-        mask[wall.rows] = True
-        kept.append(mask)
-    return kept
 
 
 def _stands_before(wall: _Wall, other: _Wall) -> bool:

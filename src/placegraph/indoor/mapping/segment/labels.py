@@ -218,7 +218,13 @@ def label_faces(faces: Faces, votes: Votes, patch: Ints, steps: Floats) -> Ints:
     A face's score for a label is its own share of votes, that of its patch around it by area, and
     the share of its neighbours that bear the label, across steps (P,) less.
     """
-    patch = _split_patches(faces, patch)
+    columns = [patch, *np.floor(faces.centres / _CELL).astype(np.int64).T]
+    order = np.lexsort(columns)
+    fresh = np.ones(len(patch), np.bool_)
+    fresh[1:] = np.any([np.diff(column[order]) != 0 for column in columns], axis=0)
+    out = np.empty(len(patch), np.int64)
+    out[order] = np.cumsum(fresh) - 1
+    patch = out
     count = len(votes.words)
     face = np.repeat(np.arange(len(faces)), np.diff(votes.starts))
     total = np.bincount(face, votes.weights, len(faces)) + _DOUBT
@@ -238,17 +244,6 @@ def label_faces(faces: Faces, votes: Votes, patch: Ints, steps: Floats) -> Ints:
             _PATCH, _NEIGHBOURS,
         )  # fmt: skip
     return np.maximum(labels, 0)
-
-
-def _split_patches(faces: Faces, patch: Ints) -> Ints:
-    """Patches (F,) cut by a grid of cubes."""
-    columns = [patch, *np.floor(faces.centres / _CELL).astype(np.int64).T]
-    order = np.lexsort(columns)
-    fresh = np.ones(len(patch), np.bool_)
-    fresh[1:] = np.any([np.diff(column[order]) != 0 for column in columns], axis=0)
-    out = np.empty(len(patch), np.int64)
-    out[order] = np.cumsum(fresh) - 1
-    return out
 
 
 _FRAGMENT = 0.15  # area of what may be a broken-off part of a thing [m2] ...
@@ -278,8 +273,18 @@ def cut_by_labels(faces: Faces, cut: Cut, votes: Votes, options: SegmentOptions)
     label = label_faces(faces, votes, cut.patches.of_face, steps)
     thing = cut.groups[cut.patches.of_face]
     plane = cut.patches.plane[thing]
-    label = _complete_labels(faces, label, thing, plane, len(votes.words))
-    piece = _find_pieces(faces, label, thing)
+    count = len(votes.words)
+    table = np.bincount(thing * count + label, faces.areas, (int(thing.max()) + 1) * count)
+    table = table.reshape(-1, count)
+    whole = table.sum(axis=1)
+    table[:, NOTHING] = 0.0
+    best = np.where(table.max(axis=1) >= _MAJOR * whole, np.argmax(table, axis=1), NOTHING)
+    open_ = (label == NOTHING) & (plane < 0)
+    out: Ints = np.where(open_, best[thing], label)
+    label = out
+    a, b = faces.pairs.T
+    same = (label[a] == label[b]) & (thing[a] == thing[b])
+    piece = np.unique(connect(len(faces), faces.pairs[same]), return_inverse=True)[1]
     pieces = describe_patches(
         faces, normals, piece, np.full(len(faces), -1, np.int64), outward, options
     )
@@ -298,25 +303,6 @@ def cut_by_labels(faces: Faces, cut: Cut, votes: Votes, options: SegmentOptions)
     group = absorb_small(group, pieces, fixed, options)
     group = absorb_lost(group, pieces, fixed, faces, options.least)
     return _name_groups(group, label[first], plane[first], votes, cut, piece, meant)
-
-
-def _complete_labels(faces: Faces, label: Ints, thing: Ints, plane: Ints, count: int) -> Ints:
-    """Labels (F,): where most of a thing bears one, what of it bears none bears it too."""
-    table = np.bincount(thing * count + label, faces.areas, (int(thing.max()) + 1) * count)
-    table = table.reshape(-1, count)
-    whole = table.sum(axis=1)
-    table[:, NOTHING] = 0.0
-    best = np.where(table.max(axis=1) >= _MAJOR * whole, np.argmax(table, axis=1), NOTHING)
-    open_ = (label == NOTHING) & (plane < 0)
-    out: Ints = np.where(open_, best[thing], label)
-    return out
-
-
-def _find_pieces(faces: Faces, label: Ints, thing: Ints) -> Ints:
-    """Connected faces (F,) of one label and one thing, numbered from 0."""
-    a, b = faces.pairs.T
-    same = (label[a] == label[b]) & (thing[a] == thing[b])
-    return np.unique(connect(len(faces), faces.pairs[same]), return_inverse=True)[1]
 
 
 def _find_spilt(
