@@ -489,7 +489,14 @@ def _check_places(scene: Scene, options: FilterOptions | None) -> Iterator[Findi
     )
     chosen = inside[np.linspace(0, len(inside) - 1, min(_PLACES, len(inside))).round().astype(int)]
     origins = np.repeat(table.positions[chosen], len(DIRECTIONS) * 2, axis=0)
-    rays = np.concatenate([DIRECTIONS, _steep()])
+    # as many rays up and down, which end 50 degrees from the horizon
+    count = len(DIRECTIONS)
+    z = np.linspace(0.77, 1.0, count // 2 + count % 2)
+    turn = np.arange(len(z)) * 2.399963  # golden angle
+    flat = np.sqrt(1.0 - z**2)
+    up = np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=1)
+    both = np.concatenate([up, (up * (1.0, 1.0, -1.0))[: count // 2]])
+    rays = np.concatenate([DIRECTIONS, both.astype(np.float32)])
     hits = scene.caster.cast(origins, np.tile(rays, (len(chosen), 1)))
     missed = (hits.triangle < 0).reshape(len(chosen), -1)
     yield from _check_holes(missed, rays)
@@ -535,17 +542,6 @@ def _check_normals(
         [scene.graph.ids[i] for i in worst.tolist() if turned[i] > 0.5 * seen[i]],
         "Placegraph sees both sides; recalculate normals in the file if other programs shall, too.",
     )
-
-
-def _steep() -> NDArray[np.float32]:
-    """As many rays up and down as `DIRECTIONS` has, which end 50 degrees from the horizon."""
-    count = len(DIRECTIONS)
-    z = np.linspace(0.77, 1.0, count // 2 + count % 2)
-    turn = np.arange(len(z)) * 2.399963  # golden angle
-    flat = np.sqrt(1.0 - z**2)
-    up = np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=1)
-    both = np.concatenate([up, (up * (1.0, 1.0, -1.0))[: count // 2]])
-    return both.astype(np.float32)
 
 
 _SURE = 0.9  # Probability from which on a candidate is the one

@@ -47,10 +47,21 @@ def merge_scenes(scenes: Mapping[str, S], out_path: str | PathLike[str] | None =
     moved = [_shift_scene(name, m, s) for (name, m), s in zip(scenes.items(), shifts, strict=True)]
     first_objects = _first_rows([len(m) for m in moved])
     first_scenes = _first_rows([len(m.scenes) for m in moved])
+    meshes = [m.mesh for m in moved]
+    first_vertices = _first_rows([len(m.vertices) for m in meshes])
+    first_textures = _first_rows([len(m.textures) for m in meshes])
     merged = replace(
         moved[0],
         graph=_join_graphs([m.graph for m in moved], first_objects),
-        mesh=_join_meshes([m.mesh for m in moved], first_objects),
+        mesh=Mesh(
+            vertices=np.concatenate([m.vertices for m in meshes]),
+            triangles=_offset_columns([m.triangles for m in meshes], first_vertices),
+            object_of=_offset_columns([m.object_of for m in meshes], first_objects),
+            colours=np.concatenate([m.colours for m in meshes]),
+            uv=np.concatenate([m.uv for m in meshes]),
+            texture_of=_offset_columns([m.texture_of for m in meshes], first_textures),
+            textures=_join_tuples([m.textures for m in meshes]),
+        ).snapped(),
         attributes=_join_tuples([m.attributes for m in moved]),
         floors=np.concatenate([m.floors for m in moved]),
         scenes=_join_tuples([m.scenes for m in moved]),
@@ -143,20 +154,6 @@ def _join_graphs(graphs: list[SceneGraph], starts: list[int]) -> SceneGraph:
         targets=np.concatenate([g.targets + n for g, n in zip(graphs, starts, strict=True)]),
         relations=_join_tuples([g.relations for g in graphs]),
     )
-
-
-def _join_meshes(meshes: list[Mesh], first_objects: list[int]) -> Mesh:
-    first_vertices = _first_rows([len(m.vertices) for m in meshes])
-    first_textures = _first_rows([len(m.textures) for m in meshes])
-    return Mesh(
-        vertices=np.concatenate([m.vertices for m in meshes]),
-        triangles=_offset_columns([m.triangles for m in meshes], first_vertices),
-        object_of=_offset_columns([m.object_of for m in meshes], first_objects),
-        colours=np.concatenate([m.colours for m in meshes]),
-        uv=np.concatenate([m.uv for m in meshes]),
-        texture_of=_offset_columns([m.texture_of for m in meshes], first_textures),
-        textures=_join_tuples([m.textures for m in meshes]),
-    ).snapped()
 
 
 def _offset_columns(columns: list[NDArray[np.int32]], starts: list[int]) -> NDArray[np.int32]:

@@ -93,7 +93,19 @@ def select_level(plan: IndoorOsm, level: float | None) -> Level:
         The rooms are spread over more than a building.
 
     """
-    chosen, notes = _choose_level(plan, level)
+    levels, notes = plan.levels, []
+    nowhere = sum(s.kind in ROOMS and not s.levels for s in plan.shapes)
+    if nowhere:
+        levels = tuple(sorted({*levels, 0.0}))
+        notes.append(f"{nowhere:,} rooms have no level, and are taken for level 0.")
+    known = ", ".join(map(level_text, levels))
+    if level is None and len(levels) > 1:
+        raise OptionError(
+            f"{plan.path} has the levels {known}; choose one (--level {levels[0]:g})."
+        )
+    chosen = levels[0] if level is None else float(level)
+    if chosen not in levels:
+        raise OptionError(f"{plan.path} has no rooms on level {chosen:g}; it has {known}.")
     shapes = [s for s in plan.shapes if chosen in (s.levels or _default_levels(s, chosen))]
     held = [s for s in shapes if s.kind in ROOMS]
     points = np.concatenate([part for shape in held for part in shape.parts])
@@ -125,23 +137,6 @@ def select_level(plan: IndoorOsm, level: float | None) -> Level:
         storey=storey,
         notes=tuple(notes),
     )
-
-
-def _choose_level(plan: IndoorOsm, level: float | None) -> tuple[float, list[str]]:
-    levels, notes = plan.levels, []
-    nowhere = sum(s.kind in ROOMS and not s.levels for s in plan.shapes)
-    if nowhere:
-        levels = tuple(sorted({*levels, 0.0}))
-        notes.append(f"{nowhere:,} rooms have no level, and are taken for level 0.")
-    known = ", ".join(map(level_text, levels))
-    if level is None and len(levels) > 1:
-        raise OptionError(
-            f"{plan.path} has the levels {known}; choose one (--level {levels[0]:g})."
-        )
-    chosen = levels[0] if level is None else float(level)
-    if chosen not in levels:
-        raise OptionError(f"{plan.path} has no rooms on level {chosen:g}; it has {known}.")
-    return chosen, notes
 
 
 def _default_levels(shape: IndoorShape, chosen: float) -> tuple[float, ...]:

@@ -96,13 +96,21 @@ def read_obj(
     names = [text.names[keyword][i] if i >= 0 else "" for i in used.tolist()]
     pictures, picture_of = _read_pictures(text, face)
     vertices = text.vertices[vertex]
+    there = np.isfinite(text.colours).all(axis=1)
+    colours = np.full(text.vertices.shape, 255, np.uint8)
+    if there.any():
+        share: NDArray[Any] = text.colours[there]
+        share = share if share.max() > 1.0 else share * 255.0
+        colours[there] = np.rint(np.clip(share, 0, 255)).astype(np.uint8)
+        if not there.all():
+            text.left_out["vertices without the colour that others have"] += int((~there).sum())
     return Model(
         path=text.path,
         things=tuple(_make_thing(name, (table or {}).get(name)) for name in names),
         vertices=vertices @ Z_UP.T if up == "y" else vertices,
         triangles=triangles,
         thing_of=thing_of.reshape(-1),
-        colours=_encode_colours(text)[vertex],
+        colours=colours[vertex],
         uv=uv,
         picture_of=picture_of,
         pictures=pictures,
@@ -151,19 +159,6 @@ def _make_thing(name: str, entry: LabelEntry | None) -> Thing:
     if entry is not None:
         return Thing(name, entry.label, entry.name or name, entry.attributes)
     return Thing(name or UNKNOWN, re.sub(r"\.\d{3,}$", "", name) or UNKNOWN, name)
-
-
-def _encode_colours(text: _Text) -> NDArray[np.uint8]:
-    """(V, 3) sRGB; white where there are none."""
-    there = np.isfinite(text.colours).all(axis=1)
-    colours = np.full(text.vertices.shape, 255, np.uint8)
-    if there.any():
-        share: NDArray[Any] = text.colours[there]
-        share = share if share.max() > 1.0 else share * 255.0
-        colours[there] = np.rint(np.clip(share, 0, 255)).astype(np.uint8)
-        if not there.all():
-            text.left_out["vertices without the colour that others have"] += int((~there).sum())
-    return colours
 
 
 class _Lines(NamedTuple):

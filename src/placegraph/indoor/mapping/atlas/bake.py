@@ -77,9 +77,13 @@ def cut_charts(mesh: Mesh, neighbours: Ints, texel: float, longest: int) -> Char
         laid = laid.with_new(points, doubled, of, texel * longest)
         plane = np.cross(laid.axes[:, 0], laid.axes[:, 1])  # away from who looks at the surface
         steep = -np.einsum("tk,tk->t", normals, plane[of]) < STEEP
-        bad = (of >= first) & (
-            (steep & (areas > 0)) | _find_overlaps(laid, points, of, areas, texel)
-        )
+        rows, starts = _group_rows(of, len(laid.axes), -areas)
+        extents = laid.sizes / texel
+        grids = np.maximum(np.ceil(extents - 1e-6), 1.0)
+        corners = laid.corners(points, of) / texel + (0.5 * (grids - extents))[of][:, None]
+        twice = np.zeros(len(of), bool)  # lies over a larger one of its chart, at texels' centres
+        share(overlapping, len(grids), corners, rows, starts, grids, twice)
+        bad = (of >= first) & ((steep & (areas > 0)) | twice)
         if not bad.any():
             break
         of[bad] = -1
@@ -157,19 +161,6 @@ class _Layout:
                 return _Layout(*(np.concatenate(pair) for pair in pairs))
             of[fresh[beyond]] += len(made.axes)
             _renumber(of, first)
-
-
-def _find_overlaps(
-    laid: _Layout, points: Floats, of: Ints, areas: Floats, texel: float
-) -> NDArray[np.bool_]:
-    """Triangles (T,) that lie over a larger one of their chart, on the grid that will be coloured."""
-    rows, starts = _group_rows(of, len(laid.axes), -areas)
-    extents = laid.sizes / texel
-    grids = np.maximum(np.ceil(extents - 1e-6), 1.0)
-    corners = laid.corners(points, of) / texel + (0.5 * (grids - extents))[of][:, None]
-    out = np.zeros(len(of), bool)
-    share(overlapping, len(grids), corners, rows, starts, grids, out)
-    return out
 
 
 def _renumber(of: Ints, first: int) -> None:

@@ -52,7 +52,9 @@ class Faces:
         points, corner_of = _weld_corners(spots, rows[sound])
         corners = corner_of[rows[sound]]
         crossed = _cross(points, corners)
-        whole = (np.linalg.norm(crossed, axis=1) > 0) & (_least_side(corners) > 0)
+        a, b, c = corners.T
+        apart = (a != b) & (b != c) & (c != a)
+        whole = (np.linalg.norm(crossed, axis=1) > 0) & apart
         sound, corners = sound[whole], corners[whole]
         first, face_of = _drop_twins(corners)
         of_triangle[sound] = face_of
@@ -117,13 +119,6 @@ def lab_of(rgb: Floats) -> Floats:
 def _cross(points: Floats, corners: Ints) -> Floats:
     a, b, c = points[corners[:, 0]], points[corners[:, 1]], points[corners[:, 2]]
     out: Floats = np.cross(b - a, c - a).reshape(-1, 3)
-    return out
-
-
-def _least_side(corners: Ints) -> Ints:
-    """0 where two corners (T, 3) are one."""
-    a, b, c = corners.T
-    out: Ints = np.minimum(np.minimum(np.abs(a - b), np.abs(b - c)), np.abs(c - a))
     return out
 
 
