@@ -121,9 +121,9 @@ def speakers(harbour, vocabulary):
 @pytest.fixture(scope="session")
 def pool(speakers):
     """Examples from the shipped town."""
-    from placegraph_learn.city.descriptions import fill
+    from placegraph_learn.city.descriptions import make_pool
 
-    return fill(speakers[0], 24, np.random.default_rng(5))
+    return make_pool(speakers[0], 24, np.random.default_rng(5))
 
 
 @pytest.fixture(scope="session")

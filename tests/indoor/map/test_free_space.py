@@ -40,12 +40,12 @@ SHIFT = np.array([0.4, -0.3, 3.0])
 @pytest.fixture(scope="module")
 def stacked(room, flat):
     """The flat as the upper storey of the room."""
-    upper = merge._moved("up", flat, SHIFT)
+    upper = merge._shift_scene("up", flat, SHIFT)
     both = [room, upper]
     return replace(
         room,
-        graph=merge._graph([m.graph for m in both], [0, len(room)]),
-        mesh=merge._mesh([m.mesh for m in both], [0, len(room)]),
+        graph=merge._join_graphs([m.graph for m in both], [0, len(room)]),
+        mesh=merge._join_meshes([m.mesh for m in both], [0, len(room)]),
         attributes=(*room.attributes, *flat.attributes),
         scene_of=np.zeros(len(room) + len(flat), np.int32),
         encoded=(*room.encoded, *flat.encoded),

@@ -82,7 +82,7 @@ class Backbone:
         self.cell, self.dimension = self._measured(weights)
 
     def __call__(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Features (rows, columns, f) of an image (h, w, 3) whose sides are multiples of `cell`."""
+        """Return features (rows, columns, f) of an image (h, w, 3) whose sides are multiples of `cell`."""
         scaled = (image.astype(np.float32) / 255.0 - self._mean) / self._deviation
         pixels = self._torch.from_numpy(np.ascontiguousarray(scaled.transpose(2, 0, 1)))[None]
         with self._torch.inference_mode():
@@ -97,7 +97,7 @@ class Backbone:
         return out
 
     def _measured(self, weights: str | Path | None) -> tuple[int, int]:
-        """Side of a cell [px] and length of a feature, of what comes out for an image."""
+        """Return side of a cell [px] and length of a feature, of what comes out for an image."""
         side = 2 * max(int(stage["reduction"]) for stage in self._network.feature_info)
         try:
             found = self(np.zeros((side, 2 * side, 3), np.uint8))
@@ -117,7 +117,7 @@ class Backbone:
 
 
 def _imported() -> tuple[Any, Any]:
-    """Modules timm and torch."""
+    """Return modules timm and torch."""
     try:
         import timm
         import torch
@@ -130,7 +130,7 @@ def _imported() -> tuple[Any, Any]:
 
 
 def _made(timm: Any, torch: Any, model: str, *, pretrained: bool) -> Any:  # noqa: ANN401
-    """Network without a head; of images of any size where it is a transformer."""
+    """Return network without a head; of images of any size where it is a transformer."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
         for options in ({"dynamic_img_size": True}, {}):
@@ -150,7 +150,7 @@ def _made(timm: Any, torch: Any, model: str, *, pretrained: bool) -> Any:  # noq
 
 
 def _state(torch: Any, path: Path, model: str) -> dict[str, Any]:  # noqa: ANN401
-    """Weights by name from a file; nothing in it is run."""
+    """Return weights by name from a file; nothing in it is run."""
     if path.suffix != ".safetensors":
         return read_state(torch, path, model)
     from safetensors import SafetensorError, safe_open
@@ -262,7 +262,7 @@ class FeaturesEncoder:
         return f"features {backbone.name} {backbone.digest} {self._layer} {self._cells}"
 
     def patches(self, image: Frame) -> NDArray[np.float32]:
-        """Unit vectors (rows, columns, d) of a frame's patches; raises `InputError` as `rgb` does."""
+        """Return unit vectors (rows, columns, d) of a frame's patches; raises `InputError` as `rgb` does."""
         from PIL import Image
 
         rgb = image.rgb()
@@ -277,11 +277,11 @@ class FeaturesEncoder:
         return _unit(self._backbone(np.asarray(small)))
 
     def camera(self, image: Frame) -> Camera:
-        """Camera of the colour image."""
+        """Return camera of the colour image."""
         return image.camera
 
     def objects(self, scene: Scene, captures: Sequence[Capture] = ()) -> NDArray[np.float32]:
-        """Unit vectors (N, d) of a map's objects; zero of what no image shows.
+        """Return unit vectors (N, d) of a map's objects; zero of what no image shows.
 
         Patches count by the square of their share of the object: one that shows half of it and half
         of another says little. Rays whose depth reading lies elsewhere than the map's surface see
@@ -304,7 +304,7 @@ class FeaturesEncoder:
 def covered(
     scene: Scene, frame: Frame, grid: tuple[int, int]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float64]]:
-    """What the patches of a frame, whose odometry is map_from_camera, show of a map's objects.
+    """Return the objects of a map in the patches of a frame whose odometry is map_from_camera.
 
     Returns patches (K,), row by row, rows of objects (K,), and the share (K,) of the patch's rays
     that see the object.
@@ -331,7 +331,7 @@ def covered(
 def _agreed(
     frame: Frame, rays: NDArray[np.float64], depth: NDArray[np.float32]
 ) -> NDArray[np.bool_]:
-    """Whether readings, where there are any, agree with the map's depth (R,) along rays (R, 3)."""
+    """Return whether readings, where there are any, agree with the map's depth (R,) along rays (R, 3)."""
     readings = frame.depth()
     if readings is None:
         return np.ones(len(rays), np.bool_)

@@ -75,17 +75,17 @@ class _DenseMatcher(ViewByView):
         self._network.eval()
 
     def _made(self, torch: Any, device: Any) -> Any:  # noqa: ANN401
-        """The network with its weights."""
+        """Return the network with its weights."""
         raise NotImplementedError
 
     def _warps(self, ours: NDArray[np.uint8], view: NDArray[np.uint8]) -> list[Warp]:
-        """What the network says of two images."""
+        """Return the network's warps between two images."""
         raise NotImplementedError
 
     def matched(
         self, ours: NDArray[np.uint8], view: NDArray[np.uint8], mask: NDArray[np.bool_] | None
     ) -> Matches:
-        """Matches of the query (H, W, 3) with one view; see `Matcher.match`."""
+        """Return matches of the query (H, W, 3) with one view; see `Matcher.match`."""
         sizes = ours.shape[:2], view.shape[:2]
         if blank(ours) or blank(view) or min(min(s) for s in sizes) < _SMALLEST:
             return Matches.none()
@@ -122,7 +122,7 @@ class RomaMatcher(_DenseMatcher):
         super().__post_init__()
 
     def _made(self, torch: Any, device: Any) -> Any:  # noqa: ANN401
-        """RoMa with its weights and DINOv2's, or the tiny one, whose weights include XFeat's."""
+        """Return RoMa with its weights and DINOv2's, or the tiny one, whose weights include XFeat's."""
         zoo = _imported("romatch.models.model_zoo", self.name)
         urls, weights = zoo.weight_urls, self.weights
         if self.kind == "tiny":
@@ -145,7 +145,7 @@ class RomaMatcher(_DenseMatcher):
             )
 
     def _warps(self, ours: NDArray[np.uint8], view: NDArray[np.uint8]) -> list[Warp]:
-        """RoMa's answer by direction.
+        """Return RoMa's answer by direction.
 
         A symmetric network puts both side by side: on the left the query's pixels and where they lie
         in the view, on the right the view's pixels and where they lie in the query.
@@ -196,7 +196,7 @@ class RomaV2Matcher(_DenseMatcher):
             return romav2.RoMaV2()
 
     def _warps(self, ours: NDArray[np.uint8], view: NDArray[np.uint8]) -> list[Warp]:
-        """RoMa v2's answer by direction: `warp_AB` (1, h, w, 2) and `overlap_AB` (1, h, w, 1)."""
+        """Return RoMa v2's answer by direction: `warp_AB` (1, h, w, 2) and `overlap_AB` (1, h, w, 1)."""
         answer = self._network.match(ours.copy(), view.copy())
         ab, certainty = _plain(answer["warp_AB"])[0], _plain(answer["overlap_AB"])[0, ..., 0]
         found = [Warp(_own(ab), ab, certainty)]
@@ -220,13 +220,13 @@ def _imported(package: str, name: str) -> Any:  # noqa: ANN401  # the module
 
 
 def _plain(tensor: Any) -> NDArray[np.float32]:  # noqa: ANN401
-    """float32 array of a tensor on any device."""
+    """Return float32 array of a tensor on any device."""
     array: NDArray[np.float32] = tensor.detach().float().cpu().numpy()
     return array
 
 
 def _own(warp: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Normalised coordinates (h, w, 2) of a warp's own pixels."""
+    """Return normalised coordinates (h, w, 2) of a warp's own pixels."""
     height, width = warp.shape[:2]
     y, x = ((2.0 * np.arange(n) + 1.0) / n - 1.0 for n in (height, width))
     grid: NDArray[np.float32] = np.stack(np.meshgrid(x, y), axis=-1).astype(np.float32)
@@ -234,7 +234,7 @@ def _own(warp: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _state(torch: Any, path: Path | str | None, url: str, name: str) -> dict[str, Any]:  # noqa: ANN401
-    """Weights from a file, else from a hub; nothing in either is run."""
+    """Return weights from a file, else from a hub; nothing in either is run."""
     if path is not None:
         return read_state(torch, Path(path), name)
     try:

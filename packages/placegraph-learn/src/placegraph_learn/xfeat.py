@@ -43,7 +43,7 @@ class _Cells:
     """(N,) px of the image in a px of the scale at which each was found."""
 
     def at(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> _Cells:
-        """Those of these rows."""
+        """Return those of these rows."""
         features = Features(self.features.points[rows], self.features.vectors[rows])
         return _Cells(features, self.raw[rows], self.scales[rows])
 
@@ -98,7 +98,7 @@ class XFeatMatcher(ViewByView):
         self._xfeat = _network(self._torch, self.weights).to(self._device).eval()
 
     def prepared(self, query: NDArray[np.uint8]) -> Any:  # noqa: ANN401  # points, or cells
-        """Features of the query: at points, or of its cells."""
+        """Return features of the query: at points, or of its cells."""
         return self._cells(query) if self.dense else self._points(query)
 
     def matched(
@@ -107,7 +107,7 @@ class XFeatMatcher(ViewByView):
         view: NDArray[np.uint8],
         mask: NDArray[np.bool_] | None,
     ) -> Matches:
-        """Matches of the query's features with one view; see `Matcher.match`."""
+        """Return matches of the query's features with one view; see `Matcher.match`."""
         if self.dense:
             return self._match_cells(ours, view, mask)
         theirs = self._points(view).within(mask, self.margin)
@@ -115,7 +115,7 @@ class XFeatMatcher(ViewByView):
         return matches
 
     def _points(self, image: NDArray[np.uint8]) -> Features:
-        """Features at points of an image (H, W, 3) uint8."""
+        """Return features at points of an image (H, W, 3) uint8."""
         if blank(image):
             return Features.none(64)
         tensor, step = self._tensor(image)
@@ -127,7 +127,7 @@ class XFeatMatcher(ViewByView):
         return Features(points, _numpy(found["descriptors"]))
 
     def _tensor(self, image: NDArray[np.uint8]) -> tuple[Any, Floats]:
-        """What the network sees (1, 3, h, w), and px of the image in a px of it (2,)."""
+        """Return the network's input (1, 3, h, w), and px of the image in a px of it (2,)."""
         height, width = image.shape[:2]
         size = [max(32, round(self.scale * n / 32) * 32) for n in (height, width)]
         whole = self._torch.from_numpy(image.astype(np.float32) / 255.0).to(self._device)
@@ -138,7 +138,7 @@ class XFeatMatcher(ViewByView):
         return tensor, np.array([width / size[1], height / size[0]])
 
     def _cells(self, image: NDArray[np.uint8]) -> _Cells:
-        """Features of cells of an image; their points are the cells' centres."""
+        """Return features of cells of an image; their points are the cells' centres."""
         if blank(image):
             return _Cells(Features.none(64), None, np.empty((0, 2)))
         tensor, step = self._tensor(image)
@@ -167,7 +167,7 @@ class XFeatMatcher(ViewByView):
         return Matches.of(query[keep], theirs.features.points[columns[keep]], sure[keep])
 
     def _offsets(self, ours: Any, theirs: Any) -> tuple[Floats, Floats]:  # noqa: ANN401
-        """Where in its cell of 8 x 8 px each query's match lies (K, 2) [px], and how surely (K,)."""
+        """Return each match's place (K, 2) [px] in the query's cell of 8 x 8 px, and its certainty (K,)."""
         torch = self._torch
         with torch.inference_mode():
             logits = self._xfeat.net.fine_matcher(torch.cat([ours, theirs], dim=-1))
@@ -184,7 +184,7 @@ def _numpy(tensor: Any) -> NDArray[Any]:  # noqa: ANN401
 
 
 def _network(torch: Any, weights: Path | str | None) -> Any:  # noqa: ANN401
-    """XFeat with its weights."""
+    """Return XFeat with its weights."""
     try:
         from kornia.feature import XFeat
     except ImportError as error:

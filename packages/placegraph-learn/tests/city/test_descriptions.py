@@ -20,8 +20,8 @@ from placegraph_learn.city.descriptions import (
     SIGHT,
     TILE,
     Speaker,
-    fill,
     held_out,
+    make_pool,
 )
 
 
@@ -62,7 +62,7 @@ def honest(monkeypatch, about):
     def habits(_):
         return sample._Habits(0.0, 0.0, "tags", "de", 0.0, about)
 
-    monkeypatch.setattr(sample, "_habits", habits)
+    monkeypatch.setattr(sample, "draw_habits", habits)
 
 
 def things(city, words):
@@ -87,7 +87,7 @@ def labels_of(objects, i):
 
 def at(city, rows, position):
     """Where objects stand for a speaker: the nearest point, or the middle of what surrounds them."""
-    return sample._look(city, np.array(rows, np.int32), np.asarray(position, np.float64)).at
+    return sample.look_around(city, np.array(rows, np.int32), np.asarray(position, np.float64)).at
 
 
 def wind(bearing):
@@ -168,7 +168,7 @@ def test_erring_speakers_err(speakers, monkeypatch):
     def habits(_):
         return sample._Habits(1.0, 0.0, "tags", "de", 0.0, "me")
 
-    monkeypatch.setattr(sample, "_habits", habits)
+    monkeypatch.setattr(sample, "draw_habits", habits)
     right = []
     city = speakers[0].city
     for example in examples(speakers[0], 40):
@@ -228,7 +228,7 @@ def test_every_text_has_right_and_wrong_places_none_twice(pool):
 
 def test_hard_candidates_are_those_of_relational_matching(speakers):
     speaker, seen = speakers[0], []
-    made = fill(speaker, 5, np.random.default_rng(11), lambda: seen.append(1))
+    made = make_pool(speaker, 5, np.random.default_rng(11), lambda: seen.append(1))
     assert len(seen) == 5
     told = speaker.examples(np.random.default_rng(11))
     query = compile_query(next(told).description, speaker.city)
@@ -246,7 +246,7 @@ def test_hard_candidates_are_those_of_relational_matching(speakers):
 
 
 def test_pools_are_seeded(speakers):
-    first, second = (fill(speakers[0], 3, np.random.default_rng(2)) for _ in range(2))
+    first, second = (make_pool(speakers[0], 3, np.random.default_rng(2)) for _ in range(2))
     assert np.array_equal(first.positions, second.positions)
     assert np.array_equal(first.views, second.views)
     assert first.texts.vocabulary == second.texts.vocabulary

@@ -12,18 +12,18 @@ from placegraph.outdoor.network.weights import Shape
 from placegraph_learn.city.train import (
     LOSSES,
     PRINTED,
-    Judged,
     Progress,
     Scores,
     Temperatures,
     TrainOptions,
     Truth,
+    ViewpointScores,
     contrastive,
-    judge,
     losses,
+    mean_recalls,
     read_pool,
     recall,
-    recalls,
+    score_viewpoints,
     train,
     write_pool,
 )
@@ -411,7 +411,7 @@ def judged(relational, logit, cosine, fused, near, together=None):
             np.eye(near.shape[1], dtype=bool), (len(near), *[near.shape[1]] * 2)
         )
     scores = (np.array(x, np.float64) for x in (relational, logit, cosine, fused))
-    return Judged(*scores, near, together)
+    return ViewpointScores(*scores, near, together)
 
 
 def test_places_close_together_share_their_probability():
@@ -430,13 +430,18 @@ def test_each_matcher_is_counted_and_cities_count_alike():
     one = judged([second], [first], [first], [second], near)
     other = judged([second], [second], [first], [second], near)
     many = judged(*(np.repeat(x, 5, axis=0) for x in other))
-    assert recalls([one, many]) == {"relational": 1.0, "network": 0.5, "dense": 0.0, "fused": 1.0}
+    assert mean_recalls([one, many]) == {
+        "relational": 1.0,
+        "network": 0.5,
+        "dense": 0.0,
+        "fused": 1.0,
+    }
 
 
 def test_what_was_not_asked_is_not_found():
     no = -np.inf
     asked = judged([[1.0, no]], [[1.0, no]], [[0.1, no]], [[1.0, no]], [[True, False]])
-    assert set(recalls([asked]).values()) == {1.0}
+    assert set(mean_recalls([asked]).values()) == {1.0}
 
 
 def test_what_is_judged_are_the_best_of_relational_matching(harbour, pool, network):
@@ -448,7 +453,7 @@ def test_what_is_judged_are_the_best_of_relational_matching(harbour, pool, netwo
 
     module = Network(network.shape)
     module.load_state_dict({n: torch.from_numpy(a) for n, a in network.arrays.items()})
-    found = judge(module, Lessons(harbour, pool), "cpu")
+    found = score_viewpoints(module, Lessons(harbour, pool), "cpu")
     asked = np.isfinite(found.relational)
     assert asked.sum(axis=1).max() <= HARD
     for scores in (found.logit, found.cosine, found.fused):
@@ -468,11 +473,11 @@ def test_training_begins_with_relational_matching(harbour, pool, network):
     from placegraph_learn.city.batches import Lessons
     from placegraph_learn.city.network import Network
 
-    found = judge(Network(network.shape), Lessons(harbour, pool), "cpu")
+    found = score_viewpoints(Network(network.shape), Lessons(harbour, pool), "cpu")
     asked = np.isfinite(found.relational)
     added = found.fused[asked] - found.relational[asked]
     of = np.nonzero(asked)[0]
     first = added[np.searchsorted(of, of)]
     assert added == pytest.approx(first, abs=1e-4)  # the same for all places of a text
-    told = recalls([found])
+    told = mean_recalls([found])
     assert told["fused"] == told["relational"]

@@ -165,16 +165,16 @@ def _drawn(rng, kinds, name):
 
 def test_a_short_training_tells_patches_of_rooms_never_learned(rng):
     """On rooms drawn in numbers; on rendered homes the table scene_train shows it."""
-    from placegraph_learn.scenegraphloc.train import Trainer, judge
+    from placegraph_learn.scenegraphloc.train import Trainer, evaluate
 
     kinds = rng.normal(size=(9, 17))
     kinds /= np.linalg.norm(kinds, axis=1, keepdims=True)
     drawn = [_drawn(rng, kinds, f"room {i}") for i in range(20)]
     options = TrainOptions(batch=6, others=2, points=16, rate=1e-2, seed=1, elastic=False)
     trainer = Trainer(drawn[:14], Widths.small(17), options, "cpu")
-    untrained = judge(trainer.network, drawn[14:], "cpu")
+    untrained = evaluate(trainer.network, drawn[14:], "cpu")
     loss = [trainer.epoch(Progress()) for _ in range(8)]
-    after = judge(trainer.network, drawn[14:], "cpu")
+    after = evaluate(trainer.network, drawn[14:], "cpu")
     assert loss[-1] < loss[0] - 0.5
     assert untrained.patch < 0.35  # a sixth by chance
     assert after.patch > 0.55

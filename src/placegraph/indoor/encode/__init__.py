@@ -74,17 +74,17 @@ class Encoder(Protocol):
         """
 
     def patches(self, image: Frame) -> NDArray[np.float32] | None:
-        """Vectors (rows, columns, d) of a frame's patches, unit or zero: says nothing.
+        """Return vectors (rows, columns, d) of a frame's patches, unit or zero: says nothing.
 
         The grid is the encoder's own. None where the frame has nothing for this encoder.
         Raises `InputError` where an image is broken.
         """
 
     def camera(self, image: Frame) -> Camera:
-        """Camera whose image the grid divides."""
+        """Return camera whose image the grid divides."""
 
     def objects(self, scene: Scene, captures: Sequence[Capture] = ()) -> NDArray[np.float32]:
-        """Vectors (N, d) of a map's objects, unit or zero: nothing is known of it.
+        """Return vectors (N, d) of a map's objects, unit or zero: nothing is known of it.
 
         `captures`: images of the map itself, their odometry being map_from_camera. Raises
         `OptionError` where the encoder needs some and there are none.
@@ -118,7 +118,7 @@ class MapEncoder(Protocol):
     """Anything that encodes frames for one map."""
 
     def encode(self, frame: Frame) -> Patches | None:
-        """Patches of a frame; None where it has nothing to encode."""
+        """Return patches of a frame; None where it has nothing to encode."""
 
 
 def encoder(name: str, **options: Any) -> Encoder:  # noqa: ANN401  # of the encoder named
@@ -177,7 +177,7 @@ class BoundEncoder:
     """(N, d) of the objects."""
 
     def encode(self, frame: Frame) -> Patches | None:
-        """Cosines of a frame's patches with all objects; None where it has nothing to encode.
+        """Return cosines of a frame's patches with all objects; None where it has nothing to encode.
 
         Raises `OptionError` where names are to be read, and the frame has ids of instances alone.
         """

@@ -54,7 +54,7 @@ _WANTED = 24.0  # bins of a panorama that an object looked at should cover, of t
 
 
 def _frequencies() -> NDArray[np.float32]:
-    """Projections (5, DIMENSION / 2): orthogonal in sets, of lengths as of Gaussian vectors."""
+    """Return projections (5, DIMENSION / 2): orthogonal in sets, of lengths as of Gaussian vectors."""
     rng = np.random.default_rng(_SEED)
     count, parts = len(_WIDTHS), []
     for _ in range(-(-DIMENSION // 2 // count)):
@@ -91,7 +91,7 @@ class AppearanceEncoder:
         return f"appearance {_digest()}"
 
     def patches(self, image: Frame) -> NDArray[np.float32]:
-        """Unit vectors (9, 16, d) of a frame's patches; (16, 9, d) of an upright image.
+        """Return unit vectors (9, 16, d) of a frame's patches; (16, 9, d) of an upright image.
 
         All are zero where the image shows one colour only, as behind a lid. Raises `InputError`
         where the image is broken.
@@ -111,17 +111,17 @@ class AppearanceEncoder:
         return _unit(parts.mean(axis=(1, 3)) - _USUAL)
 
     def camera(self, image: Frame) -> Camera:
-        """Camera of the colour image."""
+        """Return camera of the colour image."""
         return image.camera
 
     def objects(self, scene: Scene, captures: Sequence[Capture] = ()) -> NDArray[np.float32]:  # noqa: ARG002
-        """Unit vectors (N, d) of a map's objects; zero of what cannot be seen, or has no colour."""
+        """Return unit vectors (N, d) of a map's objects; zero of what cannot be seen, or has no colour."""
         means, cells = surfaces(scene)
         return np.where(cells[:, None] > 0, _unit(means - _USUAL), np.float32(0.0))
 
 
 def surfaces(scene: Scene) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """Mean features (N, d) of a map's objects, not centred, and how many cells (N,) show them."""
+    """Return mean features (N, d) of a map's objects, not centred, and how many cells (N,) show them."""
     from placegraph.indoor.likelihood.visibility import visibility
     from placegraph.indoor.render import Renderer
 
@@ -164,7 +164,7 @@ def _add(
 def _described(
     rgb: NDArray[np.uint8] | NDArray[np.float64], known: NDArray[np.bool_] | None = None
 ) -> NDArray[np.float32]:
-    """Five numbers (h, w, 5) of each cell of an image; levels are those of the cells known."""
+    """Return five numbers (h, w, 5) of each cell of an image; levels are those of the cells known."""
     fine = rgb.astype(np.float32)
     colour = np.log(_pooled(fine, _CELL) + np.float32(_DARK))
     light = colour.mean(axis=-1)
@@ -189,20 +189,20 @@ def _described(
 
 
 def _features(described: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Features (..., d) whose dot products are kernels of descriptions (..., 5)."""
+    """Return features (..., d) whose dot products are kernels of descriptions (..., 5)."""
     angles = described @ _FREQUENCIES
     return np.concatenate([np.cos(angles), np.sin(angles)], axis=-1)
 
 
 def _pooled(image: NDArray[np.float32], size: int) -> NDArray[np.float32]:
-    """Means over squares of an image (h, w, ...)."""
+    """Return means over squares of an image (h, w, ...)."""
     h, w = image.shape[:2]
     parts = image.reshape(h // size, size, w // size, size, *image.shape[2:])
     return np.asarray(parts.mean(axis=(1, 3)), np.float32)
 
 
 def _contrast(image: NDArray[np.float32], size: int) -> NDArray[np.float32]:
-    """Standard deviations over squares of an image (h, w)."""
+    """Return standard deviations over squares of an image (h, w)."""
     variance = _pooled(image**2, size) - _pooled(image, size) ** 2
     return np.sqrt(np.maximum(variance, 0.0))
 
@@ -219,7 +219,7 @@ def _digest() -> str:
 
 
 def around(table: VisibilityTable) -> Floats:
-    """Poses (G, 4, 4) map_from_camera, evenly spread over the free positions of a map.
+    """Return poses (G, 4, 4) map_from_camera, evenly spread over the free positions of a map.
 
     Headings are spread too, as far as there is anything to be seen; pitches take turns.
     """
@@ -238,7 +238,7 @@ def around(table: VisibilityTable) -> Floats:
 
 
 def towards(table: VisibilityTable, objects: NDArray[np.intp]) -> Floats:
-    """Poses (G, 4, 4), one for each of these objects (rows) that is visible from anywhere."""
+    """Return poses (G, 4, 4), one for each of these objects (rows) that is visible from anywhere."""
     poses = []
     elevations = ((np.arange(ELEVATIONS) + 0.5) / ELEVATIONS * 2.0 - 1.0) * HIGHEST
     azimuths = np.arange(AZIMUTHS) * STEP
@@ -256,7 +256,7 @@ def towards(table: VisibilityTable, objects: NDArray[np.intp]) -> Floats:
 
 
 def _apart(points: Floats, count: int) -> NDArray[np.intp]:
-    """Rows of points, each the farthest from those before it; again from the start if too few."""
+    """Return rows of points, each the farthest from those before it; again from the start if too few."""
     rows = np.zeros(count, np.intp)
     distance = np.full(len(points), np.inf)
     for i in range(1, count):
@@ -268,7 +268,7 @@ def _apart(points: Floats, count: int) -> NDArray[np.intp]:
 
 
 def _looking(position: Floats, heading: float, pitch: float) -> Floats:
-    """Pose (4, 4) of an upright camera; pitch is up."""
+    """Return pose (4, 4) of an upright camera; pitch is up."""
     ahead = [np.cos(heading) * np.cos(pitch), np.sin(heading) * np.cos(pitch), np.sin(pitch)]
     right = [np.sin(heading), -np.cos(heading), 0.0]
     pose = np.eye(4)

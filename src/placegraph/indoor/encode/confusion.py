@@ -66,7 +66,7 @@ class Confusion:
         object.__setattr__(self, "_row_of", row_of)
 
     def truly(self, said: str) -> dict[str, float]:
-        """Probability of each label that a said one may truly be; empty: nothing is known of it.
+        """Return probability of each label that a said one may truly be; empty: nothing is known of it.
 
         Every label that may be true is taken to be equally frequent.
         """
@@ -118,7 +118,7 @@ class Confusion:
         step: int = STEP,
         smoothing: float = SMOOTHING,
     ) -> Confusion:
-        """What label images say of a map's objects, by rays from where the images were taken.
+        """Estimate the confusion of label images with a map's objects, by rays from the images' poses.
 
         Parameters
         ----------
@@ -162,7 +162,7 @@ class Confusion:
 
 
 def _compared(scene: Scene, frame: Frame, step: int) -> dict[tuple[str, str], float]:
-    """How often pixels of what is truly one label are said to be another, in one frame."""
+    """Count pixels of one frame by pairs of true and given label."""
     ids = frame.labels() if frame.label_kind == "labels" else None
     if ids is None:
         return {}

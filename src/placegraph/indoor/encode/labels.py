@@ -23,20 +23,20 @@ _DIRECT = 1 << 16  # values below this are looked up in a table
 
 
 def checked(grid: tuple[int, int]) -> tuple[int, int]:
-    """Rows and columns of a grid; `OptionError` where it has no patches."""
+    """Return rows and columns of a grid; `OptionError` where it has no patches."""
     if min(grid) < 1:
         raise OptionError(f"grid is {grid}; it needs at least one row and one column.")
     return grid
 
 
 def cells(shape: tuple[int, int], grid: tuple[int, int]) -> NDArray[np.int64]:
-    """Cell (h, w) of a grid that each pixel of an image lies in, row by row."""
+    """Return cell (h, w) of a grid that each pixel of an image lies in, row by row."""
     h, w = shape
     return np.add.outer(np.arange(h) * grid[0] // h * grid[1], np.arange(w) * grid[1] // w)
 
 
 def looked_up(image: NDArray[np.int32], row_of: dict[int, int]) -> NDArray[np.int32]:
-    """Row (h, w) of each pixel's value, -1 for those that have none."""
+    """Return row (h, w) of each pixel's value, -1 for those that have none."""
     top = max(row_of, default=0) + 1
     if top < _DIRECT:  # a table is ten times as fast as sorting the pixels
         table = np.full(top + 1, -1, np.int32)
@@ -51,7 +51,7 @@ def looked_up(image: NDArray[np.int32], row_of: dict[int, int]) -> NDArray[np.in
 
 
 def majority(rows: NDArray[np.int32], grid: tuple[int, int], count: int) -> NDArray[np.int32]:
-    """Most frequent row (rows * columns,) of each patch, of `count` rows that there are.
+    """Return most frequent row (rows * columns,) of each patch, of `count` rows that there are.
 
     -1 where fewer than half of a patch's pixels have one.
     """
@@ -95,7 +95,7 @@ class InstancesEncoder:
         self.table[[self.row_of[id_] for id_ in ids], np.arange(len(graph))] = 1.0
 
     def encode(self, frame: Frame) -> Patches | None:
-        """Patches of a frame's label image; None where it has none, or has ids of labels."""
+        """Return patches of a frame's label image; None where it has none, or has ids of labels."""
         image = frame.labels() if frame.label_kind == "instances" else None
         if image is None:
             return None
@@ -135,7 +135,7 @@ class ClassesOfInstances(InstancesEncoder):
 
 
 def foreign(scene: Scene, frames: Sequence[Frame], agree: float | None) -> str:
-    """Why ids of instances seem to be another map's, in a sentence; empty: nothing says so.
+    """Return a sentence why ids of instances seem to be another map's; empty: they do not.
 
     `agree`: of the patches that name an object, the share that see it at the best pose; None: none
     does.
@@ -225,7 +225,7 @@ class LabelsEncoder:
         return f"labels {digest()}"
 
     def patches(self, image: Frame) -> NDArray[np.float32] | None:
-        """Vectors (rows, columns, d) of a frame's patches, unit or zero: says nothing.
+        """Return vectors (rows, columns, d) of a frame's patches, unit or zero: says nothing.
 
         None where there is neither a segmenter nor a label image whose ids have names. Raises
         `OptionError` where a segmenter's answer is not what it should be, `InputError` where an
@@ -239,22 +239,22 @@ class LabelsEncoder:
         return self._of_probabilities(np.asarray(self.segmenter(image)))
 
     def camera(self, image: Frame) -> Camera:
-        """Camera of the label images; of the colour images where a segmenter reads these."""
+        """Return camera of the label images; of the colour images where a segmenter reads these."""
         own = self.segmenter is None and image.label_camera is not None
         return (image.label_camera if own else None) or image.camera
 
     def objects(self, scene: Scene, captures: Sequence[Capture] = ()) -> NDArray[np.float32]:  # noqa: ARG002
-        """Vectors (N, d) of the labels of a map's objects."""
+        """Return vectors (N, d) of the labels of a map's objects."""
         return np.stack([self.vector(label) for label in scene.graph.labels])
 
     def vector(self, label: str) -> NDArray[np.float32]:
-        """Unit vector (d,) of a label, kept; zero of one that says nothing."""
+        """Return unit vector (d,) of a label, kept; zero of one that says nothing."""
         if label not in self._vectors:
             self._vectors[label] = vector(label)
         return self._vectors[label]
 
     def meant(self, said: str) -> NDArray[np.float32]:
-        """Unit vector (d,) of what a said label stands for: itself, or what it may truly be."""
+        """Return unit vector (d,) of what a said label stands for: itself, or what it may truly be."""
         if said not in self._meant:
             self._meant[said] = self._mixture(self._truths(said))
         return self._meant[said]
@@ -291,7 +291,7 @@ class LabelsEncoder:
         return out.reshape(*self.grid, self.dimension)
 
     def _truly(self, share: NDArray[np.float64]) -> dict[str, float]:
-        """Probabilities of what a patch shows, of those that a segmenter gives its names."""
+        """Return probabilities of what a patch shows, of those that a segmenter gives its names."""
         truly: dict[str, float] = {}
         for said, p in zip(self.names, share.tolist(), strict=True):
             for word, q in self._truths(said).items():
@@ -299,7 +299,7 @@ class LabelsEncoder:
         return truly
 
     def _mixture(self, truly: dict[str, float]) -> NDArray[np.float32]:
-        """Unit vector (d,) whose cosine with each label is about the root of its probability.
+        """Return unit vector (d,) whose cosine with each label is about the root of its probability.
 
         That is the length of a sum of orthogonal vectors, each as long as the root says.
         """

@@ -41,15 +41,15 @@ class AnsweredImages:
     """Shared by the frames of a capture."""
 
     def rgb(self) -> NDArray[np.uint8]:
-        """As `Frame.rgb`."""
+        """See `Frame.rgb`."""
         return self.images.rgb()
 
     def depth(self) -> NDArray[np.float32] | None:
-        """As `Frame.depth`."""
+        """See `Frame.depth`."""
         return self._answered() if self.made == "depth" else self.images.depth()
 
     def labels(self) -> NDArray[np.int32] | None:
-        """As `Frame.labels`."""
+        """See `Frame.labels`."""
         return self._answered() if self.made == "labels" else self.images.labels()
 
     def _answered(self) -> NDArray[Any]:
@@ -64,7 +64,7 @@ class AnsweredImages:
 
 
 def answered(capture: Capture, made: Literal["depth", "labels"], answer: Answer) -> list[Images]:
-    """Images of a capture's frames, with a network for their depth or labels; the last 64 are kept."""
+    """Return images of a capture's frames, with a network for their depth or labels; the last 64 are kept."""
     cache: OrderedDict[int, NDArray[Any]] = OrderedDict()
     return [
         AnsweredImages(frame.images, made, answer, i, cache)
@@ -108,7 +108,7 @@ class ImageNetwork:
         """Of what it gives: (1, h, w) or (1, h, w, channels)."""
 
     def size(self, width: int, height: int) -> tuple[int, int]:
-        """Width and height [px] of the answers to images of this width and height [px]."""
+        """Return width and height [px] of the answers to images of this width and height [px]."""
         inner = self._fitted(width, height)
         net_high, net_wide = (int(n) for n in self._input["shape"][1:3])
         return (
@@ -117,7 +117,7 @@ class ImageNetwork:
         )
 
     def __call__(self, rgb: NDArray[np.uint8]) -> NDArray[Any]:
-        """Answer (h, w, channels) to an image (H, W, 3) uint8 sRGB, as the model stores numbers."""
+        """Return answer (h, w, channels) to an image (H, W, 3) uint8 sRGB, as the model stores numbers."""
         wide, high = self.size(rgb.shape[1], rgb.shape[0])
         self._model.set_tensor(self._input["index"], self._prepared(rgb))
         self._model.invoke()
@@ -126,19 +126,19 @@ class ImageNetwork:
         return answer
 
     def values(self, answer: NDArray[Any]) -> NDArray[np.float32]:
-        """What stored numbers stand for."""
+        """Dequantize stored numbers."""
         scale, zero = self._output["quantization"]
         numbers: NDArray[np.float32] = answer.astype(np.float32)
         return (numbers - np.float32(zero)) * np.float32(scale) if scale else numbers
 
     def _fitted(self, width: int, height: int) -> tuple[int, int]:
-        """Width and height of an image that fills the model's input on one side."""
+        """Return width and height of an image that fills the model's input on one side."""
         high, wide = (int(n) for n in self._input["shape"][1:3])
         scale = min(wide / width, high / height)
         return max(min(round(width * scale), wide), 1), max(min(round(height * scale), high), 1)
 
     def _prepared(self, rgb: NDArray[np.uint8]) -> NDArray[Any]:
-        """The model's input (1, h, w, 3): the image in its upper left corner."""
+        """Return the model's input (1, h, w, 3): the image in its upper left corner."""
         from PIL import Image
 
         size = self._fitted(rgb.shape[1], rgb.shape[0])
@@ -194,14 +194,14 @@ class Segmenter(Protocol):
         """Names of the labels it gives."""
 
     def labels(self, rgb: NDArray[np.uint8]) -> NDArray[np.int32]:
-        """Labels (h, w) of an image (H, W, 3) sRGB, as large or smaller; -1: nothing."""
+        """Return labels (h, w) of an image (H, W, 3) sRGB, as large or smaller; -1: nothing."""
 
     def size(self, width: int, height: int) -> tuple[int, int]:
-        """Width and height of the labels of images of a width and height [px]."""
+        """Return width and height of the labels of images of a width and height [px]."""
 
 
 def labelled(capture: Capture, segmenter: Segmenter) -> Capture:
-    """Capture whose frames' labels are what a segmenter says of their colours.
+    """Return capture whose frames' labels are what a segmenter says of their colours.
 
     Images are segmented when their labels are asked for; the last 64 are kept. The capture's own
     labels, if it has any, are hidden. Reading labels raises `OptionError` where the segmenter's answer
@@ -289,11 +289,11 @@ class TfliteSegmenter:
             )
 
     def size(self, width: int, height: int) -> tuple[int, int]:
-        """Width and height [px] of the labels of images of this width and height [px]."""
+        """Return width and height [px] of the labels of images of this width and height [px]."""
         return self._network.size(width, height)
 
     def labels(self, rgb: NDArray[np.uint8]) -> NDArray[np.int32]:
-        """Labels (h, w) int32 of an image (H, W, 3) uint8 sRGB, `size` large; -1: nothing."""
+        """Return labels (h, w) int32 of an image (H, W, 3) uint8 sRGB, `size` large; -1: nothing."""
         out = self._network(rgb)
         classes = out.argmax(axis=2) if self._scored else out[..., 0]
         found = np.clip(classes.astype(np.int64), 0, None)
@@ -303,7 +303,7 @@ class TfliteSegmenter:
 
 
 def _names(path: str | PathLike[str] | None) -> dict[int, str | None]:
-    """Names of labels by number; None: says nothing."""
+    """Return names of labels by number; None: says nothing."""
     if path is None:
         return {i: name or None for i, name in enumerate(PASCAL)}
     path = Path(path)
@@ -340,14 +340,14 @@ class DepthEstimator(Protocol):
         """Whether it gives metres, not depth up to a scale."""
 
     def depth(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Depth (h, w) along the optical axis [m] of an image (H, W, 3) sRGB; NaN: not known."""
+        """Return depth (h, w) along the optical axis [m] of an image (H, W, 3) sRGB; NaN: not known."""
 
     def size(self, width: int, height: int) -> tuple[int, int]:
-        """Width and height of the depth of images of a width and height [px]."""
+        """Return width and height of the depth of images of a width and height [px]."""
 
 
 def measured(capture: Capture, estimator: DepthEstimator) -> Capture:
-    """Capture without depth images whose depth is what an estimator says of its colours.
+    """Return capture without depth images whose depth is what an estimator says of its colours.
 
     Images are measured when their depth is asked for; the last 64 are kept. A network errs more than
     a sensor: localize with ``Likelihood(depth_slope=SLOPE)`` and ``RefineOptions(depth=False)``.
@@ -388,7 +388,7 @@ def depth_network(
     *,
     threads: int | None = None,
 ) -> TfliteDepth:
-    """Estimator of a .tflite file: one image (1, h, w, 3) in, one depth a pixel out.
+    """Return estimator of a .tflite file: one image (1, h, w, 3) in, one depth a pixel out.
 
     Parameters
     ----------
@@ -431,11 +431,11 @@ class TfliteDepth:
             )
 
     def size(self, width: int, height: int) -> tuple[int, int]:
-        """Width and height [px] of the depth of images of this width and height [px]."""
+        """Return width and height [px] of the depth of images of this width and height [px]."""
         return self._network.size(width, height)
 
     def depth(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Depth (h, w) float32 [m] of an image (H, W, 3) uint8 sRGB, `size` large."""
+        """Return depth (h, w) float32 [m] of an image (H, W, 3) uint8 sRGB, `size` large."""
         values = self._network.values(self._network(rgb)[..., 0])
         with np.errstate(over="ignore"):  # too far to be a number: not known
             metres: NDArray[np.float32] = np.exp(values) if self._log else values
@@ -443,7 +443,7 @@ class TfliteDepth:
 
 
 def _form(path: Path) -> tuple[str, tuple[float, ...], tuple[float, ...]]:
-    """What a network gives, and mean and deviation (3,) of the colours that it takes."""
+    """Read a network's output unit, and mean and deviation (3,) of its input colours."""
     example = '{"gives": "metres", "mean": [0.5, 0.5, 0.5], "deviation": [0.5, 0.5, 0.5]}'
     if not path.exists():
         raise InputError(f"{path} does not exist; say there what the network gives: {example}.")

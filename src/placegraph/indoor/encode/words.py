@@ -51,7 +51,7 @@ _MODULUS = 0b100101  # x^5 + x^2 + 1, which makes GF(32)
 
 
 def vector(label: str) -> NDArray[np.float32]:
-    """Unit vector (d,) float32 of a label; zero of one that says nothing ("", "unknown", "other")."""
+    """Return unit vector (d,) float32 of a label; zero of one that says nothing ("", "unknown", "other")."""
     meanings = [words for part in _BETWEEN.split(label) if (words := label_words(part))]
     meanings = [words for words in meanings if "".join(words) not in SILENT]
     if not meanings:
@@ -66,17 +66,17 @@ def vector(label: str) -> NDArray[np.float32]:
 
 
 def known(label: str) -> bool:
-    """Whether a label stands in the tree of things, in the singular or the plural."""
+    """Return whether a label stands in the tree of things, in the singular or the plural."""
     return any(_row(label_words(part)) is not None for part in _BETWEEN.split(label))
 
 
 def digest() -> str:
-    """What decides the vectors beside this code: only vectors of one digest compare."""
+    """Return a digest of the tree of things: only vectors of one digest compare."""
     return tree().digest
 
 
 def _row(words: Sequence[str]) -> int | None:
-    """Row of words in the tree; None where they are not there."""
+    """Return row of words in the tree; None where they are not there."""
     if not words:
         return None
     rows = tree().row_of
@@ -85,7 +85,7 @@ def _row(words: Sequence[str]) -> int | None:
 
 
 def _singulars(word: str) -> Iterator[str]:
-    """The word, and what it may be the plural of."""
+    """Return the word, and what it may be the plural of."""
     yield word
     if word.endswith("ves"):
         yield word[:-3] + "f"
@@ -99,7 +99,7 @@ def _singulars(word: str) -> Iterator[str]:
 
 
 def _nearest(words: list[str]) -> tuple[int | None, float, list[str]]:
-    """What unknown words are a kind of or spelled like: row, cosine, and the words that say more."""
+    """Find the thing that unknown words are a kind of or spelled like: row, cosine, remaining words."""
     # a pile of books shows books, a chair with wheels a chair
     first = 2 if words[0] in _MANY and words[1:2] == ["of"] and words[2:] else 0
     end = next((i for i in range(first + 1, len(words)) if words[i] in _AFTER), len(words))
@@ -124,7 +124,7 @@ def _all_words() -> list[str]:
 
 
 def _letters(words: Sequence[str]) -> NDArray[np.float32]:
-    """Unit vector (d,) of how words are spelled: the sum of the codes of their subwords."""
+    """Return unit vector (d,) of how words are spelled: the sum of the codes of their subwords."""
     total = np.zeros(DIMENSION)
     for word in words:
         marked = f"<{word}>"
@@ -155,13 +155,13 @@ class Tree:
 
 @cache
 def tree() -> Tree:
-    """The tree that placegraph brings."""
+    """Return the tree that placegraph brings."""
     content = files("placegraph.indoor.encode").joinpath("data/things.txt").read_bytes()
     return grown(content.decode("utf-8"))
 
 
 def grown(text: str) -> Tree:
-    """Tree of lines of synonyms with commas between them, two spaces deeper below what they are of.
+    """Return tree of lines of synonyms with commas between them, two spaces deeper below what they are of.
 
     A word that stands there twice means what it means first. `#` begins a comment.
     """
@@ -190,14 +190,14 @@ def grown(text: str) -> Tree:
 
 
 def spelled(words: str) -> str:
-    """Letters of words, in lower case and without spaces: as `Tree.row_of` knows them."""
+    """Return letters of words, in lower case and without spaces: as `Tree.row_of` knows them."""
     return "".join(label_words(words))
 
 
 def mixed(
     vector: NDArray[np.float32], other: NDArray[np.float32], cosine: float
 ) -> NDArray[np.float32]:
-    """Unit vector (d,) with this cosine to a unit vector; the rest of it points along another."""
+    """Return unit vector (d,) with this cosine to a unit vector; the rest of it points along another."""
     rest = other - (other @ vector) * vector
     rest /= max(float(np.linalg.norm(rest)), 1e-12)
     return (cosine * vector + np.sqrt(1.0 - cosine**2) * rest).astype(np.float32)
@@ -205,7 +205,7 @@ def mixed(
 
 @cache
 def codes() -> NDArray[np.float32]:
-    """Unit vectors (2048, 64) float32; rows 64 i to 64 i + 63 are orthogonal.
+    """Return unit vectors (2048, 64) float32; rows 64 i to 64 i + 63 are orthogonal.
 
     The code words of Kerdock's code of length 64: any two of different sets have a cosine of 1/8
     or -1/8, and no larger set is less alike (Cameron and Seidel, Quadratic forms over GF(2), 1973).
@@ -228,7 +228,7 @@ def codes() -> NDArray[np.float32]:
 
 
 def _products() -> NDArray[np.int64]:
-    """Products (32, 32) of elements of GF(32), numbers whose bits are coefficients."""
+    """Return products (32, 32) of elements of GF(32), numbers whose bits are coefficients."""
     a, b = np.mgrid[:_FIELD, :_FIELD]
     product = np.zeros_like(a)
     for bit in range(5):
@@ -239,7 +239,7 @@ def _products() -> NDArray[np.int64]:
 
 
 def _traces() -> NDArray[np.int64]:
-    """Trace (32,) in GF(2) of each element: x + x^2 + x^4 + x^8 + x^16."""
+    """Return trace (32,) in GF(2) of each element: x + x^2 + x^4 + x^8 + x^16."""
     table, x = _products(), np.arange(_FIELD)
     total = x.copy()
     for _ in range(4):

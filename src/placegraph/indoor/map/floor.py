@@ -29,18 +29,18 @@ _FLOORS = {"floor", "floors", "ground"}
 
 
 def label_words(label: str) -> list[str]:
-    """Words of a label in lower case: "HouseWall", "house_wall" and "house wall" are two words."""
+    """Return words of a label in lower case: "HouseWall", "house_wall" and "house wall" are two words."""
     return [w.lower() for w in re.findall(r"[A-Z]?[^\W\d_A-Z]+|[A-Z]+(?![^\W\d_A-Z])", label)]
 
 
 def is_floor(label: str) -> bool:
-    """Whether a label says that the object is a floor: its last word does."""
+    """Return whether a label says that the object is a floor: its last word does."""
     words = label_words(label)
     return bool(words) and words[-1] in _FLOORS
 
 
 def floor_height(mesh: Mesh, labels: Sequence[str]) -> float | None:
-    """Height of the floor [m, map], or None where the mesh shows none.
+    """Return height of the floor [m, map], or None where the mesh shows none.
 
     Objects labelled as floor that lie level come first, with what looks up where that is about half
     of them or more. Without one, it is the largest surface that looks up among the lowest quarter of the
@@ -74,7 +74,7 @@ def floor_height(mesh: Mesh, labels: Sequence[str]) -> float | None:
 
 
 def storeys(scene: Scene, part: int) -> list[float]:
-    """Heights of the floors of a merged scene (row `part`) [m, map], lowest first.
+    """Return heights of the floors of a merged scene (row `part`) [m, map], lowest first.
 
     The first is the scene's own. Above it a storey begins where a level surface that looks up is as
     wide as a room, with walls above it and a room's height below.
@@ -83,7 +83,7 @@ def storeys(scene: Scene, part: int) -> list[float]:
 
 
 def storey_at(scene: Scene, point: ArrayLike) -> tuple[int, float]:
-    """Storey, from 0 on, in which a point (3,) x, y, z [m] lies, and the height of its floor [m]."""
+    """Return storey, from 0 on, in which a point (3,) x, y, z [m] lies, and the height of its floor [m]."""
     x, y, z = np.asarray(point, np.float64).tolist()
     floors = storeys(scene, scene.scene_at((x, y)))
     storey = sum(floor <= z for floor in floors[1:])
@@ -123,7 +123,7 @@ def _storeys(scene: Scene, part: int) -> list[float]:
 def labelled_floors(
     mesh: Mesh, labels: Sequence[str]
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """(N,) objects that are labelled floor, and (N,) those of them that stand upright.
+    """Return (N,) objects that are labelled floor, and (N,) those of them that stand upright.
 
     These show hardly any level area: the map lies on its side, or the label errs.
     """
@@ -136,7 +136,7 @@ def labelled_floors(
 
 
 def _level(heights: NDArray[np.float64], areas: NDArray[np.float64]) -> tuple[float, float]:
-    """Height and area of the largest level: the area-weighted median of what lies near its bin."""
+    """Return height and area of the largest level: the area-weighted median of what lies near its bin."""
     bins, inverse = np.unique(np.floor(heights / _BIN).astype(np.int64), return_inverse=True)
     alone = np.bincount(inverse, areas)
     around = alone.copy()  # with the neighbouring bins: noise and tilt of a scan
@@ -153,7 +153,7 @@ def _level(heights: NDArray[np.float64], areas: NDArray[np.float64]) -> tuple[fl
 def quantiles(
     values: NDArray[np.float64], weights: NDArray[np.float64], shares: tuple[float, ...]
 ) -> list[float]:
-    """Values below which these shares of the weights lie."""
+    """Return values below which these shares of the weights lie."""
     order = np.argsort(values, kind="stable")
     total = np.cumsum(weights[order])
     rows = np.searchsorted(total, np.array(shares) * total[-1])
@@ -173,16 +173,16 @@ NAMELESS = frozenset({
 
 
 def structure(labels: Sequence[str]) -> NDArray[np.bool_]:
-    """(N,) whether an object is part of the building, by its label's last word."""
+    """Return (N,) whether an object is part of the building, by its label's last word."""
     words = map(label_words, labels)
     return np.array([bool(w) and w[-1] in WORDS for w in words], np.bool_)
 
 
 def nameless(label: str) -> bool:
-    """Whether a label says nothing of what an object is: "", "unknown", "object"."""
+    """Return whether a label says nothing of what an object is: "", "unknown", "object"."""
     return not set(label_words(label)) - NAMELESS
 
 
 def same_label(one: str, other: str) -> bool:
-    """Whether two labels may be of one object: they are the same, or one names nothing."""
+    """Return whether two labels may be of one object: they are the same, or one names nothing."""
     return one.casefold() == other.casefold() or nameless(one) or nameless(other)

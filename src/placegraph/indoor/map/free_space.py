@@ -28,7 +28,7 @@ HIGHEST = np.deg2rad(50.0)
 
 
 def _directions() -> NDArray[np.float32]:
-    """Unit rays (E * A, 3) in tiles of 4 x 4 bins; azimuth bins are centred on multiples of STEP."""
+    """Return unit rays (E * A, 3) in tiles of 4 x 4 bins; azimuth bins are centred on multiples of STEP."""
     azimuth = np.arange(AZIMUTHS) * STEP
     elevation = ((np.arange(ELEVATIONS) + 0.5) / ELEVATIONS * 2.0 - 1.0) * HIGHEST
     e, a = np.meshgrid(elevation, azimuth, indexing="ij")
@@ -41,14 +41,14 @@ DIRECTIONS = _directions()
 
 
 def range_of(steps: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Distances [m] of stored ranges."""
+    """Return distances [m] of stored ranges."""
     table = NEAREST * np.exp(np.arange(256) / 254.0 * np.log(FARTHEST / NEAREST))
     table[NOTHING] = np.inf
     return table.astype(np.float32)[steps]
 
 
 def as_bytes(opponents: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Colours on the scale of the table's."""
+    """Return colours on the scale of the table's."""
     return np.asarray(opponents * _SCALE + _SHIFT, np.float32)
 
 
@@ -92,7 +92,7 @@ class Grid:
 
 
 def grid_of(scene: Scene, heights: Sequence[float], spacing: float) -> Grid:
-    """Places at `heights` [m] above all floors of a map, and where its viewpoints were.
+    """Return places at `heights` [m] above all floors of a map, and where its viewpoints were.
 
     Layers stand at most `GAP` apart, between the lowest and the highest of `heights`.
     """
@@ -121,14 +121,14 @@ def grid_of(scene: Scene, heights: Sequence[float], spacing: float) -> Grid:
 
 
 def layers(heights: Sequence[float]) -> list[float]:
-    """Few heights, at most `GAP` apart, between the lowest and the highest asked for."""
+    """Return few heights, at most `GAP` apart, between the lowest and the highest asked for."""
     low, high = min(heights), max(heights)
     count = max(1, int(np.ceil((high - low) / GAP - 1e-9)))
     return [low + (high - low) * (i + 0.5) / count for i in range(count)]
 
 
 def nearest_scene(scene: Scene, points: Floats) -> tuple[NDArray[np.int64], Floats]:
-    """Row (N,) of the merged scene whose box each of points (N, 2) is in or nearest to, and how far.
+    """Return row (N,) of the merged scene whose box each of points (N, 2) is in or nearest to, and how far.
 
     How far (N,) is meant along x and y together [m].
     """
@@ -139,7 +139,7 @@ def nearest_scene(scene: Scene, points: Floats) -> tuple[NDArray[np.int64], Floa
 
 
 def _ground(scene: Scene, spacing: float) -> Floats:
-    """Box (2, 2) in which cameras are looked for: around the map, or a vast map's better part.
+    """Return box (2, 2) in which cameras are looked for: around the map, or a vast map's better part.
 
     One triangle that reaches to the horizon must not spread the grid over nothing: where the box
     would hold more cells than the table can, it is cut to where all but a hundredth of the
@@ -163,7 +163,7 @@ def _ground(scene: Scene, spacing: float) -> Floats:
 
 
 def likely(scene: Scene, points: Floats) -> NDArray[np.bool_]:
-    """Which of points (K, 3) a few rays do not rule out.
+    """Return which of points (K, 3) may be free by a few rays.
 
     They say where a place is shut in or sees nothing. One without a floor below lies outside unless
     it looks in: sees places that have one. And who stands beside the floor of a map whose surfaces
@@ -195,7 +195,7 @@ def likely(scene: Scene, points: Floats) -> NDArray[np.bool_]:
 
 
 def _looks_in(scene: Scene, points: Floats, inside: Floats) -> NDArray[np.bool_]:
-    """Which of points (K, 3) see their share of places (M, 3): the nearest, and others all over."""
+    """Return which of points (K, 3) see their share of places (M, 3): the nearest, and others all over."""
     if not len(points):
         return np.zeros(0, np.bool_)
     half = _TARGETS // 2
@@ -213,7 +213,7 @@ def _looks_in(scene: Scene, points: Floats, inside: Floats) -> NDArray[np.bool_]
 
 
 def free(panoramas: Panoramas) -> NDArray[np.int64]:
-    """Rows where a camera can be: not in a wall or a cupboard, and not where nothing is mapped."""
+    """Return rows where a camera can be: not in a wall or a cupboard, and not where nothing is mapped."""
     ranges = range_of(panoramas.ranges.reshape(-1, ELEVATIONS * AZIMUTHS))
     mapped = (panoramas.ranges != NOTHING).mean(axis=(1, 2))
     nearest = np.partition(ranges, ranges.shape[1] // 100, axis=1)[:, ranges.shape[1] // 100]

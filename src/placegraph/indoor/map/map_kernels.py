@@ -26,7 +26,7 @@ from placegraph.indoor.rays.trace_kernels import (
 
 @kernel
 def chart_of(triangles, vertices):
-    """Lowest vertex (V,) of the connected part, joined by triangles (T, 3), of each vertex."""
+    """Return lowest vertex (V,) of the connected part, joined by triangles (T, 3), of each vertex."""
     root = np.arange(vertices)
     for t in range(len(triangles)):
         for k in range(2):
@@ -45,7 +45,7 @@ def chart_of(triangles, vertices):
 
 @kernel(inline="always")
 def colour_at(surface, triangle, u, v, footprint):
-    """Colour in sRGB (3 floats, 0 to 1) at barycentrics u, v of a triangle.
+    """Return colour in sRGB (3 floats, 0 to 1) at barycentrics u, v of a triangle.
 
     `footprint`: width of what the ray stands for at the hit [m].
     """
@@ -79,7 +79,7 @@ def colour_at(surface, triangle, u, v, footprint):
 
 @kernel(inline="always")
 def opponent(red, green, blue):
-    """Lightness and two chromaticities (3 floats) that a lamp's brightness leaves alone."""
+    """Return lightness and two chromaticities (3 floats) that a lamp's brightness leaves alone."""
     total = red + green + blue
     shade = np.float32(1.0) / (total + np.float32(0.06))
     return total, (red - blue) * shade, (np.float32(2.0) * green - red - blue) * shade
@@ -102,7 +102,7 @@ def code(rows, codes):
 
 @kernel
 def fan_order(corners, vertices):
-    """Order (T,) of triangles (T, 3), new number (V,) of each vertex or -1, and how many are used.
+    """Return order (T,) of triangles (T, 3), new number (V,) of each vertex or -1, and how many are used.
 
     Vertices wait in the order in which they were met; around each its triangles follow, each beside
     the one before where there is such a one.
@@ -225,7 +225,7 @@ _SHIFT = np.array([0.0, 127.0, 127.0], np.float32)
 
 
 def look_around(tracer, surface, points, directions, objects):
-    """Panoramas from points (K, 3)."""
+    """Return panoramas from points (K, 3)."""
     shape = (len(points), ELEVATIONS, AZIMUTHS)
     seen = np.full(shape, objects, np.uint16)
     ranges = np.full(shape, NOTHING, np.uint8)
@@ -289,7 +289,7 @@ class Samples(NamedTuple):
 
 
 def scan_headings(panoramas, mapped, samples, colour_weight):
-    """Log-likelihood (T, K, HEADINGS): for each sample, its column turned through all headings."""
+    """Return log-likelihood (T, K, HEADINGS): for each sample, its column turned through all headings."""
     out = np.empty((len(samples.ends), len(panoramas.objects), HEADINGS), np.float32)
     share(_scan_headings, out.shape[1], panoramas, mapped, samples, colour_weight, out)
     return out
@@ -345,7 +345,7 @@ def _scan_headings(panoramas, mapped, samples, colour_weight, out, first, last):
 
 @kernel
 def _unroll(columns, out):
-    """Columns (A,) of a band, twice over, those of all headings beside each other (FOLD, 2 H)."""
+    """Return columns (A,) of a band, twice over, those of all headings beside each other (FOLD, 2 H)."""
     for fold in range(FOLD):
         for a in range(HEADINGS):
             out[fold, a] = out[fold, a + HEADINGS] = columns[a * FOLD + fold]
@@ -353,7 +353,7 @@ def _unroll(columns, out):
 
 @kernel
 def _unroll_colours(colours, ranges, out):
-    """The same of colours (3, A), and whether anything is hit: (FOLD, 4, 2 H)."""
+    """Return windows of colours (3, A), and whether anything is hit: (FOLD, 4, 2 H)."""
     for fold in range(FOLD):
         for a in range(HEADINGS):
             there = np.float32(ranges[a * FOLD + fold] != NOTHING)
@@ -513,7 +513,7 @@ def cover(corners, chosen, origin, cell, covered):
 
 @kernel
 def nearest(mask, reach):
-    """Squared distance [cells2] of every cell to the nearest one of a mask, and its number x ny + y.
+    """Return squared distance [cells2] of every cell to the nearest one of a mask, and its number x ny + y.
 
     Where there is none within `reach` cells, it is (reach + 1) squared, and -1. Exact: first along
     columns, then along rows, as far out as a nearer one can lie.
@@ -565,7 +565,7 @@ def _root(parent, i):
 
 @kernel
 def flood(width, order, least, narrow, door, narrow_door):
-    """Basins of half-widths (nx, ny) [m]: from the widest place down, cut where it is narrow.
+    """Return basins of half-widths (nx, ny) [m]: from the widest place down, cut where it is narrow.
 
     Cells are neighbours by their sides: walls askew touch at corners.
 

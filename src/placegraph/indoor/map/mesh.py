@@ -80,7 +80,7 @@ class Mesh:
         object_of: ArrayLike | None = None,
         colours: ArrayLike | None = None,
     ) -> Mesh:
-        """Mesh without textures; of one object and white where nothing else is given."""
+        """Return mesh without textures; of one object and white where nothing else is given."""
         points = np.asarray(vertices, np.float32)
         corners = np.asarray(triangles, np.int32)
         one = np.zeros(len(corners), np.int32)
@@ -106,14 +106,14 @@ class Mesh:
         )
 
     def bounds(self) -> NDArray[np.float64]:
-        """(2, 3) float64, lowest and highest corner [m]; NaN of a mesh without vertices."""
+        """Return (2, 3) float64, lowest and highest corner [m]; NaN of a mesh without vertices."""
         if not len(self.vertices):
             return np.full((2, 3), np.nan)
         ends = [self.vertices.min(axis=0), self.vertices.max(axis=0)]
         return np.array(ends, np.float64)
 
     def object_bounds(self, count: int) -> NDArray[np.float64]:
-        """(count, 2, 3) float64, box of each object's triangles [m]; NaN where it has none.
+        """Return (count, 2, 3) float64, box of each object's triangles [m]; NaN where it has none.
 
         Raises `OptionError` where there are more than `count` objects.
         """
@@ -128,7 +128,7 @@ class Mesh:
         return boxes
 
     def normals(self) -> NDArray[np.float64]:
-        """(T, 3) float64 normals, twice as long as the triangles' areas [m2]."""
+        """Return (T, 3) float64 normals, twice as long as the triangles' areas [m2]."""
         normals = np.empty((len(self), 3))
         for part in portions(len(self)):
             a, b, c = np.moveaxis(self.vertices[self.triangles[part]].astype(np.float64), 1, 0)
@@ -138,7 +138,7 @@ class Mesh:
     def colour_at(
         self, triangle: NDArray[np.int32], u: NDArray[np.float32], v: NDArray[np.float32]
     ) -> NDArray[np.uint8]:
-        """Colours (N, 3) uint8 of hits: triangles (N,), barycentrics of corners 1 and 2 (N,).
+        """Return colours (N, 3) uint8 of hits: triangles (N,), barycentrics of corners 1 and 2 (N,).
 
         The nearest texel speaks. Rows of triangle -1 (nothing hit) are black.
         """
@@ -158,7 +158,7 @@ class Mesh:
         return out
 
     def texels(self) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.int64]]:
-        """All textures as one array, for compiled code.
+        """Return all textures as one array, for compiled code.
 
         Returns texels (P, 3) uint8, the first texel of each texture (K,) int64, and widths and
         heights (K, 2) int64; texel (x, y) of texture k is row `start[k] + y * width[k] + x`.
@@ -169,11 +169,11 @@ class Mesh:
         return flat, np.cumsum(counts) - counts, sizes
 
     def moved(self, shift: ArrayLike) -> Mesh:
-        """Mesh shifted by (3,) [m]."""
+        """Return mesh shifted by (3,) [m]."""
         return replace(self, vertices=self.vertices + np.asarray(shift, np.float64))
 
     def snapped(self, grain: float = GRAIN, uv_grain: float = UV_GRAIN) -> Mesh:
-        """Mesh whose coordinates are multiples of steps, as a map file holds them.
+        """Return mesh whose coordinates are multiples of steps, as a map file holds them.
 
         `grain` [m] and `uv_grain` are powers of two from `GRAIN` and `UV_GRAIN` on; steps are
         coarser only where coordinates are so large (beyond 512 m) that float32 demands it.
@@ -186,7 +186,7 @@ class Mesh:
         return replace(self, **rounded)
 
     def steps(self) -> tuple[float, float]:
-        """Steps of vertices [m] and of texture coordinates: the longest whose multiples they are.
+        """Return steps of vertices [m] and of texture coordinates: the longest whose multiples they are.
 
         These are `GRAIN` and `UV_GRAIN` or 2^k times them.
         """
@@ -194,7 +194,7 @@ class Mesh:
 
 
 def portions(count: int) -> Iterator[slice]:
-    """Slices of `count` rows, so many at a time that what is computed of them stays small."""
+    """Return slices of `count` rows, so many at a time that what is computed of them stays small."""
     for start in range(0, count, _PORTION):
         yield slice(start, min(start + _PORTION, count))
 
@@ -252,7 +252,7 @@ def _rows(name: str, rows: NDArray[np.int32], count: int | None) -> None:
 
 
 def ordered(mesh: Mesh) -> Mesh:
-    """The same mesh, part by connected part and fan by fan, without vertices that nothing uses."""
+    """Order a mesh part by connected part and fan by fan; drops unused vertices."""
     from placegraph.indoor.map.map_kernels import fan_order
 
     by_object = np.argsort(mesh.object_of, kind="stable")
@@ -274,7 +274,7 @@ def ordered(mesh: Mesh) -> Mesh:
 
 
 def high_water(triangles: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Codes (3 T,) of triangles (T, 3)."""
+    """Return codes (3 T,) of triangles (T, 3)."""
     from placegraph.indoor.map.map_kernels import code
 
     codes = np.empty(triangles.size, np.int32)
@@ -283,7 +283,7 @@ def high_water(triangles: NDArray[np.int32]) -> NDArray[np.int32]:
 
 
 def from_high_water(codes: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Triangles (T, 3) of `high_water` codes (3 T,)."""
+    """Return triangles (T, 3) of `high_water` codes (3 T,)."""
     new = (codes == 0).astype(np.int64)
     level = np.cumsum(new) - new
     return (level - codes).astype(np.int32).reshape(-1, 3)
@@ -319,7 +319,7 @@ class Surface(NamedTuple):
 
     @classmethod
     def of(cls, mesh: Mesh) -> Surface:
-        """Surface of a mesh."""
+        """Return surface of a mesh."""
         most = _useful_levels(mesh)
         pyramids = [_pyramid(t, n) for t, n in zip(mesh.textures, most.tolist(), strict=True)]
         depth = max(len(p) for p in pyramids)
@@ -344,7 +344,7 @@ class Surface(NamedTuple):
 
 
 def _useful_levels(mesh: Mesh) -> NDArray[np.int64]:
-    """Mip levels (K,) of each texture beyond the first that hold what belongs together.
+    """Return mip levels (K,) of each texture beyond the first that hold what belongs together.
 
     A texture of many charts mixes neighbours that have nothing to do with each other as soon as a
     texel is as wide as half a chart: the shorter side that all but `BLEED` of the surface has decides.
@@ -375,7 +375,7 @@ def _useful_levels(mesh: Mesh) -> NDArray[np.int64]:
 
 
 def _pyramid(texture: NDArray[np.uint8], most: int) -> list[NDArray[np.uint8]]:
-    """Texture (h, w, 3) and its halves, quarters, ... down to one texel, or `most` of them."""
+    """Return texture (h, w, 3) and its halves, quarters, ... down to one texel, or `most` of them."""
     from PIL import Image
 
     out = [texture]
@@ -389,7 +389,7 @@ def _pyramid(texture: NDArray[np.uint8], most: int) -> list[NDArray[np.uint8]]:
 
 
 def _density(mesh: Mesh, sizes: NDArray[np.int32]) -> NDArray[np.float32]:
-    """Texels per metre (T,) along the denser side of each triangle's texture."""
+    """Return texels per metre (T,) along the denser side of each triangle's texture."""
     density = np.empty(len(mesh), np.float32)
     for part in portions(len(mesh)):
         corners, uv = mesh.vertices[mesh.triangles[part]], mesh.uv[mesh.triangles[part]]

@@ -55,7 +55,7 @@ class Triangles(NamedTuple):
     """(N + 1,)"""
 
     def in_box(self, row: int, low: Floats, high: Floats, *, level: bool = False) -> bool:
-        """Whether a triangle of an object (a level one) reaches into a box."""
+        """Return whether a triangle of an object (a level one) reaches into a box."""
         own = slice(self.starts[row], self.starts[row + 1])
         near = np.flatnonzero((self.low[own, 2] <= high[2]) & (self.high[own, 2] >= low[2]))
         near += own.start
@@ -67,7 +67,7 @@ class Triangles(NamedTuple):
 
 
 def overlap(corners: NDArray[np.float32], low: Floats, high: Floats) -> NDArray[np.bool_]:
-    """Which triangles (T, 3 corners, 3) reach into a box, by the separating axis theorem."""
+    """Return which triangles (T, 3 corners, 3) reach into a box, by the separating axis theorem."""
     half = (high - low) / 2.0
     points = corners.astype(np.float64) - (low + high) / 2.0
     edges = np.roll(points, -1, axis=1) - points
@@ -83,7 +83,7 @@ def overlap(corners: NDArray[np.float32], low: Floats, high: Floats) -> NDArray[
 
 
 def boxes_of(mesh: Mesh, labels: Sequence[str]) -> Boxes:
-    """Boxes of the objects of a mesh."""
+    """Return boxes of the objects of a mesh."""
     bounds = mesh.object_bounds(len(labels))
     low, high = bounds[:, 0], bounds[:, 1]
     sides = high - low
@@ -100,7 +100,7 @@ def boxes_of(mesh: Mesh, labels: Sequence[str]) -> Boxes:
 
 
 def triangles_of(mesh: Mesh, count: int) -> Triangles:
-    """Triangles of a mesh of `count` objects, by object."""
+    """Return triangles of a mesh of `count` objects, by object."""
     order = np.argsort(mesh.object_of, kind="stable")
     corners = mesh.vertices[mesh.triangles[order]]
     normals = mesh.normals()[order]
@@ -110,7 +110,7 @@ def triangles_of(mesh: Mesh, count: int) -> Triangles:
 
 
 def near_pairs(boxes: Boxes) -> NDArray[np.int64]:
-    """Pairs (P, 2), both ways, whose footprints are at most `NEXT` apart: a sweep along x."""
+    """Return pairs (P, 2), both ways, whose footprints are at most `NEXT` apart: a sweep along x."""
     order = np.argsort(boxes.low[:, 0], kind="stable")
     begin = boxes.low[order, 0]
     until = np.searchsorted(begin, boxes.high[order, 0] + NEXT, side="right")
@@ -129,14 +129,14 @@ def near_pairs(boxes: Boxes) -> NDArray[np.int64]:
 
 
 def _chunks(lengths: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
-    """Rows, a million pairs at a time."""
+    """Return rows, a million pairs at a time."""
     part = np.cumsum(lengths) // 1_000_000
     for value in np.unique(part):
         yield np.flatnonzero(part == value)
 
 
 def overlap_2d(boxes: Boxes, a: NDArray[np.int64], b: NDArray[np.int64]) -> Floats:
-    """Area [m2] that the footprints of pairs share."""
+    """Return area [m2] that the footprints of pairs share."""
     sides = np.minimum(boxes.high[a], boxes.high[b]) - np.maximum(boxes.low[a], boxes.low[b])
     area: Floats = np.prod(np.maximum(sides[:, :2], 0.0), axis=1)
     return area
@@ -164,7 +164,7 @@ _THIN = 0.01  # boxes of flat things are given this thickness [m]
 def relate(
     mesh: Mesh, labels: Sequence[str], room_of: NDArray[np.integer] | None = None
 ) -> list[tuple[int, str, int]]:
-    """Relations (row, relation, row) between the objects of a mesh, sorted.
+    """Return relations (row, relation, row) between the objects of a mesh, sorted.
 
     `room_of` (N,) is the room of each object, -1 none, as `placegraph.indoor.map.rooms` finds it; where
     it is not given, nothing is in the same room, and things are next to each other through walls.
@@ -301,7 +301,7 @@ def _above(
 
 
 def _carriers(carrier: dict[int, int], thing: int) -> Iterator[int]:
-    """What a thing stands on, what that stands on, and so on."""
+    """Yield the supports of an object, from the nearest down."""
     passed = {thing}
     while thing in carrier and carrier[thing] not in passed:
         thing = carrier[thing]
@@ -310,7 +310,7 @@ def _carriers(carrier: dict[int, int], thing: int) -> Iterator[int]:
 
 
 def _apart(rooms: NDArray[np.int64], pairs: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which pairs are known to be in two rooms."""
+    """Return which pairs are known to be in two rooms."""
     one, other = rooms[pairs].T
     apart: NDArray[np.bool_] = (one >= 0) & (other >= 0) & (one != other)
     return apart
@@ -332,7 +332,7 @@ def _next_to(boxes: Boxes, pairs: NDArray[np.int64], found: dict[tuple[int, int]
 
 
 def _same_room(boxes: Boxes, rooms: NDArray[np.int64]) -> list[tuple[int, str, int]]:
-    """Shortest tree through the middles of each room's things, both ways: Prim's algorithm."""
+    """Return shortest tree through the middles of each room's things, both ways: Prim's algorithm."""
     middle = (boxes.low + boxes.high) / 2.0
     edges: list[tuple[int, str, int]] = []
     for room in range(int(rooms.max(initial=-1)) + 1):
@@ -417,19 +417,19 @@ _IDLE = frozenset({"is", "are", "that", "which", "the", "a", "an", "directly", "
 
 
 def canonical(relation: str) -> Reading:
-    """What the name of an edge stands for; a name that nothing is known of stands for itself."""
+    """Return the relation that the name of an edge means; unknown names mean themselves."""
     name = _phrase(relation)
     return _plain(*(CANONICAL.get(name) or _READINGS.get(name, ((name, False),))[0]))
 
 
 def readings(asked: str) -> frozenset[Reading]:
-    """What a relation that is asked for may mean: "under" is "above" turned, or "standing on"."""
+    """Return the meanings of a queried relation: "under" is "above" reversed, or "standing on"."""
     name = _phrase(asked)
     return frozenset(_plain(*r) for r in _READINGS.get(name, ())) or frozenset({canonical(name)})
 
 
 def matches(asked: str, relation: str) -> bool:
-    """Whether an edge "A `relation` B" says that A is `asked` B.
+    """Return whether an edge "A `relation` B" says that A is `asked` B.
 
     "near" matches "close by" and "next to", "on" matches "lying on". "under" matches neither "above"
     nor "standing on", which say it of B: `find` turns such edges around.
@@ -438,7 +438,7 @@ def matches(asked: str, relation: str) -> bool:
 
 
 def same_thing(asked: str, label: str) -> bool:
-    """Whether a label may be what is asked for: "chairs" and "desk chair", "DeskChair" and "chair".
+    """Return whether a label may be what is asked for: "chairs" and "desk chair", "DeskChair" and "chair".
 
     The last words are the same but for the plural, and what comes before does not differ: a "desk
     chair" is a "chair", but no "kitchen chair". Nothing asked for is anything.
@@ -452,7 +452,7 @@ def same_thing(asked: str, label: str) -> bool:
 
 
 def find(graph: SceneGraph, subject: str, asked: str, target: str) -> NDArray[np.int64]:
-    """Pairs of things between which a relation holds, under whichever name an edge says so.
+    """Return pairs of things between which a relation holds, under whichever name an edge says so.
 
     Parameters
     ----------
@@ -493,13 +493,13 @@ def find(graph: SceneGraph, subject: str, asked: str, target: str) -> NDArray[np
 
 
 def _phrase(name: str) -> str:
-    """Words of a relation in lower case, but for those that change nothing."""
+    """Return words of a relation in lower case, but for those that change nothing."""
     words = [word for word in re.split(r"[\s_-]+", name.lower()) if word]
     return " ".join([word for word in words if word not in _IDLE] or words)
 
 
 def _connected(graph: SceneGraph, chosen: Sequence[bool]) -> Iterable[list[int]]:
-    """Groups of rows that the chosen edges connect."""
+    """Return groups of rows that the chosen edges connect."""
     group: dict[int, list[int]] = {}
     for a, b in zip(
         graph.sources[list(chosen)].tolist(), graph.targets[list(chosen)].tolist(), strict=True

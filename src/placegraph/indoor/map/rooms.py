@@ -61,7 +61,7 @@ class Grid(NamedTuple):
 
 
 def grid_of(corners: Corners) -> Grid | None:
-    """Grid around triangles, with a margin in which gaps can be closed."""
+    """Return grid around triangles, with a margin in which gaps can be closed."""
     if not len(corners):
         return None
     flat = corners[:, :, :2].astype(np.float64)
@@ -74,7 +74,7 @@ def grid_of(corners: Corners) -> Grid | None:
 
 
 def wall_cells(mesh: Mesh, labels: Sequence[str], corners: Corners, grid: Grid) -> Mask:
-    """Cells (nx, ny) that no room goes through."""
+    """Return cells (nx, ny) that no room goes through."""
     words = [(label_words(label) or [""])[-1] for label in labels]
     built = structure(labels) | np.array([word in _DOORS for word in words], np.bool_)
     nameless = np.array([not word or word in NAMELESS for word in words], np.bool_)
@@ -92,7 +92,7 @@ def wall_cells(mesh: Mesh, labels: Sequence[str], corners: Corners, grid: Grid) 
 
 
 def _doors(lintel: Mask, walls: Mask, over: Mask, grid: Grid) -> Mask:
-    """Cells below a wall, where they are no wider than a door."""
+    """Return cells below a wall, where they are no wider than a door."""
     open_below = lintel & over & ~(_around(walls.astype(np.uint32)) > 0)
     part, count = pieces(open_below)
     if not count:
@@ -112,7 +112,7 @@ def _doors(lintel: Mask, walls: Mask, over: Mask, grid: Grid) -> Mask:
 
 
 def _bits(cells: NDArray[np.uint32]) -> NDArray[np.uint8]:
-    """How many bits are set."""
+    """Count the bits that are set."""
     count = np.zeros(cells.shape, np.uint8)
     for k in range(len(_WALLS) + len(_LINTELS)):
         count += ((cells >> np.uint32(k)) & np.uint32(1)).astype(np.uint8)
@@ -120,7 +120,7 @@ def _bits(cells: NDArray[np.uint32]) -> NDArray[np.uint8]:
 
 
 def _around(cells: NDArray[np.uint32]) -> NDArray[np.uint32]:
-    """Bits of each cell and its eight neighbours."""
+    """Return bits of each cell and its eight neighbours."""
     out = cells.copy()
     for axis in (0, 1):
         rows = np.moveaxis(out, axis, 0)
@@ -131,7 +131,7 @@ def _around(cells: NDArray[np.uint32]) -> NDArray[np.uint32]:
 
 
 def ground_cells(normals: Floats, corners: Corners, walls: Mask, grid: Grid) -> tuple[Mask, Mask]:
-    """Cells (nx, ny) of the floor, and those with something level there or on it, gaps closed."""
+    """Return cells (nx, ny) of the floor, and those with something level there or on it, gaps closed."""
     level = np.abs(normals[:, 2]) > 0.7 * np.linalg.norm(normals, axis=1)
     level &= corners[:, :, 2].min(axis=1) > -BELOW
     level &= corners[:, :, 2].max(axis=1) < _WALLS[-1]
@@ -193,7 +193,7 @@ class Rooms:
         return f"Rooms({len(self)} of {areas} m2)" if len(self) else "Rooms(none)"
 
     def at(self, points: ArrayLike) -> NDArray[np.int32]:
-        """Room (K,) of the floor under points (K, 2 or 3) [m]; -1: none."""
+        """Return room (K,) of the floor under points (K, 2 or 3) [m]; -1: none."""
         xy = np.asarray(points, np.float64)[:, :2]
         x, y = np.floor((xy - self.origin) / self.cell).astype(np.int64).T
         inside = (x >= 0) & (y >= 0) & (x < self.cells.shape[0]) & (y < self.cells.shape[1])
@@ -202,14 +202,14 @@ class Rooms:
         return room
 
     def attributes(self) -> list[dict[str, str]]:
-        """(N,) what a map's attributes say: the number of each object's room, from "1" on."""
+        """Return (N,) what a map's attributes say: the number of each object's room, from "1" on."""
         return [{"room": str(room + 1)} if room >= 0 else {} for room in self.room_of.tolist()]
 
 
 def with_rooms(
     mesh: Mesh, labels: Sequence[str], floor: float, attributes: Sequence[Mapping[str, str]]
 ) -> tuple[NDArray[np.int32], list[dict[str, str]]]:
-    """Room of each object (N,), -1 none, and attributes (N,) that say so under "room".
+    """Return room of each object (N,), -1 none, and attributes (N,) that say so under "room".
 
     As the attributes name rooms already, if any does; else as `rooms_of` finds them.
     """
@@ -224,7 +224,7 @@ def with_rooms(
 
 
 def rooms_of(mesh: Mesh, labels: Sequence[str], floor: float) -> Rooms:
-    """Rooms of a mesh of N objects.
+    """Return rooms of a mesh of N objects.
 
     Parameters
     ----------
@@ -273,7 +273,7 @@ def rooms_of(mesh: Mesh, labels: Sequence[str], floor: float) -> Rooms:
 
 
 def _cut(free: Mask, floor: Mask, grid: Grid) -> Cells:
-    """Number (nx, ny) of the room of each free cell; -1: none."""
+    """Return number (nx, ny) of the room of each free cell; -1: none."""
     squared = nearest(~free, int(_WIDEST / 2.0 / grid.cell))[0]
     width = np.sqrt(squared) * grid.cell
     chosen = np.flatnonzero(free)
@@ -295,13 +295,13 @@ def _cut(free: Mask, floor: Mask, grid: Grid) -> Cells:
 
 
 def _sizes(own: NDArray[np.int64], count: int, grid: Grid) -> Floats:
-    """Area (count,) [m2] of cells by their number; -1: of none."""
+    """Return area (count,) [m2] of cells by their number; -1: of none."""
     cells = np.bincount(own[own >= 0], minlength=count)
     return cells.astype(np.float64) * grid.cell**2
 
 
 def _joined(sizes: Floats, meetings: list[tuple[int, ...]]) -> NDArray[np.int64]:
-    """Basin that each basin becomes part of; `sizes` [m2] are added up.
+    """Return basin that each basin becomes part of; `sizes` [m2] are added up.
 
     What is too small joins the one that it has the widest pass to, the smallest first.
     """
@@ -329,7 +329,7 @@ _HIGHEST = 3.0  # what is higher above a floor is in none of its rooms [m]
 
 
 def room_at(scene: Scene, point: ArrayLike) -> str:
-    """Name of the room in which a point (3,) x, y, z [m] lies; empty: in none, or rooms have no names.
+    """Return name of the room in which a point (3,) x, y, z [m] lies; empty: in none, or rooms have no names.
 
     A room has the name that most things in it say.
     """
@@ -343,13 +343,13 @@ def room_at(scene: Scene, point: ArrayLike) -> str:
 
 
 def most(names: Sequence[str]) -> str:
-    """The name that most things have, the first of several; things without one have no say."""
+    """Return the name that most things have, the first of several; things without one have no say."""
     given = sorted({name for name in names if name})
     return max(given, key=names.count, default="")
 
 
 def _named(scene: Scene, floor: float) -> tuple[Rooms, list[str]]:
-    """Rooms at a floor, and their names."""
+    """Return rooms at a floor, and their names."""
     graph = scene.graph
     rooms = rooms_of(scene.mesh, graph.labels, floor)
     told_by = ~structure(graph.labels)

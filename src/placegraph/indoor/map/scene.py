@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 def in_8_bits(vectors: NDArray[np.float32]) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
-    """Whole numbers (N, E) from -127 to 127 and scales (N,) whose product is near vectors (N, E).
+    """Return whole numbers (N, E) from -127 to 127 and scales (N,) whose product is near vectors (N, E).
 
     Off by at most 1/250 of a vector's largest entry; doing it again changes nothing.
     """
@@ -38,7 +38,7 @@ def in_8_bits(vectors: NDArray[np.float32]) -> tuple[NDArray[np.int8], NDArray[n
 
 
 def from_8_bits(numbers: NDArray[np.int8], scales: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Vectors (N, E) of `in_8_bits`."""
+    """Return vectors (N, E) of `in_8_bits`."""
     return numbers.astype(np.float32) * scales[:, None]
 
 
@@ -85,13 +85,13 @@ class Landmarks(Portable):
         return numbers / np.maximum(np.linalg.norm(numbers, axis=1, keepdims=True), 1.0)
 
     def moved(self, shift: ArrayLike) -> Landmarks:
-        """The same, shifted by (3,) [m]."""
+        """Return landmarks shifted by (3,) [m]."""
         points = self.points.astype(np.float64) + np.asarray(shift, np.float64)
         return Landmarks(points.astype(np.float32), self.vectors)
 
     @staticmethod
     def joined(parts: Sequence[Landmarks | None]) -> Landmarks | None:
-        """Those of several scenes; None where none has any."""
+        """Return those of several scenes; None where none has any."""
         known = [part for part in parts if part is not None]
         if not known:
             return None
@@ -101,13 +101,13 @@ class Landmarks(Portable):
         )
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Columns of a map file."""
+        """Return columns of a map file."""
         steps = np.rint(self.points.astype(np.float64) / GRAIN).astype(np.int32)
         return {"landmark_points": steps, "landmark_vectors": self.vectors}
 
     @classmethod
     def read(cls, file: MapFile) -> Landmarks | None:
-        """Landmarks of a map file's columns; None of a file that has none."""
+        """Return landmarks of a map file's columns; None of a file that has none."""
         if not {"landmark_points", "landmark_vectors"} & set(file.arrays):
             return None
         steps = file.array("landmark_points", "<i4", 2).astype(np.float64)
@@ -291,7 +291,7 @@ class Scene(Portable):
         return (doubled / lengths).astype(np.float32)
 
     def derived(self, key: Hashable, make: Callable[[Self], T]) -> T:
-        """What a stage derives from the map: made once for each key, kept as long as the map."""
+        """Return a value derived from the map: made once for each key, cached as long as the map."""
         if key not in self._derived:
             self._derived[key] = make(self)
         return self._derived[key]
@@ -310,13 +310,13 @@ class Scene(Portable):
         return any((t[::8, ::8] != first).any() or (t != first).any() for t in textures)
 
     def scene_at(self, point: ArrayLike) -> int:
-        """Row of the merged scene in whose bounds a point (2,) x, y [m] lies, or the nearest."""
+        """Return row of the merged scene in whose bounds a point (2,) x, y [m] lies, or the nearest."""
         boxes, point = self.scene_bounds[:, :, :2], np.asarray(point, np.float64)
         outside = np.maximum(np.maximum(boxes[:, 0] - point, point - boxes[:, 1]), 0.0)
         return int(outside.sum(axis=1).argmin())
 
     def row_of(self, id_: str) -> int:
-        """Row of the object with this id; `OptionError` where there is none."""
+        """Return row of the object with this id; `OptionError` where there is none."""
         row = self._rows.get(id_)
         if row is None:
             raise OptionError(f"{id_!r} is no object of {self.source or 'this map'}.")
@@ -334,7 +334,7 @@ class Scene(Portable):
         return replace(self, anchors=anchors)
 
     def anchors_of(self, scene: str) -> tuple[Anchor, ...]:
-        """Candidates of one of the merged scenes, best first, in the axes of this map."""
+        """Return candidates of one of the merged scenes, best first, in the axes of this map."""
         return tuple(a for a in self.anchors if a.scene in {"", scene})
 
     def with_embeddings(self, embeddings: ArrayLike, *, encoder: str = "") -> Self:
@@ -349,7 +349,7 @@ class Scene(Portable):
 
 
 def _with_textures(cls: type[S], values: dict[str, Any], kept: tuple[str, ...]) -> S:
-    """What `Scene.__reduce__` took apart."""
+    """Rebuild a scene from `Scene.__reduce__`."""
     mesh = replace(values["mesh"], textures=textures.decode(values["encoded"], values["source"]))
     scene: S = made_again(cls, values | {"mesh": mesh}, kept)
     return scene
@@ -374,7 +374,7 @@ def graph_of(
 
 
 def ref(scene: Scene, row: int) -> ObjectRef:
-    """Object in this row; its place is that of the likeliest anchor."""
+    """Return object in this row; its place is that of the likeliest anchor."""
     graph = scene.graph
     anchors = scene.anchors_of(scene.scenes[scene.scene_of[row]])
     place = anchors[0].to_earth(graph.positions[row])[:2].tolist() if anchors else ()
@@ -386,7 +386,7 @@ _RING = np.array([(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)])
 
 
 def features(scene: Scene) -> dict[str, Any]:
-    """FeatureCollection of a map's objects: `SceneMap.to_geojson` says more."""
+    """Return FeatureCollection of a map's objects: `SceneMap.to_geojson` says more."""
     return collection(_objects(scene))
 
 

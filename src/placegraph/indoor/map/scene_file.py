@@ -59,12 +59,12 @@ def open_scene(path: str | PathLike[str], kind: type[S]) -> S:
 
 
 def near_box(points: NDArray[np.float64], box: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which of points (N, 3) lie at most `FAR` outside a box (2, 3) [m]."""
+    """Return which of points (N, 3) lie at most `FAR` outside a box (2, 3) [m]."""
     return np.asarray(((points > box[0] - FAR) & (points < box[1] + FAR)).all(axis=1))
 
 
 def columns(scene: Scene) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """Metadata and arrays of a scene map."""
+    """Return metadata and arrays of a scene map."""
     graph, mesh = scene.graph, scene.mesh
     grain, uv_grain = mesh.steps()
     kinds = sorted(set(graph.relations))
@@ -111,7 +111,7 @@ def columns(scene: Scene) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
 
 
 def bytes_of(path: str | PathLike[str]) -> dict[str, int]:
-    """Bytes of a map file's parts: graph, surface, colour, embeddings, landmarks.
+    """Return bytes of a map file's parts: graph, surface, colour, embeddings, landmarks.
 
     Raises `InputError` and `MapError` as `placegraph.core.mapfile.read_header` does.
     """
@@ -125,7 +125,7 @@ def bytes_of(path: str | PathLike[str]) -> dict[str, int]:
 
 
 def _fields(file: MapFile) -> dict[str, Any]:
-    """Fields of a `Scene` from a file's columns."""
+    """Return fields of a `Scene` from a file's columns."""
     data = file.array("textures", "|u1").tobytes()
     lengths = file.array("texture_bytes", "<i8")
     ends = np.cumsum(lengths)

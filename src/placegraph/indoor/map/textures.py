@@ -27,7 +27,7 @@ _LARGEST_SIDE = 1 << 14  # texels a side
 
 @dataclass(frozen=True, slots=True)
 class Detail:
-    """What is kept; the defaults lose nothing that localization would miss (docs/benchmarks/maps.md)."""
+    """Detail of a map; the defaults lose nothing that localization would miss (docs/benchmarks/maps.md)."""
 
     error: float | None = 0.005
     """Greatest distance of the simplified surface's vertices from the source's [m]; None: the
@@ -77,7 +77,7 @@ DETAILS = {
 
 
 def detail_named(detail: str | Detail) -> Detail:
-    """Detail of a name; `OptionError` where there is none of this name."""
+    """Return detail of a name; `OptionError` where there is none of this name."""
     if isinstance(detail, Detail):
         return detail
     if detail not in DETAILS:
@@ -97,14 +97,14 @@ _LARGEST = 1 << 14  # sides beyond this are refused where a map file is read
 
 
 def linear_from_srgb(colours: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Linear intensities 0 to 1 of sRGB values 0 to 1 (IEC 61966-2-1)."""
+    """Return linear intensities 0 to 1 of sRGB values 0 to 1 (IEC 61966-2-1)."""
     high = ((np.maximum(colours, 0.0) + 0.055) / 1.055) ** 2.4
     out: NDArray[np.float64] = np.where(colours <= 0.04045, colours / 12.92, high)
     return out
 
 
 def srgb_from_linear(intensities: NDArray[np.float64]) -> NDArray[np.float64]:
-    """SRGB values 0 to 1 of linear intensities 0 to 1 (IEC 61966-2-1)."""
+    """Return SRGB values 0 to 1 of linear intensities 0 to 1 (IEC 61966-2-1)."""
     high = 1.055 * np.maximum(intensities, 0.0) ** (1 / 2.4) - 0.055
     out: NDArray[np.float64] = np.where(intensities <= 0.0031308, intensities * 12.92, high)
     return out
@@ -113,7 +113,7 @@ def srgb_from_linear(intensities: NDArray[np.float64]) -> NDArray[np.float64]:
 def encode_pictures(
     pictures: Sequence[Picture], detail: Detail, needed: NDArray[np.float64] | None = None
 ) -> tuple[bytes, ...]:
-    """Encoded textures of a model's pictures: made small, base colour folded in.
+    """Return encoded textures of a model's pictures: made small, base colour folded in.
 
     `needed` (K, 2): width and height in texels that each picture needs at most on its surface
     (`needed_texels`). With quality 0 a JPEG or PNG that needs nothing done is kept as it is. Raises
@@ -131,14 +131,14 @@ def encode_pictures(
 def encode_arrays(
     textures: Iterable[NDArray[np.uint8]], quality: int = QUALITY
 ) -> tuple[bytes, ...]:
-    """Encoded textures of arrays (h, w, 3) uint8."""
+    """Return encoded textures of arrays (h, w, 3) uint8."""
     from PIL import Image
 
     return tuple(_encode(Image.fromarray(np.asarray(a)), quality) for a in textures)
 
 
 def needed_texels(mesh: Mesh, texel: float) -> NDArray[np.float64]:
-    """Width and height (K, 2) in texels at which each texture's texels are `texel` [m] long.
+    """Return width and height (K, 2) in texels at which each texture's texels are `texel` [m] long.
 
     By the finest quarter of the surface that bears it; infinite where nothing does, or texel is 0.
     """
@@ -215,7 +215,7 @@ def _encode_picture(picture: Picture, detail: Detail, needed: NDArray[np.float64
 
 
 def _size(size: tuple[int, int], largest: int, needed: NDArray[np.float64]) -> tuple[int, int]:
-    """Width and height [texels] that a picture is brought to; never more than it has."""
+    """Return width and height [texels] that a picture is brought to; never more than it has."""
     scale = min(largest / max(size), 1.0)
     width, height = (
         max(1, round(min(side * scale, most))) for side, most in zip(size, needed, strict=True)
@@ -224,7 +224,7 @@ def _size(size: tuple[int, int], largest: int, needed: NDArray[np.float64]) -> t
 
 
 def _encode(image: Image, quality: int) -> bytes:
-    """PNG where that is smaller, as for flat colours and drawings; else WebP."""
+    """Return PNG where that is smaller, as for flat colours and drawings; else WebP."""
     if image.width * image.height <= 64:
         return _bytes(image, "PNG", optimize=True)
     webp = _bytes(image, "WEBP", quality=quality or QUALITY, method=4)

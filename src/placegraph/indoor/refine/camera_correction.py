@@ -97,7 +97,7 @@ def calibrate_camera(
     free: Sequence[int],
     widths: Sequence[float] = WIDTHS,
 ) -> CalibratedPoses:
-    """Poses (T, 4, 4) from a start, and the unknowns in `free` from 0: one step for each width.
+    """Return poses (T, 4, 4) from a start, and the unknowns in `free` from 0: one step for each width.
 
     Where no step can be told, as of numbers that are not finite, nothing is found: the start, zeros,
     and an infinite cost.
@@ -138,7 +138,7 @@ def calibrate_camera(
 
 
 def _inverse(system: Floats) -> Floats:
-    """Inverse of normal equations; NaN of those that have none."""
+    """Return inverse of normal equations; NaN of those that have none."""
     try:
         return np.asarray(np.linalg.inv(system))
     except np.linalg.LinAlgError:
@@ -163,12 +163,12 @@ def _add_tilt(problem: Problem, poses: Floats, values: Floats, h: Floats, g: Flo
 
 
 def turn_gravity(gravity: Floats, values: Floats) -> Floats:
-    """Directions of gravity (..., 3) in camera axes, mended."""
+    """Return directions of gravity (..., 3) in camera axes, mended."""
     return np.asarray(gravity @ rotation_from_vector(values[list(TILT)]).T)
 
 
 def depth_from_camera(values: Floats, way: Floats | None = None) -> Floats:
-    """Pose (4, 4) of the depth camera in the camera, which goes a `way` (6,) while depth is late."""
+    """Return pose (4, 4) of the depth camera in the camera, which goes a `way` (6,) while depth is late."""
     move = values[list(PLACE)] + (0.0 if way is None else values[TIME] * way)
     mount = np.eye(4)
     mount[:3, :3], mount[:3, 3] = rotation_from_vector(move[3:]), move[:3]
@@ -184,7 +184,7 @@ def _seen(
     values: Floats,
     width: float,
 ) -> list[Rows]:
-    """What depth and matches of frame `t` say at a pose (4, 4)."""
+    """Linearise depth and matches of frame `t` at a pose (4, 4)."""
     out, read, sights = [], problem.readings[t], problem.sights[t]
     if read is not None and (read.depth > 0).any():
         out.append(_depth_rows(scene, problem, read, pose, way, values, width))
@@ -202,7 +202,7 @@ def _depth_rows(
     values: Floats,
     width: float,
 ) -> Rows:
-    """Distances to the planes that readings hit; residuals and weights as of `depth_system`."""
+    """Return distances to the planes that readings hit; residuals and weights as of `depth_system`."""
     noise, read = problem.options.noise, seen.depth > 0
     mount = pose @ depth_from_camera(values, way)
     rotation = mount[:3, :3]
@@ -232,7 +232,7 @@ def _depth_rows(
 
 
 def _image_rows(seen: PointMatches, pose: Floats, focal: float, width: float) -> Rows:
-    """Reprojection errors; residuals and weights as of `pixel_system`, `focal` the logarithm."""
+    """Return reprojection errors; residuals and weights as of `pixel_system`, `focal` the logarithm."""
     away = seen.points - pose[:3, 3]
     at = away @ pose[:3, :3]
     ahead = at[:, 2] > 0.05
@@ -260,7 +260,7 @@ _DEVICE = 0.2  # cameras of one device stand no further apart [m]: depth or imag
 
 @dataclass(frozen=True, eq=False)
 class CameraCorrection:
-    """What the unknowns of a camera were found to be (`calibrate_camera`)."""
+    """Corrections of a camera, by `calibrate_camera`."""
 
     values: Floats
     """(COUNT,)"""
@@ -269,11 +269,11 @@ class CameraCorrection:
 
     @classmethod
     def nothing(cls) -> CameraCorrection:
-        """The camera is as it is said to be."""
+        """Return the camera is as it is said to be."""
         return cls(np.zeros(COUNT), np.zeros(COUNT))
 
     def frames(self, frames: Sequence[Frame]) -> list[Frame]:
-        """Frames of one capture as their camera should have them."""
+        """Return frames of one capture as their camera should have them."""
         mount = depth_from_camera(self.values) if self.values[list(PLACE)].any() else None
         return [self._frame(f, mount) for f in frames]
 
@@ -295,7 +295,7 @@ class CameraCorrection:
         )
 
     def calibration(self) -> Calibration:
-        """The same for the user."""
+        """Return the correction as users see it."""
         factors, errors = np.exp(self.values), self.errors
         return Calibration(
             focal_factor=(float(factors[IMAGE]), float(errors[IMAGE])),
@@ -317,7 +317,7 @@ class CameraCorrection:
         return bool(np.linalg.norm(self.values[list(PLACE[:3])]) > _DEVICE)
 
     def sentence(self, frame: Frame) -> str:
-        """What is wrong, and what should stand in `camera.json` instead."""
+        """Describe the fault, and the right entries of `camera.json`."""
         return " ".join([*self._focal(frame), *self._scale(frame), *self._offset(), *self._tilt()])
 
     def _focal(self, frame: Frame) -> list[str]:
@@ -377,19 +377,19 @@ class CorrectedImages:
     """(4, 4) pose of the depth camera in the camera; None: they are one."""
 
     def rgb(self) -> NDArray[np.uint8]:
-        """As `Frame.rgb`."""
+        """See `Frame.rgb`."""
         return self.images.rgb()
 
     def labels(self) -> NDArray[np.int32] | None:
-        """As `Frame.labels`."""
+        """See `Frame.labels`."""
         return self.images.labels()
 
     def depth(self) -> NDArray[np.float32] | None:
-        """As `Frame.depth`."""
+        """See `Frame.depth`."""
         return self.correct_depth(self.images.depth())
 
     def correct_depth(self, depth: NDArray[np.float32] | None) -> NDArray[np.float32] | None:
-        """Depth (h, w) [m] as it was read, mended."""
+        """Return depth (h, w) [m] as it was read, mended."""
         if depth is None:
             return None
         scaled = (depth * np.float32(self.factor)).astype(np.float32)
@@ -399,14 +399,14 @@ class CorrectedImages:
 
 
 def correct_depth(frame: Frame, depth: NDArray[np.float32] | None) -> NDArray[np.float32] | None:
-    """Depth (h, w) [m] of a mended frame, from what was read."""
+    """Return depth (h, w) [m] of a mended frame, from what was read."""
     return frame.images.correct_depth(depth) if isinstance(frame.images, CorrectedImages) else depth
 
 
 def moved_depth(
     depth: NDArray[np.float32], camera: Camera, seen_from_camera: Floats
 ) -> NDArray[np.float32]:
-    """Depth (h, w) [m] as the same camera would read it from elsewhere, NaN where that is not known.
+    """Return depth (h, w) [m] as the same camera would read it from elsewhere, NaN where that is not known.
 
     `seen_from_camera`: (4, 4) pose of the camera that read it, in the axes of the one that would.
     """
@@ -423,13 +423,13 @@ def moved_depth(
 
 
 def lengthen(camera: Camera, logarithm: float) -> Camera:
-    """Camera whose focal length is another, by the logarithm of the factor."""
+    """Return camera whose focal length is another, by the logarithm of the factor."""
     factor = float(np.exp(logarithm))
     return replace(camera, fx=camera.fx * factor, fy=camera.fy * factor) if logarithm else camera
 
 
 def share_view(camera: Camera, other: Camera | None) -> bool:
-    """Whether two cameras are told to see the same, in images of whatever size."""
+    """Return whether two cameras are told to see the same, in images of whatever size."""
     if other is None:
         return False
     same = camera.resized(other.width, other.height)
@@ -473,7 +473,7 @@ SETTLED = 0.003
 
 
 def measure_scale_error(refiner: Refiner, fitted: FittedTrajectory) -> float:
-    """Logarithm by which a scale or focal length looks off at fitted poses; 0: none does.
+    """Return logarithm by which a scale or focal length looks off at fitted poses; 0: none does.
 
     Of depth one linear step, which tells that something is wrong better than by how much; matches
     take more, since those that are left agree with the poses, and cost little.
@@ -494,7 +494,7 @@ def measure_scale_error(refiner: Refiner, fitted: FittedTrajectory) -> float:
 def find_camera_correction(
     window: Window, estimate: PoseEstimate, refining: RefineSetup
 ) -> CameraCorrection | None:
-    """What is wrong with the camera of a window's frames; None: nothing that could be told."""
+    """Find a correction of the camera of a window's frames; None: no clear fault."""
     if not refining.options.joint or estimate.best is None or not _asked(estimate):
         return None
     depth = any(s.depth is not None for s in window.sightings)
@@ -514,7 +514,7 @@ def _asked(estimate: PoseEstimate) -> bool:
 
 
 def _starts(window: Window, estimate: PoseEstimate) -> list[Floats]:
-    """Trajectories (T, 4, 4) to begin from."""
+    """Return trajectories (T, 4, 4) to begin from."""
     if estimate.refinement is not None and estimate.refinement.accepted:
         return [estimate.trajectory[-len(window) :]]
     steps = between(window.poses[-1], window.poses)
@@ -527,7 +527,7 @@ def _part(window: Window, rows: NDArray[np.int64]) -> Window:
 
 
 def _matched(refiner: Refiner, poses: Floats, *, near: bool) -> list[PointMatches]:
-    """Matches (T,) of the frames with the map, by the guided matcher."""
+    """Return matches (T,) of the frames with the map, by the guided matcher."""
     return refiner.matched(matching_stages(None, near=near)[0], poses)
 
 
@@ -555,7 +555,7 @@ class _CameraSearch:
         return Refiner.of(mended, options, None)
 
     def nearest(self, starts: list[Floats]) -> Floats:
-        """The start (T, 4, 4) from which frames fit best, were the camera another."""
+        """Return the start (T, 4, 4) from which frames fit best, were the camera another."""
         rows = spread(len(self.window), TRIAL_FRAMES)
         refiner = self._refiner(_part(self.window, rows), TRIAL_READINGS)
         free = [SCALE, FOCAL] if self.depth else [IMAGE]
@@ -569,7 +569,7 @@ class _CameraSearch:
         return best
 
     def found(self, poses: Floats) -> CameraCorrection | None:
-        """What is clearly off, from poses (T, 4, 4) nearby; None: nothing."""
+        """Find the clear faults, from poses (T, 4, 4) nearby; None: none."""
         coloured = self.window.scene.coloured and self.window.sightings[0].rgb is not None
         for number in range(ROUNDS):
             refiner, sights = self._refiner(self.window), None
@@ -589,7 +589,7 @@ class _CameraSearch:
     def _settled(
         self, refiner: Refiner, problem: Problem, poses: Floats, free: list[int]
     ) -> tuple[Floats, float]:
-        """Poses fitted with what is clearly off, which is taken over; and how much that changed."""
+        """Return poses fitted with what is clearly off, which is taken over; and how much that changed."""
         before, kept, least = self.mend.values, list(free), np.full(COUNT, OFF)
         tilt = list(TILT)
         least[tilt] = TILTED
@@ -623,7 +623,7 @@ class _CameraSearch:
     def _offset(
         self, refiner: Refiner, problem: Problem, fit: CalibratedPoses, kept: list[int]
     ) -> tuple[CalibratedPoses, list[int]]:
-        """The fit with depth of another place than the images, where that is clear."""
+        """Return the fit with depth of another place than the images, where that is clear."""
         apart = calibrate_camera(refiner.scene, problem, fit.poses, [*kept, *PLACE])
         place, errors = apart.values[list(PLACE)], apart.errors[list(PLACE)]
         away = np.linalg.norm(place[:3]) > APART[0] or np.linalg.norm(place[3:]) > APART[1]

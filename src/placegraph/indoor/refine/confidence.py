@@ -51,7 +51,7 @@ _STEP = 2 * TILE  # a window lies in four packets of rays
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
-    """What the held-back samples of one sense say of C trajectories."""
+    """Log-likelihoods of C trajectories by the held-out samples of one sense."""
 
     blocks: Floats
     """(C, B) log-likelihoods, summed up in blocks [nat]"""
@@ -65,7 +65,7 @@ class Evidence:
 
     @classmethod
     def of(cls, scores: Sequence[Sequence[Floats]]) -> Evidence:
-        """Scores [nat] of C trajectories, each of T frames, of samples (N,); NaN: it tells nothing.
+        """Return scores [nat] of C trajectories, each of T frames, of samples (N,); NaN: it tells nothing.
 
         Neighbours err together: blocks vary more than sums of as many independent samples would, and
         by that factor (Kish's design effect) samples are worth less.
@@ -85,12 +85,12 @@ class Evidence:
         return cls(blocks / effect, samples)
 
     def gain(self, row: int) -> Floats:
-        """(B,) by how much a trajectory is more likely than the first [nat]."""
+        """Return (B,) by how much a trajectory is more likely than the first [nat]."""
         return np.asarray(self.blocks[row] - self.blocks[0])
 
 
 def standard_errors(gains: Floats) -> float:
-    """Mean of gains (B,) over its standard error; blocks that tell nothing, 0, do not count."""
+    """Return mean of gains (B,) over its standard error; blocks that tell nothing, 0, do not count."""
     told = gains[np.abs(gains) > _ALIKE]
     if len(told) < _FEW:
         return 0.0
@@ -98,14 +98,14 @@ def standard_errors(gains: Floats) -> float:
 
 
 def cauchy_log_likelihood(ratio: Floats) -> Floats:
-    """Log-likelihoods of errors, in units of the usual one, that are spread as Cauchy's density is."""
+    """Return log-likelihoods of errors, in units of the usual one, that are spread as Cauchy's density is."""
     return np.asarray(-np.log1p(np.square(np.minimum(ratio, WORST))))
 
 
 def depth_evidence(
     surfaces: Surfaces, held: Sequence[Readings | None], trajectories: Sequence[Floats]
 ) -> Evidence:
-    """Evidence of held-back readings of T frames on trajectories (T, 4, 4); tiles are the samples.
+    """Return evidence of held-back readings of T frames on trajectories (T, 4, 4); tiles are the samples.
 
     Distances are spread as Cauchy's density is, as wide as those of the trajectory that fits best.
     """
@@ -119,13 +119,13 @@ def depth_evidence(
 
 
 def _usual(distance: Floats) -> float:
-    """Median of distances [m] from the surface, of readings that it explains at all."""
+    """Return median of distances [m] from the surface, of readings that it explains at all."""
     near = distance[distance < NEAR]
     return float(np.median(near)) if len(near) else NEAR
 
 
 def _of_tiles(ratio: Floats) -> Floats:
-    """Mean log-likelihood (N,) of the readings of each tile (N, 16); NaN without a reading."""
+    """Return mean log-likelihood (N,) of the readings of each tile (N, 16); NaN without a reading."""
     read = ~np.isnan(ratio)
     score = cauchy_log_likelihood(np.where(read, ratio, 0.0))
     count = read.sum(axis=1)
@@ -138,7 +138,7 @@ def image_evidence(
     queries: Sequence[NDArray[np.uint8] | None],
     trajectories: Sequence[Floats],
 ) -> Evidence:
-    """Evidence of held-back windows of T images, where there are any, on trajectories (T, 4, 4).
+    """Return evidence of held-back windows of T images, where there are any, on trajectories (T, 4, 4).
 
     By the correlation rho of a window with the rendering at the same place, -log(1 - rho^2) / 2: the
     pixels of a window count as one, as the map's colours err together. Only windows in which the
@@ -164,7 +164,7 @@ def image_evidence(
 
 
 def _windows(camera: Camera) -> NDArray[np.int64]:
-    """Centres (N, 2) row, column of the held-back windows of a camera's images."""
+    """Return centres (N, 2) row, column of the held-back windows of a camera's images."""
     rows = np.arange(_HALF, camera.height - _STEP + _HALF + 1, _STEP)
     columns = np.arange(_HALF, camera.width - _STEP + _HALF + 1, _STEP)
     at = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -172,7 +172,7 @@ def _windows(camera: Camera) -> NDArray[np.int64]:
 
 
 def landmark_scores(refiner: Refiner, trajectories: Sequence[Floats]) -> list[list[Floats]]:
-    """Log-likelihoods (N,) of landmarks kept for the check, of each trajectory (T, 4, 4) and frame.
+    """Return log-likelihoods (N,) of landmarks kept for the check, of each trajectory (T, 4, 4) and frame.
 
     Those that none explains are chance.
     """
@@ -201,7 +201,7 @@ FELT = (0.005, float(np.radians(0.2)))
 
 @dataclass(frozen=True, slots=True)
 class Confirmation:
-    """Whether to believe it, and why."""
+    """Decision whether a refined trajectory is believed, with its reason."""
 
     accepted: bool
     reason: str
@@ -272,7 +272,7 @@ def _looked_at(refiner: Refiner, coarse: Floats, fitted: FittedTrajectory) -> Co
 
 
 def _late(refiner: Refiner, fitted: FittedTrajectory) -> str:
-    """What is told of stamps that sensors do not keep, where it moves a pose enough to matter."""
+    """Describe lags of sensors that move a pose enough to matter."""
     if fitted.lags is None:
         return ""
     stamps = np.array([f.stamp for f in refiner.frames], np.float64)
@@ -294,14 +294,14 @@ def _late(refiner: Refiner, fitted: FittedTrajectory) -> str:
 
 
 def _unfounded(refiner: Refiner, fitted: FittedTrajectory, inliers: int) -> str:
-    """Whether there was nothing to go by."""
+    """Return whether there was nothing to go by."""
     if fitted.solution is None or (not refiner.has_depth and inliers < refiner.options.least):
         return f"only {inliers} matches of images with the map agree" if inliers else NOTHING
     return ""
 
 
 def _elsewhere(refiner: Refiner, shift: float, turn: float) -> str:
-    """Whether the fit ended at another place."""
+    """Return whether the fit ended at another place."""
     way, angle = FARTHEST if refiner.has_depth else FARTHEST_BLIND
     if shift <= way and turn <= angle:
         return ""
@@ -314,7 +314,7 @@ NOTHING = "the frames show nothing that could be matched with the map"
 def _confirmed(
     refiner: Refiner, coarse: Floats, ways: Sequence[Confirmation]
 ) -> tuple[Confirmation, str]:
-    """The way that held-back samples make likeliest, and what speaks against it all the same.
+    """Return the way that held-back samples make likeliest, and what speaks against it all the same.
 
     The log-likelihoods of the senses add up: none has a veto, and what says little weighs little.
     """
@@ -346,7 +346,7 @@ def _confirmed(
 def _evidence(
     refiner: Refiner, coarse: Floats, fits: Sequence[FittedTrajectory]
 ) -> dict[str, Evidence]:
-    """What each sense says of the coarse trajectory and of fits, in that order."""
+    """Return each sense's evidence for the coarse trajectory and the fits, in that order."""
     found, looked = {}, set(refiner.looked().tolist())
     measured, pictured = [coarse], [coarse]
     for fit in fits:
@@ -383,7 +383,7 @@ def _suspect_camera(refiner: Refiner, way: Confirmation) -> tuple[str, str]:
 
 
 def measure_move(before: Floats, after: Floats) -> tuple[float, float]:
-    """Way [m] and turn [rad] from one pose (4, 4) to another."""
+    """Return way [m] and turn [rad] from one pose (4, 4) to another."""
     turn = vector_from_rotation(after[:3, :3] @ before[:3, :3].T)
     return float(np.linalg.norm(after[:3, 3] - before[:3, 3])), float(np.linalg.norm(turn))
 

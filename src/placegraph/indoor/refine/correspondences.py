@@ -47,7 +47,7 @@ class Readings:
 def sample_readings(
     frame: Frame, depth: NDArray[np.float32], count: int, phase: int = 0
 ) -> Readings:
-    """About `count` readings of a depth image (h, w) [m], spread evenly.
+    """Return about `count` readings of a depth image (h, w) [m], spread evenly.
 
     Two phases never share a pixel. Readings on edges of depth are left out: what lies between two
     surfaces belongs to none.
@@ -71,7 +71,7 @@ def _lattice(size: int, stride: int, phase: int) -> NDArray[np.int64]:
 def _tiled(
     rows: NDArray[np.int64], columns: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Rows and columns (R,) of a lattice in tiles of 4 x 4, filled up with -1."""
+    """Return rows and columns (R,) of a lattice in tiles of 4 x 4, filled up with -1."""
     pad = [(0, -len(rows) % _TILE), (0, -len(columns) % _TILE)]
     v = np.pad(rows, pad[0], constant_values=-1)
     u = np.pad(columns, pad[1], constant_values=-1)
@@ -82,7 +82,7 @@ def _tiled(
 
 
 class Surfaces(NamedTuple):
-    """What compiled code needs of the map to align depth with it."""
+    """The map as compiled code reads it to align depth."""
 
     tracer: Tracer
     normals: NDArray[np.float32]
@@ -92,12 +92,12 @@ class Surfaces(NamedTuple):
 
     @classmethod
     def of(cls, scene: Scene) -> Surfaces:
-        """Surfaces of a map."""
+        """Return surfaces of a map."""
         return cls(scene.caster.tracer, scene.normals, scene.mesh.object_of)
 
 
 class Kernel(NamedTuple):
-    """How residuals [m] become weights; see `options.DepthNoise`."""
+    """Robust kernel of residuals [m]; see `options.DepthNoise`."""
 
     floor: float
     slope: float
@@ -108,7 +108,7 @@ class Kernel(NamedTuple):
 
 
 def distances(surfaces: Surfaces, seen: Sequence[Readings | None], poses: Floats) -> list[Floats]:
-    """Distances (R,) [m] of the readings of each frame from the map's surface at poses (T, 4, 4).
+    """Return distances (R,) [m] of the readings of each frame from the map's surface at poses (T, 4, 4).
 
     NaN where there is no reading, infinite where the map shows nothing.
     """
@@ -155,7 +155,7 @@ class PointMatches:
 
     @classmethod
     def of(cls, points: Floats, pixels: Floats, camera: Camera, sigma: float) -> PointMatches:
-        """PointMatches of a camera; `sigma`: deviation of all [px of an image `REFERENCE` wide].
+        """Return PointMatches of a camera; `sigma`: deviation of all [px of an image `REFERENCE` wide].
 
         What the camera has no ray for is left out.
         """
@@ -169,14 +169,14 @@ class PointMatches:
 
     @classmethod
     def none(cls) -> PointMatches:
-        """No point."""
+        """Return no point."""
         return cls(np.zeros((0, 3)), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), 1.0, 1.0)
 
     def __len__(self) -> int:
         return len(self.points)
 
     def __getitem__(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> PointMatches:
-        """Some of them."""
+        """Return some of them."""
         return replace(
             self,
             points=self.points[rows],
@@ -186,7 +186,7 @@ class PointMatches:
         )
 
     def errors(self, map_from_camera: Floats) -> Floats:
-        """Reprojection errors (M,) [px] at a pose (4, 4); infinite behind the camera."""
+        """Return reprojection errors (M,) [px] at a pose (4, 4); infinite behind the camera."""
         at = (self.points - map_from_camera[:3, 3]) @ map_from_camera[:3, :3]
         ahead = at[:, 2] > 1e-3
         xy = at[:, :2] / np.where(ahead, at[:, 2], 1.0)[:, None]
@@ -195,7 +195,7 @@ class PointMatches:
 
 
 def turn_views(map_from_camera: Floats, options: RefineOptions, rng: Generator) -> list[Floats]:
-    """The pose and others drawn within +-spread about the vertical: `views` in all (Sec. 3.6)."""
+    """Return the pose and others drawn within +-spread about the vertical: `views` in all (Sec. 3.6)."""
     out = [map_from_camera]
     for yaw in rng.uniform(-options.spread, options.spread, options.views - 1):
         pose = map_from_camera.copy()
@@ -214,7 +214,7 @@ def match_views(
     size: int,
     sigma: float,
 ) -> PointMatches:
-    """Points of the map that a frame (H, W, 3) shares with renderings from poses (4, 4) (Sec. 3.6).
+    """Return points of the map that a frame (H, W, 3) shares with renderings from poses (4, 4) (Sec. 3.6).
 
     `size`: longer side of the renderings [px]; the query is brought to theirs. `sigma`: deviation of
     a match [px of an image `REFERENCE` wide].
@@ -238,7 +238,7 @@ def match_views(
 def _checked(
     found: Sequence[Matches], matcher: Matcher, count: int, camera: Camera
 ) -> list[Matches]:
-    """Matches of each view that lie in both images; `OptionError` where a matcher gives none."""
+    """Return matches of each view that lie in both images; `OptionError` where a matcher gives none."""
     if not isinstance(found, Sequence) or len(found) != count:
         raise OptionError(
             f"The matcher {matcher.name!r} must return one Matches for each of {count} views."
@@ -256,7 +256,7 @@ def _inside(matches: Matches, matcher: Matcher, camera: Camera) -> Matches:
 
 
 def shrink_camera(camera: Camera, size: int) -> Camera:
-    """The camera with images whose longer side is `size` [px]; as it is where that is longer."""
+    """Return the camera with images whose longer side is `size` [px]; as it is where that is longer."""
     scale = size / max(camera.width, camera.height)
     if scale >= 1.0:
         return camera
@@ -264,13 +264,13 @@ def shrink_camera(camera: Camera, size: int) -> Camera:
 
 
 def held_back(pixels: Floats, camera: Camera) -> NDArray[np.bool_]:
-    """Which image points (N, 2) [px] of a camera lie in blocks that are kept for the check."""
+    """Return which image points (N, 2) [px] of a camera lie in held-out blocks."""
     block = np.floor(pixels / (max(camera.width, camera.height) / BLOCKS)).astype(np.int64)
     return np.asarray((block % 2 == 1).all(axis=1))
 
 
 def lift_pixels(picture: Rendering, pixels: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-    """Points (N, 3) [m, map] that pixels (N, 2) of a rendering show, and which of them are sound.
+    """Return points (N, 3) [m, map] that pixels (N, 2) of a rendering show, and which of them are sound.
 
     Between pixel centres points are interpolated in the plane of the four around; a pixel at the
     end of the map, or astride two surfaces, is unsound.
@@ -310,14 +310,14 @@ class Consensus:
 
 
 def solve_frame(sights: PointMatches, options: RefineOptions) -> Consensus | None:
-    """PnP with RANSAC on one frame, by PoseLib (Sec. 3.6); None where too few matches agree."""
+    """Return PnP with RANSAC on one frame, by PoseLib (Sec. 3.6); None where too few matches agree."""
     return solve_rig([sights], [np.eye(4)], options)
 
 
 def solve_rig(
     sights: Sequence[PointMatches], reference_from_camera: Sequence[Floats], options: RefineOptions
 ) -> Consensus | None:
-    """PnP with RANSAC on frames that odometry ties together, by PoseLib; None: too few agree.
+    """Return PnP with RANSAC on frames that odometry ties together, by PoseLib; None: too few agree.
 
     `reference_from_camera`: (4, 4) of each frame; the pose found is the reference's. A rig agrees
     on a pose where no frame alone would: its wrong matches agree on nothing in common.

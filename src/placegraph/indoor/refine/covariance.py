@@ -32,7 +32,7 @@ _MEDIAN = 1.4826  # standard deviations in a median absolute deviation
 
 
 def covariance(problem: Problem, solution: Solution) -> Floats:
-    """(6, 6) of the last frame of a solution: the fit's own, and what is common to all frames."""
+    """Return (6, 6) of the last frame of a solution: the fit's own, and what is common to all frames."""
     shift, away = common_error(problem, solution)
     turn = shift / away
     tilt = min(turn, problem.options.tilt)
@@ -41,7 +41,7 @@ def covariance(problem: Problem, solution: Solution) -> Floats:
 
 
 def common_error(problem: Problem, solution: Solution) -> tuple[float, float]:
-    """What a trajectory is off by as a whole, as a standard deviation [m], and how far is seen [m].
+    """Return the standard deviation of a trajectory's common error [m], and the mean viewing distance [m].
 
     The distance makes turns of shifts.
     """

@@ -45,7 +45,7 @@ DEPTH, IMAGES = range(2)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lags:
-    """How much later than their stamps depth and images were taken."""
+    """Lags of depth and images behind their stamps."""
 
     values: Floats
     """(2,) in the stamps' unit"""
@@ -57,21 +57,21 @@ class Lags:
     """As of `usual_lag`."""
 
     def of_depth(self, poses: Floats) -> Floats:
-        """Where depth was measured from (T, 4, 4), by poses at the stamps."""
+        """Return the poses (T, 4, 4) of the depth images, from poses at the stamps."""
         return shift_in_time(poses, self.twist, float(self.values[DEPTH]))
 
     def of_images(self, poses: Floats) -> Floats:
-        """Where images were taken from (T, 4, 4), by poses at the stamps."""
+        """Return the poses (T, 4, 4) of the colour images, from poses at the stamps."""
         return shift_in_time(poses, self.twist, float(self.values[IMAGES]))
 
     def find_clear(self) -> dict[str, float]:
-        """Lags that the data leave no doubt of: `depth`, `images`, in the stamps' unit."""
+        """Return lags that the data leave no doubt of: `depth`, `images`, in the stamps' unit."""
         rows = np.flatnonzero(find_clear_lags(self))
         return {("depth", "images")[row]: float(self.values[row]) for row in rows}
 
 
 def find_clear_lags(lags: Lags | None) -> NDArray[np.bool_]:
-    """Which of depth and images (2,) are late without doubt."""
+    """Return which of depth and images (2,) clearly lag."""
     if lags is None:
         return np.zeros(2, bool)
     least = np.maximum(CLEAR * lags.deviations, TOLD * lags.usual)
@@ -79,13 +79,13 @@ def find_clear_lags(lags: Lags | None) -> NDArray[np.bool_]:
 
 
 def usual_lag(stamps: Floats) -> float:
-    """Standard deviation of lags of frames with these stamps (T,), in their unit."""
+    """Return standard deviation of lags of frames with these stamps (T,), in their unit."""
     between = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
     return max(USUAL[0], USUAL[1] * between)
 
 
 def twists(odometry: Floats, stamps: Floats) -> Floats:
-    """Way and turn (T, 6) of a camera a unit of its stamps (T,), in its own axes, at each frame.
+    """Return way and turn (T, 6) of a camera a unit of its stamps (T,), in its own axes, at each frame.
 
     Between the frames before and after; `odometry`: (T, 4, 4). Zero of a single frame.
     """
@@ -101,7 +101,7 @@ def twists(odometry: Floats, stamps: Floats) -> Floats:
 
 
 def shift_in_time(poses: Floats, twist: Floats, lag: float) -> Floats:
-    """Poses (T, 4, 4) a `lag` later on ways (T, 6) as of `twists`."""
+    """Return poses (T, 4, 4) a `lag` later on ways (T, 6) as of `twists`."""
     out = poses.copy()
     out[:, :3, 3] += lag * np.einsum("tij,tj->ti", poses[:, :3, :3], twist[:, :3])
     out[:, :3, :3] = poses[:, :3, :3] @ rotation_from_vector(lag * twist[:, 3:])
@@ -109,7 +109,7 @@ def shift_in_time(poses: Floats, twist: Floats, lag: float) -> Floats:
 
 
 def in_map_axes(poses: Floats, twist: Floats) -> NDArray[np.float64]:
-    """Ways and turns (T, 6) of poses (T, 4, 4) in map axes."""
+    """Return ways and turns (T, 6) of poses (T, 4, 4) in map axes."""
     rotation = poses[:, :3, :3]
     parts = [np.einsum("tij,tj->ti", rotation, part) for part in (twist[:, :3], twist[:, 3:])]
     return np.concatenate(parts, axis=1)
@@ -127,7 +127,7 @@ WITNESSES = 4
 
 
 class NormalEquations(NamedTuple):
-    """What one sense says of T poses: normal equations of each frame."""
+    """Normal equations of one sense at T poses, frame by frame."""
 
     information: Floats
     """(T, 6, 6)"""
@@ -135,7 +135,7 @@ class NormalEquations(NamedTuple):
     """(T, 6)"""
 
     def allowed(self, astray: Floats) -> NormalEquations:
-        """The same, where each frame as a whole may be astray by deviations (2,) [m], [rad]."""
+        """Return the equations if each frame as a whole may be off by deviations (2,) [m], [rad]."""
         sure = np.repeat(1.0 / np.square(astray), 3)
         kept = sure[:, None] * np.linalg.inv(self.information + np.diag(sure))
         return NormalEquations(
@@ -143,7 +143,7 @@ class NormalEquations(NamedTuple):
         )
 
     def astray(self, before: Floats, step: Floats) -> Floats:
-        """Deviations (2,) by which frames seem astray once their poses have gone a step (T, 6)."""
+        """Return deviations (2,) by which frames seem astray once their poses have gone a step (T, 6)."""
         told = self.information.any(axis=(1, 2))
         left = self.gradient + np.einsum("tij,tj->ti", self.information, step)
         sure = np.diag(np.repeat(1.0 / np.square(before), 3))
@@ -152,7 +152,7 @@ class NormalEquations(NamedTuple):
 
 
 def root_mean_squares(errors: Floats, before: tuple[float, float], witnesses: int) -> Floats:
-    """Root mean squares (2,) of shifts and turns (N, 6), with what was believed before."""
+    """Return root mean squares (2,) of shifts and turns (N, 6), with what was believed before."""
     squares = np.square(errors).reshape(-1, 2, 3).sum(axis=(0, 2))
     count = witnesses + 3 * len(errors)
     return np.asarray(np.sqrt((witnesses * np.square(before) + squares) / count))
@@ -161,7 +161,7 @@ def root_mean_squares(errors: Floats, before: tuple[float, float], witnesses: in
 def depth_equations(
     problem: Problem, poses: Floats, shares: Floats, width: float
 ) -> tuple[NormalEquations, Floats, float]:
-    """What depth says at poses (T, 4, 4); parameters as of `match_equations`, and of `Solution`.
+    """Return the normal equations of depth at poses (T, 4, 4); see `match_equations` and `Solution`.
 
     With it: sums of weights and numbers of readings of objects (N, 2), and the mean robust cost.
     """
@@ -191,7 +191,7 @@ def depth_equations(
 
 
 def match_equations(problem: Problem, poses: Floats, width: float) -> NormalEquations:
-    """What matched points say at poses (T, 4, 4), by a kernel of a width in standard deviations."""
+    """Return the normal equations of matches at poses (T, 4, 4), by a kernel's width in deviations."""
     h, g = np.zeros((len(poses), 6, 6)), np.zeros((len(poses), 6))
     for t, seen in enumerate(problem.sights):
         if not len(seen):
@@ -224,7 +224,7 @@ _MOVED = 0.05  # share that a moved object keeps
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Problem:
-    """What is known of the poses of T frames."""
+    """Measurements of the poses of T frames."""
 
     surfaces: Surfaces
     readings: Sequence[Readings | None]
@@ -249,7 +249,7 @@ class Problem:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """Poses that fit best, and what the fit is worth."""
+    """Poses that fit best, and the information of the fit."""
 
     poses: Floats
     """(T, 4, 4) map_from_camera"""
@@ -265,7 +265,7 @@ class Solution:
     """By what depth and images are late; None: not asked."""
 
     def covariance(self, frame: int = -1) -> Floats:
-        """(6, 6) of one frame, the others being unknown too."""
+        """Return (6, 6) of one frame, the others being unknown too."""
         count = len(self.poses)
         rows = np.arange(6) + 6 * (frame % count)
         unit = np.zeros((6 * count, 6))
@@ -276,7 +276,7 @@ class Solution:
 def solve(
     problem: Problem, start: Floats, widths: Sequence[tuple[float, float]], steps: int = 4
 ) -> Solution:
-    """Poses (T, 4, 4) from a start (T, 4, 4), through kernels from wide to narrow.
+    """Return poses (T, 4, 4) from a start (T, 4, 4), through kernels from wide to narrow.
 
     `widths`: of the depth and of the pixel kernel, in standard deviations, one pair a round of at
     most `steps` Gauss-Newton steps.
@@ -344,7 +344,7 @@ def _add(says: NormalEquations, way: Floats, row: int, h: Floats, g: Floats) -> 
 
 
 def odometry_errors(problem: Problem, poses: Floats) -> tuple[Floats, Floats]:
-    """Errors (T - 1, 6) of the steps between frames, in map axes, and their deviations (T - 1, 6)."""
+    """Return errors (T - 1, 6) of the steps between frames, in map axes, and their deviations (T - 1, 6)."""
     steps = np.linalg.inv(problem.odometry[:-1]) @ problem.odometry[1:]
     led = poses[:-1] @ steps
     shift = poses[1:, :3, 3] - led[:, :3, 3]
@@ -364,7 +364,7 @@ def odometry_errors(problem: Problem, poses: Floats) -> tuple[Floats, Floats]:
 
 
 def drift_of(problem: Problem, poses: Floats) -> tuple[float, float]:
-    """How far odometry errs on the way that poses (T, 4, 4) go, as `Problem.drift`."""
+    """Return the errors of odometry along poses (T, 4, 4), as `Problem.drift`."""
     errors, deviations = odometry_errors(problem, poses)
     way, turn = root_mean_squares(errors / deviations, (1.0, 1.0), STEADY).tolist()
     return way, turn
@@ -399,7 +399,7 @@ def add_beliefs(problem: Problem, poses: Floats, start: Floats, h: Floats, g: Fl
 
 
 def lean(problem: Problem, poses: Floats) -> tuple[Floats, float]:
-    """Up (T, 3) in map axes as gravity has it at poses (T, 4, 4), and the variance of its x and y."""
+    """Return up (T, 3) in map axes as gravity has it at poses (T, 4, 4), and the variance of its x and y."""
     up = -np.einsum("tij,tj->ti", poses[:, :3, :3], problem.gravity)
     return up, problem.options.tilt**2 + float(np.mean(up[:, :2] ** 2)) / STEADY
 

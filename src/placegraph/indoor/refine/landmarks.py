@@ -61,12 +61,12 @@ _DIRECTIONS = 8
 
 
 def make_detector(features: int) -> SiftMatcher:
-    """What finds features; raises `MissingExtraError` where OpenCV is not installed."""
+    """Make a detector of features; raises `MissingExtraError` where OpenCV is not installed."""
     return SiftMatcher(features=features)
 
 
 def detect_features(sift: SiftMatcher, frame: Frame, rgb: NDArray[np.uint8]) -> Features:
-    """Features of a frame's image (H, W, 3): points [px of the image], vectors (N, `WIDTH`)."""
+    """Return features of a frame's image (H, W, 3): points [px of the image], vectors (N, `WIDTH`)."""
     camera = shrink_camera(frame.camera, LARGEST)
     x, y, _ = frame.gravity
     down = float(np.degrees(np.arctan2(y, x)) - 90.0) % 360.0
@@ -76,7 +76,7 @@ def detect_features(sift: SiftMatcher, frame: Frame, rgb: NDArray[np.uint8]) -> 
 
 
 def compact(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Unit vectors (N, `WIDTH`) of RootSIFT descriptors (N, 128)."""
+    """Return unit vectors (N, `WIDTH`) of RootSIFT descriptors (N, 128)."""
     if vectors.shape[1] != len(_basis()):
         return np.zeros((0, WIDTH), np.float32)
     short = vectors @ _basis()
@@ -85,7 +85,7 @@ def compact(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
 
 @cache
 def _basis() -> NDArray[np.float32]:
-    """(128, `WIDTH`) orthonormal: frequencies of least product, without the mean."""
+    """Return (128, `WIDTH`) orthonormal: frequencies of least product, without the mean."""
     across = np.arange(_SIDES)
     waves = np.cos(np.pi * np.outer(across + 0.5, across) / _SIDES) * np.sqrt(2.0 / _SIDES)
     waves[:, 0] /= np.sqrt(2.0)
@@ -101,7 +101,7 @@ def _basis() -> NDArray[np.float32]:
 
 
 def match_features(landmarks: Landmarks, found: Features, frame: Frame) -> PointMatches:
-    """Landmarks that features of a frame are likeliest to be, and clearly so (Lowe's ratio)."""
+    """Return landmarks that features of a frame are likeliest to be, and clearly so (Lowe's ratio)."""
     if not len(found) or not len(landmarks):
         return PointMatches.none()
     cosine, ranked = _likeliest(found.vectors, landmarks.unit_vectors)
@@ -121,7 +121,7 @@ def match_features(landmarks: Landmarks, found: Features, frame: Frame) -> Point
 def _likeliest(
     vectors: NDArray[np.float32], known: NDArray[np.float32]
 ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """Cosines (N, 1 + _RIVALS) and rows of the likeliest of L landmarks, likeliest first.
+    """Return cosines (N, 1 + _RIVALS) and rows of the likeliest of L landmarks, likeliest first.
 
     Landmarks are gone through in blocks, so that memory does not grow with the map; where they are
     too few, the cosine is -1.
@@ -147,7 +147,7 @@ def _likeliest(
 
 
 def match_window(window: Window) -> list[PointMatches]:
-    """Landmarks (T,) that the frames of a window show: up to `LOOKS` of them, spread over it.
+    """Return landmarks (T,) that the frames of a window show: up to `LOOKS` of them, spread over it.
 
     None of a map without landmarks, and where OpenCV is not installed or images are switched off.
     Found once for each frame.
@@ -176,7 +176,7 @@ def _seen(
 def agree_on_pose(
     sights: Sequence[PointMatches], mounts: Floats, options: RefineOptions
 ) -> Consensus | None:
-    """Pose of the last of T frames that landmarks agree on; None where they do so by chance.
+    """Return pose of the last of T frames that landmarks agree on; None where they do so by chance.
 
     `mounts`: (T, 4, 4) last_from_camera.
     """
@@ -188,30 +188,30 @@ def agree_on_pose(
 def drop_held_back(
     landmarks: Sequence[PointMatches], frames: Sequence[Frame], options: RefineOptions
 ) -> list[PointMatches]:
-    """Landmarks (T,) without those that are kept for the check."""
+    """Return landmarks (T,) without those that are kept for the check."""
     pairs = zip(landmarks, frames, strict=True)
     return [s[~held_back(s.pixels, f.camera)] if options.check else s for s, f in pairs]
 
 
 def is_near(one: Floats, other: Floats) -> bool:
-    """Whether a pose (4, 4) may be another once it is refined."""
+    """Return whether a pose (4, 4) may be another once it is refined."""
     turn = vector_from_rotation(one[:3, :3] @ other[:3, :3].T)
     way = np.linalg.norm(one[:3, 3] - other[:3, 3])
     return bool(way < FARTHEST[0] and np.linalg.norm(turn) < FARTHEST[1])
 
 
 def has_plenty(sights: Sequence[PointMatches]) -> bool:
-    """Whether frames show so many landmarks that renderings have nothing to add."""
+    """Return whether frames show so many landmarks that renderings have nothing to add."""
     return sum(map(len, sights)) >= PLENTY * sum(len(s) > 0 for s in sights)
 
 
 def has_plenty_everywhere(sights: Sequence[PointMatches]) -> bool:
-    """Whether each frame that was looked at, and not some alone, shows so many."""
+    """Return whether each frame that was looked at, and not some alone, shows so many."""
     return all(len(sights[t]) >= PLENTY for t in spread(len(sights), LOOKS))
 
 
 def locate_by_landmarks(window: Window) -> Floats:
-    """Pose (K, 4) of the last frame that landmarks tell: one, or none."""
+    """Return pose (K, 4) of the last frame that landmarks tell: one, or none."""
     with timed(window.seconds, "landmarks"):
         odometry = np.stack([s.frame.odometry for s in window.sightings])
         mounts = np.linalg.inv(odometry[-1]) @ odometry

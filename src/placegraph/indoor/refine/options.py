@@ -16,7 +16,7 @@ _MOST = 72
 
 
 def _two(name: str, pair: object) -> tuple[float, float]:
-    """Two numbers, or `OptionError`."""
+    """Return two numbers, or `OptionError`."""
     if not (isinstance(pair, tuple | list) and len(pair) == 2):
         raise OptionError(f"{name} is {pair!r}; it is two numbers.")
     return float(pair[0]), float(pair[1])
@@ -24,7 +24,7 @@ def _two(name: str, pair: object) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True)
 class DepthNoise:
-    """How far a depth reading may lie from the map's surface."""
+    """Noise of depth readings about the map's surface."""
 
     floor: float = 0.004
     """Standard deviation of a reading at 0 m [m] ..."""
@@ -108,7 +108,7 @@ class RefineOptions:
 
     @classmethod
     def preset(cls, name: str) -> RefineOptions | None:
-        """What follows the filter's recipe of that name (`FilterOptions.preset`).
+        """Return the refinement of the preset of that name (`FilterOptions.preset`).
 
         None after ``published``: that is a filter only, whose code ends in another refinement.
         """
@@ -120,7 +120,7 @@ class RefineOptions:
 
     @classmethod
     def paper(cls) -> RefineOptions:
-        """The paper's recipe: six views of every frame, PnP frame by frame, most inliers decide.
+        """Return the paper's recipe: six views of every frame, PnP frame by frame, most inliers decide.
 
         Its matcher is RoMa; ``auto`` takes SIFT where RoMa is not at hand. The guided one, if named,
         knows where to look, and gets one view.

@@ -20,7 +20,7 @@ from placegraph.indoor.rays.trace_kernels import (
 
 @kernel(error_model="numpy")
 def depth_system(surfaces, shares, rotation, position, directions, depth, seen, kernel):
-    """Normal equations of the depth readings of one frame at one pose.
+    """Return normal equations of the depth readings of one frame at one pose.
 
     Parameters: `shares` (N,) weight of each object; `rotation` (3, 3) and `position` (3,) of
     map_from_camera; readings `directions` (R, 3), `depth` (R,), and `seen`, their normals (R, 3).
@@ -83,7 +83,7 @@ def depth_system(surfaces, shares, rotation, position, directions, depth, seen, 
 
 @kernel(error_model="numpy")
 def read(depth, rays, v, u, reach):
-    """Readings of a depth image (h, w) at pixels `v`, `u` (R,), of which -1 is none.
+    """Return readings of a depth image (h, w) at pixels `v`, `u` (R,), of which -1 is none.
 
     `rays`: (h, w, 2) of the pixels, where z is 1; `reach`: pixels from a reading to the points that its
     normal is made of. Returns, as of `depth.Readings`, directions (R, 3), depths (R,) and normals (R, 3).
@@ -114,7 +114,7 @@ def read(depth, rays, v, u, reach):
 
 @kernel(inline="always")
 def between(depth, rays, row, column, other, beside):
-    """Way (3 floats) from the point that a pixel shows to that of another."""
+    """Return way (3 floats) from the point that a pixel shows to that of another."""
     near, far = depth[row, column], depth[other, beside]
     return (
         far * rays[other, beside, 0] - near * rays[row, column, 0],
@@ -125,7 +125,7 @@ def between(depth, rays, row, column, other, beside):
 
 @kernel(inline="always")
 def at_edge(depth, row, column):
-    """Whether depth jumps from a pixel to a neighbour by more than a slanted wall's would."""
+    """Return whether depth jumps from a pixel to a neighbour by more than a slanted wall's would."""
     z = depth[row, column]
     for side in range(4):
         i = row + (side == 1) - (side == 3)
@@ -161,7 +161,7 @@ def aim_rotated(packet, rotation, position, directions, first):
 
 @kernel(error_model="numpy")
 def pixel_system(rotation, position, points, rays, sigma, focal, width):
-    """Normal equations of matched points of one frame at one pose.
+    """Return normal equations of matched points of one frame at one pose.
 
     Parameters: `rotation` (3, 3) and `position` (3,) of map_from_camera; `points` (M, 3), `rays`
     (M, 2), `sigma` (M,) [px], `focal` [px]; `width` of the kernel in standard deviations.
@@ -207,7 +207,7 @@ def pixel_system(rotation, position, points, rays, sigma, focal, width):
 
 @kernel(error_model="numpy")
 def plane_distances(surfaces, rotation, position, directions, depth):
-    """Distances (R,) [m] of readings from the plane of what their rays hit, along its normal.
+    """Return distances (R,) [m] of readings from the plane of what their rays hit, along its normal.
 
     NaN where there is no reading, infinite where the map shows nothing.
     """
@@ -235,7 +235,7 @@ def plane_distances(surfaces, rotation, position, directions, depth):
 
 @kernel(error_model="numpy")
 def correlations(query, drawn, seen, at, half):
-    """Zero-mean normalised correlations (N,) of windows, not below 0; NaN where the query is flat."""
+    """Return zero-mean normalised correlations (N,) of windows, not below 0; NaN where the query is flat."""
     side = 2 * half + 1
     out = np.empty(len(at))
     for k in range(len(at)):
@@ -281,7 +281,7 @@ _LEAST = 1e-4  # least eigenvalue of the structure tensor of a corner
 
 @kernel(fastmath=True, error_model="numpy")
 def corners(image, seen, margin, cell):
-    """Best corner (K, 2) row, column of each cell of an image (H, W) float32 in [0, 1].
+    """Return best corner (K, 2) row, column of each cell of an image (H, W) float32 in [0, 1].
 
     A corner is where the lesser eigenvalue of the structure tensor is largest (Shi and Tomasi
     1994). Only pixels in `seen` (H, W), at least `margin` from the border.
@@ -322,7 +322,7 @@ def corners(image, seen, margin, cell):
 
 @kernel(fastmath=True, error_model="numpy")
 def search(view, seen, query, at, half, radius, peak):
-    """Places in a query (H, W) of patches of a view (H, W) around `at` (K, 2) row, column.
+    """Return places in a query (H, W) of patches of a view (H, W) around `at` (K, 2) row, column.
 
     Only pixels of a patch in `seen` (H, W) count; a patch of which less than half is seen is none.
 
@@ -363,7 +363,7 @@ def search(view, seen, query, at, half, radius, peak):
 
 @kernel(inline="always", fastmath=True)
 def _slide(query, top, left, patch, shown, area, rows, width):
-    """Sums, sums of squares and products with a patch (3, width) at `width` places in a row.
+    """Return sums, sums of squares and products with a patch (3, width) at `width` places in a row.
 
     The innermost loop runs along the row of places, which is what processors are quick at.
     """
@@ -383,7 +383,7 @@ def _slide(query, top, left, patch, shown, area, rows, width):
 
 @kernel(inline="always", fastmath=True)
 def _peaks(scores, peak):
-    """Best score, the best farther than `peak` from it, and the row and column of the first."""
+    """Return best score, the best farther than `peak` from it, and the row and column of the first."""
     best, rival, row, column = np.float32(-1.0), np.float32(-1.0), 0, 0
     for y in range(scores.shape[0]):
         for x in range(scores.shape[1]):
@@ -418,7 +418,7 @@ def _template(view, seen, row, column, half, patch, shown):
 
 @kernel(inline="always")
 def _vertex(before, at, after):
-    """Place of a parabola's top through three scores, from the middle one [-0.5 to 0.5]."""
+    """Return place of a parabola's top through three scores, from the middle one [-0.5 to 0.5]."""
     bend = before - np.float32(2.0) * at + after
     if before <= -1.0 or after <= -1.0 or bend >= 0.0:
         return np.float32(0.0)

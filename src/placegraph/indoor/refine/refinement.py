@@ -35,7 +35,7 @@ MOST = 30
 
 @dataclass(frozen=True, eq=False)
 class RefineSetup:
-    """How a pose is refined."""
+    """Options and matcher of a refinement."""
 
     options: RefineOptions
     matcher: Matcher | None
@@ -67,7 +67,7 @@ class RefineSetup:
 def refine_estimate(
     window: Window, estimate: PoseEstimate, refining: RefineSetup, *, explained: bool = False
 ) -> PoseEstimate:
-    """The estimate with its best mode refined, or with the reason why the coarse pose stands.
+    """Return the estimate with its best mode refined, or with the reason why the coarse pose stands.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def refine_estimate(
 def refine_from(
     window: Window, estimate: PoseEstimate, refiner: Refiner, start: Floats, *, explained: bool
 ) -> PoseEstimate:
-    """The estimate refined from a start (T, 4, 4) of the window's frames, as in `refine_estimate`.
+    """Return the estimate refined from a start (T, 4, 4) of the window's frames, as in `refine_estimate`.
 
     Where something is not installed, what can be done without it is done.
     """
@@ -120,7 +120,7 @@ def refine_from(
 
 
 def _told(estimate: PoseEstimate, refiner: Refiner, judgement: Confirmation) -> PoseEstimate:
-    """The estimate with what became of its best mode."""
+    """Return the estimate with what became of its best mode."""
     coarse, trajectory = estimate.modes[0], estimate.trajectory
     best, fitted = coarse, judgement.fitted
     if judgement.accepted:
@@ -170,7 +170,7 @@ _SHARPEST = 1e-3  # nobody knows a pose better than this [m], [rad]
 
 
 def refine(query: PoseQuery, given: Floats, refining: RefineSetup) -> PoseEstimate:
-    """The pose of the last frame asked about, from where (4, 4) it is roughly known to be.
+    """Return the pose of the last frame asked about, from where (4, 4) it is roughly known to be.
 
     Where there is depth, the neighbourhood is searched first. Errors: `SceneMap.refine`.
     """
@@ -184,7 +184,7 @@ def refine(query: PoseQuery, given: Floats, refining: RefineSetup) -> PoseEstima
 
 
 def _refined(query: PoseQuery, given: Floats, refining: RefineSetup) -> tuple[Window, PoseEstimate]:
-    """The answer if the camera is as it is said to be, and the frames that it rests on."""
+    """Return the answer if the camera is as it is said to be, and the frames that it rests on."""
     window = observe(query)
     odometry = np.stack([f.odometry for f in query.frames])
     coarse = given @ np.linalg.inv(odometry[-1]) @ odometry
@@ -205,7 +205,7 @@ def _refined(query: PoseQuery, given: Floats, refining: RefineSetup) -> tuple[Wi
 
 
 def _searched(window: Window, given: Floats, options: RefineOptions) -> Floats:
-    """Trajectory (T, 4, 4) of the best pose near a given one, by the filter's own likelihood."""
+    """Return trajectory (T, 4, 4) of the best pose near a given one, by the filter's own likelihood."""
     rng = np.random.default_rng(window.query.seed)
     pose, _ = split_pose(given)
     reach = _reach(options)[[0, 1, 2, 5]]
@@ -222,13 +222,13 @@ def _searched(window: Window, given: Floats, options: RefineOptions) -> Floats:
 
 
 def _reach(options: RefineOptions) -> Floats:
-    """Standard deviations (6,) [m], [rad] of a pose that somebody gave."""
+    """Return standard deviations (6,) [m], [rad] of a pose that somebody gave."""
     way, turn = options.reach
     return np.array([way, way, 0.3 * way, turn, turn, turn])
 
 
 def _given(window: Window, coarse: Floats, options: RefineOptions) -> PoseEstimate:
-    """What is known before: a pose that somebody gave."""
+    """Return an estimate of a given pose, before any frame is used."""
     matrix, scene = coarse[-1], window.scene
     row = scene.scene_at(matrix[:2, 3])
     mode = PoseMode(

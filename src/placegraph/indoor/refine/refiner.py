@@ -74,7 +74,7 @@ LARGEST = 960
 
 
 def matching_stages(matcher: Matcher | None, *, near: bool) -> list[Stage]:
-    """Rounds of matching by a matcher, the guided one if None; `near`: depth has been aligned."""
+    """Return rounds of matching by a matcher, the guided one if None; `near`: depth has been aligned."""
     if matcher is not None:
         first = Stage(matcher, LARGEST, 2.0, turned=True, share=SHARE)
         return [first, replace(first, turned=False)]
@@ -143,7 +143,7 @@ class Refiner:
 
     @classmethod
     def of(cls, window: Window, options: RefineOptions, matcher: Matcher | None) -> Refiner:
-        """Refiner of the frames of a window."""
+        """Return refiner of the frames of a window."""
         return cls(
             scene=window.scene,
             frames=[s.frame for s in window.sightings],
@@ -169,7 +169,7 @@ class Refiner:
         return read >= READ * len(self.frames)
 
     def readings(self, phase: int = 0) -> list[Readings | None]:
-        """Depth readings (T,) of a phase: 0 for the fit, 1 for the check; cut once."""
+        """Return depth readings (T,) of a phase: 0 for the fit, 1 for the check; cut once."""
         if phase not in self._readings:
             count = self.options.readings if self.options.depth else 0
             self._readings[phase] = [
@@ -179,7 +179,7 @@ class Refiner:
         return self._readings[phase]
 
     def problem(self, sights: Sequence[PointMatches] | None = None) -> Problem:
-        """What is known of the poses, with matches or without."""
+        """Return the fitting problem of the frames, with matches or without."""
         return Problem(
             self.surfaces,
             self.readings(),
@@ -194,7 +194,7 @@ class Refiner:
         )
 
     def fitted(self, start: Floats, progress: Progress | None = None) -> FittedTrajectory:
-        """Best trajectory from a start (T, 4, 4) that is known to a hand's breadth or two."""
+        """Return best trajectory from a start (T, 4, 4) that is known to a hand's breadth or two."""
         tell = progress or (lambda *_: None)
         if self.has_depth:
             tell("aligning depth", 0, 1)
@@ -224,7 +224,7 @@ class Refiner:
         return replace(self._finished(poses, solution, sights), by_depth=by_depth)
 
     def completed(self, fitted: FittedTrajectory) -> FittedTrajectory:
-        """An accepted fit, with those landmarks too that were kept for its check."""
+        """Return an accepted fit, with those landmarks too that were kept for its check."""
         if self.landmark_matches is None or not any(map(len, fitted.sights)):
             return fitted
         with timed(self.seconds, "solving"):
@@ -235,7 +235,7 @@ class Refiner:
     # ------------------------------------------------------------------------------- stages
 
     def _aligned(self, start: Floats) -> Solution | None:
-        """Poses by depth alone; None where there is none."""
+        """Return poses by depth alone; None where there is none."""
         if not self.has_depth:
             return None
         with timed(self.seconds, "depth"):
@@ -244,7 +244,7 @@ class Refiner:
         return solution
 
     def _stages(self, solution: Solution | None) -> list[Stage]:
-        """Rounds of matching that are wanted and may help."""
+        """Return rounds of matching that are wanted and may help."""
         wanted = self.options.images
         if solution is not None and wanted == "auto":
             wanted = not solution.cost <= UNSURE
@@ -257,7 +257,7 @@ class Refiner:
         )
 
     def matched(self, stage: Stage, poses: Floats) -> list[PointMatches]:
-        """Matches of the frames that are looked at, those in held-back blocks left out."""
+        """Return matches of the frames that are looked at, those in held-back blocks left out."""
         if stage.matcher is None:
             return drop_held_back(self.landmarks, self.frames, self.options)
         rows = [t for t in self.looked() if self.queries[t] is not None]
@@ -283,14 +283,14 @@ class Refiner:
         return sights
 
     def looked(self) -> NDArray[np.int64]:
-        """Rows of the frames whose images are used."""
+        """Return rows of the frames whose images are used."""
         usual = MANY if self.matcher is None else FEW
         return spread(len(self.frames), self.options.frames or usual)
 
     def _agreed(
         self, stage: Stage, sights: list[PointMatches], poses: Floats
     ) -> tuple[list[PointMatches], Floats]:
-        """Matches that agree on one pose of the rig, and the trajectory that follows from it."""
+        """Return matches that agree on one pose of the rig, and the trajectory that follows from it."""
         if not stage.rigid:
             return sights, poses
         with timed(self.seconds, "ransac"):
@@ -307,7 +307,7 @@ class Refiner:
         return kept, led
 
     def _inliers(self, sights: list[PointMatches], poses: Floats) -> list[PointMatches]:
-        """Matches (T,) that the poses explain."""
+        """Return matches (T,) that the poses explain."""
         limit = self.options.inlier
         return [s[s.errors(p) < limit * s.unit] for s, p in zip(sights, poses, strict=True)]
 
@@ -343,5 +343,5 @@ class Refiner:
 
 
 def _threads(matcher: Matcher) -> int:
-    """Frames matched at once: networks have threads of their own."""
+    """Return frames matched at once: networks have threads of their own."""
     return processors() if matcher.name == GuidedMatcher.name else 1

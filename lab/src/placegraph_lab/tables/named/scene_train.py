@@ -13,7 +13,7 @@ import torch
 from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, option, share, table
 from placegraph_lab.worlds.home.lessons import homes
 from placegraph_learn.scenegraphloc.lessons import Lesson, read_lesson, split
-from placegraph_learn.scenegraphloc.train import Judged, Trainer, TrainOptions, judge, train
+from placegraph_learn.scenegraphloc.train import Evaluation, Trainer, TrainOptions, evaluate, train
 from placegraph_learn.training import Progress, rows_of
 
 
@@ -32,7 +32,7 @@ class Told(Progress):
         self._say(", ".join(f"{name} {value:.3f}" for name, value in row.items()))
 
 
-def by_chance(lessons: Sequence[Lesson]) -> Judged:
+def by_chance(lessons: Sequence[Lesson]) -> Evaluation:
     """Any object of the map, each as likely as another."""
     now = [1 / len(x.room) for x in lessons for marks in x.marks for _ in marks[marks > 0]]
     then = [
@@ -43,7 +43,7 @@ def by_chance(lessons: Sequence[Lesson]) -> Judged:
         for _ in range(int((x.targets(k, earlier=True) >= 0).sum()))
     ]
     changed = float(np.mean(then)) if then else None
-    return Judged(float(np.mean(now)), changed, 1 / len(lessons), 1.0)
+    return Evaluation(float(np.mean(now)), changed, 1 / len(lessons), 1.0)
 
 
 class Alone(torch.nn.Module):
@@ -76,13 +76,13 @@ def learn_and_ask(
     lessons = [read_lesson(work / f"places/{world.name}.lesson") for world in worlds]
     learned, asked = split(lessons, held)
     fresh = Trainer(learned, weights.network.widths, options, "cpu").network
-    found: dict[str, dict[str, Judged]] = {}
+    found: dict[str, dict[str, Evaluation]] = {}
     for where, places in (("learned", learned[: len(asked)]), ("held out", asked)):
         found[where] = {
             "chance": by_chance(places),
-            "features alone": judge(Alone(), places, "cpu", points=options.points),  # type: ignore[arg-type]
-            "untrained": judge(fresh, places, "cpu", points=options.points),
-            "trained": judge(weights.network, places, "cpu", points=options.points),
+            "features alone": evaluate(Alone(), places, "cpu", points=options.points),  # type: ignore[arg-type]
+            "untrained": evaluate(fresh, places, "cpu", points=options.points),
+            "trained": evaluate(weights.network, places, "cpu", points=options.points),
         }
     rows = [
         [f"{where}: {name}", share(j.patch), share(j.changed), share(j.room)]

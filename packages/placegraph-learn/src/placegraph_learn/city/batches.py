@@ -34,7 +34,7 @@ from placegraph.outdoor.network.graphs import (
 from placegraph.outdoor.network.network_kernels import CHANNELS
 from placegraph.outdoor.search.posterior import HARD
 from placegraph_learn.city.city_kernels import holds_as_said, literal
-from placegraph_learn.city.descriptions import AT, NEARBY, Pool
+from placegraph_learn.city.descriptions import AT, NEARBY, ExamplePool
 from placegraph_learn.city.network import Graphs, Network, Pairs, Scores, Truth
 
 
@@ -69,7 +69,7 @@ def pair_batch(
     pairs: tuple[Rows, Rows],
     words: WordFits,
 ) -> PairBatch:
-    """Pairs of the texts and places of two batches.
+    """Return pairs of the texts and places of two batches.
 
     `pairs` are rows of the batches, `words` how well words of the map fit the nodes of the texts.
     """
@@ -117,7 +117,7 @@ class Lessons:
     """A pool with the city it was made from."""
 
     city: CityMap
-    pool: Pool
+    pool: ExamplePool
     subwords: float = 1.0
     """As the network's `Shape` has it."""
     known: WordVectors | None = None
@@ -147,7 +147,7 @@ class Lessons:
         return np.where((pool.right == 1) & ~found, np.int8(-1), pool.right)
 
     def batch(self, rows: Rows, chosen: NDArray[np.bool_]) -> Batch:
-        """Texts `rows` (Q,) with the viewpoints `chosen` (Q, K) of theirs."""
+        """Return texts `rows` (Q,) with the viewpoints `chosen` (Q, K) of theirs."""
         pool, city = self.pool, self.city
         texts, slots = np.nonzero(chosen & (pool.views[rows] >= 0))
         views = pool.views[rows][texts, slots]
@@ -167,7 +167,7 @@ class Lessons:
         )
 
     def draw(self, n: int, share: float, rng: Generator) -> tuple[Rows, NDArray[np.bool_]]:
-        """Rows (n,) of texts, and a share of the viewpoints of each, a right one among them."""
+        """Return rows (n,) of texts, and a share of the viewpoints of each, a right one among them."""
         rows = np.sort(rng.choice(len(self.pool), min(n, len(self.pool)), replace=False))
         right = self.right[rows] == 1
         chosen = rng.random(right.shape) < share
@@ -191,14 +191,14 @@ class Batch(NamedTuple):
     """(P,) log-likelihood ratio of relational matching, NaN where it was not asked."""
 
     def truth(self, device: str) -> Truth:
-        """What is right, as tensors."""
+        """Return the right answers, as tensors."""
         right = self.right.astype(np.int64)
         arrays = (self.pairs.text, right, self.everywhere, self.relational)
         return Truth(*(torch.from_numpy(a).to(device) for a in arrays))
 
 
 def forward(network: Network, lessons: Lessons, batch: Batch, device: str) -> Scores:
-    """What the network says of a batch."""
+    """Return the network's scores of a batch."""
     texts = _graphs(network, batch.texts, lessons.text_bags, device)
     places = _graphs(network, batch.places, lessons.place_bags, device)
     t, e_t = network.text(texts)
@@ -215,7 +215,7 @@ def _graphs(network: Network, batch: GraphBatch, bags: Bags, device: str) -> Gra
 
 
 def _words(network: Network, words: NodeWords, bags: Bags, mask: Tensor) -> Tensor:
-    """Summed vectors of the words of every node, (B, n, d)."""
+    """Return summed vectors of the words of every node, (B, n, d)."""
     used, row = np.unique(words.words, return_inverse=True)
     counts = bags.starts[used + 1] - bags.starts[used]
     part, _ = entries(bags.starts[used], counts, 0)

@@ -19,7 +19,7 @@ from placegraph.outdoor.network.network_kernels import (
 
 @kernel
 def _nearest(kind, part_starts, point_starts, points, nearby, east, north):
-    """Nearest points (n, 2) of objects, seen from a position [m]."""
+    """Return nearest points (n, 2) of objects, seen from a position [m]."""
     out = np.empty((len(nearby), 2))
     for i in range(len(nearby)):
         o = nearby[i]
@@ -33,7 +33,7 @@ def _nearest(kind, part_starts, point_starts, points, nearby, east, north):
 
 @kernel
 def holds_as_said(edge_starts, channels, texts, starts, offsets, kinds, places, s, m):
-    """How far things i and j of a place stand as a statement says, (P, S, m, m)."""
+    """Return the agreement (P, S, m, m) of objects i and j of a place with a statement."""
     out = np.zeros((len(texts), s, m, m), np.float32)
     one = np.empty(1, np.int64)
     last = -1
@@ -56,7 +56,7 @@ def holds_as_said(edge_starts, channels, texts, starts, offsets, kinds, places, 
 
 @kernel(fastmath=True)
 def literal(agreement, holds, rarity, ends, said, counts, sizes):
-    """What statements say of places if words alone decide (`literal_of`), (P, S, LITERAL).
+    """Return the evidence (P, S, LITERAL) of statements for places if words alone decide (`literal_of`).
 
     `agreement` (P, n, m), `holds` (P, S, m, m), `rarity` (P, n), `ends` (P, S, 2), `said`
     (P, S, R + 1) channels and negation, `counts` (P,) statements, `sizes` (P,) nodes of a place.

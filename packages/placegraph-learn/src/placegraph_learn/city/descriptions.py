@@ -47,12 +47,12 @@ LANGUAGES = ("de", "fr", "es", "it", "tr", "nl", "pl", "pt", "ja", "ru")
 
 
 def held_out(east: ArrayLike, north: ArrayLike) -> NDArray[np.bool_]:
-    """Whether positions [m] lie in tiles that training never learns from: one in four."""
+    """Return whether positions [m] lie in tiles that training never learns from: one in four."""
     return np.asarray(_tile(east, north) % 4 == 0)
 
 
 def evaluated(east: ArrayLike, north: ArrayLike) -> NDArray[np.bool_]:
-    """Whether positions [m] lie in tiles kept for evaluation: every other tile of `held_out`.
+    """Return whether positions [m] lie in tiles kept for evaluation: every other tile of `held_out`.
 
     The rest of these serves training's curves and its last two weights (`recalls.best_prior`).
     """
@@ -74,7 +74,7 @@ class Example(NamedTuple):
 
 
 class _Habits(NamedTuple):
-    """How one speaker speaks."""
+    """Habits of one speaker."""
 
     slip: float
     """Share of directions that are wrong."""
@@ -89,7 +89,7 @@ class _Habits(NamedTuple):
     """``pairs`` of things, ``me`` or ``mixed``."""
 
 
-class _Seen(NamedTuple):
+class _Surroundings(NamedTuple):
     """Things around a speaker."""
 
     objects: NDArray[np.int64]
@@ -112,12 +112,12 @@ class Speaker:
     """Whether it speaks in tiles that are `held_out`, but not `evaluated`, or in those that are not."""
 
     def mine(self, positions: NDArray[np.floating]) -> NDArray[np.bool_]:
-        """Whether positions (n, 2) [m] lie in its tiles."""
+        """Return whether positions (n, 2) [m] lie in its tiles."""
         held = held_out(*positions.T)
         return held & ~evaluated(*positions.T) if self.held else ~held
 
     def may_see(self, positions: NDArray[np.floating]) -> NDArray[np.bool_]:
-        """Whether places at positions (n, 2) [m] may stand beside its own to be told from them."""
+        """Return whether places at positions (n, 2) [m] may stand beside its own to be told from them."""
         return np.full(len(positions), True) if self.held else ~held_out(*positions.T)
 
     @cached_property
@@ -143,31 +143,17 @@ class Speaker:
             position = views.positions[view] + rng.uniform(-10.0, 10.0, 2)
             if not self.mine(position[None])[0]:
                 continue
-            o, nearby = self.city.objects, self.city.in_sight(np.array([view])).objects
-            off = _nearest(o.kind, o.part_starts, o.point_starts, o.points, nearby, *position)
-            close = np.hypot(*off.T)
-            around = (o.kind[nearby] == AREA) & (close == 0.0)
-            at = position + off
-            at[around] = o.center[nearby[around]]
-            close = np.where(around, np.hypot(*(at - position).T), close)
-            seen = _Seen(nearby.astype(np.int64), at, around, close)
+            seen = look_around(self.city, self.city.in_sight(np.array([view])).objects, position)
             description = self.describe(seen, position, rng)
             if description is not None:
                 yield Example(description, position)
 
     def describe(
-        self, seen: _Seen, position: NDArray[np.float64], rng: Generator
+        self, seen: _Surroundings, position: NDArray[np.float64], rng: Generator
     ) -> Description | None:
-        """What somebody may say at a position (2,) [m]; None where there is too little."""
-        habits = _Habits(
-            slip=float(rng.choice([0.0, 0.08, 0.25], p=[0.5, 0.25, 0.25])),
-            absent=float(rng.choice([0.0, 0.06, 0.15], p=[0.5, 0.25, 0.25])),
-            words=str(rng.choice(["tags", "everyday", "foreign"], p=[0.45, 0.45, 0.1])),
-            language=str(rng.choice(LANGUAGES)),
-            names=float(rng.choice([0.0, 0.3, 0.9], p=[0.7, 0.15, 0.15])),
-            about=str(rng.choice(["pairs", "me", "mixed"], p=[0.45, 0.25, 0.3])),
-        )
-        told = _Told(self, habits, position, rng)
+        """Return a description given at a position (2,) [m]; None where too little is visible."""
+        habits = draw_habits(rng)
+        told = _DescriptionBuilder(self, habits, position, rng)
         wanted = int(rng.choice([3, 4, 5, 6, 6, 6, 8, 10]))
         for _ in range(4 * wanted):
             if len(told.statements) == wanted:
@@ -179,7 +165,7 @@ class Speaker:
         return told.description() if len(told.statements) >= 3 else None
 
     def word_for(self, label: str, habits: _Habits, rng: Generator) -> str:
-        """What this speaker calls a thing."""
+        """Return the word that this speaker uses for a label."""
         key, _, value = label.partition("=")
         if habits.words == "foreign":
             return self.vocabulary.spoken(label, language=habits.language)
@@ -191,8 +177,8 @@ class Speaker:
         return key if value == "yes" else value
 
 
-class _Told:
-    """A description in the making."""
+class _DescriptionBuilder:
+    """Builder of one description."""
 
     def __init__(
         self, speaker: Speaker, habits: _Habits, position: NDArray[np.float64], rng: Generator
@@ -207,7 +193,7 @@ class _Told:
     def description(self) -> Description:
         return Description("", tuple(self.mentions), tuple(self.statements))
 
-    def pairs(self, seen: _Seen) -> None:
+    def pairs(self, seen: _Surroundings) -> None:
         """How one thing lies, seen from another."""
         near = np.flatnonzero(seen.close <= SIGHT)
         if len(near) < 2:
@@ -218,14 +204,14 @@ class _Told:
             return
         self.add(Relation.DIRECTION, self.node(seen, a), self.node(seen, b), self.bearing(delta))
 
-    def me(self, seen: _Seen) -> None:
+    def me(self, seen: _Surroundings) -> None:
         """How a thing lies, seen from the speaker."""
         a = self.pick(seen)
         delta = seen.at[a] - self.position
         if np.hypot(*delta) >= 1.0:
             self.add(Relation.DIRECTION, self.node(seen, a), SPEAKER, self.bearing(delta))
 
-    def near(self, seen: _Seen) -> None:
+    def near(self, seen: _Surroundings) -> None:
         """A thing close by, or two things close to each other."""
         a = int(np.argmin(seen.close + self.rng.exponential(6.0, len(seen.close))))
         others = np.hypot(*(seen.at - seen.at[a]).T)
@@ -236,7 +222,7 @@ class _Told:
         elif seen.close[a] < 20.0:
             self.add(Relation.NEAR, SPEAKER, self.node(seen, a))
 
-    def stand(self, seen: _Seen) -> None:
+    def stand(self, seen: _Surroundings) -> None:
         """Where the speaker stands: in an area, or on a line."""
         kinds = self.speaker.city.objects.kind[seen.objects]
         inside, lines = np.flatnonzero(seen.around), np.flatnonzero(
@@ -247,11 +233,11 @@ class _Told:
         elif len(lines):
             self.add(Relation.ALONG, SPEAKER, self.node(seen, int(self.rng.choice(lines))))
 
-    def there(self, seen: _Seen) -> None:
+    def there(self, seen: _Surroundings) -> None:
         """A thing is in sight, or several."""
         self.add(Relation.VISIBLE, self.node(seen, self.pick(seen), counted=True), SPEAKER)
 
-    def missing(self, seen: _Seen) -> None:
+    def missing(self, seen: _Surroundings) -> None:
         """A thing is not in sight."""
         city = self.speaker.city
         here = {city.objects.label(i) for i in seen.objects}
@@ -259,12 +245,12 @@ class _Told:
         if label not in here and len(self.statements) > 1:
             self.add(Relation.VISIBLE, self.mention(label, ""), SPEAKER, negated=True)
 
-    def pick(self, seen: _Seen) -> int:
+    def pick(self, seen: _Surroundings) -> int:
         near = np.flatnonzero(seen.close <= SIGHT)
         return int(self.rng.choice(near if len(near) else len(seen.close)))
 
     def bearing(self, delta: NDArray[np.float64]) -> float:
-        """Bearing [rad] that is said of a vector: mostly one of the four winds, sometimes wrong."""
+        """Return bearing [rad] that is said of a vector: mostly one of the four winds, sometimes wrong."""
         if self.rng.random() < self.habits.slip:
             return float(self.rng.choice(list(BEARING.values())))
         if self.habits.about != "pairs" and self.rng.random() < 0.2:
@@ -272,8 +258,8 @@ class _Told:
             return float(np.round(angle / (np.pi / 4)) * (np.pi / 4) % (2 * np.pi))
         return BEARING[compass(delta)]
 
-    def node(self, seen: _Seen, i: int, *, counted: bool = False) -> int:
-        """Mention of thing i, or, of what is not there, of any other."""
+    def node(self, seen: _Surroundings, i: int, *, counted: bool = False) -> int:
+        """Return mention of thing i, or, of what is not there, of any other."""
         objects, row = self.speaker.city.objects, int(seen.objects[i])
         if self.rng.random() < self.habits.absent:
             row = int(self.rng.integers(len(objects)))
@@ -287,7 +273,7 @@ class _Told:
         return self.mention(label, name, count)
 
     def mention(self, label: str, name: str, count: int = 0) -> int:
-        """Node of what is called so; the same word is the same node."""
+        """Return node of what is called so; the same word is the same node."""
         word = self._words.get(label)
         if word is None:
             word = self._words[label] = self.speaker.word_for(label, self.habits, self.rng)
@@ -318,6 +304,32 @@ class _Told:
             )
 
 
+def draw_habits(rng: Generator) -> _Habits:
+    """Draw the habits of one speaker."""
+    return _Habits(
+        slip=float(rng.choice([0.0, 0.08, 0.25], p=[0.5, 0.25, 0.25])),
+        absent=float(rng.choice([0.0, 0.06, 0.15], p=[0.5, 0.25, 0.25])),
+        words=str(rng.choice(["tags", "everyday", "foreign"], p=[0.45, 0.45, 0.1])),
+        language=str(rng.choice(LANGUAGES)),
+        names=float(rng.choice([0.0, 0.3, 0.9], p=[0.7, 0.15, 0.15])),
+        about=str(rng.choice(["pairs", "me", "mixed"], p=[0.45, 0.25, 0.3])),
+    )
+
+
+def look_around(
+    city: CityMap, nearby: NDArray[np.int32], position: NDArray[np.float64]
+) -> _Surroundings:
+    """Return the objects (rows) around a position (2,) [m] as a speaker there sees them."""
+    o = city.objects
+    off = _nearest(o.kind, o.part_starts, o.point_starts, o.points, nearby, *position)
+    close = np.hypot(*off.T)
+    around = (o.kind[nearby] == AREA) & (close == 0.0)
+    at = position + off
+    at[around] = o.center[nearby[around]]
+    close = np.where(around, np.hypot(*(at - position).T), close)
+    return _Surroundings(nearby.astype(np.int64), at, around, close)
+
+
 OTHERS = 4
 """Viewpoints from anywhere beside the `HARD` that relational matching finds best."""
 AT = 25.0
@@ -327,7 +339,7 @@ NEARBY = 60.0
 
 
 @dataclass(frozen=True, eq=False)
-class Pool:
+class ExamplePool:
     """Q examples of one city, each with K viewpoints."""
 
     texts: TextGraphs
@@ -345,7 +357,9 @@ class Pool:
         return len(self.positions)
 
 
-def fill(speaker: Speaker, n: int, rng: Generator, tick: Callable[[], None] = lambda: None) -> Pool:
+def make_pool(
+    speaker: Speaker, n: int, rng: Generator, tick: Callable[[], None] = lambda: None
+) -> ExamplePool:
     """Make `n` examples of one city."""
     city = speaker.city
     descriptions: list[Description] = []
@@ -368,7 +382,7 @@ def fill(speaker: Speaker, n: int, rng: Generator, tick: Callable[[], None] = la
         if len(positions) == n:
             break
     texts = TextGraphs.of(descriptions)
-    return Pool(
+    return ExamplePool(
         texts,
         fits_of(texts, queries),
         np.array(positions),
@@ -381,7 +395,7 @@ def fill(speaker: Speaker, n: int, rng: Generator, tick: Callable[[], None] = la
 def _candidates(
     query: Query, speaker: Speaker, position: NDArray[np.float64], rng: Generator
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """Viewpoints (K,) to tell apart: the true ones, the best of matching, and any others.
+    """Return viewpoints (K,) to tell apart: the true ones, the best of matching, and any others.
 
     Who trains does not see the tiles that are held out, not even as wrong places.
     """

@@ -89,17 +89,17 @@ class Packing:
         self.rows = mask.reshape(-1).nonzero()[:, 0]
 
     def pack(self, x: Tensor) -> Tensor:
-        """From (B, n, c) to (N, c)."""
+        """Convert from (B, n, c) to (N, c)."""
         return x.reshape(-1, x.shape[-1])[self.rows]
 
     def pad(self, x: Tensor) -> Tensor:
-        """From (N, c) to (B, n, c), 0 where there is no node."""
+        """Convert from (N, c) to (B, n, c), 0 where there is no node."""
         padded = x.new_zeros(self.shape[0] * self.shape[1], x.shape[-1])
         return padded.index_copy(0, self.rows, x).reshape(*self.shape, -1)
 
 
 def attend(q: Tensor, k: Tensor, v: Tensor, mask: Tensor, heads: int) -> Tensor:
-    """Attention of every node to all nodes of its graph."""
+    """Return attention of every node to all nodes of its graph."""
     b, n, d = q.shape
     split = (b, -1, heads, d // heads)
     q, k, v = (x.reshape(split).transpose(1, 2) for x in (q, k, v))
@@ -116,7 +116,7 @@ class Feed(nn.Module):
         self.up, self.down, self.norm = nn.Linear(d, 2 * d), nn.Linear(2 * d, d), nn.LayerNorm(d)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Node states (N, d)."""
+        """Return node states (N, d)."""
         return self.norm(x + self.down(F.relu(self.up(x))))
 
 
@@ -134,7 +134,7 @@ class Gps(nn.Module):
         self.feed = Feed(d)
 
     def forward(self, x: Tensor, packing: Packing, mask: Tensor, relations: Tensor) -> Tensor:
-        """Node states (N, d) after one exchange; `relations` (B, R, n, n) scaled by degree."""
+        """Return node states (N, d) after one exchange; `relations` (B, R, n, n) scaled by degree."""
         b, n = mask.shape
         # one product a graph: a product a relation would copy the states for each
         messages = relations.reshape(b, R * n, n) @ packing.pad(self.message(x))
@@ -153,7 +153,7 @@ class Pool(nn.Module):
         self.gate, self.out = nn.Linear(d, 1), nn.Linear(d, dimension)
 
     def forward(self, x: Tensor, packing: Packing, mask: Tensor) -> Tensor:
-        """One vector (B, D) a graph, of node states (N, d)."""
+        """Return one vector (B, D) a graph, of node states (N, d)."""
         total = packing.pad(torch.sigmoid(self.gate(x)) * x).sum(1)
         return self.out(total / mask.sum(1, keepdim=True).sqrt())
 
@@ -169,7 +169,7 @@ class Side(nn.Module):
         self.pool = Pool(shape.width, shape.dimension)
 
     def forward(self, graphs: Graphs) -> tuple[Tensor, Tensor]:
-        """Node states (B, n, d), and embeddings (B, D) of unit length."""
+        """Return node states (B, n, d), and embeddings (B, D) of unit length."""
         packing = Packing(graphs.mask)
         x = self.norm(packing.pack(graphs.words) + self.features(packing.pack(graphs.nodes)))
         degree = (1.0 + graphs.relations.abs().sum(3, keepdim=True)).rsqrt()
@@ -209,7 +209,7 @@ class Cross(nn.Module):
         masks: tuple[Tensor, Tensor],
         pairs: Pairs,
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """Node states of texts (N, d) and places (M, d), and the verdict on statements (P, 2)."""
+        """Return node states of texts (N, d) and places (M, d), and the verdict on statements (P, 2)."""
         (p, n), d = t_packing.shape, t.shape[1]
         t_mask, m_mask = masks
         heads, size = self.heads, d // self.heads
@@ -234,7 +234,7 @@ class Cross(nn.Module):
         return self.feed_text(t), self.feed_place(m), verdict
 
     def _weights(self, logits: Tensor, mask: Tensor, side: int) -> Tensor:
-        """Attention weights; what is missing to 1 goes to nothing at all."""
+        """Return attention weights; what is missing to 1 goes to nothing at all."""
         logits = logits.masked_fill(mask[:, None, None, :] == 0, -1e9)
         nothing = self.nothing[side, None, :, None, None].expand(*logits.shape[:3], 1)
         return torch.cat([nothing, logits], -1).softmax(-1)[..., 1:]
@@ -288,14 +288,14 @@ class Network(nn.Module):
     def words(
         self, buckets: Tensor, starts: Tensor, weights: Tensor, means: Tensor | None = None
     ) -> Tensor:
-        """Vectors (W, d) of words, from their parts (`labels.Bags`)."""
+        """Return vectors (W, d) of words, from their parts (`labels.Bags`)."""
         sums = F.embedding_bag(buckets, self.table, starts, mode="sum", per_sample_weights=weights)
         return sums if means is None else sums + self.meaning(means)
 
     def match(
         self, texts: tuple[Tensor, Tensor], places: tuple[Tensor, Tensor], pairs: Pairs
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """Logit of the matching probability (Eq. 17), cosine (Eq. 15), and residual, (P,) each.
+        """Return logit of the matching probability (Eq. 17), cosine (Eq. 15), and residual, (P,) each.
 
         `texts` and `places` are node states and masks. What the statements say literally is where
         the logit starts from; the residual is what relational matching should have added. Without

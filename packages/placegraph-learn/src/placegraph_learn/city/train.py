@@ -24,7 +24,7 @@ from placegraph.outdoor.network.graphs import split_label as words_of
 from placegraph.outdoor.network.weights import Shape, Weights, trained, write_weights
 from placegraph.outdoor.search.posterior import HARD
 from placegraph_learn.city.batches import Lessons, forward
-from placegraph_learn.city.descriptions import Pool, Speaker, fill
+from placegraph_learn.city.descriptions import ExamplePool, Speaker, make_pool
 from placegraph_learn.city.network import Network, Scores, Truth
 from placegraph_learn.city.word2vec import read_word2vec
 from placegraph_learn.training import Progress, add_row, open_folder, rows_of
@@ -91,7 +91,7 @@ class Temperatures(NamedTuple):
 
 
 def contrastive(scores: Tensor, right: Tensor) -> Tensor:
-    """Minus log share of what is right (Q, P: 1, 0 or -1) among what is right or wrong."""
+    """Return minus log share of what is right (Q, P: 1, 0 or -1) among what is right or wrong."""
     known = scores.masked_fill(right < 0, NEVER)
     good = scores.masked_fill(right != 1, NEVER)
     told = (right == 1).any(1) & (right == 0).any(1)
@@ -102,7 +102,7 @@ def contrastive(scores: Tensor, right: Tensor) -> Tensor:
 def losses(
     scores: Scores, truth: Truth, scales: Temperatures, wanted: Collection[str] = LOSSES
 ) -> dict[str, Tensor]:
-    """The losses asked for, by name; their sum is what is minimised (Eq. 19)."""
+    """Return the losses asked for, by name; their sum is what is minimised (Eq. 19)."""
     found: dict[str, Tensor] = {}
     q = len(scores.embedding)
     own = torch.arange(q)[:, None].to(truth.text) == truth.text[None]  # (Q, P)
@@ -141,8 +141,8 @@ TOGETHER = 40.0
 """Probability of viewpoints this near to each other is added up, as in `posterior.modes` [m]."""
 
 
-class Judged(NamedTuple):
-    """What is said of the viewpoints that relational matching finds best; -inf where of none."""
+class ViewpointScores(NamedTuple):
+    """Scores of the viewpoints that relational matching finds best; -inf where there is none."""
 
     relational: NDArray[np.float64]
     """(Q, K)"""
@@ -158,7 +158,7 @@ class Judged(NamedTuple):
     """(Q, K, K) which of them stand close to each other."""
 
 
-def judge(network: Network, lessons: Lessons, device: str) -> Judged:
+def score_viewpoints(network: Network, lessons: Lessons, device: str) -> ViewpointScores:
     """Let the network judge the viewpoints that relational matching found best."""
     pool, views = lessons.pool, lessons.city.views
     relational = np.where(np.isfinite(pool.scores), pool.scores, -np.inf)
@@ -181,11 +181,13 @@ def judge(network: Network, lessons: Lessons, device: str) -> Judged:
     places = views.positions[pool.views]
     off = np.hypot(*(places - pool.positions[:, None]).transpose(2, 0, 1))
     apart = np.hypot(*(places[:, :, None] - places[:, None]).transpose(3, 0, 1, 2))
-    return Judged(relational, logit, cosine, fused, (off <= WITHIN) & asked, apart <= TOGETHER)
+    return ViewpointScores(
+        relational, logit, cosine, fused, (off <= WITHIN) & asked, apart <= TOGETHER
+    )
 
 
-def recalls(judged: Sequence[Judged]) -> dict[str, float]:
-    """Recall@1 within 50 m among what relational matching finds, mean over cities."""
+def mean_recalls(judged: Sequence[ViewpointScores]) -> dict[str, float]:
+    """Return Recall@1 within 50 m among what relational matching finds, mean over cities."""
     found: dict[str, list[float]] = {}
     for j in judged:
         asked = np.isfinite(j.relational)
@@ -199,8 +201,8 @@ def recalls(judged: Sequence[Judged]) -> dict[str, float]:
     return {name: float(np.mean(values)) for name, values in found.items()}
 
 
-def recall(scores: NDArray[np.float64], judged: Judged) -> float:
-    """Share of texts whose best place, of summed probability, is near the truth."""
+def recall(scores: NDArray[np.float64], judged: ViewpointScores) -> float:
+    """Return share of texts whose best place, of summed probability, is near the truth."""
     p = np.exp(scores - scores.max(axis=1, keepdims=True))
     summed = (judged.together @ p[..., None])[..., 0] * (scores > NEVER) + 1e-3 * p
     return float(judged.near[np.arange(len(p)), summed.argmax(axis=1)].mean())
@@ -210,8 +212,8 @@ SCALES, WEIGHTS = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.15), (0.0, 0.2, 0.4, 0.6, 0.8
 """Of relational matching and of what the network adds, that are tried together."""
 
 
-def best_prior(judged: Sequence[Judged], scale: float) -> tuple[float, float]:
-    """Scale of relational matching, and weight of what the network adds, of greatest likelihood.
+def fit_prior(judged: Sequence[ViewpointScores], scale: float) -> tuple[float, float]:
+    """Return scale of relational matching, and weight of what the network adds, of greatest likelihood.
 
     `judged` are texts from where nothing was trained, with the weight still 1 and this `scale`.
     """
@@ -226,8 +228,8 @@ def best_prior(judged: Sequence[Judged], scale: float) -> tuple[float, float]:
     return found
 
 
-def _likelihood(judged: Judged, scale: float, new: float, weight: float) -> float:
-    """Mean log probability of being near the truth, where anything is."""
+def _likelihood(judged: ViewpointScores, scale: float, new: float, weight: float) -> float:
+    """Return mean log probability of being near the truth, where anything is."""
     asked = np.isfinite(judged.relational)
     relational = np.where(asked, judged.relational, 0.0)
     added = np.where(asked, judged.fused, 0.0) - scale * relational
@@ -398,14 +400,16 @@ def train(
         fresh = examples.lessons(epoch)
         past += fresh
         row = {"epoch": epoch + 1, **trainer.epoch(epoch, past)}
-        judged = [judge(trainer.network, lessons, device) for lessons in held]
-        row |= recalls(judged)
+        judged = [score_viewpoints(trainer.network, lessons, device) for lessons in held]
+        row |= mean_recalls(judged)
         add_row(at, row)  # first: an epoch that is done again gives the same row
         trainer.write(at / "state", epoch + 1)
         progress.epoch(row)
     state = {n: p.detach().cpu().numpy() for n, p in trainer.network.named_parameters()}
     scale = float(state["prior"][1])
-    fitted = best_prior([judge(trainer.network, lessons, device) for lessons in held], scale)
+    fitted = fit_prior(
+        [score_viewpoints(trainer.network, lessons, device) for lessons in held], scale
+    )
     state["prior"] = np.array([state["prior"][0], *fitted], np.float32)
     training = {"plan": plan, "curves": rows_of(at)}
     weights = trained(options.shape, state, training, known)
@@ -425,14 +429,14 @@ class Examples:
     known: WordVectors | None = None
 
     def lessons(self, epoch: int) -> list[Lessons]:
-        """Examples of an epoch, one pool a city."""
+        """Return examples of an epoch, one pool a city."""
         return [
             self._made(name, f"{name}-{epoch}", epoch, self.options.examples, held=False)
             for name in self.cities
         ]
 
     def held_out(self) -> list[Lessons]:
-        """Examples from the tiles that are never trained on."""
+        """Return examples from the tiles that are never trained on."""
         return [
             self._made(name, f"{name}-check", 1 << 20, self.options.check, held=True)
             for name in self.cities
@@ -454,7 +458,7 @@ class Examples:
                 done += 1
                 self.progress.filling(epoch, name, done, n)
 
-            pool = fill(Speaker(city, self.vocabulary, held=held), n, rng, tick)
+            pool = make_pool(Speaker(city, self.vocabulary, held=held), n, rng, tick)
             try:
                 self.folder.mkdir(parents=True, exist_ok=True)
             except OSError as error:
@@ -465,7 +469,7 @@ class Examples:
         return Lessons(city, pool, self.options.shape.subwords, self.known)
 
 
-def write_pool(path: Path, pool: Pool) -> None:
+def write_pool(path: Path, pool: ExamplePool) -> None:
     """Write examples to a file."""
     arrays = {f"text:{f.name}": getattr(pool.texts, f.name) for f in fields(TextGraphs)}
     arrays["text:vocabulary"] = pack_strings(pool.texts.vocabulary)
@@ -474,7 +478,7 @@ def write_pool(path: Path, pool: Pool) -> None:
     write_map(path, "pool", VERSION, {}, arrays)
 
 
-def read_pool(path: Path) -> Pool:
+def read_pool(path: Path) -> ExamplePool:
     """Read examples from a file."""
     file = read_map(path, "pool", VERSION)
     arrays = dict(file.arrays)
@@ -482,4 +486,4 @@ def read_pool(path: Path) -> Pool:
     texts["vocabulary"] = file.strings("text:vocabulary")
     fits = Fits(*(arrays[f"fit:{name}"] for name in Fits._fields))
     rest = {n: arrays[n] for n in ("positions", "views", "scores", "right")}
-    return Pool(TextGraphs(**texts), fits, **rest)
+    return ExamplePool(TextGraphs(**texts), fits, **rest)

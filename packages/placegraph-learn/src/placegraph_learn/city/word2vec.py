@@ -28,7 +28,7 @@ NUMBER = 64
 
 
 def read_word2vec(path: str | PathLike[str], wanted: Collection[str]) -> WordVectors:
-    """Vectors of those of the wanted words (in small letters) that a file knows.
+    """Return vectors of those of the wanted words (in small letters) that a file knows.
 
     A word that the file has in small letters is that one; else the first that differs in capitals
     alone, the more frequent one where the file is sorted as word2vec sorts it. Vectors are rounded
@@ -67,7 +67,7 @@ def read_word2vec(path: str | PathLike[str], wanted: Collection[str]) -> WordVec
     return WordVectors(words, vectors.astype(np.float32))
 
 
-class _Vector:
+class _RawVector:
     """Numbers of a word, read from their bytes when they are wanted."""
 
     def __init__(self, raw: bytes, length: int, *, text: bool) -> None:
@@ -82,7 +82,7 @@ class _Vector:
             return np.full(self.length, np.nan, np.float32)  # told with the word's name
 
 
-def _entries(file: BinaryIO, path: Path) -> Iterator[tuple[str, _Vector]]:
+def _entries(file: BinaryIO, path: Path) -> Iterator[tuple[str, _RawVector]]:
     head = file.readline(64)
     fields = head.split()
     if head[:2] == b"\x1f\x8b":
@@ -122,7 +122,7 @@ def _entries(file: BinaryIO, path: Path) -> Iterator[tuple[str, _Vector]]:
 
 
 def _is_text(line: bytes, length: int) -> bool:
-    """Whether a line is a word and its numbers in text."""
+    """Return whether a line is a word and its numbers in text."""
     fields = line.split()
     try:
         return len([float(field) for field in fields[1:]]) == length
@@ -130,17 +130,19 @@ def _is_text(line: bytes, length: int) -> bool:
         return False
 
 
-def _lines(file: BinaryIO, count: int, length: int) -> Iterator[tuple[str, _Vector] | None]:
+def _lines(file: BinaryIO, count: int, length: int) -> Iterator[tuple[str, _RawVector] | None]:
     for _ in range(count):
         line = file.readline(WORD + NUMBER * length)
         word, _, numbers = line.strip().partition(b" ")
         right = len(numbers.split()) == length
         yield (
-            (str(word, "utf-8", "replace"), _Vector(numbers, length, text=True)) if right else None
+            (str(word, "utf-8", "replace"), _RawVector(numbers, length, text=True))
+            if right
+            else None
         )
 
 
-def _blocks(file: BinaryIO, count: int, length: int) -> Iterator[tuple[str, _Vector] | None]:
+def _blocks(file: BinaryIO, count: int, length: int) -> Iterator[tuple[str, _RawVector] | None]:
     for _ in range(count):
         word = bytearray()
         while (letter := file.read(1)) not in (b" ", b"") and len(word) <= WORD:
@@ -148,4 +150,4 @@ def _blocks(file: BinaryIO, count: int, length: int) -> Iterator[tuple[str, _Vec
         raw = file.read(4 * length)
         right = letter == b" " and word.strip() and len(raw) == 4 * length
         name = str(bytes(word).lstrip(b"\n"), "utf-8", "replace")
-        yield (name, _Vector(raw, length, text=False)) if right else None
+        yield (name, _RawVector(raw, length, text=False)) if right else None

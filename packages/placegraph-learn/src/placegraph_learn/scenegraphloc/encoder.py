@@ -137,7 +137,7 @@ class SceneGraphLocEncoder:
         return self.network.widths.embedding
 
     def patches(self, image: Frame) -> NDArray[np.float32]:
-        """As `Encoder.patches`; the grid is that of the features, in the image's own orientation."""
+        """See `Encoder.patches`; the grid is that of the features, in the image's own orientation."""
         torch = _torch()
         turns = quarter_turns(image, self.rotate)
         grid = self.features.grid(np.ascontiguousarray(np.rot90(image.rgb(), -turns)))
@@ -150,11 +150,11 @@ class SceneGraphLocEncoder:
         return out
 
     def camera(self, image: Frame) -> Camera:
-        """Camera of the colour image."""
+        """Return camera of the colour image."""
         return image.camera
 
     def objects(self, scene: Scene, captures: Sequence[Capture] = ()) -> NDArray[np.float32]:
-        """As `Encoder.objects`; scenes that were merged are encoded each for itself (App. D).
+        """See `Encoder.objects`; scenes that were merged are encoded each for itself (App. D).
 
         Raises
         ------

@@ -55,16 +55,16 @@ class ImageFeatures(Protocol):
         """Numbers of a feature, f."""
 
     def grid(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Features (rows, columns, f), unit vectors, of an image (H, W, 3), sRGB, any size."""
+        """Return features (rows, columns, f), unit vectors, of an image (H, W, 3), sRGB, any size."""
 
     def crop(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """One feature (f,), a unit vector, of an image (H, W, 3) that shows one thing."""
+        """Return one feature (f,), a unit vector, of an image (H, W, 3) that shows one thing."""
 
 
 def features_named(
     name: str, *, weights: Path | str | None = None, device: str = "cpu"
 ) -> ImageFeatures:
-    """Features by name, one of `FEATURES`; `weights` are a file with those of DINOv2.
+    """Return features by name, one of `FEATURES`; `weights` are a file with those of DINOv2.
 
     Raises
     ------
@@ -100,12 +100,12 @@ class ColourFeatures:
     dimension = len(_WEIGHTS)
 
     def grid(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """As `ImageFeatures.grid`."""
+        """See `ImageFeatures.grid`."""
         rows, columns = GRID if image.shape[1] >= image.shape[0] else GRID[::-1]
         return _statistics(image, rows, columns)
 
     def crop(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """As `ImageFeatures.crop`."""
+        """See `ImageFeatures.crop`."""
         out: NDArray[np.float32] = _statistics(image, 1, 1, 4 * _CELL)[0, 0]
         return out
 
@@ -151,12 +151,12 @@ def _statistics(
 
 
 def relation_row(relation: str) -> int | None:
-    """Row of an edge's name in `RELATIONS`; None where 3DSSG has nothing like it."""
+    """Return row of an edge's name in `RELATIONS`; None where 3DSSG has nothing like it."""
     return _ROW.get(relation.strip().lower())
 
 
 def read_attributes(path: str | PathLike[str]) -> tuple[str, ...]:
-    """Attribute words in their order: a JSON list, or a text file with one a line.
+    """Return attribute words in their order: a JSON list, or a text file with one a line.
 
     The published network counts the 164 of `obj_attr.pkl`, which comes with SGAligner's data:
     write its words in such a file. Raises `InputError` where the file is missing, empty, no text,
@@ -229,7 +229,7 @@ class DinoFeatures:
         block: int = BLOCK,
         device: str = "cpu",
     ) -> DinoFeatures:
-        """DINOv2 by timm, with weights from a file or, without one, from timm's own hub.
+        """Return DINOv2 by timm, with weights from a file or, without one, from timm's own hub.
 
         Raises
         ------
@@ -251,7 +251,7 @@ class DinoFeatures:
         return cls(made, name=name, block=block, device=device_for(torch, device))
 
     def grid(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Features (9, 16, f), or (16, 9, f) of an upright image; as `ImageFeatures.grid`."""
+        """Return features (9, 16, f), or (16, 9, f) of an upright image; as `ImageFeatures.grid`."""
         upright = image.shape[0] > image.shape[1]
         # a turned image is resized as it was taken: resizing rounds rows and columns in turn
         small = _resized(
@@ -263,14 +263,14 @@ class DinoFeatures:
         return values.reshape(*shape, self.dimension)
 
     def crop(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Feature (f,) of the class token of a crop, stretched; as `ImageFeatures.crop`."""
+        """Return feature (f,) of the class token of a crop, stretched; as `ImageFeatures.crop`."""
         out: NDArray[np.float32] = self._values(
             _resized(image, SQUARE, SQUARE, Image.Resampling.BICUBIC)
         )[0]
         return out
 
     def _values(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Values (1 + patches, f), unit vectors, of the class token and the patches."""
+        """Return values (1 + patches, f), unit vectors, of the class token and the patches."""
         import torch
 
         scaled = (image.astype(np.float32) / 255.0 - MEAN) / DEVIATION
@@ -290,7 +290,7 @@ class DinoFeatures:
         return out
 
     def _positions(self, rows: int, columns: int) -> Any:  # noqa: ANN401  # a tensor
-        """Table of positions (1, 1 + patches, f), stretched to a grid as DINOv2 does it."""
+        """Return table of positions (1, 1 + patches, f), stretched to a grid as DINOv2 does it."""
         import torch
 
         table = self._model.pos_embed

@@ -49,14 +49,14 @@ class Views:
     """(V, 4, 4); the identity of what was never seen."""
 
     def of(self, rows: NDArray[np.integer]) -> Views:
-        """Views of some objects, which become 0, 1, ... in their order."""
+        """Return views of some objects, which become 0, 1, ... in their order."""
         chosen = [np.flatnonzero(self.owner == row) for row in rows.tolist()]
         at = np.concatenate(chosen)
         owner = np.repeat(np.arange(len(rows)), [len(c) for c in chosen])
         return Views(owner, self.features[at], self.map_from_camera[at])
 
     def poses(self, scene_from_map: NDArray[np.float64]) -> NDArray[np.float32]:
-        """Quaternion x, y, z, w and position [m] (V, 7) of scene_from_camera.
+        """Return quaternion x, y, z, w and position [m] (V, 7) of scene_from_camera.
 
         A quaternion's largest component is positive, as SciPy has it; what was never seen has
         0, 0, 0, 1, 0, 0, 0.
@@ -69,7 +69,7 @@ class Views:
         return np.concatenate([quaternions, poses[:, :3, 3]], axis=1).astype(np.float32)
 
 
-class _Sight(NamedTuple):
+class _ObjectView(NamedTuple):
     """An object in one image, which is turned upright."""
 
     pixels: int
@@ -79,7 +79,7 @@ class _Sight(NamedTuple):
 
 
 def quarter_turns(frame: Frame, rotate: bool | None) -> int:
-    """Quarter turns clockwise that a frame's image is given before it is looked at.
+    """Return quarter turns clockwise that a frame's image is given before it is looked at.
 
     `rotate`: True turns every image once, as 3RScan's are; None turns each so that it stands
     upright by its gravity: phones are held in many ways.
@@ -93,7 +93,7 @@ def quarter_turns(frame: Frame, rotate: bool | None) -> int:
 
 
 def seen_objects(scene: Scene, frame: Frame, *, longest: int = LONGEST) -> NDArray[np.int32]:
-    """Rows (h, w) of the objects that a frame's pixels see, -1 none, from its pose in the map.
+    """Return rows (h, w) of the objects that a frame's pixels see, -1 none, from its pose in the map.
 
     As large as the image, or as small as makes its longer side `longest`.
     """
@@ -115,7 +115,7 @@ def _rays(camera: Camera) -> NDArray[np.float64]:
 
 
 def shown(objects: NDArray[np.int32], grid: tuple[int, int]) -> NDArray[np.int32]:
-    """Object (rows, columns) that most pixels (h, w) of each patch see, -1 none.
+    """Return object (rows, columns) that most pixels (h, w) of each patch see, -1 none.
 
     None too where the most frequent, which may itself be none, covers at most `LEAST` of it.
     """
@@ -137,7 +137,7 @@ def object_views(
     *,
     rotate: bool | None = None,
 ) -> Views:
-    """Views of all objects of a map in captures of it, whose odometry is map_from_camera.
+    """Return views of all objects of a map in captures of it, whose odometry is map_from_camera.
 
     Raises `InputError` where an image is broken.
     """
@@ -157,23 +157,23 @@ def object_views(
     return Views(np.array(owner, np.int64), np.array(vectors, np.float32), np.array(poses))
 
 
-def _best(scene: Scene, frames: Sequence[Frame], rotate: bool | None) -> list[list[_Sight]]:
-    """The sights of each object that show most of it, the most first; of equals the earlier."""
-    found: list[list[_Sight]] = [[] for _ in range(len(scene))]
+def _best(scene: Scene, frames: Sequence[Frame], rotate: bool | None) -> list[list[_ObjectView]]:
+    """Return the sights of each object that show most of it, the most first; of equals the earlier."""
+    found: list[list[_ObjectView]] = [[] for _ in range(len(scene))]
     for index, frame in enumerate(frames):
         turns = quarter_turns(frame, rotate)
         objects = np.rot90(seen_objects(scene, frame), -turns)
         size = frame.camera.width, frame.camera.height
         whole = size if turns % 2 == 0 else size[::-1]
         for row, pixels, box in _boxes(objects, whole):
-            found[row].append(_Sight(pixels, index, box))
+            found[row].append(_ObjectView(pixels, index, box))
     return [sorted(sights, key=lambda s: (-s.pixels, s.frame))[:MOST] for sights in found]
 
 
 def _boxes(
     objects: NDArray[np.int32], size: tuple[int, int]
 ) -> list[tuple[int, int, tuple[int, int, int, int]]]:
-    """Row, pixels and box, in an image of width and height `size`, of each object that is there."""
+    """Return row, pixels and box, in an image of width and height `size`, of each object that is there."""
     rows, at = np.unique(objects, return_inverse=True)
     at = at.reshape(objects.shape)
     sx, sy = size[0] / objects.shape[1], size[1] / objects.shape[0]
@@ -192,12 +192,12 @@ def _boxes(
 
 def _described(
     frames: Sequence[Frame],
-    best: Sequence[Sequence[_Sight]],
+    best: Sequence[Sequence[_ObjectView]],
     features: ImageFeatures,
     rotate: bool | None,
 ) -> dict[tuple[int, int], NDArray[np.float32]]:
-    """Feature of each (object, frame); every image is read once."""
-    wanted: dict[int, list[tuple[int, _Sight]]] = {}
+    """Return feature of each (object, frame); every image is read once."""
+    wanted: dict[int, list[tuple[int, _ObjectView]]] = {}
     for row, sights in enumerate(best):
         for sight in sights:
             wanted.setdefault(sight.frame, []).append((row, sight))
@@ -211,7 +211,7 @@ def _described(
 
 
 def crops(image: NDArray[np.uint8], box: tuple[int, int, int, int]) -> list[NDArray[np.uint8]]:
-    """The parts of an image (H, W, 3) that show what a box does, each with more around it."""
+    """Return the parts of an image (H, W, 3) that show what a box does, each with more around it."""
     left, top, right, bottom = box
     height, width = image.shape[:2]
     dx, dy = int(GROWTH * (right - left)), int(GROWTH * (bottom - top))
@@ -260,7 +260,7 @@ class Room:
         return len(self.ids)
 
     def with_points(self, count: int) -> Room:
-        """Room with the first `count` points of each object."""
+        """Return room with the first `count` points of each object."""
         return replace(self, points=self.points[:, :count])
 
 
@@ -273,7 +273,7 @@ def rooms_of(
     source: PointSource = "surface",
     rng: np.random.Generator,
 ) -> list[tuple[NDArray[np.int64], Room]]:
-    """Rooms of a map, one for each scene that was merged into it, with the rows of their objects.
+    """Return rooms of a map, one for each scene that was merged into it, with the rows of their objects.
 
     Parameters
     ----------
@@ -337,7 +337,7 @@ def _check_size(count: int, name: str) -> None:
 def complete(
     count: int, triples: Sequence[tuple[int, int, int]]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Edges (E, 2) of the complete graph, and the word (E,) that the published data give each.
+    """Return edges (E, 2) of the complete graph, and the word (E,) that the published data give each.
 
     Pairs that are annotated come first, once each, then all others. The k-th edge bears the word of
     the k-th triple (subject, row of the word, object): where a pair has two relations, all later
@@ -355,7 +355,7 @@ def complete(
 
 
 def barycentre(points: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Mean (3,) of the corners of the convex hull of points (n, 3).
+    """Return mean (3,) of the corners of the convex hull of points (n, 3).
 
     Corners are the farthest points in 1024 directions: all of a box or a plane, and of rounder
     things enough for a mean.
@@ -385,17 +385,17 @@ class _Clouds:
         self.areas = np.linalg.norm(self.mesh.normals(), axis=1)
 
     def vertices(self, row: int) -> NDArray[np.float32]:
-        """(V, 3) of an object."""
+        """Return (V, 3) of an object."""
         return self.mesh.vertices[np.unique(self.mesh.triangles[self.triangles[row]])]
 
     def barycentres(self, rows: NDArray[np.int64]) -> NDArray[np.float64]:
-        """(n, 3) of objects."""
+        """Return (n, 3) of objects."""
         return np.array([barycentre(self.vertices(row)) for row in rows.tolist()])
 
     def sample(
         self, rows: NDArray[np.int64], rng: np.random.Generator
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Points (n, 512, 3) of objects, and the mean (3,) of their room."""
+        """Return points (n, 512, 3) of objects, and the mean (3,) of their room."""
         if self.source == "vertices":
             clouds = [self.vertices(row) for row in rows.tolist()]
             points = np.stack([farthest(cloud, POINTS, rng) for cloud in clouds])
@@ -406,7 +406,7 @@ class _Clouds:
         return points, np.average(points.mean(axis=1), axis=0, weights=weights)
 
     def _spread(self, row: int, rng: np.random.Generator) -> NDArray[np.float64]:
-        """(512, 3) on the surface of an object, by area."""
+        """Return (512, 3) on the surface of an object, by area."""
         own = self.triangles[row]
         areas = self.areas[own] + 1e-12
         chosen = own[rng.choice(len(own), POINTS, p=areas / areas.sum())]
@@ -434,7 +434,7 @@ def farthest(
 
 
 def _triples(scene: Scene, rows: NDArray[np.int64]) -> list[tuple[int, int, int]]:
-    """Relations among some objects (row, row of the word, row) that 3DSSG has a word for."""
+    """Return relations among some objects (row, row of the word, row) that 3DSSG has a word for."""
     place = {row: k for k, row in enumerate(rows.tolist())}
     graph = scene.graph
     found = []
@@ -449,7 +449,7 @@ def _triples(scene: Scene, rows: NDArray[np.int64]) -> list[tuple[int, int, int]
 def _offsets(
     barycentres: NDArray[np.float64], triples: Sequence[tuple[int, int, int]]
 ) -> NDArray[np.float64]:
-    """From each object to the root (n, 3): the object most often in annotated pairs, or the first."""
+    """Convert from each object to the root (n, 3): the object most often in annotated pairs, or the first."""
     ends = [row for s, _, t in triples for row in (s, t)]
     root = int(np.bincount(ends, minlength=len(barycentres)).argmax())
     return barycentres[root] - barycentres
@@ -463,7 +463,7 @@ def _counts(rows: NDArray[np.int64], words: NDArray[np.int64], count: int) -> ND
 def _attributes(
     said: Sequence[Mapping[str, str]], words: Sequence[str], count: int
 ) -> NDArray[np.float32]:
-    """Counts (n, A) of the words in all groups of attributes: color, material, state, ..."""
+    """Return counts (n, A) of the words in all groups of attributes: color, material, state, ..."""
     column = {word: k for k, word in enumerate(words)}
     table = np.zeros((len(said), max(count, len(words))), np.float32)
     for row, groups in enumerate(said):
@@ -475,7 +475,7 @@ def _attributes(
 
 
 def together(rooms: Sequence[Room], *, device: Any = "cpu") -> Objects:  # noqa: ANN401
-    """Several rooms as the tensors that the network reads, one after the other."""
+    """Return several rooms as the tensors that the network reads, one after the other."""
     import torch
 
     from placegraph_learn.scenegraphloc.network import Objects

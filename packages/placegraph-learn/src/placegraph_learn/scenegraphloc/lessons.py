@@ -50,7 +50,7 @@ class World:
 
 @dataclass(frozen=True, eq=False)
 class Material:
-    """What a place consists of."""
+    """Maps and captures of one place."""
 
     now: Surveyed
     """The map, and images from which its objects are known."""
@@ -73,7 +73,7 @@ class Lesson:
     """(rows * columns,) of each picture: row of the object that a patch shows, plus 1; 0: none."""
 
     def targets(self, picture: int, *, earlier: bool = False) -> NDArray[np.int64]:
-        """Row (P,) in the room, or in what it was earlier, of what each patch shows; -1: none."""
+        """Return row (P,) in the room, or in what it was earlier, of what each patch shows; -1: none."""
         marks = self.marks[picture]
         if not earlier or self.earlier is None:
             return marks - 1
@@ -130,7 +130,7 @@ class Teacher:
 
 
 def kept_lesson(path: Path, make: Callable[[], Lesson]) -> Lesson:
-    """The lesson of a file, or a new one that is then kept there."""
+    """Return the lesson of a file, or a new one that is then kept there."""
     if path.exists():
         try:
             return read_lesson(path)
@@ -185,19 +185,19 @@ def read_lesson(path: Path) -> Lesson:
 
 
 def split(lessons: Sequence[Any], held: int) -> tuple[list[Any], list[Any]]:
-    """Those that are learned, and `held` others, spread evenly, that are only asked about."""
+    """Return those that are learned, and `held` others, spread evenly, that are only asked about."""
     rows = np.linspace(0, len(lessons) - 1, held + 2)[1:-1].round().astype(int).tolist()
     return [x for i, x in enumerate(lessons) if i not in rows], [lessons[i] for i in rows]
 
 
 def placed(capture: Capture, map_from_camera: NDArray[np.float64]) -> Capture:
-    """Capture whose odometry (T, 4, 4) is map_from_camera: one of the map itself."""
+    """Return capture whose odometry (T, 4, 4) is map_from_camera: one of the map itself."""
     frames = zip(capture.frames, map_from_camera, strict=True)
     return replace(capture, frames=tuple(replace(f, odometry=pose) for f, pose in frames))
 
 
 def folder(path: str | PathLike[str]) -> list[World]:
-    """Scene maps of a folder, each `NAME.scene` with its captures in the folder `NAME`.
+    """Return scene maps of a folder, each `NAME.scene` with its captures in the folder `NAME`.
 
     `NAME` is one capture or holds several, by whatever recorder; poses are those of
     `trajectory.tum` where there is one, else the recorder's own, and must be in the map. Of several

@@ -64,7 +64,7 @@ class Widths:
 
     @classmethod
     def small(cls, feature: int, attributes: int = ATTRIBUTES) -> Widths:
-        """Widths for features of `feature` numbers, of a network that a processor trains."""
+        """Return widths for features of `feature` numbers, of a network that a processor trains."""
         return cls(
             feature=feature, embedding=64, hidden=128, gate=max(4, feature // 4), modality=32,
             points=(32, 64, 64), graph=32, view=64, pose_hidden=32,
@@ -73,7 +73,7 @@ class Widths:
 
     @classmethod
     def of(cls, shapes: Mapping[str, tuple[int, ...]]) -> Widths:
-        """Widths of the network whose weights have these shapes, by key.
+        """Return widths of the network whose weights have these shapes, by key.
 
         Keys that are missing, or of a shape that says nothing, leave the published width: whoever
         compares all shapes afterwards finds them. Raises `OptionError` as the class does.
@@ -126,7 +126,7 @@ class GraphAttention(nn.Module):
             nn.init.xavier_uniform_(weight)
 
     def forward(self, x: Tensor, edges: Tensor) -> Tensor:
-        """(n, before) of a room's objects to (n, after); messages go along edges (E, 2)."""
+        """Map (n, before) of a room's objects to (n, after); messages go along edges (E, 2)."""
         n, heads = len(x), self.att_src.shape[1]
         h = self.lin(x).reshape(n, heads, -1)
         source, target = (h * self.att_src).sum(-1), (h * self.att_dst).sum(-1)  # (n, heads)
@@ -151,7 +151,7 @@ class GraphEncoder(nn.Module):
         self.dropout = nn.Dropout(dropout)
 
     def forward(self, x: Tensor, edges: Sequence[Tensor], sizes: Sequence[int]) -> Tensor:
-        """(N, before) of the objects of rooms of these sizes, with edges of each, to (N, width)."""
+        """Map (N, before) of the objects of rooms of these sizes, with edges of each, to (N, width)."""
         first, second = self.layer_stack
         rooms = [
             second(self.dropout(nn.functional.elu(first(self.dropout(part), among))), among)
@@ -170,7 +170,7 @@ class CosineAttention(nn.Module):
         self.to_out = nn.Linear(width, width, bias=False)
 
     def forward(self, x: Tensor, there: Tensor) -> Tensor:
-        """(N, K, C) to the same, among those of each row that are `there` (N, K)."""
+        """Map (N, K, C) to the same, among those of each row that are `there` (N, K)."""
         n, k, width = x.shape
         heads = len(self.logit_scale)
         qkv = self.to_qkv(x).reshape(n, k, 3, heads, width // heads)
@@ -185,7 +185,7 @@ class CosineAttention(nn.Module):
 
 
 class ViewLayer(nn.Module):
-    """What each view learns from the others of its object."""
+    """Attention among the views of an object."""
 
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
@@ -193,7 +193,7 @@ class ViewLayer(nn.Module):
         self.norm = nn.LayerNorm(width)
 
     def forward(self, x: Tensor, owner: Tensor) -> Tensor:
-        """Views (V, C), and the object (V,) of each, ascending, to the same."""
+        """Return views (V, C), and the object (V,) of each, ascending, to the same."""
         counts = torch.bincount(owner)
         place = torch.arange(len(x), device=x.device) - (counts.cumsum(0) - counts)[owner]
         shape = len(counts), int(counts.max())
@@ -212,7 +212,7 @@ class ViewEncoder(nn.Module):
         self.transformer_encoder = ViewLayer(width, heads)
 
     def forward(self, x: Tensor, owner: Tensor) -> Tensor:
-        """As `ViewLayer`."""
+        """See `ViewLayer`."""
         out: Tensor = self.transformer_encoder(x, owner)
         return out
 
@@ -224,7 +224,7 @@ DROPOUT = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Objects:
-    """What the network is told of the N objects of several rooms, as tensors."""
+    """Network inputs for the N objects of several rooms."""
 
     points: Tensor
     """(N, P, 3) points of the surface, less the room's mean [m]."""
@@ -258,7 +258,7 @@ class Perceptron(nn.Module):
         self.mlp_layers = nn.Sequential(*layers)
 
     def forward(self, x: Tensor) -> Tensor:
-        """(..., first) to (..., last)."""
+        """Map (..., first) to (..., last)."""
         out: Tensor = self.mlp_layers(x)
         return out
 
@@ -274,7 +274,7 @@ class ChannelGate(nn.Module):
         )  # fmt: skip
 
     def forward(self, x: Tensor) -> Tensor:
-        """(B, C, H, W) to the same."""
+        """Map (B, C, H, W) to the same."""
         gate: Tensor = self.fc(x.mean(dim=(2, 3)))
         return x * gate[:, :, None, None]
 
@@ -292,7 +292,7 @@ class PatchMixer(nn.Module):
         self.norm1 = nn.LayerNorm(width)
 
     def forward(self, x: Tensor) -> Tensor:
-        """(B, H, W, C) to the same; what is added to is normalised already."""
+        """Map (B, H, W, C) to the same; what is added to is normalised already."""
         x = self.norm1(x)
         mixed: Tensor = self.conv(x.permute(0, 3, 1, 2)).permute(0, 2, 3, 1)
         out: Tensor = self.norm2(x + mixed)
@@ -310,7 +310,7 @@ class GridBlock(nn.Module):
         self.bn2 = nn.BatchNorm2d(width)
 
     def forward(self, x: Tensor) -> Tensor:
-        """(B, C, H, W) to the same, nowhere negative."""
+        """Map (B, C, H, W) to the same, nowhere negative."""
         y = torch.relu(self.bn1(self.conv1(x)))
         return torch.relu(self.bn2(self.conv2(y)) + x)
 
@@ -323,7 +323,7 @@ class GridNetwork(nn.Module):
         self.blocks = nn.ModuleList([GridBlock(width)])
 
     def forward(self, x: Tensor) -> Tensor:
-        """(B, H, W, C) to the same."""
+        """Map (B, H, W, C) to the same."""
         x = x.permute(0, 3, 1, 2)
         for block in self.blocks:
             x = block(x)
@@ -348,7 +348,7 @@ class PointEncoder(nn.Module):
         self.bn3 = nn.BatchNorm1d(third)
 
     def forward(self, points: Tensor) -> Tensor:
-        """(N, P, 3) to (N, C)."""
+        """Map (N, P, 3) to (N, C)."""
         x = points
         for layer in (self.conv1, self.conv2, self.conv3):  # a kernel of one point is a matrix
             x = torch.relu(nn.functional.linear(x, layer.weight[:, :, 0], layer.bias))
@@ -363,7 +363,7 @@ class Fusion(nn.Module):
         self.weight = nn.Parameter(torch.ones(count, 1))
 
     def forward(self, vectors: Sequence[Tensor]) -> Tensor:
-        """Vectors (N, ...) of each modality to one (N, sum); the norm of each is its share."""
+        """Return vectors (N, ...) of each modality to one (N, sum); the norm of each is its share."""
         shares = torch.softmax(self.weight[:, 0], dim=0)
         parts = zip(shares, vectors, strict=True)
         return torch.cat([share * unit(vector) for share, vector in parts], dim=1)
@@ -388,7 +388,7 @@ class ObjectEncoder(nn.Module):
         self.fusion = Fusion(len(MODALITIES))
 
     def forward(self, objects: Objects) -> Tensor:
-        """All that is known of objects, (N, 4 modality + view)."""
+        """Return all that is known of objects, (N, 4 modality + view)."""
         graph = self.structure_encoder(objects.offsets, objects.edges, objects.sizes)
         out: Tensor = self.fusion([
             self.object_embedding(self.object_encoder(objects.points)),
@@ -400,7 +400,7 @@ class ObjectEncoder(nn.Module):
         return out
 
     def _seen(self, objects: Objects) -> Tensor:
-        """Views of each object, joined (N, view)."""
+        """Return views of each object, joined (N, view)."""
         view = self.img_patch_encoder(objects.views) + self.pose_encoder(objects.poses)
         told = self.multiview_norm(self.multiview_encoder(view, objects.owner))
         count, row = len(objects.points), objects.owner[:, None].expand_as(view)
@@ -422,17 +422,17 @@ class SceneGraphLoc(nn.Module):
         self.obj_embedding_encoder = Perceptron((joined, w.hidden, w.hidden, w.embedding), DROPOUT)
 
     def patches(self, features: Tensor) -> Tensor:
-        """Vectors (B, H, W, E), not negative, of image features (B, H, W, F)."""
+        """Return vectors (B, H, W, E), not negative, of image features (B, H, W, F)."""
         mixed = self.patch_encoder(self.reduce_layers(features))
         out: Tensor = self.patch_gcn(mixed)
         return out
 
     def objects(self, objects: Objects) -> Tensor:
-        """Vectors (N, E) of objects."""
+        """Return vectors (N, E) of objects."""
         out: Tensor = self.obj_embedding_encoder(self.sg_encoder(objects))
         return out
 
 
 def unit(vectors: Tensor) -> Tensor:
-    """Vectors (..., E) of length 1; what is shorter than 1e-12 stays as short."""
+    """Return vectors (..., E) of length 1; what is shorter than 1e-12 stays as short."""
     return nn.functional.normalize(vectors, dim=-1, eps=1e-12)

@@ -76,7 +76,7 @@ EPSILON = 1e-8
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """What the P patches of an image show of M candidate objects."""
+    """Right answers for P patches of an image and M candidate objects."""
 
     marks: Tensor
     """(P,) int64 number of what each patch shows, be it a candidate or not; 0: nothing."""
@@ -138,7 +138,7 @@ def distort(points: NDArray[np.floating], rng: np.random.Generator) -> NDArray[n
 def _pull(
     points: NDArray[np.float64], granularity: float, rng: np.random.Generator
 ) -> NDArray[np.float64]:
-    """Smooth noise (n, 3) at points (n, 3)."""
+    """Return smooth noise (n, 3) at points (n, 3)."""
     low = points.min(axis=0)
     step = np.maximum(np.ptp(points, axis=0) / (_MOST - 3), granularity)
     shape = (np.ptp(points, axis=0) / step).astype(np.int64) + 3
@@ -157,7 +157,7 @@ def _pull(
 
 
 def _blurred(noise: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
-    """Mean of each node and its two neighbours along an axis; beyond the edge is nothing."""
+    """Return mean of each node and its two neighbours along an axis; beyond the edge is nothing."""
     lines = np.moveaxis(noise, axis, 0)
     total = lines.copy()
     total[1:] += lines[:-1]
@@ -223,7 +223,7 @@ class Trainer:
         return total / len(batches)
 
     def _batches(self) -> list[list[Picture]]:
-        """All pictures that show anything, or as many as the options say, in a new order."""
+        """Return all pictures that show anything, or as many as the options say, in a new order."""
         pictures = [
             (row, index)
             for row, lesson in enumerate(self.lessons)
@@ -266,7 +266,7 @@ class Trainer:
         return float(loss.detach())
 
     def _patches(self, batch: Sequence[Picture]) -> list[Tensor]:
-        """Unit vectors (P, E) of each picture; those of one grid are encoded together."""
+        """Return unit vectors (P, E) of each picture; those of one grid are encoded together."""
         features = [self.lessons[p.lesson].features[p.index] for p in batch]
         out: list[Tensor] = [torch.empty(0)] * len(batch)
         for shape in dict.fromkeys(f.shape for f in features):
@@ -286,7 +286,7 @@ class Trainer:
         *,
         earlier: bool,
     ) -> Tensor:
-        """Loss of each valid patch against its room, now or earlier, and others."""
+        """Return loss of each valid patch against its room, now or earlier, and others."""
         lesson = self.lessons[picture.lesson]
         keys = [(picture.lesson, earlier), *((row, False) for row in picture.others)]
         objects = torch.cat([encoded[key] for key in keys])
@@ -337,8 +337,8 @@ def _rooms(lesson: Lesson) -> list[Room]:
 
 
 @dataclass(frozen=True)
-class Judged:
-    """How well a network tells what patches show, in places it never learned."""
+class Evaluation:
+    """Accuracy of a network in places it never learned."""
 
     patch: float
     """Share of patches whose nearest object of their room is the one they show."""
@@ -350,14 +350,14 @@ class Judged:
     """Cosine that counts one nat, at which what is believed of patches is most probable."""
 
     def row(self) -> dict[str, float]:
-        """Figures for curves."""
+        """Return figures for curves."""
         told = {"patch": self.patch, "room": self.room}
         return told if self.changed is None else told | {"changed": self.changed}
 
 
-def judge(
+def evaluate(
     network: SceneGraphLoc, lessons: Sequence[Lesson], device: str, *, points: int = POINTS
-) -> Judged:
+) -> Evaluation:
     """Ask a network about places; it must be in the state for inference.
 
     `points`: of each object, as many as it was trained with.
@@ -393,11 +393,11 @@ def judge(
         float(np.concatenate(told).mean()) if sum(map(len, told)) else None
         for told in (right[False], right[True])
     )
-    return Judged(patch or 0.0, changed, float(np.mean(found)), _temperature(cosines))
+    return Evaluation(patch or 0.0, changed, float(np.mean(found)), _temperature(cosines))
 
 
 def _temperature(cosines: Sequence[tuple[NDArray[np.float32], NDArray[np.int64]]]) -> float:
-    """Temperature (of 41 from 0.01 to 1) at which the right objects are most probable."""
+    """Return temperature (of 41 from 0.01 to 1) at which the right objects are most probable."""
     tried = np.geomspace(0.01, 1.0, 41)
     costs = []
     for temperature in tried.tolist():
@@ -485,12 +485,12 @@ def train(
     while trainer.epochs < options.epochs:
         loss = trainer.epoch(progress)
         row = {"epoch": float(trainer.epochs), "loss": loss}
-        row |= judge(trainer.network, asked, device, points=options.points).row()
+        row |= evaluate(trainer.network, asked, device, points=options.points).row()
         add_row(at, row)  # first: an epoch that is done again gives the same row
         trainer.write(at / SNAPSHOT)
         progress.epoch(row)
     network = trainer.network.cpu()
-    judged = judge(network, asked, "cpu", points=options.points)
+    judged = evaluate(network, asked, "cpu", points=options.points)
     notes = {
         "features": teacher.features.key,
         "temperature": f"{judged.temperature:.4g}",
@@ -506,7 +506,7 @@ def train(
 def _lessons(
     worlds: Sequence[World], at: Path, teacher: Teacher, progress: Progress
 ) -> list[Lesson]:
-    """All places, looked at now or in an earlier run."""
+    """Return all places, looked at now or in an earlier run."""
     kept = at / "places"
     try:
         kept.mkdir(exist_ok=True)

@@ -45,7 +45,7 @@ class Weights:
 
 
 def read_weights(path: str | PathLike[str]) -> Weights:
-    """Network from a snapshot (a dict with `model`) or a .safetensors file, by its key names.
+    """Return network from a snapshot (a dict with `model`) or a .safetensors file, by its key names.
 
     Both spellings of the graph attention are read: `lin.weight`, and `lin_src.weight` with an equal
     `lin_dst.weight`. Widths are those that the shapes tell.
@@ -63,7 +63,7 @@ def read_weights(path: str | PathLike[str]) -> Weights:
 
 
 def read_state(path: Path, mend: str = _MEND) -> tuple[dict[str, Tensor], dict[str, str]]:
-    """Tensors by key and notes of a file; raises as `read_weights` does, with the mend given."""
+    """Return tensors by key and notes of a file; raises as `read_weights` does, with the mend given."""
     try:
         regular(path).open("rb").close()
     except OSError as error:
@@ -81,7 +81,7 @@ def read_state(path: Path, mend: str = _MEND) -> tuple[dict[str, Tensor], dict[s
 
 
 def read_snapshot(path: Path, mend: str = _MEND) -> dict[str, Any]:
-    """The dict of a snapshot; `InputError` where the file is cut short or anything else."""
+    """Return the dict of a snapshot; `InputError` where the file is cut short or anything else."""
     try:
         found = load_file(torch, path)
     except Exception as error:  # torch.load raises whatever its parsers do
@@ -95,7 +95,7 @@ def read_snapshot(path: Path, mend: str = _MEND) -> dict[str, Any]:
 
 
 def network_of(state: Mapping[str, Tensor], source: str) -> SceneGraphLoc:
-    """Network with the weights of a state dict; `source` is named in errors (`read_weights`)."""
+    """Return network with the weights of a state dict; `source` is named in errors (`read_weights`)."""
     own = {k: v for k, v in _one_spelling(state, source).items() if not k.startswith(IGNORED)}
     try:
         widths = Widths.of({key: tuple(value.shape) for key, value in own.items()})
@@ -126,7 +126,7 @@ def network_of(state: Mapping[str, Tensor], source: str) -> SceneGraphLoc:
 
 
 def digest_of(network: SceneGraphLoc) -> str:
-    """16 hexadecimal digits of all weights that have a say; two networks differ where these do."""
+    """Return 16 hexadecimal digits of all weights that have a say; two networks differ where these do."""
     digest = hashlib.sha256()
     for key, value in sorted(network.state_dict().items()):
         if _has_a_say(key):
@@ -163,7 +163,7 @@ def _safetensors(path: Path, mend: str) -> tuple[dict[str, Tensor], dict[str, st
 
 
 def _one_spelling(state: Mapping[str, Tensor], source: str) -> dict[str, Tensor]:
-    """The same weights, those of the graph attention spelled `lin.weight`."""
+    """Return weights with those of the graph attention spelled `lin.weight`."""
     out = {key: value for key, value in state.items() if not _SOURCE.fullmatch(key)}
     for key, value in state.items():
         found = _SOURCE.fullmatch(key)

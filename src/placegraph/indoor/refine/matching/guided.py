@@ -63,7 +63,7 @@ class GuidedMatcher(ViewByView):
     def matched(
         self, ours: NDArray[np.uint8], view: NDArray[np.uint8], mask: NDArray[np.bool_] | None
     ) -> Matches:
-        """Matches of the query (H, W, 3) with one view; see `Matcher.match`."""
+        """Return matches of the query (H, W, 3) with one view; see `Matcher.match`."""
         height, width = view.shape[:2]
         side = 2 * self.half + 3
         if blank(ours) or blank(view) or min(height, width) < side + 2:
@@ -80,7 +80,7 @@ class GuidedMatcher(ViewByView):
 
 
 def resized(image: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8]:
-    """Image of another size, by the mean over areas."""
+    """Return image of another size, by the mean over areas."""
     from PIL import Image
 
     if image.shape[:2] == (height, width):
@@ -90,6 +90,6 @@ def resized(image: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uin
 
 
 def lightness(image: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """(H, W) float32, 0 to 1, of (H, W, 3) sRGB by the weights of Rec. 601."""
+    """Return (H, W) float32, 0 to 1, of (H, W, 3) sRGB by the weights of Rec. 601."""
     weights = np.array([0.299, 0.587, 0.114], np.float32) / np.float32(255.0)
     return np.ascontiguousarray(image.astype(np.float32) @ weights)

@@ -38,7 +38,7 @@ class Matches:
 
     @classmethod
     def of(cls, query: ArrayLike, rendered: ArrayLike, confidence: ArrayLike) -> Matches:
-        """Matches of any numbers, put in order: the surest first."""
+        """Return matches of any numbers, put in order: the surest first."""
         sure = np.clip(np.asarray(confidence, np.float64), 0.0, 1.0)
         order = np.argsort(-sure, kind="stable")
         return cls(
@@ -49,7 +49,7 @@ class Matches:
 
     @classmethod
     def none(cls) -> Matches:
-        """No match."""
+        """Return no match."""
         return cls(np.empty((0, 2)), np.empty((0, 2)), np.empty(0))
 
 
@@ -66,7 +66,7 @@ class Matcher(Protocol):
         *,
         masks: Sequence[NDArray[np.bool_]] | None = None,
     ) -> list[Matches]:
-        """Matches of the query with each view.
+        """Return matches of the query with each view.
 
         Parameters
         ----------
@@ -98,13 +98,13 @@ class ViewByView:
         *,
         masks: Sequence[NDArray[np.bool_]] | None = None,
     ) -> list[Matches]:
-        """Matches of the query with each view; see `Matcher.match`."""
+        """Return matches of the query with each view; see `Matcher.match`."""
         shown = pairs(views, masks)
         ours = self.prepared(colours(query, "query"))
         return [self.matched(ours, view, mask) for view, mask in shown]
 
     def prepared(self, query: NDArray[np.uint8]) -> Any:  # noqa: ANN401  # the matcher's own
-        """What `matched` needs of the query (H, W, 3) uint8: features, or the image itself."""
+        """Return the input of `matched` from a query (H, W, 3) uint8: features, or the image itself."""
         return query
 
     def matched(
@@ -113,12 +113,12 @@ class ViewByView:
         view: NDArray[np.uint8],
         mask: NDArray[np.bool_] | None,
     ) -> Matches:
-        """Matches of the prepared query with one view."""
+        """Return matches of the prepared query with one view."""
         raise NotImplementedError
 
 
 def colours(image: ArrayLike, name: str) -> NDArray[np.uint8]:
-    """(H, W, 3) uint8 of a colour or grey image; `OptionError` where it is neither."""
+    """Return (H, W, 3) uint8 of a colour or grey image; `OptionError` where it is neither."""
     array = np.asarray(image)
     if array.dtype != np.uint8 or array.ndim not in {2, 3} or array.shape[2:] not in {(), (3,)}:
         raise OptionError(
@@ -133,7 +133,7 @@ def colours(image: ArrayLike, name: str) -> NDArray[np.uint8]:
 def pairs(
     views: Sequence[NDArray[np.uint8]], masks: Sequence[NDArray[np.bool_]] | None
 ) -> list[tuple[NDArray[np.uint8], NDArray[np.bool_] | None]]:
-    """Each view with its mask, checked; raises as `Matcher.match` does."""
+    """Return each view with its mask, checked; raises as `Matcher.match` does."""
     checked = [colours(view, f"views[{i}]") for i, view in enumerate(views)]
     if masks is None:
         return [(view, None) for view in checked]
@@ -152,18 +152,18 @@ def pairs(
 
 
 def grey(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """(H, W) uint8, lightness by the weights of Rec. 601."""
+    """Return (H, W) uint8, lightness by the weights of Rec. 601."""
     weighted = image.astype(np.float32) @ np.array([0.299, 0.587, 0.114], np.float32)
     return np.rint(weighted).astype(np.uint8)
 
 
 def blank(image: NDArray[np.uint8]) -> bool:
-    """Whether an image shows nothing: unlit, burnt out, or of one colour."""
+    """Return whether an image shows nothing: unlit, burnt out, or of one colour."""
     return float(image.std(axis=(0, 1)).max()) < BLANK
 
 
 def inside(mask: NDArray[np.bool_] | None, points: Floats, margin: int = 0) -> NDArray[np.bool_]:
-    """Which points (N, 2) [px] lie in the mask, and `margin` pixels from where it ends.
+    """Return which points (N, 2) [px] lie in the mask, and `margin` pixels from where it ends.
 
     The edge of the image is no edge of the mask.
     """
@@ -200,18 +200,18 @@ class Features:
 
     @classmethod
     def none(cls, dimension: int = 1) -> Features:
-        """No feature."""
+        """Return no feature."""
         return cls(np.empty((0, 2)), np.empty((0, dimension), np.float32))
 
     def within(self, mask: NDArray[np.bool_] | None, margin: int) -> Features:
-        """Those that lie in a mask (H, W), and `margin` px from its edge."""
+        """Return those that lie in a mask (H, W), and `margin` px from its edge."""
         keep = inside(mask, self.points, margin)
         return self if keep.all() else Features(self.points[keep], self.vectors[keep])
 
     def matched(
         self, view: Features, *, ratio: float = 1.0, least: float = -1.0, apart: float = 0.0
     ) -> Matches:
-        """Matches with the features of a view; parameters as of `mutual`."""
+        """Return matches with the features of a view; parameters as of `mutual`."""
         rows, columns, sure = mutual(self, view, ratio=ratio, least=least, apart=apart)
         return Matches.of(self.points[rows], view.points[columns], sure)
 
@@ -219,7 +219,7 @@ class Features:
 def mutual(
     query: Features, view: Features, *, ratio: float = 1.0, least: float = -1.0, apart: float = 0.0
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], Floats]:
-    """Pairs of features that are each other's nearest, and clearly so (Lowe's ratio, both ways).
+    """Return pairs of features that are each other's nearest, and clearly so (Lowe's ratio, both ways).
 
     Parameters
     ----------
@@ -263,7 +263,7 @@ def mutual(
 def _second(
     cosine: NDArray[np.float32], points: Floats, best: NDArray[np.intp], apart: float
 ) -> NDArray[np.float32]:
-    """Largest cosine (K,) of rows (K, N) elsewhere than near the best feature of each."""
+    """Return largest cosine (K,) of rows (K, N) elsewhere than near the best feature of each."""
     spots = points.astype(np.float32)
     dx = spots[:, 0] - spots[best, :1]
     dy = spots[:, 1] - spots[best, 1:]
@@ -290,13 +290,13 @@ class Warp:
 
 
 def to_pixels(normalised: NDArray[np.floating], size: tuple[int, int]) -> Floats:
-    """Pixels (..., 2), centres at +0.5, of normalised coordinates (..., 2); size: height, width."""
+    """Return pixels (..., 2), centres at +0.5, of normalised coordinates (..., 2); size: height, width."""
     height, width = size
     return (np.asarray(normalised, np.float64) + 1.0) / 2.0 * (width, height)
 
 
 def to_normalised(pixels: Floats, size: tuple[int, int]) -> Floats:
-    """Normalised coordinates (..., 2) of pixels (..., 2); inverse of `to_pixels`."""
+    """Return normalised coordinates (..., 2) of pixels (..., 2); inverse of `to_pixels`."""
     height, width = size
     return np.asarray(pixels, np.float64) * 2.0 / (width, height) - 1.0
 
@@ -311,7 +311,7 @@ def thinned(
     mask: NDArray[np.bool_] | None = None,
     margin: int = 0,
 ) -> Matches:
-    """About `count` matches, spread over the images: the surest of each block of pixels.
+    """Return about `count` matches, spread over the images: the surest of each block of pixels.
 
     The authors draw theirs at random by certainty and density; this gives the same ones again.
 
@@ -343,7 +343,7 @@ def thinned(
 def _blocks(
     warp: Warp, count: int, least: float
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-    """The surest pixel of each of at most `count` blocks: in the query, in the view, certainty."""
+    """Return the surest pixel of each of at most `count` blocks: in the query, in the view, certainty."""
     height, width = warp.certainty.shape
     side = int(np.ceil(np.sqrt(height * width / count)))
     while -(-height // side) * -(-width // side) > count and side < max(height, width):

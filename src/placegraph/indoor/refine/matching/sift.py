@@ -69,22 +69,22 @@ class SiftMatcher(ViewByView):
         self._clahe = cv2.createCLAHE(self.equalise, (8, 8)) if self.equalise else None
 
     def prepared(self, query: NDArray[np.uint8]) -> Features:
-        """Features of the query."""
+        """Return features of the query."""
         return self._features(query)
 
     def matched(
         self, ours: Features, view: NDArray[np.uint8], mask: NDArray[np.bool_] | None
     ) -> Matches:
-        """Matches of the query's features with one view; see `Matcher.match`."""
+        """Return matches of the query's features with one view; see `Matcher.match`."""
         theirs = self._features(view).within(mask, self.margin)
         return ours.matched(theirs, ratio=self.ratio, apart=self.apart)
 
     def _features(self, image: NDArray[np.uint8]) -> Features:
-        """RootSIFT features of an image (H, W, 3) uint8."""
+        """Return RootSIFT features of an image (H, W, 3) uint8."""
         return self.described(image, 0.0 if self.upright else None)
 
     def described(self, image: NDArray[np.uint8], turn: float | None) -> Features:
-        """RootSIFT features of an image (H, W, 3) uint8, all taken to be turned clockwise by so much.
+        """Return RootSIFT features of an image (H, W, 3) uint8, all taken to be turned clockwise by so much.
 
         `turn` in degrees; None: each as it looks.
         """
@@ -110,7 +110,7 @@ class SiftMatcher(ViewByView):
 
 
 def _rooted(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Unit vectors (N, 128): square roots of descriptors that sum to 1."""
+    """Return unit vectors (N, 128): square roots of descriptors that sum to 1."""
     sums = vectors.sum(axis=1, keepdims=True)
     rooted: NDArray[np.float32] = np.sqrt(vectors / np.maximum(sums, 1e-6), dtype=np.float32)
     return rooted
