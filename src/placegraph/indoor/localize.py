@@ -24,8 +24,8 @@ from placegraph.indoor.pose.faults import (
     find_spoiled,
     is_blank,
 )
-from placegraph.indoor.pose.local_fit import fit_window, heaviest_modes
-from placegraph.indoor.pose.particle_filter import run_passes
+from placegraph.indoor.pose.local_fit import fit_window
+from placegraph.indoor.pose.particle_filter import FilteredPasses, heaviest_modes, run_passes
 from placegraph.indoor.pose.search import search
 from placegraph.indoor.pose.window import PoseQuery, Window, observe, timed
 from placegraph.indoor.refine import (
@@ -72,53 +72,28 @@ def localized(
 
 
 def localize(query: PoseQuery, refining: RefineSetup | None) -> PoseEstimate:
-    """Where the last frame asked about, and every other, was taken (SG2Loc, Sec. 3).
+    """Return where the last frame asked about, and every other, was taken (SG2Loc, Sec. 3).
 
     The same query on the same machine gives the same answer. `refining` says how the best mode is
     fitted to images and depth; None: not at all. Errors: `SceneMap.localize`.
     """
-    window, estimate = _found(query, refining)
+    window, estimate = _localize_as_said(query, refining)
     mend = refining and find_camera_correction(window, estimate, refining)
     if mend:
         mended = replace(query, frames=mend.frames(query.frames))
-        chosen = mend.chosen(query, estimate, _found(mended, refining)[1])
+        chosen = mend.chosen(query, estimate, _localize_as_said(mended, refining)[1])
         if Status.OK in (estimate.status, chosen.status):
             return chosen
         estimate = chosen
-    return _suspected(window, estimate)
+    return _explain_faults(window, estimate)
 
 
-def _suspected(window: Window, estimate: PoseEstimate) -> PoseEstimate:
-    """An answer that no mended camera makes `OK`, with the fault of the input that explains it, if any."""
-    query = window.query
-    found = diagnostics_of(estimate)
-    own = query.encoder is None and query.shares is None and estimate.status is not Status.OK
-    if own and (other := foreign(query.scene, query.frames[-WINDOW:], found.semantic)):
-        return add_note(estimate, other)
-    wrong = needs_fault_search(estimate)
-    here = query.shares is None  # else other scenes of a library may be where it was taken
-    searched = query.options.tracked and len(query.frames) <= WINDOW
-    if not (wrong and here and searched and estimate.modes):
-        return estimate
-    with timed(window.seconds, "faults"):
-        fault = find_fault(window, found.ratio, np.random.default_rng(query.seed))
-    seconds = estimate.stats["seconds"] | {"faults": round(window.seconds["faults"], 4)}
-    estimate = replace(estimate, stats=estimate.stats | {"seconds": seconds})
-    if not fault:
-        return estimate
-    covered = f" {COVERED}" if COVERED in estimate.reason else ""
-    return explain_by_fault(estimate, f"{fault}{covered}")
-
-
-def _found(query: PoseQuery, refining: RefineSetup | None) -> tuple[Window, PoseEstimate]:
-    """The answer if the camera is as it is said to be, and the frames that it rests on."""
+def _localize_as_said(
+    query: PoseQuery, refining: RefineSetup | None
+) -> tuple[Window, PoseEstimate]:
+    """Return the answer if the camera is as it is said to be, and the frames that it rests on."""
     if len(query.frames) > WINDOW and query.options.tracked:
-        tracker = Tracker(query)
-        estimate = track_capture(tracker, query.frames)
-        if estimate.status is Status.OK:
-            fault = find_divided_capture(query, tracker.scorer, estimate.trajectory)
-            estimate = doubt_tracked(estimate, fault)
-        window = _tail(query, tracker)
+        window, estimate = _track(query)
         return window, refine_estimate(window, estimate, refining) if refining else estimate
     rng = np.random.default_rng(query.seed)
     window = observe(query)
@@ -131,25 +106,61 @@ def _found(query: PoseQuery, refining: RefineSetup | None) -> tuple[Window, Pose
     seeds = search(window, rng)
     if len(seeds):
         seeds = np.concatenate([locate_by_landmarks(window), seeds])
-    passes = run_passes(window, seeds, rng)
-    if query.options.answer == "mle":
-        fits = heaviest_modes(window.chain, passes.particles, query.options.modes)
+    filtered = run_passes(window, seeds, rng) if query.options.run else None
+    if filtered is not None and query.options.answer == "mle":
+        fits = heaviest_modes(window.chain, filtered.particles, query.options.modes)
     else:
-        starts = np.concatenate([passes.modes, seeds])
+        starts = seeds if filtered is None else np.concatenate([filtered.modes, seeds])
         fits = correct_drift(window, fit_window(window, starts, rng), rng)
         fits = explore_unobservable(window, fits, rng)
     estimate = estimate_pose(window, fits)
     if covered:
         estimate = add_note(estimate, COVERED)
-    seconds = {stage: round(took, 4) for stage, took in window.seconds.items()}
-    stats = {"seconds": seconds, "particles": passes.counts} | window.scorer.stats()
-    estimate = replace(estimate, stats=estimate.stats | stats, history=passes.history)
-    return window, refine_estimate(
-        window, estimate, refining, explained=True
-    ) if refining else estimate
+    estimate = _add_costs(window, estimate, filtered)
+    if refining:
+        estimate = refine_estimate(window, estimate, refining, explained=True)
+    return window, estimate
 
 
-def _tail(query: PoseQuery, tracker: Tracker) -> Window:
-    """The newest frames of a tracked capture, without what an encoder says of them."""
+def _track(query: PoseQuery) -> tuple[Window, PoseEstimate]:
+    """Return the answer to a long capture, frame by frame, and a window of its newest frames."""
+    tracker = Tracker(query)
+    estimate = track_capture(tracker, query.frames)
+    if estimate.status is Status.OK:
+        fault = find_divided_capture(query, tracker.scorer, estimate.trajectory)
+        estimate = doubt_tracked(estimate, fault)
+    # without what an encoder says of them
     newest = [sight(frame, None, query.options) for frame in query.frames[-WINDOW:]]
-    return Window(query, tracker.scorer, newest)
+    return Window(query, tracker.scorer, newest), estimate
+
+
+def _add_costs(
+    window: Window, estimate: PoseEstimate, filtered: FilteredPasses | None
+) -> PoseEstimate:
+    """Return the estimate with what it took, and the particles that were recorded."""
+    seconds = {stage: round(took, 4) for stage, took in window.seconds.items()}
+    counts = [] if filtered is None else filtered.counts
+    stats = {"seconds": seconds, "particles": counts} | window.scorer.stats()
+    history = () if filtered is None else filtered.history
+    return replace(estimate, stats=estimate.stats | stats, history=history)
+
+
+def _explain_faults(window: Window, estimate: PoseEstimate) -> PoseEstimate:
+    """Return an answer that no mended camera makes `OK` with the fault of the input that explains it."""
+    query, found = window.query, diagnostics_of(estimate)
+    here = query.shares is None  # else other scenes of a library may be where it was taken
+    if query.encoder is None and here and estimate.status is not Status.OK:
+        other = foreign(query.scene, query.frames[-WINDOW:], found.semantic)
+        if other:
+            return add_note(estimate, other)
+    searched = query.options.tracked and len(query.frames) <= WINDOW
+    if not (needs_fault_search(estimate) and here and searched and estimate.modes):
+        return estimate
+    with timed(window.seconds, "faults"):
+        fault = find_fault(window, found.ratio, np.random.default_rng(query.seed))
+    seconds = estimate.stats["seconds"] | {"faults": round(window.seconds["faults"], 4)}
+    estimate = replace(estimate, stats=estimate.stats | {"seconds": seconds})
+    if not fault:
+        return estimate
+    covered = f" {COVERED}" if COVERED in estimate.reason else ""
+    return explain_by_fault(estimate, f"{fault}{covered}")

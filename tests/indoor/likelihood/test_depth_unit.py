@@ -11,8 +11,15 @@ from hypothesis import strategies as st
 
 from placegraph.core.estimate import Status
 from placegraph.errors import InputError, OptionError
-from placegraph.indoor.likelihood.depth_unit import FACTORS, check_unit, hint, suspected_factor
-from placegraph.indoor.likelihood.observe import FINE, sight, views
+from placegraph.indoor.likelihood.observe import (
+    FACTORS,
+    FINE,
+    check_unit,
+    hint,
+    sight,
+    suspected_factor,
+    views,
+)
 from placegraph.indoor.likelihood.score import model_of
 from placegraph.indoor.options import FilterOptions
 from placegraph.io.capture.capture import Capture, open_capture

@@ -8,9 +8,8 @@ import pytest
 
 from placegraph.core.geometry import between, compose, level_from_camera, split_pose, wrap
 from placegraph.indoor.build import scene_of_model
-from placegraph.indoor.likelihood.calibrated import TEMPERATURE
 from placegraph.indoor.likelihood.observe import View, sight, views
-from placegraph.indoor.likelihood.score import model_of
+from placegraph.indoor.likelihood.score import TEMPERATURE, model_of
 from placegraph.indoor.likelihood.visibility import build_table, floor_under
 from placegraph.indoor.map import free_space as free
 from placegraph.indoor.map.free_space import HIGHEST, range_of
@@ -25,9 +24,8 @@ from placegraph.indoor.map.map_kernels import (
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.options import STANDING, FilterOptions, Likelihood
-from placegraph.indoor.pose.motion import level_poses
 from placegraph.indoor.pose.search import SEEDS, table_seeds
-from placegraph.indoor.pose.window import own_encoder
+from placegraph.indoor.pose.window import level_poses, own_encoder
 from placegraph.indoor.scene_map import SceneMap
 
 pytestmark = pytest.mark.usefixtures("one_thread")

@@ -16,7 +16,7 @@ from placegraph.indoor.likelihood.score import Scorer, model_of
 from placegraph.indoor.likelihood.score_kernels import look
 from placegraph.indoor.options import FilterOptions, Likelihood
 from placegraph.indoor.pose.agreement import Agreement, agreement, explain
-from placegraph.indoor.pose.motion import level_poses
+from placegraph.indoor.pose.window import level_poses
 from placegraph.io.capture.frame import Frame
 
 pytestmark = pytest.mark.usefixtures("one_thread")

@@ -40,10 +40,10 @@ def scattered(rng, count, box=3.0):
 def test_prediction_moves_all_and_weighs_none_anew(rng):
     poses = scattered(rng, 50)
     filter_ = filter_of(poses, rng, replace(OPTIONS, motion=MotionNoise(0, 0, 0, 0)))
-    filter_.weigh(np.array([0, 0, 1.6, 0]))
+    filter_.reweight(np.array([0, 0, 1.6, 0]))
     before = filter_.particles
     step = np.array([0.5, 0.1, 0, 0.3])
-    filter_.move(step)
+    filter_.propagate(step)
     np.testing.assert_allclose(filter_.particles.poses, compose(poses, step))
     np.testing.assert_array_equal(filter_.particles.log_weights, before.log_weights)
 
@@ -51,7 +51,7 @@ def test_prediction_moves_all_and_weighs_none_anew(rng):
 def test_prediction_errs_as_the_options_say(rng):
     options = replace(OPTIONS, motion=MotionNoise(0.05, 0, 0.02, 0))
     filter_ = filter_of(np.zeros((20_000, 4)), rng, options)
-    filter_.move(np.zeros(4))
+    filter_.propagate(np.zeros(4))
     np.testing.assert_allclose(
         filter_.particles.poses.std(axis=0), [0.05, 0.05, 0.05, 0.02], rtol=0.03
     )
@@ -62,8 +62,8 @@ def test_update_multiplies_weights_by_likelihoods(rng):
     poses = scattered(rng, 400, box=0.2)
     target, wide = np.array([0, 0, 1.6, 0]), np.array([1, 1, 1, 2.0])
     filter_ = filter_of(poses, rng, scorer=lambda p, view: near(p, view, wide))
-    filter_.weigh(target)
-    filter_.weigh(target)
+    filter_.reweight(target)
+    filter_.reweight(target)
     expected = np.exp(2 * near(poses, target, wide))
     np.testing.assert_allclose(filter_.particles.weights, expected / expected.sum(), rtol=1e-9)
     np.testing.assert_array_equal(filter_.particles.poses, poses)
@@ -75,7 +75,7 @@ def test_sharp_likelihoods_leave_a_tenth_effective(seed, count, sharpness):
     """Whatever the likelihood's scale: enough stay, their order stays, and no more is flattened."""
     values = np.random.default_rng(seed).normal(size=count) * 10.0**sharpness
     filter_ = filter_of(np.zeros((count, 4)), None, scorer=lambda _, view: view)
-    filter_.weigh(values)
+    filter_.reweight(values)
     got = filter_.particles
     wanted = max(4.0, 0.1 * count)
     untouched, _ = Particles.even(np.zeros((count, 4))).reweighted(values)
@@ -94,12 +94,12 @@ def test_the_papers_likelihood_is_left_as_it_is(rng):
     """Eq. 2 is the paper's; its particles may die."""
     values = np.append(np.zeros(199), 50.0)
     filter_ = filter_of(np.zeros((200, 4)), rng, PAPER, scorer=lambda _, view: view)
-    filter_.weigh(values)
+    filter_.reweight(values)
     assert filter_.particles.effective() == pytest.approx(1.0, abs=1e-6)
     expected, _ = Particles.even(np.zeros((200, 4))).reweighted(values)
     np.testing.assert_array_equal(filter_.particles.log_weights, expected.log_weights)
     gentle = filter_of(np.zeros((200, 4)), rng, scorer=lambda _, view: view)
-    gentle.weigh(values)
+    gentle.reweight(values)
     assert gentle.particles.effective() > 19
 
 
@@ -110,31 +110,31 @@ def test_resampling_to_as_many_as_kld_says(rng):
     for box in (0.01, 0.3, 1.5):
         filter_ = filter_of(scattered(rng, 300, box) * (1, 1, 1, box / 3), rng)
         wanted = kld_count(filter_.particles, OPTIONS)
-        filter_.renew()
+        filter_.resample()
         assert len(filter_.particles) == np.clip(wanted, FEWEST, 2000)
         np.testing.assert_allclose(filter_.particles.weights, 1 / len(filter_.particles))
 
 
 def test_counts_stay_between_their_bounds(rng):
     filter_ = filter_of(scattered(rng, 500), rng, most=90)
-    filter_.renew()
+    filter_.resample()
     assert len(filter_.particles) == 90
     filter_ = filter_of(np.tile([1.0, 2, 1.6, 0], (500, 1)), rng)
-    filter_.renew()
+    filter_.resample()
     assert len(filter_.particles) == FEWEST
 
 
 def test_without_kld_as_many_as_before(rng):
     filter_ = filter_of(np.tile([1.0, 2, 1.6, 0], (500, 1)), rng, replace(OPTIONS, kld=False))
-    filter_.renew()
+    filter_.resample()
     assert len(filter_.particles) == 500
 
 
 def test_resampling_draws_by_weight(rng):
     poses = np.repeat([[0.0, 0, 1.6, 0], [5, 0, 1.6, 0]], 100, axis=0)
     filter_ = filter_of(poses, rng, scorer=lambda p, _: np.log(np.where(p[:, 0] > 1, 3, 1)))
-    filter_.weigh(None)
-    filter_.renew()
+    filter_.reweight(None)
+    filter_.resample()
     share = (filter_.particles.poses[:, 0] > 1).mean()
     assert share == pytest.approx(0.75, abs=2 / len(filter_.particles))
 
@@ -154,10 +154,10 @@ def test_modes_come_heaviest_first(rng):
 def test_a_frame_explained_far_worse_is_noticed(rng):
     filter_ = filter_of(np.zeros((50, 4)), rng, scorer=lambda p, view: np.full(len(p), view))
     for value, dropped in ((10.0, False), (0.0, False), (-30.0, True), (8.0, False)):
-        filter_.weigh(value)
+        filter_.reweight(value)
         assert filter_.dropped is dropped
     # the running mean: 10, 8, 0.4, ...
-    assert filter_.usual == pytest.approx(0.8 * (0.8 * 8 + 0.2 * -30) + 0.2 * 8)
+    assert filter_.mean_log_likelihood == pytest.approx(0.8 * (0.8 * 8 + 0.2 * -30) + 0.2 * 8)
 
 
 def test_injected_poses_replace_some_of_every_mode(rng):

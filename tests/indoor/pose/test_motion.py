@@ -17,7 +17,8 @@ from placegraph.core.geometry import (
     wrap,
 )
 from placegraph.indoor.options import MotionNoise
-from placegraph.indoor.pose.motion import keyframes, level_poses, propagate
+from placegraph.indoor.pose.particle_filter import propagate
+from placegraph.indoor.pose.window import keyframes, level_poses
 
 seeds = st.integers(0, 2**32 - 1)
 numbers = st.floats(-1, 1)

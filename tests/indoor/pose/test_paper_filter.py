@@ -17,10 +17,14 @@ from placegraph.indoor.likelihood.score import Scorer, model_of
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.pose.kld_sampling import Particles, kld_bound, kld_count, resample
-from placegraph.indoor.pose.local_fit import heaviest_modes
-from placegraph.indoor.pose.motion import Chain, propagate
-from placegraph.indoor.pose.particle_filter import ParticleFilter, _later, everywhere
-from placegraph.indoor.pose.window import PoseQuery, Window
+from placegraph.indoor.pose.particle_filter import (
+    ParticleFilter,
+    _later,
+    everywhere,
+    heaviest_modes,
+    propagate,
+)
+from placegraph.indoor.pose.window import Chain, PoseQuery, Window
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.frame import Frame
 
@@ -198,7 +202,7 @@ def test_weights_bins_and_resampling(rng):
     uniform = np.random.default_rng(8).random(wanted)
     np.testing.assert_array_equal(drawn, theirs.stratified(poses, other, uniform))
     filter_ = ParticleFilter(None, PAPER, rng, ours, 100_000)
-    filter_.renew()
+    filter_.resample()
     assert len(filter_.particles) == max(wanted, theirs.FEWEST)
 
 

@@ -8,17 +8,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.core.geometry import wrap
+from placegraph.indoor.likelihood.score import log_sum
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.pose.kld_sampling import (
     BIN,
     Particles,
-    distinct,
     kld_bound,
     kld_count,
-    log_sum,
-    moments,
     resample,
 )
+from placegraph.indoor.pose.local_fit import moments
+from placegraph.indoor.pose.search import distinct
 
 seeds = st.integers(0, 2**32 - 1)
 logs = st.lists(st.floats(-1e4, 1e4), min_size=1, max_size=40).map(np.array)

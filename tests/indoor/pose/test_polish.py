@@ -10,18 +10,19 @@ from placegraph.indoor.encode.labels import InstancesEncoder
 from placegraph.indoor.likelihood.observe import sight, views
 from placegraph.indoor.likelihood.score import Scorer, model_of
 from placegraph.indoor.options import FilterOptions, MotionNoise
-from placegraph.indoor.pose.covariance import WIDENED, pose_covariance
+from placegraph.indoor.pose.covariance import pose_covariance
 from placegraph.indoor.pose.kld_sampling import Particles
 from placegraph.indoor.pose.local_fit import (
     NARROWEST,
     SPREAD,
+    WIDENED,
     FitLevel,
     fit_modes,
     fit_pose,
-    heaviest_modes,
     probabilities,
 )
-from placegraph.indoor.pose.motion import Chain, level_poses
+from placegraph.indoor.pose.particle_filter import heaviest_modes
+from placegraph.indoor.pose.window import Chain, level_poses
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 

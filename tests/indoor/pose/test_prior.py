@@ -17,11 +17,6 @@ def twins(room):
     return merge_scenes({"left": room, "right": room})
 
 
-def test_nothing_said_is_no_leaning(room):
-    table = room.visibility(FilterOptions())
-    assert LogPrior.of(room, table, None, None) is None
-
-
 def test_a_sentence_leans_towards_where_it_is_true(room):
     table = room.visibility(FilterOptions())
     leaning = LogPrior.of(room, table, "next to the sofa", None)

@@ -1,4 +1,4 @@
-"""What a likelihood is, and which one the options choose."""
+"""Scores of poses by the calibrated likelihood, or by Eq. 2 of SG2Loc (`paper`)."""
 
 from __future__ import annotations
 
@@ -10,12 +10,92 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.geometry import Floats, compose
-from placegraph.indoor.likelihood.calibrated import Calibrated
-from placegraph.indoor.likelihood.observe import Model, View
+from placegraph.indoor.likelihood.observe import Background, Model, Noise, View
 from placegraph.indoor.likelihood.paper import Paper
-from placegraph.indoor.likelihood.score_kernels import score_poses
+from placegraph.indoor.likelihood.score_kernels import COLOUR, DEPTH, score_poses
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.options import Likelihood
+
+TEMPERATURE = 2.7
+"""Nats of log-likelihood that count as one, for a single frame; T frames see much the same, so
+that their sum is taken for worth sqrt(T) of them."""
+TEMPERATURE_DEPTH = 4.0
+"""The same where depth takes part: its errors are the map's, and go together ..."""
+TEMPERATURE_TONES = 6.0
+"""... and where tones do beside it: what an image tells is told twice."""
+
+
+class Calibrated:
+    """Every patch, reading and sample is a witness that may err; `docs/indoor.md` derives it.
+
+    Each counts by the log of how much likelier it is at a pose than anywhere in the map, so that
+    the sum over all of them is the log of a likelihood ratio [nat].
+    """
+
+    def __init__(self, options: Likelihood) -> None:
+        self.options = options
+        self.noise = Noise.of(options, gaussian=False)
+
+    def named(self, cosines: NDArray[np.float32], temperature: float, usual: Floats) -> Floats:
+        """Likelihood ratio (M, N + 1) of what patches say if they see each object; see `Model`.
+
+        A softmax of the cosines, mixed with the share of patches that are labelled wrongly.
+        """
+        logits = cosines / (self.options.sharpness or temperature)
+        share = np.exp(logits - logits.max(axis=1, keepdims=True))
+        share /= share.sum(axis=1, keepdims=True)
+        wrong = self.options.wrong
+        table = (1.0 - wrong) * share * cosines.shape[1] + wrong
+        table /= (table @ usual)[:, None]
+        return np.concatenate([table, np.ones((len(table), 1))], axis=1)
+
+    def shares(self, counts: Floats) -> Floats:
+        """Weight (N,) of a patch of each object: of many, the square root of the surplus counts."""
+        return np.sqrt(np.minimum(1.0, self.options.object_patches / np.maximum(counts, 1.0)))
+
+    def usual_depth(
+        self, depth: NDArray[np.float32], directions: Floats, background: Background
+    ) -> NDArray[np.float32]:
+        """Log of the mean likelihood ratio (R,) of each reading over all places of the map."""
+        out = np.zeros(len(depth), np.float32)
+        rows = np.flatnonzero(depth > 0)
+        if not rows.size:
+            return out
+        reach = np.linalg.norm(directions[rows], axis=1)
+        measured = (depth[rows] * reach)[:, None]
+        elevation = np.arcsin(directions[rows, 2] / reach)
+        bands = len(background.ranges)
+        band = ((elevation / background.highest + 1.0) / 2.0 * bands).astype(int)
+        # the floor of the deviation is a bin of the table: finer is not known of the usual
+        sd = self.noise.depth_floor + 0.1 + self.noise.depth_slope * measured
+        ratio = np.exp(reading_ratio(background.distances[None, :] - measured, sd, self.noise))
+        share = background.ranges[np.clip(band, 0, bands - 1)]
+        out[rows] = np.log(np.maximum((ratio * share).sum(axis=1), 1e-3))
+        return out
+
+    def combined(self, scores: NDArray[np.float32], terms: NDArray[np.bool_]) -> Floats:
+        """Log-likelihoods (N,): the sum of the terms that are there; tones count beside depth."""
+        asked = np.append(terms, terms[COLOUR] and terms[DEPTH])
+        return np.asarray(scores.astype(np.float64)[:, asked].sum(axis=1))
+
+    def heat(self, views: Sequence[View]) -> float:
+        """Nats that count as one where these views are summed."""
+        depth, colour = np.any([v.terms for v in views], axis=0)[[DEPTH, COLOUR]]
+        beside = TEMPERATURE_TONES if colour else TEMPERATURE_DEPTH
+        return float((beside if depth else TEMPERATURE) * np.sqrt(len(views)))
+
+
+def reading_ratio(
+    error: NDArray[np.floating], sd: NDArray[np.floating], noise: Noise
+) -> NDArray[np.floating]:
+    """Log-likelihood of readings whose map lies `error` [m] beyond them: Cauchy's tails.
+
+    `score_kernels._depth` in arrays.
+    """
+    with np.errstate(invalid="ignore"):
+        good = 1.0 / (1.0 + (error / sd) ** 2)
+    cost = np.where(error > 0, noise.near_cost, noise.far_cost)
+    return np.asarray(good * noise.depth_gain - (1.0 - good) * cost)
 
 
 def model_of(options: Likelihood) -> Model:
@@ -65,3 +145,9 @@ class Scorer:
         for view, step in zip(views, steps, strict=True):
             total += self(compose(poses, step), view)
         return total
+
+
+def log_sum(values: NDArray[np.float64]) -> float:
+    """log(sum(exp(values))) without overflow."""
+    top = float(values.max())
+    return top + float(np.log(np.exp(values - top).sum()))

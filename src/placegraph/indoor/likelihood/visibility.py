@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
-from placegraph.indoor.likelihood.calibrated import TEMPERATURE, reading_ratio
 from placegraph.indoor.likelihood.observe import Background, Noise, View
+from placegraph.indoor.likelihood.score import TEMPERATURE, reading_ratio
 from placegraph.indoor.likelihood.score_kernels import COLOUR, DEPTH, SEMANTIC
 from placegraph.indoor.map.free_space import (
     DIRECTIONS,

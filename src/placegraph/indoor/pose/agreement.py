@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from placegraph.core.estimate import Evidence
 from placegraph.core.geometry import Floats, compose
-from placegraph.indoor.likelihood.calibrated import reading_ratio
 from placegraph.indoor.likelihood.observe import View
-from placegraph.indoor.likelihood.score import Scorer
+from placegraph.indoor.likelihood.score import Scorer, reading_ratio
 from placegraph.indoor.likelihood.score_kernels import COLOUR, DEPTH, SEMANTIC, TONE, look
 from placegraph.indoor.map.scene import Scene, ref
 

@@ -19,8 +19,7 @@ from placegraph.indoor.pose.local_fit import (
     merge_fits,
     probabilities,
 )
-from placegraph.indoor.pose.motion import Chain
-from placegraph.indoor.pose.window import Window, timed
+from placegraph.indoor.pose.window import Chain, Window, timed
 
 TILT = 0.006
 """Standard deviation of the tilt that gravity gives [rad]: a third of a degree, as of a phone."""

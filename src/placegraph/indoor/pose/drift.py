@@ -24,8 +24,7 @@ from placegraph.indoor.pose.local_fit import (
     FitLevel,
     fit_level,
 )
-from placegraph.indoor.pose.motion import Chain
-from placegraph.indoor.pose.window import Window, timed
+from placegraph.indoor.pose.window import Chain, Window, timed
 
 USUAL = 0.25
 """Errors of odometry, in units of the noise that is allowed for, that are expected beforehand ..."""

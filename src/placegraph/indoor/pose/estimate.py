@@ -11,8 +11,7 @@ import numpy as np
 from placegraph.core.estimate import Evidence, PoseEstimate, PoseMode, Status
 from placegraph.core.geo import EarthPose
 from placegraph.core.geometry import Floats, between, pose_matrix
-from placegraph.indoor.likelihood.depth_unit import hint
-from placegraph.indoor.likelihood.observe import FINE
+from placegraph.indoor.likelihood.observe import FINE, hint
 from placegraph.indoor.map.floor import storey_at
 from placegraph.indoor.map.rooms import room_at
 from placegraph.indoor.map.scene import Scene
@@ -86,7 +85,7 @@ def estimate_pose(window: Window, fits: list[Fit]) -> PoseEstimate:
         steps = between(poses[-1], poses[looked])
         told = judging.scorer.together(poses[-1][None], told_apart, steps)[0]
         frames = _agreement_of_frames(judging, poses, agreed[0])
-        sightings, prior = window.sightings, window.leaning
+        sightings, prior = window.sightings, window.log_prior
         found = Diagnostics(
             agreement=agreed[0],
             frames=frames,
@@ -139,9 +138,9 @@ def _probabilities(window: Window, fits: list[Fit], heat: float) -> tuple[list[F
     if window.options.answer == "mle":
         return fits, np.exp(logs)
     shares = probabilities(logs, heat)
-    if window.leaning is None:
+    if window.log_prior is None:
         return fits, shares
-    shares *= np.exp(window.leaning.at(np.stack([f.pose for f in fits])))
+    shares *= np.exp(window.log_prior.at(np.stack([f.pose for f in fits])))
     order = np.argsort(-shares, kind="stable")
     return [fits[i] for i in order], shares[order] / shares.sum()
 
@@ -173,14 +172,14 @@ def _mode(window: Window, fit: Fit, share: float, agreed: Agreement | None) -> P
         scene_from_camera=scene.scene_from_map[row] @ matrix,
         explain=tuple
         if agreed is None
-        else partial(_explained, window.leaning, scene, agreed, fit.pose),
+        else partial(_explained, window.log_prior, scene, agreed, fit.pose),
     )
 
 
 def _explained(
-    leaning: LogPrior | None, scene: Scene, agreed: Agreement, pose: Floats
+    log_prior: LogPrior | None, scene: Scene, agreed: Agreement, pose: Floats
 ) -> tuple[Evidence, ...]:
-    said = () if leaning is None else leaning.evidence(pose)
+    said = () if log_prior is None else log_prior.evidence(pose)
     return said + explain(scene, agreed)
 
 
@@ -190,4 +189,4 @@ def evidence_at(window: Window, poses: Floats) -> Callable[[], tuple[Evidence, .
     views = [judging.views(FINE)[i] for i in looked]
     steps = between(poses[-1], poses[looked])
     agreed = agreement(judging.scorer, poses[-1], views, steps)
-    return partial(_explained, window.leaning, window.scene, agreed, poses[-1])
+    return partial(_explained, window.log_prior, window.scene, agreed, poses[-1])

@@ -14,8 +14,14 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from placegraph.core.geometry import Floats, between, level_from_camera, split_pose, wrap
-from placegraph.indoor.likelihood.depth_unit import mended, suspected_factor
-from placegraph.indoor.likelihood.observe import FINE, Sighting, sight, spread
+from placegraph.indoor.likelihood.observe import (
+    FINE,
+    Sighting,
+    mended,
+    sight,
+    spread,
+    suspected_factor,
+)
 from placegraph.indoor.likelihood.score import Scorer
 from placegraph.indoor.pose.agreement import SPEAK, agreement
 from placegraph.indoor.pose.local_fit import fit_window

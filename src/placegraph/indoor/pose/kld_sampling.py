@@ -8,15 +8,12 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from placegraph.core.geometry import wrap
+from placegraph.indoor.likelihood.score import log_sum
 from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.pose.search import near
 
 BIN = np.array([0.2, 0.2, 0.2, np.deg2rad(10.0)])
 """Bins of the state histogram of KLD-sampling: x, y, z [m], yaw [rad]."""
-APART = 0.75
-"""Modes are at least this far apart [m] ..."""
-TURNED = np.pi / 4
-"""... or turned by this much [rad]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,12 +49,6 @@ class Particles:
         return float(np.exp(-log_sum(2.0 * self.log_weights)))
 
 
-def log_sum(values: NDArray[np.float64]) -> float:
-    """log(sum(exp(values))) without overflow."""
-    top = float(values.max())
-    return top + float(np.log(np.exp(values - top).sum()))
-
-
 def kld_count(particles: Particles, options: FilterOptions) -> int:
     """Particles that KLD-sampling asks for (Fox 2001): n of Sec. 3.5, k counted by weight.
 
@@ -91,37 +82,6 @@ def resample(particles: Particles, count: int, rng: Generator) -> Particles:
     return Particles.even(particles.poses[rows])
 
 
-def distinct(
-    poses: NDArray[np.float64],
-    scores: NDArray[np.float64],
-    most: int,
-    *,
-    apart: float = APART,
-    turned: float = TURNED,
-) -> NDArray[np.int64]:
-    """Rows of at most `most` of poses (N, 4), best score (N,) first, no two near each other."""
-    left = np.argsort(-scores, kind="stable")
-    kept: list[int] = []
-    while len(left) and len(kept) < most:
-        best = left[0]
-        kept.append(int(best))
-        close = near(poses[left], poses[best], apart, turned)
-        close[0] = True
-        left = left[~close]
-    return np.array(kept, np.int64)
-
-
-def near(
-    poses: NDArray[np.float64],
-    pose: NDArray[np.float64],
-    apart: float = APART,
-    turned: float = TURNED,
-) -> NDArray[np.bool_]:
-    """Which of poses (N, 4) belong to the mode at a pose (4,)."""
-    close = np.linalg.norm(poses[:, :3] - pose[:3], axis=1) <= apart
-    return np.asarray(close & (np.abs(wrap(poses[:, 3] - pose[3])) <= turned))
-
-
 def masses(particles: Particles, modes: NDArray[np.float64]) -> NDArray[np.float64]:
     """Weight (K,) of the particles that belong to each of modes (K, 4), or to none before it."""
     left, out = particles.weights, np.zeros(len(modes))
@@ -130,15 +90,3 @@ def masses(particles: Particles, modes: NDArray[np.float64]) -> NDArray[np.float
         out[k] = left[own].sum()
         left = np.where(own, 0.0, left)
     return out
-
-
-def moments(
-    poses: NDArray[np.float64], weights: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Mean (4,) and covariance (4, 4) of weighted poses (N, 4); yaw as on a circle."""
-    weights = weights / weights.sum()
-    yaw = np.arctan2(weights @ np.sin(poses[:, 3]), weights @ np.cos(poses[:, 3]))
-    mean = np.append(weights @ poses[:, :3], yaw)
-    errors = poses - mean
-    errors[:, 3] = wrap(errors[:, 3])
-    return mean, np.einsum("n,ni,nj->ij", weights, errors, errors)

@@ -18,21 +18,10 @@ from numpy.typing import NDArray
 
 from placegraph.core.geometry import Floats, between, compose, wrap
 from placegraph.indoor.likelihood.observe import COARSE, FINE, View, recent
-from placegraph.indoor.likelihood.score import Scorer
+from placegraph.indoor.likelihood.score import Scorer, log_sum
 from placegraph.indoor.likelihood.score_kernels import DEPTH
-from placegraph.indoor.pose.kld_sampling import (
-    APART,
-    TURNED,
-    Particles,
-    distinct,
-    log_sum,
-    masses,
-    moments,
-    near,
-)
-from placegraph.indoor.pose.motion import Chain
-from placegraph.indoor.pose.search import SCREENED, thinned
-from placegraph.indoor.pose.window import Window, timed
+from placegraph.indoor.pose.search import APART, SCREENED, TURNED, distinct, thinned
+from placegraph.indoor.pose.window import Chain, Window, timed
 from placegraph.indoor.rays.trace_kernels import LANES
 
 SPREAD = np.array([0.12, 0.12, 0.08, 0.05])
@@ -187,25 +176,6 @@ def _fit_by_cross_entropy(scorer: Scorer, fit: Fit, level: FitLevel, rng: Genera
     return Fit(compose(pose, steps), float(scores[best]), sampling, covariance)
 
 
-def heaviest_modes(chain: Chain, particles: Particles, most: int) -> list[Fit]:
-    """At most so many modes of particles as they are, heaviest_modes particle first (Sec. 3.5).
-
-    The first is the maximum likelihood estimate. A mode weighs what the particles within `APART` and
-    `TURNED` of it weigh, and errs as these do.
-    """
-    poses, weights = particles.poses, particles.weights
-    modes = poses[distinct(poses, weights, most)]
-    fits = []
-    for mode, mass in zip(modes, masses(particles, modes), strict=True):
-        own = near(poses, mode)
-        errors = poses[own] - mode
-        errors[:, 3] = wrap(errors[:, 3])
-        covariance = np.einsum("n,ni,nj->ij", weights[own] / weights[own].sum(), errors, errors)
-        known = covariance + FINEST
-        fits.append(Fit(chain.rigid(mode), float(np.log(mass)), known, known))
-    return fits
-
-
 def fit_window(window: Window, starts: Floats, rng: Generator) -> list[Fit]:
     """Fits of the last frame's pose, first at `starts` (M, 4), to all frames of a window, best first."""
     with timed(window.seconds, "fit_modes"):
@@ -243,6 +213,16 @@ def fit_level(
     else:
         samples = _SAMPLES
     return FitLevel(window.chain, looked, views, rounds, most, gap, samples)
+
+
+def moments(poses: Floats, weights: Floats) -> tuple[Floats, Floats]:
+    """Mean (4,) and covariance (4, 4) of weighted poses (N, 4); yaw as on a circle."""
+    weights = weights / weights.sum()
+    yaw = np.arctan2(weights @ np.sin(poses[:, 3]), weights @ np.cos(poses[:, 3]))
+    mean = np.append(weights @ poses[:, :3], yaw)
+    errors = poses - mean
+    errors[:, 3] = wrap(errors[:, 3])
+    return mean, np.einsum("n,ni,nj->ij", weights, errors, errors)
 
 
 def probabilities(values: Floats, temperature: float) -> Floats:

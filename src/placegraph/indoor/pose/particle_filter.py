@@ -11,20 +11,19 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from placegraph.core.estimate import PassRecord
-from placegraph.core.geometry import Floats, between, compose
+from placegraph.core.geometry import Floats, between, compose, wrap
 from placegraph.indoor.likelihood.observe import COARSE, View
-from placegraph.indoor.options import STANDING, FilterOptions, Pass
+from placegraph.indoor.likelihood.score import log_sum
+from placegraph.indoor.options import STANDING, FilterOptions, MotionNoise, Pass
 from placegraph.indoor.pose.kld_sampling import (
     Particles,
-    distinct,
     kld_count,
-    log_sum,
     masses,
     resample,
 )
-from placegraph.indoor.pose.motion import propagate
-from placegraph.indoor.pose.search import around, near_prior, table_seeds
-from placegraph.indoor.pose.window import Window, timed
+from placegraph.indoor.pose.local_fit import FINEST, Fit
+from placegraph.indoor.pose.search import around, distinct, near, near_prior, table_seeds
+from placegraph.indoor.pose.window import Chain, Window, deviations, timed
 
 if TYPE_CHECKING:
     from placegraph.indoor.likelihood.score import Scorer
@@ -32,6 +31,17 @@ if TYPE_CHECKING:
 _ALIVE = 0.1  # share of particles that must stay effective when an observation is weighed
 _DROP = 25.0  # fall of the mean log-likelihood of a frame below its running mean: kidnapped [nat]
 _MEMORY = 0.2  # of the running mean
+
+
+def propagate(
+    poses: NDArray[np.float64],
+    step: NDArray[np.float64],
+    noise: MotionNoise,
+    rng: Generator,
+) -> NDArray[np.float64]:
+    """Poses (N, 4) after a step (4,) with noise: s_{t+1} = s_t (+) (t_t + w_t), Eq. 1."""
+    errors = rng.normal(size=poses.shape) * deviations(step, noise)
+    return compose(poses, step + errors)
 
 
 @dataclass(eq=False)
@@ -42,34 +52,35 @@ class ParticleFilter:
     options: FilterOptions
     rng: Generator
     particles: Particles
-    most: int
-    """Most particles kept."""
-    usual: float | None = field(default=None)
+    max_particles: int
+    """Particles kept at most."""
+    mean_log_likelihood: float | None = field(default=None)
     """Running mean of the frames' log-likelihoods, None before the first."""
     dropped: bool = field(default=False)
     """The last frame was explained far worse than those before."""
 
-    def move(self, step: NDArray[np.float64]) -> None:
+    def propagate(self, step: NDArray[np.float64]) -> None:
         """Prediction (Sec. 3.2): all particles take the step (4,), each with its own error."""
         poses = propagate(self.particles.poses, step, self.options.motion, self.rng)
         self.particles = Particles(poses, self.particles.log_weights)
 
-    def weigh(self, view: View) -> None:
+    def reweight(self, view: View) -> None:
         """Update (Sec. 3.3): weights times likelihoods, flattened where they would leave too few.
 
         A likelihood sharper than the particles are dense makes the nearest particle win by chance;
         it is tempered until a tenth of them stay effective. The paper's Eq. 2 is left as it is.
         """
         values = self.scorer(self.particles.poses, view)
-        flat = self._flatten(values) if self.options.likelihood.tempered else 1.0
+        flat = self._temper(values) if self.options.likelihood.tempered else 1.0
         explained = float(values.max())
-        self.dropped = self.usual is not None and explained < self.usual - _DROP
-        self.usual = (
-            explained if self.usual is None else (1.0 - _MEMORY) * self.usual + _MEMORY * explained
+        mean = self.mean_log_likelihood
+        self.dropped = mean is not None and explained < mean - _DROP
+        self.mean_log_likelihood = (
+            explained if mean is None else (1.0 - _MEMORY) * mean + _MEMORY * explained
         )
         self.particles, _ = self.particles.reweighted(flat * values)
 
-    def _flatten(self, values: NDArray[np.float64]) -> float:
+    def _temper(self, values: NDArray[np.float64]) -> float:
         """Exponent in (0, 1] of the likelihood that leaves enough particles effective."""
         wanted = max(4.0, _ALIVE * len(values))
         low, high = 0.0, 1.0
@@ -86,12 +97,12 @@ class ParticleFilter:
             low, high = (middle, high) if effective(middle) >= wanted else (low, middle)
         return max(low, 1e-3)
 
-    def renew(self) -> None:
+    def resample(self) -> None:
         """Adaptive resampling (Sec. 3.5) by KLD, or to as many as before."""
         count = len(self.particles)
         if self.options.kld:
             count = max(kld_count(self.particles, self.options), self.options.fewest)
-        self.particles = resample(self.particles, min(count, self.most), self.rng)
+        self.particles = resample(self.particles, min(count, self.max_particles), self.rng)
 
     def inject(self, poses: NDArray[np.float64]) -> None:
         """Poses from elsewhere take the place of others, at most half of them, evenly from all.
@@ -102,7 +113,7 @@ class ParticleFilter:
         old = self.particles.poses
         left = max(len(old) - len(poses), len(old) // 2)
         kept = old[np.linspace(0, len(old) - 1, left).round().astype(np.int64)]
-        self.particles = Particles.even(np.concatenate([poses[: self.most - left], kept]))
+        self.particles = Particles.even(np.concatenate([poses[: self.max_particles - left], kept]))
 
     def modes(self) -> NDArray[np.float64]:
         """Distinct poses (K, 4) of high weight, heaviest first; at most `options.modes`."""
@@ -146,15 +157,15 @@ def run_pass(
     pool = np.zeros((0, 5))  # modes and their masses, carried along
     for t, view in enumerate(views):
         if t > first:  # resampling follows an update
-            filter_.renew()
+            filter_.resample()
         if t:
             count = _injected(filter_, t) if elsewhere is not None else 0
             if elsewhere is not None and count:
                 filter_.inject(elsewhere(t - 1, count))
-            filter_.move(steps[t])
+            filter_.propagate(steps[t])
             pool[:, :4] = compose(pool[:, :4], steps[t])
         if t >= first:
-            filter_.weigh(view)
+            filter_.reweight(view)
         if (options.pooled and t >= first) or t == len(views) - 1:
             modes = filter_.modes()
             pool = np.vstack([pool, np.column_stack([modes, masses(filter_.particles, modes)])])
@@ -177,11 +188,11 @@ def _injected(filter_: ParticleFilter, t: int) -> int:
         return int(options.injection * len(filter_.particles)) if due else 0
     # KLD has left few: what is lost is looked for with a share of all that there may be
     lost = filter_.dropped and options.injection > 0
-    return int(options.injection * filter_.most) + 1 if lost else 0
+    return int(options.injection * filter_.max_particles) + 1 if lost else 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Passes:
+class FilteredPasses:
     """What all passes of a filter left."""
 
     modes: Floats
@@ -194,11 +205,9 @@ class Passes:
     """Particles at each frame of each pass."""
 
 
-def run_passes(window: Window, seeds: Floats, rng: Generator) -> Passes:
+def run_passes(window: Window, seeds: Floats, rng: Generator) -> FilteredPasses:
     """Filter the window, from seeds (K, 4) of the last frame, in passes coarse to fine (Sec. 3.5)."""
     options, query, poses = window.options, window.query, window.poses
-    if not options.run:
-        return Passes(seeds[:0], Particles.even(seeds), (), [])
     modes, masses, history, counts = seeds, np.ones(len(seeds)), [], []
     steps = np.zeros((len(window), 4))
     steps[1:] = between(poses[:-1], poses[1:])
@@ -216,8 +225,8 @@ def run_passes(window: Window, seeds: Floats, rng: Generator) -> Passes:
             drawn = everywhere(window, rng)
             return drawn[rng.choice(len(drawn), count)]
         view, noise = window.views(COARSE)[t], window.scorer.model.noise
-        leaning = window.leaning
-        return table_seeds(window.table, [view], poses[[t]], noise, 0, count, leaning)[0]
+        log_prior = window.log_prior
+        return table_seeds(window.table, [view], poses[[t]], noise, 0, count, log_prior)[0]
 
     with timed(window.seconds, "filter"):
         for number, spec in enumerate(options.run):
@@ -225,9 +234,9 @@ def run_passes(window: Window, seeds: Floats, rng: Generator) -> Passes:
             first = compose(modes, between(poses[-1], poses[0]))
             start = _later(spec, first, masses, rng) if number else _start(window, spec, first, rng)
             particles = Particles.even(start)
-            if window.leaning is not None and not number:
+            if window.log_prior is not None and not number:
                 ends = compose(start, between(poses[0], poses[-1]))
-                particles, _ = particles.reweighted(window.leaning.at(ends))
+                particles, _ = particles.reweighted(window.log_prior.at(ends))
             filter_ = ParticleFilter(window.scorer, options, rng, particles, spec.particles)
             frames = [s.frame.index for s in window.sightings]
             run = run_pass(filter_, window.views(spec.stride), steps, frames, elsewhere, tick)
@@ -235,7 +244,7 @@ def run_passes(window: Window, seeds: Floats, rng: Generator) -> Passes:
             counts.append(list(run.counts))
             if options.record:
                 history.append(PassRecord(spec.stride, run.record))
-    return Passes(modes, run.particles, tuple(history), counts)
+    return FilteredPasses(modes, run.particles, tuple(history), counts)
 
 
 def _later(spec: Pass, modes: Floats, masses: Floats, rng: Generator) -> Floats:
@@ -279,3 +288,22 @@ def everywhere(window: Window, rng: Generator) -> Floats:
     out[:, 2] = np.repeat(cells[:, 2], count) + np.tile(np.repeat(heights, each), len(cells))
     out[:, 3] = rng.uniform(-np.pi, np.pi, len(out))
     return out
+
+
+def heaviest_modes(chain: Chain, particles: Particles, most: int) -> list[Fit]:
+    """At most so many modes of particles as they are, heaviest_modes particle first (Sec. 3.5).
+
+    The first is the maximum likelihood estimate. A mode weighs what the particles within `APART` and
+    `TURNED` of it weigh, and errs as these do.
+    """
+    poses, weights = particles.poses, particles.weights
+    modes = poses[distinct(poses, weights, most)]
+    fits = []
+    for mode, mass in zip(modes, masses(particles, modes), strict=True):
+        own = near(poses, mode)
+        errors = poses[own] - mode
+        errors[:, 3] = wrap(errors[:, 3])
+        covariance = np.einsum("n,ni,nj->ij", weights[own] / weights[own].sum(), errors, errors)
+        known = covariance + FINEST
+        fits.append(Fit(chain.rigid(mode), float(np.log(mass)), known, known))
+    return fits

@@ -59,8 +59,8 @@ class LogPrior:
         table: VisibilityTable,
         description: str | Sentence | None,
         shares: ArrayLike | None,
-    ) -> LogPrior | None:
-        """LogPrior of a description and of shares (S,) of the merged scenes; None of neither.
+    ) -> LogPrior:
+        """Return the log prior of a description and of shares (S,) of the merged scenes.
 
         Raises
         ------
@@ -68,8 +68,6 @@ class LogPrior:
             The description says nothing that this map could serve; shares are no probabilities.
 
         """
-        if description is None and shares is None:
-            return None
         sentence = _read(description, scene)
         logs = np.zeros((len(table), AZIMUTHS), np.float32)
         if sentence is not None:

@@ -9,16 +9,19 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from placegraph.core.geometry import Floats, between, compose
+from placegraph.core.geometry import Floats, between, compose, wrap
 from placegraph.errors import OptionError
 from placegraph.indoor.likelihood.observe import COARSE, Noise, View, spread
 from placegraph.indoor.likelihood.visibility import VisibilityTable, floor_under
 from placegraph.indoor.map.map_kernels import AZIMUTHS, HEADINGS
-from placegraph.indoor.pose.kld_sampling import distinct
 from placegraph.indoor.pose.prior import LogPrior, Prior
 from placegraph.indoor.pose.window import Window, timed
 from placegraph.indoor.rays.trace_kernels import LANES
 
+APART = 0.75
+"""Modes are at least this far apart [m] ..."""
+TURNED = np.pi / 4
+"""... or turned by this much [rad]."""
 LOOKS = 5
 """Frames of a window that are looked up in the table."""
 SEEDS = 48
@@ -75,10 +78,10 @@ def search(window: Window, rng: Generator) -> Floats:
         return np.zeros((0, 4))
     with timed(window.seconds, "search"):
         last, noise = len(window) - 1, window.scorer.model.noise
-        table, leaning, prior = window.table, window.leaning, window.query.prior
+        table, log_prior, prior = window.table, window.log_prior, window.query.prior
         first, *rounds = _TRIES
         if prior is None:
-            seeds, _ = table_seeds(table, views, window.poses, noise, last, leaning=leaning)
+            seeds, _ = table_seeds(table, views, window.poses, noise, last, log_prior=log_prior)
         else:
             drawn = near_prior(prior, window, first.each * SEEDS, rng)
             seeds = compose(drawn, between(window.poses[0], window.poses[-1]))
@@ -120,25 +123,25 @@ def table_seeds(
     noise: Noise,
     reference: int,
     most: int = SEEDS,
-    leaning: LogPrior | None = None,
+    log_prior: LogPrior | None = None,
 ) -> tuple[Floats, Floats]:
     """Poses (K, 4) of the reference frame that fit up to `LOOKS` views together, and their ranks.
 
     `poses`: (T, 4) odometry of all views, level. The newest are looked up more densely.
-    `leaning` adds what is known beforehand of the reference frame.
+    `log_prior` adds what is known beforehand of the reference frame.
     """
     looked = spread(len(views), LOOKS)
     steps = between(poses[reference], poses[looked])
     ranks = table.ranks([views[i] for i in looked], steps, noise)
-    if leaning is None:
+    if log_prior is None:
         return _best(table, ranks, np.arange(len(table)), most)
-    directed = ranks + leaning.logs[:, :: AZIMUTHS // HEADINGS]
+    directed = ranks + log_prior.logs[:, :: AZIMUTHS // HEADINGS]
     parts = [
         _best(table, directed, rows, max(_FEWEST, round(share * most)))
-        for rows, share in leaning.parts
+        for rows, share in log_prior.parts
     ]
-    if leaning.sentence is not None:  # who speaks may err
-        rows = np.concatenate([rows for rows, _ in leaning.parts])
+    if log_prior.sentence is not None:  # who speaks may err
+        rows = np.concatenate([rows for rows, _ in log_prior.parts])
         parts.append(_best(table, ranks, rows, round(_UNTOLD * most)))
     seeds, values = (np.concatenate(column) for column in zip(*parts, strict=True))
     order = np.argsort(-values, kind="stable")
@@ -180,3 +183,34 @@ def near_prior(prior: Prior, window: Window, count: int, rng: Generator) -> Floa
     else:
         out[:, 3] += prior.yaw
     return out
+
+
+def distinct(
+    poses: Floats,
+    scores: Floats,
+    most: int,
+    *,
+    apart: float = APART,
+    turned: float = TURNED,
+) -> NDArray[np.int64]:
+    """Rows of at most `most` of poses (N, 4), best score (N,) first, no two near each other."""
+    left = np.argsort(-scores, kind="stable")
+    kept: list[int] = []
+    while len(left) and len(kept) < most:
+        best = left[0]
+        kept.append(int(best))
+        close = near(poses[left], poses[best], apart, turned)
+        close[0] = True
+        left = left[~close]
+    return np.array(kept, np.int64)
+
+
+def near(
+    poses: Floats,
+    pose: Floats,
+    apart: float = APART,
+    turned: float = TURNED,
+) -> NDArray[np.bool_]:
+    """Which of poses (N, 4) belong to the mode at a pose (4,)."""
+    close = np.linalg.norm(poses[:, :3] - pose[:3], axis=1) <= apart
+    return np.asarray(close & (np.abs(wrap(poses[:, 3] - pose[3])) <= turned))

@@ -13,8 +13,7 @@ from placegraph.indoor.likelihood.observe import COARSE, FINE
 from placegraph.indoor.pose import local_fit
 from placegraph.indoor.pose.covariance import FITTED
 from placegraph.indoor.pose.estimate import estimate_pose, evidence_at
-from placegraph.indoor.pose.motion import Chain
-from placegraph.indoor.pose.window import PoseQuery, Window, observe
+from placegraph.indoor.pose.window import Chain, PoseQuery, Window, observe
 from placegraph.indoor.refine.camera_correction import find_camera_correction
 from placegraph.indoor.refine.confidence import Confirmation, confirm_fit
 from placegraph.indoor.refine.matching import Matcher

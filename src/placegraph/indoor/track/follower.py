@@ -13,8 +13,7 @@ from numpy.random import Generator
 from placegraph.core.estimate import PoseEstimate, Status
 from placegraph.core.geometry import Camera, Floats, split_pose
 from placegraph.errors import OptionError, PlacegraphError
-from placegraph.indoor.likelihood.depth_unit import check_unit
-from placegraph.indoor.likelihood.observe import sight
+from placegraph.indoor.likelihood.observe import check_unit, sight
 from placegraph.indoor.likelihood.score import Scorer
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.pose.estimate import add_earth_poses

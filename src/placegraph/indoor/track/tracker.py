@@ -27,9 +27,16 @@ from placegraph.indoor.likelihood.score import Scorer
 from placegraph.indoor.pose.covariance import FITTED, explore_unobservable
 from placegraph.indoor.pose.estimate import add_earth_poses, estimate_pose
 from placegraph.indoor.pose.local_fit import NARROWEST, Fit, fit_level, fit_pose, fit_window
-from placegraph.indoor.pose.motion import Chain, deviations
 from placegraph.indoor.pose.search import search
-from placegraph.indoor.pose.window import PoseQuery, Window, leveled, own_encoder, shows_something
+from placegraph.indoor.pose.window import (
+    Chain,
+    PoseQuery,
+    Window,
+    deviations,
+    leveled,
+    own_encoder,
+    shows_something,
+)
 from placegraph.indoor.status import await_confirmation, decide_followed, diagnostics_of, give_up
 from placegraph.io.capture.frame import Frame
 
