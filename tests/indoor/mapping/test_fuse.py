@@ -1,4 +1,4 @@
-"""Frames with poses become a coloured mesh: where surfaces are, what colour, and what is said."""
+"""Scenes whose depth is known to the last digit."""
 
 from collections import Counter
 from dataclasses import replace
@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from placegraph.core.geometry import Camera, rotation_z
+from placegraph.core.geometry import Camera, level_from_camera, pose_matrix, rotation_z
 from placegraph.core.threads import limited
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.mapping import fuse_kernels as kernels
@@ -26,6 +26,54 @@ from placegraph.indoor.mapping.fuse_kernels import facets_of, low_corner
 from placegraph.indoor.rays import RayCaster
 from placegraph.io.capture.frame import Frame
 
+CAMERA = Camera(120, 90, 90.0, 90.0, 60.0, 45.0)
+ROOM = np.array([[-2.0, -1.5, 0.0], [2.0, 1.5, 2.4]])
+PAINT = np.array(
+    [[200, 0, 0], [0, 200, 0], [0, 0, 200], [200, 200, 0], [0, 200, 200], [200, 0, 200]]
+)
+"""Of the walls at low x, y, z and at high x, y, z."""
+
+
+def rays_of(camera, pose):
+    """Directions (h, w, 3) in the map, of length 1 along the optical axis."""
+    v, u = np.mgrid[0 : camera.height, 0 : camera.width] + 0.5
+    return camera.directions(np.stack([u, v], axis=-1)) @ pose[:3, :3].T
+
+
+def pose_at(at, yaw, down=0.0):
+    return pose_matrix([*at, yaw], level_from_camera([0.0, np.cos(down), np.sin(down)]))
+
+
+def room_view(yaw, down=0.0, at=(0.1, 0.0, 1.2), *, camera=CAMERA, gain=1.0):
+    """Frame of a camera in an empty room of six colours, and its pose."""
+    pose = pose_at(at, yaw, down)
+    rays = rays_of(camera, pose)
+    with np.errstate(divide="ignore"):
+        walls = np.concatenate([(ROOM[0] - at) / rays, (ROOM[1] - at) / rays], axis=-1)
+    walls[walls <= 0] = np.inf
+    rgb = (gain * PAINT[walls.argmin(axis=-1)]).astype(np.uint8)
+    return Frame.from_arrays(rgb, camera, depth=walls.min(axis=-1), odometry=pose), pose
+
+
+def plane_view(distance, *, camera=CAMERA, slope=0.0, noise=None, pose=None):
+    """Frame before the plane z = distance + slope * x of its own axes, and its pose."""
+    pose = np.eye(4) if pose is None else pose
+    rays = rays_of(camera, np.eye(4))
+    depth = distance / (1.0 - slope * rays[..., 0])
+    if noise is not None:
+        depth = depth + noise.normal(0, 0.005, depth.shape)
+    rgb = np.full((camera.height, camera.width, 3), 100, np.uint8)
+    return Frame.from_arrays(rgb, camera, depth=depth, odometry=pose), pose
+
+
+@pytest.fixture(scope="session")
+def views():
+    """Views of the whole room: `(frames, poses)`."""
+    made = [room_view(yaw, down) for yaw in np.arange(0, 6.2, 0.7) for down in (-0.6, 0.2, 0.9)]
+    frames, poses = zip(*made, strict=True)
+    return frames, np.array(poses)
+
+
 PLAIN = FuseOptions(gains=False)
 
 
@@ -39,22 +87,22 @@ def normals_of(mesh):
     return np.cross(b - a, c - a)
 
 
-def test_a_room_is_found_where_it_is(fused, scene):
-    gap = np.abs(fused.vertices[:, None] - scene.room).min(axis=(1, 2))
+def test_a_room_is_found_where_it_is(fused):
+    gap = np.abs(fused.vertices[:, None] - ROOM).min(axis=(1, 2))
     assert np.quantile(gap, 0.95) < 0.06 / 5
     inward = np.array([0.1, 0.0, 1.2]) - fused.vertices[fused.triangles[:, 0]]
     facing = (normals_of(fused) * inward).sum(axis=1)
     assert (facing < 0).mean() < 0.01
     area = 0.5 * np.linalg.norm(normals_of(fused), axis=1).sum()
-    size = scene.room[1] - scene.room[0]
+    size = ROOM[1] - ROOM[0]
     whole = 2 * (size[0] * size[1] + size[1] * size[2] + size[2] * size[0])
     assert 0.85 * whole < area < 1.02 * whole
 
 
-def test_walls_have_their_colour(fused, scene):
-    gaps = np.abs(fused.vertices[:, None] - scene.room).reshape(-1, 6)
+def test_walls_have_their_colour(fused):
+    gaps = np.abs(fused.vertices[:, None] - ROOM).reshape(-1, 6)
     middle = np.sort(gaps, axis=1)[:, 1] > 0.2  # not near an edge of the room
-    off = np.abs(fused.colours[middle].astype(int) - scene.paint[gaps[middle].argmin(axis=1)])
+    off = np.abs(fused.colours[middle].astype(int) - PAINT[gaps[middle].argmin(axis=1)])
     assert middle.sum() > 2000
     assert np.quantile(off, 0.99) <= 2
 
@@ -72,13 +120,13 @@ def test_edges_have_two_triangles_but_for_borders(fused):
     distance=st.floats(0.6, 3.0), slope=st.floats(-1.0, 1.0), turn=st.floats(-3.0, 3.0),
     seed=st.integers(0, 9),
 )  # fmt: skip
-def test_a_plane_is_flat(scene, distance, slope, turn, seed):
+def test_a_plane_is_flat(distance, slope, turn, seed):
     voxel = 0.04
     pose = np.eye(4)
-    pose[:3, :3] = rotation_z(turn) @ scene.pose_at([0, 0, 0], turn)[:3, :3]
+    pose[:3, :3] = rotation_z(turn) @ pose_at([0, 0, 0], turn)[:3, :3]
     pose[:3, 3] = 3 * turn
     noise = np.random.default_rng(seed)
-    views = [scene.plane_view(distance, slope=slope, noise=noise, pose=pose) for _ in range(4)]
+    views = [plane_view(distance, slope=slope, noise=noise, pose=pose) for _ in range(4)]
     mesh = fuse([f for f, _ in views], [p for _, p in views], voxel=voxel)
     points = (mesh.vertices - pose[:3, 3]) @ pose[:3, :3]
     off = (points[:, 2] - slope * points[:, 0] - distance) / np.hypot(1, slope)
@@ -86,18 +134,16 @@ def test_a_plane_is_flat(scene, distance, slope, turn, seed):
     assert ((normals_of(mesh) @ pose[:3, :3])[:, 2] < 0).mean() > 0.99
 
 
-def test_a_ball_is_round(scene):
+def test_a_ball_is_round():
     radius, frames, poses = 0.5, [], []
     for yaw in np.arange(0, 6.2, 0.6):
-        pose = scene.pose_at([-2 * np.cos(yaw), -2 * np.sin(yaw), 0.0], yaw)
-        rays = scene.rays_of(scene.camera, pose)
+        pose = pose_at([-2 * np.cos(yaw), -2 * np.sin(yaw), 0.0], yaw)
+        rays = rays_of(CAMERA, pose)
         a, b = (rays**2).sum(axis=-1), rays @ pose[:3, 3]
         root = b * b - a * (4 - radius**2)
         with np.errstate(invalid="ignore"):
             depth = (-b - np.sqrt(root)) / a
-        frames.append(
-            Frame.from_arrays(np.full((90, 120, 3), 50, np.uint8), scene.camera, depth=depth)
-        )
+        frames.append(Frame.from_arrays(np.full((90, 120, 3), 50, np.uint8), CAMERA, depth=depth))
         poses.append(pose)
     mesh = fuse(frames, np.array(poses), voxel=0.04)
     off = np.linalg.norm(mesh.vertices, axis=1) - radius
@@ -206,23 +252,23 @@ def test_memory_is_bounded(views):
 
 
 @pytest.mark.parametrize("voxel", [0.01, 0.3])
-def test_tiny_and_huge_voxels(scene, voxel):
-    frame, pose = scene.plane_view(1.0)
+def test_tiny_and_huge_voxels(voxel):
+    frame, pose = plane_view(1.0)
     found = fuse([frame], pose[None], voxel=voxel)
     assert np.abs(found.vertices[:, 2] - 1.0).max() < voxel / 5
     assert found.stats.voxel == voxel
 
 
-def test_changes_of_exposure_vanish(scene):
+def test_changes_of_exposure_vanish():
     made = [
-        scene.room_view(yaw, 0.2, gain=0.6 + 0.4 * (n % 2))
+        room_view(yaw, 0.2, gain=0.6 + 0.4 * (n % 2))
         for n, yaw in enumerate(np.arange(0, 6.2, 0.3))
     ]
     frames, poses = zip(*made, strict=True)
     spread = {}
     for gains in (False, True):
         found = fuse(frames, np.array(poses), voxel=0.08, options=FuseOptions(gains=gains))
-        far = np.abs(found.vertices[:, None] - scene.room).reshape(-1, 6)
+        far = np.abs(found.vertices[:, None] - ROOM).reshape(-1, 6)
         wall = (far.argmin(axis=1) == 0) & (np.sort(far, axis=1)[:, 1] > 0.3)
         spread[gains] = np.std(found.colours[wall, 0].astype(float))
     assert spread[True] < 3 < spread[False]
@@ -256,9 +302,9 @@ def test_undistorted_pixels_stand_on_their_rays(k1, p1):
     assert not any(plain.distortion)
 
 
-def test_a_wall_behind_a_wide_lens_is_flat(scene):
+def test_a_wall_behind_a_wide_lens_is_flat():
     camera = Camera(120, 90, 90.0, 90.0, 60.0, 45.0, WIDE)
-    frame, pose = scene.plane_view(1.5, camera=camera, slope=0.4)
+    frame, pose = plane_view(1.5, camera=camera, slope=0.4)
     mesh = fuse([frame], pose[None], voxel=0.04)
     off = (mesh.vertices[:, 2] - 0.4 * mesh.vertices[:, 0] - 1.5) / np.hypot(1, 0.4)
     assert np.sqrt((off**2).mean()) < 0.04 / 5
@@ -314,16 +360,16 @@ def test_blocks_are_found_again(places):
     assert kernels.row_of(keys, rows, 1 << 40, 0, 0) == -1
 
 
-def test_a_slanted_plane_is_no_edge(scene):
-    frame, _ = scene.plane_view(2.0, slope=1.2)
+def test_a_slanted_plane_is_no_edge():
+    frame, _ = plane_view(2.0, slope=1.2)
     facets = facets_of(frame.depth(), EYE, 9.0, True)
     assert (facets[:, :-2, 4] > 0).all()  # the last two columns lack neighbours, far and steep
     normal = np.array([-1.2, 0.0, 1.0]) / np.hypot(1, 1.2)
     assert np.abs(facets[facets[..., 4] > 0][:, :3] - normal).max() < 1e-3
 
 
-def test_readings_between_two_surfaces_are_dropped(scene):
-    frame, _ = scene.plane_view(1.0)
+def test_readings_between_two_surfaces_are_dropped():
+    frame, _ = plane_view(1.0)
     depth = frame.depth().copy()
     depth[:, 60:] = 3.0
     depth[:, 60] = 2.0  # a mean of both sides
@@ -334,8 +380,8 @@ def test_readings_between_two_surfaces_are_dropped(scene):
     assert (kept[True] > 0).sum() < (kept[False] > 0).sum()
 
 
-def test_small_holes_are_bridged_and_specks_are_not_believed(scene):
-    frame, _ = scene.plane_view(1.5, slope=0.3)
+def test_small_holes_are_bridged_and_specks_are_not_believed():
+    frame, _ = plane_view(1.5, slope=0.3)
     whole = frame.depth()
     depth = whole.copy()
     depth[20:22, :] = np.nan

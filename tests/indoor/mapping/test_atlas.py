@@ -1,0 +1,598 @@
+"""Surfaces to bake, and what must hold of every one that was baked."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from placegraph.core.geometry import Camera
+from placegraph.core.threads import limited
+from placegraph.errors import OptionError
+from placegraph.indoor.map.mesh import Mesh
+from placegraph.indoor.mapping.atlas.bake import bake, fill_unknown, pack
+from placegraph.indoor.mapping.atlas.colours import (
+    frame_colours,
+    group_keyframes,
+    measure_sharpness,
+    mesh_colours,
+)
+from placegraph.indoor.rays import RayCaster
+from placegraph.indoor.scene_map import SceneMap
+from placegraph.io.capture.frame import Frame
+
+
+def grid(columns, rows, step=0.1):
+    """Level sheet of 2 * columns * rows triangles that look up, with shared vertices."""
+    x, y = np.meshgrid(np.arange(columns + 1), np.arange(rows + 1), indexing="ij")
+    points = np.stack([x, y, 0 * x], axis=-1).reshape(-1, 3) * step
+    a = (np.arange(columns)[:, None] * (rows + 1) + np.arange(rows)).ravel()
+    b, c, d = a + rows + 1, a + rows + 2, a + 1
+    return points, np.stack([a, b, c, a, c, d], axis=1).reshape(-1, 3)
+
+
+def sphere(levels, radius=1.0):
+    """Sphere of 8 * 4**levels triangles with shared vertices."""
+    points = np.array([[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], float)
+    rows = np.array(
+        [[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4], [1, 0, 5], [2, 1, 5], [3, 2, 5], [0, 3, 5]]
+    )
+    for _ in range(levels):
+        pairs = np.sort(rows[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+        edges, row = np.unique(pairs, axis=0, return_inverse=True)
+        ab, bc, ca = (row.reshape(-1, 3) + len(points)).T
+        a, b, c = rows.T
+        rows = np.stack([a, ab, ca, ab, b, bc, ca, bc, c, ab, bc, ca], axis=1).reshape(-1, 3)
+        points = np.concatenate([points, points[edges].mean(axis=1)])
+        points /= np.linalg.norm(points, axis=1, keepdims=True)
+    return radius * points, rows
+
+
+def soup(count, rng, size=0.2):
+    """Triangles of about `size` [m] anywhere, some of them twice, thin, or without area."""
+    corners = rng.uniform(-2, 2, (count, 1, 3)) + rng.normal(0, size, (count, 3, 3))
+    corners[:-1:10] = corners[1::10]
+    corners[7::20, 2] = corners[7::20, 1]
+    corners[8::20, 2] = 0.5 * (corners[8::20, 1] + corners[8::20, 0])
+    corners[9::20, 2] = corners[9::20, 1] + 1e-5
+    return corners.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3)
+
+
+def inside(uv, size):
+    """Texels' centres (N, 2) strictly inside a triangle (3, 2) on a page of this size."""
+    corners = uv * size
+    low = np.floor(corners.min(axis=0)).astype(int)
+    high = np.ceil(corners.max(axis=0)).astype(int)
+    x, y = np.meshgrid(np.arange(low[0], high[0]), np.arange(low[1], high[1]))
+    texels = np.stack([x.ravel(), y.ravel()], axis=1)
+    (ax, ay), b, c = corners[0], corners[1] - corners[0], corners[2] - corners[0]
+    area = b[0] * c[1] - b[1] * c[0]
+    if abs(area) < 1e-9:
+        return texels[:0]
+    px, py = texels[:, 0] + 0.5 - ax, texels[:, 1] + 0.5 - ay
+    u, v = (px * c[1] - py * c[0]) / area, (b[0] * py - b[1] * px) / area
+    return texels[(u > 1e-2) & (v > 1e-2) & (u + v < 1 - 1e-2)]
+
+
+def sound(before, after):
+    """Same triangles, coordinates inside the pages, nothing mirrored, nothing twice."""
+    assert len(after) == len(before)
+    assert (after.object_of == before.object_of).all()
+    assert (after.vertices[after.triangles] == before.vertices[before.triangles]).all()
+    assert (after.colours == 255).all()
+    sizes = np.array([t.shape[1::-1] for t in after.textures])
+    uv = after.uv[after.triangles] * sizes[after.texture_of][:, None]  # texels
+    room = sizes[after.texture_of][:, None] - uv
+    assert uv.min() >= 0.99
+    assert room.min() >= 0.99  # a bilinear look never leaves the page
+    b, c = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
+    area = b[:, 0] * c[:, 1] - b[:, 1] * c[:, 0]
+    area[np.abs(area) < 1e-4 * np.abs(uv).max()] = 0  # what float32 leaves of slivers
+    assert not (area > 0).any()  # v is down: seen from outside, triangles turn the other way
+    taken = [np.zeros(t.shape[:2], bool) for t in after.textures]
+    for row in np.flatnonzero(area):
+        page = after.texture_of[row]
+        x, y = inside(after.uv[after.triangles[row]], sizes[page]).T
+        assert not taken[page][y, x].any()
+        taken[page][y, x] = True
+    return area
+
+
+def field(points):
+    """Colours of a world: waves of half a metre, and squares of a quarter."""
+    waves = 128 + 70 * np.sin(points * (12.0, 9.0, 7.0) + (0, 1, 2))
+    squares = np.floor(points * 4 + 0.013).astype(int).sum(axis=1) % 2 * 40
+    return np.clip(waves + squares[:, None], 0, 255).astype(np.uint8)
+
+
+def spots(mesh, count, rng):
+    """Triangles, weights u, v and places of points on a mesh."""
+    area = np.linalg.norm(mesh.normals(), axis=1)
+    rows = rng.choice(len(mesh), count, p=area / area.sum()).astype(np.int32)
+    uv = rng.random((count, 2))
+    uv = np.where(uv.sum(axis=1, keepdims=True) > 1, 1 - uv, uv).astype(np.float32)
+    a, b, c = np.moveaxis(mesh.vertices[mesh.triangles[rows]].astype(float), 1, 0)
+    return rows, uv[:, 0], uv[:, 1], a + uv[:, :1] * (b - a) + uv[:, 1:] * (c - a)
+
+
+@pytest.fixture(scope="session")
+def ball():
+    """Mesh of a sphere of 512 triangles, 1 m in radius, of two objects."""
+    points, rows = sphere(3)
+    return Mesh.plain(points, rows, (np.arange(len(rows)) % 8 > 3).astype(int))
+
+
+CAMERA = Camera(160, 120, 120.0, 120.0, 80.0, 60.0)
+
+
+@pytest.fixture
+def colour_of():
+    return lambda points, *_: field(points)
+
+
+def middles(mesh):
+    """Colours (T, 3) in the middle of each triangle."""
+    third = np.full(len(mesh), 1 / 3, np.float32)
+    return mesh.colour_at(np.arange(len(mesh), dtype=np.int32), third, third)
+
+
+def white(points, *_):
+    return np.full(points.shape, 250, np.uint8)
+
+
+def test_geometry_stays_and_charts_do_not_overlap(ball, room, colour_of):
+    for mesh in (ball, room.mesh):
+        assert (sound(mesh, bake(mesh, colour_of, texel=0.06)) < 0).any()
+
+
+def test_every_triangle_of_some_size_gets_texels(ball, colour_of):
+    area = sound(ball, bake(ball, colour_of, texel=0.02, tolerance=0))
+    metres = np.linalg.norm(ball.normals(), axis=1)
+    # twice the area on both sides; a chart's plane is at most 75 degrees off
+    assert (-area >= 0.25 * metres / 0.02**2).all()
+    assert (-area <= 1.01 * metres / 0.02**2).all()
+
+
+def test_a_field_is_reproduced(ball, room, colour_of, rng):
+    for mesh, texel in ((ball, 0.01), (room.mesh, 0.04)):
+        after = bake(mesh, colour_of, texel=texel, tolerance=0)
+        row, u, v, at = spots(after, 5000, rng)
+        off = np.abs(after.colour_at(row, u, v).astype(int) - field(at)).max(axis=1)
+        # half a texel of the steepest wave is 7 of 255; at squares' edges it is 40
+        assert np.median(off) <= 8 * texel / 0.01
+        assert np.mean(off > 12 * texel / 0.01) < 0.1
+
+
+def test_tolerance_bounds_the_error_and_saves_texels(ball, rng):
+    def waves(points, *_):
+        return (128 + 70 * np.sin(points * (12.0, 9.0, 7.0))).astype(np.uint8)
+
+    sizes = []
+    for tolerance in (0.0, 2.0, 8.0):
+        after = bake(ball, waves, texel=0.01, tolerance=tolerance)
+        row, u, v, at = spots(after, 5000, rng)
+        off = after.colour_at(row, u, v).astype(float) - waves(at)
+        # the nearest texel speaks: its error beside that of looks between texels
+        assert np.sqrt((off**2).mean()) < 3 + 3 * tolerance
+        sizes.append(sum(t.size for t in after.textures))
+    assert sizes[0] > sizes[1] > sizes[2]
+
+
+def test_a_map_of_it_renders_the_field(room, colour_of):
+    mesh = bake(room.mesh, colour_of, texel=0.02)
+    graph = room.graph
+    scene = SceneMap.create(mesh, graph.ids, graph.labels, floor=float(room.floors[0]))
+    pose = np.eye(4)
+    pose[:3, :3] = [[0, 0, 1], [-1, 0, 0], [0, -1, 0]]
+    pose[:3, 3] = *room.bounds.mean(axis=0)[:2], 1.5
+    drawn = scene.render(pose, CAMERA)
+    seen = drawn.mask
+    off = np.abs(drawn.colour[seen].astype(int) - field(drawn.points[seen].astype(float)))
+    assert seen.mean() > 0.9
+    assert np.median(off) <= 6  # JPEG, and at most 5 by coarser charts
+    assert np.mean(off.max(axis=1) > 45) < 0.05
+
+
+def test_one_colour_costs_a_few_texels_and_no_vertex(ball):
+    after = bake(ball, white)
+    assert [t.shape for t in after.textures] == [(16, 16, 3)]
+    assert len(after.vertices) == len(ball.vertices)
+    assert (middles(after) == 250).all()
+
+
+def test_one_spot_of_colour_keeps_its_surrounding_small():
+    mesh = Mesh.plain(*grid(40, 40))
+
+    def poster(points, *_):
+        on = (points[:, :2] > 0.2).all(axis=1) & (points[:, :2] < 0.6).all(axis=1)
+        noise = np.random.default_rng(0).integers(0, 255, points.shape)
+        return np.where(on[:, None], noise, 200).astype(np.uint8)
+
+    after = bake(mesh, poster, texel=0.01)  # 400 x 400 texels if all were kept
+    assert sum(t.shape[0] * t.shape[1] for t in after.textures) < 0.4 * 400 * 400
+
+
+def test_the_unseen_looks_like_its_neighbours():
+    mesh = Mesh.plain(*grid(4, 1))
+    colours = {0: (200, 10, 10), 1: (10, 10, 200)}
+
+    def half(points, *_):
+        right = points[:, 0] > 0.2
+        return np.array([colours[int(r)] for r in right], np.uint8), np.abs(
+            points[:, 0] - 0.2
+        ) > 0.1
+
+    after = bake(mesh, half, texel=0.01)
+    got = middles(after)
+    left = mesh.vertices[mesh.triangles].mean(axis=1)[:, 0] < 0.1
+    right = mesh.vertices[mesh.triangles].mean(axis=1)[:, 0] > 0.3
+    assert (np.abs(got[left].astype(int) - colours[0]) <= 6).all()
+    assert (np.abs(got[right].astype(int) - colours[1]) <= 6).all()
+    between = got[~left & ~right].astype(int)
+    assert (np.abs(between[:, 0] + between[:, 2] - 210) <= 6).all()
+
+
+def test_faces_never_seen_take_over_colours(boxes):
+    model = boxes({"box": ((0, 0, 0), (1, 1, 1)), "far": ((3, 0, 0), (4, 1, 1))})
+    mesh = Mesh.plain(model.vertices, model.triangles, model.thing_of)
+
+    def top(points, normals, _):
+        return np.full(points.shape, (90, 60, 30), np.uint8), (normals[:, 2] > 0.5) & (
+            points[:, 0] < 2
+        )
+
+    after = bake(mesh, top)
+    got = middles(after)
+    assert (got == (90, 60, 30)).all()  # also an object that nobody saw
+
+
+def test_nothing_known_at_all_is_grey(ball):
+    after = bake(ball, lambda p, *_: (np.zeros(p.shape, np.uint8), np.zeros(len(p), bool)))
+    assert {tuple(c) for t in after.textures for c in t.reshape(-1, 3)} == {(128, 128, 128)}
+
+
+def test_strange_triangles(colour_of):
+    points = np.array(
+        [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1e-7, 0, 0], [300, 0, 0], [300, 1e-4, 0], [0, 300, 0]]
+    )
+    for rows in ([[0, 1, 2]], [[0, 0, 0]], [[0, 1, 1]], [[0, 3, 2]], [[0, 4, 5]], [[0, 4, 6]]):
+        mesh = Mesh.plain(points, rows)
+        after = bake(mesh, colour_of, largest=256, texel=0.05)
+        sound(mesh, after)
+        assert max(max(t.shape) for t in after.textures) <= 256
+    empty = Mesh.plain(np.zeros((0, 3)), np.zeros((0, 3), int))
+    assert bake(empty, colour_of) is empty
+
+
+@settings(max_examples=6)
+@given(st.integers(0, 2**32), st.integers(1, 60), st.floats(0.02, 0.3))
+def test_any_soup_is_laid_flat(seed, count, texel):
+    rng = np.random.default_rng(seed)
+    points, rows = soup(count, rng)
+    mesh = Mesh.plain(points, rows, rng.integers(0, 3, count))
+    after = bake(mesh, lambda p, *_: field(p), texel=texel, largest=128, tolerance=0)
+    sound(mesh, after)
+    assert all(max(t.shape) <= 128 for t in after.textures)
+
+
+def test_a_surface_that_winds_over_itself(colour_of):
+    turn = np.linspace(0, 6 * np.pi, 160)  # a spiral stair: all normals nearly up
+    inner, outer = (
+        np.stack([r * np.cos(turn), r * np.sin(turn), 0.03 * turn], axis=1) for r in (0.3, 1.0)
+    )
+    a = np.arange(159)
+    rows = np.concatenate(
+        [np.stack([a, a + 160, a + 161], axis=1), np.stack([a, a + 161, a + 1], axis=1)]
+    )
+    mesh = Mesh.plain(np.concatenate([inner, outer]), rows)
+    area = sound(mesh, bake(mesh, colour_of, texel=0.02, tolerance=0))
+    assert (area < 0).all()
+
+
+def test_fifty_thousand_triangles(rng):
+    points, rows = grid(160, 160, 0.02)
+    points[:, 2] = rng.normal(0, 0.004, len(points))
+    mesh = Mesh.plain(points, rows)
+    after = bake(mesh, lambda p, *_: field(p), texel=0.04)
+    assert (after.vertices[after.triangles] == mesh.vertices[mesh.triangles]).all()
+    assert len(after.vertices) < 1.5 * len(mesh.vertices)
+
+
+def test_the_same_again_on_any_number_of_threads(ball, colour_of):
+    made = []
+    for threads in (1, 2):
+        with limited(threads):
+            made.append(bake(ball, colour_of))
+    assert (made[0].uv == made[1].uv).all()
+    assert all((a == b).all() for a, b in zip(made[0].textures, made[1].textures, strict=True))
+
+
+@pytest.mark.parametrize(
+    "options", [{"texel": 0}, {"texel": np.nan}, {"margin": 0}, {"largest": 10}, {"tolerance": -1}]
+)
+def test_options_out_of_range(ball, colour_of, options):
+    with pytest.raises(OptionError, match=next(iter(options))):
+        bake(ball, colour_of, **options)
+
+
+def test_colours_of_another_kind_are_refused(ball):
+    with pytest.raises(OptionError, match="colour_of returned float64"):
+        bake(ball, lambda p, *_: np.zeros(p.shape))
+
+
+@given(st.lists(st.tuples(st.integers(1, 128), st.integers(1, 128)), min_size=1, max_size=60))
+def test_rectangles_lie_on_pages_and_nowhere_twice(sizes):
+    page, places, pages = pack(np.array(sizes), 128, np.arange(len(sizes)))
+    taken = [np.zeros((h, w), int) for w, h in pages]
+    for (w, h), k, (x, y) in zip(sizes, page, places, strict=True):
+        assert x + w <= pages[k][0]
+        assert y + h <= pages[k][1]
+        taken[k][y : y + h, x : x + w] += 1
+    assert max(t.max() for t in taken) == 1
+    assert pages.max() <= 128
+    assert all(t.any() for t in taken)
+
+
+def test_many_rectangles_fill_their_page(rng):
+    sizes = rng.integers(3, 40, (2000, 2))
+    page, _, pages = pack(sizes, 2048, rng.random(2000))
+    assert len(pages) == page.max() + 1 == 1
+    assert sizes.prod(axis=1).sum() > 0.8 * pages[0].prod()
+
+
+def test_what_lies_between_is_smooth():
+    texels = np.zeros((37, 50, 3), np.uint8)
+    known = np.zeros((37, 50), bool)
+    texels[3:10, 4:9], known[3:10, 4:9] = (200, 100, 0), True
+    texels[20:30, 40:45], known[20:30, 40:45] = (100, 200, 50), True
+    out = fill_unknown(texels, known)
+    assert (out[known] == texels[known]).all()
+    assert (out.min(axis=(0, 1)) >= (100, 100, 0)).all()
+    assert (out.max(axis=(0, 1)) <= (200, 200, 50)).all()
+    assert np.abs(out[10, 4:9].astype(int) - (200, 100, 0)).max() < 20  # right beside it
+
+
+def test_a_page_of_which_nothing_is_known_is_one_colour():
+    out = fill_unknown(np.full((5, 8, 3), 9, np.uint8), np.zeros((5, 8), bool))
+    assert len(np.unique(out.reshape(-1, 3), axis=0)) == 1
+
+
+PHONE = Camera(120, 90, 100.0, 100.0, 60.0, 45.0)
+DOWN = np.array([[1.0, 0, 0], [0, -1.0, 0], [0, 0, -1.0]])
+"""Rotation map_from_camera of a camera that looks straight down."""
+
+
+def above(x, y, height=1.5):
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = DOWN, (x, y, height)
+    return pose
+
+
+def photograph(mesh, field, pose, camera=PHONE, *, gain=1.0, depth=True, blurred=False):
+    """Frame of a mesh painted by `field`, taken from a pose, by ray casting."""
+    v, u = np.mgrid[: camera.height, : camera.width] + 0.5
+    rays = camera.directions(np.stack([u, v], axis=-1)).reshape(-1, 3)
+    along = rays @ pose[:3, :3].T
+    far = RayCaster(mesh.vertices, mesh.triangles).cast(pose[:3, 3], along).distance.astype(float)
+    hit = np.isfinite(far)
+    colours = np.zeros((len(rays), 3))
+    colours[hit] = field(pose[:3, 3] + far[hit, None] * along[hit])
+    image = np.clip(np.rint(colours * gain), 0, 255).reshape(camera.height, camera.width, 3)
+    if blurred:
+        image = np.mean([np.roll(image, s, axis=1) for s in range(-4, 5)], axis=0)
+    metres = far.reshape(camera.height, camera.width) if depth else None
+    return Frame.from_arrays(image.astype(np.uint8), camera, depth=metres, odometry=pose)
+
+
+def soft(points):
+    """Colours from 40 to 140, so that a longer exposure does not saturate."""
+    return 90 + 50 * np.sin(points * (7.0, 8.0, 9.0) + (0, 1, 2))
+
+
+@pytest.fixture
+def floor():
+    points, rows = grid(20, 20)  # 2 x 2 m
+    return Mesh.plain(points, rows)
+
+
+def asked(colour_of, points, normal=(0.0, 0.0, 1.0)):
+    points = np.asarray(points, float)
+    normals = np.repeat([normal], len(points), axis=0)
+    return colour_of(points, normals, np.zeros(len(points), np.int64))
+
+
+def inner(rng, count=300, low=0.4, high=1.6):
+    return np.column_stack([rng.uniform(low, high, (count, 2)), np.zeros(count)])
+
+
+POSES = np.array([above(x, y) for x in (0.6, 1.0, 1.4) for y in (0.6, 1.0, 1.4)])
+
+
+@pytest.mark.parametrize("depth", [True, False])
+def test_a_floor_photographed_from_above(floor, rng, depth):
+    frames = [photograph(floor, soft, p, depth=depth) for p in POSES]
+    colour_of = frame_colours(frames, POSES, floor.vertices, floor.triangles, texel=0.01)
+    points, rise = inner(rng), np.array([0, 0, 1.0])
+    colours, known = asked(colour_of, points)
+    assert known.all()
+    assert np.abs(colours - soft(points)).max() < 6
+    assert not asked(colour_of, points, (0.0, 0.0, -1.0))[1].any()  # nobody saw it from below
+    assert not asked(colour_of, points + rise)[1].any()  # all look right through it
+    assert not asked(colour_of, points - rise)[1].any()  # the floor stands before it
+
+
+def test_exposures_are_evened_out(floor, rng):
+    gains = np.array([0.6, 1.0, 1.5, 0.8, 1.2, 1.0, 0.7, 1.4, 1.0])
+    frames = [photograph(floor, soft, p, gain=g) for p, g in zip(POSES, gains, strict=True)]
+    colour_of = frame_colours(frames, POSES, floor.vertices, floor.triangles)
+    points = inner(rng)
+    ratio = asked(colour_of, points)[0] / soft(points)
+    # one exposure for all; which one, nobody can say
+    assert np.abs(ratio / np.median(ratio, axis=0) - 1).max() < 0.08
+    assert 0.85 < np.median(ratio) < 1.15
+
+
+def test_what_stands_in_front_is_not_painted_on_what_lies_behind(floor, boxes, rng):
+    model = boxes({"box": ((0.8, 0.8, 0.3), (1.2, 1.2, 0.5))})
+    count = len(floor.vertices)
+    both = Mesh.plain(
+        np.concatenate([floor.vertices, model.vertices]),
+        np.concatenate([floor.triangles, model.triangles + count]),
+    )
+
+    def field(points):
+        return np.where(points[:, 2:] > 0.1, (250, 0, 0), soft(points))
+
+    for mesh, depth in ((both, False), (floor, True)):  # by the mesh alone, and by depth alone
+        frames = [photograph(both, field, p, depth=depth) for p in POSES]
+        colour_of = frame_colours(frames, POSES, mesh.vertices, mesh.triangles)
+        colours, known = asked(colour_of, inner(rng, 2000))
+        assert 0.8 < known.mean() <= 1.0
+        assert np.mean(colours[known][:, 1] < 20) < 0.01
+
+
+def test_one_wrong_view_is_outvoted(floor, rng):
+    frames = [photograph(floor, soft, p) for p in POSES]
+    hand = np.array(frames[4].rgb())
+    hand[30:60, 40:80] = (255, 0, 255)
+    frames[4] = Frame.from_arrays(hand, PHONE, depth=frames[4].depth(), odometry=POSES[4])
+    colour_of = frame_colours(frames, POSES, floor.vertices, floor.triangles)
+    points = inner(rng, low=0.8, high=1.2)
+    off = np.abs(asked(colour_of, points)[0] - soft(points)).max(axis=1)
+    assert np.mean(off > 20) < 0.02
+
+
+def test_of_one_place_the_sharpest_frame_is_kept(floor, rng):
+    near = np.array([above(1.0 + s, 1.0) for s in (0.0, 0.01, 0.02)])
+    frames = [photograph(floor, field, p, blurred=i != 1) for i, p in enumerate(near)]
+    assert np.argmax([measure_sharpness(f.rgb()) for f in frames]) == 1
+    assert group_keyframes(near, 10) == [[0, 1, 2]]
+    colour_of = frame_colours(frames, near, floor.vertices, floor.triangles)
+    alone = frame_colours(frames[1:2], near[1:2], floor.vertices, floor.triangles)
+    points = inner(rng, low=0.8, high=1.2)
+    assert (asked(colour_of, points)[0] == asked(alone, points)[0]).all()
+
+
+def test_keyframes_are_few_enough_and_in_order():
+    walk = np.array([above(0.2 * i, 0.0) for i in range(100)])
+    assert [g[0] for g in group_keyframes(walk, 100)] == list(range(100))
+    for most in (1, 7, 30):
+        groups = group_keyframes(walk, most)
+        assert 0 < len(groups) <= most
+        rows = list(itertools.chain(*groups))
+        assert rows == sorted(rows)
+    turning = np.repeat(np.eye(4)[None], 12, axis=0)
+    for i, pose in enumerate(turning):
+        angle = np.radians(30 * i)
+        pose[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    assert len(group_keyframes(turning, 100)) == 12
+    assert len(group_keyframes(walk * np.array([1e7, 1, 1, 1])[:, None] ** [0, 0, 0, 1], 3)) == 3
+
+
+def test_lenses_and_sizes(floor, rng):
+    bent = replace(PHONE, distortion=(-0.2, 0.05, 0.001, -0.001))
+    large = Camera(1200, 900, 1000.0, 1000.0, 600.0, 450.0)
+    frames = [photograph(floor, soft, p, (bent, large)[i % 2]) for i, p in enumerate(POSES[2:6])]
+    colour_of = frame_colours(frames, POSES[2:6], floor.vertices, floor.triangles, texel=0.02)
+    points = inner(rng, low=0.8, high=1.2)
+    colours, known = asked(colour_of, points)
+    assert known.all()
+    assert np.abs(colours - soft(points)).max() < 8
+
+
+def test_a_rendered_walk_gives_the_room_back(room, walk, truth, rng):
+    told = []
+    mesh = room.mesh
+    colour_of = frame_colours(
+        list(walk), truth(walk), mesh.vertices, mesh.triangles, progress=lambda *n: told.append(n)
+    )
+    assert told[-1] == (len(walk), len(walk))
+    row, u, v, at = spots(mesh, 5000, rng)
+    colours, known = colour_of(at, room.normals[row].astype(float), row.astype(np.int64))
+    assert known.mean() > 0.05  # of all faces, those inside furniture included
+    want = mesh.colour_at(row, u, v)[known].astype(float)
+    for channel in range(3):  # the walk has light of its own
+        assert np.corrcoef(colours[known, channel], want[:, channel])[0, 1] > 0.65
+
+
+@pytest.mark.parametrize(
+    ("options", "word"), [({"texel": 0}, "texel"), ({"views": 0}, "views"), ({}, "poses")]
+)
+def test_what_is_refused(floor, options, word):
+    poses = POSES[:1] if options else POSES[:2]
+    frames = [photograph(floor, soft, POSES[0])]
+    with pytest.raises(OptionError, match=word):
+        frame_colours(frames, poses, floor.vertices, floor.triangles, **options)
+    with pytest.raises(OptionError, match="poses"):
+        frame_colours([], np.zeros((0, 4, 4)), floor.vertices, floor.triangles)
+
+
+UPWARD, DOWNWARD = np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 0.0, -1.0]])
+NONE = np.zeros(1, np.int64)
+
+
+def surface_colours(vertices, triangles, colours, **options):
+    return mesh_colours(Mesh.plain(vertices, triangles, colours=colours), **options)
+
+
+def waves(points):
+    return (128 + 90 * np.sin(points * (8.0, 7.0, 6.0))).astype(np.uint8)
+
+
+def test_few_triangles_carry_the_colours_of_many(rng):
+    dense, rows = sphere(5)
+    colour_of = surface_colours(dense, rows, waves(dense))
+    few = Mesh.plain(*sphere(3))
+    after = bake(few, colour_of, texel=0.01, tolerance=2)
+    row, u, v, at = spots(after, 4000, rng)
+    on = at / np.linalg.norm(at, axis=1, keepdims=True)  # up to 1 cm away
+    off = np.abs(after.colour_at(row, u, v).astype(int) - waves(on)).max(axis=1)
+    assert np.median(off) <= 5
+    assert off.max() < 25
+    corners = Mesh.plain(few.vertices, few.triangles, None, waves(few.vertices))
+    worse = np.abs(corners.colour_at(row, u, v).astype(int) - waves(on)).max(axis=1)
+    assert np.median(worse) > 2 * np.median(off)
+
+
+def test_a_sheet_has_two_sides():
+    points, rows = grid(4, 4)
+    below = points - (0, 0, 0.01)
+    colours = np.repeat([[200, 0, 0], [0, 0, 200]], len(points), axis=0)
+    colour_of = surface_colours(
+        np.concatenate([points, below]),
+        np.concatenate([rows, rows[:, ::-1] + len(points)]),
+        colours,
+    )
+    for height in (0.02, 0.0, -0.002, -0.008, -0.01, -0.03):
+        at = np.array([[0.21, 0.13, height]])
+        assert colour_of(at, UPWARD, NONE)[0].tolist() == [[200, 0, 0]]
+        assert colour_of(at, DOWNWARD, NONE)[0].tolist() == [[0, 0, 200]]
+
+
+def test_beside_the_surface_the_nearest_corner_speaks_and_far_away_nobody():
+    points, rows = grid(4, 4)
+    colours = np.full(points.shape, 50, np.uint8)
+    colours[0] = 90  # at the origin
+    colour_of = surface_colours(points, rows, colours, reach=0.1)
+    at = np.array([[-0.05, -0.05, 0.0], [-0.05, 0.31, 0.05], [-0.3, 0.0, 0.0], [0.2, 0.2, 0.5]])
+    got, known = colour_of(at, UPWARD.repeat(4, axis=0), NONE.repeat(4))
+    assert known.tolist() == [True, True, False, False]
+    assert got[:2].tolist() == [[90] * 3, [50] * 3]
+
+
+def test_textures_are_carried_over(room, rng):
+    colour_of = mesh_colours(room.mesh, texel=0.02)
+    after = bake(room.mesh, colour_of, texel=0.02)
+    row, u, v, _ = spots(room.mesh, 5000, rng)
+    off = np.abs(after.colour_at(row, u, v).astype(int) - room.mesh.colour_at(row, u, v))
+    assert np.median(off.max(axis=1)) <= 8
+    assert np.mean(off.max(axis=1) > 60) < 0.05
+
+
+def test_options(room):
+    with pytest.raises(OptionError, match="reach is 0"):
+        mesh_colours(room.mesh, reach=0)
+    with pytest.raises(OptionError, match="triangle"):
+        surface_colours(np.zeros((0, 3)), np.zeros((0, 3), int), np.zeros((0, 3), np.uint8))
