@@ -331,9 +331,9 @@ def _exported_map(path: Path, places: DrawnPlaces) -> None:
 
 
 def _gltf(folder: Path, _places: DrawnPlaces) -> None:
-    module = writer("formats.mesh.test_gltf")
+    module = writer("io.mesh.test_gltf")
     folder.mkdir()
-    glb = writer("formats.conftest").Glb(folder / "a.glb")
+    glb = writer("io.conftest").Glb(folder / "a.glb")
     module.filled(glb)
     module.as_text(glb, "a.bin")
     shutil.rmtree(folder / "parts")
@@ -342,11 +342,11 @@ def _gltf(folder: Path, _places: DrawnPlaces) -> None:
 
 
 def _textured(path: Path, _places: DrawnPlaces) -> None:
-    writer("formats.mesh.test_gltf").filled(writer("formats.conftest").Glb(path))
+    writer("io.mesh.test_gltf").filled(writer("io.conftest").Glb(path))
 
 
 def _obj(folder: Path, _places: DrawnPlaces) -> None:
-    module = writer("formats.mesh.test_obj")
+    module = writer("io.mesh.test_obj")
     (folder / "textures").mkdir(parents=True)
     (folder / "textures/wood grain.png").write_bytes(module.png())
     (folder / "room.mtl").write_text(module.MATERIALS)
@@ -355,7 +355,7 @@ def _obj(folder: Path, _places: DrawnPlaces) -> None:
 
 def _ply(form: str) -> DrawMap:
     def draw(path: Path, _places: DrawnPlaces) -> None:
-        module = writer("formats.mesh.test_ply")
+        module = writer("io.mesh.test_ply")
         points = [(x, y, 0.1 * (x + y)) for x in range(4) for y in range(4)]
         rows = [[4 * x + y, 4 * x + 4 + y, 4 * x + 5 + y] for x in range(3) for y in range(3)]
         colour = {c: ("uchar", [90] * 16) for c in ("red", "green", "blue")}
