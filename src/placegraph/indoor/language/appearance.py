@@ -1,4 +1,9 @@
-"""Colours, materials, sizes and shapes: words for them, and how well objects fit the words."""
+"""Colours, materials, sizes and shapes: words for them, and how well objects fit the words.
+
+Points on an object's triangles, spread evenly over their area, are named by the nearest colours that
+`looks.toml` shows, in CIE L*a*b*. A map says them of its objects as an attribute, "brown 7 beige 3" in
+tenths, so that libraries know them without a mesh.
+"""
 
 from __future__ import annotations
 
@@ -17,24 +22,70 @@ from placegraph.indoor.map.floor import is_floor, label_words
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.map.textures import linear_from_srgb
 
+Floats = NDArray[np.float64]
+Table = NDArray[np.floating]
+
 COLOURS = (
     "red", "orange", "yellow", "green", "blue", "purple", "pink", "brown", "beige", "white", "grey",
     "black",
 )  # fmt: skip
 """The basic colours, in the order of all columns of them."""
+MATERIALS = ("wooden", "metal", "stone", "ceramic", "leather", "fabric", "plastic", "glass",
+             "wicker", "cardboard")  # fmt: skip
+SHAPES = ("round", "angular", "l shaped")
+PLACES = ("corner", "middle", "wall", "row")
+COLUMNS = (
+    *COLOURS, *MATERIALS, *SHAPES, "patterned", *PLACES, "longest", "height", "volume",
+)  # fmt: skip
+"""What is known of an object, NaN where nobody knows; the last three are logarithms [m], [m3]."""
+AT = {name: i for i, name in enumerate(COLUMNS)}
+KEY = "colours"
+"""Attribute of an object's colours."""
+POINTS = 64
+"""Points on each object."""
+MISNAMED = {"colours": 0.25, "places": 0.4}
+"""Share of words of a class that are wrong, or a matter of taste;"""
+TASTE = 0.6
+"""of all others."""
 _LONGEST = 3  # words of an attribute
+_SOFT = 9.0
+"""Difference of colours (CIE76) at which a name is given up for the next."""
+_LEAST = 0.08
+"""A colour that covers less is not spoken of."""
+_XYZ = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
+_D65 = np.array([0.9505, 1.0, 1.089])
+_NAMED_LOOKS = {"materials": MATERIALS, "shapes": SHAPES, "patterns": ("patterned",)}
+_ATTRIBUTES = ("material", "shape", "texture")
+"""3DSSG's names of attributes that say so; "color" is read by `from_words`."""
+_NEAR = 0.6  # of a wall [m], so softly
+_ALIGNED = 0.25  # things in a row are off it by less [m]
+_SMALLEST = 0.02  # [m]
+_LIGHT = np.array([0.35, 0.5, 0.7, 0.4, 0.35, 0.35, 0.65, 0.25, 0.85, 1.0, 0.5, 0.0])
+"""How light the basic colours are."""
+_OF_ROOMS = {
+    "large": ("volume", 1.0), "small": ("volume", -1.0), "long": ("longest", 1.0),
+    "narrow": ("longest", 1.0), "empty": ("height", 1.0), "full": ("height", -1.0),
+}  # fmt: skip
+"""Column of `room_seen` and its sign, where words are of rooms."""
+_FAINT = 0.02
+_MEASURED = {"tall": "height", "low": "height", "long": "longest", "short": "longest"}
+_STEEP = 2.5  # of sizes: e-fold of what is usual
+_KNOWN = 2.0  # things by which what is usual of all things is outweighed
+
+
+# words
 
 
 @dataclass(frozen=True, slots=True)
 class Looks:
-    """What words say of looks."""
+    """Words for looks."""
 
     shown: Mapping[str, Sequence[str]]
     """sRGB codes of each basic colour."""
-    alike: NDArray[np.float64]
+    alike: Floats
     """(12, 12) how readily a colour (row) is called by the name of another (column)."""
     material_colours: Mapping[str, Sequence[str]]
-    """By which colours a material is known."""
+    """Colours by which a material is known."""
     classes: Mapping[str, Mapping[str, tuple[str, ...]]]
     """Of each class ("colours", "sizes" ...) the entries that a word stands under."""
 
@@ -44,7 +95,7 @@ class Looks:
         return self.classes["colours"]
 
     def said(self, words: Iterable[str]) -> dict[str, tuple[str, ...]]:
-        """Entries that words stand under, by class; two colours of one thing are both its colours."""
+        """Return the entries that words stand under, by class; two colours of one thing are both its."""
         out: dict[str, tuple[str, ...]] = {}
         for word in words:
             for name, entries in self.classes.items():
@@ -55,20 +106,19 @@ class Looks:
 
 @cache
 def looks() -> Looks:
-    """The words that placegraph knows."""
+    """Read the words for looks that placegraph knows, from looks.toml."""
     table = tomllib.loads(files(__package__).joinpath("data", "looks.toml").read_text("utf-8"))
-    classes: dict[str, dict[str, tuple[str, ...]]] = {}
-    for name, entries in table.items():
-        known: dict[str, tuple[str, ...]] = classes.setdefault(name, {})
-        for entry, value in entries.items() if name != "alike" else ():
-            for word in value["words"] if isinstance(value, dict) else value:
-                known[word] = (*known.get(word, ()), entry)
     alike = np.eye(len(COLOURS))
-    for one, others in table["alike"].items():
+    for one, others in table.pop("alike").items():
         for other, share in others.items():
             i, j = COLOURS.index(one), COLOURS.index(other)
             alike[i, j] = alike[j, i] = share
-    del classes["alike"]
+    classes: dict[str, dict[str, tuple[str, ...]]] = {}
+    for name, entries in table.items():
+        known: dict[str, tuple[str, ...]] = classes.setdefault(name, {})
+        for entry, value in entries.items():
+            for word in value["words"] if isinstance(value, dict) else value:
+                known[word] = (*known.get(word, ()), entry)
     return Looks(
         shown={name: table["colours"][name]["shown"] for name in COLOURS},
         alike=alike,
@@ -79,29 +129,22 @@ def looks() -> Looks:
 
 @cache
 def _words() -> frozenset[str]:
-    return frozenset(
-        w for kind, known in looks().classes.items() if kind != "places" for w in known
-    )
+    classes = [known for kind, known in looks().classes.items() if kind != "places"]
+    return frozenset(word for known in classes for word in known)
 
 
 def is_look(words: str) -> bool:
-    """Whether words only say what a thing looks like."""
+    """Tell whether words only say what a thing looks like."""
     return words in _words()
 
 
 def leading(words: Sequence[str]) -> tuple[tuple[str, ...], int]:
-    """Attributes that words begin with, and how many words they take; the last word is a thing."""
+    """Return attributes that words begin with, and how many words they take; the last word is a thing."""
     found: list[str] = []
     at = 0
     while at < len(words) - 1:
-        length = next(
-            (
-                n
-                for n in range(min(_LONGEST, len(words) - 1 - at), 0, -1)
-                if is_look(" ".join(words[at : at + n]))
-            ),
-            0,
-        )
+        lengths = range(min(_LONGEST, len(words) - 1 - at), 0, -1)
+        length = next((n for n in lengths if is_look(" ".join(words[at : at + n]))), 0)
         if not length:
             break
         found.append(" ".join(words[at : at + length]))
@@ -110,7 +153,7 @@ def leading(words: Sequence[str]) -> tuple[tuple[str, ...], int]:
 
 
 def trailing(words: Sequence[str]) -> tuple[tuple[str, ...], int]:
-    """Colours that words end in ("sideboard pale green"), and how many words stand before them."""
+    """Return colours that words end in ("sideboard pale green"), and how many words stand before."""
     end = len(words)
     while end > 1 and words[end - 1] in looks().colours:
         end -= 1
@@ -121,34 +164,22 @@ def trailing(words: Sequence[str]) -> tuple[tuple[str, ...], int]:
     return tuple(words[end:]), end
 
 
-Floats = NDArray[np.float64]
-
-
-KEY = "colours"
-"""The attribute."""
-POINTS = 64
-"""On each object."""
-_SOFT = 9.0
-"""Difference of colours (CIE76) at which a name is given up for the next."""
-_LEAST = 0.08
-"""A colour that covers less is not spoken of."""
-_XYZ = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
-_D65 = np.array([0.9505, 1.0, 1.089])
+# colours of a map's objects
 
 
 def with_colours(scene: Scene) -> tuple[dict[str, str], ...]:
-    """Attributes (N,) of a map's objects, with their colours where its surfaces have some."""
+    """Return attributes (N,) of a map's objects, with their colours where its surfaces have some."""
     if not scene.coloured:
         return scene.attributes
     shares = scene.derived("colours", colours_of)
     return tuple(
-        {**own, KEY: said} if (said := in_words(share)) and KEY not in own else own
+        {**own, KEY: words} if (words := in_words(share)) and KEY not in own else own
         for own, share in zip(scene.attributes, shares, strict=True)
     )
 
 
 def colours_of(scene: Scene) -> Floats:
-    """Shares (N, 12) of the basic colours on the surface of each object."""
+    """Return shares (N, 12) of the basic colours on the surface of each object."""
     mesh = scene.mesh
     areas = np.linalg.norm(mesh.normals(), axis=1) + 1e-12
     order = np.argsort(mesh.object_of, kind="stable")
@@ -168,7 +199,7 @@ def colours_of(scene: Scene) -> Floats:
 
 
 def named(colours: NDArray[np.uint8]) -> Floats:
-    """How readily (n, 12) colours (n, 3) uint8 sRGB are called by each basic name; rows sum to 1."""
+    """Return how readily (n, 12) colours (n, 3) uint8 sRGB are called by each basic name; rows sum to 1."""
     shown, names = _shown()
     distance = np.linalg.norm(_lab(colours)[:, None] - shown, axis=2)
     nearest = np.stack([distance[:, names == i].min(axis=1) for i in range(len(COLOURS))], axis=1)
@@ -178,13 +209,14 @@ def named(colours: NDArray[np.uint8]) -> Floats:
 
 @cache
 def _shown() -> tuple[Floats, NDArray[np.int64]]:
+    """Return L*a*b* (n, 3) of the colours that looks.toml shows, and the basic colour (n,) of each."""
     entries = [(i, code) for i, name in enumerate(COLOURS) for code in looks().shown[name]]
     rgb = np.array([list(bytes.fromhex(code[1:])) for _, code in entries], np.uint8)
     return _lab(rgb), np.array([i for i, _ in entries])
 
 
 def _lab(colours: NDArray[np.uint8]) -> Floats:
-    """CIE L*a*b* (n, 3) of colours (n, 3) uint8 sRGB, under D65."""
+    """Return CIE L*a*b* (n, 3) of colours (n, 3) uint8 sRGB, under D65."""
     xyz = linear_from_srgb(colours / 255.0) @ _XYZ.T / _D65
     f = np.where(xyz > 0.008856, np.cbrt(xyz), 7.787 * xyz + 16.0 / 116.0)
     x, y, z = f.T
@@ -192,13 +224,13 @@ def _lab(colours: NDArray[np.uint8]) -> Floats:
 
 
 def in_words(share: Floats) -> str:
-    """Shares (12,) as "brown 7 beige 3", the largest first."""
+    """Write shares (12,) as "brown 7 beige 3", the largest first."""
     order = [i for i in np.argsort(-share, kind="stable").tolist() if share[i] >= _LEAST]
-    return " ".join(f"{COLOURS[i]} {max(round(10 * share[i]), 1)}" for i in order)
+    return " ".join([f"{COLOURS[i]} {max(round(10 * share[i]), 1)}" for i in order])
 
 
 def from_words(attributes: Mapping[str, str]) -> Floats:
-    """Shares (12,) that attributes say: what `in_words` wrote, or words of people ("white, grey").
+    """Read shares (12,) from attributes: what `in_words` wrote, or words of people ("white, grey").
 
     NaN where they say none.
     """
@@ -213,63 +245,44 @@ def from_words(attributes: Mapping[str, str]) -> Floats:
     return out / out.sum() if out.any() else np.full(len(COLOURS), np.nan)
 
 
-MATERIALS = ("wooden", "metal", "stone", "ceramic", "leather", "fabric", "plastic", "glass",
-             "wicker", "cardboard")  # fmt: skip
-SHAPES = ("round", "angular", "l shaped")
-PLACES = ("corner", "middle", "wall", "row")
-COLUMNS = (
-    *COLOURS, *MATERIALS, *SHAPES, "patterned", *PLACES, "longest", "height", "volume",
-)  # fmt: skip
-"""What is known of an object, NaN where nobody knows; the last three are logarithms [m], [m3]."""
-AT = {name: i for i, name in enumerate(COLUMNS)}
-_TOLD = {"materials": MATERIALS, "shapes": SHAPES, "patterns": ("patterned",)}
-_SAID = ("material", "shape", "texture")
-"""3DSSG's names of attributes that say so; "color" is read by `colours`."""
-_NEAR = 0.6  # of a wall [m], so softly
-_ALIGNED = 0.25  # things in a row are off it by less [m]
-_SMALLEST = 0.02  # [m]
+# looks of objects, as columns that words are held to
 
 
 def seen(
     graph: SceneGraph, rows: Sequence[int], attributes: Sequence[Mapping[str, str]] = ()
 ) -> Floats:
-    """Looks (n, C) of the objects in `rows`, which stand in one room; C `COLUMNS`."""
+    """Return looks (n, C) of the objects in `rows`, which stand in one room; C `COLUMNS`."""
     out = np.full((len(rows), len(COLUMNS)), np.nan)
     for i, row in enumerate(rows):
         own = attributes[row] if attributes else {}
         out[i, : len(COLOURS)] = from_words(own)
-        _told(out[i], graph.labels[row], own)
+        said = _read_looks(graph.labels[row], *[own.get(key, "") for key in _ATTRIBUTES])
+        for kind, names in _NAMED_LOOKS.items():
+            if kind in said:
+                out[i, [AT[name] for name in names]] = 0.0
+                out[i, [AT[name] for name in said[kind]]] = 1.0
+        if "colours" in said and np.isnan(out[i, 0]):
+            out[i, : len(COLOURS)] = 0.0
+            out[i, [AT[name] for name in said["colours"]]] = 1.0 / len(said["colours"])
     if graph.extents is not None and graph.positions.shape[1] == 3 and graph.extents.any():
         at, size = graph.positions[rows], np.maximum(graph.extents[rows], _SMALLEST)
         out[:, AT["longest"]] = np.log(size[:, :2].max(axis=1, initial=_SMALLEST))
         out[:, AT["height"]] = np.log(size[:, 2])
         out[:, AT["volume"]] = np.log(size).sum(axis=1)
         labels = [graph.labels[row] for row in rows]
-        out[:, [AT[p] for p in PLACES]] = _placed(at, size, labels)
+        out[:, [AT[p] for p in PLACES]] = _places(at, size, labels)
     return out
 
 
-def _told(looks_: Floats, label: str, attributes: Mapping[str, str]) -> None:
-    """Fill in what the label and the attributes of an object say in words."""
-    said = _says(label, *[attributes.get(key, "") for key in _SAID])
-    for kind, names in _TOLD.items():
-        if kind in said:
-            looks_[[AT[name] for name in names]] = 0.0
-            looks_[[AT[name] for name in said[kind]]] = 1.0
-    if "colours" in said and np.isnan(looks_[0]):
-        looks_[: len(COLOURS)] = 0.0
-        looks_[[AT[name] for name in said["colours"]]] = 1.0 / len(said["colours"])
-
-
 @lru_cache(maxsize=20_000)
-def _says(label: str, *attributes: str) -> dict[str, tuple[str, ...]]:
-    """What a label, and values of attributes ("wooden, metal"), say of looks."""
+def _read_looks(label: str, *attributes: str) -> dict[str, tuple[str, ...]]:
+    """Return what a label, and values of attributes ("wooden, metal"), say of looks."""
     values = [value.strip() for text in attributes for value in text.lower().split(",")]
     return looks().said([*label_words(label), *values])
 
 
-def _placed(at: Floats, size: Floats, labels: Sequence[str]) -> Floats:
-    """How well (n, 4) objects stand in a corner, in the middle, against a wall, and in a row."""
+def _places(at: Floats, size: Floats, labels: Sequence[str]) -> Floats:
+    """Return how well (n, 4) objects stand in a corner, in the middle, against a wall, and in a row."""
     low, high = at - size / 2, at + size / 2
     floors = [i for i, label in enumerate(labels) if is_floor(label)]
     inside = floors or list(range(len(labels)))
@@ -279,77 +292,54 @@ def _placed(at: Floats, size: Floats, labels: Sequence[str]) -> Floats:
     half = np.maximum((end - begin) / 2, 0.5)
     off = np.abs(at[:, :2] - (begin + end) / 2) / half
     middle = np.exp(-np.square(off / 0.4).sum(axis=1))
-    return np.stack([near.prod(axis=1), middle, near.max(axis=1), _rows(at, size, labels)], axis=1)
-
-
-def _rows(at: Floats, size: Floats, labels: Sequence[str]) -> Floats:
-    """Whether (n,) an object stands beside others of its label, along a line."""
-    out = np.zeros(len(labels))
+    rows = np.zeros(len(labels))  # beside others of the label, along a line
     for label, count in Counter(labels).items():
         if count == 1:
             continue
         own = np.array([i for i, x in enumerate(labels) if x == label])
         off = np.abs(at[own, None] - at[own])
         apart = off[:, :, :2]
-        near = apart.max(axis=2) < 2.0 * size[own, None, :2].max(axis=2) + 0.5
-        row = (apart.min(axis=2) < _ALIGNED) & near & (off[:, :, 2] < _ALIGNED)
-        out[own] = np.minimum(row.sum(axis=1) - 1, 2) / 2
-    return out
+        close = apart.max(axis=2) < 2.0 * size[own, None, :2].max(axis=2) + 0.5
+        row = (apart.min(axis=2) < _ALIGNED) & close & (off[:, :, 2] < _ALIGNED)
+        rows[own] = np.minimum(row.sum(axis=1) - 1, 2) / 2
+    return np.stack([near.prod(axis=1), middle, near.max(axis=1), rows], axis=1)
 
 
 def room_seen(graph: SceneGraph, rows: Sequence[int]) -> Floats:
-    """Looks (C,) of a room that holds these objects: its size, and nothing else."""
+    """Return looks (C,) of a room that holds these objects: its size, and nothing else."""
     out = np.full(len(COLUMNS), np.nan)
-    if graph.extents is None or graph.positions.shape[1] != 3 or not len(rows):
+    extents, positions = graph.extents, graph.positions
+    if extents is None or not extents.any() or positions.shape[1] != 3 or not len(rows):
         return out
-    half = graph.extents[rows] / 2
-    low = (graph.positions[rows] - half).min(axis=0)
-    sides = np.maximum((graph.positions[rows] + half).max(axis=0) - low, _SMALLEST)
-    if not graph.extents.any():
-        return out
+    half = extents[rows] / 2
+    low = (positions[rows] - half).min(axis=0)
+    sides = np.maximum((positions[rows] + half).max(axis=0) - low, _SMALLEST)
     out[AT["longest"]] = np.log(sides[:2].max() / sides[:2].min())  # how long for its width
     out[AT["volume"]] = np.log(sides[:2]).sum()
     out[AT["height"]] = -np.log(len(rows))  # how empty
     return out
 
 
-Columns = NDArray[np.floating]
+# fit of looks to words, as a ratio to what is usual
 
 
-MISNAMED = {"colours": 0.25, "places": 0.4}
-"""Share of words of a class that are wrong, or a matter of taste;"""
-TASTE = 0.6
-"""of all others."""
-_LIGHT = np.array([0.35, 0.5, 0.7, 0.4, 0.35, 0.35, 0.65, 0.25, 0.85, 1.0, 0.5, 0.0])
-"""How light the basic colours are."""
-_OF_ROOMS = {
-    "large": ("volume", 1.0), "small": ("volume", -1.0), "long": ("longest", 1.0),
-    "narrow": ("longest", 1.0), "empty": ("height", 1.0), "full": ("height", -1.0),
-}  # fmt: skip
-"""What `seen.room_seen` says where words are of rooms."""
-_FAINT = 0.02
-_MEASURED = {"tall": "height", "low": "height", "long": "longest", "short": "longest"}
-_STEEP = 2.5  # of sizes: e-fold of what is usual
-_KNOWN = 2.0  # things by which what is usual of all things is outweighed
-
-
-def ratios(words: Iterable[str], seen: Columns, usual: Columns, like: Floats) -> Floats:
-    """How much better (n,) than usual things look as words say.
+def ratios(words: Iterable[str], found: Table, usual: Table, like: Floats) -> Floats:
+    """Return how much better (n,) than usual things look as words say.
 
     Parameters
     ----------
     words
         Attributes of one thing: "dark", "blue", "in the corner".
-    seen
-        (n, C) looks of the things (`seen.COLUMNS`).
+    found
+        (n, C) looks of the things (`COLUMNS`).
     usual, like
         (m, C) looks of all that is known, and (m,) how well each is the thing that is spoken of:
         what is usual is usual of these.
 
     """
-    out = np.ones(len(seen))
+    out = np.ones(len(found))
     for kind, entries in looks().said(words).items():
-        fit = _fit(kind, entries, seen, usual, like)
+        fit = _fit(kind, entries, found, usual, like)
         every = None if fit is None else _fit(kind, entries, usual, usual, like)
         if fit is None or every is None or np.isnan(every).all():
             continue
@@ -358,14 +348,14 @@ def ratios(words: Iterable[str], seen: Columns, usual: Columns, like: Floats) ->
             like[known].sum() + _KNOWN
         )
         wrong = MISNAMED.get(kind, TASTE)
-        told = (1.0 - wrong) * fit / max(mean, _FAINT) + wrong
-        out *= np.where(np.isnan(fit), 1.0, told)
+        ratio = (1.0 - wrong) * fit / max(mean, _FAINT) + wrong
+        out *= np.where(np.isnan(fit), 1.0, ratio)
     return out
 
 
-def room_ratios(words: Iterable[str], seen: Columns, usual: Columns) -> Floats:
-    """How much better (n,) than usual rooms (m, C) the rooms (n, C) fit words for their size."""
-    out = np.ones(len(seen))
+def room_ratios(words: Iterable[str], found: Table, usual: Table) -> Floats:
+    """Return how much better (n,) than usual rooms (m, C) the rooms (n, C) fit words for their size."""
+    out = np.ones(len(found))
     for entries in looks().said(words).values():
         for entry in dict.fromkeys(entries):
             if entry not in _OF_ROOMS:
@@ -377,62 +367,55 @@ def room_ratios(words: Iterable[str], seen: Columns, usual: Columns) -> Floats:
                 continue
             fit, mean = (
                 1.0 / (1.0 + np.exp(-sign * _STEEP * (x - known.mean())))
-                for x in (seen[:, AT[column]], known)
+                for x in (found[:, AT[column]], known)
             )
-            told = (1.0 - TASTE) * fit / mean.mean() + TASTE
-            out *= np.where(np.isnan(fit), 1.0, told)
+            ratio = (1.0 - TASTE) * fit / mean.mean() + TASTE
+            out *= np.where(np.isnan(fit), 1.0, ratio)
     return out
 
 
 def _fit(
-    kind: str, entries: tuple[str, ...], seen: Columns, usual: Columns, like: Floats
+    kind: str, entries: tuple[str, ...], found: Table, usual: Table, like: Floats
 ) -> Floats | None:
-    """How well (n,) looks are what entries of a class say; NaN where nobody knows."""
+    """Return how well (n,) looks are what entries of a class say; NaN where nobody knows."""
     match kind:
         case "colours":
-            return _coloured(entries, seen)
+            return _fit_colours(entries, found)
         case "shades":
-            light = seen[:, : len(COLOURS)] @ _LIGHT
+            light = found[:, : len(COLOURS)] @ _LIGHT
             return light if "light" in entries else 1.0 - light
-        case "materials":
-            return _made(entries, seen)
+        case "materials":  # by the material where it is known, else by the colours that it has
+            fit = found[:, [AT[e] for e in entries if e in MATERIALS]].max(axis=1)
+            colours = sum((tuple(looks().material_colours[e]) for e in entries), ())
+            if not colours:
+                return np.asarray(fit)
+            return np.asarray(np.where(np.isnan(fit), _fit_colours(colours, found), fit))
         case "shapes":
-            return np.asarray(seen[:, [AT[e] for e in entries if e in SHAPES]].max(axis=1))
+            return np.asarray(found[:, [AT[e] for e in entries if e in SHAPES]].max(axis=1))
         case "patterns":
-            return np.asarray(seen[:, AT["patterned"]])
+            return np.asarray(found[:, AT["patterned"]])
         case "places":
-            return np.asarray(seen[:, [AT[e] for e in entries if e in PLACES]].max(axis=1))
+            return np.asarray(found[:, [AT[e] for e in entries if e in PLACES]].max(axis=1))
         case "sizes":
-            return _sized(entries, seen, usual, like)
-        case _:
-            return None
+            return _fit_sizes(entries, found, usual, like)
+    return None
 
 
-def _coloured(entries: tuple[str, ...], seen: Columns) -> Floats:
-    shares = seen[:, : len(COLOURS)]
-    named = looks().alike[[COLOURS.index(e) for e in entries]].max(axis=0)
-    return np.asarray(shares @ named)
+def _fit_colours(entries: tuple[str, ...], found: Table) -> Floats:
+    alike = looks().alike[[COLOURS.index(e) for e in entries]].max(axis=0)
+    return np.asarray(found[:, : len(COLOURS)] @ alike)
 
 
-def _made(entries: tuple[str, ...], seen: Columns) -> Floats:
-    """By the material where it is known, else by the colours that it has."""
-    told = seen[:, [AT[e] for e in entries if e in MATERIALS]].max(axis=1)
-    colours = sum((tuple(looks().material_colours[e]) for e in entries), ())
-    if not colours:
-        return np.asarray(told)
-    return np.asarray(np.where(np.isnan(told), _coloured(colours, seen), told))
-
-
-def _sized(entries: tuple[str, ...], seen: Columns, usual: Columns, like: Floats) -> Floats:
-    """Against the mean of things that are alike."""
-    out = np.ones(len(seen))
+def _fit_sizes(entries: tuple[str, ...], found: Table, usual: Table, like: Floats) -> Floats:
+    """Return how well (n,) sizes fit, against the mean of things that are alike."""
+    out = np.ones(len(found))
     for entry in dict.fromkeys(entries):
         column = AT[_MEASURED.get(entry, "volume")]
         known = ~np.isnan(usual[:, column])
         weight = like[known].sum()
         if weight <= 0.0:
-            return np.full(len(seen), np.nan)
-        over = seen[:, column] - float((like * usual[:, column])[known].sum() / weight)
+            return np.full(len(found), np.nan)
+        over = found[:, column] - float((like * usual[:, column])[known].sum() / weight)
         over = -over if entry in ("small", "narrow", "low", "short") else over
         out *= 1.0 / (1.0 + np.exp(-_STEEP * over))
     return out

@@ -15,15 +15,23 @@ from numpy.typing import NDArray
 from placegraph.core.graph import SceneGraph
 from placegraph.errors import OptionError
 from placegraph.indoor.language.appearance import COLUMNS, room_seen, seen
-from placegraph.indoor.language.likeness import EXACT, fits, kind_by_name, kinds_of, likenesses
+from placegraph.indoor.language.likeness import (
+    EXACT,
+    Floats,
+    Floats32,
+    fits,
+    kind_by_name,
+    kinds_of,
+    likenesses,
+)
 from placegraph.indoor.map.floor import WORDS, label_words, nameless
 from placegraph.indoor.map.relations import NEXT_TO, SAME_ROOM, canonical
 
-Floats = NDArray[np.float64]
-
-
 Triple = tuple[str, str, str]
 """Label, relation by its canonical name and never turned, label."""
+_PLAIN = 0.25
+"""How much a wall is spoken of, against a chair."""
+_canonical = cache(canonical)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,7 +43,7 @@ class Described:
     triples: dict[Triple, int]
     """How many things at most lie so to one other."""
     name: str = ""
-    """Of the room, where it has one."""
+    """Name of the room, where it has one."""
     whole: bool = False
     """Whether it is a scene of several rooms, which are units too."""
     undivided: bool = False
@@ -43,13 +51,13 @@ class Described:
     looks: dict[str, Floats] = field(default_factory=dict)
     """(C,) of each label how the things of that name look, each column the most of any of them."""
     room: Floats = field(default_factory=lambda: np.full(len(COLUMNS), np.nan))
-    """(C,) of the room itself (`seen.room_seen`)."""
+    """(C,) of the room itself (`appearance.room_seen`)."""
 
 
 def units(
     graph: SceneGraph, rooms: Sequence[str] = (), attributes: Sequence[Mapping[str, str]] = ()
 ) -> list[Described]:
-    """What may be described of a scene: its rooms, and, where there are several, all of it.
+    """Return what may be described of a scene: its rooms, and, where there are several, all of it.
 
     `rooms`: (N,) name of the room of each object, empty where unknown; `attributes`: (N,) what else
     is known of them. Raises `OptionError` where there is not one for each object.
@@ -57,24 +65,24 @@ def units(
     for what, given in (("rooms", rooms), ("attributes", attributes)):
         if len(given) not in (0, len(graph)):
             raise OptionError(f"{what}: {len(given)} for {len(graph)} objects; give one for each.")
-    groups = _groups(graph, rooms)
-    all_ = list(triples(graph))
+    groups = _group_rooms(graph, rooms)
+    edges = list(triples(graph))
     if len(groups) <= 1:
         every = range(len(graph))  # with what lies between rooms
         name = groups[0][0] if groups else ""
-        return [_unit(graph, every, all_, attributes, name, undivided=not groups)]
+        return [_unit(graph, every, edges, attributes, name, undivided=not groups)]
     out = []
     for name, rows in groups:
         inside = set(rows)
-        out.append(_unit(graph, rows, [t for t in all_ if t[0] in inside], attributes, name))
-    whole = _unit(graph, range(len(graph)), all_, attributes, "")
+        out.append(_unit(graph, rows, [t for t in edges if t[0] in inside], attributes, name))
+    whole = _unit(graph, range(len(graph)), edges, attributes, "")
     return [*out, replace(whole, whole=True)]
 
 
 def _unit(
     graph: SceneGraph,
     rows: Sequence[int],
-    found: Sequence[tuple[int, str, int]],
+    edges: Sequence[tuple[int, str, int]],
     attributes: Sequence[Mapping[str, str]],
     name: str,
     *,
@@ -84,14 +92,21 @@ def _unit(
     looks: dict[str, Floats] = {}
     for label, own in zip(labels, seen(graph, rows, attributes), strict=True):
         looks[label] = np.fmax(looks[label], own) if label in looks else own
+    subjects: dict[tuple[str, str, int], set[int]] = {}
+    for s, relation, t in edges:
+        subjects.setdefault((graph.labels[s], relation, t), set()).add(s)
+    counts: dict[Triple, int] = {}
+    for (one, relation, t), found in subjects.items():
+        key = (one, relation, graph.labels[t])
+        counts[key] = max(counts.get(key, 0), len(found))
     return Described(
-        dict(Counter(labels)), _counted(found, graph.labels), name, undivided=undivided,
-        looks=looks, room=room_seen(graph, rows),
+        dict(Counter(labels)), counts, name, undivided=undivided, looks=looks,
+        room=room_seen(graph, rows),
     )  # fmt: skip
 
 
-def _groups(graph: SceneGraph, rooms: Sequence[str]) -> list[tuple[str, list[int]]]:
-    """Name and objects of each room; none where nothing says which are together."""
+def _group_rooms(graph: SceneGraph, rooms: Sequence[str]) -> list[tuple[str, list[int]]]:
+    """Return name and objects of each room; none where nothing says which are together."""
     groups: dict[str, list[int]] = {}
     for row, name in enumerate(rooms):
         if name:
@@ -107,18 +122,17 @@ def _groups(graph: SceneGraph, rooms: Sequence[str]) -> list[tuple[str, list[int
         return i
 
     together = [j for j, r in enumerate(graph.relations) if _canonical(r)[0] == SAME_ROOM]
-    for s, t in zip(
-        graph.sources[together].tolist(), graph.targets[together].tolist(), strict=True
-    ):
+    sources, targets = graph.sources[together].tolist(), graph.targets[together].tolist()
+    for s, t in zip(sources, targets, strict=True):
         owner[root(s)] = root(t)
     found: dict[int, list[int]] = {}
-    for row in {*graph.sources[together].tolist(), *graph.targets[together].tolist()}:
+    for row in {*sources, *targets}:
         found.setdefault(root(row), []).append(row)
     return [("", rows) for rows in found.values()]
 
 
 def triples(graph: SceneGraph) -> Iterable[tuple[int, str, int]]:
-    """Subject, relation by its canonical name, and target, of every edge that says where."""
+    """Yield subject, relation by its canonical name, and target, of every edge that says where."""
     ends = zip(graph.sources.tolist(), graph.relations, graph.targets.tolist(), strict=True)
     for a, written, b in ends:
         name, turned = _canonical(written)
@@ -129,34 +143,14 @@ def triples(graph: SceneGraph) -> Iterable[tuple[int, str, int]]:
             yield b, name, a
 
 
-def _counted(found: Iterable[tuple[int, str, int]], labels: Sequence[str]) -> dict[Triple, int]:
-    subjects: dict[tuple[str, str, int], set[int]] = {}
-    for s, name, t in found:
-        subjects.setdefault((labels[s], name, t), set()).add(s)
-    out: dict[Triple, int] = {}
-    for (one, name, t), rows in subjects.items():
-        key = (one, name, labels[t])
-        out[key] = max(out.get(key, 0), len(rows))
-    return out
-
-
-@cache
-def _canonical(relation: str) -> tuple[str, bool]:
-    return canonical(relation)
-
-
-_PLAIN = 0.25
-"""How much a wall is spoken of, against a chair."""
-
-
 class Found(NamedTuple):
-    """What of the words that were asked for each unit (U,) has."""
+    """How much of the words that were asked for each unit (U,) has."""
 
-    exact: NDArray[np.float64]
+    exact: Floats
     """How many that are what was asked for."""
-    kin: NDArray[np.float64]
+    kin: Floats
     """How many that are that, or kin of it."""
-    best: NDArray[np.float32]
+    best: Floats32
     """How well the best of them fits."""
     entries: NDArray[np.int64]
     """Entries of the postings that fit at all."""
@@ -167,15 +161,15 @@ class Postings(NamedTuple):
 
     starts: NDArray[np.int64]
     units: NDArray[np.int32]
-    counts: NDArray[np.float32]
+    counts: Floats32
 
     @property
     def words(self) -> NDArray[np.int64]:
         """(E,) word of each entry."""
         return np.repeat(np.arange(len(self.starts) - 1), np.diff(self.starts))
 
-    def many(self, weights: NDArray[np.float32], total: int) -> Found:
-        """How many of the words each of `total` units has.
+    def many(self, weights: Floats32, total: int) -> Found:
+        """Count the words that each of `total` units has.
 
         `weights`: (W,) how well each word fits what is asked for.
         """
@@ -184,11 +178,8 @@ class Postings(NamedTuple):
         entries = np.arange(sizes.sum()) + np.repeat(
             self.starts[words] - np.cumsum(sizes) + sizes, sizes
         )
-        rows, counts, weight = (
-            self.units[entries],
-            self.counts[entries],
-            weights[words].repeat(sizes),
-        )
+        rows, counts = self.units[entries], self.counts[entries]
+        weight = weights[words].repeat(sizes)
         best = np.zeros(total, np.float32)
         np.maximum.at(best, rows, weight)
         exact = np.bincount(rows, counts * (weight >= EXACT), total).astype(np.float64)
@@ -204,14 +195,14 @@ class Columns(NamedTuple):
     of_triples: Postings
     triples: NDArray[np.int64]
     """(T, 3) rows of labels, relations, labels: subject, how, and target of each."""
-    looks: NDArray[np.float32]
-    """(E, C) looks of the entries of `of_labels` (`seen.COLUMNS`)."""
+    looks: Floats32
+    """(E, C) looks of the entries of `of_labels` (`appearance.COLUMNS`)."""
     room_looks: Floats
     """(U, C) of the rooms."""
     much: Floats
     """(U,) how much there is to speak of."""
-    rooms: NDArray[np.float64]
-    """(U, R) expected number of rooms of each kind (`kinds.table`)."""
+    rooms: Floats
+    """(U, R) expected number of rooms of each kind (`likeness.table`)."""
     whole: NDArray[np.bool_]
     """(U,)"""
     scene: NDArray[np.int32]
@@ -219,31 +210,37 @@ class Columns(NamedTuple):
     scenes: int
     """How many."""
 
-    def fits(self, asked: str) -> NDArray[np.float32]:
-        """How well (L,) the labels fit what is asked for."""
+    def fits(self, asked: str) -> Floats32:
+        """Return how well (L,) the labels fit what is asked for."""
         return fits(asked, self.labels)
 
 
 def columns_of(scenes: Sequence[Sequence[Described]]) -> Columns:
-    """The units of scenes as arrays."""
+    """Return the units of scenes as arrays."""
     flat = [unit for scene in scenes for unit in scene]
     label_row: dict[str, int] = {}
     triple_row: dict[Triple, int] = {}
     relation_row: dict[str, int] = {}
     of_labels = _postings([unit.labels for unit in flat], label_row)
     of_triples = _postings([unit.triples for unit in flat], triple_row)
-    triples = [
+    edges = [
         (label_row[a], relation_row.setdefault(r, len(relation_row)), label_row[b])
         for a, r, b in triple_row
     ]
+    # looks in the order of the entries of the postings: by label, then by unit
+    looks: dict[str, list[Floats]] = {label: [] for label in label_row}
+    for unit in flat:
+        for label in unit.labels:
+            looks[label].append(unit.looks.get(label, np.full(len(COLUMNS), np.nan)))
+    entries = [own for listed in looks.values() for own in listed]
     scene = np.repeat(np.arange(len(scenes), dtype=np.int32), [len(s) for s in scenes])
     return Columns(
         labels=tuple(label_row),
         relations=tuple(relation_row),
         of_labels=of_labels,
         of_triples=of_triples,
-        triples=np.array(triples, np.int64).reshape(-1, 3),
-        looks=_looks(flat, tuple(label_row)),
+        triples=np.array(edges, np.int64).reshape(-1, 3),
+        looks=np.array(entries, np.float32).reshape(-1, len(COLUMNS)),
         room_looks=np.array([unit.room for unit in flat]).reshape(-1, len(COLUMNS)),
         much=np.array([_much(unit) for unit in flat]),
         rooms=_rooms(flat, tuple(label_row), of_labels, scene),
@@ -255,8 +252,8 @@ def columns_of(scenes: Sequence[Sequence[Described]]) -> Columns:
 
 def _rooms(
     flat: Sequence[Described], labels: Sequence[str], of_labels: Postings, scene: NDArray[np.int32]
-) -> NDArray[np.float64]:
-    """Expected number (U, R) of rooms of each kind; of a whole the sum of its rooms'."""
+) -> Floats:
+    """Return the expected number (U, R) of rooms of each kind; of a whole the sum of its rooms'."""
     held = [of_labels.many(likeness, len(flat)).best for likeness in likenesses(labels).T]
     out = kinds_of(np.stack(held, axis=1), np.array([unit.undivided for unit in flat], np.bool_))
     for row, unit in enumerate(flat):
@@ -269,30 +266,18 @@ def _rooms(
     return out
 
 
-def _looks(flat: Sequence[Described], labels: Sequence[str]) -> NDArray[np.float32]:
-    """Looks (E, C) in the order of the entries of `_postings`: by label, then by unit."""
-    of: dict[str, list[Floats]] = {label: [] for label in labels}
-    nothing = np.full(len(COLUMNS), np.nan)
-    for unit in flat:
-        for label in unit.labels:
-            of[label].append(unit.looks.get(label, nothing))
-    found = [own for listed in of.values() for own in listed]
-    return np.array(found, np.float32).reshape(-1, len(COLUMNS))
-
-
 def _much(unit: Described) -> float:
-    """How much there is to speak of: many things of a kind are little more than one."""
+    """Return how much there is to speak of: many things of a kind are little more than one."""
     return 1.0 + sum((1.0 + log(count)) * _spoken_of(label) for label, count in unit.labels.items())
 
 
 @cache
 def _spoken_of(label: str) -> float:
-    words = label_words(label)
-    return 0.0 if nameless(label) else _PLAIN if words[-1] in WORDS else 1.0
+    return 0.0 if nameless(label) else _PLAIN if label_words(label)[-1] in WORDS else 1.0
 
 
 def _postings(counts: Sequence[dict[Any, int]], row_of: dict[Any, int]) -> Postings:
-    """Postings of words by the units that have them; `row_of` is filled."""
+    """Return postings of words by the units that have them; `row_of` is filled."""
     words = [row_of.setdefault(word, len(row_of)) for own in counts for word in own]
     many = [count for own in counts for count in own.values()]
     unit = np.repeat(np.arange(len(counts), dtype=np.int32), [len(own) for own in counts])

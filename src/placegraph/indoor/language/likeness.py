@@ -1,10 +1,9 @@
-"""How well a label fits what somebody calls a thing, and which kind of room holds such things."""
+"""Fit of labels to what somebody calls a thing, and the kinds of rooms that hold such things."""
 
 from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache, lru_cache
 from importlib.resources import files
 from typing import NamedTuple
@@ -16,22 +15,25 @@ from placegraph.indoor.encode.words import vector
 from placegraph.indoor.map.floor import label_words
 from placegraph.indoor.map.relations import forms, same_thing
 
+Floats = NDArray[np.float64]
+Floats32 = NDArray[np.float32]
+
 LEAST = 0.5
 """Cosine of words that are no kin any more (`encode.words`: 0.64 of two kinds of a thing)."""
 SYNONYM = 0.95
-"""How well a synonym fits."""
+"""Fit of a synonym."""
 GENERAL = 0.7
-"""How well a label fits that says less than what was asked for: a "table" may be a "side table"."""
+"""Fit of a label that says less than what was asked for: a "table" may be a "side table"."""
 EXACT = 0.9
-"""What fits this well is the thing itself."""
-_MANY = 20_000  # words kept
+"""Fit from which a label is the thing itself."""
+_MEMORY = 20_000  # words
 _UNLISTED = 0.25  # of the mean of what is listed: how probably other rooms hold a thing
 _ABSENT = 0.5  # weight of what is not there: a map does not hold all that a room does
 _NAMED = 0.97  # a room is what it is called
 
 
-def fits(asked: str, labels: Sequence[str]) -> NDArray[np.float32]:
-    """How well labels (n,) fit what is asked for, in [0, 1]: 1 the same thing, 0 no kin of it.
+def fits(asked: str, labels: Sequence[str]) -> Floats32:
+    """Return how well labels (n,) fit what is asked for, in [0, 1]: 1 the same thing, 0 no kin of it.
 
     A "desk" is a "table" by half. Labels that name nothing fit nothing.
     """
@@ -39,16 +41,16 @@ def fits(asked: str, labels: Sequence[str]) -> NDArray[np.float32]:
 
 
 @lru_cache(maxsize=1024)
-def _fits(asked: str, labels: tuple[str, ...]) -> NDArray[np.float32]:
-    out = _alike(asked, labels)
+def _fits(asked: str, labels: tuple[str, ...]) -> Floats32:
+    out = _fits_by_tree(asked, labels)
     for word, weight in everyday(asked):
-        out = np.maximum(out, weight * _alike(word, labels))
+        out = np.maximum(out, weight * _fits_by_tree(word, labels))
     out.flags.writeable = False
     return out
 
 
-def _alike(asked: str, labels: tuple[str, ...]) -> NDArray[np.float32]:
-    """`fits` by the tree of things alone."""
+def _fits_by_tree(asked: str, labels: tuple[str, ...]) -> Floats32:
+    """Return `fits` by the tree of things alone, without everyday words."""
     if not labels:
         return np.zeros(0, np.float32)
     cosines = _vectors(labels) @ _vector(asked)
@@ -62,13 +64,23 @@ def _alike(asked: str, labels: tuple[str, ...]) -> NDArray[np.float32]:
 
 
 @lru_cache(maxsize=64)
-def _vectors(labels: tuple[str, ...]) -> NDArray[np.float32]:
+def _vectors(labels: tuple[str, ...]) -> Floats32:
     return np.stack([_vector(label) for label in labels])
 
 
-@lru_cache(maxsize=_MANY)
+_vector = lru_cache(maxsize=_MEMORY)(vector)
+
+
+@lru_cache(maxsize=_MEMORY)
+def _start(label: str) -> str:
+    """Return two letters that the last word of a label has in common with its plural."""
+    words = label_words(label)
+    return words[-1][:2] if words else ""
+
+
+@lru_cache(maxsize=_MEMORY)
 def everyday(asked: str) -> tuple[tuple[str, np.float32], ...]:
-    """What maps may call a thing by everyday words for it, and how well: the longest last words."""
+    """Return what maps may call a thing by everyday words for it, and how well: the longest last words."""
     words = label_words(asked)
     for first in range(len(words)):
         for last in forms(words[-1]):
@@ -80,6 +92,7 @@ def everyday(asked: str) -> tuple[tuple[str, np.float32], ...]:
 
 @cache
 def _everyday() -> Mapping[str, Mapping[str, np.float32]]:
+    """Read everyday.tsv: labels and their fits by word."""
     table: dict[str, dict[str, np.float32]] = {}
     text = files(__package__).joinpath("data", "everyday.tsv").read_text("utf-8")
     for line in text.splitlines():
@@ -92,96 +105,68 @@ def _everyday() -> Mapping[str, Mapping[str, np.float32]]:
     return table
 
 
-@lru_cache(maxsize=_MANY)
-def _vector(label: str) -> NDArray[np.float32]:
-    return vector(label)
-
-
-@lru_cache(maxsize=_MANY)
-def _start(label: str) -> str:
-    """Two letters that the last word of a label has in common with its plural."""
-    words = label_words(label)
-    return words[-1][:2] if words else ""
-
-
-@dataclass(frozen=True, slots=True)
-class RoomKinds:
-    """Kinds of rooms."""
-
+class _RoomTable(NamedTuple):
     kind_of: Mapping[tuple[str, ...], str]
-    """Kind that words name."""
-    usual: Mapping[str, float]
-    """Share of each kind among the rooms of homes; they sum to 1."""
-    holds: Mapping[str, Mapping[str, float]]
-    """How probably a room of a kind holds such a thing, by what it is called."""
+    """Kind of room that words name."""
+    kinds: tuple[str, ...]
+    usual: Floats
+    """(R,) shares of kinds among the rooms of homes; they sum to 1."""
+    things: tuple[str, ...]
+    present: Floats
+    """(R, T) log of how much more probably a kind of room holds a thing than the average room."""
+    absent: Floats
+    """(R, T) the same of not holding it."""
+    average: Floats
+    """(T,) how probably the average room holds a thing."""
 
 
 @cache
-def rooms() -> RoomKinds:
-    """The kinds of rooms that placegraph knows."""
-    table = tomllib.loads(files(__package__).joinpath("data", "rooms.toml").read_text("utf-8"))
-    names = {kind: [kind, *entry.get("names", [])] for kind, entry in table.items()}
-    total = sum(entry["usual"] for entry in table.values())
-    return RoomKinds(
-        kind_of={tuple(name.split()): kind for kind, all_ in names.items() for name in all_},
-        usual={kind: entry["usual"] / total for kind, entry in table.items()},
-        holds={kind: entry["holds"] for kind, entry in table.items()},
+def table() -> _RoomTable:
+    """Return the kinds of rooms of rooms.toml, as arrays."""
+    entries = tomllib.loads(files(__package__).joinpath("data", "rooms.toml").read_text("utf-8"))
+    total = sum(entry["usual"] for entry in entries.values())
+    things = tuple(dict.fromkeys(t for entry in entries.values() for t in entry["holds"]))
+    usual = np.array([entry["usual"] / total for entry in entries.values()])
+    held = np.array([[e["holds"].get(t, np.nan) for t in things] for e in entries.values()])
+    held = np.where(np.isnan(held), _UNLISTED * np.nanmean(held, axis=0), held)
+    average = usual @ held
+    return _RoomTable(
+        kind_of={
+            tuple(name.split()): kind
+            for kind, entry in entries.items()
+            for name in (kind, *entry.get("names", []))
+        },
+        kinds=tuple(entries),
+        usual=usual,
+        things=things,
+        present=np.log(held / average),
+        absent=np.log((1 - held) / (1 - average)),
+        average=average,
     )
 
 
 def room_kind(label: str) -> str:
-    """Kind of room that a label names: its last words do; empty if it names none."""
+    """Return the kind of room that a label names: its last words do; empty if it names none."""
     words = label_words(label)
     for last in (words[-1:], [words[-1].removesuffix("s")] if words else []):
         for n in (3, 2, 1):
-            kind = rooms().kind_of.get((*words[-n:-1], *last)) if len(words) >= n else None
+            kind = table().kind_of.get((*words[-n:-1], *last)) if len(words) >= n else None
             if kind:
                 return kind
     return ""
 
 
-class _Table(NamedTuple):
-    kinds: tuple[str, ...]
-    usual: NDArray[np.float64]
-    """(R,) shares of kinds."""
-    things: tuple[str, ...]
-    present: NDArray[np.float64]
-    """(R, T) log of how much more probably a kind of room holds a thing than the average room."""
-    absent: NDArray[np.float64]
-    """(R, T) the same of not holding it."""
-    average: NDArray[np.float64]
-    """(T,) how probably the average room holds a thing."""
-
-
-@cache
-def table() -> _Table:
-    """The kinds of rooms as arrays, from rooms.toml."""
-    known = rooms()
-    kinds = tuple(known.holds)
-    things = tuple(dict.fromkeys(t for holds in known.holds.values() for t in holds))
-    usual = np.array([known.usual[kind] for kind in kinds])
-    held = np.array([[known.holds[kind].get(t, np.nan) for t in things] for kind in kinds])
-    held = np.where(np.isnan(held), _UNLISTED * np.nanmean(held, axis=0), held)
-    average = usual @ held
-    return _Table(
-        kinds, usual, things, np.log(held / average), np.log((1 - held) / (1 - average)), average
-    )
-
-
-def kind_by_name(name: str, else_: NDArray[np.float64]) -> NDArray[np.float64]:
-    """How probably (R,) a room is of each kind by its name; `else_` where the name names none."""
-    known = table()
+def kind_by_name(name: str, else_: Floats) -> Floats:
+    """Return how probably (R,) a room is of each kind by its name; `else_` where it names none."""
     named = room_kind(name)
     if not named:
         return else_
-    rest = (1.0 - _NAMED) / (len(known.kinds) - 1)
-    return np.where(np.array(known.kinds) == named, _NAMED, rest)
+    kinds = table().kinds
+    return np.where(np.array(kinds) == named, _NAMED, (1.0 - _NAMED) / (len(kinds) - 1))
 
 
-def kinds_of(
-    held: NDArray[np.floating], undivided: NDArray[np.bool_] | np.bool_
-) -> NDArray[np.float64]:
-    """How probably (U, R) rooms are of each kind by what is in them.
+def kinds_of(held: NDArray[np.floating], undivided: NDArray[np.bool_] | np.bool_) -> Floats:
+    """Return how probably (U, R) rooms are of each kind by what is in them.
 
     Parameters
     ----------
@@ -206,21 +191,21 @@ def kinds_of(
     return np.asarray(share)
 
 
-def likenesses(labels: Sequence[str]) -> NDArray[np.float32]:
-    """How well (L, T) labels fit the things of the table; kin counts for less than by half."""
+def likenesses(labels: Sequence[str]) -> Floats32:
+    """Return how well (L, T) labels fit the things of the table; kin counts for less than by half."""
     if not labels:
         return np.zeros((0, len(table().things)), np.float32)
-    return np.stack([_held_by(label) for label in labels])
-
-
-def usual(label: str) -> float:
-    """How probably an average room holds what is called so; a tenth where nobody told."""
-    likeness = _held_by(label)
-    best = int(likeness.argmax())
-    return float(table().average[best]) if likeness[best] > 0.0 else 0.1
+    return np.stack([_likeness(label) for label in labels])
 
 
 @cache
-def _held_by(label: str) -> NDArray[np.float32]:
-    likeness = fits(label, table().things)
-    return np.where(likeness >= EXACT, 1.0, np.where(likeness >= 0.4, 0.3, 0.0)).astype(np.float32)
+def _likeness(label: str) -> Floats32:
+    fit = fits(label, table().things)
+    return np.where(fit >= EXACT, 1.0, np.where(fit >= 0.4, 0.3, 0.0)).astype(np.float32)
+
+
+def usual(label: str) -> float:
+    """Return how probably an average room holds what is called so; a tenth where nobody told."""
+    likeness = _likeness(label)
+    best = int(likeness.argmax())
+    return float(table().average[best]) if likeness[best] > 0.0 else 0.1
