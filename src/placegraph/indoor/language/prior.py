@@ -1,4 +1,14 @@
-"""Which objects of a map the things of a sentence may be, and which of its rooms are which."""
+"""Log prior over the positions and headings of a map: where a sentence says that somebody is.
+
+Each statement s of a pose x is read as in the outdoor wing,
+
+    P(s | x) / P(s) = (1 - WRONG) fit(s, x) / mean of fit over all poses + WRONG
+
+so that what is true of few poses tells more, and a statement that is wrong costs its logarithm and no
+more. The fits are soft, and are read off the panoramas of the visibility table: whether a thing is in
+sight from a position, how near its surface comes, and in which direction. Of several things of a
+name the one that fits best counts.
+"""
 
 from __future__ import annotations
 
@@ -13,13 +23,15 @@ from placegraph.indoor.language.appearance import COLUMNS, ratios, seen, with_co
 from placegraph.indoor.language.index import triples
 from placegraph.indoor.language.likeness import (
     EXACT,
+    Floats,
+    Floats32,
     fits,
     kind_by_name,
     kinds_of,
     likenesses,
     table,
 )
-from placegraph.indoor.language.score import sayings
+from placegraph.indoor.language.score import TOLD, sayings
 from placegraph.indoor.language.sentence import Kind, Sentence, Statement
 from placegraph.indoor.language.sight_kernels import look_around_for, look_for, turned, vote_rooms
 from placegraph.indoor.likelihood.visibility import VisibilityTable
@@ -28,32 +40,121 @@ from placegraph.indoor.map.map_kernels import AZIMUTHS, ELEVATIONS, STEP
 from placegraph.indoor.map.scene import Scene, ref
 from placegraph.language.text import Ignored
 
-Floats = NDArray[np.float32]
-
-
+WRONG = 0.15
+"""Share of statements that are wrong, or about another thing of that name."""
+NEAR = {
+    "": (1.2, 0.3),
+    "on": (0.5, 0.15),
+    "in": (0.5, 0.15),
+    "in front of": (2.0, 0.4),
+    "opposite": (3.0, 0.6),
+}
+"""Distance to a thing's surface up to which one is near it, and how softly that ends [m]."""
+DISTANT = (2.5, 0.5)
+"""Distance below which a thing is not far, and how softly [m]."""
+SPOKEN = 6.0
+"""Distance from which a thing is spoken of less than half as often [m]."""
+AHEAD, ASIDE, IN_PICTURE = (np.deg2rad(20.0), np.deg2rad(40.0), np.deg2rad(32.0))
+"""Half widths of "facing it", of "on my left" and of what is seen in the picture [rad]."""
+_NOWHERE = 1e-6
+"""Mean fit of a statement that is true of no pose."""
 _KIN_TOO = 0.3
-"""How well kin fits where the thing itself is there."""
+"""Fit of kin where the thing itself is there."""
 _UNRELATED = 0.2
-"""How well a thing fits that does not lie as was said: maps do not know all relations."""
+"""Fit of a thing that does not lie as was said: maps do not know all relations."""
 _UNLIKE = 0.2
-"""How well a thing fits at least that looks otherwise than was said."""
+"""Least fit of a thing that looks otherwise than was said."""
 _NO_ROOM = 0.1
 """A map has no such room where none is one with more than this probability."""
+_EDGE = np.deg2rad(5.0)  # how softly directions end
+_OPPOSITE = np.deg2rad(125.0)  # two things lie on both sides of somebody from this angle on
+_BESIDE = np.deg2rad(4.0)  # what is left of a thing is so by this angle
+_APART = 4.0  # things that somebody is between are as far apart [m]
+_PAIRS = 64  # of things, the likeliest
+_BELOW = 0.5  # how well a thing fits that may stand at one's feet, where no panorama looks
+_AROUND = 3.5  # what is farther is not what makes a place a kitchen [m]
+_LEANS = 2.0  # what is this near counts for a room more than what is twice as far [m]
+
+
+def prior(sentence: Sentence, scene: Scene, table: VisibilityTable) -> Floats32:
+    """Return a log prior (K, A) float32 over the table's positions and headings a * STEP [nat].
+
+    Against the uniform: its exponential has the mean 1 for each statement, so it can be added
+    to what images say. Zero where nothing was said that the map could serve (`unused`).
+    """
+    total = np.zeros((len(table), AZIMUTHS), np.float32)
+    for _, ratio in _ratios(sentence, scene, table):
+        if ratio is not None:
+            total += ratio
+    return total
+
+
+def unused(sentence: Sentence, scene: Scene) -> tuple[Ignored, ...]:
+    """Return what of the sentence says nothing on this map, and why: things it does not have."""
+    things = Referents(sentence, scene)
+    reasons = [(s, things.missing(s)) for s in sentence.statements]
+    return tuple(Ignored(s.text, reason) for s, reason in reasons if reason)
+
+
+def evidence(
+    sentence: Sentence, scene: Scene, table: VisibilityTable, pose: ArrayLike
+) -> tuple[Evidence, ...]:
+    """Return what each statement says of a pose (4,) x, y, z [m], yaw [rad] on a map."""
+    if not len(table):
+        return ()
+    pose = np.asarray(pose, np.float64)
+    row = int(np.square(table.positions - pose[:3]).sum(axis=1).argmin())
+    heading = int(np.round(pose[3] / STEP)) % AZIMUTHS
+    things = Referents(sentence, scene)
+    out = []
+    for s, ratio in _ratios(sentence, scene, table):
+        if ratio is None:
+            out.append(Evidence(s.text, "silent", 0.0, note=things.missing(s)))
+            continue
+        weight = float(ratio[row, heading % ratio.shape[1]])
+        verdict = "for" if weight > TOLD else "against" if weight < -TOLD else "silent"
+        # the most probable objects, at most one of each thing
+        rows = [int(things.weights[t].argmax()) for t in s.things if things.weights[t].any()]
+        served: tuple[ObjectRef, ...] = tuple([ref(scene, r) for r in rows])
+        out.append(Evidence(s.text, verdict, weight, served))
+    return tuple(out)
+
+
+def _ratios(
+    sentence: Sentence, scene: Scene, table: VisibilityTable
+) -> list[tuple[Statement, Floats32 | None]]:
+    """Return the log-likelihood ratio (K, A) or (K, 1) of each statement; None where it is silent."""
+    found: list[tuple[Statement, Floats32 | None]] = [(s, None) for s in sentence.statements]
+    things = Referents(sentence, scene)
+    useful = [i for i, s in enumerate(sentence.statements) if len(table) and not things.missing(s)]
+    fits_ = PoseFits(things, table) if useful else None
+    for i in useful if fits_ is not None else ():
+        s = sentence.statements[i]
+        fit = fits_.fit(s)
+        mean = float(fit.mean(dtype=np.float64))
+        if mean >= _NOWHERE:
+            wrong = 1.0 - (1.0 - WRONG) * s.certainty
+            found[i] = s, np.log(fit * np.float32((1.0 - wrong) / mean) + np.float32(wrong))
+    return found
 
 
 @dataclass(frozen=True, eq=False)
 class Referents:
-    """The objects that the things of a sentence may be, on a map of N of them."""
+    """Objects that the things of a sentence may be, on a map of N of them."""
 
     sentence: Sentence
     scene: Scene
 
     @cached_property
-    def weights(self) -> list[Floats]:
+    def weights(self) -> list[Floats32]:
         """Of each mention how well (N,) the objects are it, as what is said of pairs narrows it."""
         labels = list(dict.fromkeys(self.scene.graph.labels))
         row = np.array([labels.index(label) for label in self.scene.graph.labels])
-        out = [self._own(fits(m.label, labels)[row]) for m in self.sentence.mentions]
+        out = []
+        for mention in self.sentence.mentions:
+            own = fits(mention.label, labels)[row]
+            exact = own >= EXACT
+            out.append(np.where(exact, own, _KIN_TOO * own) if exact.any() else own)
         for i, mention in enumerate(self.sentence.mentions):
             if mention.room and not (out[i] >= EXACT).any():
                 out[i] = self._in_room(mention.room)
@@ -64,17 +165,17 @@ class Referents:
                 self._narrow(s, out)
         return out
 
-    def _looking(self, attributes: tuple[str, ...], weights: Floats) -> Floats:
-        """Weights (N,) of things that look as was said: the red one of two chairs."""
+    def _looking(self, attributes: tuple[str, ...], weights: Floats32) -> Floats32:
+        """Return weights (N,) of things that look as was said: the red one of two chairs."""
         spoken = weights > 0.0
         if not spoken.any():
             return weights
-        told = ratios(attributes, self._seen, self._seen, weights.astype(np.float64))
-        told /= told[spoken].max()
-        return (weights * np.maximum(told, _UNLIKE)).astype(np.float32)
+        ratio = ratios(attributes, self._seen, self._seen, weights.astype(np.float64))
+        ratio /= ratio[spoken].max()
+        return (weights * np.maximum(ratio, _UNLIKE)).astype(np.float32)
 
     @cached_property
-    def _seen(self) -> NDArray[np.float64]:
+    def _seen(self) -> Floats:
         """(N, C) what the objects look like, and where in their rooms they stand."""
         out = np.empty((len(self.scene), len(COLUMNS)))
         attributes = with_colours(self.scene)
@@ -84,12 +185,8 @@ class Referents:
             out[rows] = seen(self.scene.graph, rows.tolist(), attributes)
         return out
 
-    @staticmethod
-    def _own(weights: Floats) -> Floats:
-        exact = weights >= EXACT
-        return np.where(exact, weights, _KIN_TOO * weights) if exact.any() else weights
-
-    def _narrow(self, s: Statement, weights: list[Floats]) -> None:
+    def _narrow(self, s: Statement, weights: list[Floats32]) -> None:
+        """Weaken objects that do not lie as a statement of two things says."""
         a, b = s.things
         pairs = self.pairs(s.relation, weights[a], weights[b])
         for mention, rows in ((a, pairs[:, 0]), (b, pairs[:, 1])):
@@ -100,8 +197,8 @@ class Referents:
                     there, weights[mention], _UNRELATED * weights[mention]
                 ).astype(np.float32)
 
-    def pairs(self, relation: str, first: Floats, second: Floats) -> NDArray[np.int64]:
-        """Objects (P, 2) that may be the two things, where edges of the map say the relation."""
+    def pairs(self, relation: str, first: Floats32, second: Floats32) -> NDArray[np.int64]:
+        """Return objects (P, 2) that may be the two things, where edges of the map say the relation."""
         straight, other_way = sayings(relation)
         found = set()
         for s, name, t in triples(self.scene.graph):
@@ -113,7 +210,7 @@ class Referents:
 
     # rooms
     @cached_property
-    def rooms(self) -> tuple[NDArray[np.int32], list[str], NDArray[np.float64]]:
+    def rooms(self) -> tuple[NDArray[np.int32], list[str], Floats]:
         """Room (N,) of each object, -1 none; names of the G rooms; their kinds (G, R)."""
         named = [
             f"{scene} {room}" if (room := a.get("room", "")) else ""
@@ -131,20 +228,20 @@ class Referents:
         return of, names, kinds
 
     @cached_property
-    def telling(self) -> Floats:
-        """(N, T) how well objects are the things by which rooms are told (`kinds.table`)."""
+    def telling(self) -> Floats32:
+        """(N, T) how well objects are the things by which rooms are told (`likeness.table`)."""
         labels = list(dict.fromkeys(self.scene.graph.labels))
         row = [labels.index(label) for label in self.scene.graph.labels]
         return likenesses(labels)[row]
 
-    def _in_room(self, kind: str) -> Floats:
-        """How well (N,) objects stand for a room of a kind: they are in it."""
+    def _in_room(self, kind: str) -> Floats32:
+        """Return how well (N,) objects stand for a room of a kind: they are in it."""
         of, _, kinds = self.rooms
         share = np.append(kinds[:, table().kinds.index(kind)], 0.0)
         return np.where(share > _NO_ROOM, share, 0.0)[of].astype(np.float32)
 
     def missing(self, s: Statement) -> str:
-        """Why a statement says nothing on this map, or an empty string."""
+        """Return why a statement says nothing on this map, or an empty string."""
         if s.kind is Kind.ROOM:
             mention = self.sentence.mentions[s.things[0]]
             if not mention.room:
@@ -163,37 +260,15 @@ class Referents:
         return ""
 
 
-NEAR = {
-    "": (1.2, 0.3),
-    "on": (0.5, 0.15),
-    "in": (0.5, 0.15),
-    "in front of": (2.0, 0.4),
-    "opposite": (3.0, 0.6),
-}
-"""Distance to a thing's surface up to which one is near it, and how softly that ends [m]."""
-DISTANT = (2.5, 0.5)
-"""What is nearer than this is not far, and how softly [m]."""
-SPOKEN = 6.0
-"""What is farther off than this is spoken of less than half as often [m]."""
-AHEAD, ASIDE, IN_PICTURE = (np.deg2rad(20.0), np.deg2rad(40.0), np.deg2rad(32.0))
-"""Half widths of "facing it", of "on my left" and of what is seen in the picture [rad]."""
-_EDGE = np.deg2rad(5.0)  # how softly they end
-_OPPOSITE = np.deg2rad(125.0)  # two things lie on both sides of somebody from this angle on
-_BESIDE = np.deg2rad(4.0)  # what is left of a thing is so by this angle
-_APART = 4.0  # things that somebody is between are as far apart [m]
-_PAIRS = 64  # of things, the likeliest
-_BELOW = 0.5  # how well a thing fits that may stand at one's feet, where no panorama looks
-_AROUND = 3.5  # what is farther is not what makes a place a kitchen [m]
-_LEANS = 2.0  # what is this near counts for a room more than what is twice as far [m]
-
-
-class Sight:
+class PoseFits:
     """Fits of statements at the K positions and A headings of a table.
 
     Parameters
     ----------
     things
-        Which objects are spoken of.
+        Objects that are spoken of.
+    views
+        Panoramas at the positions.
     """
 
     def __init__(self, things: Referents, views: VisibilityTable) -> None:
@@ -202,22 +277,22 @@ class Sight:
         self._rows = np.flatnonzero(np.any(spoken, axis=0))
 
     @cached_property
-    def _sightings(self) -> tuple[Floats, NDArray[np.int16], NDArray[np.bool_]]:
+    def _sightings(self) -> tuple[Floats32, NDArray[np.int16], NDArray[np.bool_]]:
         """How near (J, K) the things spoken of are seen, in which bin, and whether cut off below."""
         slot = np.full(len(self._things.scene) + 1, -1, np.int32)
         slot[self._rows] = np.arange(len(self._rows))
         pano = self._views.panoramas
-        found: tuple[Floats, NDArray[np.int16], NDArray[np.bool_]] = look_for(
+        found: tuple[Floats32, NDArray[np.int16], NDArray[np.bool_]] = look_for(
             pano.objects, pano.ranges, slot, _LEVEL, len(self._rows)
         )
         return found
 
     @property
-    def _near(self) -> Floats:
+    def _near(self) -> Floats32:
         return self._sightings[0]
 
-    def fit(self, s: Statement) -> Floats:
-        """How well (K, A), or (K, 1) of all headings, a statement fits; in [0, 1]."""
+    def fit(self, s: Statement) -> Floats32:
+        """Return how well (K, A), or (K, 1) of all headings, a statement fits; in [0, 1]."""
         match s.kind:
             case Kind.TOWARDS:
                 fit = self._towards(s)
@@ -236,20 +311,20 @@ class Sight:
         return np.asarray(1.0 - fit if s.negated else fit, np.float32)
 
     # one thing
-    def _weights(self, t: int) -> Floats:
-        """How well (J,) what is looked for is a thing."""
+    def _weights(self, t: int) -> Floats32:
+        """Return how well (J,) what is looked for is a thing."""
         return self._things.weights[t][self._rows]
 
-    def _in_sight(self, t: int) -> Floats:
-        """How well (K,) a thing in sight is the thing, and how readily it is spoken of."""
+    def _in_sight(self, t: int) -> Floats32:
+        """Return how well (K,) a thing in sight is the thing, and how readily it is spoken of."""
         return np.asarray((self._weights(t)[:, None] * self._readily).max(axis=0), np.float32)
 
     @cached_property
-    def _readily(self) -> Floats:
+    def _readily(self) -> Floats32:
         """How readily (J, K) things are spoken of: 0 of what is out of sight."""
         return np.asarray(1.0 / (1.0 + np.square(self._near / SPOKEN)), np.float32)
 
-    def _held(self, t: int) -> Floats:
+    def _held(self, t: int) -> Floats32:
         mention = self._things.sentence.mentions[t]
         least = mention.count or (2 if mention.several else 1)
         seen = self._in_sight(t)
@@ -263,7 +338,7 @@ class Sight:
         return np.asarray(seen * np.minimum(many / least, 1.0), np.float32)
 
     @cached_property
-    def _distance(self) -> tuple[Floats, Floats]:
+    def _distance(self) -> tuple[Floats32, Floats32]:
         """Distance (J, K) of things [m], and how surely it is that: they go on below the panorama.
 
         The bottom row of the panoramas shows what is nearer only in part; the box says the rest.
@@ -277,7 +352,7 @@ class Sight:
         below = unseen & (box < 1.0)
         return np.where(self._sightings[2] | below, np.minimum(box, self._near), self._near), sure
 
-    def _close(self, t: int, edge: tuple[float, float], said: float | None) -> Floats:
+    def _close(self, t: int, edge: tuple[float, float], said: float | None) -> Floats32:
         distance, sure = self._distance
         if said is None:
             with np.errstate(over="ignore"):
@@ -286,7 +361,7 @@ class Sight:
             close = np.exp(-0.5 * np.square((distance - said) / (0.25 * said + 0.3)))
         return np.asarray((self._weights(t)[:, None] * sure * close).max(axis=0), np.float32)
 
-    def _towards(self, s: Statement) -> Floats:
+    def _towards(self, s: Statement) -> Floats32:
         weight = np.append(self._things.weights[s.things[0]], 0.0).astype(np.float32)
         if s.distance is None:
             fit = 1.0 / (1.0 + np.square(_LEVEL / SPOKEN))
@@ -301,34 +376,36 @@ class Sight:
 
     # two things
     def _pairs(self, a: int, b: int) -> NDArray[np.int64]:
-        """Slots (P, 2) of the likeliest pairs of two things."""
+        """Return slots (P, 2) of the likeliest pairs of two things."""
         both = np.outer(self._weights(a), self._weights(b))
         np.fill_diagonal(both, 0.0)
         best = np.argsort(-both, axis=None, kind="stable")[:_PAIRS]
         best = best[both.flat[best] > 0.0]
         return np.stack(np.unravel_index(best, both.shape), axis=1)
 
-    def _angle(self, pairs: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Angle (P, K) from the second to the first thing of pairs, to the left [rad, +-pi]."""
+    def _angle(self, pairs: NDArray[np.int64]) -> Floats:
+        """Return the angle (P, K) from the second to the first thing of pairs, to the left [rad, +-pi]."""
         at = self._sightings[1]
         turn = (at[pairs[:, 0]] - at[pairs[:, 1]]) * STEP
         return np.asarray((turn + np.pi) % (2.0 * np.pi) - np.pi)
 
-    def _best(self, a: int, b: int, pairs: NDArray[np.int64], fit: NDArray[np.floating]) -> Floats:
+    def _best(
+        self, a: int, b: int, pairs: NDArray[np.int64], fit: NDArray[np.floating]
+    ) -> Floats32:
         weight = self._weights(a)[pairs[:, 0]] * self._weights(b)[pairs[:, 1]]
         fit = fit * self._readily[pairs].prod(axis=1)
         best = (weight[:, None] * np.nan_to_num(fit)).max(axis=0, initial=0.0)
         return np.broadcast_to(best, self._near.shape[1]).astype(np.float32)
 
-    def _between(self, a: int, b: int) -> Floats:
+    def _between(self, a: int, b: int) -> Floats32:
         pairs = self._pairs(a, b)
         apart = np.abs(self._angle(pairs))
         near = self._distance[0][pairs].sum(axis=1)
         fit = np.exp(-np.square(near / _APART)) / (1.0 + np.exp((_OPPOSITE - apart) / 0.25))
         return self._best(a, b, pairs, fit)
 
-    def _related(self, s: Statement) -> Floats:
-        """A thing beside another as one sees them, or both of them in sight."""
+    def _related(self, s: Statement) -> Floats32:
+        """Return how well (K,) a thing is seen beside another, or both are in sight."""
         a, b = s.things
         if s.relation not in ("left of", "right of", "in front of", "behind"):
             return np.minimum(self._held(a), self._in_sight(b))
@@ -345,15 +422,15 @@ class Sight:
         return self._best(a, b, pairs, fit)
 
     # rooms
-    def _room(self, s: Statement) -> Floats:
-        """How probably (K,) a position is in a room of a kind: by its room, and by what is near."""
+    def _room(self, s: Statement) -> Floats32:
+        """Return how probably (K,) a position is in a room of a kind: by its room, and by what is near."""
         of, names, kinds = self._things.rooms
         kind = table().kinds.index(self._things.sentence.mentions[s.things[0]].room)
-        share = vote_rooms(*self._thinned, np.append(of, np.int32(-1)), _leaning(), len(names))
-        told = share @ kinds[:, kind].astype(np.float32)
+        share = vote_rooms(*self._thinned, np.append(of, np.int32(-1)), _LEANING, len(names))
+        chance = share @ kinds[:, kind].astype(np.float32)
         if all(name.isdigit() for name in names):  # numbers, as `rooms_of` gives them
-            told = (told + self._place[:, kind]) / 2.0
-        return np.asarray(told, np.float32)
+            chance = (chance + self._place[:, kind]) / 2.0
+        return np.asarray(chance, np.float32)
 
     @property
     def _thinned(self) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
@@ -362,7 +439,7 @@ class Sight:
         return pano.objects[:, 1::3, ::2], pano.ranges[:, 1::3, ::2]
 
     @cached_property
-    def _place(self) -> NDArray[np.float64]:
+    def _place(self) -> Floats:
         """How probably (K, R) a place is part of each kind of room, by what is in sight near it."""
         telling = self._things.telling
         rows = np.flatnonzero(telling.any(axis=1))
@@ -375,93 +452,9 @@ class Sight:
         return kinds_of(held, np.False_)
 
 
-def _leaning() -> NDArray[np.float32]:
-    """Weight (256,) of what is seen at each range, for the room that one is in."""
-    return np.exp(-range_of(np.arange(256, dtype=np.uint8)) / np.float32(_LEANS))
-
-
-def _levels() -> NDArray[np.float32]:
-    """Horizontal distance (E, 256) of stored ranges [m]."""
-    elevation = ((np.arange(ELEVATIONS) + 0.5) / ELEVATIONS * 2.0 - 1.0) * HIGHEST
-    ranges = range_of(np.arange(256, dtype=np.uint8))
-    return np.asarray(ranges * np.cos(elevation)[:, None], np.float32)
-
-
-_LEVEL = _levels()
-
-
-WRONG = 0.15
-"""Share of statements that are wrong, or about another thing of that name."""
-_NOWHERE = 1e-6
-"""Mean fit of a statement that is true of no pose."""
-_TOLD = 0.05  # evidence that says anything [nat]
-
-
-def prior(sentence: Sentence, scene: Scene, table: VisibilityTable) -> NDArray[np.float32]:
-    """Log prior (K, A) float32 over the table's positions and headings a * STEP [nat].
-
-    Against the uniform: its exponential has the mean 1 for each statement, so it can be added
-    to what images say. Zero where nothing was said that the map could serve (`unused`).
-    """
-    total = np.zeros((len(table), AZIMUTHS), np.float32)
-    for _, ratio in _ratios(sentence, scene, table):
-        if ratio is not None:
-            total += ratio
-    return total
-
-
-def unused(sentence: Sentence, scene: Scene) -> tuple[Ignored, ...]:
-    """What of the sentence says nothing on this map, and why: things it does not have."""
-    things = Referents(sentence, scene)
-    reasons = [(s, things.missing(s)) for s in sentence.statements]
-    return tuple(Ignored(s.text, reason) for s, reason in reasons if reason)
-
-
-def evidence(
-    sentence: Sentence, scene: Scene, table: VisibilityTable, pose: ArrayLike
-) -> tuple[Evidence, ...]:
-    """What each statement says of a pose (4,) x, y, z [m], yaw [rad] on a map."""
-    if not len(table):
-        return ()
-    pose = np.asarray(pose, np.float64)
-    row = int(np.square(table.positions - pose[:3]).sum(axis=1).argmin())
-    heading = int(np.round(pose[3] / STEP)) % AZIMUTHS
-    things = Referents(sentence, scene)
-    out = []
-    for s, ratio in _ratios(sentence, scene, table):
-        if ratio is None:
-            out.append(Evidence(s.text, "silent", 0.0, note=things.missing(s)))
-            continue
-        weight = float(ratio[row, heading % ratio.shape[1]])
-        verdict = "for" if weight > _TOLD else "against" if weight < -_TOLD else "silent"
-        out.append(Evidence(s.text, verdict, weight, _served(s, things)))
-    return tuple(out)
-
-
-def _served(s: Statement, things: Referents) -> tuple[ObjectRef, ...]:
-    """The objects that a statement is most probably about, at most one of each thing."""
-    rows = [int(things.weights[t].argmax()) for t in s.things if things.weights[t].any()]
-    return tuple(ref(things.scene, r) for r in rows)
-
-
-def _ratios(
-    sentence: Sentence, scene: Scene, table: VisibilityTable
-) -> list[tuple[Statement, NDArray[np.float32] | None]]:
-    """Log-likelihood ratio (K, A) or (K, 1) of each statement; None where it says nothing here."""
-    if not len(table):
-        return [(s, None) for s in sentence.statements]
-    things = Referents(sentence, scene)
-    useful = [s for s in sentence.statements if not things.missing(s)]
-    sight = Sight(things, table) if useful else None
-    return [
-        (s, None if sight is None or s not in useful else _compared(sight.fit(s), s.certainty))
-        for s in sentence.statements
-    ]
-
-
-def _compared(fit: NDArray[np.float32], certainty: float) -> NDArray[np.float32] | None:
-    mean = float(fit.mean(dtype=np.float64))
-    if mean < _NOWHERE:
-        return None
-    wrong = 1.0 - (1.0 - WRONG) * certainty
-    return np.log(fit * np.float32((1.0 - wrong) / mean) + np.float32(wrong))
+_RANGES = range_of(np.arange(256, dtype=np.uint8))
+_LEANING = np.exp(-_RANGES / np.float32(_LEANS))
+"""Weight (256,) of what is seen at each stored range, for the room that one is in."""
+_ELEVATION = ((np.arange(ELEVATIONS) + 0.5) / ELEVATIONS * 2.0 - 1.0) * HIGHEST
+_LEVEL = np.asarray(_RANGES * np.cos(_ELEVATION)[:, None], np.float32)
+"""Horizontal distance (E, 256) of stored ranges [m]."""

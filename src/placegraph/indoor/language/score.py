@@ -1,4 +1,4 @@
-"""How well what scenes hold fits the statements of a text, as a log-likelihood ratio.
+"""Log-likelihood ratios of scenes by a text: one scene alone, or many ranked side by side.
 
 As outdoors, a statement s of a scene has P(s | scene) = (1 - WRONG) fit(s, scene) / fit(s, average)
 + WRONG: what few scenes have counts more, what is wrong costs no more than the logarithm of WRONG.
@@ -20,28 +20,26 @@ from placegraph.core.graph import SceneGraph
 from placegraph.errors import OptionError
 from placegraph.indoor.language.appearance import ratios, room_ratios, with_colours
 from placegraph.indoor.language.index import Columns, Described, columns_of, units
-from placegraph.indoor.language.likeness import EXACT, fits, table, usual
+from placegraph.indoor.language.likeness import EXACT, Floats, Floats32, fits, table, usual
 from placegraph.indoor.language.reader import read
 from placegraph.indoor.language.sentence import Kind, Mention, Sentence, Statement
 from placegraph.indoor.map.relations import NEXT_TO, readings
 from placegraph.indoor.map.scene import Scene
 
-Floats = NDArray[np.float64]
-Floats32 = NDArray[np.float32]
-
-
+TOLD = 0.05
+"""Least weight of evidence that says anything [nat]."""
 WRONG = 0.3
 """Share of statements that are wrong, or about what a map does not have."""
 NOTED = 0.8
 """Power of how much a room holds, with which a thing in it is spoken of more rarely."""
 AGAIN = 0.3
-"""How much it counts that what was spoken of is there by another word: books of a bookcase."""
+"""Weight of what was spoken of by another word already: books of a bookcase."""
 UNSURE_ROOM = 0.25
-"""The same of what kind of room it is: a study is an office, what it holds only hints at it."""
+"""Share of kinds of rooms that are wrong: a study is an office, what it holds only hints at it."""
 APART = 0.3
-"""How well two things that are there, but not so related, fit: maps do not know all relations."""
+"""Fit of two things that are there, but not so related: maps do not know all relations."""
 SIDE = 0.6
-"""How well "next to" fits relations as seen by somebody: "in front of", "left of"."""
+"""Fit of "next to" to relations as seen by somebody: "in front of", "left of"."""
 _RELATED = 0.4  # how well two things fit a relation in homes
 _SHELL = ("wall", "floor", "ceiling")
 _WITH = ("on", "next to", "in", "attached to")
@@ -64,14 +62,14 @@ class Term(NamedTuple):
 
 
 def scene_scores(sentence: Sentence, columns: Columns) -> Floats:
-    """Log-likelihood ratio (n,) of each scene against their average [nat]."""
+    """Return the log-likelihood ratio (n,) of each scene against their average [nat]."""
     if not columns.scenes or not sentence.statements:
         return np.zeros(columns.scenes)
     return of_scenes(sentence, columns, compared(sentence, columns, columns).sum(axis=0))[0]
 
 
 def compared(sentence: Sentence, columns: Columns, library: Columns | None) -> Floats:
-    """Log-likelihood ratios (S, U) of what each statement says.
+    """Return log-likelihood ratios (S, U) of what each statement says.
 
     `library` says what is usual; where there is none, homes do (`rooms.toml`).
     """
@@ -81,40 +79,38 @@ def compared(sentence: Sentence, columns: Columns, library: Columns | None) -> F
     if library is not None and library is not columns:
         usual_ = list(_terms(sentence, library, library))
     for term, of in zip(own, usual_, strict=True):
-        mean = _mean(of) if library is not None else term.usual
+        mean = term.usual
+        if library is not None:  # of few scenes drawn to what has never been seen
+            where = np.ones(len(of.fit)) if of.where is None else of.where
+            mean = float(((where * of.fit).sum() + 0.05) / (where.sum() + 1.0))
         ratio = np.log(term.sure * term.fit / mean + 1.0 - term.sure)
         out[term.statement] += ratio if term.where is None else ratio * term.where
     return out
 
 
-def _mean(term: Term) -> float:
-    """Mean fit of a term, of few scenes drawn to what has never been seen."""
-    if term.where is None:
-        return float((term.fit.sum() + 0.05) / (len(term.fit) + 1.0))
-    return float(((term.where * term.fit).sum() + 0.05) / (term.where.sum() + 1.0))
-
-
 def _terms(sentence: Sentence, columns: Columns, library: Columns) -> Iterator[Term]:
-    """What statements say: that things are there, and that two of them are so related.
+    """Yield what statements say: that things are there, and that two of them are so related.
 
     Where the speaker is, nobody knows: of scenes it says that the things are there. What a text
     speaks of twice is there once.
     """
-    known = _Known(sentence, columns, library)
-    told: set[int] = set()
+    known = _UnitFits(sentence, columns, library)
+    spoken: set[int] = set()
     for row, s in enumerate(sentence.statements):
         sure = (1.0 - WRONG) * s.certainty
         things = [sentence.mentions[t] for t in s.things]
         if s.kind is Kind.ROOM:
-            fit, usual_ = known.room(things[0]), _usual_room(things[0])
+            kind = things[0].room
+            usual_ = float(table().usual[table().kinds.index(kind)]) if kind else 1.0
+            fit = known.room(things[0])
             sure *= (1.0 - UNSURE_ROOM) / (1.0 - WRONG)
             yield Term(row, *_unless(fit, usual_, not_=s.negated), sure)
             continue
         paired = s.kind in (Kind.RELATED, Kind.NEAR, Kind.BETWEEN)
         for t in s.things:
-            if t in told:
+            if t in spoken:
                 continue
-            told.add(t)
+            spoken.add(t)
             thing = sentence.mentions[t]
             not_ = thing.negated or (s.negated and not paired)
             built_in = _built_in(thing.label)
@@ -130,14 +126,10 @@ def _unless(fit: Floats, usual_: float, *, not_: bool) -> tuple[Floats, float]:
     return (1.0 - np.minimum(fit, 1.0), 1.0 - usual_) if not_ else (fit, max(usual_, 1e-3))
 
 
-def _usual_room(thing: Mention) -> float:
-    return float(table().usual[table().kinds.index(thing.room)]) if thing.room else 1.0
-
-
 def of_scenes(
     sentence: Sentence, columns: Columns, totals: Floats
 ) -> tuple[Floats, NDArray[np.int64]]:
-    """Scores (n,) of scenes from those of their units, and the unit of each that fits best."""
+    """Return scores (n,) of scenes from those of their units, and the unit of each that fits best."""
     rooms = np.bincount(columns.scene, ~columns.whole, columns.scenes)
     named = any(
         s.kind is Kind.ROOM and not s.negated and sentence.mentions[s.things[0]].room
@@ -155,8 +147,8 @@ def of_scenes(
     return top + np.log(sums), best
 
 
-class _Known:
-    """How well the things of a sentence fit the units of an index, each found once.
+class _UnitFits:
+    """Fits of the things of a sentence to the units of an index, each found once.
 
     Parameters
     ----------
@@ -168,18 +160,18 @@ class _Known:
 
     def __init__(self, sentence: Sentence, columns: Columns, library: Columns) -> None:
         self._sentence, self._columns, self._library = sentence, columns, library
-        self._labels: dict[str, NDArray[np.float32]] = {}
+        self._labels: dict[str, Floats32] = {}
         self._held: dict[int, Floats] = {}
         self._claimed: dict[int, str] = {}
         self.noted = (library.much.mean() / columns.much) ** NOTED
 
-    def _fits(self, label: str) -> NDArray[np.float32]:
+    def _fits(self, label: str) -> Floats32:
         if label not in self._labels:
             self._labels[label] = self._columns.fits(label)
         return self._labels[label]
 
     def claim(self, thing: Mention) -> bool:
-        """Whether a thing is news: what is called so was not spoken of by another word."""
+        """Tell whether a thing is news: what is called so was not spoken of by another word."""
         weights = self._library.fits(thing.label)
         if not weights.any():
             return True
@@ -188,7 +180,7 @@ class _Known:
         return self._claimed.setdefault(best, word) == word
 
     def room(self, thing: Mention) -> Floats:
-        """How well (U,) units are such a room, or so many."""
+        """Return how well (U,) units are such a room, or so many."""
         columns = self._columns
         expected = np.ones(len(columns.rooms))  # of no kind: "a large room"
         if thing.room:
@@ -199,7 +191,7 @@ class _Known:
         return np.minimum(expected, 1.0) * size
 
     def fit(self, t: int) -> Floats:
-        """How well (U,) units hold a thing that looks as was said."""
+        """Return how well (U,) units hold a thing that looks as was said."""
         if t not in self._held:
             thing = self._sentence.mentions[t]
             weights = self._fits(thing.label)
@@ -215,7 +207,7 @@ class _Known:
     def _looks(
         self, thing: Mention, weights: Floats32, entries: NDArray[np.int64], best: Floats32
     ) -> Floats:
-        """How much better (U,) than usual the best of such things looks as was said."""
+        """Return how much better (U,) than usual the best of such things looks as was said."""
         if not thing.attributes or not len(entries):
             return np.ones(len(best))
         postings = self._columns.of_labels
@@ -223,16 +215,16 @@ class _Known:
         far, usual_ = self._library, self._library.of_labels
         fitting = far.fits(thing.label)[usual_.words].astype(np.float64)
         rows = np.flatnonzero(fitting)
-        told = ratios(
+        ratio = ratios(
             thing.attributes, self._columns.looks[entries], far.looks[rows], fitting[rows]
         )
         out = np.zeros(len(best))
         units = postings.units[entries]
-        np.maximum.at(out, units, told * like / np.maximum(best[units], 1e-6))
+        np.maximum.at(out, units, ratio * like / np.maximum(best[units], 1e-6))
         return np.where(best > 0.0, out, 1.0)
 
     def related(self, s: Statement) -> tuple[Floats, Floats]:
-        """How well (U,) two things are related as was said, and whether they are there at all."""
+        """Return how well (U,) two things are related as was said, and whether they are there at all."""
         columns = self._columns
         things = [self._sentence.mentions[t] for t in s.things]
         first, second = (self._fits(thing.label) for thing in things)
@@ -252,13 +244,13 @@ class _Known:
 
 @cache
 def _built_in(label: str) -> bool:
-    """Whether it is a wall, a floor or a ceiling, by whatever word."""
+    """Tell whether it is a wall, a floor or a ceiling, by whatever word."""
     return bool(fits(label, _SHELL).max() >= EXACT)
 
 
 @cache
 def sayings(relation: str) -> tuple[dict[str, float], dict[str, float]]:
-    """Names of edges that say a relation, straight and turned, and how well they do."""
+    """Return names of edges that say a relation, straight and turned, and how well they do."""
     straight: dict[str, float] = {}
     turned: dict[str, float] = {}
     for asked in _WITH if relation == "with" else (relation,):
@@ -270,7 +262,7 @@ def sayings(relation: str) -> tuple[dict[str, float], dict[str, float]]:
 
 
 def _counted(many: Floats, thing: Mention) -> Floats:
-    """How well a number of things fits how many were said: one off is often a matter of taste."""
+    """Return how well numbers of things fit how many were said: one off is often a matter of taste."""
     if thing.count is not None and thing.count > 1:
         off = np.abs(many - thing.count)
         return np.where(many > 0, np.where(off == 0, 1.0, np.where(off == 1, 0.4, 0.15)), 0.0)
@@ -283,25 +275,22 @@ def _counted(many: Floats, thing: Mention) -> Floats:
     return (many > 0).astype(np.float64)
 
 
-_TOLD = 0.05  # evidence that says anything [nat]
-
-
 @dataclass(frozen=True, slots=True)
 class Score:
-    """How well a scene answers a text."""
+    """Log-likelihood ratio of a scene by a text, and its evidence."""
 
     log_likelihood: float
     """Log-likelihood ratio against an average scene [nat]."""
     evidence: tuple[Evidence, ...]
-    """What each statement says of the scene, or of the room of it that fits best."""
+    """Evidence of each statement on the scene, or on the room of it that fits best."""
 
 
 def rank_scenes(
     text: str | Sentence,
     graphs: Iterable[SceneGraph | Scene],
     rooms: Iterable[Sequence[str]] | None = None,
-) -> NDArray[np.float64]:
-    """How well each of n scenes answers a text, rare things counting more.
+) -> Floats:
+    """Score each of n scenes by how well it answers a text, rare things counting more.
 
     Parameters
     ----------
@@ -374,7 +363,7 @@ class TextIndex:
         return len(self._scenes) - 1
 
     def units(self, row: int) -> tuple[Described, ...]:
-        """What may be described of a scene: its rooms, and where there are several all of it."""
+        """Return what may be described of a scene: its rooms, and where there are several all of it."""
         return tuple(self._scenes[row])
 
     def remove(self, row: int) -> None:
@@ -384,15 +373,15 @@ class TextIndex:
         del self._scenes[row]
         self._columns = None
 
-    def scores(self, sentence: Sentence) -> NDArray[np.float64]:
-        """Log-likelihood ratio (n,) of each scene against the average of them [nat].
+    def scores(self, sentence: Sentence) -> Floats:
+        """Return the log-likelihood ratio (n,) of each scene against the average of them [nat].
 
         All zero for a sentence that says nothing.
         """
         return scene_scores(sentence, self.columns)
 
     def search(self, sentence: Sentence, most: int = 10) -> list[tuple[int, float]]:
-        """Rows and scores of the best scenes, best first, the first of equal ones before."""
+        """Return rows and scores of the best scenes, best first, the first of equal ones before."""
         scores = self.scores(sentence)
         order = np.argsort(-scores, kind="stable")[:most]
         return [(int(row), float(scores[row])) for row in order]
@@ -410,7 +399,7 @@ def _units(
     rooms: Sequence[str] = (),
     attributes: Sequence[Mapping[str, str]] = (),
 ) -> list[Described]:
-    """What may be described of a graph, or of a map, which knows its rooms and colours."""
+    """Return what may be described of a graph, or of a map, which knows its rooms and colours."""
     if not isinstance(graph, Scene):
         return units(graph, rooms, attributes)
     own = [a.get("room", "") for a in graph.attributes]
@@ -424,7 +413,7 @@ def score(
     library: TextIndex | None = None,
     attributes: Sequence[Mapping[str, str]] = (),
 ) -> Score:
-    """How well a scene answers a text, as a log-likelihood ratio against an average scene.
+    """Return how well a scene answers a text, as a log-likelihood ratio against an average scene.
 
     Parameters
     ----------
@@ -469,7 +458,7 @@ def _evidence(
         for label, fit in zip(labels, fits(mentions[t].label, labels), strict=True)
         if fit >= EXACT
     }
-    verdict = "for" if ratio > _TOLD else "against" if ratio < -_TOLD else "silent"
+    verdict = "for" if ratio > TOLD else "against" if ratio < -TOLD else "silent"
     refs = tuple(
         ObjectRef(id_, label, name)
         for id_, label, name in zip(graph.ids, graph.labels, graph.names, strict=True)
