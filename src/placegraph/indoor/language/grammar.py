@@ -71,6 +71,7 @@ def english() -> Phrases:
         for key, phrases in entries.items():
             for words in [tuple(phrase.split()) for phrase in phrases]:
                 count = next((_COUNTED[w] for w in words if w in _COUNTED), None)
+                terminals: tuple[Terminal, ...]
                 if section == "relations":
                     terminals = (Terminal("REL", key),)
                 elif section == "directions":

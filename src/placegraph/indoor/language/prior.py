@@ -127,10 +127,12 @@ def _ratios(
     found: list[tuple[Statement, Floats32 | None]] = [(s, None) for s in sentence.statements]
     things = Referents(sentence, scene)
     useful = [i for i, s in enumerate(sentence.statements) if len(table) and not things.missing(s)]
-    fits_ = PoseFits(things, table) if useful else None
-    for i in useful if fits_ is not None else ():
+    if not useful:
+        return found
+    fits_of = PoseFits(things, table)
+    for i in useful:
         s = sentence.statements[i]
-        fit = fits_.fit(s)
+        fit = fits_of.fit(s)
         mean = float(fit.mean(dtype=np.float64))
         if mean >= _NOWHERE:
             wrong = 1.0 - (1.0 - WRONG) * s.certainty

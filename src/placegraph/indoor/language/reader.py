@@ -7,7 +7,6 @@ from dataclasses import replace
 
 from placegraph.indoor.language.appearance import is_look, leading, looks, trailing
 from placegraph.indoor.language.grammar import (
-    Clause,
     Item,
     NounPhrase,
     Place,
@@ -18,7 +17,7 @@ from placegraph.indoor.language.grammar import (
 from placegraph.indoor.language.likeness import room_kind
 from placegraph.indoor.language.sentence import ME, Kind, Mention, Sentence, Statement
 from placegraph.indoor.map.relations import same_thing
-from placegraph.language.grammar import Chunk, PlacePhrase
+from placegraph.language.grammar import Chunk, Clause, PlacePhrase
 from placegraph.language.text import Ignored, check_text, scan_text
 
 SCENE = -2
