@@ -258,13 +258,6 @@ def refused(
     ground.count(outcome, wrong, ended.said, say)
 
 
-def limited(ground: Ground, commands: Commands, limits: Limits, say: Callable[[str], None]) -> None:
-    """Run the command under limits, and judge it."""
-    old = ground.writing.before(ground.inputs, ground.folder)
-    ended = commands.start(ground.writing.words, ground.folder, ground.room, limits).end()
-    refused(ground, old, ended, say, clean=True)
-
-
 def worse(outcome: str) -> str:
     """Outcome of what went wrong though it ended in order."""
     return "untyped" if outcome in ("accepted", "typed") else outcome
@@ -303,7 +296,10 @@ def full(ground: Ground, commands: Commands, effort: Effort, rng: Generator) -> 
     """No file may grow beyond a size that is drawn."""
     most = max(map(len, ground.new.values()))
     size = int(rng.integers(LEAST, max(most, LEAST + 1)))
-    limited(ground, commands, Limits(file=size), effort.say)
+    limits = Limits(file=size)
+    old = ground.writing.before(ground.inputs, ground.folder)
+    ended = commands.start(ground.writing.words, ground.folder, ground.room, limits).end()
+    refused(ground, old, ended, effort.say, clean=True)
 
 
 def on_disk(

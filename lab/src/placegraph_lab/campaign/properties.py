@@ -64,14 +64,6 @@ class Motion:
         return Capture.from_frames([_in_mirror(f) if self.mirrored else f for f in frames])
 
 
-def relist_scene(scene: SceneMap, rng: np.random.Generator) -> SceneMap:
-    """The same room, its objects in another order."""
-    order = rng.permutation(len(scene))
-    place = np.argsort(order).astype(np.int32)
-    mesh = replace(scene.mesh, object_of=place[scene.mesh.object_of])
-    return _made(scene, mesh, 0.0, order)
-
-
 def stood(frames: Sequence[Frame]) -> list[Frame]:
     """Frames of a camera that stood still, as its odometry tells."""
     return [_again(f, odometry=frames[0].odometry, gravity=frames[0].gravity) for f in frames]
@@ -200,7 +192,10 @@ def relisted(room: Room, rng: np.random.Generator) -> str:
     """The objects of a map in another order change nothing."""
     walk = room.walk(rng)
     here = room.scene.localize(walk)
-    return apart(here, relist_scene(room.scene, rng).localize(walk))
+    order = rng.permutation(len(room.scene))
+    place = np.argsort(order).astype(np.int32)
+    mesh = replace(room.scene.mesh, object_of=place[room.scene.mesh.object_of])
+    return apart(here, _made(room.scene, mesh, 0.0, order).localize(walk))
 
 
 def still(room: Room, rng: np.random.Generator) -> str:

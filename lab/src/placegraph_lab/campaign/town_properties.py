@@ -91,39 +91,6 @@ def carry_extract(extract: ET.Element, motion: Motion) -> ET.Element:
     return copy
 
 
-def fenced(extract: ET.Element, plane: LocalPlane) -> ET.Element:
-    """An extract with two trees at its corners, as wide and as long as viewpoints fit into.
-
-    The raster of viewpoints begins `REACH` before the first object; with these it ends as far behind
-    the last, and comes upon itself where the extract is turned by right angles or mirrored.
-    """
-    lonlat = np.array([_lonlat(node) for node in extract.iter("node")])
-    half = np.abs(plane.to_plane(lonlat)).max(axis=0) + STRIDE
-    half = np.ceil((half.max() + REACH) / STRIDE) * STRIDE - REACH - 0.01
-    corners = plane.to_lonlat(np.array([(-half, -half), (half, half)]))
-    for k, (longitude, latitude) in enumerate(corners):
-        node = ET.Element("node", id=str(900_000 + k), version="1")
-        node.attrib |= {"lon": f"{longitude:.9f}", "lat": f"{latitude:.9f}"}
-        ET.SubElement(node, "tag", k="natural", v="tree")
-        extract.append(node)
-    return _sorted(extract)
-
-
-def renumber_extract(extract: ET.Element, rng: np.random.Generator) -> ET.Element:
-    """A copy whose objects have each other's numbers, in another order."""
-    copy = ET.fromstring(ET.tostring(extract))  # noqa: S314
-    for kind in KINDS:
-        old = [thing.attrib["id"] for thing in copy.iter(kind)]
-        new = dict(zip(old, (str(i) for i in rng.permutation(old)), strict=True))
-        for thing in copy.iter(kind):
-            thing.set("id", new[thing.attrib["id"]])
-        inside = copy.iter("nd") if kind == "node" else copy.iter("member")
-        for part in inside:
-            if part.get("type", "node") == kind:
-                part.set("ref", new[part.attrib["ref"]])
-    return _sorted(copy)
-
-
 def beside(extract: ET.Element, other: ET.Element) -> ET.Element:
     """One extract of two, whose numbers are kept apart."""
     copy, more = (ET.fromstring(ET.tostring(e)) for e in (extract, other))  # noqa: S314
@@ -140,13 +107,6 @@ def built(extract: ET.Element, folder: Path) -> CityMap:
     stem = next(name for n in count() if not (folder / (name := f"town{n}.osm")).exists())
     ET.ElementTree(extract).write(folder / stem, encoding="utf-8")
     return build_city(folder / stem, (folder / stem).with_suffix(".city"))
-
-
-def standing(city: CityMap, rng: np.random.Generator) -> int:
-    """A viewpoint (row of `city.views`) from which some things can be told."""
-    every = np.arange(len(city.views.positions))
-    rich = np.flatnonzero(np.diff(city.in_sight(every).starts) >= 4)
-    return int(rng.choice(rich))
 
 
 def true_things(city: CityMap, view: int) -> list[tuple[int, float]]:
@@ -231,7 +191,16 @@ def drawn(folder: Path) -> Town:
     world = unpack(folder / "raw")
     extract, other = (read(world / f"{name}.osm") for name in (TOWN, OTHER))
     plane = middle(extract)
-    extract = fenced(extract, plane)
+    lonlat = np.array([_lonlat(node) for node in extract.iter("node")])
+    half = np.abs(plane.to_plane(lonlat)).max(axis=0) + STRIDE
+    half = np.ceil((half.max() + REACH) / STRIDE) * STRIDE - REACH - 0.01
+    corners = plane.to_lonlat(np.array([(-half, -half), (half, half)]))
+    for k, (longitude, latitude) in enumerate(corners):
+        node = ET.Element("node", id=str(900_000 + k), version="1")
+        node.attrib |= {"lon": f"{longitude:.9f}", "lat": f"{latitude:.9f}"}
+        ET.SubElement(node, "tag", k="natural", v="tree")
+        extract.append(node)
+    extract = _sorted(extract)
     return Town(extract, plane, built(extract, folder), other, folder)
 
 
@@ -239,7 +208,9 @@ def descriptions(city: CityMap, rng: np.random.Generator) -> list[Description]:
     """True descriptions of places in a city, of two to five statements."""
     found: list[Description] = []
     while len(found) < ASKED:
-        things = true_things(city, standing(city, rng))
+        every = np.arange(len(city.views.positions))
+        rich = np.flatnonzero(np.diff(city.in_sight(every).starts) >= 4)
+        things = true_things(city, int(rng.choice(rich)))
         if len(things) > 1:
             some = rng.permutation(len(things))[: rng.integers(2, 6)]
             found.append(told(city, [things[i] for i in some]))
@@ -275,7 +246,17 @@ def turned(town: Town, rng: np.random.Generator) -> str:
 
 def renumbered(town: Town, rng: np.random.Generator) -> str:
     """The same objects under other numbers, in another order."""
-    city = built(renumber_extract(town.extract, rng), town.folder)
+    copy = ET.fromstring(ET.tostring(town.extract))  # noqa: S314
+    for kind in KINDS:
+        old = [thing.attrib["id"] for thing in copy.iter(kind)]
+        new = dict(zip(old, (str(i) for i in rng.permutation(old)), strict=True))
+        for thing in copy.iter(kind):
+            thing.set("id", new[thing.attrib["id"]])
+        inside = copy.iter("nd") if kind == "node" else copy.iter("member")
+        for part in inside:
+            if part.get("type", "node") == kind:
+                part.set("ref", new[part.attrib["ref"]])
+    city = built(_sorted(copy), town.folder)
     for told in descriptions(town.city, rng):
         if broken := apart(city, town.city.locate(told), city.locate(told), SAME):
             return broken

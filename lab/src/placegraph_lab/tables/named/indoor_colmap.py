@@ -424,12 +424,6 @@ def indoor_colmap(
             count = 6 if quick else frames
             weights = run.shared / "weights/xfeat.pt"
             rows += rows_of(one, run.data, run.cache, weights, count, seed)
-    print(report(rows))
-    run.save({"rows": to_dict(rows)}, whole=not only)
-
-
-def report(rows: list[Row]) -> str:
-    """One table; of each row medians over all frames, those without a pose among them."""
     header = ["map, and who asks it", "median", "10 cm, 5°", "sure", "sure and wrong", "MB", "ms"]
     lines: list[list[str]] = []
     for row in rows:
@@ -447,4 +441,5 @@ def report(rows: list[Row]) -> str:
             number(row.megabytes, 2),
             number(float(np.median([a.milliseconds for a in told]))),
         ])  # fmt: skip
-    return markdown(header, lines)
+    print(markdown(header, lines))
+    run.save({"rows": to_dict(rows)}, whole=not only)

@@ -133,23 +133,6 @@ def tracking(scene: Path, folders: Sequence[Path]) -> dict[str, Any]:
     }
 
 
-def cold_start(command: Sequence[str], times: int = 3) -> float:
-    """Return the median wall time [s] of a command in a fresh process, compiled code cached."""
-    spent = []
-    for attempt in range(times + 1):  # the first compiles, if nothing else did
-        start = time.perf_counter()
-        done = subprocess.run(  # noqa: S603  # our own command line
-            [sys.executable, "-m", "placegraph.cli", *command],
-            capture_output=True, text=True, check=False,
-        )  # fmt: skip
-        if done.returncode:
-            raise PlacegraphError(f"{' '.join(command)} fails: {done.stderr.strip()[-300:]}")
-        if attempt:
-            spent.append(time.perf_counter() - start)
-    json.loads(done.stdout)
-    return float(np.median(spent))
-
-
 def methods(run: Run, maps: dict[str, Path], folders: list[Path]) -> list[dict[str, Any]]:
     """Time a frame of each method on each map, in fresh processes."""
     rows = []
@@ -181,7 +164,20 @@ def indoor_speed(
     record: dict[str, Any] = {}
     if "start" in wanted:
         given = [str(maps["house"]), str(folders[0]), "--frames", f"0:{FRAMES}", "--json"]
-        record["start"] = {"map": "house", "seconds": cold_start(["scene", "localize", *given])}
+        command = ["scene", "localize", *given]
+        spent = []
+        for attempt in range(3 + 1):  # the first compiles, if nothing else did
+            start = time.perf_counter()
+            done = subprocess.run(  # noqa: S603  # our own command line
+                [sys.executable, "-m", "placegraph.cli", *command],
+                capture_output=True, text=True, check=False,
+            )  # fmt: skip
+            if done.returncode:
+                raise PlacegraphError(f"{' '.join(command)} fails: {done.stderr.strip()[-300:]}")
+            if attempt:
+                spent.append(time.perf_counter() - start)
+        json.loads(done.stdout)
+        record["start"] = {"map": "house", "seconds": float(np.median(spent))}
         title = f"`placegraph scene localize`, {FRAMES} frames, cold"
         text = render((Col(title, "map"), Col("s", "seconds", 2)), [record["start"]])
         print(f"#### Cold start\n\n{text}\n")

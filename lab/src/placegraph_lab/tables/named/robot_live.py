@@ -360,16 +360,6 @@ def from_files(scene: SceneMap, paths: Sequence[Path]) -> dict[str, Any]:
     return figures(wall, cpu, sure)
 
 
-def bags(paths: Sequence[Path], folder: Path) -> list[Path]:
-    """The same captures as MCAP, raw images."""
-    out = []
-    for path in paths:
-        with BagWriter(folder / path.name) as writer:
-            write_capture(writer, open_capture(path, labels=None), Layout())
-        out.append(folder / path.name)
-    return out
-
-
 def from_server(maps: Path, paths: Sequence[Path]) -> dict[str, Any]:
     """Images sent over WebSockets to sessions of a server beside us, until each answer is there."""
     with served(maps) as server:
@@ -515,9 +505,14 @@ def robot_live(
         if "ways" in wanted:
             paths = sorted((run.data / "house").glob("seq[0-9]*"))
             scene = places.scene("house")
+            out = []
+            for path in paths:
+                with BagWriter(folder / path.name) as writer:
+                    write_capture(writer, open_capture(path, labels=None), Layout())
+                out.append(folder / path.name)
             found = {
                 "folder": from_files(scene, paths),
-                "MCAP": from_files(scene, bags(paths, folder)),
+                "MCAP": from_files(scene, out),
                 "WebSocket": from_server(folder / "maps", paths),
             }
             print(f"{ways_table(found)}\n")

@@ -60,7 +60,12 @@ class Contest:
         number = {name: i for i, name in enumerate(city.labels)}
         kind: Words = "triples" if queries[0].said[0].target else "speaker"
         wanted = [spoken(q, kind, number) for q in queries]
-        asked = _all_directions(np.concatenate(wanted), len(city.labels) + 1)
+        words = np.concatenate(wanted)
+        labels = len(city.labels) + 1
+        head, target = np.divmod(words, labels)
+        source, said = np.divmod(head, len(DIRECTIONS))
+        turned = (said[:, None] + np.arange(len(DIRECTIONS))) % len(DIRECTIONS)
+        asked = np.asarray((source[:, None] * len(DIRECTIONS) + turned) * labels + target[:, None])
         known = np.unique(asked)
         truth = city.plane.to_plane([(q.longitude, q.latitude) for q in queries])
 
@@ -97,14 +102,6 @@ class Contest:
             square=square,
             step=step,
         )
-
-
-def _all_directions(words: Ints, labels: int) -> Ints:
-    """Words (A, 4) in all four directions, as said first; see `encode`."""
-    head, target = np.divmod(words, labels)
-    source, said = np.divmod(head, len(DIRECTIONS))
-    turned = (said[:, None] + np.arange(len(DIRECTIONS))) % len(DIRECTIONS)
-    return np.asarray((source[:, None] * len(DIRECTIONS) + turned) * labels + target[:, None])
 
 
 MODE = 45.0  # the oracle sums the probability of viewpoints within this distance of a place's middle [m]

@@ -317,7 +317,18 @@ def write_walk(
         if labels:
             ids = np.append(numbers, 0)[shot.ids]  # -1 is the last
             Image.fromarray(ids.astype(np.uint16)).save(folder / f"{labels}/{i:06d}.png")
-    _write_texts(folder, walk, camera, half, labels, motion)
+    content = camera.to_dict() | {"depth": half.to_dict() | {"scale": 1000}}
+    if labels:
+        content |= {labels: half.to_dict()}
+    if labels == "instances":
+        content |= {"instances_offset": 1}
+    (folder / "camera.json").write_text(json.dumps(content, indent=1), encoding="utf-8")
+    write_tum(folder / "odometry.tum", walk.stamps, drifted(walk.map_from_camera, motion))
+    write_tum(folder / "trajectory.tum", walk.stamps, walk.map_from_camera)
+    felt = gravity(walk.map_from_camera, motion)
+    rows = zip(walk.stamps.tolist(), felt.tolist(), strict=True)
+    lines = (f"{stamp:.4f} {x:.6f} {y:.6f} {z:.6f}" for stamp, (x, y, z) in rows)
+    (folder / "gravity.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
     if labels == "labels":
         names = sorted({thing.label for thing in interior.things})
         text = json.dumps({str(k + 1): name for k, name in enumerate(names)}, indent=1)
@@ -361,26 +372,3 @@ def gravity(map_from_camera: Floats, rng: np.random.Generator) -> Floats:
     down = down + 0.1 * np.pi / 180.0 * rng.standard_normal(down.shape)
     felt: Floats = down / np.linalg.norm(down, axis=1, keepdims=True)
     return felt
-
-
-def _write_texts(
-    folder: Path,
-    walk: Walk,
-    camera: Camera,
-    half: Camera,
-    labels: str | None,
-    rng: np.random.Generator,
-) -> None:
-    """Camera, odometry, gravity, and the truth, which is for evaluation alone."""
-    content = camera.to_dict() | {"depth": half.to_dict() | {"scale": 1000}}
-    if labels:
-        content |= {labels: half.to_dict()}
-    if labels == "instances":
-        content |= {"instances_offset": 1}
-    (folder / "camera.json").write_text(json.dumps(content, indent=1), encoding="utf-8")
-    write_tum(folder / "odometry.tum", walk.stamps, drifted(walk.map_from_camera, rng))
-    write_tum(folder / "trajectory.tum", walk.stamps, walk.map_from_camera)
-    felt = gravity(walk.map_from_camera, rng)
-    rows = zip(walk.stamps.tolist(), felt.tolist(), strict=True)
-    lines = (f"{stamp:.4f} {x:.6f} {y:.6f} {z:.6f}" for stamp, (x, y, z) in rows)
-    (folder / "gravity.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
