@@ -4,14 +4,13 @@ from collections import Counter
 
 import numpy as np
 
-from placegraph_lab.tables.named.world_build import country
 from placegraph_lab.tables.outdoor.places import read_raw
 from placegraph_lab.tables.outdoor.tiling import tile
 
 
 def tiles(town, tmp_path, copies, seed=0):
     out = tmp_path / f"tiled_{copies}_{seed}.osm.pbf"
-    tile(town, out, copies, np.random.default_rng(seed))
+    tile([town], out, copies, seed)
     return read_raw(out), out
 
 
@@ -30,10 +29,10 @@ def test_copies_hold_as_much_and_keep_apart(town, tmp_path):
 
 def test_a_country_of_extracts_in_turn(town, tmp_path):
     whole, out = len(read_raw(town)), tmp_path / "country.osm.pbf"
-    nodes = country([town, town], out, 3, seed=0)
+    nodes = tile([town, town], out, 3, seed=0)
     made, first = read_raw(out), out.read_bytes()
     assert 2.0 * whole < len(made) <= 3 * whole
-    assert country([town, town], out, 3, seed=0) == nodes
+    assert tile([town, town], out, 3, seed=0) == nodes
     assert out.read_bytes() == first
-    country([town, town], out, 3, seed=1)
+    tile([town, town], out, 3, seed=1)
     assert out.read_bytes() != first

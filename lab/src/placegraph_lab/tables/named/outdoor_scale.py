@@ -14,13 +14,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
-
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS
 from placegraph_lab.tables.outdoor.metrics import measure, score
 from placegraph_lab.tables.outdoor.queries import Query, make_queries
 from placegraph_lab.tables.outdoor.tiling import tile
-from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, number, option, share, table
+from placegraph_lab.tables.runner import Column as Col
+from placegraph_lab.tables.runner import Quick, Run, Seed, option, render, share, table
 from placegraph_lab.tables.statistics import apart, peak
 
 
@@ -72,6 +71,17 @@ def ask(city: Path, queries: Sequence[Query]) -> dict[str, Any]:
     }
 
 
+COLUMNS = (
+    Col("copies", lambda r: f"{r['copies']} x"), Col("objects", "objects", 0), Col("cells", "cells", 0),
+    Col("build", "build_s", 1, "s"), Col("cells/s", lambda r: r["cells"] / r["build_s"], 0),
+    Col("build peak", "build_peak_bytes", 0, "MB", 1e-6), Col("file", "bytes", 2, "MB", 1e-6),
+    Col("bytes/cell", lambda r: r["bytes"] / r["cells"], 0), Col("open", "open_s", 0, "ms", 1e3),
+    Col("first query", "first_query_s", 0, "ms", 1e3), Col("p50", "p50_s", 1, "ms", 1e3),
+    Col("p95", "p95_s", 1, "ms", 1e3), Col("query peak", "query_peak_bytes", 0, "MB", 1e-6),
+    Col("@1 50 m", "recall_at_1_within_50_m", share),
+)  # fmt: skip
+
+
 @table()
 def outdoor_scale(
     run: Run,
@@ -92,30 +102,7 @@ def outdoor_scale(
     for n in (int(c) for c in copies.split(",")):
         run.say(f"{n} x: writing, building, asking")
         tiled, made = run.cache / f"tiled_{n}.osm.pbf", run.cache / f"tiled_{n}.city"
-        tile(osm, tiled, n, np.random.default_rng(seed))
+        tile([osm], tiled, n, seed)
         rows.append({"copies": n} | apart(build, tiled, made, osm) | apart(ask, made, asked))
-    header = ["copies", "objects", "cells", "build", "cells/s", "build peak", "file"]
-    header += ["bytes/cell", "open", "first query", "p50", "p95", "query peak", "@1 50 m"]
-    print(markdown(header, [line(row) for row in rows]))
+    print(render(COLUMNS, rows))
     run.save({"extract": osm.name, "rows": rows})
-
-
-def line(row: dict[str, Any]) -> list[str]:
-    """Row of the table."""
-    mega = 1e-6
-    return [
-        f"{row['copies']} x",
-        number(row["objects"]),
-        number(row["cells"]),
-        number(row["build_s"], 1, "s"),
-        number(row["cells"] / row["build_s"]),
-        number(row["build_peak_bytes"] * mega, 0, "MB"),
-        number(row["bytes"] * mega, 2, "MB"),
-        number(row["bytes"] / row["cells"]),
-        number(1e3 * row["open_s"], 0, "ms"),
-        number(1e3 * row["first_query_s"], 0, "ms"),
-        number(1e3 * row["p50_s"], 1, "ms"),
-        number(1e3 * row["p95_s"], 1, "ms"),
-        number(row["query_peak_bytes"] * mega, 0, "MB"),
-        share(row["recall_at_1_within_50_m"]),
-    ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -71,53 +72,54 @@ def shuffled(tags: list[Tags], groups: list[object], rng: Generator) -> list[Tag
     return result
 
 
-def tile(path: Path, out: Path, copies: int, rng: Generator) -> None:
-    """Write `copies` copies of an extract, laid out on a square grid, as one extract.
+def tile(paths: Sequence[Path], out: Path, copies: int, seed: int) -> int:
+    """Write copies of extracts in turn, on a square grid, as one extract; return its nodes.
 
-    The first copy stands where the extract does and keeps its tags. In every other one, tags are
+    The first copy stands where the first extract does and keeps its tags. In every other one, tags are
     exchanged among nodes, among open ways, among closed ways and among relations of one type.
     Ways longer than the city are left out: they would run through the other copies.
     """
     import osmium
     from osmium.osm.mutable import Node, Relation, Way
 
-    extract = Extract.read(path)
-    lonlat = np.array(extract.lonlat)
-    city = read_raw(path)
-    size = np.ptp(city.plane.to_lonlat(city.center), axis=0) + GAP
-    shifts = shifts_of(size, copies)
-    short = [bool((np.ptp(lonlat[refs], axis=0) < size).all()) for refs in extract.ways]
-    closed: list[object] = [refs[0] == refs[-1] for refs in extract.ways]
-    types: list[object] = [tags.get("type") for tags in extract.relation_tags]
-    tags = [
-        (extract.node_tags, extract.way_tags, extract.relation_tags)
-        if k == 0
-        else (
-            shuffled(extract.node_tags, [None] * len(lonlat), rng),
-            shuffled(extract.way_tags, closed, rng),
-            shuffled(extract.relation_tags, types, rng),
-        )
-        for k in range(copies)
-    ]
-    nodes, ways, relations = len(lonlat), len(extract.ways), len(extract.relations)
-    first = {"n": nodes, "w": ways, "r": relations}
+    extracts = [Extract.read(path) for path in paths]
+    cities = [read_raw(path) for path in paths]
+    sizes = [np.ptp(c.plane.to_lonlat(c.center), axis=0) + GAP for c in cities]
+    shifts = shifts_of(np.max(sizes, axis=0), copies)
+    low = [np.array(e.lonlat).min(axis=0) for e in extracts]
+    turns = [(extracts[k % len(paths)], k % len(paths)) for k in range(copies)]
+    counts = [(len(e.lonlat), len(e.ways), len(e.relations)) for e, _ in turns]
+    first = np.cumsum([(0, 0, 0), *counts], axis=0).tolist()  # of nodes, ways, relations
+    groups = [
+        ([None] * len(e.lonlat), [w[0] == w[-1] for w in e.ways],
+         [tags.get("type") for tags in e.relation_tags])
+        for e in extracts
+    ]  # fmt: skip
+
+    def tags_of(k: int, kind: int) -> list[Tags]:
+        extract, which = turns[k]
+        own = (extract.node_tags, extract.way_tags, extract.relation_tags)[kind]
+        rng = np.random.default_rng([seed, k, kind])
+        return own if k == 0 else shuffled(own, list(groups[which][kind]), rng)
+
     # an extract lists all nodes, then all ways, then all relations, each by rising id
     with osmium.SimpleWriter(str(out), overwrite=True) as writer:
-        for k, shift in enumerate(shifts):
-            for i, at in enumerate((lonlat + shift).tolist()):
-                writer.add_node(Node(id=k * nodes + i + 1, location=at, tags=tags[k][0][i]))
-        for k in range(copies):
-            for i, refs in enumerate(extract.ways):
-                if not short[i]:
-                    continue
-                own = [k * nodes + n + 1 for n in refs]
-                writer.add_way(Way(id=k * ways + i + 1, nodes=own, tags=tags[k][1][i]))
-        for k in range(copies):
-            for i, members in enumerate(extract.relations):
-                moved = [(t, k * first[t] + ref + 1, role) for t, ref, role in members]
-                writer.add_relation(
-                    Relation(id=k * relations + i + 1, members=moved, tags=tags[k][2][i])
-                )
+        for k, (extract, which) in enumerate(turns):
+            at = (np.array(extract.lonlat) + (low[0] - low[which]) + shifts[k]).tolist()
+            for i, (place, tags) in enumerate(zip(at, tags_of(k, 0), strict=True)):
+                writer.add_node(Node(id=first[k][0] + i + 1, location=place, tags=tags))
+        for k, (extract, which) in enumerate(turns):
+            lonlat = np.array(extract.lonlat)
+            for i, (refs, tags) in enumerate(zip(extract.ways, tags_of(k, 1), strict=True)):
+                if (np.ptp(lonlat[refs], axis=0) < sizes[which]).all():
+                    own = [first[k][0] + n + 1 for n in refs]
+                    writer.add_way(Way(id=first[k][1] + i + 1, nodes=own, tags=tags))
+        for k, (extract, _) in enumerate(turns):
+            of = dict(zip("nwr", first[k], strict=True))
+            for i, (members, tags) in enumerate(zip(extract.relations, tags_of(k, 2), strict=True)):
+                moved = [(kind, of[kind] + ref + 1, role) for kind, ref, role in members]
+                writer.add_relation(Relation(id=of["r"] + i + 1, members=moved, tags=tags))
+    return int(first[-1][0])
 
 
 def shifts_of(size: Floats, copies: int) -> Floats:
