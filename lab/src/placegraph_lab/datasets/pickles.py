@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import mmap
 import os
+import pickle
 import stat
 import struct
 from collections.abc import Callable, Mapping
@@ -145,7 +146,7 @@ def _dtype(_: Machine, arguments: tuple[Any, ...]) -> DType:
     return DType(arguments[0])
 
 
-def _scalar(_: Machine, arguments: tuple[Any, ...]) -> Any:  # noqa: ANN401  # bool, int or float
+def _scalar(_: Machine, arguments: tuple[Any, ...]) -> Any:  # noqa: ANN401
     if len(arguments) != 2:
         raise RefusedError("a number is not made as numpy makes one")
     return array_of(arguments[1], arguments[0], (), "C").item()
@@ -183,36 +184,33 @@ CALLS: Mapping[str, Callable[[Machine, tuple[Any, ...]], Any]] = {
 }
 
 
-_MOST_STEPS = 1 << 25
-"""Opcodes of the largest scene, several times over: every one may cost a hundred bytes."""
+_Base: Any = pickle._Unpickler  # noqa: SLF001  # the one whose opcodes can be replaced
 
 
-def read_pickle(path: str | os.PathLike[str], release: Release) -> Any:  # noqa: ANN401  # checked by the caller
+def read_pickle(path: str | os.PathLike[str], release: Release) -> Any:  # noqa: ANN401
     """Plain data of one pickle: lists, tuples, dicts, strings, numbers, `Record`s and arrays.
 
-    Arrays are read-only and refer to the file, which must not change while they are in use. Bytes
-    come as memory views.
+    Arrays are read-only.
 
     Raises `InputError`: the file is missing, empty, cut short, or no pickle of protocol 2 to 5; or
     it asks for anything else than the release's classes and numpy arrays. Nothing of it was run.
     """
     data = _mapped(Path(path))
-    machine = _Machine(data, release)
     try:
-        return finished(machine.run())
+        return finished(_Reader(data, release).load())
     except RefusedError as error:
         raise InputError(
-            f"{path}, byte {machine.opcode_at:,}: {error}. It is no file of {release.name}, or it is "
+            f"{path}, before byte {data.tell():,}: {error}. It is no file of {release.name}, or it is "
             "damaged; nothing of it was run. Download it again from where you trust it."
         ) from None
 
 
-def finished(value: Any) -> Any:  # noqa: ANN401  # anything a pickle holds
+def finished(value: Any) -> Any:  # noqa: ANN401
     """The array itself, where `value` stands for one."""
     return value.value if isinstance(value, Array) else value
 
 
-def _mapped(path: Path) -> memoryview:
+def _mapped(path: Path) -> mmap.mmap:
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     except (OSError, ValueError) as error:
@@ -224,154 +222,57 @@ def _mapped(path: Path) -> memoryview:
             raise InputError(f"{path} is not a plain file; name the pickle itself.")
         if not status.st_size:
             raise InputError(f"{path} is empty; download it again.")
-        return memoryview(mmap.mmap(descriptor, 0, access=mmap.ACCESS_READ))
+        return mmap.mmap(descriptor, 0, access=mmap.ACCESS_READ)
     finally:
         os.close(descriptor)
 
 
-class _Machine:
-    """Carries out the opcodes of one pickle."""
+class _Reader(_Base):  # type: ignore[misc]  # untyped
+    """Python's own unpickler in Python, with names, calls and states that are only those of `CALLS`."""
 
-    def __init__(self, data: memoryview, release: Release) -> None:
-        self.data, self.release = data, release
-        self.at = 0
-        self.opcode_at = 0
-        self.stack: list[Any] = []
-        self.marks: list[list[Any]] = []
-        self.memo: dict[int, Any] = {}
-        self.encoded = 0
+    def __init__(self, data: mmap.mmap, release: Release) -> None:
+        super().__init__(data)
+        self.data, self.release, self.encoded, self.size = data, release, 0, len(data)
 
-    @property
-    def size(self) -> int:
-        """Bytes of the pickle."""
-        return len(self.data)
-
-    def run(self) -> Any:  # noqa: ANN401
+    def load(self) -> Any:  # noqa: ANN401
         """Value that the pickle leaves behind."""
-        if bytes(self.take(1)) != b"\x80" or not 2 <= self.take(1)[0] <= 5:
+        head = self.data[:2]
+        if len(head) < 2 or head[0] != 0x80 or not 2 <= head[1] <= 5:
             raise RefusedError("it is no pickle of protocol 2 to 5")
-        for _ in range(_MOST_STEPS):
-            self.opcode_at = self.at
-            opcode = self.take(1)[0]
-            if opcode == 0x2E:  # STOP
-                if self.marks or len(self.stack) != 1:
-                    raise RefusedError("its stack is not in order at the end")
-                return self.stack[0]
-            step = OPCODES.get(opcode)
-            if step is None:
-                raise RefusedError(f"opcode {opcode:#04x} is not one that plain data need")
-            step(self)
-        raise RefusedError("it has more parts than any scene")
-
-    # --- bytes ---
-
-    def take(self, n: int) -> memoryview:
-        """Next n bytes of the file."""
-        end = self.at + n
-        if end > len(self.data):
-            raise RefusedError("the file ends here")
-        taken = self.data[self.at : end]
-        self.at = end
-        return taken
-
-    def number(self, format_: str) -> Any:  # noqa: ANN401  # as the format says
-        """Number in the next bytes."""
-        return struct.unpack(format_, self.take(struct.calcsize(format_)))[0]
-
-    def line(self) -> str:
-        """Text up to the next line feed."""
-        head = bytes(self.data[self.at : self.at + 256])
-        length = head.find(b"\n")
-        if length < 0:
-            raise RefusedError("a name does not end")
-        self.at += length + 1
-        return head[:length].decode("ascii", "replace")
-
-    def text(self, format_: str) -> str:
-        """Text with its length before it."""
-        raw = self.take(self.number(format_))
         try:
-            return str(raw, "utf-8")
-        except UnicodeDecodeError as error:
-            raise RefusedError("a text is not UTF-8") from error
+            return super().load()
+        except RefusedError:
+            raise
+        except EOFError:
+            raise RefusedError("the file ends here") from None
+        except Exception as error:  # noqa: BLE001  # whatever damage leads to
+            raise RefusedError(f"it is out of order ({type(error).__name__}: {error})") from None
 
-    # --- stack ---
-
-    def pop(self) -> Any:  # noqa: ANN401
-        """Topmost value."""
-        if not self.stack:
-            raise RefusedError("its stack is empty")
-        return self.stack.pop()
-
-    def pop_tuple(self, n: int) -> tuple[Any, ...]:
-        """Topmost n values, lowest first."""
-        if len(self.stack) < n:
-            raise RefusedError("its stack is empty")
-        values = tuple(self.stack[len(self.stack) - n :])
-        del self.stack[len(self.stack) - n :]
-        return values
-
-    def pop_mark(self) -> list[Any]:
-        """Values above the last mark."""
-        if not self.marks:
-            raise RefusedError("a mark is missing")
-        values, self.stack = self.stack, self.marks.pop()
-        return values
-
-    def top(self, kind: type) -> Any:  # noqa: ANN401
-        """Topmost value, which stays; it is of this type exactly."""
-        if not self.stack or type(self.stack[-1]) is not kind:
-            raise RefusedError(f"a {kind.__name__} is missing")
-        return self.stack[-1]
-
-    def recall(self, slot: int) -> None:
-        """Push what was memorized."""
-        if slot not in self.memo:
-            raise RefusedError(f"it recalls slot {slot}, which is empty")
-        self.stack.append(self.memo[slot])
-
-    def memorize(self, slot: int) -> None:
-        """Keep the topmost value; a dict, so that a large slot costs no more than a small one."""
-        if not self.stack:
-            raise RefusedError("its stack is empty")
-        self.memo[slot] = self.stack[-1]
-
-    def put_items(self, items: list[Any]) -> None:
-        """Key, value, key, value ... into the topmost dict."""
-        target = self.top(dict)
-        if len(items) % 2 or not all(type(key) in (str, int) for key in items[::2]):
-            raise RefusedError("a dict has keys that are neither text nor whole numbers")
-        target.update(zip(items[::2], items[1::2], strict=True))
-
-    # --- names, calls, states ---
-
-    def name(self, module: object, name: object) -> None:
-        """Push what a name means here."""
-        meaning = (
-            self.release.names.get((module, name)) if type(module) is type(name) is str else None
-        )
+    def find_class(self, module: str, name: str) -> Name:
+        """Return what a name means here; nothing is imported."""
+        meaning = self.release.names.get((module, name))
         if meaning is None:
-            raise RefusedError(f"it asks for {str(module)[:80]}.{str(name)[:80]}")
-        self.stack.append(Name(meaning))
+            raise RefusedError(f"it asks for {module[:80]}.{name[:80]}")
+        return Name(meaning)
 
-    def new(self) -> None:
+    def make_record(self) -> None:
         """Make an instance of a published class."""
-        cls, arguments = self.pop_tuple(2)
+        arguments, cls = self.stack.pop(), self.stack.pop()
         if not (isinstance(cls, Name) and cls.meaning in self.release.classes and arguments == ()):
             raise RefusedError("it makes an object of no published class")
         self.stack.append(Record(cls.meaning))
 
     def call(self) -> None:
         """Carry out one of the few calls that arrays need."""
-        function, arguments = self.pop_tuple(2)
+        arguments, function = self.stack.pop(), self.stack.pop()
         meaning = function.meaning if isinstance(function, Name) else None
         if meaning is None or meaning not in CALLS or type(arguments) is not tuple:
             raise RefusedError("it calls what is not to be called")
         self.stack.append(CALLS[meaning](self, arguments))
 
-    def build(self) -> None:
+    def set_state(self) -> None:
         """Give a record its fields, an array its numbers, a dtype its byte order."""
-        target, state = self.pop_tuple(2)
+        state, target = self.stack.pop(), self.stack[-1]
         if isinstance(target, Record):
             if type(state) is not dict or not all(type(key) is str for key in state):
                 raise RefusedError(f"the state of a {target.kind} is no dict of fields")
@@ -382,128 +283,41 @@ class _Machine:
             _, shape, dtype, fortran, raw = state
             target.value = array_of(raw, dtype, shape, "F" if fortran is True else "C")
         elif isinstance(target, DType):
-            if (
-                type(state) is not tuple
-                or not 2 <= len(state) <= 9
-                or state[1] not in ("<", ">", "|", "=")
-                or any(part is not None for part in state[2:5])
-            ):
+            plain = (
+                type(state) is tuple and 2 <= len(state) <= 9 and state[1] in ("<", ">", "|", "=")
+            )
+            if not plain or any(part is not None for part in state[2:5]):
                 raise RefusedError("a dtype is not one of plain numbers")
             target.order = str(state[1])
         else:
             raise RefusedError("it sets the state of what has none")
-        self.stack.append(target)
+
+    def take_bytes(self) -> None:
+        """Read bytes with their length before them; more than there are refused before any room is made."""
+        (length,) = struct.unpack("<Q", self.read(8))
+        if length > self.size:
+            raise RefusedError("the file ends here")
+        self.stack.append(bytes(self.read(length)))
+
+    def refuse(self) -> None:
+        """Refuse an opcode that plain data do not need."""
+        raise RefusedError("an opcode is not one that plain data need")
 
 
-def _push(read: Callable[[_Machine], Any]) -> Callable[[_Machine], None]:
-    def step(machine: _Machine) -> None:
-        value = read(machine)  # first: it may change which list is the stack
-        machine.stack.append(value)
-
-    return step
-
-
-def _drop(read: Callable[[_Machine], Any]) -> Callable[[_Machine], None]:
-    def step(machine: _Machine) -> None:
-        read(machine)
-
-    return step
-
-
-def _mark(machine: _Machine) -> None:
-    machine.marks.append(machine.stack)
-    machine.stack = []
-
-
-def _long(format_: str) -> Callable[[_Machine], None]:
-    def read(machine: _Machine) -> int:
-        length = machine.number(format_)
-        if not 0 <= length <= 16:
-            raise RefusedError("a number is longer than any that belongs here")
-        return int.from_bytes(machine.take(length), "little", signed=True)
-
-    return _push(read)
-
-
-def _tuple(n: int) -> Callable[[_Machine], None]:
-    return _push(lambda machine: machine.pop_tuple(n))
-
-
-def _append(machine: _Machine) -> None:
-    value = machine.pop()
-    machine.top(list).append(value)
-
-
-def _appends(machine: _Machine) -> None:
-    values = machine.pop_mark()
-    machine.top(list).extend(values)
-
-
-def _put(format_: str) -> Callable[[_Machine], None]:
-    return lambda machine: machine.memorize(machine.number(format_))
-
-
-def _get(format_: str) -> Callable[[_Machine], None]:
-    return lambda machine: machine.recall(machine.number(format_))
-
-
-def _bytes(format_: str) -> Callable[[_Machine], None]:
-    return _push(lambda machine: machine.take(machine.number(format_)))
-
-
-def _text(format_: str) -> Callable[[_Machine], None]:
-    return _push(lambda machine: machine.text(format_))
-
-
-def _number(format_: str) -> Callable[[_Machine], None]:
-    return _push(lambda machine: machine.number(format_))
-
-
-OPCODES: Mapping[int, Callable[[_Machine], None]] = {
-    ord("("): _mark,
-    ord("0"): _drop(lambda machine: machine.pop()),
-    ord("1"): _drop(lambda machine: machine.pop_mark()),
-    0x95: _drop(lambda machine: machine.number("<Q")),  # a frame: only a hint
-    ord("N"): _push(lambda _: None),
-    0x88: _push(lambda _: True),
-    0x89: _push(lambda _: False),
-    ord("J"): _number("<i"),
-    ord("K"): _number("<B"),
-    ord("M"): _number("<H"),
-    0x8A: _long("<B"),
-    0x8B: _long("<i"),
-    ord("G"): _number(">d"),
-    ord("X"): _text("<I"),
-    0x8C: _text("<B"),
-    0x8D: _text("<Q"),
-    ord("B"): _bytes("<I"),
-    ord("C"): _bytes("<B"),
-    0x8E: _bytes("<Q"),
-    0x96: _bytes("<Q"),  # a bytearray: here nobody writes into it
-    ord("]"): _push(lambda _: []),
-    ord("a"): _append,
-    ord("e"): _appends,
-    ord("}"): _push(lambda _: {}),
-    ord("s"): lambda machine: machine.put_items([*machine.pop_tuple(2)]),
-    ord("u"): lambda machine: machine.put_items(machine.pop_mark()),
-    ord(")"): _push(lambda _: ()),
-    ord("t"): _push(lambda machine: tuple(machine.pop_mark())),
-    0x85: _tuple(1),
-    0x86: _tuple(2),
-    0x87: _tuple(3),
-    ord("q"): _put("<B"),
-    ord("r"): _put("<I"),
-    0x94: lambda machine: machine.memorize(len(machine.memo)),
-    ord("h"): _get("<B"),
-    ord("j"): _get("<I"),
-    ord("c"): lambda machine: machine.name(machine.line(), machine.line()),
-    0x93: lambda machine: machine.name(*machine.pop_tuple(2)),
-    0x81: lambda machine: machine.new(),
-    ord("R"): lambda machine: machine.call(),
-    ord("b"): lambda machine: machine.build(),
+_UNNEEDED = (
+    pickle.PERSID, pickle.BINPERSID, pickle.INST, pickle.OBJ, pickle.NEWOBJ_EX, pickle.EXT1,
+    pickle.EXT2, pickle.EXT4, pickle.NEXT_BUFFER, pickle.READONLY_BUFFER,
+    pickle.EMPTY_SET, pickle.ADDITEMS, pickle.FROZENSET,
+)  # fmt: skip
+_OWN = {
+    pickle.NEWOBJ: "make_record", pickle.REDUCE: "call", pickle.BUILD: "set_state",
+    pickle.BYTEARRAY8: "take_bytes", pickle.BINBYTES8: "take_bytes",
+}  # fmt: skip
+_Reader.dispatch = {
+    **_Base.dispatch,
+    **{code[0]: getattr(_Reader, name) for code, name in _OWN.items()},
+    **{code[0]: _Reader.refuse for code in _UNNEEDED},
 }
-"""What is carried out; the opcodes of protocols 0 and 1, of extensions, persistent ids, sets and
-out-of-band buffers are missing on purpose."""
 
 
 RELEASE = Release("GOTPR", "scene_graph", ("SceneGraph", "Node"))  # the published classes
@@ -561,7 +375,7 @@ class _Vectors:
         self.known: dict[bytes, int] = {}
         self.seen: dict[int, int] = {}
 
-    def row(self, value: Any, where: str) -> int:  # noqa: ANN401  # whatever the file holds
+    def row(self, value: Any, where: str) -> int:  # noqa: ANN401
         if id(value) not in self.seen:  # the whole file stays in memory: ids do not change hands
             vector = _vector(finished(value), where)
             if self.rows and len(vector) != len(self.rows[0]):

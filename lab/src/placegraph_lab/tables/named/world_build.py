@@ -1,4 +1,4 @@
-"""How fast, and in how much memory, is a world built of an extract as large as a country?
+"""Build a world of an extract as large as a country: seconds, memory, and whether kills hurt.
 
 Copies of four extracts stand side by side as one; the build's processes are watched from outside.
 """
