@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph.outdoor.likelihood.match_kernels import MOST, direction_table
+from placegraph.outdoor.likelihood.match_kernels import MOST
+from placegraph.outdoor.map.directions_kernels import direction_table
 
 FOUNTAIN, BENCH, BAKERY = "amenity=fountain", "amenity=bench", "shop=bakery"
 CHURCH, TREE, STOP = "amenity=place_of_worship", "natural=tree", "highway=bus_stop"

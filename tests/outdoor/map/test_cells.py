@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.errors import MapError, OptionError
-from placegraph.outdoor.map.cells import Grid, compass, sightings
+from placegraph.outdoor.map.cells import Grid, sightings
+from placegraph.outdoor.map.directions_kernels import name_direction
 from placegraph.outdoor.map.geometry_kernels import nearest_on_parts
 
 TOWN = """
@@ -154,7 +155,7 @@ def test_every_thing_with_a_neighbour_stands_in_a_cell(make_city):
     ],
 )  # fmt: skip
 def test_compass_of_eq_6(delta, expected):
-    assert compass(np.array(delta, np.float64)) == expected
+    assert name_direction(np.array(delta, np.float64)) == expected
 
 
 OPPOSITE = {"north": "south", "south": "north", "east": "west", "west": "east"}
@@ -164,7 +165,7 @@ OPPOSITE = {"north": "south", "south": "north", "east": "west", "west": "east"}
 def test_opposite_directions(dx, dy):
     if dx or dy:
         delta = np.array([dx, dy], np.float64)
-        assert compass(-delta) == OPPOSITE[compass(delta)]
+        assert name_direction(-delta) == OPPOSITE[name_direction(delta)]
 
 
 def test_relations_of_a_real_city_mirror_each_other(real_city):

@@ -19,7 +19,7 @@ from placegraph.outdoor.language.description import (
     Sense,
     Statement,
 )
-from placegraph.outdoor.map.cells import compass
+from placegraph.outdoor.map.directions_kernels import name_direction
 from placegraph.outdoor.search.edit_distance import (
     PLAIN,
     TIMEOUT,
@@ -48,7 +48,8 @@ def place(*things, names=(), extra=()):
     """Scene graph of (label, east, north) with the relation of Eq. 6 between any two."""
     at = np.array([(e, n) for _, e, n in things], np.float64).reshape(-1, 2)
     edges = [
-        (a, b, compass(at[a] - at[b])) for a, b in itertools.permutations(range(len(things)), 2)
+        (a, b, name_direction(at[a] - at[b]))
+        for a, b in itertools.permutations(range(len(things)), 2)
     ]
     edges += extra
     sources, targets, relations = zip(*edges, strict=True) if edges else ((), (), ())

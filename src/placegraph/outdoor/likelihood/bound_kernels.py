@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, allow-incomplete-defs
 """How likely the statements can be at viewpoints at best: bounds from the view index alone."""
 
 from __future__ import annotations
@@ -5,11 +6,9 @@ from __future__ import annotations
 import numpy as np
 
 from placegraph.core.jit import kernel
-from placegraph.outdoor.likelihood.match_kernels import BETWEEN, DIRECTION, ME, TABLE
+from placegraph.outdoor.likelihood.match_kernels import BETWEEN, DIRECTION, ME
+from placegraph.outdoor.map.directions_kernels import TABLE
 from placegraph.outdoor.map.index_kernels import FINE, SLOTS, below, slot_of, unpack
-
-# mypy: allow-untyped-defs, allow-incomplete-defs
-
 
 TILES = 16
 """Tiles whose bounds are reckoned at once: what is known of them stays in the nearest cache."""
@@ -203,9 +202,6 @@ def _deny(bound, seen, noise, towards, anyhow):
         if anyhow or (ahead > 8.0 and max(-left, right) < 0.7 * ahead):
             absent = np.exp(-2.0 * seen[MASS, i])
             bound[i] *= (1.0 - noise) * absent + noise
-
-
-# mypy: allow-untyped-defs, allow-incomplete-defs
 
 
 FIRST = 64

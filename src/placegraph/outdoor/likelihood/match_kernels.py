@@ -1,58 +1,30 @@
-"""How well geometry fits what was said: soft directions, distances, and the other relations."""
+# mypy: allow-untyped-defs, allow-incomplete-defs
+"""Log-likelihood ratios of statements at viewpoints and at exact positions.
+
+The geometry of one statement, the assignment of objects to mentions (one mention means one thing
+throughout), all statements at a viewpoint, and what things out of sight add.
+"""
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.jit import kernel
+from placegraph.outdoor.map.directions_kernels import direction_fit
 from placegraph.outdoor.map.geometry_kernels import nearest_on_parts, nearest_to_each
 from placegraph.outdoor.map.index import POINT, SIGHT
 from placegraph.outdoor.map.index_kernels import look, most_things, place_of, tile_of
-
-# mypy: allow-untyped-defs, allow-incomplete-defs
-
 
 DIRECTION, NEAR, INSIDE, ALONG, ACROSS, BETWEEN, VISIBLE, SAME = range(8)
 """Operations, one for each `Relation`, in its order."""
 ME = -1
 """Stands for the viewpoint itself where a mention could stand."""
-TABLE = 256
-"""Entries of a direction table, over the cosine from -1 to 1."""
 AREA = 2
-SOFT = 0.1
-"""Width of a wind's edge, as a share of its half sector."""
 BLUR = 1.5
 """Square of the distance below which directions blur [m^2]."""
-
-
-@lru_cache(maxsize=64)
-def direction_table(sigma: float, slip: float) -> NDArray[np.float32]:
-    """P(direction said | cosine of the angle between truth and what is said), (TABLE,) float32.
-
-    Eq. 6 softened: near 1 within the word's sector, falling around its edge; `slip` is the share of
-    directions that are simply wrong. `sigma` [rad] is 0.5 for the four winds, whose sectors are 45
-    degrees to either side.
-    """
-    angle = np.arccos(np.linspace(-1.0, 1.0, TABLE))
-    half = np.pi / 4 * sigma / 0.5
-    inside = 1.0 / (1.0 + np.exp((angle - half) / (SOFT * half)))
-    return ((1.0 - slip) * inside + slip * 0.25).astype(np.float32)
-
-
-@kernel(finite=True, inline="always")
-def direction_fit(table, ux, uy, dx, dy, blurred):
-    """P(direction said) for a vector; one not longer than its ends are uncertain has no direction."""
-    d2 = dx * dx + dy * dy
-    if d2 < 0.25:
-        return np.float32(0.25)
-    d = np.sqrt(d2)
-    index = int(((dx * ux + dy * uy) / d + 1.0) * (0.5 * (TABLE - 1)) + 0.5)
-    blur = d2 / (d2 + blurred)
-    return blur * table[min(TABLE - 1, max(0, index))] + (1.0 - blur) * np.float32(0.25)
 
 
 @kernel(finite=True, inline="always")
@@ -121,9 +93,6 @@ def me_fit(op, table, ux, uy, said, x, y, kind, forward, blurred):
     if op == ALONG:
         return _close(0.0, 1.5 * d) if kind != 0 else 0.3 * _close(0.0, d)
     return _close(0.0, max(0.0, d - 25.0)) * min(1.0, d / 8.0)  # ACROSS
-
-
-# mypy: allow-untyped-defs, allow-incomplete-defs
 
 
 MOST = 96
@@ -217,9 +186,6 @@ def assign(statements, scene, seen, fits, served):
                 if p > best:
                     best = p
                     served[s, 0], served[s, 1] = seen.objects[ea], seen.objects[eb]
-
-
-# mypy: allow-untyped-defs, allow-incomplete-defs
 
 
 HOPELESS = -1e9
@@ -470,9 +436,6 @@ def _between(statements, s, seen, fits):
                 opposite = 0.5 - 0.5 * (bx * cx + by * cy) / lengths
                 mass += wa * fits.fit[b, i] * fits.fit[c, j] * opposite**4
     return mass
-
-
-# mypy: allow-untyped-defs, allow-incomplete-defs
 
 
 COARSE, FINE = 20.0, 5.0

@@ -18,7 +18,8 @@ from placegraph.outdoor.language.description import (
     Relation,
     Statement,
 )
-from placegraph.outdoor.likelihood.match_kernels import ME, TABLE, direction_table
+from placegraph.outdoor.likelihood.match_kernels import ME
+from placegraph.outdoor.map.directions_kernels import TABLE, direction_table
 from placegraph.outdoor.map.names import NameIndex
 from placegraph.outdoor.map.objects import POINT
 

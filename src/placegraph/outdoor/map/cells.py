@@ -18,6 +18,7 @@ from placegraph.core.geometry import LocalPlane
 from placegraph.core.graph import SceneGraph
 from placegraph.core.pickling import Portable
 from placegraph.errors import MapError, OptionError
+from placegraph.outdoor.map.directions_kernels import name_direction
 from placegraph.outdoor.map.geometry_kernels import _collect, nearest_on_parts
 from placegraph.outdoor.map.objects import CityObjects
 
@@ -294,17 +295,6 @@ def occupied_cells(objects: CityObjects, grid: Grid, size: float) -> NDArray[np.
     return seen.points[np.diff(seen.starts) >= 2]
 
 
-def compass(delta: NDArray[np.float64]) -> str:
-    """Relation of Eq. 6 for the vector (2,) east, north from a target to a source.
-
-    The equation leaves |dx| = |dy| open; here north and south win.
-    """
-    east, north = delta
-    if abs(east) > abs(north):
-        return "east" if east > 0 else "west"
-    return "north" if north > 0 else "south"
-
-
 def cell_graph(objects: CityObjects, cells: Cells, cell: str) -> SceneGraph:
     """Scene graph of a cell (Eq. 7): objects where they are nearest to its centre, relations of Eq. 6.
 
@@ -349,7 +339,7 @@ def _relations(
     delta = at[source] - at[target]
     apart = float(np.hypot(*delta))
     if 0.0 < apart <= edge_distance:
-        yield compass(delta)
+        yield name_direction(delta)
     if apart <= NEAR:
         yield "near"
     kind = objects.kind[rows[target]]

@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, allow-incomplete-defs
 """Compiled parts of `objects` and `extract`: outlines made simpler, their middles, and their order."""
 
 from __future__ import annotations
@@ -5,8 +6,6 @@ from __future__ import annotations
 import numpy as np
 
 from placegraph.core.jit import kernel
-
-# mypy: allow-untyped-defs, allow-incomplete-defs
 
 
 @kernel
@@ -110,9 +109,6 @@ def along_curve(steps):
                     x, y = side - 1 - x, side - 1 - y
                 x, y = y, x
     return found
-
-
-# mypy: allow-untyped-defs, allow-incomplete-defs
 
 
 AREA = 2

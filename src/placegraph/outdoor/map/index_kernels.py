@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, allow-incomplete-defs
 """Compiled parts of `index`: tiles of viewpoints, what they have in sight, and what is said there.
 
 A tile is a square of `SIDE` times `SIDE` points of the grid. Which of them are viewpoints is told by
@@ -10,9 +11,6 @@ import numpy as np
 
 from placegraph.core.jit import kernel
 from placegraph.outdoor.map.geometry_kernels import box_of, crossings
-
-# mypy: allow-untyped-defs, allow-incomplete-defs
-
 
 AREA = 2
 SIDE = 8
@@ -210,9 +208,6 @@ def looks(scene, views, rows):
     return starts, objects[:n].copy(), offsets[:n].copy(), sight[:n].copy()
 
 
-# mypy: allow-untyped-defs, allow-incomplete-defs
-
-
 POINT = 0
 
 
@@ -395,9 +390,6 @@ def runs_of(tile_starts, seen, keep, core, kind, tokens, levels, n_labels, mass)
     )
     of_views = totals[:views], roots[:views], things[:n_things], thing_counts
     return columns, posted[:postings], of_views, (counted, shares, peak, in_sight, spread, pull)
-
-
-# mypy: allow-untyped-defs, allow-incomplete-defs
 
 
 FAR = np.float32(1e30)

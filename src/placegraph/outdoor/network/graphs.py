@@ -25,6 +25,7 @@ from placegraph.outdoor.language.description import SPEAKER, Description, Mentio
 from placegraph.outdoor.likelihood.query import Query, is_tag
 from placegraph.outdoor.map.cells import Sightings, sightings
 from placegraph.outdoor.map.city import City
+from placegraph.outdoor.map.directions_kernels import share_winds
 from placegraph.outdoor.map.objects import of_name
 from placegraph.outdoor.network.network_kernels import (
     ALONG,
@@ -39,7 +40,6 @@ from placegraph.outdoor.network.network_kernels import (
     agreement,
     place_relations,
     text_relations,
-    winds,
 )
 
 
@@ -235,7 +235,7 @@ _SAID = {
 def _channels(relation: Relation, bearing: float | None) -> NDArray[np.float32]:
     said = np.zeros(len(CHANNELS), np.float32)
     if relation is Relation.DIRECTION and bearing is not None:
-        said[:4] = winds(np.float32(np.sin(bearing)), np.float32(np.cos(bearing)))
+        said[:4] = share_winds(np.float32(np.sin(bearing)), np.float32(np.cos(bearing)))
     else:
         said[_SAID.get(relation, PRESENT)] = 1.0
     return said

@@ -1,13 +1,16 @@
-"""Compiled parts of `labels`."""
+# mypy: allow-untyped-defs, allow-incomplete-defs
+"""Compiled loops of the network: parts of words, graphs of places and texts, attention.
+
+Node states of B graphs are packed: one row a node, `starts` (B + 1,) says where a graph begins.
+Relations and agreement come padded, and are read only where there are nodes.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
 from placegraph.core.jit import kernel
-
-# mypy: allow-untyped-defs, allow-incomplete-defs
-
+from placegraph.outdoor.map.directions_kernels import share_winds
 
 BUCKETS = 8192
 """Rows of the table of vectors that parts are hashed into."""
@@ -72,9 +75,6 @@ def _bucket(letters, kind):
     return np.int64(code % np.uint64(BUCKETS))
 
 
-# mypy: allow-untyped-defs, allow-incomplete-defs
-
-
 REACH = 34.0
 """Things nearer than this to its centre belong to a place: who stands 10 m aside sees them [m]."""
 
@@ -136,18 +136,6 @@ POINT, LINE, AREA = 0, 1, 2
 
 
 @kernel
-def winds(x, y):
-    """How far a vector (x, y) points north, south, east and west; they sum to 1."""
-    out = np.zeros(4, np.float32)
-    x2, y2 = x * x, y * y
-    total = x2 * x2 + y2 * y2
-    if total > 1e-12:
-        out[NORTH if y > 0.0 else SOUTH] = y2 * y2 / total
-        out[EAST if x > 0.0 else WEST] = x2 * x2 / total
-    return out
-
-
-@kernel
 def place_relations(starts, offsets, kinds, rows, size):
     """How node i stands to node j of places `rows` (K,): (K, R, size, size) float32.
 
@@ -171,7 +159,7 @@ def place_relations(starts, offsets, kinds, rows, size):
                 close = 1.0 / (1.0 + np.exp((np.sqrt(d2) - CLOSE) / 3.0))
                 out[k, NEAR, i, j] = out[k, NEAR, j, i] = close
                 if d2 > 0.25:
-                    told = winds(dx, dy)
+                    told = share_winds(dx, dy)
                     for wind in range(4):
                         out[k, wind, i, j] = out[k, OPPOSITE[wind], j, i] = told[wind]
                 kind = kinds[first + i - 1]
@@ -226,9 +214,6 @@ def agreement(
                     if fit > out[p, a, i + 1]:
                         out[p, a, i + 1] = fit
     return out
-
-
-# mypy: allow-untyped-defs, allow-incomplete-defs
 
 
 @kernel(fastmath=True)

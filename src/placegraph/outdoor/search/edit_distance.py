@@ -22,7 +22,7 @@ from placegraph.outdoor.language.description import (
     Relation,
     Statement,
 )
-from placegraph.outdoor.map.cells import compass
+from placegraph.outdoor.map.directions_kernels import name_direction
 
 UNNAMED = 0.4
 """How well a thing without a name fits a mention by name of its kind."""
@@ -163,8 +163,8 @@ def _from_here(graph: SceneGraph, center: ArrayLike) -> list[Edge]:
     here, edges = len(graph), []
     for i, delta in enumerate(graph.positions[:, :2] - check_center(center)):
         if delta.any():
-            edges.append(Edge(i, here, frozenset((compass(delta),))))
-            edges.append(Edge(here, i, frozenset((compass(-delta),))))
+            edges.append(Edge(i, here, frozenset((name_direction(delta),))))
+            edges.append(Edge(here, i, frozenset((name_direction(-delta),))))
     return edges
 
 

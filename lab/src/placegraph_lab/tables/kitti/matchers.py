@@ -26,7 +26,8 @@ from placegraph.outdoor.language.description import (
     Relation,
     Statement,
 )
-from placegraph.outdoor.likelihood.match_kernels import DIRECTION, INSIDE, direction_table
+from placegraph.outdoor.likelihood.match_kernels import DIRECTION, INSIDE
+from placegraph.outdoor.map.directions_kernels import direction_table
 from placegraph.outdoor.map.objects import of_name
 from placegraph.outdoor.network.graphs import PlaceGraphs
 from placegraph.outdoor.network.network_kernels import MOST_THINGS

@@ -27,7 +27,7 @@ from placegraph.outdoor.language.description import (
 )
 from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.likelihood.query import Query, compile_query
-from placegraph.outdoor.map.cells import compass
+from placegraph.outdoor.map.directions_kernels import name_direction
 from placegraph.outdoor.map.objects import AREA, LINE
 from placegraph.outdoor.network.graphs import Fits, TextGraphs, fits_of
 from placegraph.outdoor.search.candidates import find_candidates
@@ -256,7 +256,7 @@ class _DescriptionBuilder:
         if self.habits.about != "pairs" and self.rng.random() < 0.2:
             angle = np.arctan2(delta[0], delta[1])
             return float(np.round(angle / (np.pi / 4)) * (np.pi / 4) % (2 * np.pi))
-        return BEARING[compass(delta)]
+        return BEARING[name_direction(delta)]
 
     def node(self, seen: _Surroundings, i: int, *, counted: bool = False) -> int:
         """Return mention of thing i, or, of what is not there, of any other."""
