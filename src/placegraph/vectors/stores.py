@@ -243,11 +243,7 @@ def is_uri(where: Address) -> bool:
 
 
 def open_store(
-    where: Address,
-    *,
-    name: str | None = None,
-    origin: Origin | None = None,
-    timeout: float = 10.0,
+    where: Address, *, name: str | None = None, origin: Origin | None = None, timeout: float = 10.0
 ) -> VectorStore:
     """Open a store.
 

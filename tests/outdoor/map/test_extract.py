@@ -68,9 +68,7 @@ def test_same_input_same_bytes(hafenstadt, tmp_path):
     build_city(osm, one)
     code = "import sys; from placegraph import build_city; build_city(sys.argv[1], sys.argv[2])"
     subprocess.run(  # noqa: S603  # our own interpreter and code
-        [sys.executable, "-c", code, osm, two],
-        check=True,
-        env=os.environ | {"PYTHONHASHSEED": "7"},
+        [sys.executable, "-c", code, osm, two], check=True, env=os.environ | {"PYTHONHASHSEED": "7"}
     )
     assert one.read_bytes() == two.read_bytes()
 

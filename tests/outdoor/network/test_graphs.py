@@ -105,10 +105,7 @@ def test_who_stands_in_an_area_is_inside_and_by_a_line_along_it(build_world):
     corners = [(-20.0, -20.0), (20.0, -20.0), (20.0, 20.0), (-20.0, 20.0)]
     nodes = [(*at, {}) for at in corners] + [(-60.0, 5.0, {}), (60.0, 5.0, {})]
     nodes += [(3.0, -4.0, {"amenity": "bench"})]
-    ways = [
-        ((0, 1, 2, 3, 0), {"leisure": "park"}),
-        ((4, 5), {"highway": "footway", "name": "Weg"}),
-    ]
+    ways = [((0, 1, 2, 3, 0), {"leisure": "park"}), ((4, 5), {"highway": "footway", "name": "Weg"})]
     city = build_world(nodes, ways)
     home = city.plane.to_plane((10.0, 50.0))
     view = city.views.near(home, 15.0)[0]

@@ -79,8 +79,7 @@ def test_word_vectors_come_along(knowing):
         assert replace(made, words=other).fingerprint != made.fingerprint
     said = ("amenity=cafe", "~Öl", "shop=bakery")
     assert np.array_equal(
-        found.word_vectors(said),
-        replace(network, arrays=made.arrays).word_vectors(said),
+        found.word_vectors(said), replace(network, arrays=made.arrays).word_vectors(said)
     )
 
 

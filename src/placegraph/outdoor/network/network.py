@@ -101,12 +101,7 @@ class _Pairs(NamedTuple):
 
 
 def _pairs(
-    texts: TextGraphs,
-    text: int,
-    places: PlaceGraphs,
-    rows: Rows,
-    words: WordFits,
-    stands: States,
+    texts: TextGraphs, text: int, places: PlaceGraphs, rows: Rows, words: WordFits, stands: States
 ) -> _Pairs:
     k = len(rows)
     nodes = slice(*texts.starts[text : text + 2])

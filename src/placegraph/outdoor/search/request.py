@@ -19,13 +19,7 @@ from placegraph.errors import OptionError
 from placegraph.outdoor.language import describe
 from placegraph.outdoor.language.description import LISTENER, Description, Relation, Statement
 from placegraph.outdoor.language.vocabulary import Vocabulary
-from placegraph.outdoor.likelihood.query import (
-    Query,
-    Words,
-    compile_query,
-    ends,
-    standing_at,
-)
+from placegraph.outdoor.likelihood.query import Query, Words, compile_query, ends, standing_at
 from placegraph.outdoor.map.city import City
 from placegraph.outdoor.map.index import REACH, STRIDE, ViewIndex
 from placegraph.outdoor.map.names import NameIndex
