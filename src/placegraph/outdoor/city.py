@@ -1,4 +1,4 @@
-"""What a user asks of a city: where a sentence was spoken, and what to ask back."""
+"""City maps that can be asked where a sentence was spoken, and their build from an extract."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class CityMap(Shown, City):
         answers: Sequence[Answer] = (),
         **matching: Unpack[MatchingOptions],
     ) -> CityEstimate:
-        """Where a description was spoken.
+        """Locate where a description was spoken.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""Where was a sentence spoken? From text to estimate, stage by stage (GOTLoc, Eq. 3-17)."""
+"""Localization of a sentence: from text to estimate, stage by stage (GOTLoc, Eq. 3-17)."""
 
 from __future__ import annotations
 

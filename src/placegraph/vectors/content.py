@@ -1,4 +1,4 @@
-"""What any vector store holds and hands out: rows of unit vectors, regions, neighbours."""
+"""Content of any vector store: rows of unit vectors, regions, neighbours."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class VectorStore(Protocol):
 
     @property
     def origin(self) -> Origin:
-        """What the vectors were made from."""
+        """Map and model that the vectors were made from."""
 
     def __len__(self) -> int: ...
 
@@ -84,7 +84,7 @@ class VectorStore(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """What vectors were made from: they say nothing about another map, or to another model."""
+    """Map and model that vectors were made from; vectors of others cannot be compared."""
 
     map: str = ""
     """Fingerprint of the map, as its maker tells maps apart; empty where it is not known."""

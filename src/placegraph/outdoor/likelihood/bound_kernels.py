@@ -1,5 +1,5 @@
 # mypy: allow-untyped-defs, allow-incomplete-defs
-"""How likely the statements can be at viewpoints at best: bounds from the view index alone."""
+"""Upper bounds on the likelihood of statements at viewpoints, from the view index alone."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def skip(views, p, end, tile):
 
 @kernel(finite=True, _nrt=False)
 def _fill(seen, mentions, views, at, m, tiles):
-    """What the viewpoints of tiles have of a mention in sight; whether any has any."""
+    """Sum what viewpoints of tiles see of a mention; return whether any sees any."""
     there = False
     for k in range(mentions.starts[m], mentions.starts[m + 1]):
         end, weight = views.token_starts[mentions.tokens[k] + 1], mentions.weights[k]
@@ -148,7 +148,7 @@ def _bound(statements, seen, there, views, tiles, bound):
 
 @kernel(finite=True, _nrt=False)
 def _crowds(views, tiles, total, pairs):
-    """How much is in sight of the viewpoints of tiles, slot by slot: alone, and in pairs."""
+    """Sum what is in sight of the viewpoints of tiles, slot by slot: alone, and in pairs."""
     grain = np.float32(1.0 / FINE)
     for k in range(len(tiles)):
         bits, row = views.present[tiles[k]], views.first[tiles[k]]
@@ -272,7 +272,7 @@ def promising_views(statements, mentions, views, weights, most, drawn, least):
 
 @kernel(finite=True)
 def _chosen(rows, bounds, stands, highest, least, most, drawn):
-    """As `promising_views`, of all viewpoints looked at."""
+    """Choose the best of all viewpoints looked at; see `promising_views`."""
     if len(highest) >= most:
         least = np.partition(highest, len(highest) - most)[len(highest) - most]
     ties = most

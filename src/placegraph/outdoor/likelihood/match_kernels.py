@@ -29,7 +29,7 @@ BLUR = 1.5
 
 @kernel(finite=True, inline="always")
 def distance_fit(said, d):
-    """How well a distance d fits what was said [m]; 1 where nothing was said.
+    """Return how well a distance d fits the stated one [m]; 1 where none was stated.
 
     What is much nearer than was said fits by the ratio: nobody calls 5 m "about 60 m". A negative
     number is the most that it may be: "within 50 m", "on the same block".
@@ -46,7 +46,7 @@ def distance_fit(said, d):
 
 @kernel(finite=True, inline="always")
 def _close(said, d):
-    """How well "near" fits a distance d [m]."""
+    """Return how well "near" fits a distance d [m]."""
     if said != 0.0:
         return distance_fit(said, d)
     return 1.0 / (1.0 + np.exp((d - 25.0) / 6.0))
@@ -201,7 +201,7 @@ LONELY = 0.5
 
 
 class InSight(NamedTuple):
-    """What is in sight of a viewpoint, one row a thing."""
+    """Objects in sight of a viewpoint, one row each."""
 
     objects: NDArray[np.int32]
     """(n,) rows of the map's objects."""
@@ -514,7 +514,7 @@ def look_again(statements, scene, words, at, seen, far, together, assign):
 def _look_again(
     statements, scene, words, at, nearby, fits, far, together, scores, each, served
 ):  # fmt: skip
-    """As `look_again`, of one group, into `scores`, `each` and `served`."""
+    """Score the positions of one group, into `scores`, `each` and `served`; see `look_again`."""
     where = np.empty((len(at), len(nearby), 2), np.float32)
     distance2 = np.empty((len(at), len(nearby)), np.float32)
     sight = np.empty(len(nearby), np.float32)
@@ -547,7 +547,7 @@ def _look_again(
 
 @kernel(finite=True)
 def distant(statements, scene, far, positions):
-    """What things out of sight add to P(statement | position), (K, S) float32.
+    """Return what things out of sight add to P(statement | position), (K, S) float32.
 
     `far` (`Far`) lists all objects of mentions rare enough to be spoken of from
     afar; and how far a statement reaches. In a relation
@@ -594,7 +594,7 @@ def distant(statements, scene, far, positions):
 
 @kernel(finite=True, inline="always")
 def _fit_afar(statements, s, d, dx, dy, scale, forward):
-    """How well a thing out of sight fits a statement, that is d = (dx, dy) away [m]."""
+    """Return how well a thing out of sight, d = (dx, dy) away [m], fits a statement."""
     fit = np.exp(-d / scale) * distance_fit(statements.distance[s], d)
     if statements.op[s] == DIRECTION:
         ux, uy = statements.bearing[s] if forward else -statements.bearing[s]

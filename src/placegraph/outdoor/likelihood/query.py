@@ -1,4 +1,14 @@
-"""What words are compiled against: a city, or a world of many."""
+"""A description compiled against a map: words become tokens, statements become columns.
+
+A speaker at viewpoint v picks things in sight and says how they lie. A statement s then has
+
+    P(s | v) = (1 - noise) * sum over map objects that serve s of sight * word * geometry / normaliser
+               + noise * P(s | anywhere)
+
+and its log-likelihood ratio log P(s | v) / P(s | anywhere) is its evidence. Directions are soft: a
+little wrong costs little, the opposite costs all that `noise` leaves. A statement that no object in
+sight serves may be served from afar, by a thing rare enough to be spoken of from there.
+"""
 
 from __future__ import annotations
 
@@ -58,7 +68,7 @@ class Lexicon(Protocol):
         """Share of all things in sight, over all viewpoints, that these tokens stand for."""
 
     def borne(self, tokens: NDArray[np.int32]) -> NDArray[np.int64]:
-        """How many things (K,) bear each of these tokens."""
+        """Return the number of things (K,) that bear each token."""
 
     def bearers(self, tokens: NDArray[np.int32]) -> list[NDArray[np.int64]]:
         """Rows of the things that bear each of these tokens, in the order of the tokens."""
@@ -116,7 +126,7 @@ class Statements(NamedTuple):
 
     @property
     def gain(self) -> NDArray[np.float32]:
-        """How much likelier than anywhere a statement is (S,) where P(what serves it) is 1."""
+        """Likelihood ratio (S,) of a statement where P(what serves it) is 1."""
         return (1.0 - self.noise) / (self.noise * self.background)
 
     @property
@@ -135,7 +145,7 @@ class MentionTokens(NamedTuple):
 
 
 class Words(NamedTuple):
-    """How well a map's tokens fit mentions."""
+    """Weights of a map's tokens for mentions."""
 
     row: NDArray[np.int32]
     """(T,) row of `fit`; 0 of tokens that fit none."""
@@ -252,7 +262,7 @@ class Query:
         return tuple(dict.fromkeys(names))
 
     def words(self, n_tokens: int) -> Words:
-        """How well each of a map's tokens fits a mention."""
+        """Return how well each of a map's tokens fits each mention."""
         starts, tokens, weights = self.mentions
         known, at = np.unique(tokens, return_inverse=True)
         row, fit = (
@@ -274,9 +284,10 @@ def compile_query(description: Description, city: Lexicon, *, on_a_way: bool = F
     by_kind = frozenset(m.id for m in description.mentions[2:] if m.name and not _named(m, city))
     share = [city.frequency(tokens, weights) for tokens, weights in mentions]
     for node in by_kind:  # that few of its kind are on the map says nothing of the one that is not
-        share[node - 2] = max(
-            share[node - 2], _common(description.mentions[node], mentions[node - 2][1])
-        )
+        senses, weights = description.mentions[node].senses, mentions[node - 2][1]
+        road = any(sense.label.startswith("highway=") for sense in senses[:1])
+        common = (COMMON_ROADS if road else COMMON) * float(weights.max(initial=0.0))
+        share[node - 2] = max(share[node - 2], common)
     used: list[Statement] = []
     unused: list[tuple[Statement, str]] = []
     heard: set[tuple[object, ...]] = set()
@@ -315,7 +326,11 @@ def _far(
     """Objects of rare mentions, where a statement may be about things out of sight."""
     here = standing_at(used)
     on_a_way = any(s.far for s in used) or on_a_way
-    few = {m + 2 for m, (tokens, w) in enumerate(mentions) if _size(tokens, w, city) <= RARE}
+    few = set()
+    for m, (tokens, weights) in enumerate(mentions):
+        certain = tokens[weights > KIND_ONLY]
+        if len(certain) and city.borne(certain).sum() <= RARE:
+            few.add(m + 2)
     reaches = [
         s.far or s.distance is not None or not here.isdisjoint(ends(s)) or few.issuperset(ends(s))
         for s in used
@@ -335,7 +350,12 @@ def _far(
         members = [(o, f * min(1.0, RARE / max(1, len(o)))) for o, f in members]
     if not any(len(o) for o, _ in members):
         return None
-    quarters = {m + 2 for m, (rows, _) in enumerate(members) if _are_quarters(rows, city)}
+    o = city.objects  # a map draws quarters as points, and people are "in" them
+    quarters = {
+        m + 2
+        for m, (rows, _) in enumerate(members)
+        if len(rows) and all(o.kind[i] == POINT and o.label(i) in QUARTERS for i in rows)
+    }
 
     def scale(s: Statement) -> float:
         inside = s.relation is Relation.INSIDE and s.target in quarters
@@ -355,14 +375,8 @@ def _far(
     )
 
 
-def _are_quarters(rows: NDArray[np.int64], city: Lexicon) -> bool:
-    """Whether objects are names of quarters, which a map draws as points: one is "in" them."""
-    o = city.objects
-    return len(rows) > 0 and all(o.kind[i] == POINT and o.label(i) in QUARTERS for i in rows)
-
-
 def _meaning(statement: Statement, description: Description) -> tuple[object, ...]:
-    """What a statement says, whatever its words and nodes: two that say the same are one."""
+    """Return the meaning of a statement: equal for statements that say the same in other words."""
 
     def thing(node: int | None) -> object:
         if node in (None, SPEAKER, LISTENER):
@@ -379,12 +393,6 @@ def standing_at(statements: Sequence[Statement]) -> frozenset[int]:
     """Nodes that are where the speaker is: the speaker, and what they stand at."""
     at = {s.target for s in statements if s.relation is Relation.SAME and s.source == SPEAKER}
     return frozenset(at | {SPEAKER})
-
-
-def _size(tokens: NDArray[np.int32], weights: NDArray[np.float32], city: Lexicon) -> int:
-    """Number of objects (with repetitions) that a mention stands for."""
-    tokens = tokens[weights > KIND_ONLY]
-    return int(city.borne(tokens).sum()) if len(tokens) else RARE + 1
 
 
 def _members(
@@ -427,12 +435,6 @@ def _named(mention: Mention, city: Lexicon) -> dict[int, float]:
     if not mention.name:
         return {}
     return city.name_index.named(mention.name) or city.name_index.named(mention.words)
-
-
-def _common(mention: Mention, weights: NDArray[np.float32]) -> float:
-    """How common the kind of an unknown name is at least, whatever map this is."""
-    road = any(sense.label.startswith("highway=") for sense in mention.senses[:1])
-    return (COMMON_ROADS if road else COMMON) * float(weights.max(initial=0.0))
 
 
 def is_tag(words: str, label: str) -> bool:

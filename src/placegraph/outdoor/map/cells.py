@@ -1,7 +1,7 @@
-"""Where objects stand, seen from the points of a grid: nearest points of their geometry.
+"""Cells and their scene graphs (GOTLoc, Eq. 5 and 7-8): a grid, and objects where they are nearest.
 
 A road passes through many cells and stands, in each, where it is nearest to the cell's centre; an
-area that holds the centre stands at the centre itself (distance 0).
+area that holds the centre stands at the centre itself (distance 0). Eq. 6 is in `directions_kernels`.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def sightings(
 
 
 def out_of_proportion(things: int, stride: float) -> MapError:
-    """What is raised where things reach so far that looking around would take memory and time."""
+    """Return the error of a map whose things reach so far that a search would exhaust memory."""
     return MapError(
         f"The map's {things:,} things reach over more ground than a map of so many is looked "
         f"through for, every {stride:g} m. Build it of a smaller extract, or of larger cells "
@@ -180,7 +180,7 @@ class Cells(Portable, Mapping[str, Cell]):
         return self.at_plane(self.plane.to_plane((longitude, latitude)))
 
     def at_plane(self, east_north: NDArray[np.float64]) -> str | None:
-        """As `at`, for east and north [m]."""
+        """Return the id of the cell at east and north (2,) [m]; see `at`."""
         step = (east_north - (self.grid.east, self.grid.north)) / self.grid.stride
         column, row = (int(x) for x in np.floor(step + 0.5))
         reach = np.abs(step - (column, row)).max() * self.grid.stride

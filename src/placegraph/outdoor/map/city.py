@@ -1,4 +1,4 @@
-"""A city as data: objects stored once; cells, cell graphs and viewpoints derived from them."""
+"""A city as data: objects stored once; cells, graphs, viewpoints, checks and GeoJSON derived from them."""
 
 from __future__ import annotations
 
@@ -179,7 +179,7 @@ class City(Portable):
 
     @property
     def views(self) -> ViewIndex:
-        """What is seen from where: as the map file has it, or derived on first use where it has not.
+        """Index of viewpoints: from the map file, or derived on first use.
 
         Raises `MapError` where the file was written to since it was opened, instead of replaced.
         """
@@ -192,12 +192,12 @@ class City(Portable):
         return self.index or ViewIndex.build(self.objects)[0]
 
     def look_around(self, core: Core) -> Seen:
-        """What is seen from a core; `views` are then those about it, and not derived again."""
+        """Derive and cache `views` around a core; return what they see."""
         self.__dict__["_views"], seen = ViewIndex.build(self.objects, core)
         return seen
 
     def in_sight(self, rows: NDArray[np.integer[Any]]) -> Sightings:
-        """What is in sight of viewpoints `rows` (K,) of `views`, which are its `points`."""
+        """Return what is in sight of viewpoints `rows` (K,) of `views`, the `points` of the result."""
         points = np.asarray(rows, np.int64)
         starts, objects, offsets, _ = looks(self.columns, self.views.columns, points)
         return Sightings(points, starts, objects, offsets)
@@ -209,7 +209,7 @@ class City(Portable):
 
     @cached_property
     def blocks(self) -> Blocks:
-        """How long a block is; derived on first use."""
+        """Length of a block; derived on first use."""
         return Blocks.measured(self.objects)
 
     def block_length(self, bearing: float | None) -> float:
@@ -218,7 +218,7 @@ class City(Portable):
 
     @cached_property
     def vocabulary(self) -> Vocabulary:
-        """What words mean on this map: the shipped vocabulary, and every tag value of the map."""
+        """Vocabulary of the map: the shipped one, and every tag value of the map."""
         return Vocabulary.default().of_map(self.objects.labels)
 
     @cached_property
@@ -233,12 +233,12 @@ class City(Portable):
 
     @cached_property
     def words(self) -> tuple[str, ...]:
-        """What tokens read: labels, then names (`of_name`)."""
+        """Texts of the tokens: labels, then names (`of_name`)."""
         return (*self.objects.labels, *map(of_name, self.objects.names))
 
     @cached_property
     def word_counts(self) -> tuple[NDArray[np.int64], int]:
-        """How many objects bear each of `words`, (T,), and how many objects there are."""
+        """Number of objects that bear each of `words`, (T,), and number of all objects."""
         return np.bincount(self.tokens[1], minlength=len(self.words)), len(self.objects)
 
     @cached_property
@@ -254,7 +254,7 @@ class City(Portable):
         return self.views.frequency(tokens, weights)
 
     def borne(self, tokens: NDArray[np.int32]) -> NDArray[np.int64]:
-        """How many objects (K,) bear each of these tokens."""
+        """Return the number of objects (K,) that bear each token."""
         starts, _ = self.token_objects
         return np.asarray(starts[tokens + 1] - starts[tokens])
 
@@ -270,7 +270,7 @@ class City(Portable):
 
     @cached_property
     def fingerprint(self) -> str:
-        """Of objects and cells; the same for a map built and the map opened."""
+        """Digest of objects and cells; equal for a map built and the map opened."""
         o, cells = self.objects, self.cells
         # Points as the map file has them, so that rounding does not make another map of it.
         points = np.round(o.points / GRAIN).astype(np.int32)

@@ -1,4 +1,8 @@
-"""Things of an extract as columns: small enough to hold many, and put aside on disk as they are."""
+"""From an OpenStreetMap extract to the objects of a city (Eq. 1-2): read, label, simplify, sort.
+
+`Things` are the labelled elements as columns, small enough to hold many and to spill to disk; `clip`
+cuts their lines and areas at a box.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +25,7 @@ from placegraph.io.osm.osm import LINE, POINT, LeftOut, OsmColumns, OsmElement, 
 from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.map.cells import EACH, MOST
 from placegraph.outdoor.map.geometry_kernels import along_curve
-from placegraph.outdoor.map.index import STRIDE
+from placegraph.outdoor.map.index_write import STRIDE
 from placegraph.outdoor.map.objects import AREA, GRAIN, CityObjects, centers, simplify
 
 if TYPE_CHECKING:
@@ -276,7 +280,7 @@ def read_extract(
 
 
 def nothing_in(path: str | PathLike[str] | Overture, left_out: LeftOut) -> InputError:
-    """What is raised of an extract in which there is nothing that people speak of."""
+    """Return the error of an extract without anything that people speak of."""
     return InputError(
         f"{path} holds nothing worth naming (roads, buildings, shops ...); left out: "
         f"{left_out}. Choose a larger extract, or extend the vocabulary."

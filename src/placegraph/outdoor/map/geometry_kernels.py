@@ -208,7 +208,7 @@ def box_of(points, a, b):
 
 @kernel
 def crossings(part_starts, point_starts, points, row, north, found):
-    """Where the lines of object `row` cross a parallel, from west to east, and how many do.
+    """Find where the lines of object `row` cross a parallel, from west to east; return their number.
 
     `found` is overwritten, and returned larger where it was too small.
     """

@@ -1,9 +1,9 @@
-"""Viewpoints of a city and what stands around each: what candidates are found by.
+"""Index of the viewpoints of a city, and of what stands around each; candidates are found by it.
 
 A sentence is spoken somewhere, not "in a tile". Every 20 m where anything is in sight there is a
 viewpoint. For each *token* (a label or a name) the index lists the viewpoints that have it in sight,
 tile by tile: in a tile of 8 times 8 viewpoints 64 bits tell which, and how much there is at most.
-It is built when a map is written (`index_build`), and read where it lies: a search looks at few
+It is built when a map is written (`index_write`), and read where it lies: a search looks at few
 tiles, and what is in sight of a viewpoint is worked out for the few that are compared in full.
 """
 
@@ -17,9 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.mapfile import MapFile
-from placegraph.outdoor.map import index_write as index_build
 from placegraph.outdoor.map.index_kernels import FADED, REACHED, SIDE, WIDTH
-from placegraph.outdoor.map.index_write import LEVELS, build, grid_of
+from placegraph.outdoor.map.index_write import LEVELS, STRIDE, build, grid_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -29,8 +28,6 @@ if TYPE_CHECKING:
     from placegraph.outdoor.map.objects import CityObjects
 
 POINT, AREA = 0, 2
-STRIDE = index_build.STRIDE
-"""Distance of neighbouring viewpoints [m]."""
 SIGHT = FADED
 """Distance at which half the things are still spoken of [m]."""
 FADE = WIDTH
@@ -235,7 +232,7 @@ _IN_BYTE = np.array([i.bit_count() for i in range(256)], np.uint8)
 
 
 def _ones(bits: NDArray[np.int64]) -> NDArray[np.int64]:
-    """How many bits are set."""
+    """Count the bits that are set."""
     in_bytes = _IN_BYTE[np.ascontiguousarray(bits)[..., None].view(np.uint8)]
     return in_bytes.sum(axis=-1, dtype=np.int64)
 

@@ -39,7 +39,7 @@ def slot_of(bits):
 
 @kernel(inline="always")
 def ones(x):
-    """How many bits of a whole number from 0 on are set."""
+    """Count the bits that are set in a whole number from 0 on."""
     x = x - ((x >> 1) & 0x5555555555555555)
     x = (x & 0x3333333333333333) + ((x >> 2) & 0x3333333333333333)
     x = (x + (x >> 4)) & 0x0F0F0F0F0F0F0F0F
@@ -49,7 +49,7 @@ def ones(x):
 
 @kernel(inline="always")
 def below(bits, slot):
-    """How many bits are set below a slot."""
+    """Count the bits that are set below a slot."""
     return ones(bits & ((np.int64(1) << slot) - 1))
 
 
@@ -81,7 +81,7 @@ def unpack(posting):
 
 @kernel(_nrt=False)
 def nearest_in_reach(scene, row, east, north):
-    """As the entries of `sightings`: vector to the nearest point of an object, and its square [m^2].
+    """Return the vector to the nearest point of an object [m], and its square [m^2].
 
     What lies beyond `REACHED` may come out as infinitely far.
     """
@@ -119,7 +119,7 @@ def nearest_in_reach(scene, row, east, north):
 
 @kernel(_nrt=False)
 def look(scene, views, tile, slot, objects, offsets, sight):
-    """What is in sight of a viewpoint, into the first entries of `objects`, `offsets` and `sight`.
+    """List what is in sight of a viewpoint, into the first entries of `objects`, `offsets` and `sight`.
 
     Returns how many things there are, the sum of their `sight`, and of its products over ordered
     pairs of what one does not stand in.
@@ -182,7 +182,7 @@ def tile_of(views, view):
 
 @kernel(_nrt=False)
 def most_things(views):
-    """How many things are in sight of a tile, at most."""
+    """Return the largest number of things in sight of a tile."""
     most = 0
     for tile in range(len(views.tiles)):
         most = max(most, views.thing_starts[tile + 1] - views.thing_starts[tile])
@@ -191,7 +191,7 @@ def most_things(views):
 
 @kernel
 def looks(scene, views, rows):
-    """What is in sight of viewpoints (K,), as CSR: starts, objects, offsets, and `sight`."""
+    """List what is in sight of viewpoints (K,), as CSR: starts, objects, offsets, and `sight`."""
     starts, most = np.zeros(len(rows) + 1, np.int64), most_things(views)
     size = max(1024, 32 * len(rows)) + most
     objects, sight = np.empty(size, np.int32), np.empty(size, np.float32)

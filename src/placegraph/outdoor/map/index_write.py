@@ -53,7 +53,7 @@ class Core(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """What viewpoints of a core have in sight."""
+    """Sums and maxima of what the viewpoints of a core have in sight."""
 
     mass: NDArray[np.float64]
     """(T,) sum over viewpoints of how much of a token is in sight ..."""
@@ -80,7 +80,7 @@ class _Band(NamedTuple):
 
 
 class InSight(NamedTuple):
-    """What tiles have in sight: an entry a tile and thing."""
+    """Things in sight of tiles: one entry for each tile and thing."""
 
     things: NDArray[np.int32]
     """(R,) rows of objects, tile after tile, and ascending within a tile."""
@@ -95,7 +95,7 @@ class InSight(NamedTuple):
 
 
 def fade(distance: NDArray[np.float32]) -> NDArray[np.float32]:
-    """How readily a thing at `distance` [m] is spoken of, 0 to 1."""
+    """Return how readily a thing at `distance` [m] is spoken of, 0 to 1."""
     return np.float32(1.0) / (
         np.float32(1.0) + np.exp((distance - np.float32(FADED)) / np.float32(WIDTH))
     )

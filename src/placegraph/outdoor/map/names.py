@@ -31,11 +31,11 @@ CROWDED = 20_000
 
 
 class Named(Protocol):
-    """What has names: the objects of a city, or the words of a world."""
+    """Table with names: the objects of a city, or the words of a world."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """As written."""
+        """Names as written."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +157,7 @@ class NameIndex:
         return (share, of_name) if enough else (0.0, 0.0)
 
     def _tells(self, word: str) -> float:
-        """How telling a word is: the rarer in names, the more."""
+        """Return how telling a word is: the rarer in names, the more."""
         if word in SMALL:
             return 0.0
         return log(1.0 + len(self.by_words) / (1.0 + self._counts.get(word, 0)))

@@ -1,4 +1,4 @@
-"""Columns of the objects of a city: what OpenStreetMap says of each, and where it lies."""
+"""Columns of the objects of a city: what OpenStreetMap says of each, where it lies; blocks of streets."""
 
 from __future__ import annotations
 

@@ -1,13 +1,12 @@
-"""Vectors for any word offline: hashed subwords, whose vectors the network learns.
+"""Graphs as the network reads them: words as vectors, texts and places as graphs, padded batches.
 
-What a word *means* is the vocabulary's business: a mention arrives as its senses, labels such as
-``amenity=cafe``. A label is the sum of the vectors of its parts: the whole, its key, its words and
-their letters in threes to fives. What training has seen is known as a whole; what it has not
-(a rare tag, a word that the vocabulary lacks, a name) still resembles what is spelled alike.
+Words are hashed subwords, whose vectors the network learns; what a word means is decided by the
+vocabulary, since a mention arrives as its senses, labels such as ``amenity=cafe``. A label is the sum
+of the vectors of its parts: the whole, its key, its words and their letters in threes to fives. A rare
+tag, an unknown word or a name resembles what is spelled alike. A network may also be trained with word
+vectors from a file (`WordVectors`, Sec. III-A of the paper), and hashed subwords for the rest.
 
-The paper has word vectors of 300 numbers instead (Sec. III-A). A network may be trained with those of
-a file (`WordVectors`): they stand for every label that holds a word of theirs, and hashed subwords
-for the rest.
+Node 0 of every graph is *here*: the speaker of a text, the centre of a place. All others are things.
 """
 
 from __future__ import annotations
@@ -284,23 +283,11 @@ class PlaceGraphs:
     @classmethod
     def of_sightings(cls, city: City, seen: Sightings, rows: NDArray[np.int64]) -> PlaceGraphs:
         """Graphs around the points `rows` (K,) of what is seen there."""
-        return cls._gathered(city, seen.starts, seen.objects, seen.offsets, rows)
-
-    @classmethod
-    def _gathered(
-        cls,
-        city: City,
-        starts: NDArray[np.int64],
-        objects: NDArray[np.int32],
-        offsets: NDArray[np.float32],
-        rows: NDArray[np.int64],
-    ) -> PlaceGraphs:
-        chosen, kept = _nearest_things(starts, offsets, np.asarray(rows, np.int64))
-        things = objects[kept]
-        token_starts, token_values, token_weights = city.tokens
-        word_starts, words, weights = _gather(things, token_starts, token_values, token_weights)
+        chosen, kept = _nearest_things(seen.starts, seen.offsets, np.asarray(rows, np.int64))
+        things = seen.objects[kept]
+        word_starts, words, weights = _gather(things, *city.tokens)
         return cls(
-            chosen, offsets[kept].astype(np.float32), city.objects.kind[things],
+            chosen, seen.offsets[kept].astype(np.float32), city.objects.kind[things],
             word_starts, words, weights, city.words,
         )  # fmt: skip
 
@@ -402,7 +389,7 @@ def agreements(
     words: WordFits,
     size: tuple[int, int],
 ) -> Floats:
-    """How well things of places fit mentions of texts, (P, n, m); the speaker fits the centre."""
+    """Return how well things of places fit mentions of texts, (P, n, m); the speaker fits the centre."""
     return agreement(
         texts.starts, text_rows, words.starts, words.tokens, words.weights,
         places.starts, place_rows, places.word_starts, places.words, places.weights,
@@ -411,7 +398,7 @@ def agreements(
 
 
 class Fits(NamedTuple):
-    """How well words of the map's vocabulary fit the nodes of N text nodes, as CSR."""
+    """Weights of the map's words for N text nodes, as CSR."""
 
     starts: Rows
     """(N + 1,)"""
@@ -436,7 +423,7 @@ def fits_of(texts: TextGraphs, queries: Sequence[Query]) -> Fits:
 
 
 class WordFits(NamedTuple):
-    """How well words of a map fit N text nodes, as CSR, and how rare these are there."""
+    """Weights of a map's words for N text nodes, as CSR, and how rare the nodes are on the map."""
 
     starts: Rows
     """(N + 1,)"""

@@ -57,7 +57,7 @@ class States(NamedTuple):
 
 
 class Matches(NamedTuple):
-    """What the joint model says of K places."""
+    """Scores of K places by the joint model."""
 
     logit: Floats
     """(K,) log odds that text and place match (Eq. 17)."""
@@ -93,7 +93,7 @@ class _Pairs(NamedTuple):
     """(E, R + 3) channels, whether it is negated, how rare both ends are on the map."""
 
     def literally(self) -> Floats:
-        """What the statements say if words alone decide (K,): the sum of their log-likelihood ratios."""
+        """Sum the log-likelihood ratios (K,) that statements have if words alone decide."""
         return kernels.literally(
             self.agreement, self.t_starts, self.m_starts, self.relations, self.ends, self.known,
             self.bounds,
@@ -243,7 +243,7 @@ class GraphTransformer:
         return t, m, verdict
 
     def _heard(self, name: str, weights: Floats, pairs: _Pairs) -> tuple[Floats, Floats]:
-        """What statements tell their ends (N, d), and what they say in all (K, 2)."""
+        """Return the messages of statements to their ends (N, d), and their sums (K, 2)."""
         features = kernels.heard(
             weights, pairs.agreement, pairs.t_starts, pairs.m_starts, pairs.relations,
             pairs.ends, pairs.known, pairs.bounds,
@@ -332,7 +332,7 @@ class EncodedCity:
 
     @cached_property
     def origin(self) -> Origin:
-        """What embeddings of this city by this network are told by from others."""
+        """Map and network that the embeddings are made from."""
         return Origin(self.city.fingerprint, self.network.fingerprint)
 
     @cached_property

@@ -137,7 +137,7 @@ POINT, LINE, AREA = 0, 1, 2
 
 @kernel
 def place_relations(starts, offsets, kinds, rows, size):
-    """How node i stands to node j of places `rows` (K,): (K, R, size, size) float32.
+    """Return the relations of node i to node j of places `rows` (K,): (K, R, size, size) float32.
 
     Node 0 is the centre. Two things in one spot lie in no direction of each other.
     """
@@ -172,7 +172,7 @@ def place_relations(starts, offsets, kinds, rows, size):
 
 @kernel
 def text_relations(edge_starts, ends, channels, negated, rows, size):
-    """What texts `rows` (Q,) say of their nodes: (Q, R, size, size) float32."""
+    """Return what texts `rows` (Q,) say of their nodes: (Q, R, size, size) float32."""
     out = np.zeros((len(rows), len(OPPOSITE), size, size), np.float32)
     for q in range(len(rows)):
         for e in range(edge_starts[rows[q]], edge_starts[rows[q] + 1]):
@@ -189,7 +189,7 @@ def agreement(
     text_starts, texts, fit_starts, fit_tokens, fit_weights,
     place_starts, places, word_starts, words, weights, n, m, n_words,
 ):  # fmt: skip
-    """How well things of a place fit mentions of a text, (P, n, m); the speaker fits the centre."""
+    """Return how well things of a place fit mentions of a text, (P, n, m); the speaker fits the centre."""
     out = np.zeros((len(texts), n, m), np.float32)
     fits = np.zeros((n, n_words), np.float32)
     last = -1
@@ -372,7 +372,7 @@ def background_of(said, rare_source, rare_target):
 
 @kernel(fastmath=True)
 def literal_of(source, target, as_said, m, background, of_me, negated, out):
-    """What a statement says of a place if words alone decide, into `out` (LITERAL,).
+    """Score a statement at a place as if words alone decide, into `out` (LITERAL,).
 
     Logs of how many pairs of things fit and stand so, how many things fit the source, how many the
     target, how many there are; and the log-likelihood ratio that relational matching would give,
@@ -399,7 +399,7 @@ def literal_of(source, target, as_said, m, background, of_me, negated, out):
 
 @kernel(fastmath=True)
 def heard(weights, agreement, t_starts, m_starts, relations, ends, known, bounds):
-    """What every statement of every pair finds, (E, 3 H + LITERAL).
+    """Return what every statement of every pair finds, (E, 3 H + LITERAL).
 
     Of each head how far what its ends attend to stands as said, how far they attend to anything,
     and the ratio; then `literal_of`. `bounds` (P + 1,) are those of a pair's statements, `ends`

@@ -152,7 +152,7 @@ class Weights:
 
     @property
     def fingerprint(self) -> str:
-        """Of shape, weights and word vectors: sixteen hexadecimal digits."""
+        """Digest of shape, weights and word vectors: sixteen hexadecimal digits."""
         if self.words is None:
             return digest(self.shape, self.arrays)[:16]
         arrays = self.arrays | {VECTORS: self.words.vectors}

@@ -1,4 +1,4 @@
-"""Why a place: which map objects served each statement there, and what spoke against it."""
+"""From a posterior to an estimate: modes as places, the evidence of each, status and support."""
 
 from __future__ import annotations
 
@@ -102,13 +102,14 @@ def _evidence(
     query: Query,
 ) -> Evidence:
     verdict = "for" if ratio > TELLING else "against" if ratio < -TELLING else "silent"
-    if rows and not statement.negated and _off(statement, rows, position, city) > np.pi / 2:
+    delta, off = _find_delta(statement, rows, position, city)
+    if rows and not statement.negated and off > np.pi / 2:
         verdict = "against"  # it is rare enough to speak for the place, but it lies the other way
     if verdict == "for" and not rows and not statement.negated:
         rows = _from_afar(statement, position, city, query)
     note = ""
     if verdict == "against":
-        note = _against(statement, rows, position, city)
+        note = _explain_against(statement, rows, delta, off)
         rows = rows if statement.negated or note.startswith("there it") else []
     elif not rows and not statement.negated:
         note = "nothing in sight serves it"
@@ -137,53 +138,46 @@ def _from_afar(
     return [int(rows[np.argmin(distance)])]
 
 
-def _against(
-    statement: Statement, rows: list[int], position: NDArray[np.float64], city: City
+def _explain_against(
+    statement: Statement, rows: list[int], delta: NDArray[np.float64], off: float
 ) -> str:
-    """What spoke against a statement, as people would say it."""
+    """Return what speaks against a statement, as people would say it."""
     if statement.negated:
         return "but it is there"
     if statement.relation is not Relation.DIRECTION or not rows:
         return "nothing in sight serves it"
-    if _off(statement, rows, position, city) < np.pi / 4:
+    if off < np.pi / 4:
         return "it fits, but no better than elsewhere"
-    return f"there it lies to the {wind(float(bearing(_delta(statement, rows, position, city))))}"
+    return f"there it lies to the {wind(float(bearing(delta)))}"
 
 
-def _off(statement: Statement, rows: list[int], position: NDArray[np.float64], city: City) -> float:
-    """Angle [rad] by which a direction is wrong; 0 where none was said, or where there is none."""
-    delta = _delta(statement, rows, position, city)
-    if statement.bearing is None or np.hypot(*delta) < 1.0:
-        return 0.0
-    return float(angle_between(bearing(delta), statement.bearing))
-
-
-def _delta(
+def _find_delta(
     statement: Statement, rows: list[int], position: NDArray[np.float64], city: City
-) -> NDArray[np.float64]:
-    """Vector (2,) [m] from what served as the target to what served as the source."""
-    stands = [_nearest(city, row, position) for row in rows]
+) -> tuple[NDArray[np.float64], float]:
+    """Return the vector (2,) [m] from what served as target to what served as source, and its error.
+
+    The error is the angle [rad] by which a stated direction is wrong, 0 without one.
+    """
+    o, (east, north) = city.objects, position.tolist()
+    stands = [
+        np.array(nearest_on_parts(
+            o.part_starts, o.point_starts, o.points, o.kind[row], row, east, north
+        )[:2])
+        for row in rows
+    ]  # fmt: skip
+    if not rows:
+        return np.zeros(2), 0.0
     if len(rows) == 1:
-        return stands[0] if statement.target == SPEAKER else -stands[0]
-    return stands[0] - stands[1]
-
-
-def _nearest(city: City, row: int, position: NDArray[np.float64]) -> NDArray[np.float64]:
-    o = city.objects
-    east, north, _ = nearest_on_parts(
-        o.part_starts,
-        o.point_starts,
-        o.points,
-        o.kind[row],
-        row,
-        float(position[0]),
-        float(position[1]),
-    )
-    return np.array([east, north])
+        delta = stands[0] if statement.target == SPEAKER else -stands[0]
+    else:
+        delta = stands[0] - stands[1]
+    if statement.bearing is None or np.hypot(*delta) < 1.0:
+        return delta, 0.0
+    return delta, float(angle_between(bearing(delta), statement.bearing))
 
 
 def reference(row: int, city: City) -> ObjectRef:
-    """What an estimate tells of a map object."""
+    """Describe a map object in an estimate."""
     o = city.objects
     longitude, latitude = (float(x) for x in city.plane.to_lonlat(o.center[row]))
     return ObjectRef(o.osm(row), o.label(row), o.name(row), longitude, latitude)

@@ -50,7 +50,7 @@ WORTH = 0.02
 
 @dataclass(frozen=True, slots=True)
 class Thing:
-    """What a question is about: a label in a direction, or a name."""
+    """Subject of a question: a label in a direction, or a name."""
 
     words: str
     label: str = ""
@@ -171,7 +171,7 @@ def possible_questions(
 
 @dataclass(frozen=True)
 class _Around:
-    """What is around K places: expected numbers by wind and label, and by name."""
+    """Things around K places: expected numbers by wind and label, and by name."""
 
     labels: list[str]
     """(L,)"""

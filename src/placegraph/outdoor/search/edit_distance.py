@@ -1,4 +1,4 @@
-"""What edit distances are taken between: text graphs (Eq. 3-4) and scene graphs of cells (Eq. 7-8)."""
+"""Graph edit distance between text graphs (Eq. 3-4) and scene graphs of cells (Eq. 7-8)."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Edge(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class LabelledGraph:
-    """What the distance is taken between: a text graph (Eq. 4) or a scene graph (Eq. 7)."""
+    """Graph with labels: a text graph (Eq. 4) or a scene graph (Eq. 7)."""
 
     nodes: tuple[Node, ...]
     edges: tuple[Edge, ...]
@@ -123,7 +123,7 @@ class LabelledGraph:
 
 
 def fit(a: Node, b: Node) -> float:
-    """How well node b is what node a is called, 0 to 1."""
+    """Return how well node b is what node a is called, 0 to 1."""
     if a.name and a.name == b.name:
         return 1.0
     fits = max((w * _called(b, label) for label, w in a.labels.items()), default=0.0)
@@ -133,7 +133,7 @@ def fit(a: Node, b: Node) -> float:
 
 
 def _called(node: Node, label: str) -> float:
-    """How well a label, or ``key=*``, fits a node."""
+    """Return how well a label, or ``key=*``, fits a node."""
     if label.endswith("=*"):
         return max((w for own, w in node.labels.items() if own.startswith(label[:-1])), default=0.0)
     return node.labels.get(label, 0.0)
@@ -345,7 +345,7 @@ DEEPEST = 400
 
 @dataclass(frozen=True, slots=True)
 class Costs:
-    """What edits cost; deleting a node or an edge of the first graph costs 1.
+    """Costs of edits; to delete a node or an edge of the first graph costs 1.
 
     A description mentions a few of the many things of a cell: what it leaves out is no
     contradiction. Things and relations that only the second graph has are therefore free. And

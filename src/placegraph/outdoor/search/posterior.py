@@ -126,7 +126,7 @@ each: Vancouver .40, Ankara .45, Liechtenstein .48): an estimate by these alone 
 
 
 class Scored(NamedTuple):
-    """What became of the candidates, and what all other viewpoints weigh."""
+    """Scored candidates, and the weight of all other viewpoints."""
 
     rows: NDArray[np.int32]
     """(K,) rows of `city.views`."""

@@ -1,4 +1,4 @@
-"""What a search is asked: a parsed description, a prior of the place, and how to match.
+"""Request of a search: a parsed description, a prior of the place, and how to match.
 
 `make_request` checks all options, and compiles the description against the city.
 """
@@ -21,7 +21,8 @@ from placegraph.outdoor.language.description import LISTENER, Description, Relat
 from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.likelihood.query import Query, Words, compile_query, ends, standing_at
 from placegraph.outdoor.map.city import City
-from placegraph.outdoor.map.index import REACH, STRIDE, ViewIndex
+from placegraph.outdoor.map.index import REACH, ViewIndex
+from placegraph.outdoor.map.index_write import STRIDE
 from placegraph.outdoor.map.names import NameIndex
 from placegraph.outdoor.network.network import EncodedCity, EncodedText
 from placegraph.outdoor.search.ask import Answer
@@ -49,7 +50,7 @@ _OF_VIEWPOINTS = ("fused", "relational")
 
 
 class Route(NamedTuple):
-    """What the text says of the way from the listener to the speaker."""
+    """Direction, and perhaps distance, from the listener to the speaker."""
 
     bearing: float
     """[rad]"""
@@ -253,7 +254,7 @@ every graph as it is, so that what ranks is a cosine of embeddings made without 
 
 @dataclass(frozen=True, eq=False)
 class Matching:
-    """How places are found and compared; raises `OptionError` where there is no such way."""
+    """Options of the search: how places are found and compared; raises `OptionError`."""
 
     matcher: Matcher = "relational"
     """``relational`` measures best at the price; ``fused`` lets the network judge its best places
@@ -318,7 +319,7 @@ class Matching:
 
     @property
     def way(self) -> By:
-        """How candidates are found."""
+        """Source of candidates."""
         if self.by != "auto":
             return self.by
         return "sparse" if self.store is None else "both"
@@ -382,7 +383,7 @@ class Matching:
 
 @dataclass(frozen=True, eq=False)
 class Hints:
-    """What a user knows beside the words; see `CityMap.locate`."""
+    """Knowledge of a user beside the words; see `CityMap.locate`."""
 
     near: Sequence[float] | None = None
     radius: float = 1000.0
@@ -410,7 +411,7 @@ class Request:
 
     @cached_property
     def words(self) -> Words:
-        """How well every token of the map fits every mention."""
+        """Weights of every token of the map for every mention."""
         return self.query.words(len(self.city.views.share))
 
     @cached_property
@@ -453,11 +454,11 @@ class Request:
 
 
 class TextContext(Protocol):
-    """What words and names mean where a text is read: a `City`, or a world of many."""
+    """Vocabulary and names by which a text is read: a `City`, or a world of many."""
 
     @property
     def vocabulary(self) -> Vocabulary:
-        """What words mean."""
+        """Meanings of words."""
 
     @property
     def name_index(self) -> NameIndex:

@@ -1,7 +1,11 @@
-"""A belief over places on the grid of the viewpoints, and how motion spreads it.
+"""Belief of a tracker: a grid of probabilities, how motion spreads it, and what one stop adds.
 
 The grid covers the map's viewpoints and a margin; cells without a viewpoint (nothing is in sight
 there) hold probability only where motion brought it. What leaves the grid is elsewhere.
+
+`locate` asks where the best places are; a filter must also know how the rest compares, since motion
+may lead there. So the places that matter by belief and bound are scored as `locate` scores them, the
+others keep their bound, calibrated by those, and what sees nothing of a text keeps the noise.
 """
 
 from __future__ import annotations
@@ -21,7 +25,8 @@ from placegraph.outdoor.likelihood.bound_kernels import promising_views
 from placegraph.outdoor.likelihood.match_kernels import HOPELESS, distant, score_views
 from placegraph.outdoor.likelihood.query import Query
 from placegraph.outdoor.map.city import City
-from placegraph.outdoor.map.index import STRIDE, ViewIndex
+from placegraph.outdoor.map.index import ViewIndex
+from placegraph.outdoor.map.index_write import STRIDE
 from placegraph.outdoor.search.answer import evidence_at
 from placegraph.outdoor.search.candidates import FAR_CANDIDATES, around_far
 from placegraph.outdoor.search.posterior import (
@@ -90,7 +95,7 @@ class TrackGrid:
 
 @dataclass(frozen=True, eq=False)
 class Belief:
-    """Where the speaker may be; masses and `elsewhere` sum to 1."""
+    """Probability of the speaker's place; masses and `elsewhere` sum to 1."""
 
     mass: NDArray[np.float32]
     """(rows, columns) probability of every cell."""
@@ -109,7 +114,7 @@ class Belief:
 
 
 class Kernel(NamedTuple):
-    """What a motion does to probability."""
+    """Convolution kernel of a motion."""
 
     row: int
     column: int
@@ -361,7 +366,7 @@ class Stop:
 
 @dataclass(frozen=True, eq=False)
 class Memory:
-    """What was said at an earlier place, and the motion since."""
+    """Query of an earlier place, and the motion since."""
 
     query: Query
     positions: Floats

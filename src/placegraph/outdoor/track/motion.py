@@ -1,4 +1,8 @@
-"""How people tell of a way: numbers and times in words, and the patterns of motion."""
+"""Motion in words: "I walked 200 m east", "went straight on for two minutes", "then I turned left".
+
+A text is cut into the legs that were walked, and into what is said of places between them. What a leg
+says of its end ("to the church", "along the canal") becomes a sentence about the place that it leads to.
+"""
 
 from __future__ import annotations
 
@@ -299,7 +303,7 @@ def _sentence(text: str) -> str:
 
 
 def _leg(clause: str, *, going: bool, alone: bool) -> tuple[list[Leg | str], str]:
-    """What a clause says of motion, and what of it is left to be said of a place."""
+    """Read the motion in a clause; return legs, and the part that speaks of a place."""
     words = STEPS.sub(r"\1 paces", in_digits(clause))
     if match := STAY.match(words):
         return [Leg(clause, 0.0, 0.0, turn=0.0, sigma=0.0)], ""

@@ -1,4 +1,9 @@
-"""What a tracker answers: the belief at a stop as an estimate, with what was said here and before."""
+"""Tracker of a speaker: motion moves a posterior over places, and each sentence sharpens it.
+
+The Bayesian step of a filter (predict by motion, correct by statements) over all viewpoints of a map
+at once, so that nothing is drawn by chance. Sentences between two motions are read as one text: "the
+bakery" may mean the one spoken of before, and a repeated statement adds no certainty.
+"""
 
 from __future__ import annotations
 
@@ -159,7 +164,7 @@ class CityTracker:
 
     @property
     def heading(self) -> float | None:
-        """Where the speaker looks [rad, clockwise from north], as far as their way tells."""
+        """Bearing in which the speaker looks [rad, clockwise from north], as far as their way tells."""
         return None if self._heading is None else self._heading[0] % (2.0 * pi)
 
     @property

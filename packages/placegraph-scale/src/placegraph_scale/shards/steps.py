@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from placegraph.core.geo import bounds, held
 from placegraph.core.geometry import LocalPlane
 from placegraph.outdoor.likelihood.query import Far, MentionTokens
-from placegraph.outdoor.map.index import REACH, STRIDE
+from placegraph.outdoor.map.index import REACH
+from placegraph.outdoor.map.index_write import STRIDE
 from placegraph.outdoor.map.objects import Blocks, CityObjects, columns_of
 from placegraph.outdoor.search.answer import evidence_at
 from placegraph.outdoor.search.candidates import MOST_CANDIDATES, Candidates, find_candidates
