@@ -25,6 +25,7 @@ import pytest
 
 import placegraph as pg
 from placegraph import cli
+from placegraph.core import plugins
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT.parent / "shared"
@@ -141,12 +142,14 @@ def test_page(page, request, tmp_path, monkeypatch):
         run(block, namespace, monkeypatch)
 
 
-PATH = re.compile(r"`((?:src|lab|tests|docs|examples)/[\w./-]+)")
-NAME = re.compile(r"`((?:placegraph|placegraph_lab)(?:\.\w+)+)")
+PATH = re.compile(r"`((?:src|packages|lab|tests|docs|examples)/[\w./-]+)")
+NAME = re.compile(r"`((?:placegraph(?:_lab|_io|_ros|_scale|_serve|_learn)?)(?:\.\w+)+)")
 
 
 def exists(name):
-    """Whether a dotted name is that of a module, or of something in one."""
+    """Whether a dotted name is that of a module, of something in one, or of a group of entry points."""
+    if name in vars(plugins).values():
+        return True
     with contextlib.suppress(ImportError, AttributeError):
         pkgutil.resolve_name(name)
         return True
@@ -186,7 +189,9 @@ def test_the_architecture_lists_the_rooms_that_there_are():
             listed.add(above[len(indent)])
     src, lab = ROOT / "src/placegraph", ROOT / "lab/src/placegraph_lab"
     there = folders(src, 1) | folders(src / "outdoor", 1) | folders(src / "indoor", 1)
-    assert there | folders(lab, 1) | {src, lab} == listed - {ROOT / "examples"}
+    there |= folders(src / "io", 1) | folders(lab, 1) | {src, lab}
+    there |= {p.parent for p in (ROOT / "packages").glob("*/pyproject.toml")} - {ROOT / "packages"}
+    assert there == listed - {ROOT / "packages", ROOT / "examples"}
 
 
 @pytest.mark.all

@@ -30,7 +30,7 @@ PAPERS = {
     ],
 }  # fmt: skip
 NONE = "–"
-PLACE = re.compile(r"`((?:src|lab|tests)/[\w/]+(?:\.py)?)(?::([\w.]+))?`")
+PLACE = re.compile(r"`((?:src|packages|lab|tests)/[\w/-]+(?:\.py)?)(?::([\w.]+))?`")
 KNOWN = {
     "FilterOptions": pg.FilterOptions,
     "Likelihood": Likelihood,
