@@ -8,9 +8,8 @@ import pytest
 from placegraph.core.geometry import LocalPlane
 from placegraph.outdoor.city import build_city
 from placegraph.outdoor.language.vocabulary import Vocabulary
-from placegraph.outdoor.network.network import EncodedCity, GraphTransformer
-from placegraph.outdoor.network.weights import Shape
-from placegraph.outdoor.network.weights import sizes as sizes_of
+from placegraph.outdoor.network.network import EncodedCity, GraphTransformer, Shape
+from placegraph.outdoor.network.network import sizes as sizes_of
 from placegraph_learn.city.descriptions import Speaker
 
 PLANE = LocalPlane(10.0, 50.0)

@@ -11,7 +11,7 @@ import pytest
 import placegraph as pg
 from placegraph.indoor.options import Likelihood, MotionNoise
 from placegraph.indoor.refine import RefineOptions
-from placegraph.outdoor.network.weights import Shape
+from placegraph.outdoor.network.network import Shape
 from placegraph.outdoor.search.request import Matching
 
 ROOT = Path(__file__).resolve().parents[1]

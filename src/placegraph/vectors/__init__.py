@@ -4,8 +4,18 @@
 `open_store` and `load_store` take the one that the address belongs to. How to: `docs/howto-milvus.md`.
 """
 
-from placegraph.vectors.content import Neighbours, Origin, Region, Vectors, VectorStore
-from placegraph.vectors.stores import EmbeddedStore, drop_store, list_stores, load_store, open_store
+from placegraph.vectors.stores import (
+    EmbeddedStore,
+    Neighbours,
+    Origin,
+    Region,
+    Vectors,
+    VectorStore,
+    drop_store,
+    list_stores,
+    load_store,
+    open_store,
+)
 
 __all__ = [
     "EmbeddedStore",

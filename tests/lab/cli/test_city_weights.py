@@ -23,7 +23,7 @@ def weights(tmp_path):
     """Random weights; training is not what is tested with them."""
     import numpy as np
 
-    from placegraph.outdoor.network.weights import Shape, trained, write_weights
+    from placegraph.outdoor.network.network import Shape, trained, write_weights
 
     shape, rng = Shape(width=8, dimension=8, heads=2, evidence=4), np.random.default_rng(3)
     state = {name: rng.normal(scale=0.3, size=size) for name, size in shape.arrays().items()}

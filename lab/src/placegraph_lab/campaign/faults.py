@@ -361,7 +361,7 @@ def resumed(
     except ImportError:
         effort.say("PyTorch is not installed: nothing is trained")
         return
-    from placegraph.outdoor.network.weights import read_weights
+    from placegraph.outdoor.network.network import read_weights
 
     start, counts = perf_counter(), Counter[str]()
     room = effort.folder / "training"

@@ -395,7 +395,7 @@ def _scene(path: Path, places: DrawnPlaces) -> None:
 
 
 def _weights(path: Path, _places: DrawnPlaces) -> None:
-    from placegraph.outdoor.network.weights import Weights, write_weights
+    from placegraph.outdoor.network.network import Weights, write_weights
 
     module = writer("cities")
     arrays = module.adding(module.random_arrays(module.SMALL), 0.3)

@@ -96,7 +96,7 @@ def train_city(  # options of a command
     """
     from placegraph.core.mapfile import writing
     from placegraph.outdoor.city import CityMap
-    from placegraph.outdoor.network.weights import Shape
+    from placegraph.outdoor.network.network import Shape
     from placegraph_learn.city.train import TrainOptions, train
 
     options = TrainOptions(

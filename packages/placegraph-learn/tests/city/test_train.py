@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from placegraph.errors import InputError, OptionError
-from placegraph.outdoor.network.network import GraphTransformer
-from placegraph.outdoor.network.weights import Shape
+from placegraph.outdoor.network.network import GraphTransformer, Shape
 from placegraph_learn.city.train import (
     LOSSES,
     PRINTED,

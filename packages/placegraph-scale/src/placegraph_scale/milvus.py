@@ -24,7 +24,7 @@ from placegraph.errors import (
     ServiceError,
     StoreError,
 )
-from placegraph.vectors.content import GRAIN, Neighbours, Origin, Region, Vectors, checked_queries
+from placegraph.vectors.stores import GRAIN, Neighbours, Origin, Region, Vectors, checked_queries
 
 if TYPE_CHECKING:
     from pymilvus import MilvusClient

@@ -37,8 +37,8 @@ from placegraph.outdoor.search.posterior import (
     Posterior,
     look_around,
 )
+from placegraph.outdoor.search.posterior_kernels import background, scatter
 from placegraph.outdoor.search.request import Request
-from placegraph.outdoor.track.grid_kernels import background, scatter
 
 BORDER = 15
 """Cells around the viewpoints: whoever leaves the map by 300 m is still followed."""

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from placegraph.outdoor.city import build_city
-from placegraph.outdoor.network.network import EncodedCity, GraphTransformer
-from placegraph.outdoor.network.weights import Shape
+from placegraph.outdoor.network.network import EncodedCity, GraphTransformer, Shape
 from placegraph_lab.tables.named.outdoor_matchers import Asking
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, in_held_out_tiles, unseen_queries
 from placegraph_lab.tables.outdoor.matchers import (

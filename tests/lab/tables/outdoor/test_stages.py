@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from placegraph.outdoor.city import build_city
-from placegraph.outdoor.network.network import EncodedCity, GraphTransformer
-from placegraph.outdoor.network.weights import Shape
+from placegraph.outdoor.network.network import EncodedCity, GraphTransformer, Shape
 from placegraph_lab.tables.named.outdoor_ablation import (
     GIVEN,
     OURS,

@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.map.objects import of_name
 from placegraph.vectors import EmbeddedStore, Origin, open_store
-from placegraph.vectors.content import Vectors
-from placegraph.vectors.stores import load_store
+from placegraph.vectors.stores import Vectors, load_store
 from placegraph_lab.tables.named.outdoor_vectors import clustered
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, open_city
 from placegraph_lab.tables.outdoor.queries import Query, make_queries

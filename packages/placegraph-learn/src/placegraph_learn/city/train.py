@@ -21,7 +21,7 @@ from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.network.graphs import Fits, TextGraphs, WordVectors
 from placegraph.outdoor.network.graphs import split_label as words_of
-from placegraph.outdoor.network.weights import Shape, Weights, trained, write_weights
+from placegraph.outdoor.network.network import Shape, Weights, trained, write_weights
 from placegraph.outdoor.search.posterior import HARD
 from placegraph_learn.city.batches import Lessons, forward
 from placegraph_learn.city.descriptions import ExamplePool, Speaker, make_pool
