@@ -21,8 +21,6 @@ from hypothesis import strategies as st
 
 from placegraph.errors import InputError, MissingExtraError, OptionError, ServiceError
 from placegraph.io.osm import overpass
-from placegraph.io.osm import overpass as nominatim
-from placegraph.io.osm import overpass as services
 from placegraph.io.osm.osm import AREA, NODE, POINT, RELATION, WAY, read_osm
 from placegraph.io.osm.overpass import FetchSummary
 from placegraph.outdoor.city import build_city
@@ -215,7 +213,7 @@ def test_query_surrounds_the_place_and_stays_short(servers, out, islands):
     around = MultiPolygon(polygons) if len(polygons) > 1 else polygons[0]
     assert around.contains(place)
     if islands == 1:
-        metres = nominatim.METRES_A_DEGREE * math.cos(math.radians(47.0))
+        metres = overpass.METRES_A_DEGREE * math.cos(math.radians(47.0))
         assert around.boundary.hausdorff_distance(place.boundary) * metres < 120
 
 
@@ -497,6 +495,6 @@ def tags_of(tags):
 
 @given(st.binary(max_size=300))
 def test_gist_is_one_short_line(text):
-    line = services.gist(text)
+    line = overpass.gist(text)
     assert len(line) <= 200
     assert "\n" not in line

@@ -1,4 +1,12 @@
-"""What the services that OSMnx asks have in common: who asks, and answers that are none."""
+"""Download of a place's OpenStreetMap data: a name goes in, a file for `read_osm` comes out.
+
+OSMnx asks Nominatim for the place's outline and knows the servers, their limits and how to be polite
+(its `settings`). Its `features` module is not used: it turns ways into polygons without vertex ids, goes
+on with half a city when the server ran out of time, and writes the outline into the query once for
+each key and type, where 33 keys and a detailed boundary exceed the 1 MiB that Overpass reads. A
+`.osm` file is Overpass's own answer to the letter, with the date of the data and their licence; it goes
+to disk without ever being whole in memory.
+"""
 
 from __future__ import annotations
 
@@ -22,163 +30,38 @@ import numpy as np
 
 from placegraph.errors import InputError, MissingExtraError, OptionError, ServiceError
 
-MEND = {
-    "Nominatim": "Try again in some minutes.",
-    "Overpass": "Try again in some minutes, or name another server (--overpass-url).",
-}
+Progress = Callable[[str, int], None]
 
-
-def osmnx_or_what_installs_it() -> Any:  # noqa: ANN401 - the module itself, which may not be there
-    """OSMnx; `MissingExtraError` where it is not installed."""
-    try:
-        import osmnx as ox
-    except ImportError as error:
-        raise MissingExtraError(
-            "OSMnx is not installed; `pip install 'placegraph[osmnx]'` brings it."
-        ) from error
-    return ox
-
-
-def agent(ox: Any) -> str:  # noqa: ANN401 - the module osmnx
-    """Say who asks, as both services want it."""
-    return f"placegraph, {ox.settings.http_user_agent}"
-
-
-def accept(response: Any, service: str) -> None:  # noqa: ANN401 - requests, loaded late
-    """Raise `ServiceError` where the service did not answer what was asked."""
-    if not response.ok:
-        said = gist(response.content[:4096])
-        raise ServiceError(
-            f"{service} answered {response.status_code} {response.reason}"
-            f"{f' ({said})' if said else ''}. {MEND[service]}"
-        )
-
-
-def unreachable(service: str, error: Exception) -> ServiceError:
-    """Error of a service that nobody answers for."""
-    return ServiceError(
-        f"{service} cannot be reached, or broke off: {gist(str(error).encode())}. "
-        "Check the network and the server's address, and try again."
-    )
-
-
-def nonsense(service: str, said: bytes) -> ServiceError:
-    """Error of a service that answers something else."""
-    return ServiceError(
-        f"{service} answered something else than was asked for: {gist(said) or 'nothing'}. "
-        f"{MEND[service]}"
-    )
-
-
-def gist(text: bytes, most: int = 200) -> str:
-    """Return what a page or message says, on one line, without its markup."""
-    plain = re.sub(r"<(style|script|title)\b.*?</\1>|<[^>]*>", " ", text.decode(errors="replace"),
-                   flags=re.DOTALL)  # fmt: skip
-    line = " ".join(html.unescape(plain).split()).rstrip(".")
-    return line if len(line) <= most else line[: most - 1] + "…"
-
-
+SUFFIXES = (".osm", ".osm.pbf")
+"""Endings that can be written."""
+KEY = re.compile(r"[\w:.-]+")
 PAD = 0.001
 """A place is fetched with its surroundings, this wide [deg]: from its edge one sees beyond it."""
 PARTS, CORNERS = 16, 600
 """An outline is coarsened until it has no more parts and corners than these."""
 METRES_A_DEGREE = 111_320.0
-
-
-def find(ox: Any, place: str) -> tuple[str, Any]:  # noqa: ANN401 - osmnx and shapely, loaded late
-    """Full name of a place and its outline, a polygon or several, longitude/latitude.
-
-    Raises `InputError` where it is unknown, has no outline or is too large, `ServiceError` where
-    Nominatim does not say.
-    """
-    import requests
-
-    shapes: list[str] = []  # of all places of this name
-
-    def hear(response: requests.Response, **_: object) -> None:
-        """Stop at a failure: OSMnx itself asks a busy server for ever, and reads errors as data."""
-        if response.is_redirect:
-            return
-        accept(response, "Nominatim")
-        try:
-            shapes.extend(str.strip(found["geojson"]["type"]) for found in response.json())
-        except (LookupError, TypeError, ValueError, RecursionError) as error:
-            raise nonsense("Nominatim", response.content[:4096]) from error
-
-    hooks = ox.settings.requests_kwargs | {"hooks": {"response": hear}}
-    try:
-        with _settings(ox, use_cache=False, requests_kwargs=hooks, http_user_agent=agent(ox)):
-            found = ox.geocode_to_gdf(place)
-        name, outline = str(found["display_name"].iloc[0]), found.geometry.iloc[0]
-    except requests.RequestException as error:
-        raise unreachable("Nominatim", error) from error
-    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
-        if not shapes:
-            raise InputError(
-                f"No place is called {place!r}; check the spelling, or add the region or country."
-            ) from error
-        if not {"Polygon", "MultiPolygon"} & set(shapes):
-            raise InputError(
-                f"{place!r} is known as a point or line only; name a town or district that has an "
-                "outline, or download an extract for `placegraph city build`."
-            ) from error
-        raise nonsense("Nominatim", repr(error).encode()) from error
-    if outline.is_empty:
-        raise nonsense("Nominatim", b"an outline of nothing")
-    area = outline.area * METRES_A_DEGREE**2 * math.cos(math.radians(outline.centroid.y))
-    if not area <= ox.settings.max_query_area_size:
-        raise InputError(
-            f"{name!r} covers {area / 1e6:,.0f} km2, which is too much for Overpass (limit: "
-            f"{ox.settings.max_query_area_size / 1e6:,.0f} km2). Name a part of it, or download an "
-            "extract for `placegraph city build`."
-        )
-    return name, outline
-
-
-@contextmanager
-def _settings(ox: Any, **changes: object) -> Iterator[None]:  # noqa: ANN401 - the module osmnx
-    """Change settings of OSMnx for a while: they are global, and the user's."""
-    before = {name: getattr(ox.settings, name) for name in changes}
-    try:
-        for name, value in changes.items():
-            setattr(ox.settings, name, value)
-        yield
-    finally:
-        for name, value in before.items():
-            setattr(ox.settings, name, value)
-
-
-def rings(outline: Any) -> list[str]:  # noqa: ANN401 - shapely's geometry, untyped
-    """Rings around a place, as Overpass's polygon filter wants them: "lat lon lat lon ..."."""
-    pad = PAD
-    while True:  # widened by twice what the simplification may cut off
-        wide = outline.buffer(pad).simplify(pad / 2)
-        rings = [np.array(part.exterior.coords) for part in getattr(wide, "geoms", [wide])]
-        if len(rings) <= PARTS and sum(map(len, rings)) <= CORNERS:
-            earth = [np.clip(ring, (-180, -90), (180, 90)) for ring in rings]
-            return [" ".join(f"{y:.5f} {x:.5f}" for x, y in ring) for ring in earth]
-        pad *= 2
-
-
-Progress = Callable[[str, int], None]
-
-
-SUFFIXES = (".osm", ".osm.pbf")
-"""Endings that can be written."""
-KEY = re.compile(r"[\w:.-]+")
+PAUSES = (20, 60)
+"""Seconds to wait before asking a busy server once more, each time."""
+SLOT = 30
+"""Seconds the server may need to find a free slot and to begin its answer."""
+BUSY = (429, 504)
+"""HTTP status: too many requests, and the server found no time."""
+_MEND = {
+    "Nominatim": "Try again in some minutes.",
+    "Overpass": "Try again in some minutes, or name another server (--overpass-url).",
+}
 
 
 @dataclass(frozen=True)
 class FetchSummary:
-    """What was fetched."""
+    """Size of a downloaded file."""
 
     place: str
-    """The place as the geocoder names it, so that one sees whether it is the one that was meant."""
+    """The place as the geocoder names it: check that it is the one that was meant."""
     nodes: int
     ways: int
     relations: int
     bytes: int
-    """Size of the file."""
 
     def __str__(self) -> str:
         return (
@@ -211,7 +94,7 @@ def fetch_osm(
     overpass_url
         Overpass server, up to and without `/interpreter`; that of `osmnx.settings` if not given.
     progress
-        Is told the step and how far it is: "finding" (0), "waiting" (seconds), "downloading"
+        Called with the step and how far it is: "finding" (0), "waiting" (seconds), "downloading"
         (bytes), "writing" (elements).
 
     Raises
@@ -227,19 +110,30 @@ def fetch_osm(
         A server cannot be reached, is too busy, or answers nonsense or only in part.
 
     """
-    ox = osmnx_or_what_installs_it()
-    out, query_keys = _check(place, Path(out_path)), _keys(keys)
-    told = progress or (lambda _step, _n: None)
-    told("finding", 0)
+    try:
+        import osmnx as ox
+    except ImportError as error:
+        raise MissingExtraError(
+            "OSMnx is not installed; `pip install 'placegraph[osmnx]'` brings it."
+        ) from error
+    out, query_keys = Path(out_path), sorted({keys} if isinstance(keys, str) else set(keys))
+    _check(place, out, query_keys)
+    report = progress or (lambda _step, _n: None)
+    report("finding", 0)
     name, outline = find(ox, place)
     query = query_of(ox, query_keys, rings(outline))
     base = (overpass_url or ox.settings.overpass_url).rstrip("/").removesuffix("/interpreter")
     try:
         # In the same folder, so that replacing is atomic; gone afterwards, whatever happens.
         with TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as room:
-            answer = Path(room) / "answer.osm"
-            download(ox, f"{base}/interpreter", query, answer, told)
-            counts, size = _moved(answer, out, told)
+            answer = file = Path(room) / "answer.osm"
+            download(ox, f"{base}/interpreter", query, answer, report)
+            if out.name.lower().endswith(".pbf"):
+                file = answer.with_name("answer.osm.pbf")
+            counts = copied(answer, file, report)
+            size = file.stat().st_size
+            if counts.total():
+                file.replace(out)
     except OSError as error:
         raise InputError(
             f"{out} cannot be written: {error.strerror or error}; choose another folder or make room."
@@ -252,19 +146,7 @@ def fetch_osm(
     return FetchSummary(name, counts["n"], counts["w"], counts["r"], size)
 
 
-def _moved(answer: Path, out: Path, told: Progress) -> tuple[Counter[str], int]:
-    """Put an answer in the place of `out`, unless it is empty; counts of elements, and bytes."""
-    file = answer
-    if out.name.lower().endswith(".pbf"):
-        file = answer.with_name("answer.osm.pbf")
-    counts = copied(answer, file, told)
-    size = file.stat().st_size
-    if counts.total():
-        file.replace(out)
-    return counts, size
-
-
-def _check(place: str, out: Path) -> Path:
+def _check(place: str, out: Path, keys: list[str]) -> None:
     if not place.strip():
         raise InputError("The place has no name; give one, such as 'Vaduz, Liechtenstein'.")
     if not out.name.lower().endswith(SUFFIXES):
@@ -273,29 +155,88 @@ def _check(place: str, out: Path) -> Path:
         raise InputError(f"{out.parent} is not a folder; create it, or choose another for {out}.")
     if out.is_dir():
         raise InputError(f"{out} is a folder; name a file to write.")
-    return out
-
-
-def _keys(keys: Iterable[str]) -> list[str]:
-    chosen = sorted({keys} if isinstance(keys, str) else set(keys))
-    if not chosen:
+    if not keys:
         raise OptionError("keys is empty; name at least one key, such as 'highway'.")
-    for key in chosen:
+    for key in keys:
         if not KEY.fullmatch(key):
             raise OptionError(f"keys holds {key!r}; a key has letters, digits and : _ . - only.")
-    return chosen
 
 
-PAUSES = (20, 60)
-"""Seconds to wait before asking a busy server once more, each time."""
-SLOT = 30
-"""Seconds the server may need to find a free slot and to begin its answer."""
-BUSY = (429, 504)
-"""HTTP status: too many requests, and the server found no time."""
+def find(ox: Any, place: str) -> tuple[str, Any]:  # noqa: ANN401 - osmnx and shapely, loaded late
+    """Return a place's full name and its outline, a polygon or several, longitude/latitude.
+
+    Raises `InputError` where it is unknown, has no outline or is too large, `ServiceError` where
+    Nominatim does not say.
+    """
+    import requests
+
+    shapes: list[str] = []  # of all places of this name
+
+    def check_response(response: requests.Response, **_: object) -> None:
+        """Stop at a failure: OSMnx itself asks a busy server for ever, and reads errors as data."""
+        if response.is_redirect:
+            return
+        check_status(response, "Nominatim")
+        try:
+            shapes.extend(str.strip(found["geojson"]["type"]) for found in response.json())
+        except (LookupError, TypeError, ValueError, RecursionError) as error:
+            raise nonsense("Nominatim", response.content[:4096]) from error
+
+    hooks = ox.settings.requests_kwargs | {"hooks": {"response": check_response}}
+    try:
+        with _settings(ox, use_cache=False, requests_kwargs=hooks, http_user_agent=_agent(ox)):
+            found = ox.geocode_to_gdf(place)
+        name, outline = str(found["display_name"].iloc[0]), found.geometry.iloc[0]
+    except requests.RequestException as error:
+        raise unreachable("Nominatim", error) from error
+    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
+        if not shapes:
+            raise InputError(
+                f"No place is called {place!r}; check the spelling, or add the region or country."
+            ) from error
+        if not {"Polygon", "MultiPolygon"} & set(shapes):
+            raise InputError(
+                f"{place!r} is known as a point or line only; name a town or district that has an "
+                "outline, or download an extract for `placegraph city build`."
+            ) from error
+        raise nonsense("Nominatim", repr(error).encode()) from error
+    if outline.is_empty:
+        raise nonsense("Nominatim", b"an outline of nothing")
+    area = outline.area * METRES_A_DEGREE**2 * math.cos(math.radians(outline.centroid.y))
+    if not area <= ox.settings.max_query_area_size:
+        raise InputError(
+            f"{name!r} covers {area / 1e6:,.0f} km2, which is too much for Overpass (limit: "
+            f"{ox.settings.max_query_area_size / 1e6:,.0f} km2). Name a part of it, or download an "
+            "extract for `placegraph city build`."
+        )
+    return name, outline
+
+
+@contextmanager
+def _settings(ox: Any, **changes: object) -> Iterator[None]:  # noqa: ANN401 - the module osmnx
+    """Change settings of OSMnx for a while: they are global, and the user's."""
+    before = {name: getattr(ox.settings, name) for name in changes}
+    try:
+        vars(ox.settings).update(changes)
+        yield
+    finally:
+        vars(ox.settings).update(before)
+
+
+def rings(outline: Any) -> list[str]:  # noqa: ANN401 - shapely's geometry, untyped
+    """Return rings around a place, as Overpass's polygon filter wants them: "lat lon lat lon ..."."""
+    pad = PAD
+    while True:  # widened by twice what the simplification may cut off
+        wide = outline.buffer(pad).simplify(pad / 2)
+        rings = [np.array(part.exterior.coords) for part in getattr(wide, "geoms", [wide])]
+        if len(rings) <= PARTS and sum(map(len, rings)) <= CORNERS:
+            earth = [np.clip(ring, (-180, -90), (180, 90)) for ring in rings]
+            return [" ".join(f"{y:.5f} {x:.5f}" for x, y in ring) for ring in earth]
+        pad *= 2
 
 
 def query_of(ox: Any, keys: list[str], rings: list[str]) -> str:  # noqa: ANN401 - the module osmnx
-    """Overpass query for the elements with one of the keys, and what they consist of.
+    """Return an Overpass query for the elements with one of the keys, and what they consist of.
 
     Of the relations only areas are wanted. Routes and rivers would bring every way of a continent,
     and so would the borders of countries, states and counties.
@@ -317,29 +258,33 @@ def query_of(ox: Any, keys: list[str], rings: list[str]) -> str:  # noqa: ANN401
     )
 
 
-def download(ox: Any, url: str, query: str, target: Path, told: Progress) -> None:  # noqa: ANN401
+def download(ox: Any, url: str, query: str, target: Path, report: Progress) -> None:  # noqa: ANN401
     """Post the query and write the answer to a file as it comes; wait where the server is busy."""
     import requests
 
     settings = ox.settings
     for pause in (*PAUSES, None):
-        told("downloading", 0)
+        report("downloading", 0)
         try:
             with requests.post(
                 url,
                 data={"data": query},
-                headers={"User-Agent": agent(ox), "Referer": settings.http_referer},
+                headers={"User-Agent": _agent(ox), "Referer": settings.http_referer},
                 timeout=settings.requests_timeout + SLOT,
                 stream=True,
                 **settings.requests_kwargs,
             ) as response:
                 if response.status_code not in BUSY or pause is None:
-                    accept(response, "Overpass")
-                    _store(response, target, told)
+                    check_status(response, "Overpass")
+                    size = 0
+                    with target.open("wb") as file:
+                        for chunk in response.iter_content(1 << 18):
+                            size += file.write(chunk)
+                            report("downloading", size)
                     break
         except requests.RequestException as error:
             raise unreachable("Overpass", error) from error
-        told("waiting", pause)
+        report("waiting", pause)
         time.sleep(pause)
     with target.open("rb") as file:  # an answer cut short says so at its end, with status 200
         file.seek(max(0, target.stat().st_size - (1 << 16)))
@@ -351,15 +296,7 @@ def download(ox: Any, url: str, query: str, target: Path, told: Progress) -> Non
         )
 
 
-def _store(response: Any, target: Path, told: Progress) -> None:  # noqa: ANN401 - requests, loaded late
-    size = 0
-    with target.open("wb") as file:
-        for chunk in response.iter_content(1 << 18):
-            size += file.write(chunk)
-            told("downloading", size)
-
-
-def copied(answer: Path, target: Path, told: Progress) -> Counter[str]:
+def copied(answer: Path, target: Path, report: Progress) -> Counter[str]:
     """Write the answer to the target as PBF, unless they are the same file, and count elements.
 
     Returns how many nodes ("n"), ways ("w") and relations ("r") there are. To read all of the
@@ -377,7 +314,7 @@ def copied(answer: Path, target: Path, told: Progress) -> Counter[str]:
                 writer = stack.enter_context(osmium.SimpleWriter(target))
             for n, item in enumerate(osmium.FileProcessor(answer)):
                 if n % 10_000 == 0:
-                    told("writing", n)
+                    report("writing", n)
                 counts[item.type_str()] += 1
                 if writer is not None:
                     writer.add(item)
@@ -385,3 +322,42 @@ def copied(answer: Path, target: Path, told: Progress) -> Counter[str]:
         with answer.open("rb") as file:
             raise nonsense("Overpass", file.read(4096)) from error
     return counts
+
+
+def _agent(ox: Any) -> str:  # noqa: ANN401 - the module osmnx
+    """Return who asks, as both services want it."""
+    return f"placegraph, {ox.settings.http_user_agent}"
+
+
+def check_status(response: Any, service: str) -> None:  # noqa: ANN401 - requests, loaded late
+    """Raise `ServiceError` where the service did not answer what was asked."""
+    if not response.ok:
+        why = gist(response.content[:4096])
+        raise ServiceError(
+            f"{service} answered {response.status_code} {response.reason}"
+            f"{f' ({why})' if why else ''}. {_MEND[service]}"
+        )
+
+
+def unreachable(service: str, error: Exception) -> ServiceError:
+    """Return the error of a service that does not answer."""
+    return ServiceError(
+        f"{service} cannot be reached, or broke off: {gist(str(error).encode())}. "
+        "Check the network and the server's address, and try again."
+    )
+
+
+def nonsense(service: str, answer: bytes) -> ServiceError:
+    """Return the error of a service that answers something else."""
+    return ServiceError(
+        f"{service} answered something else than was asked for: {gist(answer) or 'nothing'}. "
+        f"{_MEND[service]}"
+    )
+
+
+def gist(text: bytes, most: int = 200) -> str:
+    """Return what a page or message says, on one line, without its markup."""
+    plain = re.sub(r"<(style|script|title)\b.*?</\1>|<[^>]*>", " ", text.decode(errors="replace"),
+                   flags=re.DOTALL)  # fmt: skip
+    line = " ".join(html.unescape(plain).split()).rstrip(".")
+    return line if len(line) <= most else line[: most - 1] + "…"
