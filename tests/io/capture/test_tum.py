@@ -1,5 +1,7 @@
 """TUM trajectories: read back as written, refused with file and line where they are wrong."""
 
+import json
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -7,7 +9,7 @@ from hypothesis import strategies as st
 
 from placegraph.core.geometry import rotation_from_quaternion
 from placegraph.errors import InputError, OptionError
-from placegraph.io.capture.tum import read_table, read_tum, write_tum
+from placegraph.io.capture.tum import read_camera_path, read_table, read_tum, write_tum
 
 GOOD = "# stamp and pose\n\n0.0 1 2 3 0 0 0 1\n0.5 1 2 4 0 0 1 0  # turned\n"
 
@@ -165,3 +167,37 @@ def test_damaged_files_give_one_kind_of_error(data, tmp_path_factory):
 def test_shared_trajectories(shared):
     for name, rows in (("house/seq00/odometry.tum", 25), ("office/odometry.tum", 373)):
         assert len(read_tum(shared / "data" / name)) == rows
+
+
+def test_both_kinds_of_file(tmp_path):
+    poses = np.stack([np.eye(4)] * 3)
+    poses[:, 0, 3] = [0, 1, 2]
+    write_tum(tmp_path / "a.tum", np.arange(3), poses)
+    (tmp_path / "b.json").write_text(json.dumps({"trajectory": poses.tolist(), "frames": [1]}))
+    for name in ("a.tum", "b.json"):
+        assert read_camera_path(tmp_path / name) == pytest.approx(poses)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "[]",
+        "{}",
+        '{"trajectory": []}',
+        '{"trajectory": [[1, 2], [3]]}',
+        '{"trajectory": "no"}',
+        '{"trajectory": [[[NaN, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]]}',
+    ],
+)
+def test_what_is_no_estimate(tmp_path, text):
+    path = tmp_path / "a.json"
+    path.write_text(text)
+    with pytest.raises(InputError, match=r"a\.json"):
+        read_camera_path(path)
+
+
+def test_a_missing_file(tmp_path):
+    for name in ("a.json", "a.tum"):
+        with pytest.raises(InputError, match="does not exist"):
+            read_camera_path(tmp_path / name)

@@ -8,7 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from placegraph.errors import InputError
-from placegraph.io.osm.indoor_osm import IndoorShape, encode_rooms, read_indoor_osm, room_names
+from placegraph.io.osm.indoor_osm import (
+    IndoorShape,
+    encode_rooms,
+    level_text,
+    levels_of,
+    read_indoor_osm,
+    room_names,
+)
 
 NODES = """<node id='-1' lat='50.0' lon='10.0'/><node id='-2' lat='50.0' lon='10.0001'/>
 <node id='-3' lat='50.0001' lon='10.0001'/><node id='-4' lat='50.0001' lon='10.0'/>
@@ -138,3 +145,20 @@ def test_doors_are_nodes_of_outlines_or_passages(tmp_path):
     assert on == [True, True, True]  # both rooms' outlines go through it
     text = encode_rooms([*rooms, door], osmag=True, generator="test").decode()
     assert '<tag k="osmAG:from" v="a"/><tag k="osmAG:to" v="b"/>' in text
+
+
+@pytest.mark.parametrize(
+    ("text", "levels"),
+    [
+        ("0", (0,)), ("0;1", (0, 1)), ("1; 0 ;1", (0, 1)), ("0-2", (0, 1, 2)), ("-1", (-1,)),
+        ("-2--1", (-2, -1)), ("-1-1", (-1, 0, 1)), ("2-0", (0, 1, 2)), ("0.5", (0.5,)),
+        ("0.5-2", (0.5, 1, 2)), ("0,3", (0, 3)), ("", ()), ("ground", ()), ("x;2", (2,)),
+        ("0-99999", ()), ("0-9999", ()), ("1e9", ()), ("\u0663", ()),
+    ],
+)  # fmt: skip
+def test_levels(text, levels):
+    assert levels_of(text) == levels
+
+
+def test_a_level_as_text():
+    assert [level_text(v) for v in (0.0, -1.0, 0.5)] == ["0", "-1", "0.5"]
