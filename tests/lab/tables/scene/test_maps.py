@@ -172,24 +172,23 @@ def faked(maps, asking, monkeypatch):
 def test_it_prints_and_writes_what_it_measured(measure, tmp_path):
     out = tmp_path / "out.json"
     result = measure(
-        "scene_maps", "--only", "none: *; house found: *", "--sizes", "default,error 10 mm",
+        "scene_maps", "--only", "none: *; house found: *", "--sizes", "default,small",
         "--cache", str(tmp_path), "--out", str(out), "--weights", str(tmp_path / "none.tflite"),
     )  # fmt: skip
     assert result.exit_code == 0, result.output
     assert "extra `segment`" in result.output
     text = result.stdout
-    assert "| *SG2Loc, 3RScan / ScanNet*" in text
-    assert "bytes against recall" in text
+    assert "| *SG2Loc*" in text
     assert "lost b 3.00 m 1.0 deg" in text
     default = next(row for row in text.splitlines() if row.startswith("| default"))
     assert "+0.0 ± 50.0" in default  # one of two gained, the other lost, at 5 and at 10 frames
     assert "2 / 2" in default
     written = json.loads(out.read_text())
-    assert [m["size"] for m in written["maps"]] == ["full", "default", "error 10 mm"]
+    assert [m["size"] for m in written["maps"]] == ["full", "default", "small"]
     assert written["maps"][0]["off_m"] is None
     assert written["maps"][1]["off_m"]["maximum"] > 0
     assert {r["row"] for r in written["recall"]} == {
         "none: depth + colour, 5 frames", "none: depth + colour, 10 frames",
     }  # fmt: skip
-    assert [r["size"] for r in written["refined"]] == ["full", "default"]
+    assert [r["size"] for r in written["refined"]] == ["full", "default", "small"]
     assert written["refined"][0]["after"]["recall"]["0.1 m, 5 deg"] == 0.5

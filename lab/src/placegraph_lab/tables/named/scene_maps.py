@@ -1,4 +1,10 @@
-"""Tables of the benchmark of scene maps: what a map takes, and what a smaller one loses."""
+"""How small may a scene map be? Bytes, seconds, memory and recall of maps of many sizes.
+
+    placegraph-lab table scene_maps --every 13 --office-every 9 --sizes full,default,small,tiny
+
+Maps are built by `placegraph scene build`; all are asked about the same windows. Every answer is
+written down at once: run it again and it goes on where it was cut.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +15,9 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from placegraph_lab.tables.indoor.bench import chosen
+from placegraph_lab.tables.indoor.report import errors
 from placegraph_lab.tables.indoor.windows import EVERY, OFFICE_EVERY
+from placegraph_lab.tables.runner import Column as Col
 from placegraph_lab.tables.runner import (
     Device,
     Every,
@@ -23,6 +31,7 @@ from placegraph_lab.tables.runner import (
     number,
     option,
     parts,
+    render,
     share,
     shares,
     table,
@@ -33,7 +42,6 @@ from placegraph_lab.tables.scene.maps import (
     NAMED,
     OFFICE_SIZES,
     PLACES,
-    SWEEP,
     VERTICES,
     Asking,
     Finding,
@@ -44,22 +52,41 @@ from placegraph_lab.tables.scene.maps import (
     Size,
     difference,
     findings,
-    recall_of,
     refinement,
     refinings,
     study,
 )
 from placegraph_lab.tables.scene.surface import Apart
 
-KILO, MEGA, MILLI = 1e-3, 1e-6, 1e3
 ROOM = 30  # objects of a usual room
 STORAGE = {
     "HLoc": (294.4, 283.3), "MeshLoc": (1433.6, 589.7), "Loc-NeRF": (143.9, 66.6),
     "SG2Loc": (9.8, 28.2), "ACE": (4.2, 4.2),
 }  # fmt: skip
 """MB a scene of 3RScan and of ScanNet: Table 3 of the paper."""
-MAPPING = {"HLoc": 3520.0, "MeshLoc": 2208.0, "Loc-NeRF": 1490.0, "SG2Loc": 1.6, "ACE": 134.2}
-"""Seconds a scene of 3RScan to make a map of it: Table 4."""
+ALL = {s.name: s for s in (*NAMED, VERTICES, LABELLED)}
+
+
+def _distances(off: Apart | None) -> str:
+    if off is None:
+        return "–"
+    return " / ".join(number(1e3 * d, 1) for d in (off.mean, off.most, off.maximum))
+
+
+MAPS = (
+    Col("", "0.name"), Col("objects", "0.objects", 0), Col("triangles", "0.triangles", 0),
+    *(Col(f"{part} kB", f"0.parts.{part}", 1, "", 1e-3) for part in ("graph", "surface", "colour")),
+    Col("total kB", "0.bytes", 1, "", 1e-3), Col("embeddings kB", "0.parts.embeddings", 1, "", 1e-3),
+    Col(f"kB a room of {ROOM}", lambda r: ROOM * r[0].bytes / r[0].objects, 0, "", 1e-3),
+    Col("build s", "0.build_seconds", 2), Col("peak MB", "0.peak_bytes", 0, "", 1e-6),
+    Col("opens ms", "0.open_seconds", 0, "", 1e3), Col("off mm: mean / 95 % / most", "1", _distances),
+)  # fmt: skip
+REFINED = (
+    Col("", "row"), Col("size", "size"), Col("windows", "windows", 0),
+    Col("median", lambda r: [r["after"][f"median_{k}"] for k in ("position_m", "rotation_deg")], errors),
+    Col("10 cm, 5°", lambda r: r["after"]["recall"]["0.1 m, 5 deg"], share),
+    Col("accepted", "accepted", share), Col("s refining", "refine_seconds", 2),
+)  # fmt: skip
 
 
 def report(
@@ -68,170 +95,45 @@ def report(
     pairs: Sequence[Paired],
     refined: Sequence[dict[str, Any]],
 ) -> str:
-    """All tables that there are rows for; `apart` by the name of the map."""
-    parts = ["#### What a map takes", maps_table(made, apart)]
-    parts += ["#### Beside the paper", storage_table(made)]
-    for place, title in ((p, PLACES[p].title) for p in PLACES):
-        own = [m for m in made if m.place == place]
+    """Return all tables that there are rows for; `apart` by the name of the map."""
+    text = ["#### What a map takes", render(MAPS, [(m, apart.get(m.name)) for m in made])]
+    paper = [[f"*{name}*", number(a, 1), number(b, 1)] for name, (a, b) in STORAGE.items()]
+    text += ["#### The paper's MB a scene", markdown(["", "3RScan", "ScanNet"], paper)]
+    for place in PLACES:
         mine = [p for p in pairs if _place(p) == place]
         if mine:
-            named = [p for p in mine if not _swept(p.size)]
-            parts += [f"#### {title}: recall{_limits(mine[0])}", recall_table(named)]
-        if any(_swept(m.size) for m in own):
-            parts += [f"#### {title}: bytes against recall", sweep_table(own, apart, mine)]
+            limits = " / ".join(f"{100 * m:.0f} cm {d:.0f}°" for m, d in mine[0].limits)
+            text += [f"#### {PLACES[place].title}: recall within {limits} (windows)"]
+            text += [recall_table(mine)]
     if refined:
-        header = ["", "size", "windows", "median", "10 cm, 5°", "accepted", "s refining"]
-        lines = []
-        for row in refined:
-            after = row["after"]
-            centimetres, degrees = after["median_position_m"], after["median_rotation_deg"]
-            median = (
-                "–"
-                if centimetres is None
-                else f"{number(100 * centimetres, 2)} cm, {number(degrees, 2)}°"
-            )
-            lines.append(
-                [
-                    row["row"],
-                    row["size"],
-                    number(row["windows"]),
-                    median,
-                    share(after["recall"]["0.1 m, 5 deg"]),
-                    share(row["accepted"]),
-                    number(row["refine_seconds"], 2),
-                ]
-            )
-        parts += ["#### Refined poses", markdown(header, lines)]
-    changed = changes(pairs)
+        text += ["#### Refined poses", render(REFINED, refined)]
+    changed = [
+        f"- {p.size}, {p.row}: {what} {'; '.join(windows)}"
+        for p in pairs for what, windows in (("lost", p.lost), ("gained", p.gained)) if windows
+    ]  # fmt: skip
     if changed:
-        parts += ["#### Windows that are right on one map only", changed]
-    return "\n\n".join(parts)
-
-
-def maps_table(made: Sequence[Made], apart: dict[str, Apart]) -> str:
-    """Bytes by part, size, time, memory and error of each map."""
-    header = [
-        "", "objects", "triangles", "graph kB", "surface kB", "colour kB", "total kB",
-        "embeddings kB", "bytes an object", f"kB a room of {ROOM}", "build s", "command s",
-        "peak MB", "opens ms", "off mm: mean / 95 % / most",
-    ]  # fmt: skip
-    return markdown(header, [_maps_line(m, apart.get(m.name)) for m in made])
-
-
-def _maps_line(m: Made, off: Apart | None) -> list[str]:
-    return [
-        m.name,
-        number(m.objects),
-        number(m.triangles),
-        *(number(KILO * m.parts[part], 1) for part in ("graph", "surface", "colour")),
-        number(KILO * m.bytes, 1),
-        number(KILO * m.parts["embeddings"], 1),
-        number(m.bytes / m.objects),
-        number(KILO * ROOM * m.bytes / m.objects),
-        number(m.build_seconds, 2),
-        number(m.command_seconds, 2),
-        number(None if m.peak_bytes is None else MEGA * m.peak_bytes),
-        number(MILLI * m.open_seconds),
-        _distances(off),
-    ]
-
-
-def _distances(off: Apart | None) -> str:
-    if off is None:
-        return "–"
-    return " / ".join(number(MILLI * d, 1) for d in (off.mean, off.most, off.maximum))
-
-
-def storage_table(made: Sequence[Made]) -> str:
-    """Tables 3 and 4 of the paper, and our maps."""
-    header = ["", "MB a scene", "MB a room of 30 objects", "seconds to make it"]
-    lines = [
-        [f"*{name}, 3RScan / ScanNet*", f"{a} / {b}", "–", number(MAPPING[name], 1)]
-        for name, (a, b) in STORAGE.items()
-    ]
-    lines += [
-        [
-            m.name,
-            number(MEGA * m.bytes, 3),
-            number(MEGA * ROOM * m.bytes / m.objects, 3),
-            number(m.build_seconds, 1),
-        ]
-        for m in made
-        if not _swept(m.size)
-    ]
-    return markdown(header, lines)
-
-
-def recall_table(pairs: Sequence[Paired]) -> str:
-    """Recall of every row by size, and the difference to the full map, rows pooled."""
-    rows = list(dict.fromkeys(p.row for p in pairs))
-    lines = []
-    for size in dict.fromkeys(p.size for p in pairs):
-        at = {p.row: p for p in pairs if p.size == size}
-        lines.append(
-            [size, *(shares(at[r].recalls) for r in rows), *_difference(list(at.values()))]
-        )
-    windows = {p.row: len(p.answers) for p in pairs}
-    heads = [f"{r} ({windows[r]})" for r in rows]
-    return markdown(["", *heads, "points against full", "gained / lost"], lines)
-
-
-def sweep_table(made: Sequence[Made], apart: dict[str, Apart], pairs: Sequence[Paired]) -> str:
-    """Bytes against recall, rows pooled."""
-    header = [
-        "", "total kB", "surface kB", "colour kB", "triangles", "off mm: mean / 95 % / most",
-        "recall", "points against full", "gained / lost",
-    ]  # fmt: skip
-    lines = []
-    for m in made:
-        mine = [p for p in pairs if p.size == m.size]
-        lines.append(
-            [
-                m.size,
-                number(KILO * m.bytes, 1),
-                *(number(KILO * m.parts[part], 1) for part in ("surface", "colour")),
-                number(m.triangles),
-                _distances(apart.get(m.name)),
-                share(recall_of(mine)),
-                *_difference(mine),
-            ]
-        )
-    return markdown(header, lines)
-
-
-def _difference(pairs: Sequence[Paired]) -> list[str]:
-    steps = [step for p in pairs for step in p.steps]
-    if not steps or all(p.size == FULL.name for p in pairs):
-        return ["–", "–"]
-    points, error = difference(steps)
-    return [f"{points:+.1f} ± {error:.1f}", f"{steps.count(1)} / {steps.count(-1)}"]
-
-
-def changes(pairs: Sequence[Paired]) -> str:
-    """Windows that were lost or gained, by map and row."""
-    lines = []
-    for p in pairs:
-        for what, windows in (("lost", p.lost), ("gained", p.gained)):
-            if windows:
-                lines.append(f"- {p.size}, {p.row}: {what} {'; '.join(windows)}")
-    return "\n".join(lines)
+        text += ["#### Windows that are right on one map only", "\n".join(changed)]
+    return "\n\n".join(text)
 
 
 def _place(pairs: Paired) -> str:
-    table = pairs.row.partition(":")[0]
-    return table if table in PLACES else "house"
+    name = pairs.row.partition(":")[0]
+    return name if name in PLACES else "house"
 
 
-def _swept(size: str) -> bool:
-    return size in {s.name for s in SWEEP}
-
-
-def _limits(pairs: Paired) -> str:
-    names = [f"{100 * m:.0f} cm {d:.0f}°" for m, d in pairs.limits]
-    return f" within {' / '.join(names)} (windows)"
-
-
-ALL = {s.name: s for s in (*NAMED, VERTICES, LABELLED, *SWEEP)}
+def recall_table(pairs: Sequence[Paired]) -> str:
+    """Return recall of every row by size, and the difference to the full map, rows pooled."""
+    windows = {p.row: len(p.answers) for p in pairs}
+    lines = []
+    for size in dict.fromkeys(p.size for p in pairs):
+        at = {p.row: p for p in pairs if p.size == size}
+        steps = [step for p in at.values() for step in p.steps]
+        points, error = difference(steps)
+        told = [f"{points:+.1f} ± {error:.1f}", f"{steps.count(1)} / {steps.count(-1)}"]
+        told = ["–", "–"] if size == FULL.name else told
+        lines.append([size, *(shares(at[row].recalls) for row in windows), *told])
+    heads = [f"{row} ({count})" for row, count in windows.items()]
+    return markdown(["", *heads, "points against full", "gained / lost"], lines)
 
 
 def sizes_of(place: str, names: list[str]) -> list[Size]:
@@ -240,11 +142,6 @@ def sizes_of(place: str, names: list[str]) -> list[Size]:
     if not names and place != "house":
         names = list(OFFICE_SIZES)
     return [FULL, *(s for s in fits if s != FULL and (not names or s.name in names))]
-
-
-def named(only: str) -> list[str]:
-    """Names of rows; one without its number of frames means all of them."""
-    return [n if n.endswith(("*", "frames")) else f"{n}, *" for n in parts(only, ";")]
 
 
 @table("SG2Loc, Tables 3, 4")
@@ -270,7 +167,8 @@ def scene_maps(
     rows, refining = findings(), refinings()
     if only:
         every_row: list[Finding | Refining] = [*rows, *refining]
-        both = {r.name for r in chosen(every_row, named(only))}
+        asked_for = [n if n.endswith(("*", "frames")) else f"{n}, *" for n in parts(only, ";")]
+        both = {r.name for r in chosen(every_row, asked_for)}
         rows = [r for r in rows if r.name in both]
         refining = [r for r in refining if r.name in both]
     names = parts(sizes)
@@ -298,6 +196,6 @@ def scene_maps(
     built = [
         asdict(m) | {"off_m": asdict(apart[m.name]) if m.name in apart else None} for m in made
     ]
-    record = {"paper": {"storage_MB": STORAGE, "mapping_seconds": MAPPING}, "maps": built}
+    record = {"paper": {"storage_MB": STORAGE}, "maps": built}
     record |= {"recall": [p.to_dict() for p in pairs], "refined": refined}
     run.save(record, whole=not (only or sizes or build_only))

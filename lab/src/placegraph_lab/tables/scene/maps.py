@@ -26,7 +26,7 @@ from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor import refine as indoor_refine
 from placegraph_lab.tables.indoor.bench import Job, ask, house_jobs, office_jobs
 from placegraph_lab.tables.indoor.maps import COARSE, coarse, with_mesh
-from placegraph_lab.tables.indoor.metrics import Answer, rounded, score
+from placegraph_lab.tables.indoor.metrics import Answer, score
 from placegraph_lab.tables.indoor.refine import Refined, RefineJob, refine_jobs, refine_score
 from placegraph_lab.tables.indoor.windows import (
     COVERED,
@@ -67,11 +67,6 @@ VERTICES = Size("coarse", ())
 """20,000 triangles whose vertices alone have colours, of `tables.indoor.decimate`; from the full map."""
 LABELLED = Size("labelled", ())
 """The default, its objects found by a segmenter of images instead of geometry and colour."""
-SWEEP = (
-    *(Size(f"error {mm} mm", ("--error", str(mm / 1000))) for mm in (1, 2, 5, 10, 20, 30)),
-    *(Size(f"texel {mm} mm", ("--texel", str(mm / 1000))) for mm in (2, 3, 5, 10, 20)),
-)
-"""The default with another bound of the surface's error, or with other texels."""
 
 
 class Place(NamedTuple):
@@ -520,11 +515,3 @@ def refinement(
                 summary = refine_score(results).to_dict()
                 found.append({"row": row.name, "size": size.name} | summary)
     return found
-
-
-def recall_of(pairs: Sequence[Paired]) -> float | None:
-    """Recall by the last of the limits, all rows pooled."""
-    answers = [(a, p.limits[-1]) for p in pairs for a in p.answers]
-    if not answers:
-        return None
-    return rounded(sum(a.within(*limits) for a, limits in answers) / len(answers), 4)
