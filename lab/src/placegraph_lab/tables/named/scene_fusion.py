@@ -22,7 +22,8 @@ from placegraph.io.capture.capture import open_capture
 from placegraph.io.capture.frame import Frame
 from placegraph.io.mesh.gltf import read_glb
 from placegraph_lab.tables.indoor.windows import true_poses
-from placegraph_lab.tables.runner import Quick, Run, markdown, number, table
+from placegraph_lab.tables.runner import Column as Col
+from placegraph_lab.tables.runner import Quick, Run, number, render, table
 from placegraph_lab.tables.scene.surface import distances, spread
 from placegraph_lab.tables.statistics import apart, peak
 
@@ -78,17 +79,8 @@ def open3d_volume(voxel: float = 0.03, cut: float = 4.0, reach: float = 7.5) -> 
             metres = image_of(core.Tensor(np.nan_to_num(depth)[..., None]))
             shade = at_depth(frame.rgb(), depth.shape).astype(np.float32) / 255
             blocks = grid.compute_unique_block_coordinates(metres, pinhole, view, 1.0, reach, cut)
-            grid.integrate(
-                blocks,
-                metres,
-                image_of(core.Tensor(shade)),
-                pinhole,
-                pinhole,
-                view,
-                1.0,
-                reach,
-                cut,
-            )
+            image = image_of(core.Tensor(shade))
+            grid.integrate(blocks, metres, image, pinhole, pinhole, view, 1.0, reach, cut)
         mesh = grid.extract_triangle_mesh(0.5)
         colours = np.rint(255 * mesh.vertex.colors.numpy().clip(0, 1)).astype(np.uint8)
         triangles = mesh.triangle.indices.numpy()
@@ -250,67 +242,23 @@ def timed(folder: Path, threads: int, what: str) -> dict[str, Any]:
     return {"way": what, "threads": threads, "peak_bytes": peak()} | row
 
 
-def speed_table(rows: list[dict[str, Any]]) -> str:
-    """Markdown of what all frames cost."""
-    header = [
-        "",
-        "threads",
-        "frames/s",
-        "seconds",
-        "triangles",
-        "volume",
-        "peak memory",
-        "agreement",
-    ]
-    cells = [
-        [
-            r["way"],
-            number(r["threads"]),
-            number(r["frames"] / r["seconds"], 1),
-            number(r["seconds"], 1),
-            number(r["triangles"]),
-            number(1e-6 * r["volume_bytes"] if "volume_bytes" in r else None, 0, "MB"),
-            number(1e-6 * r["peak_bytes"], 0, "MB"),
-            number(1e3 * r["agreement"] if "agreement" in r else None, 1, "mm"),
-        ]
-        for r in rows
-    ]
-    return markdown(header, cells)
-
-
-def house_table(rows: list[dict[str, Any]]) -> str:
-    """Markdown of accuracy and completeness."""
-    header = ["", "seconds", "triangles", "off: median", "mean", "95 %"]
-    header += ["of what is seen, within 3 cm", "5 cm"]
-    cells = [
-        [
-            r["way"],
-            number(r["seconds"], 1),
-            number(r["triangles"]),
-            *(number(1e3 * r[k], 1, "mm") for k in ("median", "mean", "p95")),
-            *(number(100 * r[k], 1, "%") for k in ("within_3_cm", "within_5_cm")),
-        ]
-        for r in rows
-    ]
-    return markdown(header, cells)
-
-
-def office_table(rows: list[dict[str, Any]]) -> str:
-    """Markdown of how well frames that were left out are foretold."""
-    header = ["", "triangles", "readings within 10 cm", "depth off: median"]
-    header += ["brightness off, of 255", "slopes' correlation"]
-    cells = [
-        [
-            r["way"],
-            number(r["triangles"]),
-            number(100 * r["covered"], 1, "%"),
-            number(1e3 * r["median"], 1, "mm"),
-            number(r["colour"], 1),
-            number(r["sharpness"], 3),
-        ]
-        for r in rows
-    ]
-    return markdown(header, cells)
+SPEED = (
+    Col("", "way"), Col("threads", "threads", 0),
+    Col("frames/s", lambda r: r["frames"] / r["seconds"], 1), Col("seconds", "seconds", 1),
+    Col("triangles", "triangles", 0), Col("volume", "volume_bytes", 0, "MB", 1e-6),
+    Col("peak memory", "peak_bytes", 0, "MB", 1e-6), Col("agreement", "agreement", 1, "mm", 1e3),
+)  # fmt: skip
+HOUSE = (
+    Col("", "way"), Col("seconds", "seconds", 1), Col("triangles", "triangles", 0),
+    Col("off: median", "median", 1, "mm", 1e3), Col("mean", "mean", 1, "mm", 1e3),
+    Col("95 %", "p95", 1, "mm", 1e3), Col("of what is seen, within 3 cm", "within_3_cm", 1, "%", 100),
+    Col("5 cm", "within_5_cm", 1, "%", 100),
+)  # fmt: skip
+OFFICE = (
+    Col("", "way"), Col("triangles", "triangles", 0),
+    Col("readings within 10 cm", "covered", 1, "%", 100), Col("depth off: median", "median", 1, "mm", 1e3),
+    Col("brightness off, of 255", "colour", 1), Col("slopes' correlation", "sharpness", 3),
+)  # fmt: skip
 
 
 @table()
@@ -327,11 +275,11 @@ def scene_fusion(run: Run, *, quick: Quick = False) -> None:
     if rival:
         speed.append(apart(timed, place, min(2, cores), "Open3D"))
     print(
-        f"#### Office, all frames; the machine's load was {number(load, 1)}\n\n{speed_table(speed)}\n"
+        f"#### Office, all frames; the machine's load was {number(load, 1)}\n\n{render(SPEED, speed)}\n"
     )
     house, office, rng = House(run.data / "house"), Office(place), np.random.default_rng(0)
     right = [house.row(way, rng) for way in run.track(ways, "house")]
-    print(f"#### House, beside its mesh\n\n{house_table(right)}\n")
+    print(f"#### House, beside its mesh\n\n{render(HOUSE, right)}\n")
     foretold = [office.row(way) for way in run.track(ways, "office")]
-    print(f"#### Office, every sixth frame left out\n\n{office_table(foretold)}\n")
+    print(f"#### Office, every sixth frame left out\n\n{render(OFFICE, foretold)}\n")
     run.save({"load_before": load, "speed": speed, "house": right, "office": foretold})

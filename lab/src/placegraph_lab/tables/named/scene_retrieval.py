@@ -10,6 +10,7 @@ import numpy as np
 
 from placegraph.core.estimate import Status
 from placegraph.errors import MissingExtraError
+from placegraph_lab.tables.runner import Column as Col
 from placegraph_lab.tables.runner import (
     Fresh,
     Quick,
@@ -18,6 +19,7 @@ from placegraph_lab.tables.runner import (
     markdown,
     option,
     parts,
+    render,
     share,
     shares,
     table,
@@ -82,24 +84,22 @@ def report(rows: Sequence[Row], scale: Sequence[Scale] = ()) -> str:
         "## What it takes: recall@1 among 50 scenes",
         markdown(head, table),
         "## Months later: recall@1 among 50 scenes, as it was / changed",
-        split_table(rows, [("as it was", _is_same), ("changed", _is_changed)]),
+        split_table(
+            rows, [("as it was", lambda a: not a.changed), ("changed", lambda a: a.changed)]
+        ),
         "## By kind of scene: recall@1 among 50 scenes, homes / house / office",
         split_table(rows, [(k, _of_kind(k)) for k in ("home", "house", "office")]),
         "## How sure: status and calibration, 50 scenes",
         status_table(rows),
     ]
     if scale:
-        parts += ["## Large libraries", scale_table(scale)]
+        parts += ["## Large libraries", render(SCALE, scale)]
     return "\n\n".join(parts)
 
 
 def main_table(rows: Sequence[Row]) -> str:
     """Recall and time by encoder, method and length."""
-    head = [
-        "encoder, method", "frames", "10: R@1/3/5", "ms", "50: R@1/3/5", "ms", "with encoding",
-        "kB a scene",
-    ]  # fmt: skip
-    table = [
+    lines: list[Any] = [
         [
             "the paper on 3RScan",
             str(n),
@@ -112,26 +112,25 @@ def main_table(rows: Sequence[Row]) -> str:
         ]
         for n, (ten, a, fifty, b) in PAPER.items()
     ]
-    for row in rows:
-        for method in WHOLE:
-            for n in LENGTHS:
-                ten, fifty = (row.answers.get((method, kind, n), []) for kind in ("10", "50"))
-                if not fifty:
-                    continue
-                spent = milliseconds(fifty)
-                table.append(
-                    [
-                        f"{row.name}, {method}",
-                        str(n),
-                        shares(recall(ten, k) for k in RANKS),
-                        f"{milliseconds(ten):.1f}",
-                        shares(recall(fifty, k) for k in RANKS),
-                        f"{spent:.1f}",
-                        f"{spent + n * row.encoding:.0f}",
-                        f"{row.kilobytes:.1f}",
-                    ]
-                )
-    return markdown(head, table)
+    lines += [
+        (row, method, n, row.answers.get((method, "10", n), []), fifty)
+        for row in rows for method in WHOLE for n in LENGTHS
+        if (fifty := row.answers.get((method, "50", n), []))
+    ]  # fmt: skip
+    return render(MAIN, lines)
+
+
+def _recalls(answers: Sequence[Answer]) -> str:
+    return shares(recall(answers, k) for k in RANKS)
+
+
+MAIN = (
+    Col("encoder, method", lambda r: f"{r[0].name}, {r[1]}"), Col("frames", "2"),
+    Col("10: R@1/3/5", "3", _recalls), Col("ms", lambda r: milliseconds(r[3]), 1),
+    Col("50: R@1/3/5", "4", _recalls), Col("ms", lambda r: milliseconds(r[4]), 1),
+    Col("with encoding", lambda r: milliseconds(r[4]) + r[2] * r[0].encoding, 0),
+    Col("kB a scene", "0.kilobytes", 1),
+)  # fmt: skip
 
 
 def split_table(rows: Sequence[Row], parts: Sequence[tuple[str, Callable[[Answer], bool]]]) -> str:
@@ -154,76 +153,41 @@ def status_table(rows: Sequence[Row]) -> str:
         "encoder", "frames", "OK", "of these right", "ambiguous", "lost", "calibration error",
         "absent: OK", "ambiguous", "lost",
     ]  # fmt: skip
-    table = []
+    lines = []
     for row in rows:
         for n in LENGTHS:
-            there = row.answers.get(("ours", "50", n), [])
-            absent = row.answers.get(("ours", ABSENT, n), [])
-            if not there:
-                continue
-            sure = [a for a in there if a.status == Status.OK.name]
-            told = reliability([a.probability for a in there], [hit(a, 1) for a in there], BINS)
-            table.append(
-                [
-                    row.name,
-                    str(n),
-                    *(share(v) for v in (_part(there, Status.OK), recall(sure, 1))),
-                    *(share(_part(there, s)) for s in (Status.AMBIGUOUS, Status.LOST)),
-                    f"{told.error:.3f} (floor {told.floor:.3f})",
-                    *(share(_part(absent, s)) for s in (Status.OK, Status.AMBIGUOUS, Status.LOST)),
-                ]
-            )
-    return markdown(head, table)
+            there, absent = (row.answers.get(("ours", kind, n), []) for kind in ("50", ABSENT))
+            if there:
+                sure = [a for a in there if a.status == Status.OK.name]
+                told = reliability([a.probability for a in there], [hit(a, 1) for a in there], BINS)
+                found = [_part(there, s) for s in Status]
+                none = [share(_part(absent, s)) for s in Status]
+                error = f"{told.error:.3f} (floor {told.floor:.3f})"
+                cells = [found[0], recall(sure, 1), *found[1:]]
+                lines.append([row.name, str(n), *map(share, cells), error, *none])
+    return markdown(head, lines)
 
 
-def scale_table(scale: Sequence[Scale]) -> str:
-    """Time and size by number of scenes."""
-    head = [
-        "encoder",
-        "scenes",
-        "objects a scene",
-        "frames",
-        "ms",
-        "ms a frame",
-        "R@1",
-        "distinct vectors",
-    ]
-    return markdown(
-        head,
-        [
-            [
-                s.encoder, f"{s.scenes:,}", f"{s.objects:.0f}", str(s.frames),
-                f"{s.milliseconds:.0f}", f"{s.milliseconds / s.frames:.1f}", share(s.recall),
-                " + ".join(f"{n:,}" for n in s.vectors),
-            ]
-            for s in scale
-        ],
-    )  # fmt: skip
+SCALE = (
+    Col("encoder", "encoder"), Col("scenes", "scenes", 0), Col("objects a scene", "objects", 0),
+    Col("frames", "frames"), Col("ms", "milliseconds", 0),
+    Col("ms a frame", lambda s: s.milliseconds / s.frames, 1), Col("R@1", "recall", share),
+    Col("distinct vectors", lambda s: " + ".join(f"{n:,}" for n in s.vectors)),
+)  # fmt: skip
 
 
 def figures(rows: Sequence[Row]) -> list[dict[str, Any]]:
     """Every cell as plain numbers."""
-    found = []
-    for row in rows:
-        for (method, kind, n), answers in row.answers.items():
-            found.append(
-                {
-                    "encoder": row.name,
-                    "method": method,
-                    "pool": kind,
-                    "frames": n,
-                    "queries": len(answers),
-                    "recall": {str(k): recall(answers, k) for k in RANKS},
-                    "milliseconds": milliseconds(answers),
-                    "encoding_milliseconds": row.encoding * n,
-                    "kilobytes": row.kilobytes,
-                    "objects": row.objects,
-                    "status": {s.name: _part(answers, s) for s in Status}
-                    if method != "paper"
-                    else None,
-                }
-            )
-    return found
+    return [
+        {
+            "encoder": row.name, "method": method, "pool": kind, "frames": n, "queries": len(answers),
+            "recall": {str(k): recall(answers, k) for k in RANKS},
+            "milliseconds": milliseconds(answers), "encoding_milliseconds": row.encoding * n,
+            "kilobytes": row.kilobytes, "objects": row.objects,
+            "status": None if method == "paper" else {s.name: _part(answers, s) for s in Status},
+        }
+        for row in rows for (method, kind, n), answers in row.answers.items()
+    ]  # fmt: skip
 
 
 def milliseconds(answers: Sequence[Answer]) -> float:
@@ -233,14 +197,6 @@ def milliseconds(answers: Sequence[Answer]) -> float:
 
 def _part(answers: Sequence[Answer], status: Status) -> float:
     return float(np.mean([a.status == status.name for a in answers])) if answers else float("nan")
-
-
-def _is_same(answer: Answer) -> bool:
-    return not answer.changed
-
-
-def _is_changed(answer: Answer) -> bool:
-    return answer.changed
 
 
 def _of_kind(kind: str) -> Callable[[Answer], bool]:
