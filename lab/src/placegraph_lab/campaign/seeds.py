@@ -41,9 +41,11 @@ LARGE = Camera(192, 144, 160.0, 161.0, 97.5, 71.0)  # A video's blocks blur smal
 
 def writer(name: str) -> Any:  # noqa: ANN401  # a module
     """Module of the repository's tests."""
-    if str(ROOT) not in sys.path:
-        sys.path.insert(0, str(ROOT))
-    return importlib.import_module(f"tests.{name}")
+    for folder in (ROOT / "packages" / "placegraph-io" / "tests", ROOT):
+        if str(folder) not in sys.path:
+            sys.path.insert(0, str(folder))
+    top = name.partition(".")[0] in {"conftest", "dataset", "graphs", "test_overture", "test_phone"}
+    return importlib.import_module(name if top else f"tests.{name}")
 
 
 def save(path: Path, array: ArrayLike, **options: Any) -> None:  # noqa: ANN401
@@ -69,7 +71,7 @@ class Drawn:
         from placegraph_lab.worlds.flat.flat import Flat
 
         study = Flat.parse(writer("conftest").STUDY)
-        return writer("formats.conftest").Recorded(study, **options)
+        return writer("io.conftest").Recorded(study, **options)
 
     @cached_property
     def clip(self) -> Capture:
@@ -89,14 +91,16 @@ def _phone(name: str, *, large: bool = False, saves: bool = True, **options: Any
     def draw(folder: Path, drawn: Drawn) -> None:
         folder.mkdir()
         given = (save,) if saves else ()
-        module = writer(f"formats.phone.test_{name}")
-        module.write(folder, drawn.large if large else drawn.world, *given, **options)
+        phones = name not in {"arkit_scenes", "multiscan"}
+        module = writer("test_phone" if phones else f"dataset.test_{name}")
+        write = getattr(module, f"write_{name}" if phones else "write")
+        write(folder, drawn.large if large else drawn.world, *given, **options)
 
     return draw
 
 
 def _record3d(folder: Path, drawn: Drawn) -> None:
-    module = writer("formats.phone.test_record3d")
+    module = writer("test_phone")
     folder.mkdir()
     module.unpacked(folder, drawn.world, save)
 
@@ -104,20 +108,20 @@ def _record3d(folder: Path, drawn: Drawn) -> None:
 def _r3d(path: Path, drawn: Drawn) -> None:
     folder = path.with_name("to pack")
     _record3d(folder, drawn)
-    writer("formats.phone.test_record3d").packed(path, folder)
+    writer("test_phone").packed(path, folder)
     shutil.rmtree(folder)
 
 
 def _video(folder: Path, drawn: Drawn) -> None:
     folder.mkdir()
-    module = writer("formats.capture.test_video_folder")
+    module = writer("io.capture.test_video")
     module.write(folder, drawn.large, start=0.5, body_from_camera=np.eye(4).tolist())
     write_tum(folder / "odometry.tum", drawn.large.stamps, drawn.large.poses)
 
 
 def _folder(path: Path, _drawn: Drawn) -> None:
     path.mkdir()
-    made = writer("formats.conftest").CaptureFolder(path)
+    made = writer("io.conftest").CaptureFolder(path)
     made.text("gravity.txt", "".join(f"{0.2 * i} 0 1 0\n" for i in range(3)))
     made.text("fixes.txt", "".join(f"{0.2 * i} 8.0 53.0 40.0 5.0\n" for i in range(3)))
     (path / "labels").mkdir()
@@ -127,20 +131,20 @@ def _folder(path: Path, _drawn: Drawn) -> None:
 
 
 def _tum(folder: Path, drawn: Drawn) -> None:
-    writer("formats.dataset.test_tum_rgbd").write(folder, drawn.world, save)
+    writer("dataset.test_tum_rgbd").write(folder, drawn.world, save)
 
 
 def _transforms(kind: str) -> Draw:
     def draw(folder: Path, drawn: Drawn) -> None:
         folder.mkdir()
-        writer("formats.dataset.test_transforms").write(folder, drawn.world, save, kind)
+        writer("dataset.test_transforms").write(folder, drawn.world, save, kind)
 
     return draw
 
 
 def _colmap(form: str, *, own: bool = False) -> Draw:
     def draw(folder: Path, drawn: Drawn) -> None:
-        module = writer("formats.dataset.test_colmap")
+        module = writer("dataset.test_colmap")
         model = module.Model(drawn.world)
         getattr(model, form)(folder / "sparse/0")
         module.images(folder, drawn.world, model, save, depth="" if own else "depth/{}.png")
@@ -152,7 +156,7 @@ def _colmap(form: str, *, own: bool = False) -> Draw:
 
 def _rtabmap(**options: Any) -> Draw:  # noqa: ANN401
     def draw(path: Path, drawn: Drawn) -> None:
-        writer("formats.dataset.test_rtabmap").write(path, drawn.world, **options)
+        writer("dataset.test_rtabmap").write(path, drawn.world, **options)
 
     return draw
 
@@ -169,7 +173,7 @@ def _exported(folder: Path, _drawn: Drawn) -> None:
 
 
 def _sequence(path: Path, _drawn: Drawn) -> None:
-    recording = writer("formats.dataset.test_scan3r_sequence").Recording()
+    recording = writer("dataset.test_scan3r_sequence").Recording()
     recording.folder(path)
 
 
@@ -297,13 +301,13 @@ def _osm(path: Path, places: DrawnPlaces) -> None:
     plain = places.town.write_osm(path.with_name("plain.source"))
     text = plain.read_text("utf-8")
     plain.unlink()
-    writer("formats.place.test_osm").write(path, text)
+    writer("io.osm.test_osm").write(path, text)
     path.with_name(path.name.split(".", maxsplit=1)[0] + ".source.osm").unlink()
 
 
 def _areas(path: Path, _places: DrawnPlaces) -> None:
     """Multipolygons, which osmium assembles."""
-    module = writer("formats.place.test_osm")
+    module = writer("io.osm.test_osm")
     module.write(path, module.WORLD)
     path.with_name(path.name.split(".", maxsplit=1)[0] + ".source.osm").unlink()
 
@@ -320,7 +324,7 @@ def _recorded(name: str) -> DrawMap:
     """What a service answered, as the tests have it."""
 
     def draw(path: Path, _places: DrawnPlaces) -> None:
-        data = writer("formats.place.test_overpass").DATA
+        data = writer("io.osm.test_overpass").DATA
         shutil.copy(data / name, path)
 
     return draw
@@ -368,11 +372,11 @@ def _ply(form: str) -> DrawMap:
 
 
 def _conceptgraphs(folder: Path, _places: DrawnPlaces) -> None:
-    writer("formats.mesh.test_conceptgraphs").write(folder, mesh=False)
+    writer("graphs.test_conceptgraphs").write(folder, mesh=False)
 
 
 def _scan3r(folder: Path, _places: DrawnPlaces) -> None:
-    module = writer("formats.dataset.test_scan3r")
+    module = writer("dataset.test_scan3r")
     module.ScanFolder(folder).write()
 
 
@@ -382,7 +386,7 @@ def _scannet(folder: Path, _places: DrawnPlaces) -> None:
 
 
 def _fusion(folder: Path, _places: DrawnPlaces) -> None:
-    writer("formats.dataset.test_scenegraphfusion").Output(folder, every=7)
+    writer("dataset.test_scenegraphfusion").Output(folder, every=7)
 
 
 def _city(path: Path, places: DrawnPlaces) -> None:
@@ -510,7 +514,7 @@ def _vectors(bits: int) -> DrawMap:
 
 def _overture(folder: Path, _places: DrawnPlaces) -> None:
     """DrawnPlaces, buildings and streets, a file each."""
-    module = writer("formats.place.test_overture")
+    module = writer("test_overture")
     square = "POLYGON ((10 50, 10.001 50, 10.001 50.001, 10 50.001, 10 50))"
     rows = {
         "place": [module.place(10 + i * 1e-3, 50.0, i, kind, name=f"Haus {i}")
