@@ -19,7 +19,7 @@ USES = ("localize", "refine", "build", "track")
 
 
 def bag_facts(path: Path, topics: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    """Plain numbers and strings about a bag; errors as of `open_bag` and `read_topic_choice`.
+    """Return the plain numbers and strings about a bag; errors as of `open_bag` and `read_topic_choice`.
 
     `topics`: one entry each, with what it is `used` for; `chosen`: by role; `transforms`: parent,
     child, and whether they never change; `uses`: by use, a list of sentences that say what it lacks.
@@ -55,7 +55,7 @@ def bag_facts(path: Path, topics: Mapping[str, Any] | None = None) -> dict[str, 
 
 
 def _used(plan: Plan) -> dict[str, list[str]]:
-    """What topics are used for, by their names."""
+    """Return what topics are used for, by their names."""
     out: dict[str, list[str]] = {}
 
     def put(role: str, topic: Topic | None) -> None:
@@ -91,7 +91,7 @@ def _topic(plan: Plan, topic: Topic, used: dict[str, list[str]]) -> dict[str, An
 
 
 def _lacks(plan: Plan, use: str) -> list[str]:
-    """Sentences on what a use lacks; none: it can be done."""
+    """Return the sentences on what a use lacks; none: it can be done."""
     lacks = list(plan.lacks.values())
     path, pose_reader = plan.bag.path, plan.pose_reader
     if use == "build" and plan.colour is not None and plan.depth is None:

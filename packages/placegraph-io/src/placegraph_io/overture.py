@@ -49,7 +49,7 @@ _NUMBER_LAST = re.compile(r"(\D[^,\d]*)\s+(\d+\w?)(?:,|$)")
 
 @lru_cache(maxsize=1)
 def table() -> dict[tuple[str, str, str], str]:
-    """Tags by type, field and value, as the table writes them; values with a star come last."""
+    """Return the tags by type, field and value, as the table writes them; values with a star come last."""
     text = files("placegraph_io").joinpath(TABLE).read_text("utf-8")
     lines = [line.split("\t") for line in text.splitlines() if line and not line.startswith("#")]
     rows = [
@@ -63,7 +63,7 @@ def table() -> dict[tuple[str, str, str], str]:
 
 @lru_cache(maxsize=1 << 14)
 def _looked_up(kind: str, field: str, value: str, of: str = "") -> tuple[tuple[str, str], ...]:
-    """Tags of a value, none where the table does not know it."""
+    """Return the tags of a value, none where the table does not know it."""
     tags, star = table().get((kind, field, value)), ""
     if tags is None:
         for (its_kind, its_field, pattern), its_tags in _stars():
@@ -81,7 +81,7 @@ def _stars() -> tuple[tuple[tuple[str, str, str], str], ...]:
 
 
 def tags_of(kind: str, row: Mapping[str, Any]) -> tuple[Tags, str]:
-    """Tags of a row of a feature type, and what is to be counted of it, if anything.
+    """Return the tags of a row of a feature type, and what is to be counted of it, if anything.
 
     No tags: nothing can be told of it. A place of an unknown category keeps its names.
     """
@@ -99,7 +99,7 @@ def tags_of(kind: str, row: Mapping[str, Any]) -> tuple[Tags, str]:
 
 
 def _of_place(row: Mapping[str, Any]) -> Tags:
-    """Tags of the most specific category that has some, and of other categories beside it."""
+    """Return the tags of the most specific category that has some, and of other categories beside it."""
     taxonomy, categories = row.get("taxonomy") or {}, row.get("categories") or {}
     ways = (
         [categories.get("primary")],
@@ -119,7 +119,7 @@ def _of_place(row: Mapping[str, Any]) -> Tags:
 
 
 def _of_building(row: Mapping[str, Any]) -> tuple[Tags, bool]:
-    """Tags of a building, which is one whatever it is for; and whether its class is known."""
+    """Return the tags of a building, which is one whatever it is for; and whether its class is known."""
     given = [(field, str(row[field])) for field in ("subtype", "class") if row.get(field)]
     found = [_looked_up("building", field, value) for field, value in given]
     tags = {"building": "yes"}
@@ -129,7 +129,7 @@ def _of_building(row: Mapping[str, Any]) -> tuple[Tags, bool]:
 
 
 def _of_segment(row: Mapping[str, Any]) -> tuple[Tags, bool]:
-    """Tags of a segment by subtype and class, then by what it is of its class."""
+    """Return the tags of a segment by subtype and class, then by what it is of its class."""
     subtype, its_class = str(row.get("subtype")), str(row.get("class") or "unknown")
     tags = dict(_looked_up("segment", subtype, its_class))
     rules = row.get("subclass_rules") or ()
@@ -141,7 +141,7 @@ def _of_segment(row: Mapping[str, Any]) -> tuple[Tags, bool]:
 
 
 def _names(row: Mapping[str, Any]) -> Tags:
-    """Names, brand and address, under the keys of OpenStreetMap."""
+    """Return the names, brand and address, under the keys of OpenStreetMap."""
     names, out = row.get("names") or {}, {}
     if names.get("primary"):
         out["name"] = str(names["primary"])
@@ -160,7 +160,7 @@ def _names(row: Mapping[str, Any]) -> Tags:
 
 
 def _address(freeform: str) -> Tags:
-    """House number and street of an address in free form, where it has both."""
+    """Return the house number and street of an address in free form, where it has both."""
     if first := _NUMBER_FIRST.match(freeform):
         number, street = first.groups()
     elif last := _NUMBER_LAST.match(freeform):
@@ -173,7 +173,7 @@ def _address(freeform: str) -> Tags:
 def _pairs(
     mapping: Mapping[str, Any] | Iterable[tuple[str, Any]] | None,
 ) -> Iterable[tuple[str, Any]]:
-    """Pairs of a map: Arrow hands a list of them out."""
+    """Return the pairs of a map: Arrow hands a list of them out."""
     if mapping is None:
         return ()
     return mapping.items() if isinstance(mapping, dict) else mapping  # type: ignore[return-value]
@@ -230,7 +230,7 @@ class OvertureFile:
     type: str
 
     def batches(self, box: Box | None, rows: int) -> Iterator[dict[str, list[Any]]]:
-        """Columns, by name, of the rows that meet a box, at most so many at a time.
+        """Yield the columns, by name, of the rows that meet a box, at most so many at a time.
 
         Row groups whose statistics lie beside the box are not read.
         """
@@ -253,7 +253,7 @@ class OvertureFile:
 def files_of(
     paths: Sequence[str], suffixes: tuple[str, ...], counts: Counter[str]
 ) -> Iterator[OvertureFile]:
-    """Files of all paths that are of a known type and whole in their columns, in order.
+    """Yield the files of all paths that are of a known type and whole in their columns, in order.
 
     Those of other types that lie in a folder are counted. Raises `InputError` where a path holds
     none, or a file is no Parquet, or lacks a column.
@@ -276,7 +276,7 @@ def files_of(
 
 
 def _filesystem(path: str) -> tuple[Any, str]:
-    """PyArrow's file system of a path or URL, and the path in it; by fsspec where it has none."""
+    """Return PyArrow's file system of a path or URL, and the path in it; by fsspec where it has none."""
     from pyarrow import fs
 
     if "://" not in path:
@@ -296,7 +296,7 @@ def _filesystem(path: str) -> tuple[Any, str]:
 
 
 def _listed(filesystem: Any, root: str, suffixes: tuple[str, ...], said: str) -> Iterator[str]:  # noqa: ANN401
-    """Parquet files of a folder, by name, or the one file that a path is."""
+    """Yield the parquet files of a folder, by name, or the one file that a path is."""
     from pyarrow import fs
 
     try:
@@ -347,7 +347,7 @@ def _type(filesystem: Any, name: str, said: str) -> str:  # noqa: ANN401
 
 
 def _columns(filesystem: Any, name: str) -> set[str]:  # noqa: ANN401
-    """Names of columns, with those of the edges in ``bbox``; checks how shapes are written."""
+    """Return the names of columns, with those of the edges in ``bbox``; checks how shapes are written."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -388,7 +388,7 @@ def _check_statistics(stream: Any, name: str) -> None:  # noqa: ANN401
 
 
 def _meets(group: Any, box: Box | None) -> bool:  # noqa: ANN401
-    """Whether a row group may hold rows that meet a box, by its statistics."""
+    """Return whether a row group may hold rows that meet a box, by its statistics."""
     if box is None:
         return True
     low, high = {}, {}
@@ -408,7 +408,7 @@ def _meets(group: Any, box: Box | None) -> bool:  # noqa: ANN401
 
 
 def _inside(bbox: Any, box: Box) -> Any:  # noqa: ANN401
-    """Which rows of a column of boxes meet a box; those without one do."""
+    """Return which rows of a column of boxes meet a box; those without one do."""
     import pyarrow.compute as pc
 
     west, south, east, north = (pc.struct_field(bbox, edge) for edge in EDGES)
@@ -443,7 +443,7 @@ class Box(NamedTuple):
 
     @classmethod
     def of(cls, numbers: Sequence[float]) -> Box:
-        """Box of west, south, east, north [deg]; raises `OptionError` where they make none."""
+        """Return the box of west, south, east, north [deg]; raises `OptionError` where they make none."""
         if len(numbers) != 4 or not all(map(math.isfinite, numbers)):
             raise OptionError(
                 "bbox has to be four numbers: west, south, east, north in degrees, such as "
@@ -498,7 +498,7 @@ class Overture:
 
 
 def is_overture(path: str) -> bool:
-    """Whether a path or URL looks like one of Overture, and not like an OpenStreetMap file."""
+    """Return whether a path or URL looks like one of Overture, and not like an OpenStreetMap file."""
     if path.lower().endswith(SUFFIXES) or ("://" in path and not of_osm(path)):
         return True
     return Path(path).is_dir() and any(next(Path(path).rglob(f"*{end}"), None) for end in SUFFIXES)
@@ -548,7 +548,7 @@ def read_overture(source: Overture, left_out: LeftOut | None = None) -> Iterator
 
 
 def _elements(file: OvertureFile, source: Overture, counts: Counter[str]) -> Iterator[OsmElement]:
-    """Elements of one file; raises `InputError` where it cannot be read to its end."""
+    """Yield the elements of one file; raises `InputError` where it cannot be read to its end."""
     import pyarrow as pa
     import shapely
 
@@ -573,7 +573,7 @@ def _element(
     confidence: float,
     counts: Counter[str],
 ) -> OsmElement | None:
-    """Element of a row, or None and a count of why there is none."""
+    """Return the element of a row, or None and a count of why there is none."""
     if shape is None:
         counts[f"{kind}s whose geometry is no WKB"] += 1
         return None
@@ -596,7 +596,7 @@ def _element(
 
 
 def _closed(row: dict[str, Any], confidence: float) -> str:
-    """Why a place is none (any more), or nothing."""
+    """Return why a place is none (any more), or nothing."""
     if row.get("operating_status") == "permanently_closed":
         return "closed for good"
     known = row.get("confidence")
@@ -604,7 +604,7 @@ def _closed(row: dict[str, Any], confidence: float) -> str:
 
 
 def _parts(shape: Any) -> tuple[int, list[NDArray[np.float64]]] | str:  # noqa: ANN401
-    """Kind and parts (n, 2) of a shape, longitude and latitude [deg]; or what is wrong with it."""
+    """Return the kind and parts (n, 2) of a shape, longitude and latitude [deg]; or what is wrong with it."""
     import shapely
 
     number = shapely.get_type_id(shape)
@@ -625,7 +625,7 @@ def _parts(shape: Any) -> tuple[int, list[NDArray[np.float64]]] | str:  # noqa: 
 
 
 def identity(overture_id: str) -> int:
-    """Negative number of an id of Overture: its last 15 hexadecimal digits, of others a digest."""
+    """Return negative number of an id of Overture: its last 15 hexadecimal digits, of others a digest."""
     digits = overture_id.replace("-", "").lower()
     if not _HEX.fullmatch(digits):
         digits = hashlib.sha256(overture_id.encode()).hexdigest()

@@ -57,19 +57,19 @@ class Folder:
         )
 
     def open(self, name: str) -> IO[bytes]:
-        """File for reading."""
+        """Return the file for reading."""
         try:
             return regular(self.path / name).open("rb")
         except OSError as error:
             raise InputError(f"{self.path / name} cannot be read: {error.strerror}.") from error
 
     def read(self, name: str) -> bytes:
-        """Content of a file."""
+        """Return the content of a file."""
         with self.open(name) as stream:
             return stream.read()
 
     def json(self, name: str) -> dict[str, Any]:
-        """Content of a JSON file, an object."""
+        """Return the content of a JSON file, an object."""
         return _object(read_json(self.path / name), f"{self.path / name}")
 
 
@@ -77,11 +77,11 @@ class Zipped(Archive):
     """Files of a ZIP, by name."""
 
     def open(self, name: str) -> IO[bytes]:
-        """File for reading."""
+        """Return the file for reading."""
         return io.BytesIO(self.read(name))
 
     def json(self, name: str) -> dict[str, Any]:
-        """Content of a JSON file, an object."""
+        """Return the content of a JSON file, an object."""
         where = self.where(name)
         try:
             return _object(json.loads(self.read(name).decode("utf-8-sig")), where)
@@ -95,22 +95,19 @@ def _object(content: object, where: str) -> dict[str, Any]:
     return content
 
 
-# ---------------------------------------------------------------------------------------- depth
-
-
 def lzfse_depth(data: bytes, camera: Camera, where: str) -> NDArray[np.float32]:
-    """Depth (h, w) float32 [m], NaN: no reading, of an LZFSE stream; `InputError` as its size."""
+    """Return the depth (h, w) float32 [m], NaN: no reading, of an LZFSE stream; `InputError` as its size."""
     return _readings(np.frombuffer(_unpacked(data, camera, 4, where), "<f4"), camera)
 
 
 def confidences(data: bytes, camera: Camera, where: str) -> NDArray[np.uint8]:
-    """Confidences (h, w) uint8 of an LZFSE stream."""
+    """Return the confidences (h, w) uint8 of an LZFSE stream."""
     values = np.frombuffer(_unpacked(data, camera, 1, where), np.uint8)
     return values.reshape(camera.height, camera.width)
 
 
 def exr_depth(path: Path, camera: Camera) -> NDArray[np.float32]:
-    """Depth (h, w) float32 [m], NaN: no reading, of the first channel of an OpenEXR file."""
+    """Return the depth (h, w) float32 [m], NaN: no reading, of the first channel of an OpenEXR file."""
     try:
         import OpenEXR
     except ImportError as error:
@@ -137,7 +134,7 @@ def _readings(metres: NDArray[np.float32], camera: Camera) -> NDArray[np.float32
 
 
 def _unpacked(data: bytes, camera: Camera, each: int, where: str) -> bytes:
-    """Bytes of an LZFSE stream, `each` a pixel."""
+    """Return the bytes of an LZFSE stream, `each` a pixel."""
     wanted = camera.width * camera.height * each
     if len(data) == wanted and not data.startswith(b"bvx"):
         return data  # some tools write them unpacked
@@ -166,7 +163,7 @@ _LIDAR = 192, 256  # width and height of depth where old recordings do not say
 
 
 def is_record3d(path: Path) -> bool:
-    """Whether this is a `.r3d` file, its folder, or an export's."""
+    """Return whether this is a `.r3d` file, its folder, or an export's."""
     if path.is_file():
         return path.suffix.lower() == ".r3d"
     known = _exported(path)
@@ -214,7 +211,7 @@ def read_record3d(path: Path) -> Capture:
 
 
 def _exported(path: Path) -> Path | None:
-    """Folder with `metadata.json`, `rgb/` and `depth/*.exr`."""
+    """Return the folder with `metadata.json`, `rgb/` and `depth/*.exr`."""
     for folder in (path, path / "EXR_RGBD"):
         if (folder / "metadata.json").is_file() and (folder / "rgb").is_dir():
             depth = folder / "depth"
@@ -239,13 +236,10 @@ def _record3d_depth(source: Folder | Zipped, name: str, camera: Camera) -> NDArr
     return metres
 
 
-# ------------------------------------------------------------------------------------- metadata
-
-
 def _record3d_table(
     meta: dict[str, Any], where: str, field: str, columns: int
 ) -> NDArray[np.float64]:
-    """Rows (T, columns) of numbers."""
+    """Return the rows (T, columns) of numbers."""
     try:
         table = np.array(meta.get(field), np.float64)
     except (TypeError, ValueError, OverflowError) as error:
@@ -256,7 +250,7 @@ def _record3d_table(
 
 
 def _record3d_stamps(meta: dict[str, Any], where: str, count: int) -> list[float]:
-    """Seconds of every frame; of old recordings, by their rate."""
+    """Return the seconds of every frame; of old recordings, by their rate."""
     given = meta.get("frameTimestamps")
     if not given:
         rate = meta.get("fps", 60)
@@ -271,7 +265,7 @@ def _record3d_stamps(meta: dict[str, Any], where: str, count: int) -> list[float
 
 
 def _record3d_cameras(meta: dict[str, Any], where: str, count: int) -> list[Camera]:
-    """Camera of every frame."""
+    """Return the camera of every frame."""
     size = _record3d_size(meta, where, ("w", "h"), None)
     if meta.get("perFrameIntrinsicCoeffs"):
         table = _record3d_table(meta, where, "perFrameIntrinsicCoeffs", 4)
@@ -300,7 +294,7 @@ _OFF_CENTRE = 0.15  # principal points lie nearer to the middle than this share 
 
 
 def is_arkit_app(path: Path) -> bool:
-    """Whether a folder holds a `frame_N.json`."""
+    """Return whether a folder holds a `frame_N.json`."""
     return path.is_dir() and next(path.glob("frame_[0-9]*.json"), None) is not None
 
 
@@ -336,7 +330,7 @@ def read_arkit_app(path: Path) -> Capture:
 def _arkit_app_shot(
     path: Path, images: dict[str, Path], row: str, first: tuple[Path, Path]
 ) -> StoredFrame:
-    """Frame of a number; `first` are the colour and the depth image whose sizes all have."""
+    """Return the frame of a number; `first` are the colour and the depth image whose sizes all have."""
     file = path / f"frame_{row}.json"
     content = read_json(file)
     if not isinstance(content, dict):
@@ -370,7 +364,7 @@ _SAME = 0.002  # seconds: both files have the frame's own stamp, rounded to a mi
 
 
 def is_ios_logger(path: Path) -> bool:
-    """Whether a folder has `Frames.txt` and `ARposes.txt`."""
+    """Return whether a folder has `Frames.txt` and `ARposes.txt`."""
     return (path / "Frames.txt").is_file() and (path / "ARposes.txt").is_file()
 
 
@@ -402,7 +396,7 @@ def read_ios_logger(path: Path) -> Capture:
 
 
 def is_polycam(path: Path) -> bool:
-    """Whether a folder is an export, or its `keyframes/`."""
+    """Return whether a folder is an export, or its `keyframes/`."""
     return (_keyframes(path) / "cameras").is_dir() or (
         _keyframes(path) / "corrected_cameras"
     ).is_dir()
@@ -457,7 +451,7 @@ def _keyframes(path: Path) -> Path:
 
 
 def _read_polycam_camera(path: Path) -> tuple[Camera, NDArray[np.float64]]:
-    """Intrinsics, and the pose (4, 4) of a frame."""
+    """Return the intrinsics, and the pose (4, 4) of a frame."""
     content = read_json(path)
     if not isinstance(content, dict):
         raise InputError(f"{path} must be a JSON object with fx, fy, cx, cy and t_00 to t_23.")
@@ -476,7 +470,7 @@ _INTRINSICS = ("fx", "fy", "cx", "cy")
 
 
 def is_stray(path: Path) -> bool:
-    """Whether a folder has `odometry.csv` and `camera_matrix.csv`."""
+    """Return whether a folder has `odometry.csv` and `camera_matrix.csv`."""
     return (path / "odometry.csv").is_file() and (path / "camera_matrix.csv").is_file()
 
 
@@ -520,7 +514,7 @@ def read_stray(path: Path) -> Capture:
 
 
 def _stray_matrix(path: Path) -> dict[str, float]:
-    """fx, fy, cx, cy of a matrix by rows."""
+    """Return fx, fy, cx, cy of a matrix by rows."""
     try:
         values = [float(word) for word in read_text(path).replace(",", " ").split()]
     except ValueError as error:

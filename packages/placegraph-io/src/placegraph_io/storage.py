@@ -59,7 +59,7 @@ class Database:
         return self._base.execute(f"SELECT {columns} FROM {table} {then}")  # noqa: S608  # our words
 
     def columns(self, table: str) -> set[str]:
-        """Names of a table's columns, in lower case. Raises `sqlite3.Error`."""
+        """Return the names of a table's columns, in lower case. Raises `sqlite3.Error`."""
         return {str(row[1]).lower() for row in self._base.execute(f"PRAGMA table_info({table})")}
 
     def blob(self, place: tuple[str, str, int], name: str, most: int | None = None) -> bytes:
@@ -96,11 +96,11 @@ class Archive:
         self.names = frozenset(self._entries)
 
     def where(self, name: str) -> str:
-        """What a file is called in messages."""
+        """Return what a file is called in messages."""
         return f"{self.path}, {name}" if name else str(self.path)
 
     def read(self, name: str) -> bytes:
-        """Content of a file."""
+        """Return the content of a file."""
         entry = self._entries.get(name)
         if entry is None:
             raise InputError(f"{self.path} holds no {name}; export or download it again.")
@@ -132,13 +132,13 @@ _LONGEST = 10  # nibbles of three bits that a number of 30 bits has
 
 
 def rvl_size(data: bytes) -> tuple[int, int]:
-    """Width and height [px], which stand before the pixels as those who pack by RVL write them."""
+    """Return the width and height [px], which stand before the pixels as those who pack by RVL write them."""
     width, height = unpack("<II", data[:8].ljust(8, b"\0"))
     return width, height
 
 
 def rvl_image(data: bytes, name: str) -> NDArray[np.uint16]:
-    """Image (h, w) uint16: width and height as uint32, little-endian, and the pixels' stream.
+    """Return the image (h, w) uint16: width and height as uint32, little-endian, and the pixels' stream.
 
     Raises `InputError`, which begins with `name`, where the stream does not make up the image.
     """
@@ -154,7 +154,7 @@ def rvl_image(data: bytes, name: str) -> NDArray[np.uint16]:
 
 
 def _numbers(data: bytes) -> NDArray[np.int64]:
-    """Whole numbers of a stream of nibbles, three bits each, low ones first; 8: more follow."""
+    """Return the whole numbers of a stream of nibbles, three bits each, low ones first; 8: more follow."""
     words = np.frombuffer(data[: len(data) // 4 * 4], "<u4")
     nibbles = ((words[:, None] >> np.arange(28, -1, -4, dtype=np.uint32)) & 15).astype(np.uint8)
     nibbles = nibbles.ravel()

@@ -24,7 +24,7 @@ _SHARE = 0.1  # of all normals; of those without order a few per cent agree by c
 def estimated_up(
     rotations: NDArray[np.float64], normals: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], str]:
-    """Up (3,), of unit length, and how it was found, of cameras and of what they see.
+    """Return the up (3,), of unit length, and how it was found, of cameras and of what they see.
 
     Who holds a camera level holds its x axis level, whatever it looks at: up is at right angles to
     the x axes of cameras that look several ways; where all look one way, it is what is up in their
@@ -75,7 +75,7 @@ def _told(normals: NDArray[np.float64], about: NDArray[np.float64]) -> NDArray[n
 
 
 def surface_normals(depth: NDArray[np.float32], camera: Camera) -> NDArray[np.float64]:
-    """Unit normals (N, 3), in the camera's axes, of flat surfaces seen in a depth image (h, w).
+    """Return the unit normals (N, 3), in the camera's axes, of flat surfaces seen in a depth image (h, w).
 
     One a window: of a plane, the inverse of depth is linear in the rays' coordinates, so that all
     readings of a window count and their noise averages out. Windows across edges are left out.
@@ -103,14 +103,14 @@ def surface_normals(depth: NDArray[np.float32], camera: Camera) -> NDArray[np.fl
 
 
 def _windows(image: NDArray[np.float64], side: int) -> NDArray[np.float64]:
-    """Values (N, side * side, C) of an image (h, w, C), h and w being multiples of the side."""
+    """Return the values (N, side * side, C) of an image (h, w, C), h and w being multiples of the side."""
     h, w, c = image.shape
     parts = image.reshape(h // side, side, w // side, side, c).swapaxes(1, 2)
     return parts.reshape(-1, side * side, c)
 
 
 def upright(up: NDArray[np.float64], ahead: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rotation (3, 3) that takes the unit vector `up` to z, and `ahead`, without its up, to x."""
+    """Return the rotation (3, 3) that takes the unit vector `up` to z, and `ahead`, without its up, to x."""
     x = ahead - up * (ahead @ up)
     if np.linalg.norm(x) < 1e-3:  # straight up or down
         x = np.eye(3)[np.abs(up).argmin()]

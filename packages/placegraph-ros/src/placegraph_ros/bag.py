@@ -184,7 +184,7 @@ class BagWriter:
 
 
 def _kept() -> Any:  # noqa: ANN401  # of rosbags
-    """Quality of service of what is kept for those who come later: reliable, transient local."""
+    """Return the quality of service of what is kept for those who come later: reliable, transient local."""
     from rosbags import interfaces
 
     zero = interfaces.QosTime(0, 0)

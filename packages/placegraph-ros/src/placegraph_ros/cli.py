@@ -37,7 +37,7 @@ RerunFile = Annotated[
 
 
 def open_sinks(stack: ExitStack, out: Path | None, rerun: Path | None) -> list[Sink]:
-    """Who writes the messages; errors as of `BagWriter` and `RerunWriter`."""
+    """Return the who writes the messages; errors as of `BagWriter` and `RerunWriter`."""
     sinks: list[Sink] = []
     if out is not None:
         from placegraph_ros.bag import BagWriter
@@ -170,7 +170,7 @@ class _Lines:
 
 
 def _line(pose: LivePose) -> str:
-    """Stamp, status, pose and reason in one line."""
+    """Return the stamp, status, pose and reason in one line."""
     import numpy as np
 
     said = f"{pose.stamp:.2f}  {pose.status.name:9}"

@@ -20,7 +20,7 @@ _IMAGE = "/localization/image"
 
 
 def layout(bag: str | PathLike[str] | None = None) -> dict[str, Any]:
-    """Layout as Foxglove imports it; its image is the bag's colours where the bag holds some.
+    """Return the layout as Foxglove imports it; its image is the bag's colours where the bag holds some.
 
     Raises `InputError` where the bag is none, `MissingExtraError` without `rosbags`.
     """

@@ -97,15 +97,13 @@ class Localizer:
         self._moves = False
         self._carried: tuple[float, Floats] | None = None
 
-    # -------------------------------------------------------------------------------- sensors
-
     @property
     def topics(self) -> frozenset[str] | None:
         """Names of the topics that frames are made of; None while that is not known."""
         return None if self._assembly is None else self._assembly.topics
 
     def take(self, event: Packet | Fault | Frame | None) -> list[Message]:
-        """What is known after a message, a frame, or (None) after a while."""
+        """Return what is known after a message, a frame, or (None) after a while."""
         messages: list[Message] = []
         if isinstance(event, Packet):
             messages = self._hear(event)
@@ -116,7 +114,7 @@ class Localizer:
         return messages + self._news()
 
     def finish(self) -> list[Message]:
-        """What is known when the stream has ended."""
+        """Return what is known when the stream has ended."""
         messages: list[Message] = []
         if (
             self._assembly is None
@@ -207,7 +205,7 @@ class Localizer:
         return messages
 
     def _news(self) -> list[Message]:
-        """What images have changed since it was told."""
+        """Return what images have changed since it was told."""
         live, self._live = self._live or self.tracker.pose(), None
         newest = -np.inf if self._assembly is None else self._assembly.newest
         if newest > live.stamp:  # odometry may have fallen silent
@@ -220,7 +218,7 @@ class Localizer:
         return self._reporter.unusable(self.summary.left_out, newest)
 
     def _stamp_of(self, live: LivePose) -> float:
-        """When the last image that told something was taken [s]."""
+        """Return when the last image that told something was taken [s]."""
         if live.estimate is None or not len(live.estimate.frames):
             return live.stamp
         return self._stamps.get(int(live.estimate.frames[-1]) % _REMEMBERED, live.stamp)
@@ -229,8 +227,6 @@ class Localizer:
         said = f"{where or 'the stream'}: {reason}"
         self._left_out[said if len(self._left_out) < _REASONS else "other reasons"] += 1
         return []
-
-    # --------------------------------------------------------------------------------- people
 
     def place(self, map_from_base: Floats, covariance: Floats) -> list[Message]:
         """Take where the robot's base is said to be (``initialpose``): (4, 4), and (6, 6) in ROS's order.
@@ -272,8 +268,6 @@ class Localizer:
         self._begin(maps)
         self._reporter.base_from_camera = mount
         return self._news()
-
-    # ------------------------------------------------------------------------------- the end
 
     @property
     def summary(self) -> Summary:

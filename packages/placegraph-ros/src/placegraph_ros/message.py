@@ -50,14 +50,14 @@ class FrameIds:
 
 
 def nanoseconds(stamp: float) -> int:
-    """Nanoseconds of a stamp [s]; `OptionError` where it is none that ROS can say."""
+    """Return the nanoseconds of a stamp [s]; `OptionError` where it is none that ROS can say."""
     if not 0.0 <= stamp < _SECONDS:
         raise OptionError(f"stamp is {stamp}; ROS tells seconds since 1970, up to 2038.")
     return round(stamp * 1e9)
 
 
 def sayable(stamp: float) -> float:
-    """The stamp [s]; 0, which is none, where ROS cannot say it."""
+    """Return the stamp [s]; 0, which is none, where ROS cannot say it."""
     return stamp if 0.0 <= stamp < _SECONDS else 0.0
 
 
@@ -123,7 +123,7 @@ def colour(rgb: tuple[float, float, float], alpha: float = 1.0) -> Fields:
 
 
 def cdr(message: Message) -> bytes:
-    """A message as ROS 2 sends it: CDR, little endian, with its head.
+    """Return a message as ROS 2 sends it: CDR, little endian, with its head.
 
     Raises
     ------
@@ -137,7 +137,7 @@ def cdr(message: Message) -> bytes:
 
 
 def encoded(message: Message, encoding: str) -> bytes:
-    """A message as `cdr`, or as `ros1` writes it; raises as `cdr` does."""
+    """Return a message as `cdr`, or as `ros1` writes it; raises as `cdr` does."""
     store = known(encoding)
     kind = known_type(message.type, store)
     serialize = store.serialize_ros1 if encoding == "ros1" else store.serialize_cdr
@@ -153,7 +153,7 @@ def encoded(message: Message, encoding: str) -> bytes:
 
 
 def definition(kind: str) -> str:
-    """Definition of a type and of all types in it, as the schema `ros2msg` of MCAP wants it.
+    """Return the definition of a type and of all types in it, as the schema `ros2msg` of MCAP wants it.
 
     Raises `OptionError` where the type is unknown, `MissingExtraError` without `rosbags`.
     """
@@ -163,7 +163,7 @@ def definition(kind: str) -> str:
 
 
 def known(encoding: str) -> Typestore:
-    """All types; `MissingExtraError` where `rosbags` is not installed."""
+    """Return all types; `MissingExtraError` where `rosbags` is not installed."""
     try:
         return typestore(encoding)
     except ImportError as error:
@@ -173,7 +173,7 @@ def known(encoding: str) -> Typestore:
 
 
 def known_type(kind: str, store: Typestore) -> str:
-    """Type as the store names it; `OptionError` where there is none."""
+    """Return the type as the store names it; `OptionError` where there is none."""
     name = kind if "/msg/" in kind else kind.replace("/", "/msg/")
     if name not in store.fielddefs:
         raise OptionError(f"type: {kind!r} is no message that ROS or placegraph defines.")
@@ -182,7 +182,7 @@ def known_type(kind: str, store: Typestore) -> str:
 
 @lru_cache(maxsize=256)
 def _maker(kind: str, encoding: str) -> Callable[[Mapping[str, Any]], Any]:
-    """What makes a message of `rosbags` of fields; those that are left out are zero or empty."""
+    """Return what makes a message of `rosbags` of fields; those that are left out are zero or empty."""
     store = typestore(encoding)
     cls: Any = store.types[kind]
     fields = store.fielddefs[kind][1]
@@ -201,7 +201,7 @@ def _maker(kind: str, encoding: str) -> Callable[[Mapping[str, Any]], Any]:
 
 
 def _part(described: Any, encoding: str) -> Callable[[Any], Any]:  # noqa: ANN401  # of rosbags
-    """What makes one field of a value, or of None."""
+    """Return what makes one field of a value, or of None."""
     from rosbags.interfaces import Nodetype
 
     node, what = described

@@ -247,7 +247,7 @@ class LocalizerNode:
         self._worker.start()
 
     def _descriptor(self, value: object) -> Any:  # noqa: ANN401  # of rcl_interfaces
-        """What may be set: where it is seconds, whole ones (`1`), too."""
+        """Return what may be set: where it is seconds, whole ones (`1`), too."""
         descriptor = self.ros.message("rcl_interfaces/msg/ParameterDescriptor")()
         descriptor.dynamic_typing = isinstance(value, float)
         return descriptor
@@ -272,8 +272,6 @@ class LocalizerNode:
             self._error = error
             self.node.get_logger().fatal(f"The localizer has ended: {error}")
             self.ros.rclpy.try_shutdown()
-
-    # ---------------------------------------------------------------------------- messages in
 
     def look(self) -> None:
         """Subscribe to what may be wanted; once it is known what is, to that alone."""
@@ -309,8 +307,6 @@ class LocalizerNode:
     def _received(self, name: str, kind: str, data: bytes) -> None:
         now = self.node.get_clock().now().nanoseconds * 1e-9
         self.inbox.put(Packet(name, kind, now, bytes(data)))
-
-    # --------------------------------------------------------------------------- messages out
 
     def write(self, message: Message) -> None:
         """Publish a message; one whose package is not installed is passed over, and that is said once."""

@@ -104,7 +104,7 @@ class Summary:
     """What was chosen, and found out, in sentences."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and strings."""
+        """Return the plain numbers and strings."""
         looked = sum(self.told.values())
         return {
             "frames": self.frames, "told": dict(self.told), "dropped": self.dropped,

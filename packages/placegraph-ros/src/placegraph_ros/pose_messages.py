@@ -49,7 +49,7 @@ _UNKNOWN = 1e6
 def base_pose(
     map_from_camera: Floats, covariance: Floats, base_from_camera: Floats
 ) -> tuple[Floats, Floats]:
-    """Pose (4, 4) and covariance (6, 6) of the base, of those of a camera on it.
+    """Return the pose (4, 4) and covariance (6, 6) of the base, of those of a camera on it.
 
     Both covariances are of x, y, z [m] and of a turn about the map's axes [rad]. A turn w moves
     the base by w x lever, which leads from the camera to the base in the map's axes.
@@ -109,7 +109,7 @@ def pose_messages(
 def rig_message(
     base_from_camera: Floats | None, stamp: float, frames: FrameIds | None = None
 ) -> Message:
-    """Where the camera sits on the robot, once and for all: base -> camera on `tf_static`."""
+    """Return where the camera sits on the robot, once and for all: base -> camera on `tf_static`."""
     frames = frames or FrameIds()
     mount = UPRIGHT_BASE if base_from_camera is None else base_from_camera
     fixed = transform(frames.base, frames.camera, mount, stamp)
@@ -129,7 +129,7 @@ STATUS = "localization/status"
 
 
 def frame_ids(options: LiveOptions, parts: FrameAssembly | None) -> FrameIds:
-    """Names of the frames by what the user says, and by what frames are made of."""
+    """Return the names of the frames by what the user says, and by what frames are made of."""
     if parts is None:
         return FrameIds(map=options.map_frame, base=options.base_frame or "base_link")
     name = options.map_frame
@@ -168,7 +168,7 @@ class PoseReporter:
         self.frames, self._status = frames, None
 
     def moved(self, live: LivePose, stamp: float, odom_from_camera: Floats) -> list[Message]:
-        """Where the camera is by odometry: odometry in the map, and the transform map -> odom."""
+        """Return where the camera is by odometry: odometry in the map, and the transform map -> odom."""
         messages = self._scenery(stamp, live.scene)
         if self._whole:
             base = odom_from_camera @ np.linalg.inv(self.base_from_camera)
@@ -186,7 +186,7 @@ class PoseReporter:
         return [*messages, *ridden, transforms_message([moved], stamp)]
 
     def news(self, live: LivePose, stamp: float) -> list[Message]:
-        """What an image, taken at `stamp` [s], has changed; nothing where nothing is new."""
+        """Return what an image, taken at `stamp` [s], has changed; nothing where nothing is new."""
         if live.estimate is None or live.estimate is self._estimate:
             changed = self._status != (live.status, live.reason)
             return self.status(live.status, live.reason, live.stamp, live=live) if changed else []
@@ -205,7 +205,7 @@ class PoseReporter:
     def status(
         self, status: Status, reason: str, stamp: float, *, live: LivePose | None = None
     ) -> list[Message]:
-        """How far the pose may be trusted, and why, as diagnostics and on a topic of its own."""
+        """Return how far the pose may be trusted, and why, as diagnostics and on a topic of its own."""
         stamp = sayable(stamp)
         self._status = status, reason
         best = live.estimate.best if live is not None and live.estimate is not None else None
@@ -228,7 +228,7 @@ class PoseReporter:
         return self.lacking(f"No image could be used yet: {reason}.", stamp)
 
     def _scenery(self, stamp: float, scene: str) -> list[Message]:
-        """The map that the camera is in, and where the camera sits, once."""
+        """Return the map that the camera is in, and where the camera sits, once."""
         messages = []
         if isinstance(self.maps, Scene):
             shown: SceneMap | None = self.maps
@@ -259,7 +259,7 @@ def estimate_messages(
     map_from_odom: Floats | None = None,
     base_from_camera: Floats | None = None,
 ) -> list[Message]:
-    """What an estimate says of its last frame, taken at `stamp` [s].
+    """Return what an estimate says of its last frame, taken at `stamp` [s].
 
     Where the status is OK, `pose.pose_messages`, whose other parameters these are. Always a
     `nav2_msgs/ParticleCloud`, a `PoseArray` of the modes, best first, a `DiagnosticArray` with
@@ -304,7 +304,7 @@ def estimate_messages(
 
 
 def particles(estimate: PoseEstimate, base_from_camera: Floats) -> tuple[Floats, Floats]:
-    """Poses (N, 4, 4) map_from_base and weights (N,) that stand for what is known.
+    """Return the poses (N, 4, 4) map_from_base and weights (N,) that stand for what is known.
 
     Those of the filter's last step where it was recorded (`FilterOptions.record`); else twelve a
     mode, which have its pose as their mean, its covariance, and its probability together.
@@ -321,7 +321,7 @@ def particles(estimate: PoseEstimate, base_from_camera: Floats) -> tuple[Floats,
 
 
 def _around(mode: PoseMode, base_from_camera: Floats) -> Floats:
-    """Poses (_AROUND, 4, 4) of the base whose mean and covariance are a mode's."""
+    """Return the poses (_AROUND, 4, 4) of the base whose mean and covariance are a mode's."""
     center, covariance = base_pose(mode.map_from_camera, mode.covariance, base_from_camera)
     values, vectors = np.linalg.eigh(covariance)
     ahead = (vectors * np.sqrt(6.0 * np.maximum(values, 0.0))).T

@@ -180,7 +180,7 @@ class RerunWriter:
                 self._log(f"{entity}/{name}", what, static=message.latched)
 
     def _drawn(self, kind: int, ns: str, markers: Sequence[Fields]) -> list[tuple[str, Any]]:
-        """Entities, and what they show, of markers of one type and namespace."""
+        """Return the entities, and what they show, of markers of one type and namespace."""
         rr, colours = self._rr, [_rgba([marker["color"]])[0] for marker in markers]
         if kind == TRIANGLES:
             return [(f"{ns}/{m['id']}", self._mesh(m)) for m in markers]
@@ -220,7 +220,7 @@ def _blueprint() -> Any:  # noqa: ANN401  # of rerun
 
 
 def _pieces(way: Sequence[tuple[float, list[float]]]) -> list[Floats]:
-    """Ways (N, 3) that were known without a gap."""
+    """Return the ways (N, 3) that were known without a gap."""
     if not way:
         return []
     stamps, places = np.array([stamp for stamp, _ in way]), np.array([place for _, place in way])
@@ -236,11 +236,11 @@ def _xyz(fields: Fields) -> list[float]:
 
 
 def _places(points: Sequence[Fields]) -> Floats:
-    """(N, 3) of points."""
+    """Return (N, 3) of points."""
     return np.array([(point["x"], point["y"], point["z"]) for point in points])
 
 
 def _rgba(colours: Sequence[Fields]) -> Any:  # noqa: ANN401  # of rerun
-    """(N, 4) uint8 of colours."""
+    """Return (N, 4) uint8 of colours."""
     found = np.array([(c["r"], c["g"], c["b"], c["a"]) for c in colours])
     return np.rint(255.0 * found).astype(np.uint8)

@@ -71,7 +71,7 @@ def objects_message(
 
 
 def _box(scene: Scene, row: int, evidence: Evidence, head: Fields) -> list[Fields]:
-    """A box and what it is called, of an object."""
+    """Return a box and what it is called, of an object."""
     graph = scene.graph
     center, size = graph.positions[row], np.maximum(extent(scene, row), _THICK)
     rgb = COLOURS[evidence.verdict]
@@ -87,13 +87,13 @@ def _box(scene: Scene, row: int, evidence: Evidence, head: Fields) -> list[Field
 
 
 def extent(scene: Scene, row: int) -> Floats:
-    """Size (3,) of the box around an object [m]."""
+    """Return the size (3,) of the box around an object [m]."""
     extents = scene.graph.extents
     return np.zeros(3) if extents is None else extents[row]
 
 
 def over(scene: Scene, row: int) -> Floats:
-    """Place (3,) above an object, where its name stands [m]."""
+    """Return the place (3,) above an object, where its name stands [m]."""
     up = np.array([0.0, 0.0, 0.5 * extent(scene, row)[2] + _TALL])
     return np.asarray(scene.graph.positions[row] + up)
 
@@ -107,7 +107,7 @@ def label(
     *,
     ns: str,
 ) -> Fields:
-    """A marker of letters that face who looks, at a place (3,)."""
+    """Return a marker of letters that face who looks, at a place (3,)."""
     return {
         "header": head, "ns": ns, "id": row, "type": TEXT, "scale": scale(_TALL),
         "pose": {"position": xyz(place), "orientation": {"w": 1.0}},
@@ -120,7 +120,7 @@ MOST = 200_000
 
 
 def map_messages(scene: Scene, stamp: float, frames: FrameIds | None = None) -> list[Message]:
-    """The map, thrice: its mesh as markers (RViz), its names, and a `SceneUpdate` (Foxglove).
+    """Return the map, thrice: its mesh as markers (RViz), its names, and a `SceneUpdate` (Foxglove).
 
     - ``localization/map``: a `MarkerArray`, a list of triangles an object with colours by vertex; of
       more than `MOST` triangles the objects' boxes.

@@ -92,7 +92,7 @@ class PlaybackClock:
     def paced(
         self, events: Iterable[T], time_of: Callable[[T], float | None]
     ) -> Iterator[T | None]:
-        """Each event when it is due, and None while it is waited for; those of no time at once."""
+        """Yield each event when it is due, and None while it is waited for; those of no time at once."""
         for event in events:
             time = time_of(event)
             if time is not None:
@@ -139,7 +139,7 @@ class WaitPolicy:
         self._since = monotonic()
 
     def more(self, *, came: bool) -> bool:
-        """Whether to look again, after a while; `came`: there was something now."""
+        """Return whether to look again, after a while; `came`: there was something now."""
         if came:
             self._since = monotonic()
         elif not self.over.is_set() and monotonic() - self._since < self._seconds:
@@ -176,7 +176,7 @@ def open_source(path: Path, patience: WaitPolicy, stdin: BinaryIO | None = None)
 
 
 def bag_source(path: Path) -> Source:
-    """A bag that is whole, or as far as it goes.
+    """Return a bag that is whole, or as far as it goes.
 
     Raises `InputError` where it is none, or lacks what frames are made of.
     """
@@ -199,14 +199,14 @@ def bag_source(path: Path) -> Source:
 
 
 def time_of(event: StreamEvent) -> float | None:
-    """When something happened [s]; None: at no time of its own."""
+    """Return when something happened [s]; None: at no time of its own."""
     if isinstance(event, Frame):
         return event.stamp
     return event.time if isinstance(event, Packet) else None
 
 
 def _filling(path: Path, patience: WaitPolicy) -> Iterator[Frame | None]:
-    """Frames of a folder, and those that come into it: it is opened again whenever it has changed.
+    """Yield the frames of a folder, and those that come into it: it is opened again whenever it has changed.
 
     While it cannot be read it is waited for, as a row may come before its image.
     """
@@ -231,7 +231,7 @@ def _filling(path: Path, patience: WaitPolicy) -> Iterator[Frame | None]:
 
 
 def _state(path: Path) -> int:
-    """A number that differs where files of a folder, or of folders in it, have."""
+    """Return a number that differs where files of a folder, or of folders in it, have."""
     parts = [path] if path.is_file() else [path, *path.glob("*"), *path.glob("*/*")]
     facts = []
     for part in parts:
@@ -244,7 +244,7 @@ def _state(path: Path) -> int:
 
 
 def _growing(path: Path, patience: WaitPolicy) -> Iterator[Packet | Fault]:
-    """Messages of an MCAP that is being written."""
+    """Yield the messages of an MCAP that is being written."""
     with path.open("rb") as file:
 
         def read(count: int) -> bytes:

@@ -108,7 +108,7 @@ class Format(NamedTuple):
     """Formats of a lower rank are asked first: those whose files no other format has."""
 
     def fits(self, path: Path) -> bool:
-        """Whether a path looks like one of this recorder's captures."""
+        """Return whether a path looks like one of this recorder's captures."""
         try:
             return bool(getattr(self._module(), f"is_{self.verb}")(path))
         except OSError:  # no leave to look there
@@ -176,7 +176,7 @@ class AbsentFormat(NamedTuple):
     holds: str = "install the extra `io` for them"
 
     def fits(self, path: Path) -> bool:
-        """Whether a path looks like one of them."""
+        """Return whether a path looks like one of them."""
         patterns = _ELSEWHERE[self.rank]
         try:
             if path.is_dir():
@@ -217,7 +217,7 @@ def is_capture(path: Path) -> bool:
 
 
 def with_poses(capture: Capture, path: Path) -> Capture:
-    """Capture with the poses of a TUM file instead of its own.
+    """Return the capture with the poses of a TUM file instead of its own.
 
     Rows belong to frames in order, where there are as many, else to those whose stamps differ by
     20 ms at most; frames without a row are left out, and counted. Gravity is -z of the new poses.
@@ -244,7 +244,7 @@ def with_poses(capture: Capture, path: Path) -> Capture:
 
 
 def _with_pose(frame: Frame, stored: np.ndarray[Any, np.dtype[np.float64]]) -> Frame:
-    """Frame whose stored image has this pose (4, 4)."""
+    """Return the frame whose stored image has this pose (4, 4)."""
     turns = frame.images.turns if isinstance(frame.images, LazyImages) else 0
     pose = stored.copy()
     pose[:3, :3] = stored[:3, :3] @ quarter_turn(turns).T

@@ -74,7 +74,7 @@ def _frames(
     label_camera: Camera | None,
     names: dict[int, str | None],
 ) -> tuple[Frame, ...]:
-    """One frame an image, with row i of every text file."""
+    """Return one frame an image, with row i of every text file."""
     odometry = read_tum(_needed(path / "odometry.tum", len(colours)))
     _count(path / "odometry.tum", len(odometry), len(colours))
     gravity = _gravity(path / "gravity.txt", odometry.poses)
@@ -122,7 +122,7 @@ def _label_kind(path: Path, labels: str | None) -> LabelKind | None:
 
 
 def _label_names(path: Path) -> dict[int, str | None]:
-    """Names by id; None where the file says null: such pixels say nothing."""
+    """Return the names by id; None where the file says null: such pixels say nothing."""
     if not path.exists():
         return {}
     content = read_json(path)
@@ -140,7 +140,7 @@ def _label_names(path: Path) -> dict[int, str | None]:
 
 
 def _gravity(path: Path, poses: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Unit gravity (T, 3) in the camera's axes, from the file or else from the odometry's -z."""
+    """Return the unit gravity (T, 3) in the camera's axes, from the file or else from the odometry's -z."""
     if not path.exists():
         return _read_only(-poses[:, 2, :3])
     table = read_table(path, _GRAVITY_COLUMNS)

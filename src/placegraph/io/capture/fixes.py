@@ -35,7 +35,7 @@ class Fix(NamedTuple):
 
 
 def fixes_of(capture: Capture) -> dict[int, Fix]:
-    """Fixes by the row of the frame that they belong to, in the order of time.
+    """Return the fixes by the row of the frame that they belong to, in the order of time.
 
     Raises `InputError` where `fixes.txt` or an image is broken.
     """
@@ -64,13 +64,13 @@ def _of_file(path: Path, capture: Capture) -> dict[int, Fix]:
 
 
 def exif_fix_of(path: Path) -> Fix | None:
-    """Fix of an image file; None: it tells none."""
+    """Return the fix of an image file; None: it tells none."""
     with opened(path, path) as image:
         return exif_fix(image.getexif())
 
 
 def exif_fix(exif: Any) -> Fix | None:  # noqa: ANN401  # Pillow's
-    """Fix that EXIF tells; None: it tells none, or (0, 0), as cameras without a fix write."""
+    """Return the fix that EXIF tells; None: it tells none, or (0, 0), as cameras without a fix write."""
     with suppress(TypeError, ValueError, ZeroDivisionError, KeyError):
         gps = exif.get_ifd(_GPS)
         lat, lon = (sum(float(v) / 60.0**k for k, v in enumerate(gps[tag])) for tag in (_LAT, _LON))

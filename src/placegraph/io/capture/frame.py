@@ -27,13 +27,13 @@ class Images(Protocol):
     """Where a frame's images come from."""
 
     def rgb(self) -> NDArray[np.uint8]:
-        """(H, W, 3) uint8, sRGB."""
+        """Return (H, W, 3) uint8, sRGB."""
 
     def depth(self) -> NDArray[np.float32] | None:
-        """(h, w) float32 [m], NaN: no reading."""
+        """Return (h, w) float32 [m], NaN: no reading."""
 
     def labels(self) -> NDArray[np.int32] | None:
-        """(h, w) int32, -1: nothing."""
+        """Return (h, w) int32, -1: nothing."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,14 +64,14 @@ class Frame(Portable):
         return self.images.rgb()
 
     def depth(self) -> NDArray[np.float32] | None:
-        """Depth along the optical axis (h, w) float32 [m], NaN: no reading; None: no such image.
+        """Return the depth along the optical axis (h, w) float32 [m], NaN: no reading; None: no such image.
 
         Raises `InputError` as `rgb` does, and where pixels are not 16 bits.
         """
         return self.images.depth()
 
     def labels(self) -> NDArray[np.int32] | None:
-        """Ids of labels or of objects (h, w) int32, -1: nothing; None: no such image.
+        """Return the ids of labels or of objects (h, w) int32, -1: nothing; None: no such image.
 
         Raises `InputError` as `rgb` does, and where label ids have no name.
         """
@@ -94,7 +94,7 @@ class Frame(Portable):
         stamp: float = 0.0,
         index: int = 0,
     ) -> Frame:
-        """Frame of a robot's own arrays. They are not copied: leave them as they are.
+        """Return the frame of a robot's own arrays. They are not copied: leave them as they are.
 
         Parameters
         ----------
@@ -190,7 +190,7 @@ def _fit(what: str, array: NDArray[Any], camera: Camera, rest: tuple[int, ...]) 
 
 
 def _resized(what: str, array: NDArray[Any], camera: Camera) -> Camera:
-    """Camera of images of another size that show the same."""
+    """Return the camera of images of another size that show the same."""
     if array.ndim != 2 or not array.size:
         raise OptionError(f"{what}: shape {array.shape}; an image has a height and a width.")
     height, width = array.shape
@@ -296,7 +296,7 @@ def posed_frame(
     gravity: ArrayLike | None = None,
     turns: int = 0,
 ) -> Frame:
-    """Frame of images, cameras and pose as they are stored, turned by quarters.
+    """Return the frame of images, cameras and pose as they are stored, turned by quarters.
 
     Parameters
     ----------
@@ -337,11 +337,8 @@ def posed_frame(
     )
 
 
-# -------------------------------------------------------------------------------- quarter turns
-
-
 def upright_turns(gravity: ArrayLike) -> int:
-    """Quarter turns (0 to 3, counter-clockwise) that stand most images of a capture upright.
+    """Return the quarter turns (0 to 3, counter-clockwise) that stand most images of a capture upright.
 
     `gravity`: (..., 3), direction of gravity in the cameras' axes as they are stored. One number
     for a whole capture keeps its images of one size.
@@ -351,13 +348,13 @@ def upright_turns(gravity: ArrayLike) -> int:
 
 
 def quarter_turn(turns: int) -> NDArray[np.float64]:
-    """Rotation (3, 3), turned_from_stored, of a camera whose image `np.rot90` turns."""
+    """Return the rotation (3, 3), turned_from_stored, of a camera whose image `np.rot90` turns."""
     c, s = ((1, 0), (0, 1), (-1, 0), (0, -1))[turns % 4]
     return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def turned_camera(camera: Camera, turns: int) -> Camera:
-    """Intrinsics of a camera whose images are turned as `np.rot90` does."""
+    """Return the intrinsics of a camera whose images are turned as `np.rot90` does."""
     for _ in range(turns % 4):
         bent = camera.distortion
         if camera.model == "opencv" and bent:  # a fisheye's is the same all around
@@ -376,9 +373,6 @@ def turned_camera(camera: Camera, turns: int) -> Camera:
     return camera
 
 
-# ---------------------------------------------------------------------------------------- files
-
-
 @dataclass(frozen=True, slots=True)
 class ColourFile:
     """Reads the colours of an image file, which must have this width and height [px]."""
@@ -387,7 +381,7 @@ class ColourFile:
     size: tuple[int, int]
 
     def __call__(self) -> NDArray[np.uint8]:
-        """(H, W, 3)."""
+        """Return (H, W, 3)."""
         return read_rgb(self.path, self.size)
 
 
@@ -446,7 +440,7 @@ class LabelMeanings(NamedTuple):
     """Was subtracted from the ids."""
 
     def of(self, ids: NDArray[np.int32], image: Path) -> NDArray[np.int32]:
-        """Ids (h, w) of an image, -1 where they say nothing; `InputError`: one has no name."""
+        """Return the ids (h, w) of an image, -1 where they say nothing; `InputError`: one has no name."""
         table = np.full(1 << 16, _UNNAMED, np.int32)
         if not self.offset:
             table[0] = -1  # by custom 0 is "unlabelled", where no name says otherwise
@@ -502,7 +496,7 @@ class Capture:
 
     @classmethod
     def from_frames(cls, frames: Iterable[Frame]) -> Capture:
-        """Capture of frames in memory; `OptionError` where they are none or differ in size."""
+        """Return the capture of frames in memory; `OptionError` where they are none or differ in size."""
         held = tuple(frames)
         if not held:
             raise OptionError("frames: there is none; a capture needs at least one frame.")

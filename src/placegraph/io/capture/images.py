@@ -70,7 +70,7 @@ def opened(source: Path | IO[bytes], name: object, *, bounded: bool = False) -> 
 
 
 def images_of(folder: Path, endings: tuple[str, ...] = ENDINGS) -> dict[str, Path]:
-    """Files of a folder with these endings by stem, in natural order: 2 comes before 10.
+    """Return the files of a folder with these endings by stem, in natural order: 2 comes before 10.
 
     A folder that does not exist has none. `InputError` where two bear one name.
     """
@@ -89,7 +89,7 @@ def images_of(folder: Path, endings: tuple[str, ...] = ENDINGS) -> dict[str, Pat
 
 
 def natural(stem: str) -> list[tuple[int, int, str]]:
-    """Key that sorts names with their numbers by value."""
+    """Return the key that sorts names with their numbers by value."""
     return [
         (0, int(part), part) if part.isascii() and part.isdigit() else (1, 0, part)
         for part in re.split(r"([0-9]{1,4000})", stem)
@@ -97,7 +97,7 @@ def natural(stem: str) -> list[tuple[int, int, str]]:
 
 
 def image_size(path: Path) -> tuple[int, int]:
-    """Width and height [px] from the head of an image file."""
+    """Return the width and height [px] from the head of an image file."""
     with opened(path, path) as image:
         return image.size
 
@@ -105,7 +105,7 @@ def image_size(path: Path) -> tuple[int, int]:
 def read_rgb(
     path: Path, size: tuple[int, int], source: IO[bytes] | None = None
 ) -> NDArray[np.uint8]:
-    """Colours (H, W, 3) uint8 of an image that must be of this width and height [px].
+    """Return the colours (H, W, 3) uint8 of an image that must be of this width and height [px].
 
     Pixels are taken as they are stored; if only as a telephone would show them (EXIF's orientation)
     they have that size, as they are shown. `source` is where its bytes are, if they are not in a
@@ -121,7 +121,7 @@ def read_rgb(
 
 
 def read_whole(path: Path, size: tuple[int, int], modes: tuple[str, ...]) -> NDArray[np.int32]:
-    """Whole numbers (H, W) int32 of an image of one channel, in one of these Pillow modes."""
+    """Return the whole numbers (H, W) int32 of an image of one channel, in one of these Pillow modes."""
     with opened(path, path) as image:
         _check_size(image, path, size)
         if image.mode not in modes:
@@ -133,14 +133,14 @@ def read_whole(path: Path, size: tuple[int, int], modes: tuple[str, ...]) -> NDA
 
 
 def rgb_of(image: Image) -> NDArray[np.uint8]:
-    """Colours (H, W, 3) of an image, read-only."""
+    """Return the colours (H, W, 3) of an image, read-only."""
     out = _pixels(image, "RGB", np.empty((image.height, image.width, 3), np.uint8))
     out.flags.writeable = False
     return out
 
 
 def _pixels(image: Image, mode: str, out: NDArray[Any]) -> NDArray[Any]:
-    """Pixels of an image in one of Pillow's modes, copied strip by strip."""
+    """Return the pixels of an image in one of Pillow's modes, copied strip by strip."""
     rows = max(1, _STRIP // image.width)
     for top in range(0, image.height, rows):
         part = image.crop((0, top, image.width, min(top + rows, image.height)))

@@ -34,7 +34,7 @@ class CameraFile:
     """What to subtract from the values in `labels/` and `instances/`; below it is nothing."""
 
     def label_camera(self, kind: str, size: tuple[int, int]) -> Camera:
-        """Camera of the images in the folder `kind`, which have this width and height [px].
+        """Return the camera of the images in the folder `kind`, which have this width and height [px].
 
         Without an entry of their own they share the depth's or the colour images' intrinsics,
         whichever has their size. Raises `InputError` where neither has.
@@ -85,7 +85,7 @@ def read_camera(path: Path, *, depth_scale: float = 1000.0) -> CameraFile:
 
 
 def read_json(path: Path) -> Any:  # noqa: ANN401  # whatever the file holds
-    """Content of a JSON file; `InputError` where it is missing or not JSON."""
+    """Return the content of a JSON file; `InputError` where it is missing or not JSON."""
     try:
         return json.loads(regular(path).read_text(encoding="utf-8-sig"))
     except FileNotFoundError as error:
@@ -104,7 +104,7 @@ def _entry(path: Path, content: dict[str, Any], kind: str) -> dict[str, Any]:
 
 
 def _sub(path: Path, entry: dict[str, Any], kind: str, camera: Camera) -> Camera | None:
-    """Camera of an entry: its own, or the colour camera brought to the entry's size; else none."""
+    """Return the camera of an entry: its own, or the colour camera brought to the entry's size; else none."""
     if any(name in entry for name in _INTRINSICS):
         return _camera(path, entry, f"{kind}.")
     if "width" in entry or "height" in entry:
@@ -167,7 +167,7 @@ class LabelEntry:
 def label_table(
     labels: Mapping[str, str] | Mapping[int, str] | str | PathLike[str], scan: str = ""
 ) -> dict[str, LabelEntry]:
-    """Table by object id, of a mapping from id (or name) to label, or of a JSON file.
+    """Return the table by object id, of a mapping from id (or name) to label, or of a JSON file.
 
     The file holds an object `{"3": "chair"}`; or a list `[{"id": 3, "label": "chair", "name": ...}]`;
     or such a list under `objects` (3RScan's `objects.json`, whose `scans` are searched for `scan`)

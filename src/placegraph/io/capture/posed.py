@@ -57,7 +57,7 @@ def capture_of(
     left_out: Counter[str] | None = None,
     notes: Sequence[str] = (),
 ) -> Capture:
-    """Capture of shots, sorted by time, turned upright by one number of quarter turns.
+    """Return the capture of shots, sorted by time, turned upright by one number of quarter turns.
 
     `left_out` counts frames that are not among them, by reason; `notes` are sentences for the user.
     Raises `InputError` where there is no shot, a pose is not a rigid transform of finite numbers,
@@ -103,11 +103,8 @@ def capture_of(
     )
 
 
-# ---------------------------------------------------------------------------------------- poses
-
-
 def exact_pose(matrix: ArrayLike, name: str) -> NDArray[np.float64]:
-    """Rigid transform (4, 4) of 12 or 16 numbers by rows, its rotation made exact.
+    """Return the rigid transform (4, 4) of 12 or 16 numbers by rows, its rotation made exact.
 
     `InputError`, which begins with `name`, where a number is not finite or it is no rotation.
     """
@@ -119,7 +116,7 @@ def exact_pose(matrix: ArrayLike, name: str) -> NDArray[np.float64]:
 
 
 def exact_poses(matrices: NDArray[np.float64], names: Sequence[str]) -> NDArray[np.float64]:
-    """Rigid transforms (T, 4, 4), their rotations made exact; `InputError` as `exact_pose`."""
+    """Return the rigid transforms (T, 4, 4), their rotations made exact; `InputError` as `exact_pose`."""
     poses = matrices.copy()
     bad = ~np.isfinite(poses).all(axis=(1, 2))
     if bad.any():
@@ -167,9 +164,6 @@ def nearest_stamps(stamps: ArrayLike, wanted: ArrayLike, tolerance: float) -> ND
     return rows
 
 
-# -------------------------------------------------------------------------------------- cameras
-
-
 def camera_of(
     name: str,
     size: tuple[int, int],
@@ -186,7 +180,7 @@ def camera_of(
 
 
 def smaller_view(camera: Camera, size: tuple[int, int], name: object) -> Camera:
-    """Camera of images of another size that show the same; `InputError` where they cannot."""
+    """Return the camera of images of another size that show the same; `InputError` where they cannot."""
     width, height = size
     if abs(width * camera.height - height * camera.width) > max(camera.width, camera.height):
         raise InputError(
@@ -196,11 +190,8 @@ def smaller_view(camera: Camera, size: tuple[int, int], name: object) -> Camera:
     return camera if size == (camera.width, camera.height) else camera.resized(*size)
 
 
-# ---------------------------------------------------------------------------------------- files
-
-
 def read_text(path: Path) -> str:
-    """Text of a file; `InputError` where it is missing, unreadable or not text."""
+    """Return the text of a file; `InputError` where it is missing, unreadable or not text."""
     try:
         return regular(path).read_text(encoding="utf-8-sig")
     except FileNotFoundError as error:
@@ -210,7 +201,7 @@ def read_text(path: Path) -> str:
 
 
 def read_rows(path: Path, widths: tuple[int, ...], columns: str) -> list[tuple[str, list[float]]]:
-    """Rows of numbers of a text without header, with commas or blanks, and where each stands.
+    """Return the rows of numbers of a text without header, with commas or blanks, and where each stands.
 
     A row has as many numbers as one of `widths`. `InputError`, which names the `columns`, where one
     has not, where a number is not finite, or where there is no row.
@@ -234,7 +225,7 @@ def read_rows(path: Path, widths: tuple[int, ...], columns: str) -> list[tuple[s
 
 
 def numbers(path: Path, content: dict[str, Any], field: str, count: int) -> list[float]:
-    """List of `count` numbers in a JSON object; `InputError` names the file and the field."""
+    """Return the list of `count` numbers in a JSON object; `InputError` names the file and the field."""
     values = content.get(field)
     if not (
         isinstance(values, list)
@@ -250,5 +241,5 @@ def numbers(path: Path, content: dict[str, Any], field: str, count: int) -> list
 
 
 def number(path: Path, content: dict[str, Any], field: str) -> float:
-    """A number in a JSON object; `InputError` names the file and the field."""
+    """Return a number in a JSON object; `InputError` names the file and the field."""
     return numbers(path, {field: [content[field]] if field in content else None}, field, 1)[0]

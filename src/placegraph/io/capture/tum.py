@@ -47,7 +47,7 @@ class Table:
     """(T,) line of each row, from 1."""
 
     def error(self, row: int, what: str) -> InputError:
-        """Error that names the file and the line of a row."""
+        """Return the error that names the file and the line of a row."""
         return InputError(f"{self.path}, line {self.lines[row]}: {what}")
 
 
@@ -84,7 +84,7 @@ def read_tum(path: str | PathLike[str]) -> Trajectory:
 
 
 def read_camera_path(path: str | PathLike[str]) -> NDArray[np.float64]:
-    """Poses (T, 4, 4) map_from_camera of a TUM file, or of what `scene localize --json` printed.
+    """Return the poses (T, 4, 4) map_from_camera of a TUM file, or of what `scene localize --json` printed.
 
     Raises
     ------

@@ -160,7 +160,7 @@ def _videos(path: Path) -> list[Path]:
 
 
 def _trajectory(path: Path) -> Poses:
-    """Stamps (T,) [s] and poses (T, 4, 4)."""
+    """Return the stamps (T,) [s] and poses (T, 4, 4)."""
     if (path / "odometry.tum").is_file() or not (path / "odometry.csv").is_file():
         held = read_tum(path / "odometry.tum")
         return held.stamps, held.poses

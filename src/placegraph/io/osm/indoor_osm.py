@@ -27,7 +27,7 @@ _MOST = 300
 
 
 def levels_of(text: str) -> tuple[float, ...]:
-    """Levels that a tag lists, ascending; ``a-b`` is a, b and all whole levels between.
+    """Return the levels that a tag lists, ascending; ``a-b`` is a, b and all whole levels between.
 
     Parts that are no levels are passed over; () where none is one.
     """
@@ -45,7 +45,7 @@ def levels_of(text: str) -> tuple[float, ...]:
 
 
 def level_text(level: float) -> str:
-    """A level as it is written in a tag: ``1``, ``0.5``."""
+    """Return a level as it is written in a tag: ``1``, ``0.5``."""
     return f"{level:g}"
 
 
@@ -88,7 +88,7 @@ class IndoorOsm:
 
 
 def is_indoor_osm(path: Path) -> bool:
-    """Whether a path looks like an OpenStreetMap file."""
+    """Return whether a path looks like an OpenStreetMap file."""
     return path.name.lower().endswith(SUFFIXES) and path.is_file()
 
 
@@ -156,7 +156,7 @@ class _Elements:
             self.relations.append((f"relation/{item.id}", tags, held))
 
     def shapes(self) -> Iterator[IndoorShape]:
-        """All that can be drawn; the rest is counted."""
+        """Yield all that can be drawn; the rest is counted."""
         for osm, tags, refs in self.tagged:
             yield from self._shape(osm, tags, [refs])
         for osm, tags, members in self.relations:
@@ -188,7 +188,7 @@ class _Elements:
             self.left_out[f"{kind}s without an outline"] += 1
 
     def _ring(self, part: Floats, kind: str) -> Floats:
-        """Closed ring of an outline; empty where it is none."""
+        """Return the closed ring of an outline; empty where it is none."""
         if len(part) > MOST_POINTS:
             self.left_out[f"{kind}s of more than {MOST_POINTS} points"] += 1
             return part[:0]
@@ -203,7 +203,7 @@ class _Elements:
 
 
 def kind_of(tags: Mapping[str, str]) -> str:
-    """Kind of an element by its tags; empty where it is none of `KINDS`."""
+    """Return the kind of an element by its tags; empty where it is none of `KINDS`."""
     osmag, indoor = tags.get("osmAG:type", ""), tags.get("indoor", "")
     if osmag == "area":
         return _OSMAG.get(tags.get("osmAG:areaType", ""), "room")
@@ -217,7 +217,7 @@ def kind_of(tags: Mapping[str, str]) -> str:
 
 
 def room_names(shapes: Sequence[IndoorShape]) -> list[str]:
-    """Name of each room: its own, its number, or what it is; those that are alike are numbered."""
+    """Return the name of each room: its own, its number, or what it is; those that are alike are numbered."""
     said = []
     for shape in shapes:
         tags = shape.tags
@@ -232,7 +232,7 @@ def room_names(shapes: Sequence[IndoorShape]) -> list[str]:
 
 
 def _joined(pieces: Sequence[Sequence[int]]) -> list[list[int]]:
-    """Member ways of a multipolygon, end to end: as few lines as they make."""
+    """Return the member ways of a multipolygon, end to end: as few lines as they make."""
     left, lines = [list(p) for p in pieces if len(p) > 1], []
     while left:
         line = left.pop()
@@ -255,7 +255,7 @@ _AREA_TYPES = {"corridor": "corridor", "elevator": "elevator", "stairs": "stairs
 
 
 def encode_rooms(shapes: Sequence[IndoorShape], *, osmag: bool, generator: str) -> bytes:
-    """OSM-XML of rooms, and of doors as nodes of their outlines or, of osmAG, as passages.
+    """Return the OSM-XML of rooms, and of doors as nodes of their outlines or, of osmAG, as passages.
 
     Parameters
     ----------
@@ -382,7 +382,7 @@ def _walls_at(door: IndoorShape, rooms: Sequence[IndoorShape]) -> tuple[list[int
 
 
 def _nearest(at: Floats, parts: Sequence[Floats]) -> tuple[float, int, int, float]:
-    """How far a place (2,) [deg] is from outlines [m]; ring and edge, and where on it, 0 to 1."""
+    """Return how far a place (2,) [deg] is from outlines [m]; ring and edge, and where on it, 0 to 1."""
     scale = _METRES * np.array([np.cos(np.radians(at[1])), 1.0])
     best = (np.inf, 0, 0, 0.0)
     for k, part in enumerate(parts):
@@ -399,7 +399,7 @@ def _nearest(at: Floats, parts: Sequence[Floats]) -> tuple[float, int, int, floa
 def _with_doors(
     room: IndoorShape, row: int, doors: Sequence[tuple[IndoorShape, list[int], Floats]]
 ) -> IndoorShape:
-    """A room whose outline goes through the doors that are on it."""
+    """Return a room whose outline goes through the doors that are on it."""
     parts = list(room.parts)
     for _, held, line in doors:
         if row not in held:

@@ -181,7 +181,7 @@ def _convert(path: Path, made: Path) -> None:
 
 
 def osm_file(path: Path) -> Any:  # noqa: ANN401  # osmium has no types
-    """File for osmium, which knows endings in lower case only."""
+    """Return the file for osmium, which knows endings in lower case only."""
     import osmium
 
     return osmium.io.File(path, _ending(path))
@@ -193,7 +193,7 @@ def _ending(path: Path) -> str:
 
 
 def checked_osm(path: Path) -> Path:
-    """Path of a file that may be read; raises `InputError` where it is none."""
+    """Return the path of a file that may be read; raises `InputError` where it is none."""
     try:
         size = -1 if path.is_dir() else path.stat().st_size
     except (OSError, ValueError) as error:
@@ -212,12 +212,12 @@ def checked_osm(path: Path) -> Path:
 
 
 def one_line(error: Exception) -> str:
-    """What went wrong, in one line."""
+    """Return what went wrong, in one line."""
     return " ".join(str(error).split())[:200].rstrip(".") or type(error).__name__
 
 
 def is_area(tags: Mapping[str, str]) -> bool:
-    """Whether a closed way with these tags is an area (else a loop, such as a roundabout)."""
+    """Return whether a closed way with these tags is an area (else a loop, such as a roundabout)."""
     area = tags.get("area")
     if area in ("yes", "no"):
         return area == "yes"

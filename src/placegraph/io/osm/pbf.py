@@ -69,7 +69,7 @@ class Rows(NamedTuple):
 
 
 def blobs(file: BinaryIO) -> Iterator[Blob]:
-    """All blobs of a file; raises `DamagedError` where it ends within one."""
+    """Yield all blobs of a file; raises `DamagedError` where it ends within one."""
     size, at = file.seek(0, 2), 0
     while at < size:
         file.seek(at)
@@ -91,7 +91,7 @@ def blobs(file: BinaryIO) -> Iterator[Blob]:
 
 
 def features(file: BinaryIO, blob: Blob) -> tuple[set[bytes], set[bytes]]:
-    """What the head of a file says it needs, and what else it says of itself."""
+    """Return what the head of a file says it needs, and what else it says of itself."""
     if blob.kind != b"OSMHeader":
         raise DamagedError("it does not begin with a head")
     data = inflated(file, blob)
@@ -107,7 +107,7 @@ def features(file: BinaryIO, blob: Blob) -> tuple[set[bytes], set[bytes]]:
 
 
 def inflated(file: BinaryIO, blob: Blob) -> NDArray[np.uint8]:
-    """Bytes of what a blob holds."""
+    """Return the bytes of what a blob holds."""
     file.seek(blob.begins)
     data = np.frombuffer(file.read(blob.length), np.uint8)
     parts, size = {}, -1
@@ -176,7 +176,7 @@ class Block:
         return frozenset(np.unique(np.concatenate(kinds)).tolist()) if kinds else frozenset()
 
     def nodes(self) -> Rows:
-        """Its nodes."""
+        """Return its nodes."""
         made = [self._dense(at, at + n) for group in self.groups if DENSE in self.holds
                 for number, n, at in _fields(self.data, *group) if number == DENSE and n]  # fmt: skip
         if NODES in self.holds:
@@ -198,7 +198,7 @@ class Block:
         return Rows(ids, versions, starts(counts), tags, steps=steps)
 
     def ways(self) -> Rows:
-        """Its ways, with the ids of their nodes."""
+        """Return its ways, with the ids of their nodes."""
         rows, lists = self._elements(WAYS)
         starts, refs = lists[0]
         return rows._replace(lists=((starts, kernels.summed(starts, refs)),))
@@ -232,7 +232,7 @@ class Block:
         return Rows(head[:, 0], head[:, 1], *lists[0], messages=head[:, 2:]), lists[1:]
 
     def _steps(self, longitudes: Numbers, latitudes: Numbers) -> Numbers:
-        """Positions in steps of 1e-7 degrees, cut off as osmium cuts them."""
+        """Return the positions in steps of 1e-7 degrees, cut off as osmium cuts them."""
         found = np.stack([longitudes, latitudes], 1)
         if (self.granularity, self.south, self.west) == (100, 0, 0):
             return found
@@ -273,19 +273,19 @@ def written(
 
 
 def blob_of(kind: bytes, data: bytes) -> bytes:
-    """A blob as it stands in a file, not compressed."""
+    """Return a blob as it stands in a file, not compressed."""
     blob = text(1, data)
     head = text(1, kind) + b"\x18" + number(len(blob))
     return struct.pack(">I", len(head)) + head + blob
 
 
 def text(field: int, data: bytes) -> bytes:
-    """A field of so many bytes."""
+    """Return a field of so many bytes."""
     return number(field << 3 | 2) + number(len(data)) + data
 
 
 def number(value: int) -> bytes:
-    """A whole number from 0 on."""
+    """Return a whole number from 0 on."""
     made = bytearray()
     while value > 0x7F:
         made.append(value & 0x7F | 0x80)
@@ -295,7 +295,7 @@ def number(value: int) -> bytes:
 
 
 def differences(values: Numbers) -> bytes:
-    """Whole numbers as differences (zigzag), packed."""
+    """Return the whole numbers as differences (zigzag), packed."""
     steps = np.diff(values, prepend=0)
     made: bytes = kernels.varints((steps << 1) ^ (steps >> 63)).tobytes()
     return made
@@ -365,7 +365,7 @@ class NodeIndex:
             ids, steps = ids[n:], steps[n:]
 
     def find(self, ids: Numbers) -> tuple[Steps, NDArray[np.bool_]]:
-        """Positions (K, 2) of nodes by id in steps of 1e-7 degrees, and which are known."""
+        """Return the positions (K, 2) of nodes by id in steps of 1e-7 degrees, and which are known."""
         first, bounds, words = self._ready or self._settled()
         found: tuple[Steps, NDArray[np.bool_]] = kernels.placed(first, bounds, words, ids)
         self._looked += 64 * len(ids)
@@ -405,7 +405,7 @@ class NodeIndex:
         return self._ready
 
     def all_words(self) -> Steps:
-        """What was put down so far."""
+        """Return what was put down so far."""
         if self.file is not None and self.index is not None:
             try:
                 self.file.flush()
@@ -438,7 +438,7 @@ class NodeIndex:
 
 
 def _in_order(ids: Numbers, steps: Steps) -> tuple[Numbers, Steps]:
-    """NodeIndex by rising id; of one id the last."""
+    """Return the nodes by rising id; of one id the last."""
     order = np.argsort(ids, kind="stable")
     order = order[np.append(np.diff(ids[order]) > 0, True)]
     return ids[order], steps[order]

@@ -99,7 +99,7 @@ class Reader:
         return dict.fromkeys(found[::-1])
 
     def _read(self, block: Block, nodes: NodeIndex) -> list[OsmColumns]:
-        """NodeIndex and ways of a block."""
+        """Return the nodeIndex and ways of a block."""
         found = []
         if block.holds & {pbf.NODES, pbf.DENSE}:
             found.append(self._points(block, nodes))
@@ -150,7 +150,7 @@ class Reader:
         return OsmColumns(_like(kind, WAY), rows.ids[hits], kind, each, starts, steps, tags)
 
     def _areas(self, block: Block, _nodes: NodeIndex) -> list[OsmColumns]:
-        """Areas of the relations of a block."""
+        """Return the areas of the relations of a block."""
         rows = block.relations()
         hits = self._areas_among(block, rows)
         tags = dict(zip(rows.ids[hits].tolist(), _tags(block, rows, hits), strict=True))
@@ -175,7 +175,7 @@ class Reader:
         )]  # fmt: skip
 
     def _small(self, block: Block, rows: Rows, hits: Numbers) -> bytes:
-        """A file of these relations, their ways, and the nodes of these."""
+        """Return a file of these relations, their ways, and the nodes of these."""
         ids, order, starts, steps = self.outlines
         needed = np.unique(np.concatenate([_members(rows, row) for row in hits]))
         needed = needed[_among(needed, ids)]
@@ -198,13 +198,13 @@ class Reader:
         return ids[order], order, starts, steps
 
     def _wanted(self, block: Block, rows: Rows) -> Numbers:
-        """Rows that have one of the keys."""
+        """Return the rows that have one of the keys."""
         keys = np.array([string in self.keys for string in block.strings], np.bool_)
         owner = np.repeat(np.arange(len(rows.ids)), np.diff(rows.tag_starts) // 2)
         return np.unique(owner[keys[rows.tags[::2]]])
 
     def _areas_among(self, block: Block, rows: Rows) -> Numbers:
-        """Wanted relations of a type whose areas are assembled."""
+        """Return the wanted relations of a type whose areas are assembled."""
         hits = self._wanted(block, rows)
         types = [block.strings.index(b"type")] if b"type" in block.strings else []
         kinds = [n for n, string in enumerate(block.strings) if string in AREAS]
@@ -238,7 +238,7 @@ class Reader:
 
 
 def _among(ids: Numbers, known: Numbers) -> NDArray[np.bool_]:
-    """Which ids are among those that are known, which ascend."""
+    """Return which ids are among those that are known, which ascend."""
     at = np.searchsorted(known, ids)
     there = at < len(known)
     there[there] = known[at[there]] == ids[there]
@@ -246,14 +246,14 @@ def _among(ids: Numbers, known: Numbers) -> NDArray[np.bool_]:
 
 
 def _members(rows: Rows, row: int) -> Numbers:
-    """Ids of the ways that are members of a relation."""
+    """Return the ids of the ways that are members of a relation."""
     _, (starts, ids), (_, kinds) = rows.lists
     mine = slice(starts[row], starts[row + 1])
     return ids[mine][kinds[mine] == WAY]
 
 
 def _tags(block: Block, rows: Rows, hits: Numbers) -> list[dict[str, str]]:
-    """Tags of some rows; those of the same ones share them."""
+    """Return the tags of some rows; those of the same ones share them."""
     starts, at = spans(rows.tag_starts, hits)
     pairs = rows.tags[at].astype("<i4")
     data, strings = pairs.tobytes(), block.strings
@@ -271,7 +271,7 @@ def _tags(block: Block, rows: Rows, hits: Numbers) -> list[dict[str, str]]:
 
 
 def _joined(tables: list[OsmColumns]) -> OsmColumns:
-    """NodeIndex and ways of a block, which may hold both."""
+    """Return the nodeIndex and ways of a block, which may hold both."""
     lengths = [
         [np.diff(getattr(t, name)) for t in tables] for name in ("part_starts", "point_starts")
     ]
@@ -286,7 +286,7 @@ def _like(kind: NDArray[np.uint8], value: int) -> NDArray[np.uint8]:
 
 
 def _rings(wkb: bytes) -> list[NDArray[np.float64]]:
-    """Rings, outer and inner alike, of a little-endian WKB multipolygon."""
+    """Return the rings, outer and inner alike, of a little-endian WKB multipolygon."""
     rings, at = [], 9
     (polygons,) = struct.unpack_from("<I", wkb, 5)
     for _ in range(polygons):

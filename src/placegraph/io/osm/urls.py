@@ -44,12 +44,12 @@ SMALL = 64 << 20
 
 
 def is_url(place: object) -> bool:
-    """Whether a place is no path of this machine."""
+    """Return whether a place is no path of this machine."""
     return "://" in str(place)
 
 
 def name_of(place: str | PathLike[str]) -> str:
-    """Name of a file: of a URL without what it is asked with, as that may be a key."""
+    """Return the name of a file: of a URL without what it is asked with, as that may be a key."""
     if not is_url(place):
         return Path(place).name
     parts = urlsplit(str(place))
@@ -57,7 +57,7 @@ def name_of(place: str | PathLike[str]) -> str:
 
 
 def of_osm(url: str) -> bool:
-    """Whether a URL is of an OpenStreetMap file, by its name."""
+    """Return whether a URL is of an OpenStreetMap file, by its name."""
     return name_of(url).lower().endswith(SUFFIXES)
 
 
@@ -70,7 +70,7 @@ def is_large(extract: str | PathLike[str]) -> bool:
 
 
 def system_of(url: str) -> tuple[Any, str]:
-    """File system, as of fsspec, of a URL, and the path in it.
+    """Return the file system, as of fsspec, of a URL, and the path in it.
 
     Raises
     ------
@@ -101,7 +101,7 @@ def system_of(url: str) -> tuple[Any, str]:
 
 
 def size_of(url: str) -> int | None:
-    """Bytes of an OpenStreetMap file at a URL; None where its server does not say.
+    """Return the bytes of an OpenStreetMap file at a URL; None where its server does not say.
 
     Raises
     ------
@@ -203,7 +203,7 @@ def on_disk(path: Any, out: Path, progress: Progress | None = None) -> Iterator[
 
 
 def _told(url: str, system: Any, root: str) -> dict[str, Any]:  # noqa: ANN401  # fsspec has no types
-    """What file systems tell of a file: its size, and by what a change is seen."""
+    """Return what file systems tell of a file: its size, and by what a change is seen."""
     if not of_osm(url):
         raise InputError(
             f"{url} has an unknown ending; OpenStreetMap files end in {', '.join(SUFFIXES)}."
@@ -243,14 +243,14 @@ def _read(
 
 
 def is_missing(error: Exception) -> bool:
-    """Whether a file is not there; fsspec says so of servers that do not answer, too."""
+    """Return whether a file is not there; fsspec says so of servers that do not answer, too."""
     cause = error.__cause__ or error
     gone = isinstance(cause, LookupError | FileNotFoundError)
     return isinstance(error, FileNotFoundError) and (gone or getattr(cause, "status", None) == 404)
 
 
 def _failure(url: str, error: Exception) -> InputError | ServiceError:
-    """What went wrong with a file."""
+    """Return what went wrong with a file."""
     if is_missing(error):
         return InputError(f"{url} is not there; check the address.")
     cause = error.__cause__ or error

@@ -33,7 +33,7 @@ _UNIT = 1000.0
 
 
 def is_arkit_scenes(path: Path) -> bool:
-    """Whether a folder, or its only subfolder `*_frames`, holds `lowres_wide.traj`."""
+    """Return whether a folder, or its only subfolder `*_frames`, holds `lowres_wide.traj`."""
     return (_frames(path) / "lowres_wide.traj").is_file()
 
 
@@ -78,7 +78,7 @@ def read_arkit_scenes(path: Path) -> Capture:
 
 
 def _frames(path: Path) -> Path:
-    """Folder of the sequence itself."""
+    """Return the folder of the sequence itself."""
     if not path.is_dir() or (path / "lowres_wide.traj").is_file():
         return path
     below = list(path.glob("*_frames"))
@@ -86,7 +86,7 @@ def _frames(path: Path) -> Path:
 
 
 def _stamped(folder: Path, endings: tuple[str, ...]) -> list[tuple[float, Path]]:
-    """Stamps and files VIDEO_STAMP of a folder."""
+    """Return the stamps and files VIDEO_STAMP of a folder."""
     found = []
     for stem, file in images_of(folder, endings).items():
         try:
@@ -100,7 +100,7 @@ def _stamped(folder: Path, endings: tuple[str, ...]) -> list[tuple[float, Path]]
 
 
 def _trajectory(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Stamps (T,) [s] and world_from_camera (T, 4, 4) [m]."""
+    """Return the stamps (T,) [s] and world_from_camera (T, 4, 4) [m]."""
     table = read_table(path, ("stamp", "rx", "ry", "rz", "tx", "ty", "tz"))
     rotation = rotation_from_vector(table.values[:, 1:4])
     poses = np.tile(np.eye(4), (len(rotation), 1, 1))

@@ -81,7 +81,7 @@ class ColmapModel:
 
 
 def model_folder(path: Path) -> Path | None:
-    """Folder of the model: `sparse/0`, `sparse` or the path itself; None: there is none."""
+    """Return the folder of the model: `sparse/0`, `sparse` or the path itself; None: there is none."""
     for folder in (path / "sparse" / "0", path / "sparse", path):
         if _ending(folder):
             return folder
@@ -107,7 +107,7 @@ def read_model(folder: Path) -> ColmapModel:
 
 
 def read_depth_map(path: Path) -> NDArray[np.float32]:
-    """Depth (h, w) float32 in the model's unit, NaN: none, of `stereo/depth_maps/*.bin`."""
+    """Return the depth (h, w) float32 in the model's unit, NaN: none, of `stereo/depth_maps/*.bin`."""
     data = _bytes(path)
     head = re.match(rb"([0-9]{1,9})&([0-9]{1,9})&([0-9]{1,9})&", data)
     if not head:
@@ -125,7 +125,7 @@ def read_depth_map(path: Path) -> NDArray[np.float32]:
 
 
 def _ending(folder: Path) -> str | None:
-    """Ending of a model's files; None: it is none."""
+    """Return the ending of a model's files; None: it is none."""
     for ending in (".bin", ".txt"):
         if all((folder / f"{name}{ending}").is_file() for name in ("cameras", "images")):
             return ending
@@ -133,7 +133,7 @@ def _ending(folder: Path) -> str | None:
 
 
 def model_camera(where: str, model: str, size: tuple[int, int], values: list[float]) -> Camera:
-    """Camera of a COLMAP model's name and parameters; `InputError` where it is no pinhole."""
+    """Return the camera of a COLMAP model's name and parameters; `InputError` where it is no pinhole."""
     if len(values) != _PARAMETERS.get(model, -1):
         raise InputError(f"{where}: no camera model {model!r} has {len(values)} parameters.")
     if model in {*_RADIAL, *_RADIAL_FISHEYE, "SIMPLE_PINHOLE"}:
@@ -154,9 +154,6 @@ def model_camera(where: str, model: str, size: tuple[int, int], values: list[flo
     return camera_of(where, size, values[:4], distortion, kind)
 
 
-# --------------------------------------------------------------------------------------- binary
-
-
 class _Reader:
     """Walks through the bytes of a file; `InputError` where they end too early."""
 
@@ -164,7 +161,7 @@ class _Reader:
         self.path, self.data, self.at = path, _bytes(path), 0
 
     def take(self, layout: str) -> tuple[Any, ...]:
-        """Numbers of a `struct` layout, little-endian."""
+        """Return the numbers of a `struct` layout, little-endian."""
         size = struct.calcsize("<" + layout)
         self.skip(size)
         return struct.unpack_from("<" + layout, self.data, self.at - size)
@@ -176,7 +173,7 @@ class _Reader:
         self.at += size
 
     def text(self) -> str:
-        """Text that ends with a zero byte."""
+        """Return the text that ends with a zero byte."""
         end = self.data.find(b"\0", self.at)
         if end < 0:
             raise InputError(f"{self.path} ends too early; it is truncated: copy it again.")
@@ -185,7 +182,7 @@ class _Reader:
         return text
 
     def rows(self, count: int, dtype: np.dtype[Any]) -> NDArray[Any]:
-        """Rows of a table."""
+        """Return the rows of a table."""
         self.skip(count * dtype.itemsize)
         return np.frombuffer(self.data, dtype, count, self.at - count * dtype.itemsize)
 
@@ -218,9 +215,6 @@ def _binary_points(path: Path) -> Iterator[tuple[int, NDArray[np.float64]]]:
         number, x, y, z, *_, track = reader.take("Q3d3BdQ")
         reader.skip(track * _TRACK)
         yield number, np.array([x, y, z])
-
-
-# ----------------------------------------------------------------------------------------- text
 
 
 def _text_cameras(path: Path) -> Iterator[tuple[int, Camera]]:
@@ -274,7 +268,7 @@ def _picture(
 
 
 def _lines(path: Path, *, blank: bool = False) -> Iterator[tuple[str, list[str]]]:
-    """Words of every line that is no comment, and where it stands."""
+    """Yield the words of every line that is no comment, and where it stands."""
     for number, line in enumerate(read_text(path).splitlines(), 1):
         words = line.split()
         if not line.startswith("#") and (words or blank):
@@ -316,7 +310,7 @@ class _View(NamedTuple):
 
 
 def is_colmap(path: Path) -> bool:
-    """Whether a folder has a model in `sparse/0`, in `sparse` or in itself."""
+    """Return whether a folder has a model in `sparse/0`, in `sparse` or in itself."""
     return model_folder(path) is not None
 
 
@@ -368,7 +362,7 @@ def read_colmap(path: Path, *, scale: float | None = None, up: ArrayLike | None 
 
 
 def _views(path: Path, model: ColmapModel, left_out: Counter[str]) -> list[_View]:
-    """Images with colour and depth, in natural order of their names."""
+    """Return the images with colour and depth, in natural order of their names."""
     own = path / "stereo" / "depth_maps"
     if not (path / "depth").is_dir() and not own.is_dir():
         raise InputError(
@@ -414,19 +408,16 @@ def _depth_size(path: Path) -> tuple[int, int]:
 
 
 def _own_depth(path: Path, camera: Camera, metres: float) -> NDArray[np.float32]:
-    """Depth (h, w) [m] of COLMAP's own, whose unit is the model's."""
+    """Return the depth (h, w) [m] of COLMAP's own, whose unit is the model's."""
     depth = read_depth_map(path)
     check_shape(depth, camera, path)
     return np.asarray(depth * np.float32(metres))
 
 
-# ---------------------------------------------------------------------------------------- scale
-
-
 def _scale(
     model: ColmapModel, views: list[_View], given: float | None, *, own: bool
 ) -> tuple[float, str]:
-    """Metres in a unit of the model, and a sentence that says whence."""
+    """Return the metres in a unit of the model, and a sentence that says whence."""
     if given is not None:
         return given, f"A unit of the COLMAP model is {given:g} m, as was given."
     if own:
@@ -450,7 +441,7 @@ def _scale(
 
 
 def _ratios(model: ColmapModel, view: _View) -> NDArray[np.float64]:
-    """Measured depth over that of sparse points (n,) [m a unit of the model] in an image."""
+    """Return the measured depth over that of sparse points (n,) [m a unit of the model] in an image."""
     seen = [(uv, model.points[int(i)]) for uv, i in
             zip(view.picture.uv, view.picture.points, strict=True) if int(i) in model.points]  # fmt: skip
     if not seen:
@@ -468,13 +459,10 @@ def _ratios(model: ColmapModel, view: _View) -> NDArray[np.float64]:
     return ratios[np.isfinite(ratios)]
 
 
-# ------------------------------------------------------------------------------------------- up
-
-
 def _upright(
     views: list[_View], given: ArrayLike | None, *, own: bool
 ) -> tuple[NDArray[np.float64], str]:
-    """Rotation (4, 4), map_from_model, that stands the model upright, and a sentence on it."""
+    """Return the rotation (4, 4), map_from_model, that stands the model upright, and a sentence on it."""
     turns = np.stack([v.picture.camera_from_model[:3, :3].T for v in views])
     if given is None:
         step = max(1, len(views) // _LOOKED_AT)

@@ -45,7 +45,7 @@ _MOST = 1 << 24  # pixels of a frame
 
 
 def is_multiscan(path: Path) -> bool:
-    """Whether a folder has an `X.jsonl` and an `X.mp4`."""
+    """Return whether a folder has an `X.jsonl` and an `X.mp4`."""
     return path.is_dir() and _name(path) is not None
 
 
@@ -116,7 +116,7 @@ def _size(path: Path, stream: dict[str, Any]) -> tuple[int, int] | None:
 
 
 def _name(path: Path) -> str | None:
-    """Name that the files of a recording share."""
+    """Return the name that the files of a recording share."""
     held = (p.stem for p in path.glob("*.jsonl") if p.with_suffix(".mp4").is_file())
     return min(held, default=None)
 
@@ -198,7 +198,7 @@ class Deflated:
         return Deflated, (self.path, self.size)
 
     def read(self, number: int) -> bytes:
-        """Bytes of a frame; `InputError` where the stream ends before it or is damaged."""
+        """Return the bytes of a frame; `InputError` where the stream ends before it or is damaged."""
         with self._lock:
             nearest = max(n for n in self._marks if n <= number)
             if not nearest <= self._number <= number:

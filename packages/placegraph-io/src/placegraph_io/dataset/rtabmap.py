@@ -50,7 +50,7 @@ class Calibration(NamedTuple):
     """Whose images stand side by side in the node's image."""
 
     def camera(self, size: tuple[int, int], name: str) -> Camera:
-        """Camera of images of this size, where the calibration has none of its own."""
+        """Return the camera of images of this size, where the calibration has none of its own."""
         fx, fy, cx, cy = self.intrinsics
         return camera_of(
             name, size if self.size == (0, 0) else self.size, (fx, fy, cx + 0.5, cy + 0.5)
@@ -58,7 +58,7 @@ class Calibration(NamedTuple):
 
 
 def matrix(data: bytes, name: str) -> NDArray[Any]:
-    """Matrix of packed data; `InputError`, which begins with `name`, where it makes none."""
+    """Return the matrix of packed data; `InputError`, which begins with `name`, where it makes none."""
     rows, columns, kind = (
         np.frombuffer(data[-12:], "<i4").tolist() if len(data) > 12 else (0, 0, -1)
     )
@@ -116,7 +116,7 @@ def _serialized(data: bytes, name: str) -> Calibration:
 
 
 def _model(data: bytes, head: list[int], ends: list[int], name: str) -> Calibration:
-    """The camera that RTAB-Map projects with: of its images as they were rectified (P), else K."""
+    """Return the camera that RTAB-Map projects with: of its images as they were rectified (P), else K."""
     k, p, local = (data[ends[i] : ends[i + 1]] for i in (0, 3, 4))
     used, columns = (p, 4) if len(p) == 96 else (k, 3)
     if len(used) != 24 * columns or len(local) not in {0, 48}:
@@ -151,7 +151,7 @@ def _broken(name: str) -> InputError:
 
 
 def depth_image(data: bytes, name: str) -> NDArray[np.float32]:
-    """Depth (h, w) float32 [m], NaN: no reading; `InputError`, which begins with `name`."""
+    """Return the depth (h, w) float32 [m], NaN: no reading; `InputError`, which begins with `name`."""
     inverse = data.startswith(_INVERSE) and len(data) > 16
     head = np.frombuffer(data[8:16], "<f4") if inverse else None
     units = _units(data if head is None else data[16:], name)
@@ -167,7 +167,7 @@ def depth_image(data: bytes, name: str) -> NDArray[np.float32]:
 
 
 def _units(data: bytes, name: str) -> NDArray[Any]:
-    """Pixels (h, w): whole numbers, or float32."""
+    """Return the pixels (h, w): whole numbers, or float32."""
     if data.startswith(_RVL):
         return rvl_image(data[len(_RVL) :], name)
     with opened(io.BytesIO(data), name) as image:
@@ -186,7 +186,7 @@ _COLUMNS = "n.id, n.map_id, n.stamp, n.pose, length(d.image), length(d.depth), d
 
 
 def is_rtabmap(path: Path) -> bool:
-    """Whether a path is a `.db` file."""
+    """Return whether a path is a `.db` file."""
     return path.suffix.lower() == ".db" and path.is_file()
 
 
@@ -245,7 +245,7 @@ def _version(base: Database) -> tuple[int, ...]:
 
 
 def _optimized(base: Database) -> tuple[dict[int, NDArray[np.float64]], tuple[str, ...]]:
-    """world_from_base (3, 4) by node, as optimized last; empty where they were not saved."""
+    """Return world_from_base (3, 4) by node, as optimized last; empty where they were not saved."""
     if not {"opt_ids", "opt_poses"} <= base.columns("Admin"):
         return {}, ()
     row = base.select("opt_ids, opt_poses", "Admin", "WHERE length(opt_poses) > 0").fetchone()

@@ -49,12 +49,12 @@ class Annotation:
 
 
 def first_of(folder: Path, names: tuple[str, ...]) -> Path | None:
-    """The first of these files that a folder holds."""
+    """Return the first of these files that a folder holds."""
     return next((folder / name for name in names if (folder / name).is_file()), None)
 
 
 def around(folder: Path, names: tuple[str, ...], given: Path | None = None) -> Iterator[Path]:
-    """Files of these names that are given, or in the scan's folder, its parents, or beside them."""
+    """Yield the files of these names that are given, or in the scan's folder, its parents, or beside them."""
     if given is not None:
         places = [given]
     else:
@@ -65,7 +65,7 @@ def around(folder: Path, names: tuple[str, ...], given: Path | None = None) -> I
 
 
 def read_annotation(folder: Path, given: Path | None, left_out: Counter[str]) -> Annotation:
-    """Objects of `semseg.v2.json` and 3DSSG's `objects.json`, and 3DSSG's relations, of one scan.
+    """Return the objects of `semseg.v2.json` and 3DSSG's `objects.json`, and 3DSSG's relations, of one scan.
 
     `given` is the folder of 3DSSG's files, if they are not around the scan's. What there is not is
     counted; raises `InputError` where no file names the objects, or one is damaged.
@@ -94,7 +94,7 @@ def read_annotation(folder: Path, given: Path | None, left_out: Counter[str]) ->
 
 
 def segment_objects(segments: Path, groups: Path) -> list[int]:
-    """Id of the object of each vertex, -1: none, by over-segmentation and its groups."""
+    """Return the id of the object of each vertex, -1: none, by over-segmentation and its groups."""
     content, named = read_json(segments), read_json(groups)
     listed = content.get("segIndices") if isinstance(content, dict) else None
     members = named.get("segGroups") if isinstance(named, dict) else None
@@ -124,7 +124,7 @@ def _objects(path: Path, scan: str) -> dict[str, LabelEntry]:
 
 
 def _attributes(listed: dict[str, Any]) -> dict[str, str]:
-    """Attributes as 3DSSG names them (color, material, ...), and what the object affords."""
+    """Return the attributes as 3DSSG names them (color, material, ...), and what the object affords."""
     said = listed.get("attributes")
     values = dict(said) if isinstance(said, dict) else {}
     if listed.get("affordances"):
@@ -155,7 +155,7 @@ def _relations(path: Path, scan: str) -> set[tuple[str, str, str]]:
 
 
 def _of_scan(path: Path, scan: str) -> list[dict[str, Any]]:
-    """Entries of a scan in a file on all of them: cut out, as the whole would take seconds."""
+    """Return the entries of a scan in a file on all of them: cut out, as the whole would take seconds."""
     try:
         text = regular(path).read_bytes()
     except OSError as error:
@@ -173,7 +173,7 @@ def _of_scan(path: Path, scan: str) -> list[dict[str, Any]]:
 
 
 def _around(text: bytes, at: int) -> tuple[int, int]:
-    """Where the object of a JSON file begins and ends that a place is in; ValueError: nowhere."""
+    """Return where the object of a JSON file begins and ends that a place is in; ValueError: nowhere."""
     ends = []
     for step, opening, closing in ((-1, b"{", b"}"), (1, b"}", b"{")):
         depth, place = 1, at
@@ -261,15 +261,15 @@ class Rooms:
         return {scan.id: (room, scan) for room in self.rooms for scan in room.scans}
 
     def room_of(self, scan: str) -> Room:
-        """Room that a scan shows; `InputError` where the file does not know the scan."""
+        """Return the room that a scan shows; `InputError` where the file does not know the scan."""
         return self._place(scan)[0]
 
     def scan(self, scan: str) -> Scan:
-        """Scan by its id; `InputError` where the file does not know it."""
+        """Return the scan by its id; `InputError` where the file does not know it."""
         return self._place(scan)[1]
 
     def reference_from(self, scan: str) -> NDArray[np.float64]:
-        """(4, 4) reference_from_scan [m]; `InputError` where the file does not say it."""
+        """Return (4, 4) reference_from_scan [m]; `InputError` where the file does not say it."""
         found = self.scan(scan).reference_from_scan
         if found is None:
             raise InputError(
@@ -368,7 +368,7 @@ def _matrix(path: Path, numbers: object, where: str) -> NDArray[np.float64]:
 
 
 def _room_ids(listed: object) -> tuple[str, ...]:
-    """Ids of a list of numbers, or of objects with `instance_reference`."""
+    """Return the ids of a list of numbers, or of objects with `instance_reference`."""
     ids = [
         entry.get("instance_reference") if isinstance(entry, dict) else entry
         for entry in (listed if isinstance(listed, list) else [])
@@ -390,7 +390,7 @@ _SAME = 1e-3
 
 
 def is_scan3r(path: Path) -> bool:
-    """Whether a path is a folder with one of 3RScan's meshes and one of its files of labels."""
+    """Return whether a path is a folder with one of 3RScan's meshes and one of its files of labels."""
     try:
         return first_of(path, MESHES + LABELLED) is not None and (
             first_of(path, LABELLED + GROUPS) is not None
@@ -462,7 +462,7 @@ def _rooms_file(folder: Path, given: str | PathLike[str] | None) -> Path:
 
 
 def _labelled(folder: Path, annotation: Annotation, left_out: Counter[str]) -> Model:
-    """Model with things, and relations between them."""
+    """Return the model with things, and relations between them."""
     mesh, labelled = first_of(folder, MESHES), first_of(folder, LABELLED)
     if mesh is not None:
         model = read_obj(mesh, groups="usemtl")
@@ -490,7 +490,7 @@ def _labelled(folder: Path, annotation: Annotation, left_out: Counter[str]) -> M
 def _ids(
     folder: Path, model: Model, labelled: Path | None, left_out: Counter[str]
 ) -> NDArray[np.int64]:
-    """Id of the object of each vertex of the textured mesh, -1: none."""
+    """Return the id of the object of each vertex of the textured mesh, -1: none."""
     if labelled is not None:
         return _ids_of_mesh(model, labelled, left_out)
     segments, groups = first_of(folder, SEGMENTS), first_of(folder, GROUPS)
@@ -536,7 +536,7 @@ def _ids_of_mesh(model: Model, path: Path, left_out: Counter[str]) -> NDArray[np
 
 
 def _placed(model: Model, rooms: Rooms, scan: str, *, undo_moves: bool) -> Model:
-    """Model in the axes of its room's reference."""
+    """Return the model in the axes of its room's reference."""
     vertices = _moved(model.vertices, rooms.reference_from(scan))
     model = replace(model, vertices=vertices)
     if not undo_moves:

@@ -42,7 +42,7 @@ _PGM = re.compile(rb"P5\s(?:#[^\n]*\n|\s)*(\d{1,9})\s+(\d{1,9})\s+(\d{1,9})\s")
 
 
 def is_scan3r_sequence(path: Path) -> bool:
-    """Whether a path is a `sequence/`, a `sequence.zip`, or a folder with one of them."""
+    """Return whether a path is a `sequence/`, a `sequence.zip`, or a folder with one of them."""
     try:
         if path.is_file():
             return path.name.lower() == "sequence.zip" and zipfile.is_zipfile(path)
@@ -109,7 +109,7 @@ def read_scan3r_sequence(path: str | PathLike[str], *, rotate: bool = True) -> C
 def _used(
     files: _Files, info: _Info, left_out: Counter[str]
 ) -> list[tuple[int, str, NDArray[np.float64]]]:
-    """Number, digits and pose of the frames that have one; `InputError` where none has."""
+    """Return the number, digits and pose of the frames that have one; `InputError` where none has."""
     there = {int(m[1]): m[1] for name in files.names if (m := _FRAME.fullmatch(name))}
     numbers = sorted(there.items())
     found = []
@@ -186,7 +186,7 @@ class _Info:
 
 
 def _pose(files: _Files, digits: str, left_out: Counter[str]) -> NDArray[np.float64] | None:
-    """(4, 4) scan_from_camera [m] of a frame, or None, counted, where it cannot be used."""
+    """Return (4, 4) scan_from_camera [m] of a frame, or None, counted, where it cannot be used."""
     names = files.names
     if f"frame-{digits}.color.jpg" not in names:
         left_out["frames without a colour image"] += 1
@@ -223,7 +223,7 @@ def _metres(files: _Files, name: str, camera: Camera, per_metre: float) -> NDArr
 
 
 def read_pgm(data: bytes, name: str) -> NDArray[np.uint16]:
-    """Grey values (h, w) of a binary PGM of 8 or 16 bits, as they stand there.
+    """Return the grey values (h, w) of a binary PGM of 8 or 16 bits, as they stand there.
 
     Pillow scales the values of those whose maximum is not the largest of their type: no depth.
     `InputError` about `name` where it is none, or truncated.
@@ -241,9 +241,6 @@ def read_pgm(data: bytes, name: str) -> NDArray[np.uint16]:
         )
     pixels = np.frombuffer(data, kind, width * height, head.end())
     return pixels.reshape(height, width).astype(np.uint16)
-
-
-# ---------------------------------------------------------------------------------------- files
 
 
 class _Files(Protocol):

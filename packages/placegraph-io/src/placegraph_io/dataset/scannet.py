@@ -45,7 +45,7 @@ class Scan:
 
 
 def scan_names(folder: Path) -> list[str]:
-    """Names of the scans whose meshes or annotations lie in a folder; none where it is none."""
+    """Return the names of the scans whose meshes or annotations lie in a folder; none where it is none."""
     try:
         files = [path.name for path in folder.iterdir()]
     except (OSError, ValueError):
@@ -55,7 +55,7 @@ def scan_names(folder: Path) -> list[str]:
 
 
 def find_scan(path: Path) -> Scan:
-    """Scan of a folder; `InputError` where it holds several, none of which is called as it is."""
+    """Return the scan of a folder; `InputError` where it holds several, none of which is called as it is."""
     names = scan_names(path)
     own = path.absolute().name
     if len(names) > 1 and own not in names:
@@ -66,7 +66,7 @@ def find_scan(path: Path) -> Scan:
 
 
 def axis_alignment(path: str | PathLike[str]) -> NDArray[np.float64]:
-    """Rigid transform (4, 4) map_from_scan [m] that `<scan>.txt` of a scan's folder says.
+    """Return the rigid transform (4, 4) map_from_scan [m] that `<scan>.txt` of a scan's folder says.
 
     It stands the scan's walls along x and y and its floor at z = 0; the meshes and poses of ScanNet
     come without it. The identity where there is no such file, or no such line: ScanNet's test scans
@@ -97,7 +97,7 @@ def alignment_of(scan: Scan) -> NDArray[np.float64]:
 
 
 def read_meta(path: Path) -> dict[str, str]:
-    """Lines `key = value` of a `<scan>.txt`; empty where there is no such file."""
+    """Return the lines `key = value` of a `<scan>.txt`; empty where there is no such file."""
     if not path.is_file():
         return {}
     pairs = (line.partition("=") for line in read_text(path).splitlines())
@@ -105,7 +105,7 @@ def read_meta(path: Path) -> dict[str, str]:
 
 
 def read_matrix(path: Path) -> NDArray[np.float64]:
-    """4 x 4 numbers of a text file, infinite ones included; `InputError` where they are not that."""
+    """Return 4 x 4 numbers of a text file, infinite ones included; `InputError` where they are not that."""
     matrix = _matrix(read_text(path))
     if matrix is None:
         raise InputError(f"{path} does not hold 4 x 4 numbers; export it again.")
@@ -113,7 +113,7 @@ def read_matrix(path: Path) -> NDArray[np.float64]:
 
 
 def is_rigid(matrix: NDArray[np.float64], tolerance: float = _RIGID) -> bool:
-    """Whether a matrix (4, 4) is a rotation and a translation."""
+    """Return whether a matrix (4, 4) is a rotation and a translation."""
     if not np.isfinite(matrix).all() or np.abs(matrix).max() > 1e6:
         return False
     r = matrix[:3, :3]
@@ -127,7 +127,7 @@ def camera_of_matrix(
     size: tuple[int, int],
     said: tuple[int, int] | None = None,
 ) -> Camera:
-    """Camera of images of this width and height [px] by ScanNet's 4 x 4 intrinsics.
+    """Return the camera of images of this width and height [px] by ScanNet's 4 x 4 intrinsics.
 
     ScanNet puts the centre of the first pixel at (0, 0), we at (0.5, 0.5). Where the intrinsics are
     `said` to be of another size, they are brought to the images'. `InputError` about `name` where
@@ -147,9 +147,6 @@ def camera_of_matrix(
     return camera
 
 
-# ------------------------------------------------------------------------------------ labels
-
-
 @dataclass(frozen=True, slots=True)
 class LabelMap:
     """ScanNet's table of labels, in one of its columns."""
@@ -162,7 +159,7 @@ class LabelMap:
 
 
 def find_table(folder: Path) -> Path | None:
-    """ScanNet's label table in a scan's folder or one of the two above it."""
+    """Return ScanNet's label table in a scan's folder or one of the two above it."""
     around = (folder, *folder.absolute().parents[:2])
     return next((at / name for at in around for name in TABLES if (at / name).is_file()), None)
 
@@ -212,7 +209,7 @@ class Group:
 
 
 def read_aggregation(path: Path) -> list[Group]:
-    """Objects of an `.aggregation.json`; `InputError` where it is missing or not that."""
+    """Return the objects of an `.aggregation.json`; `InputError` where it is missing or not that."""
     content = read_json(path)
     listed = content.get("segGroups") if isinstance(content, dict) else None
     if not isinstance(listed, list):
@@ -237,7 +234,7 @@ def _group(path: Path, row: int, entry: object) -> Group:
 
 
 def read_text(path: Path) -> str:
-    """Text of a file in any encoding; `InputError` where it cannot be read."""
+    """Return the text of a file in any encoding; `InputError` where it cannot be read."""
     try:
         return regular(path).read_bytes().decode("utf-8-sig", errors="replace")
     except FileNotFoundError as error:
@@ -273,7 +270,7 @@ class LabelImages:
     """Why label images are not used."""
 
     def reader(self, index: int) -> Callable[[], NDArray[np.int32]] | None:
-        """Function that reads a frame's label image; None where it has none."""
+        """Return the function that reads a frame's label image; None where it has none."""
         if self.camera is None or index not in self.files:
             return None
         offset = 1 if self.kind == "instances" else 0
@@ -287,7 +284,7 @@ def find_labels(
     *,
     label_column: str | None = None,
 ) -> LabelImages:
-    """Label images that lie in a scan's folder; "auto" takes instances, else labels, else none.
+    """Return the label images that lie in a scan's folder; "auto" takes instances, else labels, else none.
 
     They show what the colour images show, whose camera is given. Names of labels are those of a
     column of ScanNet's table, the raw categories if none is given.
@@ -331,7 +328,7 @@ def find_labels(
 def _meanings(
     folder: Path, kind: LabelKind, column: str | None
 ) -> tuple[dict[int, str], LabelMeanings | None]:
-    """Names by id, and what ids mean."""
+    """Return the names by id, and what ids mean."""
     table = find_table(folder)
     labels = read_label_map(table, column or "raw_category") if table else None
     if kind == "instances":
@@ -350,7 +347,7 @@ def _meanings(
 
 
 def numbered(folder: Path, endings: tuple[str, ...]) -> dict[int, Path]:
-    """Files of a folder whose stem is a number, by it; `InputError` where two have the same."""
+    """Return the files of a folder whose stem is a number, by it; `InputError` where two have the same."""
     try:
         files = sorted(folder.iterdir()) if folder.is_dir() else []
     except OSError as error:
@@ -474,7 +471,7 @@ class _Files:
 
 
 def _annotated(scan: Scan, mesh: Path | None) -> _Files | None:
-    """First complete set of files, that of a given mesh; None where only classes are known."""
+    """Return the first complete set of files, that of a given mesh; None where only classes are known."""
     sets = [_Files(*(scan.file(end) for end in ends)) for ends in ANNOTATED]
     if mesh is not None:
         sets = [files for files in sets if files.mesh.name == mesh.name]
@@ -508,11 +505,8 @@ def _label_map(
     return read_label_map(found, column)
 
 
-# -------------------------------------------------------------------------- objects of segments
-
-
 def _segments(files: _Files, count: int) -> NDArray[np.int64]:
-    """Segment (V,) of each vertex."""
+    """Return the segment (V,) of each vertex."""
     content = read_json(files.segments)
     listed = content.get("segIndices") if isinstance(content, dict) else None
     try:
@@ -534,7 +528,7 @@ def _segments(files: _Files, count: int) -> NDArray[np.int64]:
 def _group_of_vertex(
     files: _Files, groups: list[Group], segments: NDArray[np.int64], left_out: Counter[str]
 ) -> NDArray[np.int64]:
-    """Row of groups (V,) of each vertex, -1: none."""
+    """Return the row of groups (V,) of each vertex, -1: none."""
     row_of: dict[int, int] = {}
     for row, group in enumerate(groups):
         left_out["segments that several objects name"] += len(row_of.keys() & set(group.segments))
@@ -559,9 +553,6 @@ def _thing(group: Group, labels: LabelMap | None, left_out: Counter[str]) -> Thi
     if label is None:
         left_out["labels that the table does not map"] += 1
     return Thing(str(group.id), label or group.label, attributes={"raw_category": group.label})
-
-
-# ---------------------------------------------------------------------------- patches of a class
 
 
 def _by_class(scan: Scan) -> Model:
@@ -591,7 +582,7 @@ def _by_class(scan: Scan) -> Model:
 
 
 def patches(triangles: NDArray[np.int64], label: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Lowest vertex (V,) of the connected patch of one label (V,) that every vertex is of."""
+    """Return the lowest vertex (V,) of the connected patch of one label (V,) that every vertex is of."""
     edges = np.concatenate([triangles[:, [i, (i + 1) % 3]] for i in range(3)])
     edges = edges[label[edges[:, 0]] == label[edges[:, 1]]]
     root = np.arange(len(label))
@@ -605,13 +596,10 @@ def patches(triangles: NDArray[np.int64], label: NDArray[np.int64]) -> NDArray[n
             root = root[root]
 
 
-# ----------------------------------------------------------------------------------------- both
-
-
 def _model(
     mesh: Model, things: list[Thing], of_vertex: NDArray[np.int64], left_out: Counter[str]
 ) -> Model:
-    """Model whose triangles belong to what most of their corners do; -1 becomes "unknown"."""
+    """Return the model whose triangles belong to what most of their corners do; -1 becomes "unknown"."""
     left_out["vertices of no object"] = int((of_vertex < 0).sum())
     thing_of = majority(of_vertex[mesh.triangles])
     if (thing_of < 0).any() or not things:

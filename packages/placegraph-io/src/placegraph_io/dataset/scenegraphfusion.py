@@ -33,7 +33,7 @@ _SAME, _NONE = "same part", "none"
 
 
 def is_scenegraphfusion(path: Path) -> bool:
-    """Whether a path is a folder that SceneGraphFusion wrote to, or its `predictions.json`."""
+    """Return whether a path is a folder that SceneGraphFusion wrote to, or its `predictions.json`."""
     try:
         folder = path.parent if path.name in PREDICTIONS else path
         return all(
@@ -106,9 +106,6 @@ def _found(folder: Path, names: tuple[str, ...]) -> Path:
     return found
 
 
-# ---------------------------------------------------------------------------------------- graph
-
-
 @dataclass(frozen=True, slots=True)
 class _Graph:
     path: Path
@@ -120,14 +117,14 @@ class _Graph:
     """Smallest segment of the thing that a segment is part of."""
 
     def thing_of(self, segments: Rows) -> Rows:
-        """Number of the thing of each segment, -1: nothing was predicted of it."""
+        """Return the number of the thing of each segment, -1: nothing was predicted of it."""
         known = np.array(sorted(self.owner), np.int64)
         things = np.array([self.owner[i] for i in known.tolist()], np.int64)
         at = np.minimum(np.searchsorted(known, segments), max(len(known) - 1, 0))
         return np.where(known[at] == segments, things[at], -1) if len(known) else segments * 0 - 1
 
     def table(self) -> dict[str, LabelEntry]:
-        """Names of things, by their numbers."""
+        """Return the names of things, by their numbers."""
         parts: dict[int, list[float]] = {}
         for segment, thing in self.owner.items():
             parts.setdefault(thing, []).append(self.labels[segment][1])
@@ -139,7 +136,7 @@ class _Graph:
         }
 
     def relations(self) -> set[tuple[int, str, int]]:
-        """Relations between things."""
+        """Return the relations between things."""
         found = {
             (self.owner[a], name, self.owner[b])
             for (a, b), name in self.edges.items()
@@ -168,7 +165,7 @@ def _graph(path: Path, folder: Path) -> _Graph:
 
 
 def _of_scan(path: Path, folder: Path) -> dict[str, Any]:
-    """The graph, alone or under the name of its scan."""
+    """Return the graph, alone or under the name of its scan."""
     content = read_json(path)
     if not isinstance(content, dict):
         raise InputError(f"{path} is no graph of SceneGraphFusion: it must be a JSON object.")
@@ -196,7 +193,7 @@ def _number(text: str) -> int | None:
 
 
 def _likeliest(path: Path, said: object) -> tuple[str, float]:
-    """Likeliest name, and how likely it is, of a name, a list of names, or log-probabilities.
+    """Return the likeliest name, and how likely it is, of a name, a list of names, or log-probabilities.
 
     The program writes 0 for the logarithm of a probability of 0. So what the others leave of 1 is
     what a 0 has, if it is alone; ("", 0) where that cannot be told.
@@ -223,7 +220,7 @@ def _likeliest(path: Path, said: object) -> tuple[str, float]:
 def _merged(
     labels: dict[int, tuple[str, float]], edges: dict[tuple[int, int], str]
 ) -> dict[int, int]:
-    """Smallest segment of those that are the same part, of one label, for each segment."""
+    """Return the smallest segment of those that are the same part, of one label, for each segment."""
     owner = {segment: segment for segment in labels}
 
     def root(segment: int) -> int:
@@ -289,7 +286,7 @@ def read_surfels(path: Path, left_out: Counter[str]) -> Surfels:
 
 
 def lent(path: Path, surfels: Surfels, ids: Rows, left_out: Counter[str]) -> tuple[Model, Rows]:
-    """A mesh, and the number of the thing of each of its triangles."""
+    """Return a mesh, and the number of the thing of each of its triangles."""
     from placegraph.io.mesh.obj import is_obj, read_obj
 
     model = read_obj(path) if is_obj(path) else read_ply(path)
@@ -307,7 +304,7 @@ def lent(path: Path, surfels: Surfels, ids: Rows, left_out: Counter[str]) -> tup
 
 
 def squares(surfels: Surfels, ids: Rows) -> Model:
-    """Squares that lie as the surfels of a thing in each cube do on the whole.
+    """Return the squares that lie as the surfels of a thing in each cube do on the whole.
 
     `thing_of` holds numbers of things, not rows.
     """

@@ -103,7 +103,7 @@ class SensFrame(NamedTuple):
 
 
 def read_header(path: Path) -> SensHeader:
-    """Header of a `.sens` file.
+    """Return the header of a `.sens` file.
 
     Raises
     ------
@@ -170,7 +170,7 @@ def _check(header: SensHeader) -> None:
 
 
 def read_frames(header: SensHeader, *, partial: bool = False) -> list[SensFrame]:
-    """Table of a file's frames; 96 bytes of each are read.
+    """Return the table of a file's frames; 96 bytes of each are read.
 
     Raises
     ------
@@ -222,7 +222,7 @@ def read_colour(header: SensHeader, frame: SensFrame) -> NDArray[np.uint8]:
 
 
 def read_depth(header: SensHeader, frame: SensFrame) -> NDArray[np.float32]:
-    """Depth (h, w) float32 [m] of a frame, NaN: no reading; `InputError` where it is broken."""
+    """Return the depth (h, w) float32 [m] of a frame, NaN: no reading; `InputError` where it is broken."""
     name = f"{header.path}, depth of frame {frame.number}"
     at = frame.colour_at + frame.colour_bytes
     data = _slice(header.path, at, frame.depth_bytes, name)
@@ -280,12 +280,12 @@ _INTRINSICS = ("intrinsic/intrinsic_{}.txt", "intrinsics_{}.txt")
 
 
 def is_sens(path: Path) -> bool:
-    """Whether a path is a `.sens` file, or a folder with one of its name or with one alone."""
+    """Return whether a path is a `.sens` file, or a folder with one of its name or with one alone."""
     return _sens_of(path) is not None
 
 
 def is_scannet_export(path: Path) -> bool:
-    """Whether a path is a folder with `color/`, `pose/` and ScanNet's intrinsics."""
+    """Return whether a path is a folder with `color/`, `pose/` and ScanNet's intrinsics."""
     try:
         there = all((path / name).is_dir() for name in ("color", "pose"))
         return there and any((path / name.format("color")).is_file() for name in _INTRINSICS)
@@ -366,7 +366,7 @@ def read_sens(
 
 
 def _stamps(entries: Sequence[SensFrame], notes: list[str]) -> NDArray[np.float64]:
-    """Seconds of frames (T,), or their numbers where seconds do not ascend, which is noted."""
+    """Return the seconds of frames (T,), or their numbers where seconds do not ascend, which is noted."""
     stamps = np.array([entry.stamp for entry in entries], np.float64) * 1e-6
     if np.any(np.diff(stamps) <= 0):
         notes.append("The file's stamps do not ascend; stamps are numbers of frames instead.")
@@ -375,7 +375,7 @@ def _stamps(entries: Sequence[SensFrame], notes: list[str]) -> NDArray[np.float6
 
 
 def _tracked(file: Path, entries: Sequence[SensFrame], counts: Counter[str]) -> list[SensFrame]:
-    """Entries with a pose and a colour image."""
+    """Return the entries with a pose and a colour image."""
     used = []
     for entry in entries:
         if not np.isfinite(entry.world_from_camera).all():
@@ -476,7 +476,7 @@ def read_scannet_export(
 
 
 def _exported_camera(path: Path, what: str, image: Path) -> Camera:
-    """Camera of the exported images that are like this one."""
+    """Return the camera of the exported images that are like this one."""
     files = [path / name.format(what) for name in _INTRINSICS]
     file = next((f for f in files if f.is_file()), None)
     if file is None:

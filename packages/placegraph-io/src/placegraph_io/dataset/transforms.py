@@ -42,7 +42,7 @@ _UNSCALED = {"colmap_im_id", "sharpness"}
 
 
 def is_transforms(path: Path) -> bool:
-    """Whether a folder has a `transforms.json`."""
+    """Return whether a folder has a `transforms.json`."""
     return (path / _FILE).is_file()
 
 
@@ -93,7 +93,7 @@ def _pose(file: Path, frame: dict[str, Any], i: int) -> NDArray[np.float64]:
 
 
 def _written_by(content: dict[str, Any]) -> int | None:
-    """The axis that is up (1: y, 2: z) for whoever writes such a file; None: it does not tell."""
+    """Return the axis that is up (1: y, 2: z) for whoever writes such a file; None: it does not tell."""
     if {"depth_integer_scale", "integer_depth_scale"} & set(content):
         return 1  # NeRFCapture
     if "orientation_override" in content or {"aabb_scale", "k1"} <= set(content):
@@ -104,7 +104,7 @@ def _written_by(content: dict[str, Any]) -> int | None:
 def _upright(
     poses: NDArray[np.float64], up: ArrayLike | None, axis: int | None, file: Path
 ) -> tuple[NDArray[np.float64], str]:
-    """Transform (4, 4) to z up, and how up was found: as given, as written, or by the cameras.
+    """Return the transform (4, 4) to z up, and how up was found: as given, as written, or by the cameras.
 
     Who turns around keeps up in one direction of the images, whatever way a telephone is held, and
     level directions in none.
@@ -131,7 +131,7 @@ def _upright(
 
 
 def _image(path: Path, frame: dict[str, Any], i: int) -> Path | None:
-    """Colour image of a frame, whose ending need not be said."""
+    """Return the colour image of a frame, whose ending need not be said."""
     said = frame.get("file_path")
     if not isinstance(said, str) or not said:
         raise InputError(f"{path / _FILE}: frames[{i}].file_path is not the name of an image.")
@@ -141,7 +141,7 @@ def _image(path: Path, frame: dict[str, Any], i: int) -> Path | None:
 
 
 def _inside(path: Path, name: str, i: int) -> Path:
-    """File by its name, which must not lead out of the folder."""
+    """Return the file by its name, which must not lead out of the folder."""
     file = path / name
     try:
         file.exists()  # a name may be longer than any

@@ -47,7 +47,7 @@ registered."""
 
 
 def is_tum_rgbd(path: Path) -> bool:
-    """Whether a folder has `rgb.txt` and `depth.txt`."""
+    """Return whether a folder has `rgb.txt` and `depth.txt`."""
     return (path / "rgb.txt").is_file() and (path / "depth.txt").is_file()
 
 
@@ -99,7 +99,7 @@ def _truth(path: Path) -> Path:
 
 
 def _cameras(path: Path) -> tuple[Camera, Camera, float, str]:
-    """Camera of colour and of depth, units of depth in a metre, and where that is said."""
+    """Return the camera of colour and of depth, units of depth in a metre, and where that is said."""
     file = path / "camera.json"
     if file.is_file():
         content = read_camera(file, depth_scale=PER_METRE)
@@ -117,7 +117,7 @@ def _cameras(path: Path) -> tuple[Camera, Camera, float, str]:
 
 
 def _listed(path: Path, name: str) -> list[tuple[float, Path]]:
-    """Stamps and files of a list, whose rows are `stamp file`."""
+    """Return the stamps and files of a list, whose rows are `stamp file`."""
     rows = []
     for number, line in enumerate(read_text(path / name).splitlines(), 1):
         words = line.partition("#")[0].split()

@@ -48,7 +48,7 @@ class _Object(NamedTuple):
 
 
 def is_conceptgraphs(path: str | PathLike[str]) -> bool:
-    """Whether a path is the folder of a run of ConceptGraphs, or its `obj_json_RUN.json`."""
+    """Return whether a path is the folder of a run of ConceptGraphs, or its `obj_json_RUN.json`."""
     path = Path(path)
     try:
         if path.is_dir():
@@ -175,7 +175,7 @@ def _relations(
 
 
 def _is_turned(folder: Path) -> bool:
-    """Whether a run's boxes are turned; so they are where it does not say."""
+    """Return whether a run's boxes are turned; so they are where it does not say."""
     for file in sorted(folder.glob("config_params*.json")):
         content = read_json(file)
         kind = content.get("spatial_sim_type") if isinstance(content, dict) else None
@@ -184,11 +184,8 @@ def _is_turned(folder: Path) -> bool:
     return True
 
 
-# --------------------------------------------------------------------------------------- shape
-
-
 def _boxes(file: Path, objects: list[_Object]) -> Model:
-    """Model whose objects are boxes along the axes."""
+    """Return the model whose objects are boxes along the axes."""
     straight = np.eye(3)
     pieces = [
         box_piece(box_corners(o.centre, o.extent, straight), i) for i, o in enumerate(objects)
@@ -204,7 +201,7 @@ def _boxes(file: Path, objects: list[_Object]) -> Model:
 
 
 def _lent(file: Path, mesh: Path, objects: list[_Object], turned: bool, up: Up) -> Model:
-    """Model of a mesh, each of whose triangles is of the smallest box that holds it."""
+    """Return the model of a mesh, each of whose triangles is of the smallest box that holds it."""
     from placegraph.io.mesh.obj import is_obj, read_obj
     from placegraph.io.mesh.ply import read_ply
 
@@ -232,7 +229,7 @@ def _lent(file: Path, mesh: Path, objects: list[_Object], turned: bool, up: Up) 
 
 
 def _within(away: Floats, extent: Floats, turned: bool) -> NDArray[np.bool_]:
-    """Which points (N, 3) from a box's centre lie in it; the way it is turned holds most of them.
+    """Return which points (N, 3) from a box's centre lie in it; the way it is turned holds most of them.
 
     A box of one size holds most of an object's surface if it lies as the object does. Objects stand
     upright: any of the three lengths is the height, and the heading is one of twelve.

@@ -56,12 +56,12 @@ class Piece:
 
     @classmethod
     def of(cls, mesh: DsgMesh, thing: int, turn: Floats, shift: Floats) -> Piece:
-        """All triangles of a mesh whose frame is turned (3, 3) and shifted (3,)."""
+        """Return all triangles of a mesh whose frame is turned (3, 3) and shifted (3,)."""
         return cls(thing, mesh.points @ turn.T + shift, mesh.faces, mesh.colours)
 
 
 def read_mesh(entry: Any) -> DsgMesh | None:  # noqa: ANN401  # JSON
-    """Mesh of a file's entry; None where there is no triangle.
+    """Return the mesh of a file's entry; None where there is no triangle.
 
     Raises KeyError, TypeError, ValueError or IndexError where the entry makes no sense.
     """
@@ -91,7 +91,7 @@ def pieces_of(
     owner: NDArray[np.int64],
     wanted: Iterable[tuple[int, int, Box | None]],
 ) -> tuple[list[Piece], list[tuple[int, Piece]]]:
-    """Share a scene's mesh out.
+    """Return the share a scene's mesh out.
 
     Parameters
     ----------
@@ -131,27 +131,27 @@ def pieces_of(
 
 
 def box_corners(centre: Floats, lengths: Floats, turn: Floats) -> Floats:
-    """(8, 3) corners of a box; corner 4 i + 2 j + k lies low or high along x, y, z by i, j, k."""
+    """Return (8, 3) corners of a box; corner 4 i + 2 j + k lies low or high along x, y, z by i, j, k."""
     signs = np.array([(i >> 2 & 1, i >> 1 & 1, i & 1) for i in range(8)]) - 0.5
     corners: Floats = (signs * lengths) @ turn.T + centre
     return corners
 
 
 def box_piece(corners: Floats, thing: int) -> Piece:
-    """Twelve triangles, seen from outside, of a box's corners (8, 3)."""
+    """Return twelve triangles, seen from outside, of a box's corners (8, 3)."""
     faces = np.array([f for a, b, c, d in _QUADS for f in ((a, b, c), (a, c, d))])
     return Piece(thing, corners, faces, np.full((8, 3), GREY, np.uint8))
 
 
 def _majority(values: NDArray[np.int64]) -> NDArray[np.int64]:
-    """(T,) what two of three corners (T, 3) say, or else the first."""
+    """Return (T,) what two of three corners (T, 3) say, or else the first."""
     a, b, c = values.T
     voted: NDArray[np.int64] = np.where(b == c, b, a)
     return voted
 
 
 def _inside(corners: Floats, box: Box) -> NDArray[np.bool_]:
-    """Whether triangles (T, 3, 3) lie within a box and its margin."""
+    """Return whether triangles (T, 3, 3) lie within a box and its margin."""
     centre, lengths, turn = box
     away = np.abs((corners - centre) @ turn) - lengths / 2
     within: NDArray[np.bool_] = away.max(axis=(1, 2), initial=-np.inf) <= MARGIN
@@ -166,7 +166,7 @@ def _cut(mesh: DsgMesh, faces: NDArray[np.bool_], thing: int) -> Piece:
 def box_of(
     entry: object, version: tuple[int, int, int]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]] | None:
-    """Centre, lengths and rotation of a box; None of an invalid one."""
+    """Return the centre, lengths and rotation of a box; None of an invalid one."""
     box: dict[str, Any] = entry if isinstance(entry, dict) else {}
     if box.get("type") in {None, "INVALID"}:
         return None
@@ -190,7 +190,7 @@ def _three(values: Any) -> NDArray[np.float64]:  # noqa: ANN401  # JSON
 
 
 def joined(pieces: list[Piece]) -> dict[str, NDArray[Any]]:
-    """Columns of a model."""
+    """Return the columns of a model."""
     starts = np.cumsum([0, *(len(p.vertices) for p in pieces)])
     faces = [p.triangles + start for p, start in zip(pieces, starts, strict=False)]
     return {
@@ -244,17 +244,17 @@ def rooms_of(content: Json, layer: int, top: int) -> dict[int, str]:
 
 
 def symbol(number: int) -> str:
-    """Name of a node by its number: O3 of an object, R0 of a room."""
+    """Return the name of a node by its number: O3 of an object, R0 of a room."""
     return f"{chr(number >> 56)}{number & (1 << 56) - 1}" if 0 < number >> 56 < 128 else str(number)
 
 
 def object_of(value: object) -> Json:
-    """The JSON object that a value is, or an empty one."""
+    """Return the JSON object that a value is, or an empty one."""
     return value if isinstance(value, dict) else {}
 
 
 def plain(attributes: Json) -> dict[str, str]:
-    """Attributes as text, those that are lists or objects left out."""
+    """Return the attributes as text, those that are lists or objects left out."""
     return {
         str(k): v if isinstance(v, str) else json.dumps(v)
         for k, v in attributes.items()
@@ -278,7 +278,7 @@ _DAMAGED = (KeyError, TypeError, ValueError, IndexError, AttributeError, Overflo
 
 
 def is_spark_dsg(path: str | PathLike[str]) -> bool:
-    """Whether a file is a scene graph as Spark-DSG writes it in JSON, or a folder of Hydra's log.
+    """Return whether a file is a scene graph as Spark-DSG writes it in JSON, or a folder of Hydra's log.
 
     Never raises.
     """
@@ -371,8 +371,6 @@ class _Reader:
             **joined(pieces),
         )
 
-    # ------------------------------------------------------------------------------- the head
-
     def _version(self) -> tuple[int, int, int]:
         header = self.content.get(HEADER)
         if header is None:
@@ -399,8 +397,6 @@ class _Reader:
         own = object_of(object_of(self.content.get("metadata")).get(OWN))
         floor = own.get("floor")
         return float(floor) if isinstance(floor, int | float) else None
-
-    # ---------------------------------------------------------------------------------- nodes
 
     def _node(
         self,
@@ -463,12 +459,10 @@ class _Reader:
                 self.left_out["edges between objects that name no relation"] += 1
         return tuple(found)
 
-    # --------------------------------------------------------------------------------- meshes
-
     def _pieces(
         self, nodes: list[_Node], scene: DsgMesh | None, names: dict[int, str]
     ) -> tuple[list[Piece], tuple[Thing, ...]]:
-        """Triangles of the things, and the things: objects first, then what no object owns."""
+        """Return the triangles of the things, and the things: objects first, then what no object owns."""
         things = [n.thing for n in nodes]
         pieces = []
         bare = []
@@ -501,7 +495,7 @@ class _Reader:
         return pieces, tuple(things)
 
     def _owners(self, count: int, nodes: list[tuple[int, _Node]]) -> NDArray[np.int64]:
-        """Row of the object that each vertex of the scene's mesh is connected with, or -1."""
+        """Return the row of the object that each vertex of the scene's mesh is connected with, or -1."""
         owner = np.full(count, -1)
         row = {node.id: i for i, node in nodes}
         for i, node in nodes:

@@ -40,7 +40,7 @@ def encode_spark_dsg(
     camera_paths: Mapping[str, NDArray[np.float64]] | None = None,
     note: Mapping[str, Any] | None = None,
 ) -> bytes:
-    """Text of a scene graph as Spark-DSG 1.1.3 saves it.
+    """Return the text of a scene graph as Spark-DSG 1.1.3 saves it.
 
     Each thing becomes an object with its box, the vertices of the mesh that are its own, and its
     label's number in the layer's label space; its id, name and attributes stand in its metadata.
@@ -97,7 +97,7 @@ def encode_spark_dsg(
 
 
 def node_number(prefix: str, row: int) -> int:
-    """Number of a node, of a layer's letter and a row."""
+    """Return the number of a node, of a layer's letter and a row."""
     return ord(prefix) << 56 | row
 
 
@@ -113,7 +113,7 @@ def _key(layer: int, partition: int = 0) -> Json:
 def _owned(
     model: Model,
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Mesh in which no two things share a vertex.
+    """Return the mesh in which no two things share a vertex.
 
     Returns vertices (W, 3), triangles (T, 3), and for each vertex its thing (W,) and the row it
     had (W,).
@@ -128,7 +128,7 @@ def _owned(
 def _boxes(
     corners: NDArray[np.float64], owner: NDArray[np.int64], count: int
 ) -> NDArray[np.float64]:
-    """(N, 2, 3) lowest and highest corner of each thing's vertices [m]; 0 where it has none."""
+    """Return (N, 2, 3) lowest and highest corner of each thing's vertices [m]; 0 where it has none."""
     boxes = np.zeros((count, 2, 3))
     rows, starts = np.unique(owner, return_index=True)
     if rows.size:
@@ -140,7 +140,7 @@ def _boxes(
 def _semantic(
     name: str, box: NDArray[np.float64], label: int, colour: tuple[int, ...], own: Json, kind: str
 ) -> Json:
-    """Attributes that objects and rooms share; of a thing without extent the box is invalid."""
+    """Return the attributes that objects and rooms share; of a thing without extent the box is invalid."""
     middle = np.round(box.mean(axis=0), _DECIMALS).tolist()
     lengths = np.round(box[1] - box[0], _DECIMALS).tolist()
     identity = {"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0}
@@ -185,7 +185,7 @@ def _object(
 
 
 def _rooms(rooms: Sequence[str], boxes: NDArray[np.float64]) -> tuple[list[Json], list[Json]]:
-    """A node for each room, and an edge to each of its things."""
+    """Return a node for each room, and an edge to each of its things."""
     nodes, edges = [], []
     for k, name in enumerate(dict.fromkeys(rooms)):
         members = [i for i, room in enumerate(rooms) if room == name]
@@ -198,7 +198,7 @@ def _rooms(rooms: Sequence[str], boxes: NDArray[np.float64]) -> tuple[list[Json]
 
 
 def _relations(model: Model) -> list[Json]:
-    """An edge for each pair of things that are related: the format knows one of a pair alone."""
+    """Return an edge for each pair of things that are related: the format knows one of a pair alone."""
     said: dict[tuple[int, int], list[list[str]]] = {}
     for a, relation, b in model.relations:
         if a != b:
@@ -216,7 +216,7 @@ def _edge(source: int, target: int, metadata: Json | None = None) -> Json:
 
 
 def _agents(paths: Mapping[str, NDArray[np.float64]]) -> tuple[list[Json], list[Json]]:
-    """A chain of nodes for each path, in a partition of its own."""
+    """Return a chain of nodes for each path, in a partition of its own."""
     nodes, edges = [], []
     for k, (name, poses) in enumerate(paths.items()):
         partition = AGENT + k

@@ -27,7 +27,7 @@ from placegraph_io.ros.topics import Plan, plan_of, read_topic_choice
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a path bears the name of a bag."""
+    """Return whether a path bears the name of a bag."""
     return looks_like_bag(path)
 
 
@@ -44,7 +44,7 @@ def read_bag(
 
 
 def capture_from(plan: Plan, poses: Path | None = None) -> Capture:
-    """Capture of what was found in a bag; `poses` and errors as of `read_bag`."""
+    """Return the capture of what was found in a bag; `poses` and errors as of `read_bag`."""
     for role in ("colour", "camera", "depth") if poses else ("colour", "camera", "poses", "depth"):
         if role in plan.lacks:
             raise InputError(plan.lacks[role])
@@ -59,7 +59,7 @@ def capture_from(plan: Plan, poses: Path | None = None) -> Capture:
 
 
 def _given(poses: Path, pose_reader: PoseReader) -> NDArray[np.float64]:
-    """Poses (T, 4, 4) of the images by a trajectory's rows, or stamps; NaN where it has none."""
+    """Return the poses (T, 4, 4) of the images by a trajectory's rows, or stamps; NaN where it has none."""
     trajectory, stamps = read_tum(poses), pose_reader.stamps[pose_reader.rows]
     row_of = np.arange(len(stamps))
     if len(trajectory) != len(stamps):
@@ -70,7 +70,7 @@ def _given(poses: Path, pose_reader: PoseReader) -> NDArray[np.float64]:
 def _shots(
     plan: Plan, pose_reader: PoseReader, poses: NDArray[np.float64], missing: str
 ) -> list[StoredFrame]:
-    """A shot a colour image that has a pose, and depth where there is any."""
+    """Return a shot a colour image that has a pose, and depth where there is any."""
     colour, depth, camera = pose_reader.colour, pose_reader.depth, plan.camera
     assert camera is not None  # noqa: S101  # else it would lack
     stamps = pose_reader.stamps[pose_reader.rows]
@@ -106,7 +106,7 @@ def _shots(
 
 
 def unit_of(plan: Plan) -> DepthUnit | None:
-    """Where the unit of its depth is said; None: it has none."""
+    """Return where the unit of its depth is said; None: it has none."""
     if plan.depth is None:
         return None
     if plan.choice.depth_scale:
@@ -130,7 +130,7 @@ class Source(NamedTuple):
 
 
 def picture(message: Message, source: Source, camera: Camera) -> NDArray[np.uint8]:
-    """Colours (H, W, 3) of a message; `InputError` where they are none of that camera."""
+    """Return the colours (H, W, 3) of a message; `InputError` where they are none of that camera."""
     name = f"{message.place.path}, {source.topic}"
     image = colours(decoded(message, *source), name)
     check_shape(image, camera, name)

@@ -62,7 +62,7 @@ class File:
         return File, (self.path,)
 
     def read(self, start: int, count: int) -> bytes:
-        """At most `count` bytes from `start`: fewer where the file ends, wherever that would be."""
+        """Return at most `count` bytes from `start`: fewer where the file ends, wherever that would be."""
         if not (0 <= start < 1 << 62 and count > 0):
             return b""
         if self._handle is None:
@@ -86,7 +86,7 @@ class File:
         return self.path.stat().st_size
 
     def unpacked(self, chunk: Chunk, offset: int, count: int) -> bytes:
-        """At most `count` bytes of a compressed part; the last ones are kept as far as unpacked."""
+        """Return at most `count` bytes of a compressed part; the last ones are kept as far as unpacked."""
         with self._lock:
             packed = self._unpacked.pop(chunk.start, None)
         if packed is None:
@@ -118,7 +118,7 @@ class Chunk:
         return self.file.path
 
     def peek(self, offset: int, count: int) -> bytes:
-        """Bytes of the unpacked chunk; fewer where it ends."""
+        """Return the bytes of the unpacked chunk; fewer where it ends."""
         if self.compression:
             return self.file.unpacked(self, offset, count)
         return self.file.read(self.start + offset, max(0, min(count, self.size - offset)))
@@ -184,7 +184,7 @@ class Message(NamedTuple):
     offset: int
 
     def read(self) -> bytes:
-        """Its bytes."""
+        """Return its bytes."""
         return self.place.read(self.offset)
 
 
@@ -220,7 +220,7 @@ class Topic:
 def read_all(
     wanted: Sequence[tuple[Topic, NDArray[np.intp] | None, int | None]],
 ) -> list[list[bytes]]:
-    """Messages of several topics, each of its rows (None: all) whole or its first bytes.
+    """Return the messages of several topics, each of its rows (None: all) whole or its first bytes.
 
     They are read in the order in which they lie, so that every chunk is unpacked once.
     """
@@ -254,7 +254,7 @@ class TopicPart(NamedTuple):
 
 
 def joined(parts: Sequence[TopicPart]) -> Iterator[Topic]:
-    """Topics of the parts of all files of a bag; of types that share a name, the most frequent."""
+    """Yield the topics of the parts of all files of a bag; of types that share a name, the most frequent."""
     names: dict[str, dict[tuple[str, str], list[TopicPart]]] = {}
     for part in parts:
         names.setdefault(part.name, {}).setdefault((part.type, part.encoding), []).append(part)
@@ -341,7 +341,7 @@ class _Index(Channels):
         return whole
 
     def parts(self) -> Iterator[TopicPart]:
-        """Messages by channel."""
+        """Yield the messages by channel."""
         for number, found in self.found.items():
             channel = self.channels[number]
             rows = np.concatenate([pairs for _, pairs in found]).astype(np.int64)
@@ -350,7 +350,7 @@ class _Index(Channels):
 
 
 def read_mcap(path: Path, notes: list[str]) -> list[TopicPart]:
-    """Messages of a file by topic; `notes` is told where its index is missing.
+    """Return the messages of a file by topic; `notes` is told where its index is missing.
 
     Raises `InputError` where it is no MCAP or holds nothing that can be read.
     """
@@ -373,7 +373,7 @@ def read_mcap(path: Path, notes: list[str]) -> list[TopicPart]:
 
 
 def is_whole(path: Path) -> bool:
-    """Whether an MCAP has its end; else it was cut off, or is still being written."""
+    """Return whether an MCAP has its end; else it was cut off, or is still being written."""
     file = File(path)
     return file.read(max(file.size - len(MAGIC), 1), len(MAGIC)) == MAGIC
 
@@ -451,7 +451,7 @@ def _scanned(file: File) -> _Index:
 
 
 def records(data: bytes) -> Iterator[tuple[int, int, int]]:
-    """Kind, start and length of each record of some bytes."""
+    """Yield the kind, start and length of each record of some bytes."""
     at = 0
     while at + 9 <= len(data):
         op, length = unpack_from("<BQ", data, at)
@@ -463,7 +463,7 @@ def records(data: bytes) -> Iterator[tuple[int, int, int]]:
 
 
 def _text(data: bytes, at: int) -> tuple[str, int]:
-    """Text with its length before it, and what comes after."""
+    """Return the text with its length before it, and what comes after."""
     (length,) = unpack_from("<I", data, at)
     return data[at + 4 : at + 4 + length].decode(errors="replace"), at + 4 + length
 
@@ -483,7 +483,7 @@ class Bag:
     """What was found out while its index was read, in sentences."""
 
     def of_type(self, *types: str) -> list[Topic]:
-        """Topics of some types that hold messages which can be read, such as `sensor_msgs/Imu`."""
+        """Return the topics of some types that hold messages which can be read, such as `sensor_msgs/Imu`."""
         return [
             t
             for t in self.topics.values()
@@ -492,7 +492,7 @@ class Bag:
 
 
 def looks_like_bag(path: Path) -> bool:
-    """Whether a path bears the name of a bag: .mcap, .db3, .bag, or a folder with such files."""
+    """Return whether a path bears the name of a bag: .mcap, .db3, .bag, or a folder with such files."""
     if path.is_dir():
         return any(p.name.lower().endswith(_OF_FOLDERS) for p in path.iterdir())
     return path.suffix.lower() in ENDINGS
@@ -538,13 +538,13 @@ def open_bag(path: Path) -> Bag:
 
 
 def ros2_type(name: str) -> str:
-    """Type as ROS 2 names it; ROS 1 leaves out `msg`."""
+    """Return the type as ROS 2 names it; ROS 1 leaves out `msg`."""
     package, _, rest = name.partition("/")
     return name if rest.startswith("msg/") or not rest else f"{package}/msg/{rest}"
 
 
 def _files(path: Path, notes: list[str]) -> tuple[list[Path], bool]:
-    """Files of a bag in order, and whether every message is compressed by itself."""
+    """Return the files of a bag in order, and whether every message is compressed by itself."""
     if not path.is_dir():
         return [path], False
     metadata = path / "metadata.yaml"
@@ -578,7 +578,7 @@ def _by_number(path: Path) -> tuple[int, str]:
 
 
 def _unpacked(file: Path) -> Path:
-    """File itself, or what was unpacked of it beside it."""
+    """Return the file itself, or what was unpacked of it beside it."""
     if file.suffix == ".zstd":
         if not file.with_suffix("").is_file():
             raise InputError(f"{file} is compressed as a whole; unpack it once: `zstd -d {file}`.")
@@ -605,7 +605,7 @@ def _metadata(path: Path) -> dict[str, Any]:
 
 
 def read_database(path: Path, notes: list[str], *, packed: bool = False) -> list[TopicPart]:
-    """Messages of a database by topic; `packed`: each is compressed by zstd.
+    """Return the messages of a database by topic; `packed`: each is compressed by zstd.
 
     Where it is damaged it is read as far as it goes, of which `notes` is told. Raises `InputError`
     where it is no such database, or holds no message.
@@ -637,7 +637,7 @@ def read_database(path: Path, notes: list[str], *, packed: bool = False) -> list
 
 
 def read_rosbag1(path: Path) -> list[TopicPart]:
-    """Messages of a bag by topic; `InputError` where it is damaged, or was not closed."""
+    """Return the messages of a bag by topic; `InputError` where it is damaged, or was not closed."""
     from rosbags.rosbag1 import Reader
 
     regular(path)

@@ -79,7 +79,7 @@ _DEFINITIONS = {
 
 @lru_cache(maxsize=2)
 def typestore(encoding: str) -> Typestore:
-    """Types of ROS 2, or of ROS 1 where the encoding is `ros1`."""
+    """Return the types of ROS 2, or of ROS 1 where the encoding is `ros1`."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     lacking = dict(_DEFINITIONS)
@@ -96,7 +96,7 @@ HEAD = 24
 
 
 def decoded(message: Message, topic: str, kind: str, encoding: str) -> Any:  # noqa: ANN401  # rosbags'
-    """Message of a type; `InputError`, which names file and topic, where its bytes are none."""
+    """Return the message of a type; `InputError`, which names file and topic, where its bytes are none."""
     return decode(message.read(), f"{message.place.path}, {topic}", kind, encoding)
 
 
@@ -131,12 +131,12 @@ def stamps(heads: Iterable[bytes], topic: Topic) -> NDArray[np.float64]:
 
 
 def stamp_of(header: Any) -> float:  # noqa: ANN401  # rosbags'
-    """Stamp of a header [s]."""
+    """Return the stamp of a header [s]."""
     return float(header.stamp.sec) + float(header.stamp.nanosec) * 1e-9
 
 
 def frame_of(name: str) -> str:
-    """Name of a frame without the slash that ROS 1 wrote before it."""
+    """Return the name of a frame without the slash that ROS 1 wrote before it."""
     return name.lstrip("/")
 
 
@@ -159,12 +159,12 @@ _PACKED_HEAD = 12  # bytes of compressed_depth_image_transport: its format, and 
 
 
 def is_colour(encoding: str) -> bool:
-    """Whether images of this encoding are read as colours."""
+    """Return whether images of this encoding are read as colours."""
     return encoding in _PLAIN or encoding in _YUV or _bayer(encoding) is not None
 
 
 def colours(image: Any, name: str) -> NDArray[np.uint8]:  # noqa: ANN401  # rosbags'
-    """Colours (H, W, 3) uint8, sRGB, of an image; `InputError` names what cannot be read."""
+    """Return the colours (H, W, 3) uint8, sRGB, of an image; `InputError` names what cannot be read."""
     if hasattr(image, "format"):
         return _unpacked_colours(image, name)
     encoding = image.encoding
@@ -194,7 +194,7 @@ def colours(image: Any, name: str) -> NDArray[np.uint8]:  # noqa: ANN401  # rosb
 
 
 def depths(image: Any, per_metre: float | None, name: str) -> NDArray[np.float32]:  # noqa: ANN401
-    """Depth (h, w) float32 [m], NaN: no reading; `per_metre`: units, 1000 or 1 if not given."""
+    """Return the depth (h, w) float32 [m], NaN: no reading; `per_metre`: units, 1000 or 1 if not given."""
     units = _unpacked_depth(image, name) if hasattr(image, "format") else _depth_rows(image, name)
     whole = units.dtype.kind == "u"
     scale = np.float32(per_metre or (1000.0 if whole else 1.0))
@@ -207,7 +207,7 @@ def depths(image: Any, per_metre: float | None, name: str) -> NDArray[np.float32
 
 
 def size_of(image: Any, name: str) -> tuple[int, int, str]:  # noqa: ANN401  # rosbags'
-    """Width, height [px] and encoding of an image; of a compressed one, what lies in it."""
+    """Return the width, height [px] and encoding of an image; of a compressed one, what lies in it."""
     if not hasattr(image, "format"):
         return int(image.width), int(image.height), str(image.encoding)
     said, data = image.format.partition(";")[0].strip(), bytes(image.data)
@@ -280,7 +280,7 @@ def _depth_rows(image: Any, name: str) -> NDArray[Any]:  # noqa: ANN401  # rosba
 def _from_yuv(
     pairs: NDArray[np.uint8], luminance: int, u: int, v: int, name: str
 ) -> NDArray[np.uint8]:
-    """Colours of two bytes a pixel, every second U or V (BT.601, 16 to 235)."""
+    """Return the colours of two bytes a pixel, every second U or V (BT.601, 16 to 235)."""
     height, width, _ = pairs.shape
     if width % 2:
         raise InputError(f"{name}: a YUV 4:2:2 image of {width} columns; they are even.")
@@ -300,7 +300,7 @@ def _unpacked_colours(image: Any, name: str) -> NDArray[np.uint8]:  # noqa: ANN4
 
 
 def _unpacked_depth(image: Any, name: str) -> NDArray[Any]:  # noqa: ANN401  # rosbags'
-    """Units of a compressed depth image: mm as uint16, or metres as float32."""
+    """Return the units of a compressed depth image: mm as uint16, or metres as float32."""
     data, said = bytes(image.data), image.format
     packed, what = "compressedDepth" in said, f"{name} ({said[:40]!r})"
     pixels = data[_PACKED_HEAD if packed else 0 :]

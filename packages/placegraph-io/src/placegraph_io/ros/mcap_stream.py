@@ -23,7 +23,7 @@ _FOOTER, _DATA_END = 2, 15
 
 
 def mcap_packets(read: Callable[[int], bytes], name: str) -> Iterator[Packet | Fault]:
-    """Messages of a stream of bytes, up to its end, or as far as it goes where it is cut off.
+    """Yield the messages of a stream of bytes, up to its end, or as far as it goes where it is cut off.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def mcap_packets(read: Callable[[int], bytes], name: str) -> Iterator[Packet | F
 
 
 def _told(known: Channels, op: int, data: bytes, name: str) -> Iterator[Packet]:
-    """Messages of a record."""
+    """Yield the messages of a record."""
     if op == CHUNK:
         _, _, size, _, letters = unpack_from("<QQQII", data)
         packing = data[32 : 32 + letters].decode("ascii", "replace")

@@ -33,7 +33,7 @@ Samples = dict[tuple[str, str], list[NDArray[np.float64]]]
 
 
 def is_static(topic: str) -> bool:
-    """Whether a topic's transforms never change."""
+    """Return whether a topic's transforms never change."""
     return topic.endswith("tf_static")
 
 
@@ -52,7 +52,7 @@ class Edge:
 
     @classmethod
     def of(cls, stamps: NDArray[np.float64], values: NDArray[np.float64], *, static: bool) -> Edge:
-        """Edge of samples in any order, with x y z qx qy qz qw (N, 7)."""
+        """Return the edge of samples in any order, with x y z qx qy qz qw (N, 7)."""
         stamps, first = np.unique(
             stamps[::-1], return_index=True
         )  # of equal stamps the last counts
@@ -75,7 +75,7 @@ class Edge:
         return replace(Edge.of(stamps, np.c_[position, xyzw], static=False), fixed=False)
 
     def at(self, stamps: NDArray[np.float64]) -> NDArray[np.float64]:
-        """parent_from_child (T, 4, 4) at stamps (T,); NaN where it is not known."""
+        """Return parent_from_child (T, 4, 4) at stamps (T,); NaN where it is not known."""
         poses = np.tile(np.eye(4), (len(stamps), 1, 1))
         if self.fixed:
             poses[:, :3, :3] = rotation_from_quaternion(self.xyzw[-1])
@@ -145,14 +145,14 @@ class Tree:
         return sorted({name for edge in self.edges for name in edge})
 
     def parents(self) -> dict[str, list[str]]:
-        """Parents of each child."""
+        """Return the parents of each child."""
         out: dict[str, list[str]] = defaultdict(list)
         for parent, child in self.edges:
             out[child].append(parent)
         return dict(out)
 
     def above(self, frame: str) -> dict[str, bool]:
-        """Ancestors of a frame, nearest first, and whether it moves in them."""
+        """Return the ancestors of a frame, nearest first, and whether it moves in them."""
         parents = self.parents()
         out: dict[str, bool] = {}
         todo = deque([(frame, False)])
@@ -189,7 +189,7 @@ class Tree:
     def between(
         self, target: str, source: str, stamps: NDArray[np.float64]
     ) -> NDArray[np.float64] | None:
-        """target_from_source (T, 4, 4) at stamps (T,), NaN in gaps; None where nothing joins them."""
+        """Return target_from_source (T, 4, 4) at stamps (T,), NaN in gaps; None where nothing joins them."""
         steps = self.path(target, source)
         if steps is None:
             return None
@@ -202,7 +202,7 @@ class Tree:
 
 
 def inverse(poses: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Inverses (T, 4, 4) of rigid transforms."""
+    """Return the inverses (T, 4, 4) of rigid transforms."""
     out = np.tile(np.eye(4), (len(poses), 1, 1))
     out[:, :3, :3] = poses[:, :3, :3].swapaxes(1, 2)
     out[:, :3, 3] = -np.einsum("nji,nj->ni", poses[:, :3, :3], poses[:, :3, 3])
@@ -218,7 +218,7 @@ _STAMP = 8  # where the stamp of a message's first transform stands, in ROS 1 an
 def transforms(
     data: list[bytes], topic: Topic, path: Path, window: tuple[int, int] | None
 ) -> Moves:
-    """Transforms of a topic's messages that were recorded within a window [ns] (None: always).
+    """Return the transforms of a topic's messages that were recorded within a window [ns] (None: always).
 
     Messages of one transform between the same frames differ in stamp and numbers alone: of those
     the first is decoded, and of the others these are taken.
@@ -254,7 +254,7 @@ def _fill(rows: NDArray[np.float64], raws: list[bytes], *, signed: bool) -> None
 
 
 def samples_of(held: Iterable[Moves], *, recorded: bool) -> Samples:
-    """Samples of the transforms of all topics, by their stamps or by the times of recording."""
+    """Return the samples of the transforms of all topics, by their stamps or by the times of recording."""
     out: Samples = defaultdict(list)
     for moves in held:
         for key, rows in moves.items():
@@ -263,7 +263,7 @@ def samples_of(held: Iterable[Moves], *, recorded: bool) -> Samples:
 
 
 def numbers_of(move: Any, turn: Any) -> tuple[float, ...]:  # noqa: ANN401  # rosbags'
-    """x, y, z, qx, qy, qz, qw of a position and a quaternion."""
+    """Return x, y, z, qx, qy, qz, qw of a position and a quaternion."""
     return move.x, move.y, move.z, turn.x, turn.y, turn.z, turn.w
 
 
@@ -369,7 +369,7 @@ class PoseReader:
             self._level(self.imu, read[-1])
 
     def _one_run(self) -> tuple[int, int]:
-        """Times of recording [ns] about the longest run in which the clock does not go back."""
+        """Return the times of recording [ns] about the longest run in which the clock does not go back."""
         times = self.colour.topic.times
         cuts = np.flatnonzero(np.diff(self.stamps) < -BACK) + 1
         edges = [0, *cuts.tolist(), len(times)]
@@ -460,7 +460,7 @@ class PoseReader:
         )
 
     def _overlap(self) -> bool:
-        """Whether images and the moving transforms they need share a clock."""
+        """Return whether images and the moving transforms they need share a clock."""
         steps = self.tree.path(self.frame, self.colour.frame) or []
         edges = [self.tree.edges.get(s) or self.tree.edges[s[::-1]] for s in steps]
         first, last = self.stamps[self.rows].min(), self.stamps[self.rows].max()

@@ -57,7 +57,7 @@ class Packet(NamedTuple):
         return float(seconds + nanos * 1e-9) or self.time
 
     def message(self, path: Path) -> Message:
-        """The same as a message of a bag of this name."""
+        """Return the same as a message of a bag of this name."""
         return Message(MemoryStore(path, (self.data,)), 0)
 
 
@@ -161,12 +161,12 @@ class Discovery:
         return None if plan.lacks else plan
 
     def heard(self) -> list[Packet]:
-        """The messages that were heard, transforms that never change first, then in order."""
+        """Return the messages that were heard, transforms that never change first, then in order."""
         held = [packet for packets in self._heard.values() for packet in packets]
         return sorted(held, key=lambda p: (not is_static(p.topic), p.time))
 
     def _bag(self) -> Bag:
-        """What was heard, as a bag."""
+        """Return what was heard, as a bag."""
         topics: dict[str, Topic] = {}
         for (name, kind, encoding), packets in self._heard.items():
             times = np.array([p.time for p in packets])
@@ -257,7 +257,7 @@ class FrameAssembly:
         yield from self._ready(packet.time)
 
     def rest(self) -> Iterator[Frame | OdometryPose]:
-        """The frames that wait for what will not come any more: the stream has ended."""
+        """Yield the frames that wait for what will not come any more: the stream has ended."""
         yield from self._ready(np.inf)
 
     def base_from_camera(self) -> NDArray[np.float64] | None:
@@ -272,8 +272,6 @@ class FrameAssembly:
                 return self._turned(found[0])
             self._mount = found[0]
         return self._turned(self._mount)
-
-    # --------------------------------------------------------------------------------- images
 
     def _stamp(self, packet: Packet) -> float:
         assert self.plan.pose_reader is not None  # noqa: S101
@@ -305,7 +303,7 @@ class FrameAssembly:
         self._moved = -np.inf
 
     def _ready(self, now: float) -> Iterator[Frame | OdometryPose]:
-        """Frames all of whose parts have come, or will not come any more."""
+        """Yield the frames all of whose parts have come, or will not come any more."""
         while self._waiting:
             stamp, packet = self._waiting[0]
             over = now - packet.time > LONGEST_WAIT
@@ -318,7 +316,7 @@ class FrameAssembly:
                 yield frame
 
     def _depth_is_settled(self, stamp: float) -> bool:
-        """Whether the depth of a moment has come, or a later one, or none comes any more."""
+        """Return whether the depth of a moment has come, or a later one, or none comes any more."""
         if self._depth is None or (self._depths and self._depths[-1][0] < stamp - SILENT):
             return True
         return any(s > stamp - SAME_MOMENT for s, _ in self._depths)
@@ -350,7 +348,7 @@ class FrameAssembly:
         )  # fmt: skip
 
     def _metres(self, stamp: float, packet: Packet) -> partial[NDArray[np.float32]] | None:
-        """What reads the depth of a message; None, and counted: its camera's place is not known."""
+        """Return what reads the depth of a message; None, and counted: its camera's place is not known."""
         depth, moved = self.plan.depth, None
         assert depth is not None  # noqa: S101
         if self.plan.registration is not None:
@@ -364,17 +362,15 @@ class FrameAssembly:
             self.plan.choice.depth_scale, self.plan.registration, moved,
         )  # fmt: skip
 
-    # ----------------------------------------------------------------------------- transforms
-
     def _wanted(self, tree: Tree) -> frozenset[tuple[str, str]]:
-        """Parents and children of the transforms that lead from odometry to cameras and base."""
+        """Return the parents and children of the transforms that lead from odometry to cameras and base."""
         depth = self.plan.depth
         ends = [self.odometry, self.base, *([] if depth is None else [depth.frame])]
         steps = [step for end in ends for step in tree.path(end, self.camera) or ()]
         return frozenset(step if step in tree.edges else step[::-1] for step in steps)
 
     def _base(self, tree: Tree) -> str:
-        """The robot's base: by its name, else what odometry carries."""
+        """Return the robot's base: by its name, else what odometry carries."""
         steps = tree.path(self.odometry, self.camera) or []
         named = [b for b in _BASES if b in tree.names and tree.path(b, self.camera) is not None]
         moves = [far for near, far in steps if not _edge(tree, near, far).fixed]
@@ -391,7 +387,7 @@ class FrameAssembly:
                 self._tree.extend(key, table, _KEEP)
 
     def _move(self) -> Iterator[OdometryPose]:
-        """Where odometry has the camera by now, if it has told anything new."""
+        """Yield where odometry has the camera by now, if it has told anything new."""
         newest = self._covered()
         if (
             self._turns is None
@@ -407,7 +403,7 @@ class FrameAssembly:
             yield OdometryPose(newest, pose, spread)
 
     def _rows(self, packet: Packet) -> dict[tuple[str, str], list[tuple[float, ...]]]:
-        """Stamps and numbers of transforms by parent and child."""
+        """Return the stamps and numbers of transforms by parent and child."""
         said = decode(packet.data, f"{self.path}, {packet.topic}", packet.type, packet.encoding)
         assert self.plan.pose_reader is not None  # noqa: S101
         by_recording = self.plan.pose_reader.recorded
@@ -429,7 +425,7 @@ class FrameAssembly:
         return out
 
     def _covered(self) -> float:
-        """Stamp up to which all transforms from odometry to the camera are known [s]."""
+        """Return the stamp up to which all transforms from odometry to the camera are known [s]."""
         path = self._tree.path(self.odometry, self.camera)
         if path is None:
             return -np.inf
@@ -437,7 +433,7 @@ class FrameAssembly:
         return min((float(e.stamps[-1]) for e in edges if not e.fixed), default=np.inf)
 
     def _turned(self, pose: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Pose of the camera as the frames' images are turned."""
+        """Return the pose of the camera as the frames' images are turned."""
         out = pose.copy()
         out[:3, :3] = pose[:3, :3] @ quarter_turn(self._turns or 0).T
         return out

@@ -61,7 +61,7 @@ class View(NamedTuple):
 
 
 def views_of(bag: Bag) -> list[View]:
-    """What every image topic shows; nothing is raised."""
+    """Return what every image topic shows; nothing is raised."""
     return [_view(topic) for topic in bag.of_type(*IMAGES)]
 
 
@@ -88,7 +88,7 @@ def _view(topic: Topic) -> View:
 def chosen_views(
     bag: Bag, views: Sequence[View], colour: str | None, depth: str | None, *, with_depth: bool
 ) -> tuple[View, View | None]:
-    """The colour and the depth that belong together best, or those named.
+    """Return the colour and the depth that belong together best, or those named.
 
     Raises `InputError` where a named topic is not there or of another kind, or there is no colour.
     """
@@ -137,7 +137,7 @@ def _named(bag: Bag, views: Sequence[View], name: str, kinds: tuple[str, ...]) -
 
 
 def _shared(a: str, b: str) -> float:
-    """Share of the names of two topics that is one namespace, 0 to 1."""
+    """Return the share of the names of two topics that is one namespace, 0 to 1."""
     x, y = a.strip("/").split("/"), b.strip("/").split("/")
     same = 0
     while same < min(len(x), len(y)) and x[same] == y[same]:
@@ -146,7 +146,7 @@ def _shared(a: str, b: str) -> float:
 
 
 def info_names(view: View) -> tuple[str, str]:
-    """Names that the topic of a view's CameraInfo has by custom."""
+    """Return the names that the topic of a view's CameraInfo has by custom."""
     return f"{view.base.rpartition('/')[0]}/camera_info", f"{view.base}/camera_info"
 
 
@@ -182,7 +182,7 @@ def camera_for(
 
 
 def _is_of(topic: Topic, view: View) -> bool:
-    """Whether a CameraInfo by another name is of a view's frame and size."""
+    """Return whether a CameraInfo by another name is of a view's frame and size."""
     info = decoded(topic[0], topic.name, topic.type, topic.encoding)
     return frame_of(info.header.frame_id) == view.frame and (info.width, info.height) == view.size
 
@@ -192,7 +192,7 @@ _MODELS = {"": "opencv", "none": "opencv", "plumb_bob": "opencv", "rational_poly
 
 
 def camera_of_info(info: Any, size: tuple[int, int], name: str, *, rectified: bool) -> Camera:  # noqa: ANN401
-    """Camera of images of this width and height [px]; `rectified`: they were freed of the lens.
+    """Return the camera of images of this width and height [px]; `rectified`: they were freed of the lens.
 
     ROS counts pixels from their centres, placegraph from their corners: half a pixel is added.
     Raises `InputError`, which begins with `name`, where the message is none of such images.
@@ -230,7 +230,7 @@ def camera_of_info(info: Any, size: tuple[int, int], name: str, *, rectified: bo
 
 
 def camera_of_dict(content: Mapping[str, Any], size: tuple[int, int], name: str) -> Camera:
-    """Camera of intrinsics as `camera.json` has them, but for the size, which is the images'."""
+    """Return the camera of intrinsics as `camera.json` has them, but for the size, which is the images'."""
     try:
         numbers = [float(content[field]) for field in ("fx", "fy", "cx", "cy")]
         bent = [float(v) for v in content.get("distortion") or ()]
@@ -293,7 +293,7 @@ class TopicChoice:
 
 
 def read_topic_choice(path: Path, given: Mapping[str, Any] | None) -> TopicChoice:
-    """What `BAG.json` says, and over it what is given.
+    """Return what `BAG.json` says, and over it what is given.
 
     Raises `InputError` of the file's content, `OptionError` of what is given.
     """
