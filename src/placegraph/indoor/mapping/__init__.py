@@ -1,1 +1,1 @@
-"""From what the user has to a scene map, and what changed in it."""
+"""Making scene maps from what the user has, and finding what changed in them."""

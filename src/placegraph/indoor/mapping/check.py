@@ -1,4 +1,4 @@
-"""What is wrong with a scene map, how badly, and which option of `scene build` mends it.
+"""Checks of a scene map: what is wrong, how badly, and which option of `scene build` mends it.
 
 Nothing here is needed to localize: a map may be odd and still serve. An ``error`` makes localizing
 fail or lie, a ``warning`` makes it worse, a ``note`` is good to know.
@@ -143,7 +143,7 @@ _SLOW = 2.0  # Opening a map beyond this is slow [s]
 
 
 def _check_giants(scene: Scene) -> Iterator[Finding]:
-    """Whether one object is nearly all of the surface."""
+    """Return whether one object is nearly all of the surface."""
     areas = np.linalg.norm(scene.mesh.normals(), axis=1) / 2.0
     own = np.bincount(scene.mesh.object_of, areas, len(scene))
     largest = int(own.argmax())
@@ -161,7 +161,7 @@ def _check_giants(scene: Scene) -> Iterator[Finding]:
 
 
 def _check_twins(scene: Scene) -> Iterator[Finding]:
-    """Whether objects fill the same space."""
+    """Return whether objects fill the same space."""
     low, high = _boxes(scene)
     movable = np.flatnonzero(~structure(scene.graph.labels))
     if not 1 < len(movable) <= 5000:
@@ -211,7 +211,7 @@ def _check_far_objects(scene: Scene) -> Iterator[Finding]:
 
 
 def _check_words(scene: Scene) -> Iterator[Finding]:
-    """Whether labels, names and ids say what is what."""
+    """Return whether labels, names and ids say what is what."""
     graph = scene.graph
     bare = [i for i, label in enumerate(graph.labels) if nameless(label)]
     if len(bare) > 0.2 * len(scene):
@@ -243,7 +243,7 @@ def _check_words(scene: Scene) -> Iterator[Finding]:
 
 
 def _check_relations(scene: Scene) -> Iterator[Finding]:
-    """Whether anything is known of how objects stand to each other."""
+    """Return whether anything is known of how objects stand to each other."""
     if len(scene) > 1 and not scene.graph.relations:
         many = len(scene) > MOST_OBJECTS
         yield Finding(
@@ -255,7 +255,7 @@ def _check_relations(scene: Scene) -> Iterator[Finding]:
 
 
 def _check_costs(scene: Scene, size: int | None, seconds: float | None) -> Iterator[Finding]:
-    """Whether it is large, or slow to open."""
+    """Return whether it is large, or slow to open."""
     mend = "--detail small, or tiny, makes it smaller; so do --error and --texel."
     if len(scene.mesh) > _MANY_TRIANGLES:
         yield Finding("warning", f"The map has {len(scene.mesh):,} triangles.", mend=mend)
@@ -298,7 +298,7 @@ _OFF = 0.1  # How far the floor may lie from a level surface [m]
 
 
 def _check_units(scene: Scene) -> Iterator[Finding]:
-    """Is it in metres? By the height of rooms, and of things whose label is known."""
+    """Check that the unit is the metre, by heights of rooms and of objects of known label."""
     rooms = height_of_rooms(scene)
     known = _known_ratio(scene)
     guess = known if known is not None else rooms / _USUAL
@@ -322,7 +322,7 @@ def _check_units(scene: Scene) -> Iterator[Finding]:
 
 
 def _check_up_axis(scene: Scene) -> Iterator[Finding]:
-    """Is z up? Floors and ceilings face along it, and rooms are lower than they are wide."""
+    """Check that z is up: floors and ceilings face along it, and rooms are lower than wide."""
     areas, unit = _normals(scene)
     named, standing = labelled_floors(scene.mesh, scene.graph.labels)
     words = [label_words(label)[-1:] for label in scene.graph.labels]
@@ -359,7 +359,7 @@ def _check_up_axis(scene: Scene) -> Iterator[Finding]:
 
 
 def _check_floors(scene: Scene) -> Iterator[Finding]:
-    """Is the floor where the map says, and level? For each merged scene."""
+    """Check that each merged scene's floor is level and where the map says."""
     areas, unit = _normals(scene)
     heights = scene.mesh.vertices[scene.mesh.triangles][:, :, 2].mean(axis=1, dtype=np.float64)
     named = np.array([is_floor(label) for label in scene.graph.labels])[scene.mesh.object_of]
@@ -402,7 +402,7 @@ def _check_floors(scene: Scene) -> Iterator[Finding]:
 
 
 def height_of_rooms(scene: Scene) -> float:
-    """From the floor to where all but a fiftieth of the surface lies below [m]."""
+    """Return the height from the floor below which all but a fiftieth of the surface lies [m]."""
     areas, _ = _normals(scene)
     heights = scene.mesh.vertices[scene.mesh.triangles][:, :, 2].mean(axis=1, dtype=np.float64)
     (top,) = quantiles(heights, areas, (0.98,))
@@ -410,7 +410,7 @@ def height_of_rooms(scene: Scene) -> float:
 
 
 def _known_ratio(scene: Scene) -> float | None:
-    """How many times as high as usual things are whose kind is in `HEIGHTS`.
+    """Ratio of the heights of objects whose kind is in `HEIGHTS` to the usual ones.
 
     None where fewer than `_KINDS` kinds, or no more than half of them, agree: parts of things are
     lower than things, and labels may err.
@@ -463,7 +463,7 @@ _BACK = 0.3  # Share of the rays from inside that meet the back of a triangle
 
 
 def _check_places(scene: Scene, options: FilterOptions | None) -> Iterator[Finding]:
-    """Is there a place for a camera, and is the map closed around it? Are its normals flipped."""
+    """Check for places of cameras, holes around them, and flipped normals."""
     options = options or FilterOptions()
     table = visibility(scene, options)
     said = " to ".join(f"{h:g}" for h in sorted({min(options.heights), max(options.heights)}))
@@ -551,7 +551,7 @@ _AGAIN = "Anchor it again with `placegraph scene anchor`"
 
 
 def _check_anchors(scene: Scene) -> Iterator[Finding]:
-    """Does it stand in one place, as well as was measured; does anybody know how well."""
+    """Check that the place on Earth is certain, well fitted, and of known precision."""
     for name in scene.scenes:
         found = scene.anchors_of(name)
         if not found:

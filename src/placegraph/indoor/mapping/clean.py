@@ -268,7 +268,7 @@ def _measure_area(mesh: Mesh) -> float:
 
 
 def _is_patterned(mesh: Mesh) -> bool:
-    """Whether the colours of vertices are a pattern that fewer vertices would lose."""
+    """Return whether the colours of vertices are a pattern that fewer vertices would lose."""
     some = mesh.triangles[:: len(mesh) // _SAMPLED + 1]
     shades = mesh.colours[some].astype(np.int16)
     steps = np.abs(shades - np.roll(shades, 1, axis=1)).max(axis=2)

@@ -272,7 +272,7 @@ def encode_scene(scene: Scene, paths: Paths | None = None) -> bytes:
 
 
 def _extras(scene: Scene, row: int) -> dict[str, Any]:
-    """What a node says of its object; attributes whose names are taken stand under a key of ours."""
+    """Extras of an object's node; attributes whose names are taken stand under a key of ours."""
     label, attributes = scene.graph.labels[row], scene.attributes[row]
     hidden = {key: attributes[key] for key in ("label", "id", OWN) if key in attributes}
     own: dict[str, Any] = {"attributes": hidden} if hidden else {}

@@ -35,7 +35,7 @@ _LOWEST = 0.005  # Share of the surface that may lie below a floor that nobody s
 
 @dataclass(frozen=True, slots=True)
 class FromCapture:
-    """How a capture becomes a mesh."""
+    """Options of making a mesh from a capture."""
 
     frames: slice = field(default_factory=lambda: slice(None))
     """Which of its frames, such as slice(0, 186)."""

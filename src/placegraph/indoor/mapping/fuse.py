@@ -125,7 +125,7 @@ def check_poses(frames: Sequence[Frame], poses: ArrayLike | None) -> Floats:
 
 
 def find_good_poses(poses: Floats) -> NDArray[np.bool_]:
-    """Which poses (T, 4, 4) can be believed: finite, rigid, near the origin, and no slip.
+    """Return which poses (T, 4, 4) are credible: finite, rigid, near the origin, and no slip.
 
     A slip is a single pose far off the two around it, that are near to each other.
     """
@@ -244,7 +244,7 @@ class Volume:
         return gain
 
     def gain(self, view: View, facets: NDArray[np.float32]) -> float:
-        """What brings a view's image to the brightness of the model; 1 where they hardly overlap."""
+        """Return the factor from an image's brightness to the model's; 1 where they hardly overlap."""
         ratios = kernels.brightness_ratios(
             self.keys, self.rows, self.colour, self.paint, self.voxel, facets, view.image, view.eyes,
             view.map_from_camera, BRIGHTNESS_STEP, 0.0,
@@ -355,7 +355,7 @@ def make_loop_tables() -> tuple[NDArray[np.int8], NDArray[np.int8]]:
 
 
 def _starts(sizes: Ints) -> Ints:
-    """Where each part begins, and the end (B + 1,)."""
+    """Starts of parts, and the end (B + 1,)."""
     return np.concatenate([[0], np.cumsum(sizes)])
 
 
@@ -469,7 +469,7 @@ class _Run:
                 progress(self.done, len(frames))
 
     def told_end(self, total: int) -> str:
-        """Where memory ended."""
+        """Return a sentence about where memory ended."""
         return (
             f"{self.options.memory:g} GB of memory ended at frame {self.done + 1} of {total} with "
             f"voxels of {100 * self.volume.voxel:.3g} cm"
@@ -524,7 +524,7 @@ class _Run:
 
 @dataclass(frozen=True, slots=True)
 class FuseOptions:
-    """How frames are fused; defaults are what measured best (`docs/benchmarks/maps.md`)."""
+    """Options of fusion; defaults are what measured best (`docs/benchmarks/maps.md`)."""
 
     least: float = 0.0003
     """Weight that a surface needs [1 / m^4]: one view weighs cos(angle of incidence) / depth^4, since
@@ -549,7 +549,7 @@ class FuseOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FuseStats:
-    """What fusion did, and how well the frames agree."""
+    """Statistics of a fusion, and how well the frames agree."""
 
     seconds: float
     frames: int

@@ -36,7 +36,7 @@ def transform(pose, x, y, z):
 
 @kernel
 def slot_of(keys, key):
-    """Where a key stands, or would."""
+    """Return the slot of a key, or the free one where it would stand."""
     mask = np.int64(len(keys) - 1)
     mixed = (key ^ (key >> np.int64(31))) * np.int64(0x1E3779B97F4A7C15)
     at = (mixed ^ (mixed >> np.int64(29))) & mask
@@ -338,7 +338,7 @@ def between(depth, v, u):
 
 @kernel(error_model="numpy")
 def torn(depth, v, u, here, allowed):
-    """Whether a reading stands at a depth edge, where it may be a mean of both sides."""
+    """Return whether a reading stands at a depth edge, where it may be a mean of both sides."""
     h, w = depth.shape
     for axis in range(2):
         i, j = (v, u - 1) if axis == 0 else (v - 1, u)
@@ -430,7 +430,7 @@ def corner_of(around, row, i, j, k):
 
 
 def cells_of(around, distance, weight, least, steepest, loops):
-    """Where the surface is: case (B, SIZE) uint8 and crossed edges (B, SIZE) uint16 of every cell.
+    """Find the surface: case (B, SIZE) uint8 and crossed edges (B, SIZE) uint16 of every cell.
 
     Also the number of vertices by block (B,). Cell i, j, k reaches from voxel i, j, k to the next along
     every axis. Bit e of `crossed` is set where edge e (4 axis + 0 to 3, see `low_corner`) leads

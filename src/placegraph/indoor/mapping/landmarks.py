@@ -53,7 +53,7 @@ class _Tracks:
 def map_landmarks(
     frames: Sequence[Frame], poses: Floats, progress: Callable[[int, int], None] | None = None
 ) -> Landmarks:
-    """At most `MOST_LANDMARKS` landmarks of RGB-D frames with poses (T, 4, 4), map_from_camera.
+    """Map at most `MOST_LANDMARKS` landmarks of RGB-D frames with poses (T, 4, 4), map_from_camera.
 
     Those are kept that each frame shows best: seen often, by frames all over the capture. Raises
     `MissingExtraError` where OpenCV is not installed.

@@ -145,7 +145,7 @@ def _default_levels(shape: IndoorShape, chosen: float) -> tuple[float, ...]:
 
 
 def _make_anchor(plan: IndoorOsm, level: float, points: Floats) -> Anchor:
-    """Where the map stands: its origin is the middle of its rooms, x points east, y north."""
+    """Anchor of the map: its origin is the middle of its rooms, x points east, y north."""
     middle = (points.min(axis=0) + points.max(axis=0)) / 2.0
     around = [
         s
@@ -238,21 +238,21 @@ class Wall:
 
     @property
     def length(self) -> float:
-        """From start to end [m]."""
+        """Length from start to end [m]."""
         return float(np.linalg.norm(self.end - self.start))
 
     def in_line_with(self, other: Wall) -> bool:
-        """Whether the two lie in one line, or nearly: the two faces of one thick wall do."""
+        """Return whether the two lie in one line, or nearly: the two faces of one thick wall do."""
         off = max(abs(_cross(self.along, p - self.start)) for p in (other.start, other.end))
         return bool(off < REACH) and abs(float(self.along @ other.along)) > 0.97
 
     def opening(self, door: Door) -> tuple[float, float, float]:
-        """Where along it an opening begins and ends, beyond its ends too, and how high it is [m]."""
+        """Return start and end of an opening along the wall, beyond its ends too, and height [m]."""
         at, half = float((door.at - self.start) @ self.along), door.width / 2.0
         return at - half, at + half, min(door.height, self.height - _LINTEL)
 
     def solid(self, doors: list[Door]) -> list[tuple[Floats, Floats, float, float]]:
-        """What is left of it: pieces from (2,) to (2,), from one height to another [m]."""
+        """Return the pieces beside openings: from (2,) to (2,), from one height to another [m]."""
         pieces, at = [], 0.0
         for low, high, top in sorted(self.opening(door) for door in doors):
             first, last = max(low, at), min(high, self.length)
@@ -271,7 +271,7 @@ class Wall:
 
 
 def measure_distances(walls: list[Wall], at: Floats) -> Floats:
-    """How far (W,) a point (2,) is from the lines of walls [m]."""
+    """Return distances (W,) of a point (2,) from the lines of walls [m]."""
     start, end = (np.array([getattr(w, name) for w in walls]) for name in ("start", "end"))
     return segment_distances(at[None], start, end)[0]
 
@@ -526,7 +526,7 @@ def _export_rooms(
 
 
 def _is_generic(said: dict[str, str]) -> bool:
-    """Whether a room's name says what it is, and no more: it was given when the map was made."""
+    """Return whether a room's name says what it is, and no more: it was given when the map was made."""
     kind = (said.get("kind") or said.get("indoor", "")).replace("_", " ")
     return bool(kind) and said["room"].rstrip(" 0123456789") == kind
 

@@ -19,7 +19,7 @@ _MOST_SPLITS = 200
 
 
 def area(ring: Floats) -> float:
-    """Of a closed ring (n, 2) [m2], positive where it is counter-clockwise."""
+    """Return the area of a closed ring (n, 2) [m2], positive where it is counter-clockwise."""
     x, y = (ring - ring[0]).T
     return float((x[:-1] * y[1:] - x[1:] * y[:-1]).sum()) / 2.0
 
@@ -117,7 +117,7 @@ def triangulate(rings: Sequence[Floats]) -> tuple[Floats, NDArray[np.int64]]:
 
 
 def _is_crossed(a: Floats, b: Floats, start: Floats, end: Floats) -> bool:
-    """Whether a segment crosses one of others, ends aside."""
+    """Return whether a segment crosses one of others, ends aside."""
     along, others = b - a, end - start
     turn = _cross(along, others)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -146,7 +146,7 @@ def _clip_ears(points: Floats, loop: list[int]) -> list[tuple[int, int, int]]:
 
 
 def _contains_any(a: Floats, b: Floats, c: Floats, others: Floats) -> bool:
-    """Whether a counter-clockwise triangle holds a point that is none of its corners."""
+    """Return whether a counter-clockwise triangle holds a point that is none of its corners."""
     own = (others == a).all(axis=1) | (others == b).all(axis=1) | (others == c).all(axis=1)
     sides = [_cross(q - p, others - p) for p, q in ((a, b), (b, c), (c, a))]
     return bool((~own & (np.min(sides, axis=0) >= -_TINY)).any())

@@ -141,7 +141,7 @@ def build_wedges(mesh: Mesh) -> tuple[WedgeMesh, Ints]:
 
 
 def _split_by_owner(rows: Rows, of: Rows, count: int) -> tuple[Rows, Rows, Rows]:
-    """What `count` rows become where each belongs to one owner only.
+    """Split `count` rows so that each belongs to one owner only.
 
     `rows`: (T, 3), `of`: (T,) their owner. Returns the old row and the owner of each of the N >=
     `count` new rows, and `rows` in terms of these.
@@ -230,7 +230,7 @@ def _extract_part(
 
 
 def _pack_part(own: WedgeMesh, left: NDArray[np.bool_]) -> WedgeMesh:
-    """What is left of a part: points are the places of wedges, which are the corners."""
+    """Remainder of a part: points are the places of wedges, which are the corners."""
     wedge, place = own.wedges[left].ravel(), own.corners[left].ravel()
     used, first, corner = np.unique(wedge, return_index=True, return_inverse=True)
     corners = corner.reshape(-1, 3).astype(np.int32)

@@ -183,7 +183,7 @@ def value_at(f, s, t, wedges, values, k):
 
 @kernel
 def shift_of(a, b, x, y, z, points, faces, wedges, values, head, after, own, group, new):
-    """How far the texture of faces that stay would slide [m], and other attributes change."""
+    """Return how far textures of faces that stay would slide [m], and other attributes change."""
     slide, change = 0.0, 0.0
     for v in (a, b):
         corner = head[v]
@@ -236,7 +236,7 @@ def error(q, x, y, z):
 
 @kernel
 def meeting_point(quadrics, points, a, b, q):
-    """Where vertices a and b meet with least error, and that error; `q` (10,) gets their quadric."""
+    """Find where vertices a and b meet with least error; `q` (10,) gets their quadric."""
     for k in range(10):
         q[k] = quadrics[a, k] + quadrics[b, k]
     a0, a1, a2 = points[a, 0], points[a, 1], points[a, 2]
@@ -374,7 +374,7 @@ def neighbours(v, other, faces, head, after, out):
 
 @kernel
 def folds(v, other, x, y, z, points, faces, head, after):
-    """Whether a face of v, but not of both, would turn over or vanish if v moved to x, y, z."""
+    """Return whether a face of v, but not of both, would turn over or vanish if v moved to x, y, z."""
     x0, y0, z0 = points[v, 0], points[v, 1], points[v, 2]
     corner = head[v]
     while corner >= 0:
@@ -393,7 +393,7 @@ def folds(v, other, x, y, z, points, faces, head, after):
 
 @kernel
 def beyond(v, x, y, z, limit, planes, head, after, corners):
-    """Whether a point is farther than the limit from an original plane that a vertex stands for."""
+    """Return whether a point is farther than the limit from an original plane that a vertex stands for."""
     node = head[v]
     while node >= 0:
         # nodes beyond the corners are the ends of borders, two each
@@ -428,7 +428,7 @@ def linked(count, faces, ends):
 
 @kernel
 def pinches(a, b, faces, head, after, ring, other):
-    """Whether the surface would be pinched, or a closed part vanish, if a and b became one."""
+    """Return whether the surface would be pinched, or a closed part vanish, if a and b became one."""
     na = neighbours(a, b, faces, head, after, ring)
     nb = neighbours(b, a, faces, head, after, other)
     shared = 0
@@ -445,7 +445,7 @@ def pinches(a, b, faces, head, after, ring, other):
 
 @kernel
 def judged(values, limits):
-    """Whether attributes can speak against a collapse: a texture that is more than one texel."""
+    """Return whether attributes can speak against a collapse: a texture that is more than one texel."""
     textured = (values[:, 0] != values[0, 0]) | (values[:, 1] != values[0, 1])
     return limits[2] < np.inf or textured.any()
 

@@ -1,4 +1,4 @@
-"""What a scene map is built from: 3D files, data sets, predicted graphs, captures."""
+"""Sources of scene maps: 3D files, data sets, predicted graphs, captures."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def is_scene_graph(path: Path) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class ReadOptions:
-    """How `build_scene` reads a source."""
+    """Options of `build_scene` for reading a source."""
 
     labels: Any = None
     """As `label_table` takes them."""

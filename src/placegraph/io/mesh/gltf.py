@@ -320,7 +320,7 @@ class _Gltf:
 
 @dataclass(frozen=True, slots=True)
 class _Shading:
-    """How a primitive is coloured: row of its picture, and how texture coordinates are read."""
+    """Colouring of a primitive: row of its picture, and how texture coordinates are read."""
 
     picture: int
     texcoord: int = 0  # which TEXCOORD

@@ -1,4 +1,4 @@
-"""What readers of 3D files return: triangles that know their object, and pictures.
+"""Models of 3D files: triangles that know their object, and pictures.
 
 Floor, relations and the size of pictures are the builder's: `placegraph.indoor.build`.
 """

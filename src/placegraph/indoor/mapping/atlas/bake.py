@@ -121,7 +121,7 @@ def find_neighbours(mesh: Mesh) -> Ints:
 
 @dataclass(frozen=True, eq=False)
 class _Layout:
-    """How C charts lie. It stays when a triangle is taken out, so that what was checked holds."""
+    """Layout of C charts. It stays when a triangle is taken out, so that what was checked holds."""
 
     axes: Floats  # (C, 2, 3) right and down, unit vectors
     low: Floats  # (C, 2) where each chart's rectangle starts along them [m]
@@ -187,7 +187,7 @@ def _upright_axes(planes: Floats) -> Floats:
 
 
 def _group_rows(of: Ints, count: int, within: Floats | None) -> tuple[Ints, Ints]:
-    """As `Charts.grouped`; triangles of one chart ascend by `within` (T,)."""
+    """Triangles chart by chart, ascending by `within` (T,), and where each chart starts (C + 1,)."""
     rows = np.argsort(of, kind="stable") if within is None else np.lexsort((within, of))
     starts = np.searchsorted(of[rows], np.arange(count + 1))
     return rows, starts.astype(np.int64)

@@ -119,7 +119,7 @@ def overlapping(corners, rows, starts, sizes, twice, first, last):
 
 @kernel(error_model="numpy")
 def _covers(corner, taken, take):
-    """Whether a triangle (3, 2) covers a texel's centre that is taken; or take those it covers."""
+    """Return whether a triangle (3, 2) covers a texel's centre that is taken; or take those it covers."""
     ax, ay = corner[0]
     bx, by = corner[1, 0] - ax, corner[1, 1] - ay
     cx, cy = corner[2, 0] - ax, corner[2, 1] - ay

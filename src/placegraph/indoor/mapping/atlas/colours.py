@@ -1,4 +1,4 @@
-"""Which frames colour a surface, and their images as compiled code reads them."""
+"""Colours of a surface: from the frames that saw it, or from a mesh that has some."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ _WIDER = 1.2  # steps grow by this until few enough frames are left
 
 
 def group_keyframes(poses: Floats, most: int) -> list[list[int]]:
-    """At most `most` groups of consecutive frames, each taken from nearly one place.
+    """Group consecutive frames taken from nearly one place, `most` groups at most.
 
     `poses`: (T, 4, 4) map_from_camera.
     """
@@ -110,7 +110,7 @@ def build_keyframes(
 
 
 def measure_sharpness(colours: Bytes) -> float:
-    """How sharp an image (H, W, 3) is beside others of the same: variance of its Laplacian."""
+    """Measure the sharpness of an image (H, W, 3): the variance of its Laplacian."""
     grey = colours[:, :, 1].astype(np.float32)
     middle = 4.0 * grey[1:-1, 1:-1]
     around_ = grey[:-2, 1:-1] + grey[2:, 1:-1] + grey[1:-1, :-2] + grey[1:-1, 2:]
@@ -145,7 +145,7 @@ def _undistort_image(colours: Bytes, camera: Camera, plain: Camera) -> Bytes:
 
 @lru_cache(maxsize=2)
 def _map_pixels(camera: Camera, plain: Camera) -> Floats:
-    """Where a camera sees what each pixel of another shows (h, w, 2) [px]; NaN: beyond its lens."""
+    """Pixels (h, w, 2) of a camera for the pixels of another [px]; NaN: beyond its lens."""
     v, u = np.mgrid[: plain.height, : plain.width] + 0.5
     rays = plain.directions(np.stack([u, v], axis=-1))
     places = camera.project(rays)
@@ -296,7 +296,7 @@ def _check_poses(poses: ArrayLike, count: int) -> Floats:
 def _solve_gains(
     views: Keyframes, vertices: Floats, triangles: NDArray[Any]
 ) -> NDArray[np.float32]:
-    """What the colours of each view are multiplied by (K, 3), near 1, so that all agree."""
+    """Solve for factors of the views' colours (K, 3), near 1, by which all agree."""
     points, normals = _spread_points(vertices, triangles, _POINTS)
     rows = np.full((len(points), OBSERVED), -1, np.int64)
     colours = np.zeros((len(points), OBSERVED, 3))
@@ -321,7 +321,7 @@ def _solve_gains(
 
 
 def _spread_points(vertices: Floats, triangles: NDArray[Any], count: int) -> tuple[Floats, Floats]:
-    """About `count` points (N, 3) spread evenly over a surface, and unit normals (N, 3)."""
+    """Spread about `count` points (N, 3) evenly over a surface; also unit normals (N, 3)."""
     a, b, c = np.moveaxis(vertices[triangles], 1, 0)
     doubled = np.cross(b - a, c - a)
     area = np.linalg.norm(doubled, axis=1)

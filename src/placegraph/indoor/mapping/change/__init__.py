@@ -1,1 +1,1 @@
-"""What changed since a map was made: found between maps or by a capture, and taken over."""
+"""Changes since a map was made: found between maps or by a capture, and taken over."""

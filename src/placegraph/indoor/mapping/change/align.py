@@ -37,7 +37,7 @@ class SurfaceSamples:
         return len(self.points)
 
     def some(self, count: int) -> SurfaceSamples:
-        """At most `count` of the points."""
+        """Return at most `count` of the points."""
         step = max(1, -(-len(self) // count))
         return SurfaceSamples(
             self.points[::step], self.normals[::step], self.colours[::step], self.rows[::step]
@@ -56,7 +56,7 @@ class SurfaceSamples:
 def sample_surface(
     mesh: Mesh, triangles: NDArray[np.int64], count: int, rng: Generator, most: float = np.inf
 ) -> SurfaceSamples:
-    """About `count` points on some triangles of a mesh, at most `most` a square metre."""
+    """Sample about `count` points on triangles of a mesh, at most `most` a square metre."""
     corners = mesh.vertices[mesh.triangles[triangles]].astype(np.float64)
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     lengths = np.linalg.norm(normals, axis=1)
@@ -80,7 +80,7 @@ def sample_surface(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Registration:
-    """How well a motion brings points onto a surface."""
+    """Motion that brings points onto a surface, and how well it fits."""
 
     motion: Floats  # (4, 4) target_from_source
     share: float  # Of the source's points that lie within the reach asked for of the target
@@ -128,7 +128,7 @@ def register(
 def evaluate_fit(
     source: Floats, target: SurfaceSamples, motion: Floats, within: float
 ) -> Registration:
-    """How well a motion does as it is; distances are along the target's normals."""
+    """Evaluate a motion as it is; distances are along the target's normals."""
     points = transform_points(motion, source)
     rows = nearest(points, target.points, 2.0 * within)
     off = np.einsum("nk,nk->n", points - target.points[rows], target.normals[rows])

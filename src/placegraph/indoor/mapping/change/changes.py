@@ -22,7 +22,7 @@ from placegraph.io.capture.json_files import read_json
 
 @dataclass(frozen=True, slots=True)
 class DiffOptions:
-    """When something counts as changed.
+    """Options that say when something counts as changed.
 
     The defaults were set by hand, from the errors of poses and depth that the shared house and
     office show, and by looking at what was found there; no sweep was made over them.
@@ -167,7 +167,7 @@ class Change:
 
     @property
     def shift_m(self) -> float:
-        """How far the middle of it moved [m]; 0 of what did not."""
+        """Distance that its middle moved [m]; 0 of what did not."""
         if self.after_from_before is None:
             return 0.0
         middle = np.zeros(3) if self.centre is None else self.centre
@@ -176,7 +176,7 @@ class Change:
 
     @property
     def turn_deg(self) -> float:
-        """By how much it turned, about any axis [deg]; 0 of what did not move."""
+        """Angle that it turned, about any axis [deg]; 0 of what did not move."""
         if self.after_from_before is None:
             return 0.0
         vector = vector_from_rotation(self.after_from_before[:3, :3])
@@ -218,7 +218,7 @@ class Change:
 
 @dataclass(frozen=True, eq=False)
 class SceneDiff:
-    """What changed from a map to a later look at the same place."""
+    """Changes from a map to a later look at the same place."""
 
     changes: tuple[Change, ...]
     """Surest first."""

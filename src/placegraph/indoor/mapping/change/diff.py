@@ -74,7 +74,7 @@ class MapObject:
         return np.asarray(self.surface.colours.mean(axis=0) / 255.0)
 
     def may_be(self, other: MapObject) -> bool:
-        """Whether label and size let it be the same object."""
+        """Return whether label and size let it be the same object."""
         if other.built_in or not same_label(self.label, other.label):
             return False
         ratio = (self.sizes + 0.03) / (other.sizes + 0.03)
@@ -102,7 +102,7 @@ def sample_objects(
 
 
 class Coverage:
-    """Which points of some bodies lie on the surfaces of another map.
+    """Coverage of some objects' points by the surfaces of another map.
 
     `motion` leads from the bodies' axes to that map's.
     """
@@ -155,7 +155,7 @@ class Motion:
 
     @property
     def turn_deg(self) -> float:
-        """By how much it turns [deg]."""
+        """Angle of its rotation [deg]."""
         vector = vector_from_rotation(self.after_from_before[:3, :3])
         return float(np.degrees(np.linalg.norm(vector)))
 
@@ -231,7 +231,7 @@ def match_ids(
 
 
 def is_still_there(ours: MapObject, theirs: MapObject) -> bool:
-    """Whether half of one lies within centimetres of the other, of whichever more does."""
+    """Return whether half of one lies within centimetres of the other, of whichever more does."""
     one, other = ours.surface.points, theirs.surface.points
     if not (len(one) and len(other)):
         return False
@@ -418,7 +418,7 @@ def _match_moved(
 
 
 def _is_significant(motion: Motion, body: MapObject, options: DiffOptions) -> bool:
-    """Whether a motion is one, and not noise."""
+    """Return whether a motion is one, and not noise."""
     after = transform_points(motion.after_from_before, body.middle[None])[0]
     far = np.linalg.norm(after - body.middle) >= options.least_shift
     return bool(far or motion.turn_deg >= options.least_turn)

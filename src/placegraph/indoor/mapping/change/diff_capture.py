@@ -1,4 +1,4 @@
-"""What changed between a scene map and a capture whose poses in it are known.
+"""Differences between a scene map and a capture whose poses in it are known.
 
 Frame by frame the depth is held against the map's, object by object. Readings behind an object say
 that it is gone, readings before the map that something is new; an object that is gone and fits what
@@ -119,7 +119,7 @@ def _find_changes(
     poses: Sequence[Floats],
     tell: Callable[[str, int, int], None],
 ) -> list[Change]:
-    """What moved and vanished, and what appeared of what these leave unexplained."""
+    """Find what moved and vanished, and what appeared of what these leave unexplained."""
     share, graph = counts.share, scene.graph
     least = np.where(counts.by_colour, SUSPECT_BY_COLOUR, SUSPECT)
     suspects = np.flatnonzero(counts.seen & (share >= least) & ~structure(graph.labels))

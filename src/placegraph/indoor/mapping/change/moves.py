@@ -1,4 +1,4 @@
-"""What a capture shows that the map does not: what moved, and where to, and what appeared."""
+"""Objects that moved, and where to, and what appeared, by a capture of the place."""
 
 from __future__ import annotations
 
@@ -162,7 +162,7 @@ def _describe_cluster(clump: Cluster, pixels: int, piece: Piece) -> Change:
 
 
 def _find_carved(rest: Unexplained, points: Floats, views: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which points (V, 3) are seen through so often that nothing stands there."""
+    """Find points (V, 3) that are seen through so often that nothing stands there."""
     through = np.zeros(len(points), np.int64)
     for look in rest.looks:
         if look.depth is None:
@@ -176,7 +176,7 @@ def _find_carved(rest: Unexplained, points: Floats, views: NDArray[np.int64]) ->
 
 
 def _cut_piece(clump: Cluster, fused: Fused | None, voxel: float) -> Piece:
-    """What was fused in a clump's cells; a box where that is nothing."""
+    """Surface that was fused in a cluster's cells; a box where there is none."""
     if fused is not None:
         centres = np.floor(fused.vertices[fused.triangles].mean(axis=1) / voxel).astype(np.int64)
         steps = np.stack(np.meshgrid(*[(-1, 0, 1)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -223,7 +223,7 @@ LEAST_COVER = 0.5  # Share of the unexplained readings where it stands that it h
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Placement:
-    """Where a thing may stand now."""
+    """Candidate place of an object that is gone from where it was."""
 
     motion: Floats  # (4, 4) after_from_before
     explained: int  # Readings that end on it and that nothing else explains
@@ -237,7 +237,7 @@ class Placement:
 
     @property
     def good(self) -> bool:
-        """Whether it is taken for true."""
+        """Return whether it is taken for true."""
         return self.fit >= LEAST_FIT and self.cover >= LEAST_COVER
 
     @property
@@ -318,7 +318,7 @@ def _refine_placement(
 
 
 def score_placement(rest: Unexplained, thing: MovableObject, motion: Floats) -> Placement:
-    """How well a thing at a placement (4, 4) explains all frames, by rays at its mesh."""
+    """Score how well an object at a placement (4, 4) explains all frames, by rays at its mesh."""
     back = invert_rigid(motion)
     low, high = thing.low - 0.05, thing.high + 0.05
     ends = through = unexplained = frames = 0
@@ -428,7 +428,7 @@ def _keep_distinct(starts: Floats, scores: Floats) -> list[Floats]:
 def _find_inside(
     thing: MovableObject, start: Floats, points: Floats, margin: float
 ) -> NDArray[np.bool_]:
-    """Which points (N, 3) lie in the thing's box at a placement, and a margin."""
+    """Find points (N, 3) in the object's box at a placement, and a margin."""
     back = transform_points(invert_rigid(turn_about(thing.middle, start[3], start[:3])), points)
     inside = (back > thing.low - margin) & (back < thing.high + margin)
     return np.asarray(inside.all(axis=1))
@@ -505,7 +505,7 @@ def find_moved(
 
 
 def _reaches(thing: MovableObject, clump: Cluster, options: DiffOptions) -> bool:
-    """Whether a clump is near enough and large enough to be the thing, or part of it."""
+    """Return whether a clump is near enough and large enough to be the thing, or part of it."""
     gap = np.maximum(np.maximum(clump.low - thing.high, thing.low - clump.high), 0.0)
     return bool(np.linalg.norm(gap) < options.reach)
 
@@ -626,7 +626,7 @@ def _score_slides(
 def _correlate_background(
     rest: Unexplained, looks: Sequence[int], face: _Face, moves: Floats
 ) -> tuple[float, int, int]:
-    """How well the map without the thing fits its colours there; frames and pixels that see it."""
+    """Correlation of the object's colours with the map behind; frames and pixels that see it."""
     values, frames, pixels = [], 0, 0
     for t in looks:
         look = rest.looks[t]

@@ -1,4 +1,4 @@
-"""What a frame of known pose shows, beside what the map says it should: pixel by pixel.
+"""Frames of known pose beside the map, pixel by pixel, and the evidence that follows.
 
 Each pixel's ray is cast twice: at the first surface of the map, and at the first surface behind it
 of another object. What is seen can then be held against "it is still there" and "it is gone".
@@ -27,7 +27,7 @@ _STEP = 1e-4  # beyond a hit the next ray starts this far on [m]
 
 
 class Layer(NamedTuple):
-    """What rays hit. H rows, W columns."""
+    """Surfaces that rays hit. H rows, W columns."""
 
     depth: NDArray[np.float32]  # (H, W) along the optical axis [m]; inf: nothing
     objects: NDArray[np.int32]  # (H, W) rows of objects; -1: nothing
@@ -227,7 +227,7 @@ class Evidence:
         return f"{pixels.sum():,.0f} pixels in {frames} frame{'s' * (frames != 1)}"
 
     def confidence(self, row: int) -> float:
-        """How sure it is that an object is gone: the rule of succession over frames.
+        """Return how sure it is that an object is gone: the rule of succession over frames.
 
         Pixels of one frame are right or wrong together, so a frame counts once, by its share.
         """
@@ -238,7 +238,7 @@ class Evidence:
 
 
 def count_evidence(looks: Sequence[Observation], count: int, options: DiffOptions) -> Evidence:
-    """What all frames say of `count` objects."""
+    """Count the evidence of all frames for and against `count` objects."""
     depth_gone, depth_stays, colour_gone, colour_stays = np.zeros((4, len(looks), count))
     for t, look in enumerate(looks):
         agrees = np.isfinite(look.front.depth)
@@ -269,7 +269,7 @@ def count_evidence(looks: Sequence[Observation], count: int, options: DiffOption
 
 
 def tolerance(depth: NDArray[np.float32], options: DiffOptions) -> NDArray[np.float32]:
-    """How far a reading may be from what it shows [m]."""
+    """Return how far a reading may be from the surface it shows [m]."""
     slack = options.depth_floor + options.depth_slope * np.nan_to_num(depth)
     return np.asarray(slack, np.float32)
 
@@ -337,7 +337,7 @@ def _count(look: Observation, mask: Mask, count: int) -> Floats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Unexplained:
-    """What is left of the map without all that is suspected to be gone, frame by frame."""
+    """Map without all that may be gone, frame by frame, and readings it does not explain."""
 
     looks: Sequence[Observation]
     depths: Sequence[NDArray[np.float32]]

@@ -134,7 +134,7 @@ class MapEdit(Generic[S]):
         return [t for s, r, t in edges if s == row and r in {STANDING_ON, ATTACHED_TO}]
 
     def _mesh(self) -> tuple[Mesh, tuple[bytes, ...]]:
-        """What stays, where it is now, and what appeared; object rows as before. And its textures."""
+        """Mesh of what stays, where it is now, and of what appeared, and its textures."""
         old = self._before.mesh
         keep = self._kept[old.object_of]
         triangles, owner = old.triangles[keep].astype(np.int64), old.object_of[keep]
@@ -212,7 +212,7 @@ class MapEdit(Generic[S]):
 
 
 def is_lasting(relation: str) -> bool:
-    """Whether a relation says nothing of place, so that it holds wherever the two things are."""
+    """Return whether a relation says nothing of place, so that it holds wherever the two things are."""
     name = canonical(relation)[0]
     if name in {BIGGER, PART}:
         return True

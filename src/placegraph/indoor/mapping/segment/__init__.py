@@ -1,4 +1,4 @@
-"""From one unlabelled coloured mesh to objects: by geometry and colour, or by label images."""
+"""Cutting an unlabelled coloured mesh into objects, by geometry and colour or by label images."""
 
 from __future__ import annotations
 
@@ -236,7 +236,7 @@ def _collect_votes(
     progress: Progress | None,
     left_out: Counter[str],
 ) -> Votes | None:
-    """What the label images of frames say of faces."""
+    """Collect the votes of label images for faces."""
 
     def tell(done: int, whole: int) -> None:
         if progress is not None:

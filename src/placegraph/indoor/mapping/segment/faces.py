@@ -266,7 +266,7 @@ def cut_patches(
 def step_weights(
     faces: Faces, normals: Floats, lab: Floats, outward: bool, options: SegmentOptions
 ) -> Floats:
-    """How much of a step there is from face to face (P,): 1 at the options' bend or contrast."""
+    """Weigh the steps from face to face (P,): 1 at the options' bend or contrast."""
     bends = faces.bends(normals) * (1.0 if outward else -1.0)
     bends = np.where(bends < 0, -_CONVEX * bends, bends)
     a, b = faces.pairs.T

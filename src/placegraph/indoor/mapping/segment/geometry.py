@@ -95,7 +95,7 @@ class _Wall:
 def _plane_distances(
     faces: Faces, normals: Floats, rows: Ints, way: Floats, distance: float
 ) -> tuple[Floats, Mask]:
-    """How far each face lies from an upright plane (R,) [m], and whether it runs along it (R,)."""
+    """Distances (R,) of faces from an upright plane [m], and whether they run along it (R,)."""
     corners = faces.points[faces.corners[rows]]
     off = np.abs(corners[:, :, 0] * way[0] + corners[:, :, 1] * way[1] - distance).max(axis=1)
     facing = np.abs(normals[rows, 0] * way[0] + normals[rows, 1] * way[1]) > _FACING
@@ -175,7 +175,7 @@ def _find_regions(
 
 
 def _stands_before(wall: _Wall, other: _Wall) -> bool:
-    """Whether a plane is the front or the side of furniture at another one that is higher."""
+    """Return whether a plane is the front or the side of furniture at another one that is higher."""
     if wall.high > other.high - 0.15 or other.area < 1.5 * wall.area:
         return False
     cosine = float(wall.way @ other.way)
@@ -266,7 +266,7 @@ class _Part:
     """Length and concave length of contact with each other part [m]."""
 
     def alone(self) -> bool:
-        """Whether it is large enough to be a thing by itself."""
+        """Return whether it is large enough to be a thing by itself."""
         return self.area >= _ALONE and bool(np.partition(self.high - self.low, 1)[1] >= _WIDE)
 
 
@@ -481,7 +481,7 @@ def _plane_colours(patches: PatchGraph, count: int) -> Floats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Structure:
-    """What holds a building: rows of planes, in order: floor, ceilings, walls."""
+    """Planes of a building, in order: floor, ceilings, walls."""
 
     of_face: Ints  # (F,) row of the plane, -1: none
     labels: tuple[str, ...]  # "floor", "ceiling" or "wall" of each
