@@ -313,7 +313,7 @@ class Trainer:
             for moment in ("exp_avg", "exp_avg_sq"):
                 arrays[f"{moment}:{name}"] = state[moment].cpu().numpy()
             steps = int(state["step"])
-        write_map(path, "training", VERSION, {"epoch": epoch, "steps": steps}, arrays)
+        write_map(path, "training", VERSION, {"epoch": epoch, "steps": steps}, arrays, quick=True)
 
     def read(self, path: Path) -> int:
         """Restore them; returns the number of finished epochs, 0 where there is no file."""
@@ -475,7 +475,7 @@ def write_pool(path: Path, pool: ExamplePool) -> None:
     arrays["text:vocabulary"] = pack_strings(pool.texts.vocabulary)
     arrays |= {f"fit:{name}": column for name, column in pool.fits._asdict().items()}
     arrays |= {n: getattr(pool, n) for n in ("positions", "views", "scores", "right")}
-    write_map(path, "pool", VERSION, {}, arrays)
+    write_map(path, "pool", VERSION, {}, arrays, quick=True)
 
 
 def read_pool(path: Path) -> ExamplePool:
