@@ -159,7 +159,7 @@ def test_without_a_file_the_weights_come_from_the_hub(monkeypatch, weights, pict
     assert len(found) > 100
 
 
-@pytest.mark.parametrize("module", ["torch", "kornia.feature"])
+@pytest.mark.parametrize("module", ["kornia.feature"])
 def test_without_a_library_it_says_what_to_install(monkeypatch, module):
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(MissingExtraError, match=r"placegraph\[xfeat\]"):

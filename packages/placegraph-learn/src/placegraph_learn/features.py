@@ -9,7 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from safetensors import SafetensorError, safe_open
 
 from placegraph.core.geometry import Camera
 from placegraph.core.networks import device_for, read_state
@@ -42,7 +44,7 @@ class Backbone:
     Raises
     ------
     MissingExtraError
-        PyTorch or timm is not installed, or its torchvision is another PyTorch's.
+        timm is not installed, or its torchvision is another PyTorch's.
     OptionError
         There is no such model, layer or device, or it has no features of places.
     InputError
@@ -61,14 +63,14 @@ class Backbone:
         layer: int = -1,
         device: str = "auto",
     ) -> None:
-        timm, self._torch = _imported()
+        timm = import_timm()
         if not timm.is_model(model):
             raise OptionError(f"timm knows no model {model!r}; timm.list_models() has their names.")
-        self._device = device_for(self._torch, device)
+        self._device = device_for(torch, device)
         self.name, self._layer = model, layer
-        network = _made(timm, self._torch, model, pretrained=pretrained and weights is None)
+        network = _made(timm, model, pretrained=pretrained and weights is None)
         if weights is not None:
-            _fill(network, _state(self._torch, Path(weights), model), weights, model)
+            _fill(network, _state(Path(weights), model), weights, model)
         digest = hashlib.sha256()
         for name, value in sorted(network.state_dict().items()):
             digest.update(name.encode() + str(value.dtype).encode())
@@ -84,8 +86,8 @@ class Backbone:
     def __call__(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Return features (rows, columns, f) of an image (h, w, 3) whose sides are multiples of `cell`."""
         scaled = (image.astype(np.float32) / 255.0 - self._mean) / self._deviation
-        pixels = self._torch.from_numpy(np.ascontiguousarray(scaled.transpose(2, 0, 1)))[None]
-        with self._torch.inference_mode():
+        pixels = torch.from_numpy(np.ascontiguousarray(scaled.transpose(2, 0, 1)))[None]
+        with torch.inference_mode():
             (found,) = self._network.forward_intermediates(
                 pixels.to(self._device),
                 indices=[self._layer],
@@ -104,7 +106,7 @@ class Backbone:
         except Exception as error:  # timm's networks fail in many ways
             raise OptionError(
                 f"{self.name} (layer {self._layer}) gives no grid of features of an image that is no "
-                f"square ({_why(error)}); take a ViT or a convolutional network, and a layer it has."
+                f"square ({why(error)}); take a ViT or a convolutional network, and a layer it has."
             ) from error
         if not np.isfinite(found).all():
             raise InputError(f"{weights}: its numbers are not finite; download it again.")
@@ -116,20 +118,19 @@ class Backbone:
         return side // rows, dimension
 
 
-def _imported() -> tuple[Any, Any]:
-    """Return modules timm and torch."""
+def import_timm() -> Any:  # noqa: ANN401  # the module
+    """Import timm; raises `MissingExtraError` where it is missing or does not fit PyTorch."""
     try:
         import timm
-        import torch
     except (ImportError, RuntimeError) as error:  # RuntimeError: torchvision of another PyTorch
         raise MissingExtraError(
-            f"Features need PyTorch, and timm with the torchvision that belongs to it: pip install "
-            f"'placegraph[learn]' ({_why(error)})."
+            "Image features need timm and the torchvision that belongs to your PyTorch: pip install "
+            f"'placegraph[learn]' ({why(error)})."
         ) from error
-    return timm, torch
+    return timm
 
 
-def _made(timm: Any, torch: Any, model: str, *, pretrained: bool) -> Any:  # noqa: ANN401
+def _made(timm: Any, model: str, *, pretrained: bool) -> Any:  # noqa: ANN401
     """Return network without a head; of images of any size where it is a transformer."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
@@ -141,20 +142,18 @@ def _made(timm: Any, torch: Any, model: str, *, pretrained: bool) -> Any:  # noq
                     raise
             except Exception as error:
                 if not pretrained:
-                    raise OptionError(f"timm cannot make {model} ({_why(error)}).") from error
+                    raise OptionError(f"timm cannot make {model} ({why(error)}).") from error
                 raise ServiceError(
-                    f"The weights of {model} cannot be fetched ({_why(error)}); download them where "
+                    f"The weights of {model} cannot be fetched ({why(error)}); download them where "
                     f"there is a network, and give weights=FILE."
                 ) from error
     raise AssertionError
 
 
-def _state(torch: Any, path: Path, model: str) -> dict[str, Any]:  # noqa: ANN401
+def _state(path: Path, model: str) -> dict[str, Any]:
     """Return weights by name from a file; nothing in it is run."""
     if path.suffix != ".safetensors":
         return read_state(torch, path, model)
-    from safetensors import SafetensorError, safe_open
-
     try:
         with safe_open(path, "pt") as file:  # copied: whoever cuts the file short later ends nobody
             return {key: file.get_tensor(key).clone() for key in file.keys()}  # noqa: SIM118
@@ -164,7 +163,7 @@ def _state(torch: Any, path: Path, model: str) -> dict[str, Any]:  # noqa: ANN40
         ) from error
     except (SafetensorError, OSError, ValueError) as error:
         raise InputError(
-            f"{path} cannot be read as weights of {model!r} ({_why(error)}); download it again."
+            f"{path} cannot be read as weights of {model!r} ({why(error)}); download it again."
         ) from error
 
 
@@ -177,7 +176,7 @@ def _fill(network: Any, state: dict[str, Any], path: str | Path, model: str) -> 
         missing, over = network.load_state_dict(fitting, strict=False)
     except Exception as error:  # of shapes, and of whatever the filter did not expect
         raise InputError(
-            f"{path} holds weights of another network than {model!r} ({_why(error)}); give its own."
+            f"{path} holds weights of another network than {model!r} ({why(error)}); give its own."
         ) from error
     over = [key for key in over if not key.startswith(_HEADS)]
     for what, keys in (("lacks", missing), ("holds besides", over)):
@@ -188,7 +187,8 @@ def _fill(network: Any, state: dict[str, Any], path: str | Path, model: str) -> 
             )
 
 
-def _why(error: Exception) -> str:
+def why(error: Exception) -> str:
+    """Return an error's message in one line."""
     return " ".join((str(error).strip() or type(error).__name__).split())[:160]
 
 

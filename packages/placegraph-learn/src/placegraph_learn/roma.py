@@ -19,9 +19,10 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
-from placegraph.core.networks import device_for, fitting, read_state, torch_for
+from placegraph.core.networks import device_for, fitting, read_state
 from placegraph.errors import MissingExtraError, OptionError, ServiceError
 from placegraph.indoor.refine.matching.matches import (
     Matches,
@@ -45,7 +46,7 @@ class _DenseMatcher(ViewByView):
     Raises
     ------
     MissingExtraError
-        The library, or PyTorch, is not installed, or does not load.
+        The library is not installed, or does not load.
     InputError
         Weights are missing, no weights, or another network's.
     ServiceError
@@ -70,11 +71,10 @@ class _DenseMatcher(ViewByView):
     def __post_init__(self) -> None:
         check_range(count=(self.count, 1, 1e6), least=(self.least, 0, 1))
         check_range(margin=(self.margin, 0, 1e4))
-        torch = torch_for(self.name, "roma")
-        self._network = self._made(torch, device_for(torch, self.device))
+        self._network = self._made(device_for(torch, self.device))
         self._network.eval()
 
-    def _made(self, torch: Any, device: Any) -> Any:  # noqa: ANN401
+    def _made(self, device: Any) -> Any:  # noqa: ANN401
         """Return the network with its weights."""
         raise NotImplementedError
 
@@ -121,17 +121,17 @@ class RomaMatcher(_DenseMatcher):
             )
         super().__post_init__()
 
-    def _made(self, torch: Any, device: Any) -> Any:  # noqa: ANN401
+    def _made(self, device: Any) -> Any:  # noqa: ANN401
         """Return RoMa with its weights and DINOv2's, or the tiny one, whose weights include XFeat's."""
         zoo = _imported("romatch.models.model_zoo", self.name)
         urls, weights = zoo.weight_urls, self.weights
         if self.kind == "tiny":
             xfeat = _imported("kornia.feature", self.name).XFeat()
-            state = _state(torch, weights, urls["tiny_roma_v1"]["outdoor"], self.name)
+            state = _state(weights, urls["tiny_roma_v1"]["outdoor"], self.name)
             with fitting(weights, self.name):
                 return zoo.tiny_roma_v1_model(weights=state, xfeat=xfeat.net).to(device)
-        state = _state(torch, weights, urls["romatch"][self.kind], self.name)
-        under = _state(torch, self.backbone, urls["dinov2"], "DINOv2")
+        state = _state(weights, urls["romatch"][self.kind], self.name)
+        under = _state(self.backbone, urls["dinov2"], "DINOv2")
         make = zoo.roma_indoor if self.kind == "indoor" else zoo.roma_outdoor
         with fitting(weights or self.backbone, self.name):
             return make(
@@ -184,7 +184,7 @@ class RomaV2Matcher(_DenseMatcher):
         super().__post_init__()
         self._network.apply_setting(self.setting)
 
-    def _made(self, torch: Any, device: Any) -> Any:  # noqa: ANN401
+    def _made(self, device: Any) -> Any:  # noqa: ANN401
         romav2 = _imported("romav2", self.name)
         taken = _imported("romav2.device", self.name).device
         if self.device != "auto" and device.type != taken.type:
@@ -192,7 +192,7 @@ class RomaV2Matcher(_DenseMatcher):
                 f"device is {self.device!r}, but romav2 runs on {taken.type!r} here and lets nobody "
                 "choose; hide the GPU from PyTorch, or take device='auto'."
             )
-        with fitting(self.weights, self.name), _weights_from(torch, self.weights):
+        with fitting(self.weights, self.name), _weights_from(self.weights):
             return romav2.RoMaV2()
 
     def _warps(self, ours: NDArray[np.uint8], view: NDArray[np.uint8]) -> list[Warp]:
@@ -233,7 +233,7 @@ def _own(warp: NDArray[np.float32]) -> NDArray[np.float32]:
     return grid
 
 
-def _state(torch: Any, path: Path | str | None, url: str, name: str) -> dict[str, Any]:  # noqa: ANN401
+def _state(path: Path | str | None, url: str, name: str) -> dict[str, Any]:
     """Return weights from a file, else from a hub; nothing in either is run."""
     if path is not None:
         return read_state(torch, Path(path), name)
@@ -250,7 +250,7 @@ def _state(torch: Any, path: Path | str | None, url: str, name: str) -> dict[str
 
 
 @contextmanager
-def _weights_from(torch: Any, weights: Path | str | None) -> Iterator[None]:  # noqa: ANN401
+def _weights_from(weights: Path | str | None) -> Iterator[None]:
     """While a network is made, its weights come from a file, or from the hub without running them.
 
     The library knows no file: it asks PyTorch's hub as it is made, and would unpickle what comes.

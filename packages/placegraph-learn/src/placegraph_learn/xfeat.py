@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from placegraph.core.geometry import Floats
-from placegraph.core.networks import device_for, fitting, read_state, torch_for
+from placegraph.core.networks import device_for, fitting, read_state
 from placegraph.errors import MissingExtraError, ServiceError
 from placegraph.indoor.refine.matching.matches import (
     Features,
@@ -55,7 +56,7 @@ class XFeatMatcher(ViewByView):
     Raises
     ------
     MissingExtraError
-        PyTorch or kornia is not installed.
+        kornia is not installed.
     InputError
         The weights are missing, no weights, or another network's.
     ServiceError
@@ -93,9 +94,8 @@ class XFeatMatcher(ViewByView):
         check_range(features=(self.features, 1, 1e6), threshold=(self.threshold, 0, 1))
         check_range(least=(self.least, -1, 1), ratio=(self.ratio, 0, 1), sure=(self.sure, 0, 1))
         check_range(scale=(self.scale, 0.1, 8), margin=(self.margin, 0, 1e4))
-        self._torch = torch_for(self.name, "xfeat")
-        self._device = device_for(self._torch, self.device)
-        self._xfeat = _network(self._torch, self.weights).to(self._device).eval()
+        self._device = device_for(torch, self.device)
+        self._xfeat = _network(self.weights).to(self._device).eval()
 
     def prepared(self, query: NDArray[np.uint8]) -> Any:  # noqa: ANN401  # points, or cells
         """Return features of the query: at points, or of its cells."""
@@ -130,10 +130,10 @@ class XFeatMatcher(ViewByView):
         """Return the network's input (1, 3, h, w), and px of the image in a px of it (2,)."""
         height, width = image.shape[:2]
         size = [max(32, round(self.scale * n / 32) * 32) for n in (height, width)]
-        whole = self._torch.from_numpy(image.astype(np.float32) / 255.0).to(self._device)
+        whole = torch.from_numpy(image.astype(np.float32) / 255.0).to(self._device)
         tensor = whole.permute(2, 0, 1)[None]
         if size != [height, width]:
-            resize = self._torch.nn.functional.interpolate
+            resize = torch.nn.functional.interpolate
             tensor = resize(tensor, size, mode="bilinear", align_corners=False, antialias=True)
         return tensor, np.array([width / size[1], height / size[0]])
 
@@ -146,7 +146,7 @@ class XFeatMatcher(ViewByView):
         raw = found["descriptors"][0]
         scales = _numpy(found["scales"][0]).astype(np.float64)[:, None] * step
         points = _numpy(found["keypoints"][0]).astype(np.float64) * step + _CENTRE * scales
-        vectors = self._torch.nn.functional.normalize(raw, dim=-1)
+        vectors = torch.nn.functional.normalize(raw, dim=-1)
         return _Cells(Features(points, _numpy(vectors)), raw, scales)
 
     def _match_cells(
@@ -168,7 +168,6 @@ class XFeatMatcher(ViewByView):
 
     def _offsets(self, ours: Any, theirs: Any) -> tuple[Floats, Floats]:  # noqa: ANN401
         """Return each match's place (K, 2) [px] in the query's cell of 8 x 8 px, and its certainty (K,)."""
-        torch = self._torch
         with torch.inference_mode():
             logits = self._xfeat.net.fine_matcher(torch.cat([ours, theirs], dim=-1))
             sure = torch.softmax(3.0 * logits, dim=-1).amax(dim=-1)
@@ -183,7 +182,7 @@ def _numpy(tensor: Any) -> NDArray[Any]:  # noqa: ANN401
     return array
 
 
-def _network(torch: Any, weights: Path | str | None) -> Any:  # noqa: ANN401
+def _network(weights: Path | str | None) -> Any:  # noqa: ANN401
     """Return XFeat with its weights."""
     try:
         from kornia.feature import XFeat

@@ -1,7 +1,6 @@
 """The encoder: vectors of patches and objects, what is in its key, and what goes wrong."""
 
 import shutil
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +10,7 @@ from safetensors.torch import load_file
 
 import placegraph as pg
 from placegraph.core.geometry import Camera
-from placegraph.errors import InputError, MapError, MissingExtraError, OptionError
+from placegraph.errors import InputError, MapError, OptionError
 from placegraph.indoor.encode import Encoder, bound, encoder
 from placegraph.io.capture.frame import Frame
 from placegraph_learn.scenegraphloc import SceneGraphLocEncoder
@@ -147,13 +146,6 @@ def test_a_file_cut_short_is_refused(tiny_weights, tmp_path):
     path.write_bytes(tiny_weights.read_bytes()[:5000])
     with pytest.raises(InputError, match="cut short"):
         encoder("scenegraphloc", weights=path)
-
-
-@pytest.mark.parametrize("module", ["torch", "safetensors.torch"])
-def test_without_pytorch_one_is_told_what_to_install(tiny_weights, monkeypatch, module):
-    monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(MissingExtraError, match=r"placegraph\[learn\]"):
-        SceneGraphLocEncoder(tiny_weights)
 
 
 def test_a_scene_without_relations_is_encoded(made, room, survey):

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from placegraph.core.geometry import Camera
-from placegraph.errors import InputError, MissingExtraError, OptionError
+from placegraph.core.networks import device_for
+from placegraph.errors import InputError, OptionError
 from placegraph.indoor.map.scene import Scene
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
@@ -29,9 +30,7 @@ from placegraph_learn.scenegraphloc.inputs import (
     rooms_of,
     together,
 )
-
-if TYPE_CHECKING:
-    from placegraph_learn.scenegraphloc.weights import Weights
+from placegraph_learn.scenegraphloc.weights import Weights, read_weights
 
 TEMPERATURE = 0.1
 """Cosine that counts one nat where the file does not say: that of the training loss."""
@@ -70,7 +69,7 @@ class SceneGraphLocEncoder:
     Raises
     ------
     MissingExtraError
-        PyTorch, safetensors or what the features need is not installed.
+        A library that the features need is not installed.
     InputError
         A file is missing, cut short, or not what it should be (`weights.read_weights`).
     OptionError
@@ -94,10 +93,6 @@ class SceneGraphLocEncoder:
         device: str = "cpu",
         seed: int = 0,
     ) -> None:
-        torch = _torch()
-        from placegraph.core.networks import device_for
-        from placegraph_learn.scenegraphloc.weights import read_weights
-
         if weights is None:
             raise OptionError(
                 "weights: none given; name a snapshot of SceneGraphLoc, or train one with "
@@ -138,7 +133,6 @@ class SceneGraphLocEncoder:
 
     def patches(self, image: Frame) -> NDArray[np.float32]:
         """See `Encoder.patches`; the grid is that of the features, in the image's own orientation."""
-        torch = _torch()
         turns = quarter_turns(image, self.rotate)
         grid = self.features.grid(np.ascontiguousarray(np.rot90(image.rgb(), -turns)))
         with torch.inference_mode():
@@ -164,7 +158,6 @@ class SceneGraphLocEncoder:
             An image is broken.
 
         """
-        torch = _torch()
         if self.views and not captures:
             raise OptionError(
                 f"captures: none given for {scene.source or 'the map'}; {self.name} knows objects "
@@ -221,14 +214,3 @@ def _number(
     if not 0.0 < value <= most:
         raise OptionError(f"{name} is {value}; choose above 0 and at most {most:g}.")
     return value
-
-
-def _torch() -> Any:  # noqa: ANN401  # the module
-    try:
-        import safetensors.torch  # noqa: F401
-        import torch
-    except ImportError as error:
-        raise MissingExtraError(
-            "scenegraphloc needs PyTorch and safetensors: pip install 'placegraph[learn]'."
-        ) from error
-    return torch

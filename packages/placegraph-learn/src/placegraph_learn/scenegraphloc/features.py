@@ -13,13 +13,16 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from PIL import Image
 
 from placegraph.core.files import regular
 from placegraph.core.networks import device_for
-from placegraph.errors import InputError, MissingExtraError, OptionError, ServiceError
+from placegraph.errors import InputError, OptionError, ServiceError
 from placegraph.indoor.map.relations import ABOVE, NEXT_TO
+from placegraph_learn.features import import_timm, why
+from placegraph_learn.scenegraphloc.weights import read_state
 
 GRID = (9, 16)
 """Rows and columns of patches of an image that is wider than high; the other way round else."""
@@ -243,9 +246,7 @@ class DinoFeatures:
             There is no such model, block or device.
 
         """
-        import torch
-
-        made = _created(_timm(), model, weights)
+        made = _created(import_timm(), model, weights)
 
         name = f"{model}:{_digest(made)}"
         return cls(made, name=name, block=block, device=device_for(torch, device))
@@ -271,8 +272,6 @@ class DinoFeatures:
 
     def _values(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Return values (1 + patches, f), unit vectors, of the class token and the patches."""
-        import torch
-
         scaled = (image.astype(np.float32) / 255.0 - MEAN) / DEVIATION
         pixels = torch.from_numpy(np.ascontiguousarray(scaled.transpose(2, 0, 1)))[None]
         model = self._model
@@ -291,8 +290,6 @@ class DinoFeatures:
 
     def _positions(self, rows: int, columns: int) -> Any:  # noqa: ANN401  # a tensor
         """Return table of positions (1, 1 + patches, f), stretched to a grid as DINOv2 does it."""
-        import torch
-
         table = self._model.pos_embed
         side = round((table.shape[1] - 1) ** 0.5)
         if (rows, columns) == (side, side):
@@ -307,32 +304,24 @@ def _created(timm: Any, model: str, weights: Path | str | None) -> Any:  # noqa:
     if not timm.is_model(model):
         raise OptionError(f"timm knows no model {model!r}; DINOv2 ViT-g/14 is {MODEL!r}.")
     if weights is not None:
-        import torch
-
         with torch.device("meta"):  # its own numbers would be drawn, and thrown away
             made = timm.create_model(model, num_classes=0)
         # a model with the weights of a file, spelled as timm or as DINOv2's authors do
         from timm.models.vision_transformer import checkpoint_filter_fn
-
-        from placegraph_learn.scenegraphloc.weights import read_state
 
         state, _ = read_state(Path(weights), f"name the weights of {model}")
         try:
             own = checkpoint_filter_fn({key: value.float() for key, value in state.items()}, made)
             made.load_state_dict(own, assign=True)  # those of the file: ViT-g's are 4.5 GB
         except Exception as error:  # of keys and shapes that are another network's
-            raise InputError(f"{weights}: not the weights of {model} ({_why(error)}).") from error
+            raise InputError(f"{weights}: not the weights of {model} ({why(error)}).") from error
         return made
     try:
         return timm.create_model(model, pretrained=True, num_classes=0)
     except Exception as error:  # timm raises whatever its hub does
         raise ServiceError(
-            f"The weights of {model} cannot be fetched ({_why(error)}); give feature_weights a file."
+            f"The weights of {model} cannot be fetched ({why(error)}); give feature_weights a file."
         ) from error
-
-
-def _why(error: Exception) -> str:
-    return " ".join((str(error).strip() or type(error).__name__).split())[:160]
 
 
 def _digest(model: Any) -> str:  # noqa: ANN401
@@ -341,14 +330,3 @@ def _digest(model: Any) -> str:  # noqa: ANN401
         digest.update(name.encode())
         digest.update(value.cpu().contiguous().numpy())
     return digest.hexdigest()[:12]
-
-
-def _timm() -> Any:  # noqa: ANN401  # the module
-    try:
-        import timm
-    except (ImportError, RuntimeError) as error:  # a torchvision of another PyTorch
-        raise MissingExtraError(
-            f"timm cannot be imported ({str(error).splitlines()[0][:80]}); install it with the "
-            "torchvision that belongs to your PyTorch: pip install 'placegraph[learn]'."
-        ) from error
-    return timm

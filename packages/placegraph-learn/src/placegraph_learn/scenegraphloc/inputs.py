@@ -1,4 +1,4 @@
-"""What images of a map show of its objects: the views that an object is known by."""
+"""Inputs of the network: views of a map's objects in images, and rooms as tensors."""
 
 from __future__ import annotations
 
@@ -7,21 +7,20 @@ from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from placegraph.core.geometry import Camera, quaternion_from_rotation
 from placegraph.errors import OptionError
+from placegraph.indoor.encode.labels import cells
 from placegraph.indoor.map.scene import Scene
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
-from placegraph_learn.scenegraphloc.features import NONE, RELATIONS, relation_row
-
-if TYPE_CHECKING:
-    from placegraph_learn.scenegraphloc.features import ImageFeatures
-    from placegraph_learn.scenegraphloc.network import Objects
+from placegraph_learn.scenegraphloc.features import NONE, RELATIONS, ImageFeatures, relation_row
+from placegraph_learn.scenegraphloc.network import Objects
 
 MOST = 10
 """Views of an object that are kept: those that show most of it."""
@@ -119,8 +118,6 @@ def shown(objects: NDArray[np.int32], grid: tuple[int, int]) -> NDArray[np.int32
 
     None too where the most frequent, which may itself be none, covers at most `LEAST` of it.
     """
-    from placegraph.indoor.encode.labels import cells
-
     count = int(objects.max(initial=-1)) + 2
     number = grid[0] * grid[1]
     flat = cells(objects.shape, grid) * count + objects + 1
@@ -476,9 +473,6 @@ def _attributes(
 
 def together(rooms: Sequence[Room], *, device: Any = "cpu") -> Objects:  # noqa: ANN401
     """Return several rooms as the tensors that the network reads, one after the other."""
-    import torch
-
-    from placegraph_learn.scenegraphloc.network import Objects
 
     def joined(arrays: list[NDArray[Any]]) -> torch.Tensor:
         return torch.from_numpy(np.concatenate(arrays).astype(np.float32)).to(device)

@@ -42,8 +42,6 @@ class TrainOptions:
     epochs: int = 30
     batch: int = 16
     """Pictures a step."""
-    pictures: int = 0
-    """Pictures an epoch, drawn anew in each; 0: all."""
     others: int = 9
     """Other rooms whose objects a patch is told from."""
     points: int = 512
@@ -57,7 +55,7 @@ class TrainOptions:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name, least in (("epochs", 1), ("batch", 1), ("pictures", 0), ("others", 0),
+        for name, least in (("epochs", 1), ("batch", 1), ("others", 0),
                             ("points", 1), ("seed", 0)):  # fmt: skip
             if getattr(self, name) < least:
                 raise OptionError(f"{name} is {getattr(self, name)}; choose at least {least}.")
@@ -230,7 +228,7 @@ class Trainer:
             for index, marks in enumerate(lesson.marks)
             if marks.any()
         ]
-        order = self.rng.permutation(len(pictures))[: self.options.pictures or None]
+        order = self.rng.permutation(len(pictures))
         drawn = []
         for row, index in (pictures[k] for k in order.tolist()):
             apart = np.delete(np.arange(len(self.lessons)), row)
