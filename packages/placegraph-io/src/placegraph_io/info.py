@@ -1,4 +1,4 @@
-"""What lies in a bag, which of it a capture is made of, and what each use of it lacks."""
+"""Command `placegraph bag info`: what a bag holds, which topics a capture is made of, what each use lacks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,9 @@
-"""From the columns of Overture to tags of OpenStreetMap, by the table `data/overture.tsv`."""
+"""Reader of Overture Maps: GeoParquet of places, buildings, segments and the base theme.
+
+A row becomes the element that OpenStreetMap would have of it, so that all that stands on elements stands
+on Overture, too. Only row groups that meet the box are read, a few thousand rows at a time. Columns
+become tags by the table `data/overture.tsv`.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,32 @@
-"""Captures of telephone apps: Record3D, 3D Scanner App, ios_logger, Polycam and Stray Scanner."""
+"""Captures of telephone apps: Record3D, 3D Scanner App, ios_logger, Polycam and Stray Scanner.
+
+**Record3D.** A `.r3d` is a ZIP with `metadata` and, for every frame N, `rgbd/N.jpg`, `rgbd/N.depth`
+(float32 [m], LZFSE) and, of LiDAR, `rgbd/N.conf` (0 to 2, LZFSE). The export has `metadata.json`,
+`rgb/N.jpg` or `.png` and `depth/N.exr` (channel R [m]). `metadata`: `w`, `h` of the colour images, `dw`,
+`dh` of depth, `K` by columns, `perFrameIntrinsicCoeffs` (fx, fy, cx, cy), `poses` (qx, qy, qz, qw, tx,
+ty, tz: world_from_camera in ARKit's axes, of the image as it is stored) and `frameTimestamps` [s].
+
+**3D Scanner App.** For every frame N: `frame_N.json` with `cameraPoseARFrame` (16 numbers by rows,
+world_from_camera in ARKit's axes, of the image as it is stored), `intrinsics` (9 by rows [px of the
+image]) and `time`; `depth_N.png` (16 bits [mm]) and `conf_N.png` (0 to 2). Only some have a
+`frame_N.jpg`.
+
+**ios_logger.** `Frames.m4v`; `Frames.txt`, a row a frame of it: `time, number, fx, fy, cx, cy` [s, px];
+`ARposes.txt`, rows `time, x, y, z, qw, qx, qy, qz` in ARKit's axes, of the image as it is stored. Rows
+have no header. (ViewController.mm of Varvrar/ios_logger.)
+
+**Polycam.** `keyframes/` holds `images/`, `cameras/` and, where the app optimized its poses,
+`corrected_images/` (undistorted) and `corrected_cameras/`, further `depth/` (PNG of 16 bits [mm]) and
+`confidence/` (0, 127, 255). A frame's files bear its time in microseconds. `cameras/*.json`: `fx fy cx
+cy width height` and `t_00` to `t_23`, by rows: world_from_camera in ARKit's axes, of the image as it is
+stored. (README of PolyCam/polyform.)
+
+**Stray Scanner.** `rgb.mp4`; `odometry.csv` with a header and rows `timestamp, frame, x, y, z, qx, qy,
+qz, qw` and, in newer versions, `fx, fy, cx, cy`; `camera_matrix.csv` (3 x 3 [px of the video]); `depth/`
+(PNG of 16 bits [mm]) and `confidence/` (0 to 2), named by the frame. The world has ARKit's y up, but the
+cameras have OpenCV's axes already (OdometryEncoder.swift of strayrobots/scanner). The video is stored as
+the sensor lies, whatever way the telephone was held.
+"""
 
 from __future__ import annotations
 

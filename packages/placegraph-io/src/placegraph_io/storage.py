@@ -1,4 +1,4 @@
-"""Containers read in place, within limits of memory: SQLite, ZIP, compressed chunks, and RVL depth images."""
+"""Containers read in place within limits of memory: SQLite, ZIP, compressed chunks, RVL depth images."""
 
 from __future__ import annotations
 

@@ -16,10 +16,10 @@ from placegraph_io.ros.mcap_stream import mcap_packets
 from placegraph_io.ros.poses import Tree
 from placegraph_io.ros.stream import (
     SILENT,
-    Discovery,
     Fault,
     FrameAssembly,
     OdometryPose,
+    StreamDiscovery,
     packets_of,
 )
 from placegraph_io.ros.topics import TopicChoice, plan_of
@@ -80,7 +80,7 @@ def test_a_pipe_is_heard_until_it_is_known_what_comes(bag):
     """What was heard before is not lost."""
     path = bag()
     data = next(path.glob("*.mcap")).read_bytes()
-    listening = Discovery(Path("stdin"), TopicChoice())
+    listening = StreamDiscovery(Path("stdin"), TopicChoice())
     packets = list(mcap_packets(io.BytesIO(data).read, "stdin"))
     assert not any(isinstance(p, Fault) for p in packets)
     coming = iter(packets)
@@ -125,7 +125,7 @@ def test_a_damaged_chunk_of_a_pipe_is_named(bag):
 def test_what_lacks_is_named_until_it_comes(layout, words, bag):
     """Nothing is chosen while something lacks; when it comes, all is well."""
     lacking = list(mcap_packets(bytes_of(bag("mcap", layout)), "robot"))
-    listening = Discovery(Path("robot"), TopicChoice())
+    listening = StreamDiscovery(Path("robot"), TopicChoice())
     assert not any(listening.take(p) for p in lacking)
     assert listening.found() is None
     assert words in listening.lacks[0]

@@ -1,7 +1,7 @@
 """The localizer of a robot, without ROS: messages of sensors in, messages about the pose out.
 
-Whoever carries them is not known here: a bag, a pipe and a folder that fills (`sources`), a file, a
-viewer (`foxglove`), or a node of ROS 2 (`node`). All of them are one loop (`loop`).
+`run` is the one loop of all faces: it takes events of any source (`sources`) and hands messages to sinks: a
+bag, a recording, a viewer (`foxglove`), or a node of ROS 2 (`node`).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from placegraph.errors import InputError, OptionError
 from placegraph.indoor.track.belief import LivePose
 from placegraph.indoor.track.live import LiveTracker
 from placegraph.io.capture.frame import Frame
-from placegraph_io.ros.stream import Discovery, Fault, FrameAssembly, OdometryPose, Packet
+from placegraph_io.ros.stream import Fault, FrameAssembly, OdometryPose, Packet, StreamDiscovery
 from placegraph_io.ros.topics import Plan, TopicChoice
 from placegraph_ros.message import Message, nanoseconds
 from placegraph_ros.options import LiveOptions, Summary
@@ -72,7 +72,7 @@ class Localizer:
     ) -> None:
         self.options = options or LiveOptions()
         self._known = known
-        self._discovery = Discovery(Path(name), choice or TopicChoice())
+        self._discovery = StreamDiscovery(Path(name), choice or TopicChoice())
         self._assembly: FrameAssembly | None = None
         self._left_out: Counter[str] = Counter()
         self._stamps: dict[int, float] = {}

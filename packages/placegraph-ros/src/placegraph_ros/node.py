@@ -1,4 +1,8 @@
-"""What people and navigation ask of the node, and where it waits: nobody keeps a robot waiting."""
+"""The localizer as a node of ROS 2: a shell that carries messages, and leaves the rest to `Localizer`.
+
+Callbacks put bytes into an inbox and return; a thread of its own takes them out. Messages are neither
+decoded nor made by rclpy: what comes is decoded where it is used, what goes are the bytes of `encode`.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,18 @@
-"""Frames of captures, in memory or read from files when asked for, and captures as sequences of frames."""
+"""Frames of captures, in memory or read from files on demand, and captures as sequences of frames.
+
+A reader makes a `LazyImages` of functions without arguments, `colour_file` and `depth_file` where
+images are files, its own where they come out of a video or a container, and gives it to
+`posed_frame` with the camera and the pose *of the image as it is stored*:
+
+    images = LazyImages(
+        colour_file(folder / "7.jpg", camera),
+        depth_file(folder / "7.png", depth_camera, 1000.0),
+        unit=DepthUnit(folder, 1000.0),
+    )
+    posed_frame(i, stamp, pose, camera, images, depth_camera=depth_camera, turns=turns)
+
+`turns` stands all of it upright, images, intrinsics and pose: `upright_turns` says how many.
+"""
 
 from __future__ import annotations
 

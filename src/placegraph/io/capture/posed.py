@@ -1,4 +1,4 @@
-"""What readers of other recorders' captures share: poses checked, axes converted, frames made.
+"""Poses, cameras and frames of other recorders' captures: checked, and converted to z up and OpenCV's axes.
 
 They describe every frame as a `StoredFrame`, with images, intrinsics and pose as they are stored, in a
 world with z up and camera axes as OpenCV has them; `capture_of` makes a `Capture` of them and

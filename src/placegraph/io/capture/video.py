@@ -1,4 +1,11 @@
-"""Videos decoded by OpenCV, and folders that hold a video and a trajectory."""
+"""Videos decoded by OpenCV, and folders that hold a video and a trajectory.
+
+A folder with one video, `camera.json`, and the camera's trajectory `odometry.tum`, or `odometry.csv` in
+EuRoC's columns: `timestamp [ns], x, y, z, qw, qx, qy, qz`, axes as everywhere (z up, OpenCV's camera).
+Rows belong to frames in order, where there are as many, else to those within 20 ms; the first
+frame has the stamp `start` of `camera.json`, 0 if it says none. `body_from_camera` there (4 x 4 by
+rows) leads from the camera to what the trajectory tells of, as EuRoC's `T_BS` does.
+"""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""OpenStreetMap files, Overpass, and texts about places."""
+"""OpenStreetMap files, rooms in them, and Overpass."""

@@ -1,4 +1,13 @@
-"""Levels of buildings as OpenStreetMap writes them: ``0;1``, ``0-2``, ``-1``, ``0.5``."""
+"""Rooms in OpenStreetMap files: Simple Indoor Tagging, and osmAG's areas and passages.
+
+Simple Indoor Tagging has ``indoor=room|area|corridor|wall|door|level`` with ``level=*`` and
+``repeat_on=*``, and doors as nodes with ``door=*`` or ``entrance=*``. osmAG, OSM-XML for robots, has
+ways with ``osmAG:type=area|passage`` and ``osmAG:areaType=*``. Elements may stand in any order, and
+ids may be negative, as editors give them to what is new.
+
+`encode_rooms` writes both, for JOSM and for robots: ids are then negative, and places at the same 1e-7
+degrees, a centimetre, are one node, so that rooms share their walls.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""OpenStreetMap files at any URL that fsspec knows (``https://``, ``s3://``, ``memory://``), fetched.
+"""OpenStreetMap files at any URL that fsspec knows (``https://``, ``s3://``, ``memory://``), fetched to disk.
 
 What is fetched goes into a ``.part`` beside a note of which file it is of; cut off, it goes on from there.
 """

@@ -1,4 +1,9 @@
-"""Files of a COLMAP model, binary or text, and its dense depth maps.
+"""COLMAP models with depth: poses of structure from motion, brought to metres and z up.
+
+Beside the model (`sparse/0`, or the folder itself) lie `images/` and depth: `depth/` with a PNG of
+16 bits [mm] an image, or COLMAP's own `stereo/depth_maps/*.geometric.bin`. Model units become
+metres by the median ratio of measured depth to that of the sparse points; COLMAP's own depth has
+the model's unit, whose metres must be given. Up is found from cameras and level surfaces.
 
 A model is `cameras`, `images` and `points3D`, all `.bin` or all `.txt`. Poses are
 camera_from_model, quaternions w first; cameras have OpenCV's axes, and pixel centres lie at +0.5.

@@ -1,4 +1,9 @@
-"""What RTAB-Map packs into the columns of its databases: matrices, calibrations, images.
+"""Databases of RTAB-Map (`.db`), of its telephone apps and of its ROS nodes.
+
+SQLite: `Node` (id, map_id, stamp, pose), `Data` (image, depth, calibration, since 0.23
+depth_confidence) and `Admin` (version, and the poses as they were optimized last). Poses are 3 x 4
+float32 by rows, of the base in a world with z up; a calibration's local transform leads from the
+base to the camera's optical frame, whose axes are OpenCV's. (DatabaseSchema.sql of introlab/rtabmap.)
 
 `compressData`: a zlib stream and rows, columns and OpenCV's type of the matrix, three int32.
 `CameraModel::serialize`: eleven int32 (version, kind, width, height, how many numbers of K, D, R, P

@@ -1,4 +1,10 @@
-"""What lies beside a 3RScan scan: names of its files, 3DSSG's objects and relations."""
+"""Reader of 3RScan's annotated scans, with what 3DSSG says of their objects.
+
+The textured mesh (`mesh.refined.v2.obj`) gives form and colour, the annotated mesh
+(`labels.instances.annotated.v2.ply`, whose own colours are those of labels) or the segments the
+objects; `semseg.v2.json` and 3DSSG's `objects.json` their names and attributes, 3DSSG's
+`relationships.json` their relations. Scans are z up, in metres.
+"""
 
 from __future__ import annotations
 

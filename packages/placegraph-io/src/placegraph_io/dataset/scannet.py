@@ -1,4 +1,8 @@
-"""What lies in a ScanNet scan's folder beside mesh and images: names, alignment, cameras, labels."""
+"""Reader of ScanNet's annotated meshes: one folder, one scan.
+
+Objects are ScanNet's: `<scan>.aggregation.json` says which segments make one, and
+`<scan>_vh_clean_2.0.010000.segs.json` which segment a vertex of `<scan>_vh_clean_2.ply` is of.
+"""
 
 from __future__ import annotations
 

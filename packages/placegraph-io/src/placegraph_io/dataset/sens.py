@@ -1,4 +1,4 @@
-"""ScanNet's `.sens` container, version 4: header, and where the images of its frames lie.
+"""ScanNet's recordings as captures: a `.sens` file, version 4, or the folder that its tools export.
 
 All numbers are little-endian and follow each other without gaps:
 

@@ -1,4 +1,8 @@
-"""Nodes and meshes of Spark-DSG's JSON, and which of their triangles are whose."""
+"""Reader of Spark-DSG's JSON: the hierarchical scene graphs of Hydra, Khronos and Clio.
+
+Layers are objects, places, rooms, buildings; a mesh of the whole scene may be there. What is known
+of the layout, version by version, stands in `docs/formats.md`; `spark_dsg_write` writes it.
+"""
 
 from __future__ import annotations
 

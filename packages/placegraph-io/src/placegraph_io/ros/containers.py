@@ -1,7 +1,10 @@
-"""Messages of a bag where they lie: found by an index, and read one by one when they are asked for.
+"""Bags of ROS, whose messages are found by an index and read on demand: MCAP, rosbag2's SQLite, rosbag1.
 
-A message has a place: a `Block` (a chunk of an MCAP or of a rosbag1, or a database) and an offset in
-it. Of a block that is not compressed nothing but the message itself is read.
+A message has a store (a chunk of an MCAP or of a rosbag1, or a database) and an offset in it. Of a chunk
+that is not compressed only the message itself is read, and of others no more than a bag may unpack.
+`rosbags` reads whole chunks, knows no limit, and refuses files that are cut off; for MCAP and databases
+its reader is therefore not used (transforms of a bag of 270 MB: .16 s, here .01 s; packed: 1.0 and .2
+s).
 """
 
 from __future__ import annotations

@@ -1,4 +1,9 @@
-"""Messages as a stream brings them, one after the other: of a bag in the order of their recording."""
+"""Frames of a stream of messages: a recording that goes on, a pipe, or a bag in the order of its recording.
+
+`StreamDiscovery` listens until it is known what frames are made of, `FrameAssembly` makes them. Nothing
+waits for ever: a frame comes as soon as its depth and its transforms have come, and is left out, and
+counted, where they do not come.
+"""
 
 from __future__ import annotations
 
@@ -110,7 +115,7 @@ WANTED = frozenset((*IMAGES, *TRANSFORM_TYPES, *OTHERS))
 """Types of messages that are listened to, such as `sensor_msgs/Image`."""
 
 
-class Discovery:
+class StreamDiscovery:
     """Listens to a stream until it is known what frames are made of.
 
     Parameters
