@@ -16,12 +16,34 @@ from placegraph.outdoor.language.vocabulary.vocabulary import LanguageWords
 from placegraph.outdoor.language.word_order import order_chunks
 from placegraph.outdoor.language.words import NameFinder, Words, fold, tokens
 
+Known = tuple[int, tuple[Terminal, ...]]
+"""Words of a phrase that the grammar knows, and its terminals."""
+NAMED_KIND = 0.5
+"""Weight of a common noun that ends a proper name: the Dollar Tree is no tree."""
+MISSPELT_NAME = 0.9
+"""Similarity from which a name is a misspelt one of the map."""
+LONGEST_NOUN = 80
+"""Characters of a phrase that may name a kind of thing."""
+CLEARLY = 0.8
+"""Weight of a sense from which a word with a capital is a common noun after an article."""
 _OPEN = frozenset(
     ("WORD", "GO", "PASS", "CROSS", "PART", "ADVERB", "PREP", "FACE", "SEE", "BE", "REACH", "SPOT")
 )
 """Terminals whose words may also begin or be a phrase of the vocabulary."""
 _BEFORE_NOUN = frozenset(("DET", "THIS", "A", "ANOTHER", "NUM", "NO", "MY", "YOUR", "ITS", "WORD"))
 _NOUN_AFTER = frozenset(("DET", "A", "ANOTHER", "NUM", "NO", "MY", "EXISTS", "HAVE", "SEE", "OF"))
+_AFTER_NAME = frozenset(
+    ("BE", "HAVE", "AND", "ON", "IN", "AT", "PREP", "ACROSS", "BETWEEN", "WITH", "DIR")
+)
+"""Terminals that follow a name that opens a sentence."""
+_BEFORE_STREET = frozenset(("on", "onto", "at", "of", "and", "&", "between", "from", "to", "past"))
+_ORDINAL = re.compile(r"\d+(?:st|nd|rd|th)")
+_LONGEST_SENTENCE = 120
+"""Chunks that are brought into order together; nobody speaks in longer sentences."""
+_LONGEST_NAME = 4
+"""Words of the longest name that is looked for in other forms than it has on the map."""
+_FURTHER = 3
+"""Words that follow the kind of a street in a script without capitals, at most."""
 
 
 class Chunker:
@@ -43,7 +65,7 @@ class Chunker:
         self.lexicon, self.lists = language, language.lists
 
     def chunks(self, sentence: list[Word]) -> list[Chunk]:
-        """Chunks of a sentence, in order; what says nothing about a place is left out."""
+        """Return the chunks of a sentence, in order, without what says nothing about a place."""
         self.words = sentence
         self.lower = [word.lower for word in sentence]
         self.shouting = is_shouting(sentence)
@@ -51,65 +73,61 @@ class Chunker:
         found: list[Chunk] = []
         i = 0
         while i < len(sentence):
-            word = sentence[i]
-            if word.kind == "word":
-                n = self._word(i, found)
+            if sentence[i].kind == "word":
+                i += self._take_words(i, found)
             else:
-                n = 1
-                found.append(self._mark(i, word))
-            i += n
+                found.append(self._take_mark(i, sentence[i]))
+                i += 1
         return found
 
     def _senses(self, phrase: str) -> tuple[Sense, ...]:
-        """Senses of a phrase; none if it is longer than any that names a thing."""
+        """Return the senses of a phrase; none if it is longer than any that names a thing."""
         return self.vocabulary.senses(phrase) if len(phrase) <= LONGEST_NOUN else ()
 
-    def _mark(self, i: int, word: Word) -> Chunk:
+    def _take_mark(self, i: int, word: Word) -> Chunk:
+        """Return the chunk of a distance, a comma or a label."""
         if word.kind == "measure":
             return self._chunk("DIST", i, 1, word.metres)
         if word.kind == "comma":
             return self._chunk("AND", i, 1)
         written = self.text[word.start : word.end]
-        name, joined = written.replace("_", " "), "_" in written
-        senses = self._senses(word.lower)
+        name, senses = written.replace("_", " "), self._senses(word.lower)
         if word.capital:
-            common = bool(senses) and not joined and not self.proper.is_one(name)
+            common = bool(senses) and "_" not in written and not self.proper.is_one(name)
         else:
             common = bool(senses) or not (name[0].isdigit() or self.proper.is_one(name))
         if common:
             return self._chunk("NOUN", i, 1, NounMeaning(senses, exact=True))
         return self._chunk("NAME", i, 1, NounMeaning(senses or self.proper.kind(name), name))
 
-    def _word(self, i: int, found: list[Chunk]) -> int:
+    def _take_words(self, i: int, found: list[Chunk]) -> int:
         """Append what begins at word i, and return how many words it takes."""
         known = self.lexicon.longest(self.lower, i)
-        n_known, noun = known[0] if known else 0, None
-        before = found[-1].type if found else ""
-        if known is None or known[1][0].type in _OPEN:
+        n_known, terminals = known or (0, ())
+        kind, before = terminals[0].type if terminals else "", found[-1].type if found else ""
+        noun = None
+        if known is None or kind in _OPEN:
             noun = self.vocabulary.longest_match(self.lower, i)
-        n_noun = noun[0] if noun else 0
-        n_name = self.proper.length(i, known, n_known, n_noun)
+        n_name = self.proper.length(i, known, n_known, noun[0] if noun else 0)
         if n_name:
             written = self.text[self.words[i].start : self.words[i + n_name - 1].end]
-            noun_of = NounMeaning(self.proper.kind(written), self.proper.as_on_the_map(written))
-            found.append(self._chunk("NAME", i, n_name, noun_of))
+            meaning = NounMeaning(self.proper.kind(written), self.proper.as_on_the_map(written))
+            found.append(self._chunk("NAME", i, n_name, meaning))
             return n_name
-        if noun is None and (known is None or known[1][0].type in ("PART", "GO", "CROSS")):
-            noun = self._noun_here(i, before)
-            n_noun = noun[0] if noun else 0
-        if noun and (
-            n_noun > n_known or (n_noun == n_known and known and _is_noun_here(known[1][0], before))
-        ):
-            found.append(self._chunk("NOUN", i, n_noun, NounMeaning(noun[1])))
-            return n_noun
+        if noun is None and (known is None or kind in ("PART", "GO", "CROSS")):
+            noun = self._find_noun(i, before)
+        # a word that may be a verb or a noun is a noun after a determiner
+        ties = kind not in ("", "WORD", "ADVERB", "PREP", "PART", "SPOT") and before in _BEFORE_NOUN
+        if noun and (noun[0] > n_known or (noun[0] == n_known and ties)):
+            found.append(self._chunk("NOUN", i, noun[0], NounMeaning(noun[1])))
+            return noun[0]
         if known:
-            found.extend(
-                self._chunk(terminal.type, i, n_known, terminal.value) for terminal in known[1]
-            )
+            found.extend([self._chunk(t.type, i, n_known, t.value) for t in terminals])
             return n_known
-        return self._other(i, found)
+        found.extend(self._take_other(i))
+        return 1
 
-    def _noun_here(self, i: int, before: str) -> tuple[int, tuple[Sense, ...]] | None:
+    def _find_noun(self, i: int, before: str) -> tuple[int, tuple[Sense, ...]] | None:
         """Return an ordinary word or phrase that names a thing where only a noun can stand."""
         if before not in _NOUN_AFTER or (self.words[i].capital and not self.shouting):
             return None
@@ -121,11 +139,11 @@ class Chunker:
             if last and (n == 1 or last[1][0].type not in _OPEN):
                 continue
             senses = self._senses(" ".join(self.lower[i : i + n]))
-            if senses and not self._cuts(i, n):
+            if senses and not self._cuts_noun(i, n):
                 return n, senses
         return None
 
-    def _cuts(self, i: int, n: int) -> bool:
+    def _cuts_noun(self, i: int, n: int) -> bool:
         """Tell whether a noun that begins within n words ends beyond them: "large | parking lot"."""
         for j in range(i + 1, i + n):
             inner = self.vocabulary.longest_match(self.lower, j)
@@ -133,23 +151,18 @@ class Chunker:
                 return True
         return False
 
-    def _other(self, i: int, found: list[Chunk]) -> int:
-        """Append a number, a possessive, or a word that says nothing by itself."""
+    def _take_other(self, i: int) -> list[Chunk]:
+        """Return the chunks of a number, a possessive, or a word that says nothing by itself."""
         lower = self.lower[i]
         if lower.isdecimal() or lower in self.lexicon.counts:
             count = self.lexicon.counts.get(lower) or whole(lower, 10**6)
-            found.append(self._chunk("NUM", i, 1, count))
-            return 1
+            return [self._chunk("NUM", i, 1, count)]
         owner, apostrophe, _ = lower.partition("'")
-        if apostrophe:
-            senses = self._senses(owner)
-            if senses:
-                found.append(self._chunk("NOUN", i, 1, NounMeaning(senses)))
-                found[-1].words = owner
-                found.append(self._chunk("POSS", i, 1))
-                return 1
-        found.append(self._chunk("WORD", i, 1))
-        return 1
+        senses = self._senses(owner) if apostrophe else ()
+        if senses:
+            noun = self._chunk("NOUN", i, 1, NounMeaning(senses))
+            return [replace(noun, words=owner), self._chunk("POSS", i, 1)]
+        return [self._chunk("WORD", i, 1)]
 
     def _chunk(self, kind: str, i: int, n: int, value: object = None) -> Chunk:
         words = self.lower[i] if n == 1 else " ".join(self.lower[i : i + n])
@@ -157,35 +170,11 @@ class Chunker:
         return Chunk(kind, first.start, last.end, words, value, first.capital)
 
 
-def _is_noun_here(terminal: Terminal, before: str) -> bool:
-    """Tell whether a word that may be a verb or a noun is a noun after the chunk before."""
-    return (
-        terminal.type not in ("WORD", "ADVERB", "PREP", "PART", "SPOT") and before in _BEFORE_NOUN
-    )
-
-
-Known = tuple[int, tuple[Terminal, ...]]
-"""Words of a phrase that the grammar knows, and its terminals."""
-
-
-NAMED_KIND = 0.5
-"""Weight of a common noun that ends a proper name: the Dollar Tree is no tree."""
-MISSPELT_NAME = 0.9
-"""Similarity from which a name is a misspelt one of the map."""
-LONGEST_NOUN = 80
-"""Characters of a phrase that may name a kind of thing."""
-CLEARLY = 0.8
-"""Weight of a sense from which a word with a capital is a common noun after an article."""
-_TELLS = frozenset(
-    ("BE", "HAVE", "AND", "ON", "IN", "AT", "PREP", "ACROSS", "BETWEEN", "WITH", "DIR")
-)
-"""What follows a name that opens a sentence."""
-_BEFORE_STREET = frozenset(("on", "onto", "at", "of", "and", "&", "between", "from", "to", "past"))
-_ORDINAL = re.compile(r"\d+(?:st|nd|rd|th)")
-
-
 class ProperNames:
-    """Finds the proper names of one sentence after the other; parameters as of `Chunker`."""
+    """Finds proper names: on the map, by their capitals, or as streets written small.
+
+    Parameters as of `Chunker`.
+    """
 
     def __init__(
         self, text: str, language: Language, vocabulary: Words, names: NameFinder | None
@@ -197,11 +186,10 @@ class ProperNames:
         """Go on to a sentence; of one that is all capitals these say nothing."""
         self.words, self.shouting = sentence, shouting
         self.lower = [word.lower for word in sentence]
-        if self.names is None:
-            return
-        self.name_ends = [i for i, word in enumerate(self.words) if word.kind == "word"]
-        self.name_words = [fold(self.lower[i]) for i in self.name_ends]
-        self.name_at = {i: k for k, i in enumerate(self.name_ends)}
+        if self.names is not None:
+            self.name_ends = [i for i, word in enumerate(self.words) if word.kind == "word"]
+            self.name_words = [fold(self.lower[i]) for i in self.name_ends]
+            self.name_at = {i: k for k, i in enumerate(self.name_ends)}
 
     def is_one(self, name: str) -> bool:
         """Tell whether words are a name of the map, as a whole."""
@@ -223,7 +211,7 @@ class ProperNames:
         return close[0] if telling[0] == telling[1] else name
 
     def kind(self, name: str) -> tuple[Sense, ...]:
-        """What a name's last words say it is: "Hot Metal Bridge" is a bridge, half surely."""
+        """Return what a name's last words say it is: "Hot Metal Bridge" is a bridge, half surely."""
         words = [word.lower() for word in name.split()]
         while len(words) > 2 and words[-1] in self.lexicon.compass:
             words.pop()  # "King Street West" is a street
@@ -237,7 +225,7 @@ class ProperNames:
         return ()
 
     def length(self, i: int, known: Known | None, n_known: int, n_noun: int) -> int:
-        """How many words of a proper name begin at word i: on the map, or by its capitals."""
+        """Return how many words of a proper name begin at word i: on the map, or by its capitals."""
         spelt = (
             self._house(i)
             or self._capitals(i, known, n_noun)
@@ -245,11 +233,11 @@ class ProperNames:
         )
         if self.names is None:
             return spelt
-        k = self.name_at[i]
+        k, led = self.name_at[i], known is not None and known[1][0].type == "DET"
         mapped = self.names.longest_name(self.name_words, k)
         if mapped:
             mapped = self.name_ends[k + mapped - 1] - i + 1
-        if mapped and known and known[1][0].type == "DET" and self._span(i + 1) > i + mapped:
+        if mapped and led and self._span(i + 1) > i + mapped:
             return 0  # "the Independent Hotel" is no "The Independent"
         if mapped > 1 and mapped >= max(n_known, n_noun) and self._all_capital(i, mapped):
             return max(mapped, spelt)
@@ -258,7 +246,7 @@ class ProperNames:
             return int(bool(mapped) and (bool(spelt) or self._seldom_common(i)))
         if mapped <= max(n_known, n_noun) and not (spelt and capital and mapped >= spelt):
             return spelt
-        if known and known[1][0].type == "DET" and not spelt:  # "the bench" is no "The Bench"
+        if led and not spelt:  # "the bench" is no "The Bench"
             noun = self.vocabulary.longest_match(self.lower, i + 1)
             mapped = mapped if mapped > 1 + (noun[0] if noun else 0) else 0
         if mapped == 1 and (known or n_noun or len(self.lower[i]) < 3):
@@ -276,95 +264,79 @@ class ProperNames:
         """Tell whether n words are written as names are: "The Salvation Army"."""
         small = self.lists["connectives"]
         names = [w for w in self.words[i : i + n] if w.kind == "word" and w.lower not in small]
-        return (
-            bool(names)
-            and not self.shouting
-            and all(w.capital or w.lower[0].isdigit() for w in names)
-        )
+        capitals = all(w.capital or w.lower[0].isdigit() for w in names)
+        return bool(names) and not self.shouting and capitals
 
     def _capitals(self, i: int, known: Known | None, n_noun: int) -> int:
-        """How many words of a name written with capitals begin at word i."""
+        """Return how many words of a name written with capitals begin at word i."""
         word = self.words[i]
-        if self._counted(i, known):
+        if self._is_counted_street(i, known):
             return self._span(i + (known is not None)) - i
-        if self.shouting or not (word.capital or word.lower[0].isdigit()):
-            return 0
-        if not word.capital and not self._numbered(i):
+        if self.shouting or not (word.capital or self._is_numbered(i)):
             return 0
         following = self.words[i + 1] if i + 1 < len(self.words) else None
         continues = following is not None and following.kind == "word" and following.capital
-        if known is not None:
-            kind = known[1][0].type
-            name_like = kind in ("DIR", "SHORT", "WORD", "PART") or (
-                i > 0 and kind not in ("ME", "YOU", "IT", "DET", "AND")
-            )
-            if not (continues and name_like):
-                return 0
-        end = self._span(i)
-        if i == 0 and end == 1 and following and following.lower in self.lists["articles"]:
-            return 0  # "Find the", "Disregard the"
-        if end == i + 1 and (
-            word.lower in self.lexicon.counts or (i == 0 and not self._told_of(i))
+        kind = known[1][0].type if known is not None else "WORD"
+        if kind not in ("DIR", "SHORT", "WORD", "PART") and (
+            i == 0 or kind in ("ME", "YOU", "IT", "DET", "AND")
         ):
             return 0
-        if end == i + 1 and n_noun == 1 and (i == 0 or self.lower[i - 1] in self.lists["articles"]):
-            return 0  # "Bakery north of me", "the Cathedral"
+        if known is not None and not continues:
+            return 0
+        end = self._span(i)
         after_article = i == 0 or self.lower[i - 1] in self.lists["articles"]
+        if i == 0 and end == 1 and following and following.lower in self.lists["articles"]:
+            return 0  # "Find the", "Disregard the"
+        alone = word.lower in self.lexicon.counts or (i == 0 and not self._opens_sentence(i))
+        if end == i + 1 and (alone or (n_noun == 1 and after_article)):
+            return 0  # "Bakery north of me", "the Cathedral"
         return 0 if n_noun >= end - i and (end - i > 1 or after_article) else end - i
 
-    def _counted(self, i: int, known: Known | None) -> bool:
+    def _is_counted_street(self, i: int, known: Known | None) -> bool:
         """Tell whether a number counts a street: "W. 38th", "east 34th", "at 5th and 34th"."""
+        last = i + 1 >= len(self.words)
         if _ORDINAL.fullmatch(self.lower[i]) and i and self.lower[i - 1] in _BEFORE_STREET:
-            following = self.lexicon.longest(self.lower, i + 1) if i + 1 < len(self.words) else None
-            return (
-                i + 1 == len(self.words)
-                or self.words[i + 1].kind != "word"
-                or (following is not None and following[1][0].type in _TELLS)
-            )
-        return (
-            known is not None
-            and known[0] == 1
-            and known[1][0].type in ("DIR", "SHORT")
-            and i + 1 < len(self.words)
-            and _ORDINAL.fullmatch(self.lower[i + 1]) is not None
-        )
+            following = None if last else self.lexicon.longest(self.lower, i + 1)
+            ends = last or self.words[i + 1].kind != "word"
+            return ends or (following is not None and following[1][0].type in _AFTER_NAME)
+        led = known is not None and known[0] == 1 and known[1][0].type in ("DIR", "SHORT")
+        return led and not last and _ORDINAL.fullmatch(self.lower[i + 1]) is not None
 
     def _house(self, i: int) -> int:
-        """How many words a house number at word i has with its street: "125 Main Street"."""
-        if not self.lower[i].isdecimal() or self.words[i + 1 : i + 2] == []:
-            return 0
-        if self.words[i + 1].kind != "word":
+        """Return how many words a house number at word i has with its street: "125 Main Street"."""
+        numbered = self.lower[i].isdecimal() and i + 1 < len(self.words)
+        if not numbered or self.words[i + 1].kind != "word":
             return 0
         n = self._capitals(i + 1, self.lexicon.longest(self.lower, i + 1), 0)
         return n + 1 if n > 1 and self.lower[i + n] in self.lists["street_suffixes"] else 0
 
-    def _told_of(self, i: int) -> bool:
+    def _opens_sentence(self, i: int) -> bool:
         """Tell whether something is said of the word: "Lidl is near me", not "Wanna join me"."""
         if i + 1 == len(self.words) or self.words[i + 1].kind != "word":
             return True
         known = self.lexicon.longest(self.lower, i + 1)
         if known is None:  # "Cupka's cafe"
             return self.vocabulary.longest_match(self.lower, i + 1) is not None
-        return known[1][0].type in _TELLS
+        return known[1][0].type in _AFTER_NAME
 
     def _small_street(self, i: int, known: Known | None, n_noun: int) -> int:
-        """How many words of a street's name begin at word i, written small: "smallman street"."""
-        at = i
+        """Return how many words of a street's name begin at word i, written small: "smallman street"."""
+        at, suffixes = i, self.lists["street_suffixes"]
         if known is not None:
             if known[1][0].type != "DIR" or known[0] != 1:
                 return 0
             at = i + 1  # "east carson street", "west avenue"
-        if at + 1 < len(self.words) and self.lower[at] not in self.lists["street_suffixes"]:
+        if at + 1 < len(self.words) and self.lower[at] not in suffixes:
             plain = (known is None and n_noun) or self.lexicon.longest(self.lower, at)
             at = len(self.words) if plain else at + 1
-        before = self.lower[i - 1] if i else ""
-        if at >= len(self.words) or self.lower[at] not in self.lists["street_suffixes"]:
+        if at >= len(self.words) or self.lower[at] not in suffixes:
             return 0
+        before = self.lower[i - 1] if i else ""
         return 0 if at == i or before in self.lists["articles"] else at + 1 - i
 
-    def _numbered(self, i: int) -> bool:
+    def _is_numbered(self, i: int) -> bool:
         """Tell whether a name begins with the number at word i: "16th Street", "7-Eleven"."""
-        if i + 1 >= len(self.words):
+        if i + 1 >= len(self.words) or not self.lower[i][0].isdigit():
             return False
         following = self.words[i + 1]
         if not _ORDINAL.fullmatch(self.lower[i]):
@@ -372,13 +344,12 @@ class ProperNames:
         return following.capital or following.lower in self.lists["suffixes"]
 
     def _span(self, i: int) -> int:
-        """End of the words with capitals, and small ones between them, that begin at word i."""
+        """Return the end of the words with capitals, and small ones between them, from word i on."""
         end = i + 1
+        small = self.lists["connectives"]
         while end < len(self.words):
             at = end
-            while (
-                at < min(end + 2, len(self.words)) and self.lower[at] in self.lists["connectives"]
-            ):
+            while at < min(end + 2, len(self.words)) and self.lower[at] in small:
                 at += 1
             if at >= len(self.words) or self.words[at].kind != "word":
                 break
@@ -387,21 +358,11 @@ class ProperNames:
             if not (word.capital or number) or word.lower in self.lists["persons"]:
                 break
             end = at + 1
-        if end < len(self.words) and self.lower[end] in self.lists["suffixes"]:
-            end += 1
-        return end
-
-
-_LONGEST_SENTENCE = 120
-"""Chunks that are brought into order together; nobody speaks in longer sentences."""
-_LONGEST_NAME = 4
-"""Words of the longest name that is looked for in other forms than it has on the map."""
-_FURTHER = 3
-"""Words that follow the kind of a street in a script without capitals, at most."""
+        return end + (end < len(self.words) and self.lower[end] in self.lists["suffixes"])
 
 
 class InflectedChunker(Chunker):
-    """A `Chunker` of any language but English."""
+    """A `Chunker` of any language but English: words in any form meet their dictionary form."""
 
     def __init__(
         self, text: str, language: Language, vocabulary: LanguageWords, names: NameFinder | None
@@ -418,29 +379,27 @@ class InflectedChunker(Chunker):
             return False  # a letter of Japanese, not a word
         if self.dictionary.known(word) or (len(word) > 1 and self.proper.is_one(word)):
             return True
-        articles = self.proper.lists["articles"].intersection(self.lexicon.prefixes)
-        if any(
-            word.startswith(a) and self.dictionary.known(word.removeprefix(a)) for a in articles
-        ):
-            return False  # "المكتبة" is the library, whatever begins with it
+        for article in self.lists["articles"].intersection(self.lexicon.prefixes):
+            if word.startswith(article) and self.dictionary.known(word.removeprefix(article)):
+                return False  # "المكتبة" is the library, whatever begins with it
         # of several words only the first may have a prefix
         return bool(self.lexicon.prefixes) and self.dictionary.begins(word)
 
     def chunks(self, sentence: list[Word]) -> list[Chunk]:
-        """Chunks of a sentence, in the order of the grammar."""
-        self.proper.bent = {}
-        found = self._marked(super().chunks(sentence))
+        """Return the chunks of a sentence, in the order of the grammar."""
+        self.proper.inflected = {}
+        found = self._mark_cases(super().chunks(sentence))
         parts = (found[i : i + _LONGEST_SENTENCE] for i in range(0, len(found), _LONGEST_SENTENCE))
         return [chunk for part in parts for chunk in order_chunks(part, self.lexicon)]
 
-    def _mark(self, i: int, word: Word) -> Chunk:
+    def _take_mark(self, i: int, word: Word) -> Chunk:
         if word.kind != "quoted":
-            return super()._mark(i, word)
+            return super()._take_mark(i, word)
         written = self.text[word.start : word.end].strip()
         return self._chunk("NAME", i, 1, NounMeaning(self.proper.kind(written), written))
 
-    def _marked(self, chunks: list[Chunk]) -> list[Chunk]:
-        """Chunks with what endings and particles stand for behind their things."""
+    def _mark_cases(self, chunks: list[Chunk]) -> list[Chunk]:
+        """Put what endings and particles stand for behind their things."""
         found: list[Chunk] = []
         for chunk in chunks:
             case: tuple[str, ...] = ()
@@ -449,26 +408,20 @@ class InflectedChunker(Chunker):
                 continue
             if chunk.type == "NOUN" and (known := self.dictionary.find(chunk.words)) is not None:
                 chunk.words, case = known.word, known.case
-            elif chunk.type == "NAME":
-                case = self._case_of_name(chunk)
+            elif chunk.type == "NAME" and chunk.start in self.proper.inflected:
+                chunk.value.name, case = self.proper.inflected[chunk.start]
+            elif chunk.type == "NAME" and not self.proper.is_one(chunk.words):
+                forms = self.lexicon.forms.of(fold(chunk.words.rpartition(" ")[2]))
+                case = next((form.case for form in reversed(forms) if form.case), ())
             found.append(chunk)
             found += [Chunk(kind, chunk.end, chunk.end) for kind in case]
         return found
-
-    def _case_of_name(self, chunk: Chunk) -> tuple[str, ...]:
-        if chunk.start in self.proper.bent:
-            chunk.value.name, case = self.proper.bent[chunk.start]
-            return case
-        if self.proper.is_one(chunk.words):
-            return ()
-        forms = self.lexicon.forms.of(fold(chunk.words.rpartition(" ")[2]))
-        return next((form.case for form in reversed(forms) if form.case), ())
 
 
 class InflectedNames(ProperNames):
     """`ProperNames` that may stand in another form than on the map: "Mannerheimintiellä"."""
 
-    bent: dict[int, tuple[str, tuple[str, ...]]]
+    inflected: dict[int, tuple[str, tuple[str, ...]]]
     """Names of a sentence that are not as on the map, by where they begin: as there, and case."""
 
     def take(self, sentence: list[Word], *, shouting: bool) -> None:
@@ -477,51 +430,47 @@ class InflectedNames(ProperNames):
         super().take(sentence, shouting=shouting or (len(sentence) > 2 and written.isupper()))
 
     def length(self, i: int, known: Known | None, n_known: int, n_noun: int) -> int:
-        """How many words of a proper name begin at word i: on the map, or by its capitals."""
-        n = self._bent(i) if self.names is not None and self.lexicon.forms else 0
+        """Return how many words of a proper name begin at word i: on the map, or by its capitals."""
+        n = self._inflected(i) if self.names is not None and self.lexicon.forms else 0
         found = super().length(i, known, n_known, n_noun)
-        whole = bool(found) and self.is_one(" ".join(self.lower[i : i + found]))
-        if n > max(n_known, n_noun) and n >= found and not whole:
+        exact = bool(found) and self.is_one(" ".join(self.lower[i : i + found]))
+        if n > max(n_known, n_noun) and n >= found and not exact:
             return n
-        self.bent.pop(self.words[i].start, None)
+        self.inflected.pop(self.words[i].start, None)
         return found
 
     def kind(self, name: str) -> tuple[Sense, ...]:
-        """What a name's last words say it is, or its first: "Bäckerei Schmidt"."""
+        """Return what a name's last words say it is, or its first: "Bäckerei Schmidt"."""
         first = super().kind(name.split(maxsplit=1)[0]) if " " in name else ()
         if self.lexicon.order.head_first and first:
             return first  # "Hôtel de la Gare" is no station
         return super().kind(name) or first
 
-    def _bent(self, i: int) -> int:
-        """How many words of a name in another form than the map's begin at word i."""
+    def _inflected(self, i: int) -> int:
+        """Return how many words of a name in another form than the map's begin at word i."""
         words = self.words[i : i + _LONGEST_NAME]
         prefixes = self.lists["street_prefixes"] | self.lists["place_prefixes"]
         street = words[0].lower in prefixes  # "na ulicy Długiej"
-        told = words[0].capital or _lacks_capitals(words[0]) or street
-        if not told or (len(words[0].lower) < 4 and not street):
+        named = words[0].capital or _lacks_capitals(words[0]) or street
+        if not named or (len(words[0].lower) < 4 and not street):
             return 0
         for n in range(len(words), 0, -1):
             if any(word.kind != "word" for word in words[:n]):
                 continue
             for written, case in self._forms_of([fold(word.lower) for word in words[:n]]):
                 if self.is_one(" ".join(written)):
-                    self.bent[words[0].start] = (" ".join(written), case)
+                    self.inflected[words[0].start] = (" ".join(written), case)
                     return n
         return 0
 
     def _forms_of(self, words: list[str]) -> list[tuple[list[str], tuple[str, ...]]]:
-        """Names that words may be forms of: the last or the first bends alone, or both of two do."""
-        dictionary = self.lexicon.forms.dictionary
-        found = [([*words[:-1], form.stem], form.case) for form in dictionary(words[-1])]
+        """Return names that words may be forms of: the last or the first bends alone, or both of two."""
+        forms = [self.lexicon.forms.dictionary(word) for word in (words[0], words[-1])]
+        found = [([*words[:-1], form.stem], form.case) for form in forms[1]]
         if len(words) > 1:  # "на улице Ленина"
-            found += [([form.stem, *words[1:]], form.case) for form in dictionary(words[0])]
+            found += [([form.stem, *words[1:]], form.case) for form in forms[0]]
         if len(words) == 2:
-            found += [
-                ([first.stem, last.stem], last.case)
-                for first in dictionary(words[0])
-                for last in dictionary(words[1])
-            ]
+            found += [([a.stem, b.stem], b.case) for a in forms[0] for b in forms[1]]
         return found
 
     def _capitals(self, i: int, known: Known | None, n_noun: int) -> int:
@@ -543,7 +492,7 @@ class InflectedNames(ProperNames):
         return 0 if n_noun or (article and not street) else 1
 
     def _small_street(self, i: int, known: Known | None, n_noun: int) -> int:
-        """Streets whose kind stands first, too: "rue de la Paix"."""
+        """Return the words of streets whose kind stands first, too: "rue de la Paix"."""
         return self._street_after(i) or super()._small_street(i, known, n_noun)
 
     def _is_onto_next(self, i: int) -> bool:
@@ -552,7 +501,9 @@ class InflectedNames(ProperNames):
         return glued and self.lower[i] in self.lexicon.prefixes
 
     def _street_after(self, i: int) -> int:
-        led = i > 0 and self._is_onto_next(i - 1) and self._is_article(i - 1)
+        """Return how many words of a street's name begin at word i, its kind first."""
+        articles = self.lists["articles"]
+        led = i > 0 and self._is_onto_next(i - 1) and self.lower[i - 1] in articles
         if led and _lacks_capitals(self.words[i]):
             return 0  # "ال|شارع", the street
         at = i + 1
@@ -567,9 +518,7 @@ class InflectedNames(ProperNames):
             at += 1  # "רחוב המלך": an article written onto the name
         if at >= len(self.words) or self.words[at].kind != "word":
             return 0
-        bare = _lacks_capitals(self.words[at])
-        if bare and not self._is_article(at - 1) and not self._has_article(at):
-            bare = self.lexicon.longest(self.lower, at) is None
+        bare = self._is_bare_name(at)
         noun = self.vocabulary.longest_match(self.lower, i)
         common = bare and noun is not None and noun[0] > 1  # a "foot path" in its own script
         if common or not (self.words[at].capital or bare):
@@ -582,13 +531,13 @@ class InflectedNames(ProperNames):
             end += 1
         return end - i
 
-    def _is_article(self, i: int) -> bool:
-        return self.lower[i] in self.lists["articles"]
-
-    def _has_article(self, i: int) -> bool:
-        """Tell whether an article is written onto a word: "شارع الحمراء"."""
-        articles = self.lists["articles"].intersection(self.lexicon.prefixes)
-        return self.lower[i].startswith(tuple(articles))
+    def _is_bare_name(self, i: int) -> bool:
+        """Tell whether a word in a script without capitals may be a street's name."""
+        articles = self.lists["articles"]
+        written_on = tuple(articles.intersection(self.lexicon.prefixes))  # "شارع الحمراء"
+        led = self.lower[i - 1] in articles or self.lower[i].startswith(written_on)
+        unknown = led or self.lexicon.longest(self.lower, i) is None
+        return unknown and _lacks_capitals(self.words[i])
 
     def _says_nothing(self, i: int) -> bool:
         """Tell whether a word is none of the grammar and no thing: "شارع الملك | فهد"."""
