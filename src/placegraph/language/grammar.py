@@ -173,7 +173,7 @@ class IslandParser(Generic[Result]):
             rest = rest[used:]
 
     def _island(self, chunks: list[Chunk]) -> tuple[Result | None, list[Chunk], int]:
-        """Longest clause from the first chunk on, chunks left out of it, and how many it took."""
+        """Return the longest clause from the first chunk on, chunks left out of it, and how many it took."""
         parser = self._grammar.parse()
         left_out: list[Chunk] = []
         for i, chunk in enumerate(chunks):
@@ -307,7 +307,7 @@ class Parse:
 
 
 def _table(text: str, start: str) -> bytes:
-    """JSON of the states, in which a token leads to another state (0 ...) or completes a rule (-1 ...)."""
+    """Return JSON of the states: a token leads to another state (0 ...) or completes a rule (-1 ...)."""
     from lark import Lark
     from lark.grammar import Rule
     from lark.lexer import Lexer, TerminalDef
@@ -337,7 +337,7 @@ def _table(text: str, start: str) -> bytes:
 
 
 def _rule(rule: dict[str, Any]) -> tuple[str, str, list[bool], bool]:
-    """Origin, name of what builds it, which symbols are inlined, whether one child stands alone."""
+    """Return origin, name of what builds it, which symbols are inlined, whether one child stands alone."""
     origin, alias = rule["origin"]["name"], rule["alias"]
     inlined = [
         symbol["__type__"] == "NonTerminal" and symbol["name"].startswith("_")

@@ -35,14 +35,14 @@ class Measure(float):
     """Whether it is that or less: "within 50 m"."""
 
     def again(self, count: float) -> Self:
-        """As many of the same unit: "9 blocks west, then 4 north"."""
+        """Return as many of the same unit: "9 blocks west, then 4 north"."""
         measure = type(self)(self.unit * count)
         measure.unit, measure.blocks = self.unit, count if self.blocks else 0.0
         return measure
 
     @classmethod
     def within(cls, metres: float, *, blocks: float = 0.0) -> Self:
-        """A distance that is this or less, or that many blocks or less."""
+        """Return a distance that is this or less, or that many blocks or less."""
         measure = cls(metres or blocks * _UNITS["block"])
         measure.blocks, measure.at_most = blocks, True
         return measure
@@ -90,7 +90,7 @@ _LETTERS = re.compile(r"[a-z]+")
 
 
 def whole(digits: str, most: int) -> int:
-    """Whole number of decimal digits, `most` at most: Python reads no more than 4,300 of them."""
+    """Return the whole number of decimal digits, `most` at most: Python reads no more than 4,300 of them."""
     return most if len(digits) > 300 else min(int(digits), most)
 
 
@@ -100,7 +100,7 @@ def may_measure(text: str) -> bool:
 
 
 def metres(text: str, number: str | None) -> Measure:
-    """Length [m] of a distance matched by `MEASURE`, and of its group ``number``."""
+    """Return the length [m] of a distance matched by `MEASURE`, and of its group ``number``."""
     text = text.lower()
     unit = _LAST_UNIT.findall(re.sub(r"(?<=[\d½])(?=[a-z])", " ", text))[-1]
     half = 0.5 if re.search(r"half|½|1/2", text) else 0.0

@@ -152,7 +152,7 @@ def _ends_sentence(
 
 
 class Terminal(NamedTuple):
-    """What a phrase stands for: a terminal of the grammar and what it carries."""
+    """Terminal of the grammar that a phrase stands for, and what it carries."""
 
     type: str
     value: Any = None
@@ -179,7 +179,7 @@ class Phrases:
         }
 
     def longest(self, words: Sequence[str], start: int) -> tuple[int, tuple[Terminal, ...]] | None:
-        """Number of words of the longest phrase that begins at `start`, and its terminals."""
+        """Return the number of words of the longest phrase that begins at `start`, and its terminals."""
         for n in self._lengths.get(words[start], ()):
             phrase = tuple(words[start : start + n])
             if phrase in self._known:

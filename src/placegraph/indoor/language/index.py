@@ -144,7 +144,7 @@ def triples(graph: SceneGraph) -> Iterable[tuple[int, str, int]]:
 
 
 class Found(NamedTuple):
-    """How much of the words that were asked for each unit (U,) has."""
+    """Counts of the words that were asked for, in each unit (U,)."""
 
     exact: Floats
     """How many that are what was asked for."""

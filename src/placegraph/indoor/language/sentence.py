@@ -1,4 +1,4 @@
-"""What a sentence says, before any map is looked at: things are mentioned, statements relate them."""
+"""Sentences: mentions of things and statements that relate them, before any map is looked at."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Mention:
 
 @dataclass(frozen=True, slots=True)
 class Statement:
-    """What is said of one or two things."""
+    """Statement of one or two things."""
 
     kind: Kind
     things: tuple[int, ...]
@@ -79,7 +79,7 @@ class Statement:
 
 @dataclass(frozen=True)
 class Sentence:
-    """What was understood of a text, and what was not."""
+    """Mentions and statements of a text, and what was not understood."""
 
     text: str
     mentions: tuple[Mention, ...] = ()
@@ -87,5 +87,5 @@ class Sentence:
     ignored: tuple[Ignored, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and strings, ready for `json.dumps`."""
+        """Return plain numbers and strings, ready for `json.dumps`."""
         return asdict(self)

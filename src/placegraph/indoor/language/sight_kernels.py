@@ -1,5 +1,5 @@
 # mypy: allow-untyped-defs, allow-incomplete-defs
-"""Compiled: which of the things spoken of are seen from where, in which direction and how near."""
+"""Compiled search of panoramas for the things spoken of: from where, in which direction, how near."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from placegraph.core.jit import kernel
 
 @kernel
 def look_for(objects, ranges, slot, level, slots):
-    """Where things are seen from each position.
+    """Find where things are seen from each position.
 
     `objects`, `ranges`: (K, E, A) of the panoramas; `slot`: (N + 1,) of each object, -1 of those
     that are not looked for; `level`: (E, 256) horizontal distance of stored ranges [m].
@@ -37,7 +37,7 @@ def look_for(objects, ranges, slot, level, slots):
 
 @kernel
 def look_around_for(objects, ranges, weight, fit):
-    """How well (K, A) what is seen in each direction is the thing: the best of `weight` x `fit`.
+    """Return how well (K, A) what is seen in each direction is the thing: the best of `weight` x `fit`.
 
     `weight`: (N + 1,) how well each object is the thing; `fit`: (E, 256) how well ranges fit.
     """
@@ -54,7 +54,7 @@ def look_around_for(objects, ranges, weight, fit):
 
 @kernel
 def turned(profile, shift, window):
-    """Best of a profile (K, A) around each heading (K, A), turned by `shift` bins.
+    """Return the best of a profile (K, A) around each heading (K, A), turned by `shift` bins.
 
     `window`: (2 W + 1,) how well bins beside the direction said still fit it.
     """
@@ -74,7 +74,7 @@ def turned(profile, shift, window):
 
 @kernel
 def vote_rooms(objects, ranges, room, weight, rooms):
-    """Share (K, rooms) of what is seen that is of each room; `weight`: (256,) by range."""
+    """Return the share (K, rooms) of what is seen that is of each room; `weight`: (256,) by range."""
     count, bands, azimuths = objects.shape
     out = np.zeros((count, rooms), np.float32)
     for k in range(count):

@@ -122,7 +122,7 @@ class Statement:
 
 @dataclass(frozen=True)
 class Description:
-    """What was understood of a text."""
+    """Query graph of a text: what was understood, and what was not."""
 
     text: str
     mentions: tuple[Mention, ...] = ()
@@ -141,7 +141,7 @@ class Description:
         return tuple(m.words for m in known if not m.senses and not m.name)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and strings, ready for `json.dumps`."""
+        """Return plain numbers and strings, ready for `json.dumps`."""
         return asdict(self)
 
 

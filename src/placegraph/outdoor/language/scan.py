@@ -96,13 +96,15 @@ def scan_any(
             sentences[-1].append(Word("quoted", written[1:-1], True, start + 1, end - 1))
         else:
             lower = written.lower().replace("’", "'")
-            length = metres(match["number"], match["unit"], language) if kind == "measure" else 0.0
+            length = (
+                read_metres(match["number"], match["unit"], language) if kind == "measure" else 0.0
+            )
             sentences[-1].append(Word(kind, lower, written[0].isupper(), start, end, length))
     return [sentence for sentence in sentences if sentence]
 
 
-def metres(number: str, unit: str, language: Language) -> float:
-    """Length [m] of a number and a unit."""
+def read_metres(number: str, unit: str, language: Language) -> float:
+    """Return the length [m] of a number and a unit."""
     measures = language.measures
     plain = " ".join(number.lower().split())
     value = measures.numbers.get(plain)
@@ -126,7 +128,7 @@ def _shortened(text: str, end: int, mark: str, sentence: list[Word], language: L
 def _words(
     written: str, start: int, language: Language, known: Callable[[str], bool]
 ) -> list[Word]:
-    """Words of a stretch of letters: cut where there are no spaces, and behind prefixes."""
+    """Return the words of a stretch of letters: cut where there are no spaces, and behind prefixes."""
     if not language.spaces and not written.isascii():
         parts = _cut(written, known)
     else:

@@ -107,27 +107,20 @@ LONG = 8
 """Letters of words in which two letters may differ."""
 
 
-def corrected(form: str, choices: Sequence[str]) -> tuple[str, float] | None:
-    """The choice that a word is a misspelling of, and how near it is (Jaro-Winkler)."""
+def correct_word(form: str, choices: Sequence[str]) -> tuple[str, float] | None:
+    """Return the choice that a word is a misspelling of, and how near it is (Jaro-Winkler)."""
     from rapidfuzz import process
     from rapidfuzz.distance import OSA, JaroWinkler
 
-    near = process.extract(
-        form,
-        choices,
-        scorer=OSA.distance,
-        score_cutoff=2 if len(form) >= LONG else 1,
-        limit=None,
-    )
-    return max(
-        ((word, JaroWinkler.similarity(form, word)) for word, *_ in near if _slip(form, word)),
-        key=lambda found: found[1],
-        default=None,
-    )
+    most = 2 if len(form) >= LONG else 1
+    near = process.extract(form, choices, scorer=OSA.distance, score_cutoff=most, limit=None)
+    meant = [word for word, *_ in near if _is_slip(form, word)]
+    found = [(word, JaroWinkler.similarity(form, word)) for word in meant]
+    return max(found, key=lambda pair: pair[1], default=None)
 
 
-def similar(form: str, choices: Sequence[str]) -> list[str]:
-    """At most two choices that a word looks like, the likest first."""
+def find_similar(form: str, choices: Sequence[str]) -> list[str]:
+    """Return at most two choices that a word looks like, the likest first."""
     from rapidfuzz import process
     from rapidfuzz.distance import JaroWinkler
 
@@ -136,7 +129,7 @@ def similar(form: str, choices: Sequence[str]) -> list[str]:
     return list(dict.fromkeys(word for word, *_ in near))[:2]
 
 
-def _slip(typed: str, meant: str) -> bool:
+def _is_slip(typed: str, meant: str) -> bool:
     """Tell whether one word may be a misspelling of another.
 
     In a short word a letter replaced is another word more often than a slip ("like", "line"), and
@@ -154,7 +147,7 @@ def _slip(typed: str, meant: str) -> bool:
 
 
 def beginnings(phrases: Iterable[str]) -> frozenset[str]:
-    """All proper beginnings of phrases, word by word."""
+    """Return all proper beginnings of phrases, word by word."""
     found = set()
     for phrase in phrases:
         at = phrase.find(" ")
@@ -165,21 +158,21 @@ def beginnings(phrases: Iterable[str]) -> frozenset[str]:
 
 
 class Words(Protocol):
-    """What the chunker needs of a vocabulary."""
+    """Vocabulary, as far as the chunker needs it."""
 
     def senses(self, phrase: str) -> tuple[Sense, ...]:
-        """Labels a phrase may stand for, likeliest first."""
+        """Return labels a phrase may stand for, likeliest first."""
 
     def longest_match(
         self, tokens: Sequence[str], start: int = 0
     ) -> tuple[int, tuple[Sense, ...]] | None:
-        """Longest phrase that begins at `start`: number of words and senses.
+        """Return the longest phrase that begins at `start`: number of words and senses.
 
         There are none for a word that is known and that no map draws.
         """
 
     def closest(self, phrase: str, *, cutoff: float) -> tuple[str, float] | None:
-        """Most similar known phrase and its similarity in [0, 1]."""
+        """Return the most similar known phrase and its similarity in [0, 1]."""
 
     def unknown(self, phrase: str) -> str:
         """Say why a phrase has no senses."""
@@ -195,7 +188,7 @@ class NameFinder(Protocol):
         """
 
     def closest_name(self, phrase: str) -> tuple[str, float] | None:
-        """Most similar name and its similarity in [0, 1], or None."""
+        """Return the most similar name and its similarity in [0, 1], or None."""
 
 
 _NAME_SPELLING = _read_pairs("""
@@ -230,7 +223,7 @@ _NAME_WORD = re.compile(r"[^\W_]+(?:['’`´][^\W_]+)*|&")
 
 
 def fold(word: str) -> str:
-    """Normal form of one word of a name: "Theatre" -> "theater", "Café" -> "cafe", "N" -> "north"."""
+    """Return the normal form of one word of a name: "Theatre" -> "theater", "N" -> "north"."""
     if word == "&":
         return "and"
     word = word.casefold()
@@ -252,7 +245,7 @@ def ordinal(number: int) -> str:
 
 
 def tokens(text: str) -> list[str]:
-    """Words of a name or a text in the normal form in which the two meet.
+    """Return the words of a name or a text in the normal form in which the two meet.
 
     Lower-case, without diacritics, apostrophes, punctuation and underscores, and with one
     spelling for what is often shortened: ``"Ripley's_Aquarium"`` -> ``["ripleys", "aquarium"]``,

@@ -63,7 +63,7 @@ class Order:
 
 @dataclass(frozen=True)
 class Measures:
-    """How a language counts and measures."""
+    """Units and numbers of a language."""
 
     units: Mapping[str, float] = field(default_factory=dict)
     """Metres in a unit, by all its forms."""

@@ -1,4 +1,4 @@
-"""Which language a text is in: told by its script, and by the words that a language's table knows."""
+"""Language of each part of a text: by its script, and by the words that the languages' tables know."""
 
 from __future__ import annotations
 
@@ -79,24 +79,24 @@ class _Signs(NamedTuple):
     """Letters of the words of a language."""
 
     def written(self, code: str) -> int:
-        """How many scripts a language is written in."""
+        """Count the scripts that a language is written in."""
         return sum(code in codes for codes in self.scripts.values())
 
 
 @cache
 def _signs(folder: Path | None) -> _Signs:
-    """Words of all languages: found without parsing the tables, which takes longer, and kept."""
+    """Return words of all languages: found without parsing the tables, which takes longer, and kept."""
     texts = {code: table.read_text("utf-8") for code, table in tables(folder).items()}
     digest = sha256("\0".join((VERSION, *texts, *texts.values())).encode()).hexdigest()[:16]
-    made = cached(f"languages-{digest}.json", lambda: _made(texts), json.loads)
+    listed = cached(f"languages-{digest}.json", lambda: _list_signs(texts), json.loads)
     words, scripts, things, letters = (
-        {word: tuple(codes) for word, codes in part.items()} for part in made
+        {word: tuple(codes) for word, codes in part.items()} for part in listed
     )
     return _Signs(words, scripts, things, {code: frozenset(own) for code, own in letters.items()})
 
 
-def _made(texts: Mapping[str, str]) -> bytes:
-    """JSON of the languages of every word of the grammar, script, and word for a thing."""
+def _list_signs(texts: Mapping[str, str]) -> bytes:
+    """Return JSON of the languages of every word of the grammar, script, and word for a thing."""
     words: dict[str, set[str]] = {}
     scripts: dict[str, set[str]] = {}
     things: dict[str, set[str]] = {}
@@ -107,26 +107,17 @@ def _made(texts: Mapping[str, str]) -> bytes:
         for script in _PHRASE.findall(listed[1]) if listed else ():
             scripts.setdefault(script, set()).add(code)
         for pattern, found in ((_GRAMMAR, words), (_THINGS, things)):
-            for word in _listed(pattern, text):
+            lines = [line for part in pattern.findall(text) for line in part.splitlines()]
+            phrases = [p for line in lines for p in _PHRASE.findall(line.partition("=")[2])]
+            for word in [word for phrase in phrases for word in phrase.lower().split()]:
                 letters.setdefault(code, set()).update(word)
                 found.setdefault(word.strip("'") if len(word) > 2 else word, set()).add(code)
     parts = (words, scripts, things, letters)
     return json.dumps([{key: sorted(of) for key, of in part.items()} for part in parts]).encode()
 
 
-def _listed(pattern: re.Pattern[str], text: str) -> Iterator[str]:
-    """Words of the phrases that sections of a table list."""
-    for section in pattern.findall(text):
-        for line in section.splitlines():
-            for phrase in _PHRASE.findall(line.partition("=")[2]):
-                yield from phrase.lower().split()
-
-
 def find_stretches(
-    text: str,
-    code: str | None,
-    folder: Path | None = None,
-    things: Collection[str] = (),
+    text: str, code: str | None, folder: Path | None = None, things: Collection[str] = ()
 ) -> list[Stretch]:
     """Cut a text into parts of one language each.
 
@@ -156,9 +147,9 @@ def find_stretches(
     found: list[Stretch] = []
     for start, end in spans:
         evidence = _evidence(text[start:end], signs, things, folder)
-        told = _best(evidence, english=False, likely=whole) or whole
-        tongue = english() if told == UNKNOWN else language(told, folder)
-        part = Stretch(start, end, tongue, told != UNKNOWN)
+        best = _best(evidence, english=False, likely=whole) or whole
+        tongue = english() if best == UNKNOWN else language(best, folder)
+        part = Stretch(start, end, tongue, best != UNKNOWN)
         if found and found[-1][2:] == part[2:]:
             found[-1] = found[-1]._replace(end=end)
         else:
@@ -183,7 +174,7 @@ class _Evidence(NamedTuple):
 
 
 def _evidence(text: str, signs: _Signs, things: Collection[str], folder: Path | None) -> _Evidence:
-    """What the words of a text speak for."""
+    """Return how much the words of a text speak for each language."""
     scores: dict[str, float] = {}
     count = known = 0
     words = list(_words(text, signs))
@@ -217,7 +208,7 @@ def _evidence(text: str, signs: _Signs, things: Collection[str], folder: Path | 
 
 
 def _words(text: str, signs: _Signs) -> Iterator[str]:
-    """Words of a text in lower case; of an unknown one with an apostrophe both parts: "l'", "est"."""
+    """Yield words of a text in lower case; of an unknown one with an apostrophe both parts: "l'", "est"."""
     for found in _WORD.findall(text):
         word = found.lower().replace("’", "'")
         before, apostrophe, after = word.partition("'")
@@ -239,7 +230,7 @@ def _untie(scores: dict[str, float], words: list[str], folder: Path | None) -> N
 
 
 def _best(evidence: _Evidence, *, english: bool, likely: str = "") -> str:
-    """Language for which most speaks; unknown where that is too little.
+    """Return the language for which most speaks; unknown where that is too little.
 
     `english`: whether one known English word is enough, as it always was. `likely`: which it is if
     several are as good.

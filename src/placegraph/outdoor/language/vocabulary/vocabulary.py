@@ -14,10 +14,10 @@ from placegraph.outdoor.language.vocabulary.tables import KIN, SHORTEST, Sources
 from placegraph.outdoor.language.words import (
     ARTICLES,
     beginnings,
-    corrected,
+    correct_word,
+    find_similar,
     folded,
     normal,
-    similar,
     singular,
 )
 
@@ -45,7 +45,7 @@ class Found(NamedTuple):
 
 
 class LanguageWords:
-    """What the chunker needs of a vocabulary (`words.Words`), of one language.
+    """Words of one language, as far as the chunker needs them (`words.Words`).
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ class LanguageWords:
         self.find = lru_cache(_MEMORY)(self._find)
 
     def senses(self, phrase: str) -> tuple[Sense, ...]:
-        """Labels a phrase may stand for, likeliest first; a tag's value where the language has no word."""
+        """Return labels a phrase may stand for, likeliest first; a tag's value where there is no word."""
         found = self.find(phrase)
         if found is not None:
             return found.senses
@@ -91,7 +91,7 @@ class LanguageWords:
     def longest_match(
         self, tokens: Sequence[str], start: int = 0
     ) -> tuple[int, tuple[Sense, ...]] | None:
-        """Longest phrase that begins at `start`: number of words and senses."""
+        """Return the longest phrase that begins at `start`: number of words and senses."""
         for n in range(min(LONGEST, len(tokens) - start), 0, -1):
             words = tokens[start : start + n]
             if n == 1 and words[0] in self.language.counts:
@@ -102,20 +102,15 @@ class LanguageWords:
             bare = [word for word in words[1:-1] if word not in self._articles]
             found = self.find(" ".join((words[0], *bare, *words[1:][-1:])))
             if found is None and not self._prefixes.isdisjoint(words[1:-1]):
-                found = self.find(self._joined(words))
+                # prefixes inside a name: "طريق مشي ب|ال|أقدام"
+                parts = [word if word in self._prefixes else f"{word} " for word in words]
+                found = self.find("".join(parts).rstrip())
             if found is not None and found.senses[0].weight >= (_CLEAR if n == 1 else 0.0):
                 return n, found.senses
         return None
 
-    def _joined(self, words: Sequence[str]) -> str:
-        """Words with the prefixes inside a name of a thing written onto them: "طريق مشي ب|ال|أقدام"."""
-        joined = ""
-        for word in words:
-            joined += word if word in self._prefixes else f"{word} "
-        return joined.rstrip()
-
     def closest(self, phrase: str, *, cutoff: float) -> tuple[str, float] | None:
-        """Most similar known phrase; none is guessed in other languages than English."""
+        """Return the most similar known phrase; none is guessed in other languages than English."""
         del phrase, cutoff
         return None
 
@@ -160,7 +155,7 @@ class LanguageWords:
         first: str,
         last: Mapping[str, tuple[str, ...]],
     ) -> tuple[str, ...] | None:
-        """Case of a phrase as a form of an entry of the dictionary; None if it is none."""
+        """Return the case of a phrase as a form of an entry of the dictionary; None if it is none."""
         if len(entry) != len(forms):
             return None
         stems = self.language.forms.stems
@@ -175,7 +170,7 @@ class LanguageWords:
         return next((form.case for form in forms[-1] if form.stem in ends), None)
 
     def _beginning(self, stem: str) -> list[str]:
-        """Phrases of the dictionary whose first word has this stem."""
+        """Return the phrases of the dictionary whose first word has this stem."""
         key = stem[:_KEY]
         if key not in self._bins:
             letters, world = self._letters, self._world
@@ -188,7 +183,7 @@ class LanguageWords:
         return self._bins[key].get(stem, [])
 
     def _senses(self, entry: str, phrase: str) -> tuple[Sense, ...]:
-        """Senses of an entry, by its spelling that is most like that of a phrase."""
+        """Return the senses of an entry, by its spelling that is most like that of a phrase."""
         if entry in self._own:
             spelt = self._own[entry]
             if len(spelt) == 1:
@@ -211,7 +206,7 @@ _TAG = re.compile(r"([\w:]+)=(\*|[\w:.+-]+)")
 
 
 class Vocabulary:
-    """What on a map is worth naming, and which words name it.
+    """Nameable things of a map, and the words that name them.
 
     `default()` is the one that comes with placegraph; `load(folder)` reads edited tables.
     Immutable, apart from what it remembers of earlier questions.
@@ -275,7 +270,7 @@ class Vocabulary:
         return Vocabulary(Sources(folder))
 
     def labels_of(self, tags: Mapping[str, str]) -> tuple[str, ...]:
-        """Labels ``key=value`` of a tagged thing, most specific first; none if it is no object."""
+        """Return labels ``key=value`` of a tagged thing, most specific first; none if it is no object."""
         return self._objects.labels_of(tags)
 
     def senses(self, phrase: str) -> tuple[Sense, ...]:
@@ -289,7 +284,7 @@ class Vocabulary:
     def longest_match(
         self, tokens: Sequence[str], start: int = 0
     ) -> tuple[int, tuple[Sense, ...]] | None:
-        """Longest phrase of at most `LONGEST` tokens that starts at `start` and names a thing.
+        """Return the longest phrase of at most `LONGEST` tokens that starts at `start` and names a thing.
 
         Ordinary words (`stops`) match only within a longer phrase. Returns how many tokens, and
         what they may mean: nothing for what OpenStreetMap knows and no city map draws.
@@ -310,7 +305,7 @@ class Vocabulary:
         return best
 
     def closest(self, phrase: str, *, cutoff: float = 0.85) -> tuple[str, float] | None:
-        """Known English word nearest to a misspelt one, and how near it is (Jaro-Winkler).
+        """Return the known English word nearest to a misspelt one, and how near it is (Jaro-Winkler).
 
         At most one letter may differ, two in words of eight letters or more; words of up to
         three letters and ordinary English words are left alone.
@@ -322,7 +317,7 @@ class Vocabulary:
         """Say why a phrase has no senses: "unknown word; did you mean beach or bench?"."""
         if self._undrawn(phrase) or self._undrawn(phrase.rpartition(" ")[2]):
             return NOT_DRAWN
-        near = similar(singular(folded(normal(phrase))), [*self.sources.choices, *self._own])
+        near = find_similar(singular(folded(normal(phrase))), [*self.sources.choices, *self._own])
         return f"{UNKNOWN}; did you mean {' or '.join(near)}?" if near else UNKNOWN
 
     def _undrawn(self, phrase: str) -> bool:
@@ -368,7 +363,7 @@ class Vocabulary:
         )
 
     def _look_up(self, phrase: str) -> tuple[Sense, ...]:
-        """Senses that the tables give a phrase."""
+        """Return the senses that the tables give a phrase."""
         tag = _TAG.fullmatch(phrase.strip())
         if tag:
             return self.sources.ranked({tag[0]: 1.0})
@@ -391,7 +386,7 @@ class Vocabulary:
         return ()
 
     def _in_english(self, word: str) -> tuple[Sense, ...]:
-        """Senses of an English word: its row in words.tsv, then tags and presets of its name."""
+        """Return the senses of an English word: its row in words.tsv, then tags and presets of its name."""
         made = self._words.english.get(word)
         tagged = self._english.senses(word, strong=made is not None) or self.sources.listed.get(
             word, {}
@@ -411,7 +406,7 @@ class Vocabulary:
         return self.sources.ranked(found)
 
     def _alone(self, token: str) -> tuple[Sense, ...]:
-        """Senses of a single word of a text: no ordinary word, no mere English search term."""
+        """Return the senses of a single word of a text: no ordinary word, no mere English search term."""
         form = folded(normal(token))
         if self._is_stop(form):
             return ()
@@ -430,7 +425,7 @@ class Vocabulary:
         return word in self.stops or singular(word) in self.stops
 
     def _guess(self, phrase: str) -> tuple[Sense, ...]:
-        """Senses of a phrase: as the tables say, without its article, or by the way it is built."""
+        """Return the senses of a phrase: by the tables, without its article, or by the way it is built."""
         known = self._known(phrase)
         if known:
             return known
@@ -444,7 +439,7 @@ class Vocabulary:
         return self._built(form)
 
     def _built(self, form: str) -> tuple[Sense, ...]:
-        """Senses of "x shop", "x office", "x building" ...: a kind of shop, office, building."""
+        """Return the senses of "x shop", "x office", "x building" ...: a kind of shop, office, building."""
         found: dict[str, float] = {}
         for key, value in self._objects.built(form):
             inner = {
@@ -456,8 +451,7 @@ class Vocabulary:
         return self.sources.ranked(found)
 
     def _nearest(self, form: str) -> tuple[str, float] | None:
-        if self._is_stop(form):
-            return None
-        if self._known(form):
+        if self._known(form) and not self._is_stop(form):
             return form, 1.0
-        return corrected(form, self.sources.choices) if len(form) >= SHORTEST else None
+        mendable = len(form) >= SHORTEST and not self._is_stop(form)
+        return correct_word(form, self.sources.choices) if mendable else None
