@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from placegraph.indoor.language import rank_scenes
     from placegraph.indoor.library import SceneLibrary, SearchOptions
     from placegraph.indoor.mapping.merge import merge_scenes
-    from placegraph.indoor.options import FilterOptions
+    from placegraph.indoor.options import FilterOptions, PoseSearchOptions
     from placegraph.indoor.pose.prior import Prior
     from placegraph.indoor.refine import RefineOptions
     from placegraph.indoor.refine.matching import matcher
@@ -39,6 +39,7 @@ _HOME = {
     "CityMap": "placegraph.outdoor.city",
     "Estimate": "placegraph.core.estimate",
     "FilterOptions": "placegraph.indoor.options",
+    "PoseSearchOptions": "placegraph.indoor.options",
     "Frame": "placegraph.io.capture.capture",
     "Prior": "placegraph.indoor.pose.prior",
     "RefineOptions": "placegraph.indoor.refine",
@@ -70,6 +71,7 @@ __all__ = [
     "Estimate",
     "FilterOptions",
     "Frame",
+    "PoseSearchOptions",
     "Prior",
     "RefineOptions",
     "Refinement",

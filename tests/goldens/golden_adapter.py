@@ -8,7 +8,7 @@ import numpy as np
 def private() -> SimpleNamespace:
     """Options without public names, and drawn worlds: a town's OpenStreetMap file, a home's scene map."""
     from placegraph.indoor.mapping.from_capture import FromCapture
-    from placegraph.indoor.options import FilterOptions
+    from placegraph.indoor.options import FilterOptions, PoseSearchOptions
     from placegraph.indoor.pose.prior import Prior
     from placegraph_lab.worlds.home.home import home, scene_of
     from placegraph_lab.worlds.town.town import Town
@@ -19,6 +19,7 @@ def private() -> SimpleNamespace:
 
     return SimpleNamespace(
         FilterOptions=FilterOptions,
+        PoseSearchOptions=PoseSearchOptions,
         FromCapture=FromCapture,
         Prior=Prior,
         town_osm=Town.load("hafenstadt").write_osm,

@@ -60,7 +60,7 @@ def windows(worlds):
         coarse = COARSE | {"options": p.FilterOptions.coarse()}
         yield f"coarse {s}", worlds.capture(s)[at(s, 3)], coarse
     for s, only in ((1, {"depth": True}), (3, {"colour": True}), (6, {"semantic": True})):
-        options = p.FilterOptions().only(**only)
+        options = p.PoseSearchOptions().only(**only)
         yield f"only {next(iter(only))}", worlds.capture(s)[at(s, 3)], {"options": options}
     for s in (0, 7):
         paper = COARSE | {"options": p.FilterOptions.paper()}

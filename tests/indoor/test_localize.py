@@ -24,14 +24,14 @@ from placegraph.indoor.encode.labels import ClassesOfInstances
 from placegraph.indoor.likelihood.visibility import VisibilityTable
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.mapping.merge import merge_scenes
-from placegraph.indoor.options import FilterOptions, Likelihood
+from placegraph.indoor.options import FilterOptions, Likelihood, PoseSearchOptions
 from placegraph.indoor.pose.prior import Prior
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture, open_capture
 from placegraph.io.capture.frame import Frame
 
 pytestmark = pytest.mark.usefixtures("one_thread")
-OPTIONS = FilterOptions()
+OPTIONS = PoseSearchOptions()
 TWO = slice(0, 2)
 FIVE = slice(0, 5)
 
@@ -192,7 +192,7 @@ def test_the_answer_as_json(answer, room):
 
 
 def test_the_history_is_for_pictures(answer):
-    passes = RECORDED.run
+    passes = RECORDED.passes
     assert [p.stride for p in answer.history] == [p.stride for p in passes]
     for record, spec, counts in zip(answer.history, passes, answer.stats["particles"], strict=True):
         assert [frame for frame, _, _ in record.steps] == list(range(6))
@@ -326,10 +326,10 @@ def test_one_frame(room, walk, truth):
 
 def test_keyframes(room, walk, truth):
     """At 5 Hz, one frame in 0.5 s; the last is always among them."""
-    estimate = room.localize(walk, options=FilterOptions(every=0.5))
+    estimate = room.localize(walk, options=PoseSearchOptions(every=0.5))
     assert estimate.frames.tolist() == [0, 3, 6, 9]
     right(estimate, truth(walk)[9])
-    by_way = room.localize(walk, options=FilterOptions(every_metre=0.3))
+    by_way = room.localize(walk, options=PoseSearchOptions(every_metre=0.3))
     assert by_way.frames[0] == 0
     assert by_way.frames[-1] == 9
     assert 2 < len(by_way.frames) < 10
@@ -415,13 +415,13 @@ def test_a_height_that_frames_leave_open(room, room_world, render, truth):
 
 def test_heights_beyond_the_map(room, walk):
     with pytest.raises(OptionError, match="heights"):
-        room.localize(walk, frames=FIVE, options=FilterOptions(heights=(300.0,)))
+        room.localize(walk, frames=FIVE, options=PoseSearchOptions(heights=(300.0,)))
 
 
 def test_a_map_of_one_giant_triangle(walk):
     vertices = [[-500, -500, 0], [500, -500, 0], [0, 700, 0]]
     scene = SceneMap.create(Mesh.plain(vertices, [[0, 1, 2]]), ["0"], ["floor"], floor=0.0)
-    estimate = scene.localize(walk, frames=TWO, options=FilterOptions(spacing=30.0))
+    estimate = scene.localize(walk, frames=TWO, options=PoseSearchOptions(spacing=30.0))
     assert estimate.status is not Status.OK
     json.dumps(estimate.to_dict(), allow_nan=False)
 
@@ -547,7 +547,7 @@ def test_the_last_pass_at_full_resolution(room, walk, truth):
     """Table 7, "max. resolution": stride 1."""
     first, second, third = FilterOptions.paper().passes
     passes = (first, replace(second, particles=300), replace(third, stride=1.0, particles=60))
-    options = replace(FilterOptions.paper(), passes=passes, fewest=60)
+    options = replace(FilterOptions.paper(), passes=passes, min_particles=60)
     estimate = room.localize(walk, frames=TWO, options=options, refine=False)
     distance, turn = errors(estimate.best, truth(walk)[1])
     assert distance < 0.4
@@ -562,13 +562,15 @@ def test_the_recipes_do_not_ask_the_table(room, walk, monkeypatch):
 
     monkeypatch.setattr(VisibilityTable, "ranks", ranks)
     options = replace(FilterOptions.published(), spacing=0.4, per_cell=1, inject_every=2)
-    options = replace(options, fewest=100, passes=options.passes[:1])
+    options = replace(options, min_particles=100, passes=options.passes[:1])
     assert room.localize(walk, frames=FIVE, options=options, refine=False).modes
 
 
 def test_labels_alone_are_judged_by_ratios(room, walk, truth):
     """Scores of Eq. 2 are never above 0, and no log-likelihood ratio of a place that fits."""
-    options = replace(FilterOptions().only(semantic=True), likelihood=Likelihood(kind="gaussian"))
+    options = replace(
+        PoseSearchOptions().only(semantic=True), likelihood=Likelihood(kind="gaussian")
+    )
     estimate = room.localize(walk, frames=FIVE, options=options, refine=False)
     assert estimate.status is not Status.LOST, estimate.reason
     right(estimate, truth(walk)[4], 0.8, 10.0)  # of any height

@@ -7,7 +7,14 @@ import numpy as np
 import pytest
 
 from placegraph.errors import OptionError
-from placegraph.indoor.options import FilterOptions, Likelihood, MotionNoise, Pass
+from placegraph.indoor.options import (
+    ONE_PASS,
+    FilterOptions,
+    Likelihood,
+    MotionNoise,
+    Pass,
+    PoseSearchOptions,
+)
 
 
 @pytest.mark.parametrize(
@@ -21,13 +28,14 @@ from placegraph.indoor.options import FilterOptions, Likelihood, MotionNoise, Pa
         (lambda: FilterOptions(spacing=math.inf), "spacing"),
         (lambda: FilterOptions(per_cell=0), "per_cell"),
         (lambda: FilterOptions(per_cell=1.5), "per_cell"),
-        (lambda: FilterOptions(modes=0), "modes"),
+        (lambda: FilterOptions(passes=()), "passes"),
+        (lambda: PoseSearchOptions(modes=0), "modes"),
         (lambda: FilterOptions(modes=2.5), "modes"),
         (lambda: FilterOptions(kld_error=math.nan), "kld_error"),
         (lambda: FilterOptions(kld_confidence=1.0), "kld_confidence"),
         (lambda: FilterOptions(injection=1.0), "injection"),
         (lambda: FilterOptions(injection=-0.1), "injection"),
-        (lambda: FilterOptions(fewest=0), "fewest"),
+        (lambda: FilterOptions(min_particles=0), "min_particles"),
         (lambda: FilterOptions(answer="best"), "answer"),
         (lambda: FilterOptions(every=-1.0), "every"),
         (lambda: FilterOptions(every_metre=math.nan), "every_metre"),
@@ -62,6 +70,15 @@ def test_heights_in_any_sequence(heights, room):
     assert len(room.visibility(options)) > 0
 
 
+def test_a_search_gets_a_filter():
+    search = PoseSearchOptions(heights=(1.2,))
+    assert search.particle_filter is None
+    filtered = search.with_filter(record=True)
+    assert filtered.particle_filter is filtered
+    assert (filtered.heights, filtered.record, filtered.passes) == ((1.2,), True, ONE_PASS)
+    assert filtered.with_filter(answer="mle") == replace(filtered, answer="mle")
+
+
 def test_only_some_terms():
     options = FilterOptions(modes=3).only(depth=True)
     assert (options.semantic, options.depth, options.colour) == (False, True, False)
@@ -83,7 +100,7 @@ def test_the_papers_numbers():
     assert paper.likelihood.depth_clip == 0
     assert [p.box for p in paper.passes] == [0, 1.6, 0.8]
     assert [p.particles for p in paper.passes[1:]] == [2500, 2500]
-    assert paper.fewest == 2500
+    assert paper.min_particles == 2500
     assert (paper.modes, paper.injection, paper.answer) == (1, 0, "mle")
     assert paper.motion == MotionNoise(0.05, 0.0, 0.05, 0.0)
     assert paper.kld
@@ -101,12 +118,12 @@ def test_what_the_published_code_does_otherwise():
     assert published.likelihood == Likelihood(kind="gaussian", sigma=0.6, depth_clip=0.5)
     assert [p.stride for p in published.passes] == [20, 12, 20]
     assert (published.spacing, published.per_cell) == (0.1, 4)
-    assert (published.modes, published.pooled) == (8, True)
+    assert (published.modes, published.pool_modes) == (8, True)
     assert (published.inject_every, published.unscored) == (5, 1)
 
 
 def test_presets_by_name():
-    assert FilterOptions.preset("default") == FilterOptions()
+    assert FilterOptions.preset("default") == PoseSearchOptions()
     for name in ("paper", "published", "coarse"):
         assert FilterOptions.preset(name) == getattr(FilterOptions, name)()
     with pytest.raises(OptionError, match="default, paper, published, coarse"):

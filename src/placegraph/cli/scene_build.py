@@ -266,13 +266,13 @@ def check(
     Example: placegraph scene check house.scene
     """
     from placegraph.indoor.mapping.check import check as findings_of
-    from placegraph.indoor.options import FilterOptions
+    from placegraph.indoor.options import PoseSearchOptions
     from placegraph.indoor.scene_map import SceneMap
 
     begun = perf_counter()
     scene = SceneMap.open(map_file)
     opened = perf_counter() - begun
-    options = FilterOptions(heights=tuple(height)) if height else FilterOptions()
+    options = PoseSearchOptions(heights=tuple(height)) if height else PoseSearchOptions()
     size = map_file.stat().st_size
     findings = findings_of(scene, options=options, size=size, seconds=opened)
     errors = sum(f.severity == "error" for f in findings)

@@ -40,7 +40,7 @@ from placegraph.errors import OptionError
 
 if TYPE_CHECKING:
     from placegraph.core.estimate import PoseEstimate, PoseMode, Refinement
-    from placegraph.indoor.options import FilterOptions
+    from placegraph.indoor.options import PoseSearchOptions
     from placegraph.indoor.pose.prior import Prior
     from placegraph.indoor.refine.matching import Matcher
     from placegraph.indoor.refine.options import RefineOptions
@@ -275,20 +275,19 @@ def _options(
     height: list[float] | None,
     every: float,
     record: bool,
-) -> FilterOptions:
+) -> PoseSearchOptions:
     from placegraph.indoor.options import FilterOptions
 
     options = FilterOptions.preset(preset)
     if height:
         options = replace(options, heights=tuple(height))
-    return replace(
-        options, semantic=semantic, depth=depth, colour=colour, every=every, record=record
-    )
+    options = replace(options, semantic=semantic, depth=depth, colour=colour, every=every)
+    return options.with_filter(record=True) if record else options
 
 
 def _measured(
-    capture: Capture, weights: Path, options: FilterOptions, refining: RefineOptions | None
-) -> tuple[Capture, FilterOptions, RefineOptions | None]:
+    capture: Capture, weights: Path, options: PoseSearchOptions, refining: RefineOptions | None
+) -> tuple[Capture, PoseSearchOptions, RefineOptions | None]:
     """A capture with depth by a network, and options that trust it less than a sensor."""
     from placegraph.indoor.encode.networks import SLOPE, depth_network, measured
 

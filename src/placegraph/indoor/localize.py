@@ -106,9 +106,10 @@ def _localize_as_said(
     seeds = search(window, rng)
     if len(seeds):
         seeds = np.concatenate([locate_by_landmarks(window), seeds])
-    filtered = run_passes(window, seeds, rng) if query.options.run else None
-    if filtered is not None and query.options.answer == "mle":
-        fits = heaviest_modes(window.chain, filtered.particles, query.options.modes)
+    options = query.options.particle_filter
+    filtered = run_passes(window, seeds, rng) if options else None
+    if filtered and options and options.answer == "mle":
+        fits = heaviest_modes(window.chain, filtered.particles, options.modes)
     else:
         starts = seeds if filtered is None else np.concatenate([filtered.modes, seeds])
         fits = correct_drift(window, fit_window(window, starts, rng), rng)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
-from typing import Literal
+from typing import Any, Literal, Self
 
 import numpy as np
 
@@ -159,8 +159,11 @@ STANDING = (1.5, 1.6, 1.7, 1.8)
 
 
 @dataclass(frozen=True, slots=True)
-class FilterOptions:
-    """Everything that can be set about localizing a capture in a scene map."""
+class PoseSearchOptions:
+    """Options of the search of poses: what is compared, where, and by which likelihood.
+
+    Seeds come from the visibility table, and are fitted to and weighed by the whole sequence.
+    """
 
     semantic: bool = True
     """Use the encoder's patches, where there are any."""
@@ -171,24 +174,69 @@ class FilterOptions:
     heights: tuple[float, ...] = (0.15, 2.3)
     """Heights of the camera above the floor [m]: the table spans them, a uniform start has
     each, and those of `STANDING` between them."""
-    start: Literal["table", "uniform"] = "table"
-    """First particles: where the visibility table says the frames could be, or everywhere."""
     spacing: float = 0.5
     """Grid of the visibility table; of uniform particles the paper's 0.2 [m]."""
-    per_cell: int = 3
-    """Particles a cell and height of a uniform start."""
-    passes: tuple[Pass, ...] = ()
-    """Of the filter, between the search and the fit. None unless particles are asked for (`record`, a
-    uniform `start`, an `mle`), and then one: fits do as well from the search's seeds."""
     motion: MotionNoise = field(default_factory=MotionNoise)
     likelihood: Likelihood = field(default_factory=Likelihood)
+    modes: int = 8
+    """Most modes kept between passes, and answered."""
+    every: float = 0.0
+    """Keyframes: least time between frames used [s]; 0: all frames."""
+    every_metre: float = 0.0
+    """Keyframes: least way between frames used [m], or 0.2 rad of turn; 0: all frames."""
+
+    def __post_init__(self) -> None:
+        if not (self.semantic or self.depth or self.colour):
+            raise OptionError("semantic, depth and colour are all off; leave one on.")
+        object.__setattr__(self, "heights", tuple(float(h) for h in self.heights))
+        if not self.heights or not all(np.isfinite(self.heights)):
+            raise OptionError("heights: give at least one height of the camera above the floor.")
+        check_numbers(self)
+        check_whole(self, "modes")
+        check_positive(self, "spacing")
+        if not (self.every >= 0 and self.every_metre >= 0):
+            raise OptionError("every, every_metre: a time and a way, not less than 0.")
+
+    @property
+    def particle_filter(self) -> FilterOptions | None:
+        """The particle filter that runs between the search and the fit; None: there is none."""
+        return None
+
+    @property
+    def tracked(self) -> bool:
+        """Whether a tracker can follow it: one starts from the table, and fits."""
+        return True
+
+    def with_filter(self, **changes: Any) -> FilterOptions:  # noqa: ANN401
+        """Return the same with a particle filter; `changes`: fields of `FilterOptions`."""
+        known = {entry.name: getattr(self, entry.name) for entry in fields(self)}
+        return FilterOptions(**known | changes)
+
+    def only(self, *, semantic: bool = False, depth: bool = False, colour: bool = False) -> Self:
+        """The same with only the terms named."""
+        return replace(self, semantic=semantic, depth=depth, colour=colour)
+
+
+@dataclass(frozen=True, slots=True)
+class FilterOptions(PoseSearchOptions):
+    """Options of the particle filter (SG2Loc, Sec. 3), which runs between the search and the fit.
+
+    `PoseSearchOptions` alone do without: fits do as well from the seeds of the search.
+    """
+
+    start: Literal["table", "uniform"] = "table"
+    """First particles: where the visibility table says the frames could be, or everywhere."""
+    per_cell: int = 3
+    """Particles a cell and height of a uniform start."""
+    passes: tuple[Pass, ...] = ONE_PASS
+    """Passes over the sequence, coarse to fine."""
     kld: bool = True
     """Let KLD-sampling decide how many particles are drawn; else as many as before."""
     kld_error: float = 0.1
     """epsilon of KLD-sampling."""
     kld_confidence: float = 0.95
     """1 - delta of KLD-sampling."""
-    fewest: int = 24
+    min_particles: int = 24
     """Fewest particles that KLD-sampling leaves, as far as the pass has so many."""
     injection: float = 0.1
     """Share of particles drawn anew: from the table, or of a uniform start from everywhere."""
@@ -196,58 +244,47 @@ class FilterOptions:
     """Frames between injections; 0: where the likelihood drops."""
     unscored: int = 0
     """Frames at the beginning that only move particles; the last is always scored."""
-    modes: int = 8
-    """Most modes kept between passes, and answered."""
-    pooled: bool = False
+    pool_modes: bool = False
     """Modes between passes are those of all frames of a pass; else of its last frame."""
     answer: Literal["fit", "mle"] = "fit"
     """The best modes, fitted to and weighed by the whole sequence; or the heaviest particles of the
     last pass as they are, the first of which is the maximum likelihood estimate of Sec. 3.5."""
-    every: float = 0.0
-    """Keyframes: least time between frames used [s]; 0: all frames."""
-    every_metre: float = 0.0
-    """Keyframes: least way between frames used [m], or 0.2 rad of turn; 0: all frames."""
     record: bool = False
     """Keep all particles of all passes in the estimate, for pictures."""
 
     def __post_init__(self) -> None:
-        if not (self.semantic or self.depth or self.colour):
-            raise OptionError("semantic, depth and colour are all off; leave one on.")
+        PoseSearchOptions.__post_init__(self)
         if self.start not in {"table", "uniform"}:
             raise OptionError(f"start is {self.start!r}; it is 'table' or 'uniform'.")
         if self.answer not in {"fit", "mle"}:
             raise OptionError(f"answer is {self.answer!r}; it is 'fit' or 'mle'.")
-        object.__setattr__(self, "heights", tuple(float(h) for h in self.heights))
-        if not self.heights or not all(np.isfinite(self.heights)):
-            raise OptionError("heights: give at least one height of the camera above the floor.")
-        check_numbers(self)
-        check_whole(self, "per_cell", "modes", "fewest")
-        check_positive(self, "spacing", "kld_error")
-        if not (self.every >= 0 and self.every_metre >= 0):
-            raise OptionError("every, every_metre: a time and a way, not less than 0.")
+        if not self.passes:
+            raise OptionError("passes: give one at least, or PoseSearchOptions to do without.")
+        check_whole(self, "per_cell", "min_particles")
+        check_positive(self, "kld_error")
         if not 0 < self.kld_confidence < 1 or not 0 <= self.injection < 1:
             raise OptionError("kld_confidence and injection are shares between 0 and 1.")
+
+    @property
+    def particle_filter(self) -> FilterOptions | None:
+        """The filter itself."""
+        return self
 
     @property
     def tracked(self) -> bool:
         """Whether a tracker can follow it: one starts from the table, and fits."""
         return self.start == "table" and self.answer == "fit"
 
-    @classmethod
-    def preset(cls, name: str) -> FilterOptions:
-        """The recipe of that name: ``default``, ``paper``, ``published`` or ``coarse``."""
-        presets: dict[str, Callable[[], FilterOptions]] = {
-            "default": cls, "paper": cls.paper, "published": cls.published, "coarse": cls.coarse,
+    @staticmethod
+    def preset(name: str) -> PoseSearchOptions:
+        """Return the recipe of that name: ``default``, ``paper``, ``published`` or ``coarse``."""
+        presets: dict[str, Callable[[], PoseSearchOptions]] = {
+            "default": PoseSearchOptions, "paper": FilterOptions.paper,
+            "published": FilterOptions.published, "coarse": FilterOptions.coarse,
         }  # fmt: skip
         if name not in presets:
             raise OptionError(f"preset is {name!r}; there are {', '.join(presets)}.")
         return presets[name]()
-
-    @property
-    def run(self) -> tuple[Pass, ...]:
-        """Passes of the filter that are run."""
-        asked = self.record or self.start == "uniform" or self.answer == "mle"
-        return self.passes or (ONE_PASS if asked else ())
 
     @classmethod
     def paper(cls) -> FilterOptions:
@@ -266,7 +303,7 @@ class FilterOptions:
             passes=_passes(20.0, 8.0, 4.0),
             motion=MotionNoise(0.05, 0.0, 0.05, 0.0),
             likelihood=Likelihood(kind="gaussian", sigma=0.2, depth_clip=0.0),
-            fewest=_PRINTED,
+            min_particles=_PRINTED,
             injection=0.0,
             modes=1,
             answer="mle",
@@ -288,7 +325,7 @@ class FilterOptions:
             inject_every=5,
             unscored=1,
             modes=8,
-            pooled=True,
+            pool_modes=True,
         )
 
     @classmethod
@@ -296,9 +333,3 @@ class FilterOptions:
         """The paper's recipe with its pass of stride 20 alone (App. E)."""
         paper = cls.paper()
         return replace(paper, passes=paper.passes[:1])
-
-    def only(
-        self, *, semantic: bool = False, depth: bool = False, colour: bool = False
-    ) -> FilterOptions:
-        """The same with only the terms named."""
-        return replace(self, semantic=semantic, depth=depth, colour=colour)

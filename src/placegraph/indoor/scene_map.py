@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from placegraph.indoor.likelihood.visibility import VisibilityTable
     from placegraph.indoor.mapping.change.changes import DiffOptions, SceneDiff
     from placegraph.indoor.mapping.check import Finding
-    from placegraph.indoor.options import FilterOptions
+    from placegraph.indoor.options import PoseSearchOptions
     from placegraph.indoor.pose.prior import Prior
     from placegraph.indoor.pose.window import Progress
     from placegraph.indoor.refine import RefineOptions
@@ -54,7 +54,7 @@ class SceneMap(Shown, Scene):
         """Open a map file; raises `InputError` or `MapError` where it is not a sound scene map."""
         return open_scene(path, cls)
 
-    def visibility(self, options: FilterOptions) -> VisibilityTable:
+    def visibility(self, options: PoseSearchOptions) -> VisibilityTable:
         """What is visible from where, for cameras at `options.heights`; made once for each."""
         from placegraph.indoor.likelihood.visibility import visibility
 
@@ -69,7 +69,7 @@ class SceneMap(Shown, Scene):
         description: str | Sentence | None = None,
         shares: ArrayLike | None = None,
         encoder: str | Encoder | MapEncoder | None = None,
-        options: FilterOptions | None = None,
+        options: PoseSearchOptions | None = None,
         refine: bool | RefineOptions = True,
         matcher: str | Matcher = "auto",
         seed: int = 0,
@@ -169,7 +169,7 @@ class SceneMap(Shown, Scene):
             The matcher asked for needs an extra.
 
         """
-        from placegraph.indoor.options import FilterOptions, check_device
+        from placegraph.indoor.options import PoseSearchOptions, check_device
         from placegraph.indoor.pose.estimate import add_earth_poses
         from placegraph.indoor.pose.window import PoseQuery
         from placegraph.indoor.refine import RefineSetup, refine
@@ -177,7 +177,9 @@ class SceneMap(Shown, Scene):
 
         refining = RefineSetup.of(options, matcher, device)
         check_device(device, network=refining.matcher is not None)
-        senses = FilterOptions(depth=refining.options.depth, colour=bool(refining.options.images))
+        senses = PoseSearchOptions(
+            depth=refining.options.depth, colour=bool(refining.options.images)
+        )
         query = PoseQuery.of(
             self, capture, frames=frames, options=senses, seed=seed, progress=progress,
         )  # fmt: skip

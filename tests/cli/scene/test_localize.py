@@ -19,7 +19,7 @@ from placegraph.core.geometry import Camera, level_from_camera, pose_matrix, spl
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.encode.networks import SLOPE
-from placegraph.indoor.options import COARSE_TO_FINE, FilterOptions
+from placegraph.indoor.options import COARSE_TO_FINE, FilterOptions, PoseSearchOptions
 from placegraph.indoor.refine import RefineOptions
 from placegraph.indoor.refine.matching.sift import SiftMatcher
 from placegraph.indoor.scene_map import SceneMap
@@ -154,7 +154,7 @@ def test_presets_reach_the_filter_and_the_refinement(run, world, monkeypatch):
         (FilterOptions.coarse(), RefineOptions.paper()),
         (FilterOptions.coarse(), False),
         (FilterOptions.published(), False),
-        (FilterOptions(), RefineOptions()),
+        (PoseSearchOptions(), RefineOptions()),
     ]
 
 

@@ -20,7 +20,7 @@ from placegraph.indoor.encode.appearance import (
 )
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.textures import linear_from_srgb, srgb_from_linear
-from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.options import PoseSearchOptions
 from placegraph.indoor.render import Renderer
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.frame import Frame
@@ -173,7 +173,7 @@ CAMERA = Camera(64, 36, 46.0, 46.0, 32.0, 18.0)
 
 @pytest.fixture(scope="module")
 def table(room):
-    return room.visibility(FilterOptions())
+    return room.visibility(PoseSearchOptions())
 
 
 def test_glances_are_spread_over_free_places(table):

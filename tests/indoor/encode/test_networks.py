@@ -21,7 +21,7 @@ from placegraph.indoor.encode.networks import (
     segmenter,
 )
 from placegraph.indoor.mapping.segment import segment
-from placegraph.indoor.options import FilterOptions, Likelihood
+from placegraph.indoor.options import Likelihood, PoseSearchOptions
 from placegraph.indoor.refine import RefineOptions
 from placegraph.io.capture.capture import Capture, open_capture
 from placegraph.io.capture.frame import Frame
@@ -332,7 +332,7 @@ def test_a_pose_by_a_network(room, walk, truth):
         depth = known[rgb.tobytes()]
         return 1.05 * depth * np.exp(0.03 * rng.normal() + 0.05 * rng.normal(size=depth.shape))
 
-    options = FilterOptions(semantic=False, likelihood=Likelihood(depth_slope=SLOPE))
+    options = PoseSearchOptions(semantic=False, likelihood=Likelihood(depth_slope=SLOPE))
     network = Rule(rule, (walk.depth_camera.width, walk.depth_camera.height))
     estimate = room.localize(
         measured(bare(walk), network), options=options, refine=RefineOptions(depth=False), seed=0

@@ -10,13 +10,13 @@ from placegraph.indoor.language.prior import WRONG, evidence, prior, unused
 from placegraph.indoor.language.sight_kernels import look_around_for, look_for, turned, vote_rooms
 from placegraph.indoor.map.free_space import range_of
 from placegraph.indoor.map.map_kernels import AZIMUTHS, ELEVATIONS, STEP
-from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.options import PoseSearchOptions
 
 
 @pytest.fixture(scope="module")
 def table(flat):
     """Panoramas of the flat at one height."""
-    return flat.visibility(FilterOptions(heights=(1.6,)))
+    return flat.visibility(PoseSearchOptions(heights=(1.6,)))
 
 
 def where(scene, label):

@@ -21,12 +21,12 @@ from placegraph.indoor.likelihood.observe import (
     views,
 )
 from placegraph.indoor.likelihood.score import model_of
-from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.options import PoseSearchOptions
 from placegraph.io.capture.capture import Capture, open_capture
 from placegraph.io.capture.frame import Frame
 
 pytestmark = pytest.mark.usefixtures("one_thread")
-OPTIONS = FilterOptions().only(depth=True)
+OPTIONS = PoseSearchOptions().only(depth=True)
 KNOWN = sorted({*FACTORS, *(1 / f for f in FACTORS)})
 
 
@@ -106,7 +106,7 @@ def test_absurd_depth_is_refused(room, walk, factor, says):
     with pytest.raises(OptionError, match="metres"):
         room.refine(frames, np.eye(4))
     # who does not look at depth does not mind
-    room.localize(frames, options=FilterOptions().only(colour=True))
+    room.localize(frames, options=PoseSearchOptions().only(colour=True))
 
 
 @pytest.mark.parametrize(("scale", "fits"), [(1, "1000 would fit"), (60000, "would fit")])

@@ -12,13 +12,13 @@ from placegraph.indoor.encode import Patches
 from placegraph.indoor.likelihood.observe import Background, sight, views
 from placegraph.indoor.likelihood.score import model_of
 from placegraph.indoor.map.map_kernels import opponent
-from placegraph.indoor.options import FilterOptions, Likelihood
+from placegraph.indoor.options import Likelihood, PoseSearchOptions
 from placegraph.io.capture.frame import Frame
 
 CAMERA = Camera(160, 90, 115.0, 112.0, 78.0, 47.0)
 BENT = Camera(160, 90, 90.0, 92.0, 81.0, 44.0, (-0.2, 0.05, 0.001, -0.002))
 GRAVITY = np.array([0.1, 0.95, 0.3])
-OPTIONS = FilterOptions()
+OPTIONS = PoseSearchOptions()
 ALL = np.array([True, True, True])
 
 
@@ -286,7 +286,7 @@ def test_similar_objects_share_by_how_similar_they_are():
 def test_ratios_average_to_one_over_the_map(seed, objects, wrong, sharpness):
     """Against anywhere: what every place shows says nothing of this one."""
     rng = np.random.default_rng(seed)
-    options = FilterOptions(likelihood=Likelihood(wrong=wrong, sharpness=sharpness))
+    options = PoseSearchOptions(likelihood=Likelihood(wrong=wrong, sharpness=sharpness))
     shares = rng.dirichlet(np.ones(objects))
     table = rng.uniform(-1, 1, (6, objects))
     seen = patches((2, 3), rows=np.arange(6), table=table)
@@ -297,7 +297,7 @@ def test_ratios_average_to_one_over_the_map(seed, objects, wrong, sharpness):
 
 
 def test_eq_2_scores_agreement_by_its_cosine():
-    options = FilterOptions(likelihood=Likelihood(kind="gaussian"))
+    options = PoseSearchOptions(likelihood=Likelihood(kind="gaussian"))
     table = [[0.8, -0.5, 0.1], [0.4, 0.4, -1.0]]
     seen = patches((1, 3), rows=[0, 1, -1], table=table)
     view = view_of(frame(), encoder=Says(seen), options=options)
@@ -309,7 +309,7 @@ def test_eq_2_scores_agreement_by_its_cosine():
 def test_what_fills_many_patches_counts_in_part():
     """A wall in 100 patches of a sequence is right or wrong in all of them together."""
     few = Likelihood(object_patches=9.0)
-    options = FilterOptions(likelihood=few)
+    options = PoseSearchOptions(likelihood=few)
     first = patches((6, 6), rows=[0] * 30 + [1] * 5 + [-1])
     second = patches((6, 6), rows=[0] * 6 + [1] * 4 + [2] * 3 + [-1] * 23)
     sightings = [sight(frame(), Says(p), options) for p in (first, second)]
@@ -373,7 +373,7 @@ def test_readings_are_compared_with_those_of_their_elevation():
     ahead = (view.depth > 0) & (np.linalg.norm(view.directions, axis=1) < 1.05)
     below, above = ahead & (view.directions[:, 2] < -0.1), ahead & (view.directions[:, 2] > 0.1)
     assert view.usual_depth[below].min() > view.usual_depth[above].max() + 1
-    gaussian = FilterOptions(likelihood=Likelihood(kind="gaussian"))
+    gaussian = PoseSearchOptions(likelihood=Likelihood(kind="gaussian"))
     assert not view_of(seen, 10.0, options=gaussian, around=around).usual_depth.any()
 
 

@@ -22,7 +22,7 @@ from placegraph.indoor.likelihood.score_kernels import (
 )
 from placegraph.indoor.map.map_kernels import colour_at, opponent
 from placegraph.indoor.map.mesh import Mesh, Surface
-from placegraph.indoor.options import FilterOptions, Likelihood
+from placegraph.indoor.options import Likelihood, PoseSearchOptions
 from placegraph.indoor.rays import RayCaster
 from placegraph.indoor.rays.embree import obstacle
 
@@ -232,7 +232,7 @@ def test_scores_of_chance(model, room, backend, rng):
 def test_scores_of_frames_near_the_truth(model, kind, room, walk, truth, rng):
     """Real views, at poses about where they were taken, where scores are high and sharp."""
     likelihood = Likelihood(kind="gaussian" if model.gaussian else "calibrated")
-    options = FilterOptions(likelihood=likelihood)
+    options = PoseSearchOptions(likelihood=likelihood)
     encoder = InstancesEncoder(room) if kind == "instances" else None
     frame = walk[4]
     around = room.visibility(options).background

@@ -6,10 +6,10 @@ import pytest
 from placegraph.core.geometry import compose
 from placegraph.indoor.likelihood.observe import sight, views
 from placegraph.indoor.likelihood.score import Scorer, model_of
-from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.options import PoseSearchOptions
 
 pytestmark = pytest.mark.usefixtures("one_thread")
-OPTIONS = FilterOptions()
+OPTIONS = PoseSearchOptions()
 
 
 @pytest.fixture(scope="module")

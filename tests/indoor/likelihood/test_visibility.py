@@ -23,13 +23,13 @@ from placegraph.indoor.map.map_kernels import (
 )
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.mapping.merge import merge_scenes
-from placegraph.indoor.options import STANDING, FilterOptions, Likelihood
+from placegraph.indoor.options import STANDING, Likelihood, PoseSearchOptions
 from placegraph.indoor.pose.search import SEEDS, table_seeds
 from placegraph.indoor.pose.window import level_poses, own_encoder
 from placegraph.indoor.scene_map import SceneMap
 
 pytestmark = pytest.mark.usefixtures("one_thread")
-OPTIONS = FilterOptions(heights=STANDING, spacing=0.25)
+OPTIONS = PoseSearchOptions(heights=STANDING, spacing=0.25)
 """One layer; `FilterOptions()` has several."""
 NOISE = model_of(Likelihood()).noise
 ELEVATION = ((np.arange(ELEVATIONS) + 0.5) / ELEVATIONS * 2 - 1) * HIGHEST
@@ -53,7 +53,7 @@ def hall(boxes):
 
 @pytest.fixture(scope="module")
 def table(room):
-    return room.visibility(FilterOptions())
+    return room.visibility(PoseSearchOptions())
 
 
 # ------------------------------------------------------------------------------- panoramas
@@ -167,7 +167,7 @@ def test_nobody_stands_outside_or_within_walls(place, request):
 @pytest.mark.xfail(reason=SOLID, strict=True)
 @pytest.mark.parametrize(("thing", "height"), [("cupboard", 1.65), ("table", 0.4)])
 def test_nobody_stands_in_furniture(hall, thing, height):
-    table = build_table(hall, FilterOptions(heights=(height,)))
+    table = build_table(hall, PoseSearchOptions(heights=(height,)))
     assert not inside(table.positions, *HALL[thing]).any()
 
 
@@ -213,7 +213,7 @@ def test_rows_are_found_by_cell(table):
 
 def test_one_layer_serves_heights_near_each_other(hall):
     for heights in ((1.5, 1.6, 1.7, 1.8), (1.65,), (0.4, 1.7), (1.0, 1.5, 2.4)):
-        table = build_table(hall, FilterOptions(heights=heights, spacing=0.5))
+        table = build_table(hall, PoseSearchOptions(heights=heights, spacing=0.5))
         z = np.unique(table.positions[:, 2].round(6))
         assert len(z) == table.index.shape[0]
         for height in heights:
@@ -223,7 +223,7 @@ def test_one_layer_serves_heights_near_each_other(hall):
         for layer, height in enumerate(z):
             assert (table.positions[table.layer == layer, 2].round(6) == height).all()
     # one above the cupboard looks over it
-    high = build_table(hall, FilterOptions(heights=(2.6,)))
+    high = build_table(hall, PoseSearchOptions(heights=(2.6,)))
     assert inside(high.positions, *HALL["cupboard"]).any()
 
 
@@ -264,7 +264,7 @@ def test_one_vast_triangle_does_not_spread_the_grid(place, request):
 
 
 def test_where_no_camera_can_be_the_table_is_empty(hall):
-    table = build_table(hall, FilterOptions(heights=(200.0,)))
+    table = build_table(hall, PoseSearchOptions(heights=(200.0,)))
     assert len(table) == 0
     assert (table.index == -1).all()
 
@@ -272,7 +272,7 @@ def test_where_no_camera_can_be_the_table_is_empty(hall):
 def test_tables_are_made_once_for_each_height(hall):
     first = hall.visibility(OPTIONS)
     assert hall.visibility(replace(OPTIONS, record=True)) is first
-    assert hall.visibility(FilterOptions(heights=(1.2,), spacing=1.0)) is not first
+    assert hall.visibility(PoseSearchOptions(heights=(1.2,), spacing=1.0)) is not first
 
 
 @pytest.fixture(scope="module")
@@ -488,7 +488,7 @@ def test_seeds_hold_the_true_pose(cues, flat, flat_walk, truth):
     """Each cue alone finds the place in five rooms, among few seeds; two cues put it first."""
     seen, poses, true = sighted(flat, flat_walk, truth, cues)
     last = len(seen) - 1
-    table = flat.visibility(FilterOptions())
+    table = flat.visibility(PoseSearchOptions())
     seeds, ranks = table_seeds(table, seen, poses, NOISE, last)
     assert len(seeds) <= SEEDS
     assert (np.diff(ranks) <= 0).all()
@@ -501,7 +501,7 @@ def test_seeds_hold_the_true_pose(cues, flat, flat_walk, truth):
 
 def test_seeds_are_poses_of_the_frame_asked_for(room, walk, truth):
     seen, poses, true = sighted(room, walk, truth, {"semantic": True, "depth": True})
-    table = room.visibility(FilterOptions())
+    table = room.visibility(PoseSearchOptions())
     for reference in (0, 4, 9):
         seeds, _ = table_seeds(table, seen, poses, NOISE, reference, 5)
         assert len(seeds) <= 5
@@ -514,7 +514,7 @@ def test_table_and_rays_agree_on_which_poses_are_good(room, walk, truth, rng):
     from placegraph.indoor.likelihood.score import Scorer
 
     seen, poses, _ = sighted(room, walk, truth, {"semantic": True, "depth": True})
-    table, scorer = room.visibility(FilterOptions()), Scorer(room, OPTIONS.likelihood)
+    table, scorer = room.visibility(PoseSearchOptions()), Scorer(room, OPTIONS.likelihood)
     looked = [0, 5, 9]
     steps = between(poses[9], poses[looked])
     ranks = table.ranks([seen[i] for i in looked], steps, NOISE)

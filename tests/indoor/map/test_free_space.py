@@ -20,7 +20,7 @@ from placegraph.indoor.map.scene import MOST_LANDMARKS, WIDTH
 from placegraph.indoor.map.scene_file import VIEWPOINTS, columns, near_box, save_scene
 from placegraph.indoor.mapping import merge
 from placegraph.indoor.mapping.from_capture import thin_points
-from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.options import PoseSearchOptions
 from placegraph.indoor.pose.estimate import add_earth_poses
 from placegraph.indoor.scene_map import SceneMap
 
@@ -89,7 +89,7 @@ def test_a_camera_upstairs_is_a_level_up_and_in_a_room_there(stacked, flat):
 @pytest.mark.all
 def test_either_storey_is_found(stacked, walk, flat_walk, truth):
     for capture, shift in ((walk, np.zeros(3)), (flat_walk, SHIFT)):
-        found = stacked.localize(capture, options=FilterOptions().only(depth=True, colour=True))
+        found = stacked.localize(capture, options=PoseSearchOptions().only(depth=True, colour=True))
         true = split_pose(truth(capture)[-1])[0]
         assert found.best.pose[:3] == pytest.approx(true[:3] + shift, abs=0.1)
 
@@ -98,7 +98,7 @@ def test_either_storey_is_found(stacked, walk, flat_walk, truth):
 def test_places_beside_an_open_side_look_in(closed, boxes):
     """A scan may look in from outside its box; through a wall nobody does."""
     scene = scene_of_model(boxes(STAGE | (CLOSED if closed else {})))
-    at = scene.visibility(FilterOptions()).positions
+    at = scene.visibility(PoseSearchOptions()).positions
     beside = at[at[:, 0] > 5.3]
     assert bool(len(beside)) is not closed
     assert (at[:, 0] < 5.2 + BEYOND).all()
@@ -112,7 +112,7 @@ def test_places_beside_an_open_side_look_in(closed, boxes):
 def test_cameras_are_looked_for_where_the_maps_own_were(room, tmp_path):
     seen = np.array([[3.0, 3.0, 0.61], [3.5, 3.0, 0.63]]) + np.array([0, 0, room.floors[0]])
     scene = replace(room, viewpoints=seen)
-    table = scene.visibility(FilterOptions())
+    table = scene.visibility(PoseSearchOptions())
     own = table.positions[table.usual]
     assert 0 < len(own) < 40
     assert (np.abs(own[:, :2] - seen[0, :2]).max(axis=1) < 1.5).all()
@@ -129,7 +129,7 @@ def test_cameras_are_looked_for_where_the_maps_own_were(room, tmp_path):
 def test_beside_a_walked_scene_cameras_are_held_as_usual(room):
     seen = np.array([[3.0, 3.0, 0.61 + room.floors[0]]])
     both = merge.merge_scenes({"mesh": room, "walked": replace(room, viewpoints=seen)})
-    table = both.visibility(FilterOptions())
+    table = both.visibility(PoseSearchOptions())
     within = nearest_scene(both, table.positions[:, :2])[0]
     above = table.positions[:, 2] - table.ground
     assert (table.layer[table.usual & (within == 1)] == 0).all()
@@ -168,9 +168,9 @@ def test_viewpoints_far_from_the_mesh_are_told():
 
 def test_places_that_look_in_are_found_in_blocks(boxes, monkeypatch):
     scene = scene_of_model(boxes(STAGE))
-    whole = build_table(scene, FilterOptions()).positions
+    whole = build_table(scene, PoseSearchOptions()).positions
     monkeypatch.setattr(free, "_PAIRS", 1000)
-    np.testing.assert_array_equal(build_table(scene, FilterOptions()).positions, whole)
+    np.testing.assert_array_equal(build_table(scene, PoseSearchOptions()).positions, whole)
 
 
 def test_viewpoints_are_few_and_everywhere(rng):

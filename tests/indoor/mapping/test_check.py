@@ -8,7 +8,7 @@ import pytest
 from placegraph.core.geometry import rotation_from_vector
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.mapping.check import check
-from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.options import PoseSearchOptions
 from placegraph.indoor.scene_map import SceneMap
 
 
@@ -48,7 +48,7 @@ def test_a_sound_room_has_no_errors_and_no_warnings(room, flat):
 )
 def test_other_units_are_told_with_the_scale_that_mends_them(room, factor, unit, scale):
     scene = spoilt(room, mesh=turned(room, factor * np.eye(3)))
-    (finding,) = said(check(scene, options=FilterOptions(spacing=0.25 * factor)), unit)
+    (finding,) = said(check(scene, options=PoseSearchOptions(spacing=0.25 * factor)), unit)
     assert finding.severity == "error"
     assert finding.mend == f"--scale {scale}"
 
@@ -112,7 +112,7 @@ def test_a_tilted_floor_is_told(room, degrees, severity):
 
 
 def test_heights_that_fit_nowhere_are_told(room):
-    found = said(check(room, options=FilterOptions(heights=(3.5,))), "no place is free")
+    found = said(check(room, options=PoseSearchOptions(heights=(3.5,))), "no place is free")
     assert [f.severity for f in found] == ["error"]
     assert "--floor" in found[0].mend
 
@@ -224,7 +224,7 @@ def test_costs_are_told_where_they_are_high(room):
 
 def test_findings_come_worst_first_and_as_plain_words(room):
     scene = spoilt(room, mesh=turned(room, 1000.0 * np.eye(3)), labels=["x"] * len(room))
-    found = check(scene, options=FilterOptions(spacing=250.0))
+    found = check(scene, options=PoseSearchOptions(spacing=250.0))
     order = [("error", "warning", "note").index(f.severity) for f in found]
     assert order == sorted(order)
     assert all(isinstance(f.to_dict()["objects"], list) for f in found)

@@ -14,13 +14,13 @@ from placegraph.indoor.encode.labels import InstancesEncoder, LabelsEncoder
 from placegraph.indoor.likelihood.observe import sight, views
 from placegraph.indoor.likelihood.score import Scorer, model_of
 from placegraph.indoor.likelihood.score_kernels import look
-from placegraph.indoor.options import FilterOptions, Likelihood
+from placegraph.indoor.options import Likelihood, PoseSearchOptions
 from placegraph.indoor.pose.agreement import Agreement, agreement, explain
 from placegraph.indoor.pose.window import level_poses
 from placegraph.io.capture.frame import Frame
 
 pytestmark = pytest.mark.usefixtures("one_thread")
-OPTIONS = FilterOptions()
+OPTIONS = PoseSearchOptions()
 CAMERA = Camera(80, 48, 60.0, 60.0, 40.0, 24.0)
 # two chairs before the walls of a hall: one in the west, one in the east
 HALL = {
@@ -214,7 +214,7 @@ def test_colours_are_told_per_sample_of_the_image(walked):
 
 
 def test_eq_2_can_be_explained_too(room, walk, truth):
-    options = FilterOptions(likelihood=Likelihood(kind="gaussian"))
+    options = PoseSearchOptions(likelihood=Likelihood(kind="gaussian"))
     around = room.visibility(options).background
     seen = views(
         [sight(walk[-1], InstancesEncoder(room), options)],

@@ -14,7 +14,7 @@ from placegraph.indoor.pose.particle_filter import ParticleFilter, run_pass
 
 OPTIONS = FilterOptions()
 PAPER = FilterOptions.paper()
-FEWEST = OPTIONS.fewest
+FEWEST = OPTIONS.min_particles
 SPREAD = np.array([0.1, 0.1, 0.1, 0.08])
 seeds = st.integers(0, 2**32 - 1)
 
@@ -331,12 +331,12 @@ def test_modes_of_all_frames_of_a_pass(rng):
     first, second = np.array([0, 0, 1.6, 0.0]), np.array([3.0, 0, 1.6, 0])
     views, steps = np.array([first, second, second, second]), np.zeros((4, 4))
     start = np.repeat([first, second], 200, axis=0)
-    still = replace(PAPER, modes=2, fewest=2000, motion=MotionNoise(0, 0, 0, 0))
+    still = replace(PAPER, modes=2, min_particles=2000, motion=MotionNoise(0, 0, 0, 0))
     wide = np.array([1.5, 1.5, 1.5, 1.5])  # a likelihood ratio of e^2
     masses = {}
     for pooled in (False, True):
         filter_ = filter_of(
-            start, rng, replace(still, pooled=pooled), lambda p, view: near(p, view, wide)
+            start, rng, replace(still, pool_modes=pooled), lambda p, view: near(p, view, wide)
         )
         run = run_pass(filter_, views, steps, range(4))
         np.testing.assert_allclose(run.modes, [second, first], atol=1e-9)
@@ -353,4 +353,4 @@ def test_the_paper_runs_by_the_same_code(rng):
     filter_ = filter_of(scattered(rng, 8000), rng, options, most=8000)
     run = run_pass(filter_, true, steps, range(10))
     assert np.linalg.norm(run.modes[0, :3] - true[-1, :3]) < 0.2
-    assert run.counts[-1] == PAPER.fewest
+    assert run.counts[-1] == PAPER.min_particles

@@ -132,7 +132,7 @@ def test_the_start(scene, rng):
     window = Window(PoseQuery(scene=scene, options=PAPER), Scorer(scene, PAPER.likelihood), [])
     table = window.table
     cells = np.unique(table.positions[:, :2], axis=0)
-    ours, other = everywhere(window, rng), theirs.start(cells, scene.floors[0], rng)
+    ours, other = everywhere(window, window.options, rng), theirs.start(cells, scene.floors[0], rng)
 
     def told(poses):
         cell = np.floor((poses[:, :2] - table.origin) / theirs.CELL)
@@ -253,7 +253,9 @@ def test_the_mle(rng):
 def test_whole_runs_err_alike(terms, scene, world, images, frames):
     """Errors of many runs are drawn from one distribution, as far as a rank test can tell."""
     few = 120
-    options = replace(PAPER, spacing=0.5, per_cell=1, fewest=few).only(**dict.fromkeys(terms, True))
+    options = replace(PAPER, spacing=0.5, per_cell=1, min_particles=few).only(
+        **dict.fromkeys(terms, True)
+    )
     first, *later = options.passes
     options = replace(options, passes=(first, *(replace(p, particles=few) for p in later)))
     cells = np.unique(scene.visibility(options).positions[:, :2], axis=0)

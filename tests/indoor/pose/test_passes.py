@@ -59,7 +59,7 @@ def test_the_papers_start(room, rng):
     """Sec. 3.1: so many yaws a free cell and height, all over the free floor."""
     options = FilterOptions(start="uniform", spacing=0.4, per_cell=3, heights=(1.5, 1.7))
     table = room.visibility(options)
-    got = everywhere(window_of(room, options), rng)
+    got = everywhere(window_of(room, options), options, rng)
     assert len(got) == len(table) * 3 * 3  # 1.6 m, where people stand, lies between
     for low, high in zip(got.min(axis=0)[:2], got.max(axis=0)[:2], strict=True):
         assert low < high
@@ -77,7 +77,7 @@ def test_a_wider_grid_is_as_dense(room, rng, monkeypatch):
     options = FilterOptions(start="uniform", spacing=0.1, per_cell=4, heights=(1.6,))
     table = replace(room.visibility(options), spacing=0.2)
     monkeypatch.setattr(Window, "table", table)
-    assert len(everywhere(window_of(room, options), rng)) == 16 * len(table)
+    assert len(everywhere(window_of(room, options), options, rng)) == 16 * len(table)
 
 
 def test_later_passes_lie_in_boxes_and_give_every_mode_its_share(rng):
@@ -101,4 +101,6 @@ def test_layers_do_not_multiply_cells(room, rng):
     table = room.visibility(options)
     assert table.index.shape[0] > 1
     cells = len(np.unique(table.positions[:, :2], axis=0))
-    assert len(everywhere(window_of(room, options), rng)) == 3 * cells  # 1.5 m lies between
+    assert (
+        len(everywhere(window_of(room, options), options, rng)) == 3 * cells
+    )  # 1.5 m lies between

@@ -9,7 +9,7 @@ from placegraph.core.geometry import compose, split_pose, wrap
 from placegraph.indoor.encode.labels import InstancesEncoder
 from placegraph.indoor.likelihood.observe import sight, views
 from placegraph.indoor.likelihood.score import Scorer, model_of
-from placegraph.indoor.options import FilterOptions, MotionNoise
+from placegraph.indoor.options import MotionNoise, PoseSearchOptions
 from placegraph.indoor.pose.covariance import pose_covariance
 from placegraph.indoor.pose.kld_sampling import Particles
 from placegraph.indoor.pose.local_fit import (
@@ -236,7 +236,7 @@ def test_the_heaviest_particle_is_the_estimate(rng):
 
 def test_a_walk_is_fitted_to_centimetres(room, walk, truth, rng):
     """From 20 cm and 3 degrees off, by all cues together."""
-    options = FilterOptions()
+    options = PoseSearchOptions()
     around = room.visibility(options).background
     seen = views(
         [sight(f, InstancesEncoder(room), options) for f in walk],

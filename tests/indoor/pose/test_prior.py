@@ -7,7 +7,7 @@ from placegraph.core.estimate import Status
 from placegraph.errors import OptionError
 from placegraph.indoor.map.map_kernels import AZIMUTHS
 from placegraph.indoor.mapping.merge import merge_scenes
-from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.options import PoseSearchOptions
 from placegraph.indoor.pose.prior import LogPrior
 
 
@@ -18,7 +18,7 @@ def twins(room):
 
 
 def test_a_sentence_leans_towards_where_it_is_true(room):
-    table = room.visibility(FilterOptions())
+    table = room.visibility(PoseSearchOptions())
     leaning = LogPrior.of(room, table, "next to the sofa", None)
     assert leaning.logs.shape == (len(table), AZIMUTHS)
     sofa = room.graph.positions[room.graph.labels.index("sofa"), :2]
@@ -31,7 +31,7 @@ def test_a_sentence_leans_towards_where_it_is_true(room):
 
 
 def test_a_sentence_about_nothing_here_is_told(room):
-    table = room.visibility(FilterOptions())
+    table = room.visibility(PoseSearchOptions())
     with pytest.raises(OptionError, match="says nothing of this map"):
         LogPrior.of(room, table, "next to the swimming pool", None)
 
@@ -39,11 +39,11 @@ def test_a_sentence_about_nothing_here_is_told(room):
 @pytest.mark.parametrize("shares", [[1.0], [0.0, 0.0], [-1.0, 2.0], [np.nan, 1.0]])
 def test_shares_are_one_for_each_scene(twins, shares):
     with pytest.raises(OptionError, match="shares"):
-        LogPrior.of(twins, twins.visibility(FilterOptions()), None, shares)
+        LogPrior.of(twins, twins.visibility(PoseSearchOptions()), None, shares)
 
 
 def test_a_scene_without_a_share_gets_no_particles(twins):
-    table = twins.visibility(FilterOptions())
+    table = twins.visibility(PoseSearchOptions())
     leaning = LogPrior.of(twins, table, None, [0.0, 1.0])
     ((rows, share),) = leaning.parts
     assert share == 1.0
@@ -66,6 +66,6 @@ def test_a_description_is_evidence(room, walk):
 
 def test_looks_alone_make_no_pose_sure(room, walk):
     """An encoder of looks may find the pose; without depth or colours it is not `OK`."""
-    options = FilterOptions(depth=False, colour=False)
+    options = PoseSearchOptions(depth=False, colour=False)
     estimate = room.localize(walk, encoder="appearance", options=options, refine=False)
     assert estimate.status is not Status.OK

@@ -7,7 +7,7 @@ import pytest
 
 from placegraph.core.geometry import Camera
 from placegraph.errors import OptionError
-from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.options import PoseSearchOptions
 from placegraph.indoor.pose.window import PoseQuery, chosen_frames
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
@@ -70,7 +70,7 @@ def test_nothing_to_choose_from():
 
 
 def test_of_the_frames_chosen_keyframes_are_asked_about(room, capture):
-    query = PoseQuery.of(room, capture, frames=slice(1, 6), options=FilterOptions(every=0.35))
+    query = PoseQuery.of(room, capture, frames=slice(1, 6), options=PoseSearchOptions(every=0.35))
     assert [f.index for f in query.frames] == [1, 3, 5]
     assert PoseQuery.of(room).frames == []
 
@@ -80,7 +80,7 @@ def test_what_the_map_cannot_serve_is_not_asked(room, capture):
     grey = SimpleNamespace(coloured=False)
     assert not PoseQuery.of(grey, capture).options.colour
     with pytest.raises(OptionError, match="all off"):
-        PoseQuery.of(grey, capture, options=FilterOptions().only(colour=True))
+        PoseQuery.of(grey, capture, options=PoseSearchOptions().only(colour=True))
 
 
 def test_seeds_are_not_negative(room, capture):

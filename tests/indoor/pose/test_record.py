@@ -75,7 +75,7 @@ def test_a_run_of_the_filter(room, walk, tmp_path):
     estimate = room.localize(walk[:4], options=options, refine=False)
     write_run(tmp_path / "a.run", estimate, source=room.source)
     back = read_run(tmp_path / "a.run")
-    assert len(back.history) == len(options.run)
+    assert len(back.history) == len(options.passes)
     counts = [len(poses) for record in back.history for _, poses, _ in record.steps]
     assert counts == [len(poses) for record in estimate.history for _, poses, _ in record.steps]
     assert (tmp_path / "a.run").stat().st_size < 10 * sum(counts) + 4000

@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.options import PoseSearchOptions
 from placegraph.indoor.pose.search import around
 
 pytestmark = pytest.mark.usefixtures("one_thread")
-OPTIONS = FilterOptions()
+OPTIONS = PoseSearchOptions()
 
 
 def test_poses_fill_a_box_around_each_seed(rng):

@@ -10,7 +10,7 @@ import pytest
 from placegraph.core.estimate import Status
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.map.mesh import Mesh
-from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.options import PoseSearchOptions
 from placegraph.indoor.refine import RefineOptions
 from placegraph.indoor.refine.matching import matcher
 from placegraph.indoor.scene_map import SceneMap
@@ -18,7 +18,7 @@ from placegraph.io.capture.capture import Capture, open_capture
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 FIVE = slice(0, 5)
-WITHOUT_DEPTH = FilterOptions().only(semantic=True, colour=True)
+WITHOUT_DEPTH = PoseSearchOptions().only(semantic=True, colour=True)
 SAME = pytest.mark.all  # what others show already
 
 
@@ -88,7 +88,7 @@ def test_a_map_without_texture(room, walk, exact, kit):
     blind = RefineOptions(depth=False, images=True)
     estimate = honest(bare.refine(walk, start, frames=FIVE, options=blind), exact.poses[4], kit)
     assert not estimate.refinement.accepted
-    semantic = FilterOptions().only(semantic=True)
+    semantic = PoseSearchOptions().only(semantic=True)
     estimate = bare.localize(walk, frames=FIVE, options=semantic)
     assert estimate.refinement is None or not estimate.refinement.accepted
 
@@ -180,7 +180,7 @@ def test_a_wrong_focal_length(room, walk, exact, kit, factor, depth):
     wrong = with_camera(
         walk[:5], lambda c: replace(c, fx=c.fx * factor, fy=c.fy * factor)
     )  # fmt: skip
-    options = FilterOptions() if depth else WITHOUT_DEPTH
+    options = PoseSearchOptions() if depth else WITHOUT_DEPTH
     far = BY_IMAGES if factor == 0.7 and not depth else 0.3
     honest(room.localize(wrong, options=options), exact.poses[4], kit, far)
 

@@ -10,7 +10,7 @@ import pytest
 
 from placegraph.core.estimate import Status
 from placegraph.errors import MissingExtraError, OptionError
-from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.options import PoseSearchOptions
 from placegraph.indoor.pose.window import PoseQuery, observe
 from placegraph.indoor.refine import RefineOptions, RefineSetup, refine_estimate
 from placegraph.indoor.refine.confidence import Confirmation
@@ -21,7 +21,7 @@ from placegraph.io.capture.capture import open_capture
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 FIVE = slice(0, 5)
-WITHOUT_DEPTH = FilterOptions().only(semantic=True, colour=True)
+WITHOUT_DEPTH = PoseSearchOptions().only(semantic=True, colour=True)
 
 
 def digest(path):

@@ -7,7 +7,7 @@ import pytest
 
 from placegraph.core.estimate import Status
 from placegraph.errors import OptionError
-from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.options import PoseSearchOptions
 from placegraph.indoor.refine import RefineOptions, refinement
 from placegraph.indoor.refine.confidence import Confirmation
 from placegraph.indoor.refine.correspondences import MOST, match_views
@@ -229,7 +229,7 @@ def test_seeds_are_not_negative(room, walk, start, call):
         getattr(room, call)(walk, *given, frames=[4], seed=-1)
 
 
-@pytest.mark.parametrize("wrong", ["yes", 1, {}, FilterOptions()])
+@pytest.mark.parametrize("wrong", ["yes", 1, {}, PoseSearchOptions()])
 def test_refine_is_yes_no_or_how(room, walk, wrong):
     with pytest.raises(OptionError, match="refine is"):
         room.localize(walk, frames=[4], refine=wrong)

@@ -11,7 +11,7 @@ import pytest
 from placegraph.core.estimate import Status
 from placegraph.core.geometry import Camera
 from placegraph.errors import InputError, OptionError
-from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.options import FilterOptions, PoseSearchOptions
 from placegraph.indoor.track.follower import Relocalizer
 from placegraph.indoor.track.odometry import AHEAD, JUMP, KEPT, Odometry
 from placegraph.io.capture.frame import Frame
@@ -166,7 +166,7 @@ def test_a_lost_camera_is_looked_up_beside_images(room, film, elsewhere, truth):
 
 
 def test_frames_that_show_nothing_are_carried_on(room, film, truth):
-    live = room.live(film.camera, background=False, options=FilterOptions().only(depth=True))
+    live = room.live(film.camera, background=False, options=PoseSearchOptions().only(depth=True))
     known = found(live, film, 8)
 
     class Torn:
@@ -188,7 +188,7 @@ def test_frames_that_show_nothing_are_carried_on(room, film, truth):
 
 
 def test_a_lost_camera_that_sees_nothing_says_so(room, film):
-    live = room.live(film.camera, background=False, options=FilterOptions().only(depth=True))
+    live = room.live(film.camera, background=False, options=PoseSearchOptions().only(depth=True))
     pose = live.step(blind(film[0]))
     assert pose.status is Status.LOST
     assert "nothing to compare" in pose.reason
@@ -198,7 +198,7 @@ def test_a_lost_camera_that_sees_nothing_says_so(room, film):
 
 def test_images_with_and_without_depth(room, film, truth):
     live = room.live(
-        film.camera, background=False, options=FilterOptions().only(depth=True, colour=True)
+        film.camera, background=False, options=PoseSearchOptions().only(depth=True, colour=True)
     )
     poses = [live.step(blind(f) if i % 2 else f) for i, f in enumerate(film[:16])]
     assert [p.status for p in poses[6:]].count(Status.OK) >= 8
@@ -433,7 +433,7 @@ def test_depth_in_another_unit_is_named(live, film):
 def test_slow_frames_are_looked_up_with_those_before(room, film):
     """Each is too near the last to be a keyframe beside it; together they are a way."""
     asked = []
-    live = room.live(film.camera, background=False, options=FilterOptions().only(colour=True))
+    live = room.live(film.camera, background=False, options=PoseSearchOptions().only(colour=True))
     live._follower.hear = lambda found: asked.append(found.frames)
     for i in range(30):
         odometry = film[0].odometry.copy()

@@ -10,7 +10,7 @@ from placegraph.core.estimate import Status
 from placegraph.core.geometry import Camera, pose_matrix, split_pose
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.localize import WINDOW
-from placegraph.indoor.options import FilterOptions, Likelihood
+from placegraph.indoor.options import FilterOptions, Likelihood, PoseSearchOptions
 from placegraph.indoor.track.tracker import KEPT
 from placegraph.io.capture.frame import Frame
 
@@ -137,7 +137,7 @@ def test_a_camera_that_stands_still_is_carried_on(room, film, truth):
 
 def test_a_camera_that_stands_still_and_is_lost_is_looked_up_again(room, film):
     """Not in every frame, and not never."""
-    tracker = room.tracker(film.camera, options=FilterOptions().only(colour=True), seed=0)
+    tracker = room.tracker(film.camera, options=PoseSearchOptions().only(colour=True), seed=0)
     grey = np.full_like(film[0].rgb(), 128)
     lost = Frame.from_arrays(grey, film.camera, gravity=film[0].gravity)
     costs = []
@@ -162,7 +162,7 @@ def bare(frame):
 
 
 def test_frames_too_bare_to_tell_a_place_do_not_deny_one(room, film, truth):
-    options = FilterOptions().only(depth=True, colour=True)
+    options = PoseSearchOptions().only(depth=True, colour=True)
     plain = [bare(frame) for frame in film]
     assert room.tracker(film.camera, options=options).update(plain[8]).status is not Status.OK
     tracker = room.tracker(film.camera, options=options, seed=0)
@@ -202,7 +202,7 @@ def test_forgetting(room, film):
 
 
 def test_the_papers_likelihood_is_tracked_too(room, film):
-    options = FilterOptions(likelihood=Likelihood(kind="gaussian"))
+    options = PoseSearchOptions(likelihood=Likelihood(kind="gaussian"))
     tracker = room.tracker(film.camera, options=options, seed=0)
     for frame in film[:3]:
         assert tracker.update(frame).modes
@@ -227,7 +227,7 @@ def test_frames_of_another_camera(room, film):
 
 
 def test_frames_that_show_nothing(room, film):
-    tracker = room.tracker(film.camera, options=FilterOptions().only(depth=True))
+    tracker = room.tracker(film.camera, options=PoseSearchOptions().only(depth=True))
     bare = Frame.from_arrays(film[0].rgb(), film.camera, gravity=film[0].gravity)
     with pytest.raises(OptionError, match="nothing to compare"):
         tracker.update(bare)
@@ -271,7 +271,7 @@ def test_long_captures_are_tracked(room, film, truth):
 @pytest.mark.parametrize(
     "options",
     [
-        replace(FilterOptions.coarse(), fewest=200),
+        replace(FilterOptions.coarse(), min_particles=200),
         FilterOptions(start="uniform", spacing=0.4),
         FilterOptions(answer="mle"),
     ],

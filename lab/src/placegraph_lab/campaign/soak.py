@@ -172,7 +172,7 @@ def localizations(inputs: Path, rng: np.random.Generator) -> Callable[[], object
     One in fifty is refined, one in ten more is looked for everywhere, and the others near where
     their first frame was found before.
     """
-    from placegraph.indoor.options import FilterOptions
+    from placegraph.indoor.options import PoseSearchOptions
     from placegraph.indoor.pose.prior import Prior
     from placegraph.io.capture.capture import open_capture
     from placegraph.maps import open_scene
@@ -181,8 +181,8 @@ def localizations(inputs: Path, rng: np.random.Generator) -> Callable[[], object
     found = [scene.localize(film, frames=[k], refine=False).best for k in range(len(film))]
     near = [Prior(*best.pose.tolist()) if best else None for best in found]
     options = (
-        FilterOptions(), FilterOptions(modes=3),
-        FilterOptions(semantic=False), FilterOptions(depth=False), FilterOptions(colour=False),
+        PoseSearchOptions(), PoseSearchOptions(modes=3),
+        PoseSearchOptions(semantic=False), PoseSearchOptions(depth=False), PoseSearchOptions(colour=False),
     )  # fmt: skip
 
     def ask() -> object:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from placegraph.core.estimate import PoseEstimate, Status
 from placegraph.errors import OptionError, PlacegraphError, RequestError
-from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.options import FilterOptions, PoseSearchOptions
 from placegraph.indoor.pose.prior import Prior
 from placegraph.io.capture.frame import Frame
 from placegraph.outdoor.track.tracker import CityTracker
@@ -154,7 +154,7 @@ def answer(places: Places, frames: list[Frame], hints: Hints, *, record: bool) -
             prior = None
         return scene.localize(
             frames, prior=prior, description=hints.description, seed=hints.seed,
-            options=FilterOptions(record=record),
+            options=FilterOptions(record=True) if record else PoseSearchOptions(),
         )  # fmt: skip
     if kind == "library" and name is not None:
         found_in: Any = places.open(name)

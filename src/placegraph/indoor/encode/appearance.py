@@ -22,7 +22,7 @@ from placegraph.indoor.likelihood.visibility import VisibilityTable
 from placegraph.indoor.map.free_space import HIGHEST
 from placegraph.indoor.map.map_kernels import AZIMUTHS, ELEVATIONS, NOTHING, STEP
 from placegraph.indoor.map.scene import Scene
-from placegraph.indoor.options import STANDING, FilterOptions
+from placegraph.indoor.options import STANDING, PoseSearchOptions
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
 
@@ -130,7 +130,7 @@ def surfaces(scene: Scene) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
     if not scene.coloured:
         return sums.astype(np.float32), cells
     renderer = Renderer(scene)
-    table = visibility(scene, FilterOptions(heights=STANDING, spacing=0.25))
+    table = visibility(scene, PoseSearchOptions(heights=STANDING, spacing=0.25))
 
     def look(poses: NDArray[np.float64]) -> None:
         for pose in poses:

@@ -28,7 +28,7 @@ from placegraph.indoor.likelihood.visibility import build_table
 from placegraph.indoor.map.free_space import HIGHEST
 from placegraph.indoor.map.map_kernels import AZIMUTHS, ELEVATIONS
 from placegraph.indoor.map.scene import Scene, from_8_bits, in_8_bits
-from placegraph.indoor.options import STANDING, FilterOptions
+from placegraph.indoor.options import STANDING, PoseSearchOptions
 from placegraph.io.capture.capture import Capture
 from placegraph.vectors import EmbeddedStore
 
@@ -122,7 +122,9 @@ def signature_of(
             f"{', '.join(e.name for e in encoders)}; give labels to its objects, or colours."
         )
     heights = STANDING if height is None else (height,)
-    table = build_table(scene, FilterOptions(heights=(float(np.mean(heights)),), spacing=_SPACING))
+    table = build_table(
+        scene, PoseSearchOptions(heights=(float(np.mean(heights)),), spacing=_SPACING)
+    )
     if not len(table):
         raise OptionError(
             f"{scene.source or 'The map'} has no free place {np.mean(heights):.1f} m above its floor "

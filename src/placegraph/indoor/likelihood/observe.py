@@ -17,7 +17,7 @@ from placegraph.io.capture.frame import Frame, LazyImages
 
 if TYPE_CHECKING:
     from placegraph.indoor.encode import MapEncoder, Patches
-    from placegraph.indoor.options import FilterOptions
+    from placegraph.indoor.options import PoseSearchOptions
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -148,7 +148,7 @@ class Sighting:
     """(H, W, 3)"""
 
 
-def sight(frame: Frame, encoder: MapEncoder | None, options: FilterOptions) -> Sighting:
+def sight(frame: Frame, encoder: MapEncoder | None, options: PoseSearchOptions) -> Sighting:
     """Read what the options ask for, and no more; raises `InputError` where an image is broken."""
     depth = frame.depth() if options.depth else None
     if depth is not None and not np.isfinite(depth).any():

@@ -44,7 +44,7 @@ from placegraph.indoor.map.map_kernels import (
     scan_headings,
 )
 from placegraph.indoor.map.scene import Scene
-from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.options import PoseSearchOptions
 from placegraph.indoor.rays.trace_kernels import LANES
 
 _ASKED = {
@@ -135,13 +135,13 @@ class VisibilityTable:
         return found
 
 
-def visibility(scene: Scene, options: FilterOptions) -> VisibilityTable:
+def visibility(scene: Scene, options: PoseSearchOptions) -> VisibilityTable:
     """What is visible from where, for cameras at `options.heights`; made once for each."""
     key = ("visibility", options.heights, options.spacing)
     return scene.derived(key, lambda scene: build_table(scene, options))
 
 
-def build_table(scene: Scene, options: FilterOptions) -> VisibilityTable:
+def build_table(scene: Scene, options: PoseSearchOptions) -> VisibilityTable:
     """Table of a map for cameras at `options.heights`; empty where no position is free.
 
     Raises `OptionError` where the map has more objects than a bin of the table can name.

@@ -29,7 +29,7 @@ from placegraph.indoor.map.floor import (
 from placegraph.indoor.map.free_space import DIRECTIONS
 from placegraph.indoor.map.relations import MOST_OBJECTS
 from placegraph.indoor.map.scene import Scene
-from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.options import PoseSearchOptions
 
 Severity = Literal["error", "warning", "note"]
 SEVERITIES: tuple[Severity, ...] = ("error", "warning", "note")
@@ -462,9 +462,9 @@ _LEVEL_RAY = 0.2
 _BACK = 0.3  # Share of the rays from inside that meet the back of a triangle
 
 
-def _check_places(scene: Scene, options: FilterOptions | None) -> Iterator[Finding]:
+def _check_places(scene: Scene, options: PoseSearchOptions | None) -> Iterator[Finding]:
     """Check for places of cameras, holes around them, and flipped normals."""
-    options = options or FilterOptions()
+    options = options or PoseSearchOptions()
     table = visibility(scene, options)
     said = " to ".join(f"{h:g}" for h in sorted({min(options.heights), max(options.heights)}))
     over = float(scene.floors.min()) + min(options.heights) >= float(scene.bounds[1, 2])
@@ -591,7 +591,7 @@ def _check_anchors(scene: Scene) -> Iterator[Finding]:
 def check(
     scene: Scene,
     *,
-    options: FilterOptions | None = None,
+    options: PoseSearchOptions | None = None,
     size: int | None = None,
     seconds: float | None = None,
 ) -> list[Finding]:

@@ -79,8 +79,6 @@ def _along(window: Window, fit: Fit, axis: Floats, rng: Generator) -> tuple[Floa
 
 def explore_unobservable(window: Window, fits: list[Fit], rng: Generator) -> list[Fit]:
     """Fits, best first, with what fits next to the best along the direction in which it is least known."""
-    if window.options.answer == "mle":
-        return fits
     with timed(window.seconds, "polish"):
         fits = merge_fits(fits)  # bending may have brought some together
         best, other = _probe_direction(window, fits[0], rng)

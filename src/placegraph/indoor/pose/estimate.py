@@ -135,7 +135,8 @@ def _probabilities(window: Window, fits: list[Fit], heat: float) -> tuple[list[F
     Particles have heard it already, and their weights are probabilities.
     """
     logs = np.array([f.log_likelihood for f in fits])
-    if window.options.answer == "mle":
+    options = window.options.particle_filter
+    if options is not None and options.answer == "mle":
         return fits, np.exp(logs)
     shares = probabilities(logs, heat)
     if window.log_prior is None:

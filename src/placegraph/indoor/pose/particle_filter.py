@@ -101,7 +101,7 @@ class ParticleFilter:
         """Adaptive resampling (Sec. 3.5) by KLD, or to as many as before."""
         count = len(self.particles)
         if self.options.kld:
-            count = max(kld_count(self.particles, self.options), self.options.fewest)
+            count = max(kld_count(self.particles, self.options), self.options.min_particles)
         self.particles = resample(self.particles, min(count, self.max_particles), self.rng)
 
     def inject(self, poses: NDArray[np.float64]) -> None:
@@ -126,7 +126,7 @@ class Run:
     """What one pass over a sequence left."""
 
     modes: NDArray[np.float64]
-    """(K, 4) poses of the last frame, heaviest first, of the last frame or of all (`pooled`)."""
+    """(K, 4) poses of the last frame, heaviest first, of the last frame or of all (`pool_modes`)."""
     masses: NDArray[np.float64]
     """(K,) weight of the particles of each."""
     particles: Particles
@@ -166,7 +166,7 @@ def run_pass(
             pool[:, :4] = compose(pool[:, :4], steps[t])
         if t >= first:
             filter_.reweight(view)
-        if (options.pooled and t >= first) or t == len(views) - 1:
+        if (options.pool_modes and t >= first) or t == len(views) - 1:
             modes = filter_.modes()
             pool = np.vstack([pool, np.column_stack([modes, masses(filter_.particles, modes)])])
         counts.append(len(filter_.particles))
@@ -175,7 +175,7 @@ def run_pass(
             record.append((int(frames[t]), weighed.poses.copy(), weighed.weights))
         if tick:
             tick()
-    if options.pooled:
+    if options.pool_modes:
         pool = pool[distinct(pool[:, :4], pool[:, 4], options.modes)]
     return Run(pool[:, :4], pool[:, 4], filter_.particles, tuple(record), tuple(counts))
 
@@ -207,11 +207,12 @@ class FilteredPasses:
 
 def run_passes(window: Window, seeds: Floats, rng: Generator) -> FilteredPasses:
     """Filter the window, from seeds (K, 4) of the last frame, in passes coarse to fine (Sec. 3.5)."""
-    options, query, poses = window.options, window.query, window.poses
+    options, query, poses = window.options.particle_filter, window.query, window.poses
+    assert options is not None  # noqa: S101  else nothing is filtered
     modes, masses, history, counts = seeds, np.ones(len(seeds)), [], []
     steps = np.zeros((len(window), 4))
     steps[1:] = between(poses[:-1], poses[1:])
-    total, done = len(options.run) * len(window), 0
+    total, done = len(options.passes) * len(window), 0
 
     def tick() -> None:
         nonlocal done
@@ -222,17 +223,21 @@ def run_passes(window: Window, seeds: Floats, rng: Generator) -> FilteredPasses:
     def elsewhere(t: int, count: int) -> Floats:
         """Poses (count, 4) of frame t where that frame alone fits best: a kidnapped camera."""
         if options.start == "uniform":
-            drawn = everywhere(window, rng)
+            drawn = everywhere(window, options, rng)
             return drawn[rng.choice(len(drawn), count)]
         view, noise = window.views(COARSE)[t], window.scorer.model.noise
         log_prior = window.log_prior
         return table_seeds(window.table, [view], poses[[t]], noise, 0, count, log_prior)[0]
 
     with timed(window.seconds, "filter"):
-        for number, spec in enumerate(options.run):
+        for number, spec in enumerate(options.passes):
             # back to the first frame, from where the pass starts
             first = compose(modes, between(poses[-1], poses[0]))
-            start = _later(spec, first, masses, rng) if number else _start(window, spec, first, rng)
+            start = (
+                _later(spec, first, masses, rng)
+                if number
+                else _start(window, options, spec, first, rng)
+            )
             particles = Particles.even(start)
             if window.log_prior is not None and not number:
                 ends = compose(start, between(poses[0], poses[-1]))
@@ -258,17 +263,19 @@ def _later(spec: Pass, modes: Floats, masses: Floats, rng: Generator) -> Floats:
     return around(modes, np.maximum(1, np.diff(ends, prepend=0)), spec.box, spec.turn, rng)
 
 
-def _start(window: Window, spec: Pass, modes: Floats, rng: Generator) -> Floats:
+def _start(
+    window: Window, options: FilterOptions, spec: Pass, modes: Floats, rng: Generator
+) -> Floats:
     """First particles of the first pass, as poses (N, 4) of the first frame."""
-    options, prior = window.options, window.query.prior
+    prior = window.query.prior
     if prior is not None:
         return near_prior(prior, window, spec.particles, rng)
     if options.start == "uniform":
-        return everywhere(window, rng)
+        return everywhere(window, options, rng)
     return around(modes, max(1, spec.particles // len(modes)), 0.3, 0.1, rng)
 
 
-def everywhere(window: Window, rng: Generator) -> Floats:
+def everywhere(window: Window, options: FilterOptions, rng: Generator) -> Floats:
     """The paper's start (Sec. 3.1): `per_cell` poses a free cell and height, yaws at random.
 
     Of a span of heights, its ends and those at which people stand between them.
@@ -276,7 +283,7 @@ def everywhere(window: Window, rng: Generator) -> Floats:
     Which cells are free, the panoramas of the table say; it ranks nothing here. Where a large map
     makes its grid wider than asked, a cell gets as many more poses.
     """
-    table, options = window.table, window.options
+    table = window.table
     low, high = min(options.heights), max(options.heights)
     heights = np.union1d(options.heights, [h for h in STANDING if low < h < high])
     cells = np.unique(np.column_stack([table.positions[:, :2], table.ground]), axis=0)

@@ -74,7 +74,8 @@ def search(window: Window, rng: Generator) -> Floats:
                 f"{window.options.heights} m above its floor; give the camera's height."
             )
         views = window.views(COARSE)
-    if window.options.start == "uniform":
+    options = window.options.particle_filter
+    if options is not None and options.start == "uniform":
         return np.zeros((0, 4))
     with timed(window.seconds, "search"):
         last, noise = len(window) - 1, window.scorer.model.noise

@@ -21,7 +21,7 @@ from placegraph.indoor.likelihood.observe import Cut, Sighting, View, check_unit
 from placegraph.indoor.likelihood.score import Scorer
 from placegraph.indoor.likelihood.visibility import VisibilityTable, visibility
 from placegraph.indoor.map.scene import Scene
-from placegraph.indoor.options import FilterOptions, MotionNoise, check_device
+from placegraph.indoor.options import MotionNoise, PoseSearchOptions, check_device
 from placegraph.indoor.pose.prior import LogPrior
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
@@ -112,7 +112,7 @@ class PoseQuery:
     """The map; it is only read."""
     frames: Sequence[Frame] = ()
     """In order of time."""
-    options: FilterOptions = field(default_factory=FilterOptions)
+    options: PoseSearchOptions = field(default_factory=PoseSearchOptions)
     encoder: MapEncoder | None = None
     """Says what patches show; None: the frames' own labels, if they have any."""
     prior: Prior | None = None
@@ -132,7 +132,7 @@ class PoseQuery:
         capture: Capture | Sequence[Frame] | None = None,
         *,
         frames: slice | Sequence[int] | None = None,
-        options: FilterOptions | None = None,
+        options: PoseSearchOptions | None = None,
         encoder: str | Encoder | MapEncoder | None = None,
         device: str = "auto",
         **known: Any,  # noqa: ANN401  # the other fields
@@ -143,7 +143,7 @@ class PoseQuery:
         that the map cannot serve are switched off. Parameters and errors: `SceneMap.localize`.
         """
         check_device(device)
-        options = options or FilterOptions()
+        options = options or PoseSearchOptions()
         if known.get("seed", 0) < 0:
             raise OptionError(f"seed is {known['seed']}; a seed is not negative.")
         chosen: list[Frame] = []
@@ -233,7 +233,7 @@ class Window:
         return self.query.scene
 
     @property
-    def options(self) -> FilterOptions:
+    def options(self) -> PoseSearchOptions:
         """How it is localized."""
         return self.query.options
 

@@ -17,7 +17,7 @@ from placegraph.core.geometry import Floats
 from placegraph.core.mapfile import read_map, write_map
 from placegraph.errors import InputError, MapError, OptionError
 from placegraph.indoor.map.scene import Scene
-from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.options import PoseSearchOptions
 from placegraph.indoor.track.belief import Belief
 from placegraph.indoor.track.follower import Follower, Relocalizer
 from placegraph.indoor.track.odometry import checked_covariance, checked_odometry, checked_pose
@@ -138,7 +138,7 @@ class LiveTracker:
         background: bool | Executor = True,
         **known: Any,  # noqa: ANN401  # of `SceneMap.localize`
     ) -> None:
-        options = known.get("options") or FilterOptions()
+        options = known.get("options") or PoseSearchOptions()
         if not options.tracked:
             raise OptionError("options: a live tracker needs start='table' and answer='fit'.")
         self.maps, self.camera = maps, camera

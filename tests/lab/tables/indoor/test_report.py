@@ -3,7 +3,7 @@
 import json
 import math
 
-from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.options import PoseSearchOptions
 from placegraph_lab.tables.indoor.bench import chosen, house_jobs, office_jobs
 from placegraph_lab.tables.indoor.metrics import Answer, dumps
 from placegraph_lab.tables.indoor.report import Row, errors
@@ -35,8 +35,8 @@ def lines(text, start):
 
 def test_every_row_has_a_name_of_its_own():
     assert len(JOBS) == len(house_jobs()) + len(office_jobs())
-    assert JOBS["none: depth"].options == FilterOptions(semantic=False, colour=False)
-    assert JOBS["instances: all"].options == FilterOptions()
+    assert JOBS["none: depth"].options == PoseSearchOptions(semantic=False, colour=False)
+    assert JOBS["instances: all"].options == PoseSearchOptions()
 
 
 def test_rows_are_chosen_by_name():

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from placegraph.indoor.encode import Patches
-from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.options import PoseSearchOptions
 from placegraph_lab.tables.named.patch_accuracy import (
     accuracy,
     drawn_home,
@@ -53,7 +53,7 @@ def test_rays_say_what_patches_show(place):
 def test_who_knows_everything(place):
     told = accuracy(Knowing(place, 1.0), place.scene, place.frames[:3], place.map_from_camera[:3])
     assert (told.best, told.auc, told.telling) == (1.0, 1.0, 1.0)
-    background = place.scene.visibility(FilterOptions()).background.objects
+    background = place.scene.visibility(PoseSearchOptions()).background.objects
     true = np.concatenate(
         [
             true_objects(place.scene, f.camera, p, (9, 16))

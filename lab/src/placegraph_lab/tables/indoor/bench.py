@@ -25,7 +25,7 @@ from placegraph.errors import OptionError
 from placegraph.indoor.encode import MapEncoder, Patches
 from placegraph.indoor.encode.labels import ClassesOfInstances, InstancesEncoder
 from placegraph.indoor.map.scene import Scene
-from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.options import PoseSearchOptions
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
@@ -182,7 +182,7 @@ class Job:
 
     table: str  # key of `TITLES`
     row: str
-    options: FilterOptions
+    options: PoseSearchOptions
     map: str  # `house`, `coarse` or a key of `HALVES`
     labels: Labels
 
@@ -213,7 +213,7 @@ def house_jobs() -> list[Job]:
     def jobs(labels: Labels, rows: Iterable[str], on: str = "house", more: str = "") -> list[Job]:
         terms = SEMANTIC | BARE
         return [
-            Job(labels, f"{row}{more}", FilterOptions().only(**terms[row]), on, labels)
+            Job(labels, f"{row}{more}", PoseSearchOptions().only(**terms[row]), on, labels)
             for row in rows
         ]
 
@@ -227,7 +227,7 @@ def house_jobs() -> list[Job]:
 def office_jobs() -> list[Job]:
     """Return rows without labels: depth and colour, and each alone."""
     return [
-        Job(half, row, FilterOptions().only(**terms), half, "none")
+        Job(half, row, PoseSearchOptions().only(**terms), half, "none")
         for half in HALVES
         for row, terms in BARE.items()
     ]
@@ -279,7 +279,7 @@ def answered(
     scene: SceneMap,
     window: Window,
     encoder: MapEncoder | None,
-    options: FilterOptions,
+    options: PoseSearchOptions,
     *,
     seed: int = 0,
     device: str = "auto",

@@ -24,7 +24,7 @@ import numpy as np
 from placegraph.core.estimate import PoseEstimate, PoseMode
 from placegraph.core.geometry import Floats
 from placegraph.errors import MissingExtraError, OptionError
-from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.options import PoseSearchOptions
 from placegraph.indoor.refine.matching import Matcher
 from placegraph.indoor.refine.options import RefineOptions
 from placegraph.indoor.scene_map import SceneMap
@@ -445,10 +445,12 @@ def refine_jobs(matchers: Sequence[str] = MATCHERS) -> list[RefineJob]:
     for place in PLACES:
         ways: list[tuple[Job, bool]] = []
         for row in ("all", "semantic + colour") if place == "house" else ():
-            options = FilterOptions().only(**SEMANTIC[row])
+            options = PoseSearchOptions().only(**SEMANTIC[row])
             ways.append((Job("instances", row, options, place, "instances"), True))
         for row in ("depth + colour", "colour"):
-            job = Job("none", f"no labels: {row}", FilterOptions().only(**BARE[row]), place, "none")
+            job = Job(
+                "none", f"no labels: {row}", PoseSearchOptions().only(**BARE[row]), place, "none"
+            )
             ways.append((job, place != "house"))
         for job, by_all in ways:
             these = matchers if job.options.depth else without

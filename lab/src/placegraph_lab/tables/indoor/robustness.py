@@ -18,7 +18,7 @@ from placegraph.core.geometry import Floats
 from placegraph.errors import PlacegraphError
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.mapping.from_capture import FromCapture
-from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.options import PoseSearchOptions
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import open_capture
 from placegraph_lab.tables.indoor import perturb
@@ -203,7 +203,7 @@ def spoiled(asked: Asked, case: Case, other: Recording | None, seed: int) -> Sho
 
 def ask(scene: SceneMap, asked: Asked, shot: Shot, case: Case, *, seed: int, device: str) -> Told:
     """Localize as users do, refined, and measure the answer; in a foreign map none is right."""
-    options = FilterOptions().only(**{_TERMS[sense]: True for sense in case.senses})
+    options = PoseSearchOptions().only(**{_TERMS[sense]: True for sense in case.senses})
     start = time.process_time()
     try:
         estimate = scene.localize(shot.frames, options=options, seed=seed, device=device)

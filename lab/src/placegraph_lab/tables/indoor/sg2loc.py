@@ -21,7 +21,7 @@ from placegraph.indoor.encode import BoundEncoder, Encoder, MapEncoder, encoder,
 from placegraph.indoor.encode.labels import InstancesEncoder, LabelsEncoder
 from placegraph.indoor.mapping.from_capture import FromCapture
 from placegraph.indoor.mapping.merge import merge_scenes
-from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.options import FilterOptions, PoseSearchOptions
 from placegraph.indoor.refine import RefineOptions
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture, open_capture
@@ -313,7 +313,7 @@ GRID = tuple(np.arange(0.2, 2.5, 0.2).tolist())
 class Recipe:
     """A filter, and what comes after it."""
 
-    options: FilterOptions
+    options: PoseSearchOptions
     refine: bool | RefineOptions = False
 
 
@@ -327,7 +327,7 @@ def recipes() -> dict[str, Recipe]:
             name: Recipe(FilterOptions.preset(name), RefineOptions.preset(name) or False)
             for name in ("paper", "published", "coarse")
         },
-        "ours": Recipe(FilterOptions(), refine=True),
+        "ours": Recipe(PoseSearchOptions(), refine=True),
         "semantic": Recipe(semantic),
         "semantic+depth": Recipe(paper.only(semantic=True, depth=True)),
         "depth": Recipe(paper.only(depth=True)),

@@ -24,7 +24,7 @@ from placegraph.indoor.build import build_scene
 from placegraph.indoor.map.scene_file import bytes_of
 from placegraph.indoor.mapping.from_capture import FromCapture
 from placegraph.indoor.mapping.landmarks import read_depth
-from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.options import PoseSearchOptions
 from placegraph.indoor.refine.matching.matches import Features, mutual
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import open_capture
@@ -277,8 +277,8 @@ SETS = (
     Set("freiburg1_rpy, beside mapped views", "freiburg1_rpy", *BESIDE),
 )
 OURS = {
-    "images": FilterOptions().only(colour=True),
-    "depth and images": FilterOptions().only(colour=True, depth=True),
+    "images": PoseSearchOptions().only(colour=True),
+    "depth and images": PoseSearchOptions().only(colour=True, depth=True),
 }
 
 
@@ -358,7 +358,7 @@ def _scene(asked: Set, folder: Path, cache: Path) -> tuple[SceneMap, float, floa
 
 
 def _localizer(
-    scene: SceneMap, options: FilterOptions, seed: int
+    scene: SceneMap, options: PoseSearchOptions, seed: int
 ) -> Callable[[Frame], tuple[Floats | None, bool]]:
     def ask(frame: Frame) -> tuple[Floats | None, bool]:
         found = scene.localize([frame], options=options, seed=seed)

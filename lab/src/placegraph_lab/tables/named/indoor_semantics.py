@@ -16,7 +16,7 @@ from placegraph.errors import InputError, MissingExtraError
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.encode import MapEncoder, bound, encoder
 from placegraph.indoor.encode.labels import ClassesOfInstances, InstancesEncoder, LabelsEncoder
-from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.options import PoseSearchOptions
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture
 from placegraph.io.mesh.ply import write_ply
@@ -98,9 +98,9 @@ class Case:
         return f"{self.place}: {self.encoder}: {self.terms}"
 
     @property
-    def options(self) -> FilterOptions:
+    def options(self) -> PoseSearchOptions:
         """Of the filter."""
-        return FilterOptions().only(**(TERMS | BARE)[self.terms])
+        return PoseSearchOptions().only(**(TERMS | BARE)[self.terms])
 
     def key(self, window: Window, seed: int, code: str) -> str:
         """What an answer depends on."""

@@ -21,7 +21,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from placegraph.errors import PlacegraphError
-from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.options import FilterOptions, PoseSearchOptions
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import open_capture
 from placegraph_lab.tables.indoor import maps as indoor_maps
@@ -38,10 +38,10 @@ PAPER = (
     ("*paper, coarse, a GPU (App. E)*", "1.60 s"),
 )
 METHODS = {
-    "all terms": FilterOptions(),
-    "semantic + depth": FilterOptions().only(semantic=True, depth=True),
-    "semantic": FilterOptions().only(semantic=True),
-    "depth + colour": FilterOptions().only(depth=True, colour=True),
+    "all terms": PoseSearchOptions(),
+    "semantic + depth": PoseSearchOptions().only(semantic=True, depth=True),
+    "semantic": PoseSearchOptions().only(semantic=True),
+    "depth + colour": PoseSearchOptions().only(depth=True, colour=True),
     "all terms, without polish": replace(FilterOptions(), answer="mle"),
     "all terms, paper's recipe": FilterOptions.paper(),
     "all terms, paper's recipe, coarse": FilterOptions.coarse(),
@@ -72,7 +72,7 @@ TRACKING = (
 )  # fmt: skip
 
 
-def localizing(scene: Path, folders: Sequence[Path], options: FilterOptions) -> dict[str, Any]:
+def localizing(scene: Path, folders: Sequence[Path], options: PoseSearchOptions) -> dict[str, Any]:
     """Time a frame, by stage, of the first frames of each sequence; run in a fresh process."""
     opened = SceneMap.open(scene)
     stages: dict[str, float] = {}
@@ -97,7 +97,7 @@ def localizing(scene: Path, folders: Sequence[Path], options: FilterOptions) -> 
     return {
         "frame_seconds": total["seconds"] / frames,
         "stage_seconds": {stage: seconds / frames for stage, seconds in stages.items()},
-        "passes": len(options.run),
+        "passes": len(options.particle_filter.passes) if options.particle_filter else 0,
         "particles": None if np.isnan(total["particles"]) else total["particles"] / frames,
         "poses_a_frame": total["poses"] / frames,
         "rays_a_frame": total["rays"] / frames,

@@ -15,7 +15,7 @@ from placegraph.core.geometry import Camera, Floats
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.encode import Encoder, MapEncoder, bound, encoder
 from placegraph.indoor.mapping.from_capture import FromCapture
-from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.options import PoseSearchOptions
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture, Frame, open_capture
 from placegraph_lab.tables.indoor.maps import place
@@ -172,9 +172,9 @@ def accuracy(
     if not told_of:
         return None
     table, rows = np.concatenate(cosines).astype(np.float64), np.concatenate(truth)
-    background = scene.visibility(FilterOptions()).background.objects
+    background = scene.visibility(PoseSearchOptions()).background.objects
     part = told_of / (told_of + silent)  # what is silent adds nothing
-    wrong = FilterOptions().likelihood.wrong
+    wrong = PoseSearchOptions().likelihood.wrong
     trials = [part * float(nats(table, rows, background, t, wrong).mean()) for t in TEMPERATURES]
     own = table[np.arange(told_of), rows][:, None]
     others = max(table.shape[1] - 1, 1)

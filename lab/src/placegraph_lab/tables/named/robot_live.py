@@ -25,7 +25,7 @@ from numpy.random import Generator
 
 from placegraph.core.estimate import Status
 from placegraph.core.geometry import Floats, between, compose, pose_matrix, split_pose
-from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.options import PoseSearchOptions
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.indoor.track.odometry import Odometry
 from placegraph.io.capture.capture import open_capture
@@ -56,7 +56,7 @@ if TYPE_CHECKING:
 PERIOD = 0.2  # seconds from an image to the next
 RATE = 10  # samples of odometry an image: 50 Hz
 RIGHT = (0.1, 10.0)  # A right pose is this near [m], [deg]
-SENSES = FilterOptions().only(depth=True, colour=True)
+SENSES = PoseSearchOptions().only(depth=True, colour=True)
 """Labels of objects, which the recordings have, are not for robots."""
 
 

@@ -16,7 +16,7 @@ from numpy.random import Generator
 
 from placegraph.core.geometry import Floats, split_pose
 from placegraph.indoor.map.floor import WORDS, label_words, nameless
-from placegraph.indoor.options import FilterOptions
+from placegraph.indoor.options import PoseSearchOptions
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor.metrics import NEAR, Answer, measure
 from placegraph_lab.tables.runner import markdown, share
@@ -82,7 +82,7 @@ def ask(
     others = [(i + int(rng.integers(1, len(windows)))) % len(windows) for i in range(len(windows))]
     out = []
     for terms, use in TERMS.items():
-        options = FilterOptions().only(**use)
+        options = PoseSearchOptions().only(**use)
         for i, window in enumerate(windows):
             for said, text in zip(SAID, ("", texts[i], texts[others[i]]), strict=True):
                 start = time.perf_counter()
