@@ -186,8 +186,11 @@ class _Gltf:
             raise self.error(f"{key} is {str(value)[:60]!r}; it must be {len(default)} numbers")
         return np.array(value, np.float64)
 
-    def accessor(self, row: object) -> NDArray[Any]:
-        """Return numbers (count, width) of an accessor; normalised integers as float32 in [-1, 1]."""
+    def accessor(self, row: object, *, raw: bool = False) -> NDArray[Any]:
+        """Return numbers (count, width) of an accessor.
+
+        Normalised integers become float32 in [-1, 1], unless they are wanted `raw`.
+        """
         accessor = self.item("accessors", row)
         if "sparse" in accessor or "bufferView" not in accessor:
             raise self.error(f"accessors[{row}] is sparse; export it without sparse accessors")
@@ -209,7 +212,7 @@ class _Gltf:
             return np.zeros((count, width), kind)
         shape, steps = (count, width), (stride, kind.itemsize)
         array: NDArray[Any] = np.ndarray(shape, kind, view, offset, steps)
-        if accessor.get("normalized") is True and kind.kind in "iu":
+        if accessor.get("normalized") is True and kind.kind in "iu" and not raw:
             scaled: NDArray[Any] = np.maximum(array.astype(np.float32) / np.iinfo(kind).max, -1.0)
             return scaled
         return array
@@ -475,7 +478,7 @@ class _ModelReader:
             uv = shading.transform(column[:, :2].astype(np.float64))
         colours = np.full(points.shape, 255, np.uint8)
         if "COLOR_0" in attributes:
-            colours = self.encode_colours(self.read_column(attributes["COLOR_0"], len(points)))
+            colours = self.read_colours(attributes["COLOR_0"], len(points))
         with np.errstate(over="ignore", invalid="ignore"):
             placed = points @ map_from_node[:3, :3].T + map_from_node[:3, 3]
         for name, array in (
@@ -486,8 +489,8 @@ class _ModelReader:
             self.columns[name].append(array)
         self.vertex_count += len(points)
 
-    def read_column(self, accessor: object, count: int) -> NDArray[Any]:
-        column = self.gltf.accessor(accessor)
+    def read_column(self, accessor: object, count: int, *, raw: bool = False) -> NDArray[Any]:
+        column = self.gltf.accessor(accessor, raw=raw)
         if len(column) != count or column.shape[1] < 2:
             raise self.gltf.error(
                 f"accessors[{accessor}] has {column.shape} numbers for {count} vertices; export it again"
@@ -569,19 +572,27 @@ class _ModelReader:
             )
         return self.images[row], f"{self.gltf.path}: images[{row}] {entry.get('name', '')}".strip()
 
-    def encode_colours(self, values: NDArray[Any]) -> NDArray[np.uint8]:
+    def read_colours(self, accessor: object, count: int) -> NDArray[np.uint8]:
         """Return colours (V, 3) uint8, sRGB, of COLOR_0, which is linear by the standard."""
+        values = self.read_column(accessor, count, raw=True)
         if values.shape[1] < 3:
             raise self.gltf.error("a COLOR_0 has not three channels; export it again")
-        share = values[:, :3].astype(np.float64)
-        if values.dtype.kind == "u":  # integers that forgot to say that they are normalised
-            share /= np.iinfo(values.dtype).max
+        values, kind, rows = values[:, :3], values.dtype, None
+        if kind.kind == "u" and kind.itemsize <= 2:  # a table of all there can be is smaller
+            values, rows = np.arange(np.iinfo(kind).max + 1).astype(kind), values
+        normalized = self.gltf.item("accessors", accessor).get("normalized") is True
+        share = values.astype(np.float64)
+        if kind.kind in "iu" and normalized:
+            share = np.maximum(values.astype(np.float32) / np.iinfo(kind).max, -1.0).astype(float)
+        elif kind.kind == "u":  # integers that forgot to say that they are normalised
+            share /= np.iinfo(kind).max
         share = np.clip(np.nan_to_num(share), 0.0, 1.0)
         asset = self.gltf.object_of(self.gltf.content, "asset")
         generator = str(asset.get("generator", "")).lower()
         if not any(writer in generator for writer in _SRGB_WRITERS):
             share = np.where(share <= 0.0031308, 12.92 * share, 1.055 * share ** (1 / 2.4) - 0.055)
-        return np.rint(255.0 * share).astype(np.uint8)
+        colours = np.rint(255.0 * share).astype(np.uint8)
+        return colours if rows is None else colours[rows]
 
 
 def _id_of(extras: Json) -> str:
