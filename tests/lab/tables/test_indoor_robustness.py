@@ -7,7 +7,7 @@ import pytest
 
 from placegraph_lab.tables.indoor.robustness import Case, Told, all_cases, quick
 from placegraph_lab.tables.named import indoor_robustness as script
-from placegraph_lab.tables.named.indoor_robustness import Row, wrongly_sure
+from placegraph_lab.tables.named.indoor_robustness import Row
 
 
 @pytest.fixture
@@ -60,8 +60,8 @@ def test_names_are_distinct_and_a_quick_run_has_every_family():
 
 def test_no_answer_to_bad_input_may_be_sure():
     right = Told("w", 0, 0.01, 0.1, "OK", "", 5.0)
-    assert not wrongly_sure(right, Case("house", "as recorded"))
-    assert wrongly_sure(right, Case("house", "frozen image", part="bad"))
+    assert Row(Case("house", "as recorded"), (right,)).false_ok == 0.0
+    assert Row(Case("house", "frozen image", part="bad"), (right,)).false_ok == 1.0
     refused = Told("w", 1, math.inf, math.inf, "OptionError", "stamps", math.nan)
     row = Row(Case("house", "time backwards", part="bad"), (refused, refused))
     assert row.false_ok == 0.0

@@ -22,7 +22,6 @@ from placegraph.indoor.options import PoseSearchOptions
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import open_capture
 from placegraph_lab.tables.indoor import perturb
-from placegraph_lab.tables.indoor import perturb as perturb_images
 from placegraph_lab.tables.indoor.maps import place
 from placegraph_lab.tables.indoor.metrics import NEAR, position_error, rotation_error, rounded
 from placegraph_lab.tables.indoor.perturb import Recording, Shot, half_elsewhere, only
@@ -53,9 +52,7 @@ class Told:
 
     window: str
     number: int
-    position: (
-        float  # error of the best pose [m]; infinite where there is none, or none can be right
-    )
+    position: float  # error of the best pose [m]; infinite of none, or where none can be right
     rotation: float  # the same [deg]; infinite
     status: str  # `OK`, `AMBIGUOUS`, `LOST`, or the name of an error
     reason: str
@@ -298,21 +295,19 @@ SPOILED = (
     Family("depth aside", perturb.depth_aside, (3.0, 6.0, 12.0), " px"),
     Family("width to height", perturb.crop, (9 / 16, 1.0, 4 / 3)),
     Family("turned", perturb.turned, (90.0, 180.0, 270.0), "°"),
-    Family("light", perturb_images.dark, (60.0, 40.0, 20.0), " %"),
-    Family("noise", perturb_images.noise, (10.0, 20.0, 40.0), " of 255"),
-    Family("blur", perturb_images.blur, (1.0, 2.0, 4.0), " px"),
+    Family("light", perturb.dark, (60.0, 40.0, 20.0), " %"),
+    Family("noise", perturb.noise, (10.0, 20.0, 40.0), " of 255"),
+    Family("blur", perturb.blur, (1.0, 2.0, 4.0), " px"),
 )
 BAD: dict[str, Make] = {
-    "lens cap": perturb_images.lens_cap,
-    "frozen image": perturb_images.frozen,
-    "mirrored": perturb_images.mirrored,
-    "gravity up": perturb_images.gravity_up,
-    "time backwards": perturb_images.backwards,
+    "lens cap": perturb.lens_cap,
+    "frozen image": perturb.frozen,
+    "mirrored": perturb.mirrored,
+    "gravity up": perturb.gravity_up,
+    "time backwards": perturb.backwards,
 }
-OUTSIDE = {
-    "below the floor": -0.6,
-    "above the ceiling": 3.4,
-}  # heights of cameras where none can be [m]
+OUTSIDE = {"below the floor": -0.6, "above the ceiling": 3.4}
+"""Heights of cameras where none can be [m]."""
 SENSES = (BOTH, ("depth",), ("colour",))
 LENGTHS = (1, 5, 25)
 ABSENT = {
@@ -324,44 +319,27 @@ ABSENT = {
 
 
 def all_cases() -> list[Case]:
-    """Rows of all tables, as they are printed."""
+    """Return rows of all tables, as they are printed."""
     plain = [Case(of, "as recorded") for of in SETS]
     spoiled = [case for family in SPOILED for case in family.cases()]
-    return [*plain, *spoiled, *_senses(), *_bad(), *_absent()]
-
-
-def _senses() -> list[Case]:
-    return [
+    fewer = [
         Case(of, _named(senses), told=f"{n} frame{'s' * (n > 1)}", frames=n, senses=senses,
              part="senses")
-        for senses in SENSES
-        for of in SETS
-        for n in (*LENGTHS, FRAMES)
+        for senses in SENSES for of in SETS for n in (*LENGTHS, FRAMES)
     ]  # fmt: skip
-
-
-def _bad() -> list[Case]:
-    found = [Case(of, what, make=make, part="bad") for what, make in BAD.items() for of in SETS]
-    found += [
-        Case(of, "half elsewhere", other="office" if of == "house" else "house", part="bad")
-        for of in SETS
-    ]
-    return found + [
+    bad = [Case(of, what, make=make, part="bad") for what, make in BAD.items() for of in SETS]
+    others = {of: "office" if of == "house" else "house" for of in SETS}
+    bad += [Case(of, "half elsewhere", other=other, part="bad") for of, other in others.items()]
+    bad += [
         Case(of, what, metres, make=perturb.height, part="bad")
-        for what, metres in OUTSIDE.items()
-        for of in RENDERED
-    ]
-
-
-def _absent() -> list[Case]:
-    return [
+        for what, metres in OUTSIDE.items() for of in RENDERED
+    ]  # fmt: skip
+    absent = [
         Case(of, f"in {where}", told=f"{_named(senses)}, {n} frames", frames=n, senses=senses,
              map=where, part="absent")
-        for of, places in ABSENT.items()
-        for where in places
-        for senses in SENSES
-        for n in (1, FRAMES)
+        for of, places in ABSENT.items() for where in places for senses in SENSES for n in (1, FRAMES)
     ]  # fmt: skip
+    return [*plain, *spoiled, *fewer, *bad, *absent]
 
 
 def _named(senses: tuple[str, ...]) -> str:

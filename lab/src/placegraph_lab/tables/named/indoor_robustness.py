@@ -1,4 +1,11 @@
-"""Tables of `indoor_robustness`."""
+"""What goes wrong, and what becomes of the pose? Every perturbation, bad input, absent scenes.
+
+    placegraph-lab table indoor_robustness --quick
+    placegraph-lab table indoor_robustness --only "house: drift*; office: drift*"
+
+Every answer is written down at once: run it again and it goes on where it was cut.
+`docs/benchmarks/indoor-robustness.md` has the protocol.
+"""
 
 from __future__ import annotations
 
@@ -38,13 +45,14 @@ from placegraph_lab.tables.runner import (
     Seed,
     code_key,
     markdown,
-    number,
     option,
     parts,
+    render,
     share,
     shares,
     table,
 )
+from placegraph_lab.tables.runner import Column as Col
 
 TITLES = {
     "spoiled": "Perturbations",
@@ -75,7 +83,8 @@ class Row:
     @property
     def false_ok(self) -> float:
         """Share of windows that are `OK`, and not what it promises (or nothing can be)."""
-        return float(np.mean([wrongly_sure(t, self.case) for t in self.told]))
+        bad = self.case.part == "bad"
+        return float(np.mean([t.status == "OK" and (bad or not t.right) for t in self.told]))
 
     @property
     def milliseconds(self) -> float:
@@ -83,95 +92,56 @@ class Row:
         took = [t.milliseconds for t in self.told if not math.isnan(t.milliseconds)]
         return float(np.median(took)) if took else math.nan
 
-    @property
-    def said(self) -> str:
-        """What the answer says most often."""
-        (reason, _), *_ = Counter(t.reason for t in self.told).most_common(1)
-        return reason
-
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and strings, ready for `json.dumps`."""
-        case = self.case
-        return {
-            "name": case.name, "set": case.set, "family": case.family, "strength": case.strength,
-            "frames": case.frames, "senses": list(case.senses), "map": case.map, "part": case.part,
-            "recall": {
-                f"{m:g} m, {d:g} deg": round(r, 4)
-                for (m, d), r in zip(THRESHOLDS, self.recall, strict=True)
-            },
+        """Return plain numbers and strings, ready for `json.dumps`."""
+        fields = ("name", "set", "family", "strength", "frames", "senses", "map", "part")
+        recall = zip(THRESHOLDS, self.recall, strict=True)
+        return {name: getattr(self.case, name) for name in fields} | {
+            "recall": {f"{m:g} m, {d:g} deg": round(r, 4) for (m, d), r in recall},
             "ok": round(self.status("OK"), 4),
             "false_ok": round(self.false_ok, 4),
             "milliseconds": rounded(self.milliseconds, 2),
-        }  # fmt: skip
+        }
 
 
-def wrongly_sure(told: Told, case: Case) -> bool:
-    """Whether an answer is `OK` that may not be."""
-    return told.status == "OK" and (case.part == "bad" or not told.right)
+OFTEN = Col("`OK`", lambda r: r.status("OK"), share)
+ROWS = (
+    Col("", "case.name"), Col("windows", lambda r: len(r.told)),
+    Col(RECALLS, lambda r: "–" if r.case.map else shares(r.recall)), OFTEN,
+    Col("false `OK`", "false_ok", share), Col("`LOST`", lambda r: r.status("LOST"), share),
+    Col("ms a frame", "milliseconds", 0),
+)  # fmt: skip
+BAD_ROWS = (
+    Col("", "case.name"),
+    Col("what is said most",
+        lambda r: Counter(t.reason for t in r.told).most_common(1)[0][0].replace("|", "/")),
+    Col("windows", lambda r: len(r.told)), OFTEN,
+)  # fmt: skip
 
 
 def report(rows: Sequence[Row]) -> str:
-    """Markdown of all tables that there are rows for, and how honest all of them are."""
-    parts = []
+    """Return all tables that there are rows for, and how honest all of them are."""
+    text = []
     for part, title in TITLES.items():
         own = [row for row in rows if row.case.part == part]
         if own:
-            parts.append(f"#### {title}\n\n{_bad(own) if part == 'bad' else _table(own)}")
-    parts.append(f"#### Is `OK` right?\n\n{honesty(rows)}")
-    return "\n\n".join(parts)
-
-
-def _table(rows: Sequence[Row]) -> str:
-    header = ["", "windows", RECALLS, "`OK`", "false `OK`", "`LOST`", "ms a frame"]
-    return markdown(
-        header,
-        [
-            [
-                row.case.name,
-                str(len(row.told)),
-                shares(row.recall) if not row.case.map else "–",
-                share(row.status("OK")),
-                share(row.false_ok),
-                share(row.status("LOST")),
-                number(row.milliseconds),
-            ]
-            for row in rows
-        ],
-    )
-
-
-def _bad(rows: Sequence[Row]) -> str:
-    return markdown(
-        ["", "what is said most", "windows", "`OK`"],
-        [
-            [row.case.name, row.said.replace("|", "/"), str(len(row.told)), share(row.status("OK"))]
-            for row in rows
-        ],
-    )
+            text.append(f"#### {title}\n\n{render(BAD_ROWS if part == 'bad' else ROWS, own)}")
+    return "\n\n".join([*text, f"#### Is `OK` right?\n\n{honesty(rows)}"])
 
 
 def honesty(rows: Sequence[Row]) -> str:
     """`OK` and what of it is wrong, of windows that were tuned on, and of those held out."""
     lines = []
     for part, title in TITLES.items():
+        own = [(t, row.case) for row in rows if row.case.part == part for t in row.told]
         for half, parity in HALVES.items():
-            pairs = [
-                (t, row.case)
-                for row in rows
-                if row.case.part == part
-                for t in row.told
-                if t.number % 2 == parity
-            ]
-            if not pairs:
-                continue
-            right = np.array([t.right and c.part != "bad" for t, c in pairs])
-            ok = np.array([t.status == "OK" for t, _ in pairs])
-            lines.append(
-                [
-                    title.partition(":")[0], half, str(len(pairs)), share(float(right.mean())),
-                    share(float((right & ok).mean())), share(float((ok & ~right).mean())),
-                ]
-            )  # fmt: skip
+            pairs = [(t, case) for t, case in own if t.number % 2 == parity]
+            if pairs:
+                right = np.array([t.right and case.part != "bad" for t, case in pairs])
+                ok = np.array([t.status == "OK" for t, _ in pairs])
+                parts_ = (right, right & ok, ok & ~right)
+                cells = [share(float(found.mean())) for found in parts_]
+                lines.append([title.partition(":")[0], half, str(len(pairs)), *cells])
     right_is = f"right ({NEAR[0]:g} m, {NEAR[1]:g}°)"
     return markdown(["", "half", "windows", right_is, "`OK` and right", "false `OK`"], lines)
 
@@ -309,20 +279,19 @@ def indoor_robustness(
         cases, windows = few(cases), min(windows, QUICK_WINDOWS)
     names = parts(only, ";")
     cases = chosen(cases, names)
-    asking = _Asking(Places(run.data, run.cache), seed, device)
-    journal = run.journal(fresh=fresh)
-    code = code_key(INDOOR)  # once: what is loaded now is what answers
-    rows = {}
+    places = Places(run.data, run.cache)
+    journal, code = run.journal(fresh=fresh), code_key(INDOOR)  # what is loaded now answers
+    rows, known = {}, {}
     with run.progress() as bar:
         for case in sorted(cases, key=lambda c: (c.set, c.frames)):
-            asked = asking.windows(case, windows)
+            if (case.set, case.frames) not in known:  # windows of the last set and length are kept
+                known = {(case.set, case.frames): places.windows(case.set, case.frames)}
+            asked = thinned(known[case.set, case.frames], windows, case.family)
             keys = [f"{code} {case.name} {a.shot.name} seed {seed} {device}" for a in asked]
+            once = partial(_ask_window, places, case, asked, seed, device)
             task = bar.add_task(case.name, total=len(journal.missing(keys)))
             told = journal.filled(
-                keys,
-                partial(asking.once, case, asked),
-                warm=partial(asking.once, case, asked, 0),
-                tick=partial(bar.advance, task),
+                keys, once, warm=partial(once, 0), tick=partial(bar.advance, task)
             )
             bar.remove_task(task)
             rows[case.name] = Row(case, tuple(map(Told.from_dict, told)))
@@ -336,27 +305,13 @@ def indoor_robustness(
     run.save({"rows": [row.to_dict() for row in ordered]}, whole=not names)
 
 
-class _Asking:
-    """Asks windows of cases; windows of the last set and length are kept."""
-
-    def __init__(self, places: Places, seed: int, device: str) -> None:
-        self._places, self._seed, self._device = places, seed, device
-        self._windows: dict[tuple[str, int], list[Asked]] = {}
-
-    def windows(self, case: Case, count: int) -> list[Asked]:
-        """Windows that a case asks about."""
-        key = (case.set, case.frames)
-        if key not in self._windows:
-            self._windows = {key: self._places.windows(*key)}
-        return thinned(self._windows[key], count, case.family)
-
-    def once(self, case: Case, windows: list[Asked], row: int) -> dict[str, Any]:
-        """What becomes of one window."""
-        asked = windows[row]
-        other = None
-        if case.other:
-            other = next(iter(self._places.recordings(case.other).values()))[0]
-        shot = spoiled(asked, case, other, self._seed)
-        scene = self._places.scene(case.map or asked.map)
-        told = ask(scene, asked, shot, case, seed=self._seed, device=self._device)
-        return replace(told, window=asked.shot.name).to_dict()
+def _ask_window(
+    places: Places, case: Case, windows: list[Asked], seed: int, device: str, row: int
+) -> dict[str, Any]:
+    """Ask about one window of a case."""
+    asked = windows[row]
+    other = next(iter(places.recordings(case.other).values()))[0] if case.other else None
+    shot = spoiled(asked, case, other, seed)
+    scene = places.scene(case.map or asked.map)
+    told = ask(scene, asked, shot, case, seed=seed, device=device)
+    return replace(told, window=asked.shot.name).to_dict()
