@@ -8,8 +8,8 @@ import typer
 from typer.testing import CliRunner
 
 from placegraph_lab.cli.lab import app
+from placegraph_lab.tables.named import scene_sentences as told
 from placegraph_lab.tables.runner import Run, known, load, names
-from placegraph_lab.tables.scene import told
 from placegraph_lab.worlds.town.town import Town
 
 

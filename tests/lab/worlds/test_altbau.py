@@ -6,7 +6,7 @@ import pytest
 from placegraph.core.geometry import Camera
 from placegraph.indoor.build import build_scene
 from placegraph.io.capture.capture import open_capture
-from placegraph_lab.worlds.demo import FLAT, WAY
+from placegraph_lab.make.shipped import FLAT, WAY
 from placegraph_lab.worlds.flat.flat import Flat
 from placegraph_lab.worlds.flat.walks import stroll, write_walk
 

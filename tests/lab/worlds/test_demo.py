@@ -10,7 +10,7 @@ import pytest
 
 from placegraph.demo.world import DATA, unpack
 from placegraph.indoor.scene_map import SceneMap
-from placegraph_lab.worlds.demo import HOMES, write_demo_world
+from placegraph_lab.make.shipped import HOMES, write_demo_world
 
 
 @pytest.fixture(scope="module")

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from placegraph_lab.worlds.flat.flat import look
 from placegraph_lab.worlds.flat.furniture import MODELS, Body, box, frustum
-from placegraph_lab.worlds.flat.legend import look
 from placegraph_lab.worlds.flat.render import Shot, measured
 from placegraph_lab.worlds.flat.textures import PAINTERS, Look, paint
 

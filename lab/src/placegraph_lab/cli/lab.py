@@ -80,7 +80,7 @@ def main() -> None:
 @app.command("demo-world")
 def demo_world(out: Folder = ROOT / "src/placegraph/demo/data") -> None:
     """Draw the town, the flat, the film and the homes of `placegraph demo`."""
-    from placegraph_lab.worlds.demo import write_demo_world
+    from placegraph_lab.make.shipped import write_demo_world
 
     write_demo_world(out)
 

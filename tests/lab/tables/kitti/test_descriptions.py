@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.errors import InputError
-from placegraph_lab.tables.kitti.descriptions import Description as Told
-from placegraph_lab.tables.kitti.descriptions import read_descriptions
+from placegraph_lab.tables.kitti.own_pairs import Description as Told
+from placegraph_lab.tables.kitti.own_pairs import read_descriptions
 
 SOUND = {"id": "a", "text": "A bakery is north of me.", "longitude": 7.42, "latitude": 43.73}
 

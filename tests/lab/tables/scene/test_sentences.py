@@ -13,18 +13,18 @@ from placegraph.core.graph import SceneGraph
 from placegraph.indoor.language import Kind, read, score
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor.windows import Window
-from placegraph_lab.tables.scene import spoken_poses
+from placegraph_lab.tables.scene import sentences as spoken_poses
 from placegraph_lab.tables.scene.sentences import (
     Asked,
     Scene,
     ask,
     describe,
+    describe_pose,
     figures,
     recall,
     report,
     speed,
 )
-from placegraph_lab.tables.scene.spoken_poses import describe_pose
 from placegraph_lab.worlds.flat.flat import Flat
 from placegraph_lab.worlds.home.home import scene_of
 
@@ -102,12 +102,12 @@ def test_every_window_is_asked_without_with_and_against(flat, monkeypatch):
         return PoseEstimate(Status.LOST, (), "nothing is looked at")
 
     monkeypatch.setattr(SceneMap, "localize", localize)
-    spoken = spoken_poses.ask(flat, windows, np.random.default_rng(0))
+    spoken = spoken_poses.ask_pose(flat, windows, np.random.default_rng(0))
     one, other = told[1], told[4]
     assert one != other
     assert told == [None, one, other, None, other, one] * 2
-    by = spoken_poses.figures(spoken)["colour"]
+    by = spoken_poses.pose_figures(spoken)["colour"]
     assert by["wrong"] == pytest.approx(
         {"windows": 2, "recall": 0, "held": 0, "wrong_ok": 0, "seconds": 0}, abs=0.5
     )
-    assert spoken_poses.report(spoken).count("true") == len(spoken_poses.TERMS)
+    assert spoken_poses.report_poses(spoken).count("true") == len(spoken_poses.TERMS)

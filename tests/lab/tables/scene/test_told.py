@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from placegraph_lab.tables.scene.told import (
+from placegraph_lab.tables.named.scene_sentences import (
     bag,
     hits,
     office,
     part_of,
     reader,
-    report,
     thinned,
     told,
 )
+from placegraph_lab.tables.named.scene_sentences import report_people as report
 
 
 def test_no_room_has_texts_in_both_halves():

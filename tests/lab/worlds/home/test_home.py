@@ -5,8 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from placegraph_lab.worlds.flat.flat import Flat
-from placegraph_lab.worlds.home.catalogue import KINDS, ROOMS, SYNONYMS
-from placegraph_lab.worlds.home.change import SHELL, on
+from placegraph_lab.worlds.home.change import KINDS, ROOMS, SHELL, SYNONYMS, on
 from placegraph_lab.worlds.home.home import (
     CAMERA,
     STYLES,

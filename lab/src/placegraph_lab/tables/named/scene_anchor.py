@@ -23,9 +23,8 @@ from placegraph.io.capture.frame import Frame
 from placegraph.world import Fitted, fit_building, fit_capture
 from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, option, table
 from placegraph_lab.tables.statistics import reliability
-from placegraph_lab.worlds.flat.flat import OUTSIDE, Flat
+from placegraph_lab.worlds.flat.flat import DOOR, OUTSIDE, Flat
 from placegraph_lab.worlds.flat.interior import Interior
-from placegraph_lab.worlds.flat.legend import DOOR
 from placegraph_lab.worlds.home.home import home, scene_of, visit
 
 DRAWN, CORNER = 0.5, 0.2

@@ -37,7 +37,7 @@ from placegraph_lab.tables.indoor.windows import HALVES, true_poses
 from placegraph_lab.tables.runner import INDOOR, WORLDS, code_key
 from placegraph_lab.worlds.flat.flat import Flat
 from placegraph_lab.worlds.flat.interior import Interior
-from placegraph_lab.worlds.home.catalogue import SYNONYMS
+from placegraph_lab.worlds.home.change import SYNONYMS
 from placegraph_lab.worlds.home.home import STYLES, changed, home, record, scene_of, visit
 
 LENGTH = 50  # frames of a walk through a home

@@ -16,9 +16,8 @@ from placegraph.core.geometry import rotation_z
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.map.mesh import Mesh
 from placegraph_lab.worlds.drawing import Cell
-from placegraph_lab.worlds.flat.flat import SOLID, Blot, Flat
+from placegraph_lab.worlds.flat.flat import COMPASS, SOLID, Blot, Flat
 from placegraph_lab.worlds.flat.furniture import MODELS, Body, Floats, Part, joined
-from placegraph_lab.worlds.flat.legend import COMPASS
 from placegraph_lab.worlds.flat.textures import paint
 from placegraph_lab.worlds.flat.walls import Piece, rectangles, shell
 

@@ -16,9 +16,8 @@ import numpy as np
 
 from placegraph.errors import InputError
 from placegraph_lab.worlds.drawing import EAST, NORTH, SOUTH, WEST, Cell, step
-from placegraph_lab.worlds.flat.flat import SOLID, Blot, Flat, Room
+from placegraph_lab.worlds.flat.flat import DOOR, SOLID, WINDOW, Blot, Flat, Room
 from placegraph_lab.worlds.flat.furniture import Floats, Part, Size, box, quad
-from placegraph_lab.worlds.flat.legend import DOOR, WINDOW
 from placegraph_lab.worlds.flat.textures import Look
 
 CASING = 0.07  # width of the boards around an opening [m]

@@ -7,20 +7,383 @@ with it; nothing comes to stand in another thing, or in a door.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.geometry import rotation_z
 from placegraph.errors import OptionError
+from placegraph_lab.worlds.flat.flat import look
 from placegraph_lab.worlds.flat.furniture import MODELS, Body, joined
 from placegraph_lab.worlds.flat.interior import Interior, Surface, Thing
-from placegraph_lab.worlds.flat.legend import look
 from placegraph_lab.worlds.flat.textures import paint
-from placegraph_lab.worlds.home.catalogue import KINDS, STYLES, SYNONYMS
 
 Floats = NDArray[np.float64]
+
+
+Range = tuple[float, float]
+
+
+class Some(NamedTuple):
+    """How many of a kind there may be."""
+
+    what: str
+    chance: float  # probability of the first one
+    most: int = 1  # each further one, up to this many, is as likely as not
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """A kind of thing."""
+
+    model: str  # of `flat_furniture.MODELS`
+    width: Range
+    depth: Range
+    height: Range
+    look: str = "wood"
+    trim: str = "metal"
+    place: str = "wall"
+    """``wall``: its back to one; ``middle``; ``hung`` on a wall; ``ceiling``; ``on`` another."""
+    base: float | None = None  # height of its lower edge above the floor [m]; None: as the model's
+    on: tuple[Some, ...] = ()  # what may stand on it, or hang over it
+    front: tuple[Some, ...] = ()  # what may stand before it and look at it
+    beside: tuple[Some, ...] = ()  # what may stand at either side of it
+    around: tuple[Some, ...] = ()
+    """What may stand on all its sides and look at it: each of so many with that probability."""
+
+
+@dataclass(frozen=True, slots=True)
+class RoomKind:
+    """A kind of room."""
+
+    side: Range  # shorter side [m]
+    stretch: Range  # longer side as a multiple of the shorter one
+    things: tuple[Some, ...]
+    wet: bool = False
+    windows: int = 1  # at most
+
+
+@dataclass(frozen=True, slots=True)
+class Style:
+    """Looks that the homes of a hotel or a housing estate share."""
+
+    walls: tuple[str, ...]  # A room has one of them
+    floor: str
+    wet_walls: str
+    wet_floor: str
+    looks: dict[
+        str, str
+    ]  # of the slots ``wood``, ``front``, ``fabric``, ``second``, ``metal``, ``top``
+    height: float  # of the rooms [m]
+    window: tuple[float, float]  # sill and height [m]
+    door: str
+
+
+def _style(  # one line a style
+    walls: str, floor: str, wet: str, looks: str, height: float, sill: float, door: str
+) -> Style:
+    """Style of looks written with commas."""
+    wet_walls, wet_floor = wet.split(", ")
+    slots = ("wood", "front", "fabric", "second", "metal", "top")
+    return Style(
+        walls=tuple(walls.split(", ")),
+        floor=floor,
+        wet_walls=wet_walls,
+        wet_floor=wet_floor,
+        looks=dict(zip(slots, looks.split(", "), strict=True)),
+        height=height,
+        window=(sill, 1.3 if sill > 0.5 else 1.8),
+        door=door,
+    )
+
+
+STYLES: dict[str, Style] = {
+    "hotel": _style(
+        "wallpaper #d8c9a8, wallpaper #c9b79c", "carpet #7a3038", "tiles #e8e2d2, stone #9a8f80",
+        "wood #5a3822, wood #6b4730, fabric #7d2f36, fabric #c8a860, metal #b49a55, stone #d9d2c4",
+        2.6, 0.8, "panel #5a3822",
+    ),
+    "estate": _style(
+        "plaster #eae6dc, plaster #f0efe9", "parquet #c39a63", "tiles #f2f3f2, tiles #8c979c",
+        "wood #cfae7c, plain #f1f0ec, fabric #6d7b86, fabric #9aa5ab, metal #c3c8cb, stone #55585a",
+        2.5, 0.9, "panel #f2f1ec",
+    ),
+    "altbau": _style(
+        "wallpaper #d9cfa6, plaster #c3d0da, plaster #dfe6d8", "parquet #8a5c36",
+        "tiles #cfe0e2, checker #c9bda6",
+        "wood #8d5a33, wood #a5773f, fabric #3f6b5c, fabric #7d3b33, metal goldenrod, wood #6b4426",
+        3.0, 0.75, "panel #7c4a2a",
+    ),
+    "loft": _style(
+        "stone #b9b4ac, plaster #8f8b85", "stone #77736d", "tiles #3f464b, tiles #2f3437",
+        "wood #3b3532, metal #4a4f54, fabric #2f3f55, fabric #b5622c, metal #2b2d30, wood #a9794a",
+        3.2, 0.4, "metal #44484c",
+    ),
+    "cottage": _style(
+        "wallpaper #cfd9bf, wallpaper #e3cfc4", "parquet #b07a45", "tiles #d9e6ef, tiles #a7826b",
+        "wood #c28f56, plain #dce4d3, stripes #5b7ba6, fabric #b9596b, metal #c9ccce, wood #d3aa75",
+        2.4, 0.85, "panel #a7bda0",
+    ),
+    "office": _style(
+        "plaster #e4e7e9, plaster #d5dadd", "carpet #5f6c78", "tiles #ffffff, tiles #74808a",
+        "plain #d9d5cb, plain #c9cdd0, fabric #2b2d33, fabric #2c5d8f, metal #9ba3a8, plain #eceae4",
+        2.7, 0.9, "plain #9fb2bf",
+    ),
+}  # fmt: skip
+
+SYNONYMS: dict[str, tuple[str, ...]] = {
+    "armchair": ("armchair", "chair", "easy chair"),
+    "basket": ("basket", "laundry basket"),
+    "bathroom cabinet": ("bathroom cabinet", "cabinet"),
+    "bathtub": ("bathtub", "tub"),
+    "bin": ("bin", "trash can"),
+    "bookcase": ("bookcase", "bookshelf", "shelf"),
+    "cabinet": ("cabinet", "cupboard"),
+    "ceiling lamp": ("ceiling lamp", "ceiling light", "lamp"),
+    "chair": ("chair", "dining chair"),
+    "chest of drawers": ("chest of drawers", "dresser", "commode"),
+    "coat rack": ("coat rack", "coats"),
+    "coffee table": ("coffee table", "side table", "table"),
+    "counter": ("counter", "kitchen counter"),
+    "desk": ("desk", "table"),
+    "dining table": ("dining table", "table"),
+    "floor lamp": ("floor lamp", "lamp"),
+    "fridge": ("fridge", "refrigerator"),
+    "monitor": ("monitor", "screen"),
+    "nightstand": ("nightstand", "bedside table"),
+    "office chair": ("office chair", "desk chair", "chair"),
+    "picture": ("picture", "painting"),
+    "rug": ("rug", "carpet"),
+    "shoe cabinet": ("shoe cabinet", "shoe rack"),
+    "sideboard": ("sideboard", "cabinet", "tv stand"),
+    "sofa": ("sofa", "couch"),
+    "stool": ("stool", "ottoman"),
+    "stove": ("stove", "oven", "cooker"),
+    "table lamp": ("table lamp", "lamp"),
+    "television": ("television", "tv"),
+    "wall cupboard": ("wall cupboard", "kitchen cabinet", "cupboard"),
+    "wardrobe": ("wardrobe", "closet"),
+    "washbasin": ("washbasin", "sink"),
+    "washing machine": ("washing machine", "washer"),
+}
+"""What the same thing is called from home to home; a home has one word for it."""
+
+_WHITE = "plain #eceff1"
+_LAMP = Some("ceiling lamp", 0.9)
+_VASE = Some("vase", 0.25)
+_TABLE_LAMP = Some("table lamp", 0.5)
+
+KINDS: dict[str, Kind] = {
+    # sitting
+    "sofa": Kind(
+        "sofa", (1.5, 2.4), (0.8, 1.0), (0.75, 0.95), "fabric", "fabric",
+        on=(Some("picture", 0.4),), front=(Some("coffee table", 0.7),),
+        beside=(Some("floor lamp", 0.3), Some("plant", 0.2)),
+    ),
+    "armchair": Kind("sofa", (0.75, 0.9), (0.75, 0.9), (0.8, 1.0), "second", "second", "middle"),
+    "chair": Kind("chair", (0.375, 0.5), (0.375, 0.5), (0.8, 0.95), "wood", "wood"),
+    "office chair": Kind("chair", (0.5, 0.625), (0.5, 0.5), (0.9, 1.1), "second", "metal"),
+    "stool": Kind("drum", (0.375, 0.5), (0.375, 0.5), (0.4, 0.5), "second", "wood", "middle"),
+    "bench": Kind("table", (1.0, 1.5), (0.375, 0.375), (0.4, 0.5)),
+    "bed": Kind(
+        "bed", (0.9, 1.8), (1.9, 2.1), (0.7, 1.1), "fabric", "wood",
+        on=(Some("picture", 0.4),), beside=(Some("nightstand", 0.8, 2),),
+    ),
+    # tables
+    "coffee table": Kind(
+        "table", (0.75, 1.125), (0.5, 0.625), (0.35, 0.5), "top", "wood", "middle", on=(_VASE,)
+    ),
+    "dining table": Kind(
+        "table", (1.125, 1.75), (0.75, 0.875), (0.72, 0.78), "wood", "wood", "middle",
+        on=(_LAMP, _VASE), around=(Some("chair", 0.6, 6),),
+    ),
+    "round table": Kind(
+        "roundtable", (0.875, 1.125), (0.875, 1.125), (0.7, 0.76), "top", "metal", "middle",
+        on=(_LAMP, _VASE), around=(Some("chair", 0.7, 4),),
+    ),
+    "desk": Kind(
+        "table", (1.125, 1.75), (0.625, 0.75), (0.7, 0.78), "top", "metal",
+        on=(Some("monitor", 0.85, 2), _TABLE_LAMP), front=(Some("office chair", 0.9),),
+        beside=(Some("bin", 0.4),),
+    ),
+    "meeting table": Kind(
+        "table", (1.75, 2.5), (0.875, 1.0), (0.72, 0.76), "top", "metal", "middle",
+        on=(_LAMP, Some("monitor", 0.3)), around=(Some("office chair", 0.7, 6),),
+    ),
+    "nightstand": Kind(
+        "cabinet", (0.375, 0.5), (0.375, 0.4), (0.4, 0.6), on=(Some("table lamp", 0.7),)
+    ),
+    # storage
+    "bookcase": Kind("shelf", (0.75, 1.75), (0.28, 0.35), (1.4, 2.2)),
+    "wardrobe": Kind("cabinet", (1.0, 2.2), (0.55, 0.62), (1.8, 2.3), "front"),
+    "chest of drawers": Kind(
+        "cabinet", (0.75, 1.25), (0.4, 0.5), (0.75, 1.05),
+        on=(_TABLE_LAMP, _VASE, Some("mirror", 0.25)),
+    ),
+    "sideboard": Kind(
+        "cabinet", (1.125, 2.0), (0.4, 0.5), (0.45, 0.85), "front",
+        on=(Some("television", 0.6), _VASE, Some("speaker", 0.3, 2)),
+    ),
+    "cabinet": Kind("cabinet", (0.5, 1.0), (0.35, 0.5), (0.9, 1.6), "front", on=(_VASE,)),
+    "filing cabinet": Kind(
+        "cabinet", (0.5, 1.0), (0.5, 0.6), (0.7, 1.3), "metal", on=(Some("printer", 0.5),)
+    ),
+    "shoe cabinet": Kind(
+        "cabinet", (0.75, 1.25), (0.25, 0.35), (0.5, 0.95), on=(Some("mirror", 0.5), _VASE)
+    ),
+    "shelf": Kind("shelf", (0.5, 1.0), (0.25, 0.25), (0.5, 0.8), place="hung", base=1.3),
+    "box": Kind("block", (0.375, 0.625), (0.375, 0.5), (0.3, 0.5), "wood #b98f5e", "wood #a57c4d"),
+    # kitchen
+    "counter": Kind(
+        "counter", (1.25, 2.5), (0.6, 0.625), (0.88, 0.94), "front", "top",
+        on=(Some("sink", 0.95, 2), Some("wall cupboard", 0.7, 2), Some("microwave", 0.4),
+            Some("kettle", 0.4), Some("coffee machine", 0.25)),
+        beside=(Some("stove", 0.9), Some("fridge", 0.6), Some("dishwasher", 0.3)),
+    ),
+    "sink": Kind("basin", (0.5, 0.625), (0.375, 0.375), (0.12, 0.12), "metal", "metal", "on"),
+    "wall cupboard": Kind(
+        "cabinet", (0.625, 1.25), (0.33, 0.35), (0.6, 0.75), "front", place="on", base=1.45
+    ),
+    "stove": Kind("stove", (0.5, 0.625), (0.6, 0.625), (0.88, 0.92), _WHITE),
+    "dishwasher": Kind("block", (0.5, 0.625), (0.6, 0.625), (0.84, 0.86), _WHITE, "metal"),
+    "fridge": Kind("cabinet", (0.5, 0.75), (0.6, 0.7), (1.2, 1.95), "plain #dcdfe2"),
+    "microwave": Kind(
+        "block", (0.5, 0.5), (0.375, 0.375), (0.28, 0.32), "metal", "plain #222529", "on",
+    ),
+    "kettle": Kind(
+        "drum", (0.25, 0.25), (0.25, 0.25), (0.22, 0.26), "metal", "plain #222529", "on",
+    ),
+    "coffee machine": Kind(
+        "block", (0.25, 0.375), (0.375, 0.375), (0.35, 0.4), "plain #32281f", "metal", "on",
+    ),
+    # bath
+    "bathtub": Kind("basin", (1.5, 1.75), (0.7, 0.8), (0.55, 0.6), "plain white"),
+    "shower": Kind("block", (0.875, 1.0), (0.875, 1.0), (2.0, 2.1), "tiles #d4e4e8", "metal"),
+    "toilet": Kind("toilet", (0.375, 0.5), (0.625, 0.7), (0.75, 0.85), "plain white"),
+    "washbasin": Kind(
+        "washstand", (0.5, 0.75), (0.45, 0.5), (0.82, 0.88), "plain white",
+        on=(Some("mirror", 0.8),),
+    ),
+    "bathroom cabinet": Kind("cabinet", (0.375, 0.75), (0.3, 0.375), (0.8, 1.8), "front"),
+    "washing machine": Kind("block", (0.625, 0.625), (0.6, 0.625), (0.84, 0.86), _WHITE, "metal"),
+    "basket": Kind("drum", (0.375, 0.5), (0.375, 0.5), (0.45, 0.6), "wood #b9925f", "fabric"),
+    "towel": Kind(
+        "coats", (0.375, 0.75), (0.1, 0.1), (0.8, 1.0), "second", "metal", "hung", base=0.8,
+    ),
+    # light, walls, floor
+    "ceiling lamp": Kind(
+        "pendant", (0.375, 0.5), (0.375, 0.5), (0.3, 0.55), "fabric cornsilk", "metal", "ceiling",
+    ),
+    "floor lamp": Kind("lamp", (0.375, 0.45), (0.375, 0.45), (1.4, 1.75), "fabric wheat"),
+    "table lamp": Kind(
+        "lamp", (0.25, 0.25), (0.25, 0.25), (0.35, 0.5), "fabric wheat", "metal", "on",
+    ),
+    "picture": Kind(
+        "picture", (0.5, 1.25), (0.03, 0.03), (0.4, 0.8), "picture #6b4a30", "wood", "hung", base=1.35,
+    ),
+    "mirror": Kind(
+        "picture", (0.5, 0.75), (0.03, 0.03), (0.6, 0.9), "metal #c2cdd4", "metal", "hung", base=1.15,
+    ),
+    "clock": Kind(
+        "picture", (0.25, 0.375), (0.03, 0.03), (0.3, 0.35), "plain #f4f1e8", "metal", "hung", base=1.8,
+    ),
+    "whiteboard": Kind(
+        "picture", (1.25, 2.0), (0.03, 0.03), (0.9, 1.1), "plain #fafafa", "metal", "hung", base=1.0,
+    ),
+    "curtain": Kind(
+        "picture", (0.375, 0.75), (0.05, 0.05), (2.0, 2.2), "second", "second", "hung", base=0.1,
+    ),
+    "radiator": Kind("block", (0.75, 1.25), (0.1, 0.12), (0.5, 0.65), _WHITE, _WHITE),
+    "coat rack": Kind(
+        "coats", (0.75, 1.5), (0.15, 0.2), (1.1, 1.3), "second", "wood", "hung", base=0.6,
+    ),
+    "rug": Kind("rug", (1.25, 2.0), (1.0, 1.5), (0.012, 0.012), "rug #8e2f2b", "carpet #6d2723", "middle",
+                on=(Some("coffee table", 0.5),)),
+    "plant": Kind(
+        "plant", (0.375, 0.625), (0.375, 0.625), (0.8, 1.7), "leaves seagreen", "stone chocolate",
+    ),
+    # small things
+    "television": Kind(
+        "screen", (0.75, 1.125), (0.25, 0.25), (0.5, 0.7), "plain #14161a", "metal", "on",
+    ),
+    "monitor": Kind(
+        "screen", (0.5, 0.625), (0.25, 0.25), (0.4, 0.5), "plain #14161a", "metal", "on",
+    ),
+    "speaker": Kind(
+        "block", (0.25, 0.25), (0.25, 0.25), (0.25, 0.45), "wood #2c2622", "plain #1c1c1e", "on",
+    ),
+    "printer": Kind(
+        "block", (0.375, 0.5), (0.375, 0.375), (0.25, 0.35), "plain #d8dadb", "plain #43474a", "on",
+    ),
+    "vase": Kind(
+        "drum", (0.125, 0.25), (0.125, 0.25), (0.15, 0.35), "stone steelblue", "stone navy", "on",
+    ),
+    "bin": Kind("drum", (0.25, 0.375), (0.25, 0.375), (0.3, 0.6), "metal"),
+    "piano": Kind("cabinet", (1.375, 1.5), (0.55, 0.625), (1.1, 1.25), "wood #241a14", on=(_VASE,)),
+}  # fmt: skip
+"""By plain name."""
+
+_ALWAYS = (
+    _LAMP, Some("radiator", 0.4), Some("picture", 0.5, 3), Some("plant", 0.3), Some("curtain", 0.25, 2),
+)  # fmt: skip
+
+ROOMS: dict[str, RoomKind] = {
+    "kitchen": RoomKind(
+        (2.5, 3.5), (1.0, 1.5),
+        (Some("counter", 1.0, 2), Some("fridge", 0.5), Some("dining table", 0.35),
+         Some("round table", 0.3), Some("cabinet", 0.3), Some("bin", 0.6), _LAMP,
+         Some("clock", 0.3), Some("shelf", 0.3), Some("radiator", 0.3), Some("box", 0.1)),
+        wet=True,
+    ),
+    "living room": RoomKind(
+        (3.5, 4.75), (1.0, 1.4),
+        (Some("sofa", 0.95, 2), Some("sideboard", 0.75), Some("bookcase", 0.6, 2), Some("rug", 0.35),
+         Some("armchair", 0.5, 2), Some("floor lamp", 0.3), Some("piano", 0.12), Some("stool", 0.15),
+         Some("cabinet", 0.25), *_ALWAYS),
+        windows=2,
+    ),
+    "bedroom": RoomKind(
+        (2.9, 3.9), (1.0, 1.4),
+        (Some("bed", 1.0, 2), Some("wardrobe", 0.85, 2), Some("chest of drawers", 0.5),
+         Some("desk", 0.2), Some("chair", 0.25), Some("rug", 0.3), Some("mirror", 0.25),
+         Some("bookcase", 0.15), Some("armchair", 0.15), *_ALWAYS),
+    ),
+    "bathroom": RoomKind(
+        (1.9, 2.6), (1.1, 1.6),
+        (Some("washbasin", 0.95, 2), Some("toilet", 0.85), Some("bathtub", 0.55), Some("shower", 0.4),
+         Some("washing machine", 0.35), Some("bathroom cabinet", 0.4), Some("basket", 0.3),
+         Some("towel", 0.4, 2), Some("stool", 0.2), _LAMP, Some("radiator", 0.3)),
+        wet=True,
+    ),
+    "study": RoomKind(
+        (2.5, 3.4), (1.0, 1.4),
+        (Some("desk", 1.0), Some("bookcase", 0.85, 3), Some("armchair", 0.3), Some("cabinet", 0.3),
+         Some("rug", 0.2), Some("floor lamp", 0.3), Some("sofa", 0.2), Some("clock", 0.15), *_ALWAYS),
+    ),
+    "office": RoomKind(
+        (3.4, 4.75), (1.0, 1.5),
+        (Some("desk", 1.0, 4), Some("meeting table", 0.25), Some("filing cabinet", 0.6, 3),
+         Some("bookcase", 0.5, 2), Some("whiteboard", 0.45), Some("bin", 0.4), Some("box", 0.2),
+         Some("clock", 0.2), Some("coat rack", 0.15), *_ALWAYS),
+        windows=2,
+    ),
+    "dining room": RoomKind(
+        (3.0, 4.0), (1.0, 1.5),
+        (Some("dining table", 0.75), Some("round table", 0.3), Some("sideboard", 0.6),
+         Some("cabinet", 0.5, 2), Some("bench", 0.2), Some("clock", 0.2), *_ALWAYS),
+    ),
+    "hall": RoomKind(
+        (1.75, 2.4), (1.4, 2.4),
+        (Some("coat rack", 0.7), Some("shoe cabinet", 0.7), Some("mirror", 0.4), Some("bench", 0.3),
+         Some("chest of drawers", 0.3), Some("rug", 0.2), _LAMP, Some("picture", 0.5, 3),
+         Some("box", 0.2), Some("plant", 0.2)),
+        windows=0,
+    ),
+}  # fmt: skip
+"""By name. Things are placed in this order, as far as there is room."""
+
 
 SHELL = frozenset({"floor", "ceiling", "wall", "window", "door", "doorway"})
 """Labels of what is no furniture."""

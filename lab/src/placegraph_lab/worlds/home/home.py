@@ -26,8 +26,7 @@ from placegraph.errors import OptionError
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.worlds.flat.flat import Flat
 from placegraph_lab.worlds.flat.interior import Interior
-from placegraph_lab.worlds.home.catalogue import STYLES
-from placegraph_lab.worlds.home.change import changed
+from placegraph_lab.worlds.home.change import STYLES, changed
 from placegraph_lab.worlds.home.plan import CELL, Furnisher, plan, rooms_of
 from placegraph_lab.worlds.home.visit import CAMERA, record, visit
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph_lab.worlds.home.catalogue import KINDS, ROOMS, SYNONYMS, Kind, RoomKind, Some, Style
+from placegraph_lab.worlds.home.change import KINDS, ROOMS, SYNONYMS, Kind, RoomKind, Some, Style
 
 CELL = 0.125  # side of a character [m]
 SHARED = 13  # cells of wall that neighbours share at least: enough for a door

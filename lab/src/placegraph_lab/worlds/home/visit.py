@@ -13,9 +13,8 @@ from placegraph.core.geometry import Camera, level_from_camera, pose_matrix, spl
 from placegraph.errors import OptionError
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame, LabelKind
-from placegraph_lab.worlds.flat.flat import HEADROOM, Flat
+from placegraph_lab.worlds.flat.flat import DOOR, HEADROOM, WINDOW, Flat
 from placegraph_lab.worlds.flat.interior import Interior
-from placegraph_lab.worlds.flat.legend import DOOR, WINDOW
 from placegraph_lab.worlds.flat.render import Stage, develop, measured
 from placegraph_lab.worlds.flat.walks import TURN, Walk, drifted, exposures, gravity, stroll
 from placegraph_lab.worlds.home.change import SHELL, STANDS
