@@ -123,8 +123,8 @@ def test_keys_of_a_terminal(monkeypatch):
     master, slave = os.openpty()
     stdin = SimpleNamespace(isatty=lambda: True, fileno=lambda: slave)
     monkeypatch.setattr(sys, "stdin", stdin)
-    pace, patience, before = PlaybackClock(), WaitPolicy(0.0), termios.tcgetattr(slave)
-    with listen_to_keys(pace, patience):
+    pace, policy, before = PlaybackClock(), WaitPolicy(0.0), termios.tcgetattr(slave)
+    with listen_to_keys(pace, policy):
         for key, done in (
             (b" ", lambda: pace.paused), (b"+", lambda: pace.speed == 2.0),
             (b"q", lambda: pace.stopped),
@@ -140,19 +140,19 @@ def test_keys_of_a_terminal(monkeypatch):
 def test_ctrl_c_ends_it_between_two_messages():
     """As `q` does, and what is being written goes on; the second is raised, wherever it falls."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    pace, patience = PlaybackClock(), WaitPolicy(0.0)
+    pace, policy = PlaybackClock(), WaitPolicy(0.0)
     try:
-        with stop_on_interrupt(pace, patience):
+        with stop_on_interrupt(pace, policy):
             signal.raise_signal(signal.SIGINT)
-            assert patience.over.wait(20)
+            assert policy.over.wait(20)
             with pace._changed:
                 assert pace._changed.wait_for(lambda: pace.stopped, 20)
             with pytest.raises(KeyboardInterrupt):
                 signal.raise_signal(signal.SIGINT)
-        assert list(pace.paced(iter("abc"), lambda _: None)) == []
+        assert list(pace.play(iter("abc"), lambda _: None)) == []
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-        with stop_on_interrupt(pace, patience):
+        with stop_on_interrupt(pace, policy):
             assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN, "a shell may have it ignored"
     finally:
         signal.signal(signal.SIGINT, before)

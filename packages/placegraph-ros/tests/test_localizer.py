@@ -119,11 +119,11 @@ def test_a_folder_that_fills(room, tmp_path):
                 for file in files[4:]:
                     shutil.copy(file, walk / file.parent.name)
         else:
-            patience.over.set()
+            policy.over.set()
 
-    patience = WaitPolicy(np.inf, pause)
+    policy = WaitPolicy(np.inf, pause)
     frames = []
-    for frame in open_source(walk, patience).events:
+    for frame in open_source(walk, policy).events:
         if frame is None:
             assert frames, "what an image has told is asked for while nothing comes"
         else:
@@ -141,10 +141,10 @@ def test_a_bag_that_is_being_recorded(room, tmp_path):
         if path.stat().st_size < len(data):
             path.write_bytes(data)
         else:
-            patience.over.set()
+            policy.over.set()
 
-    patience = WaitPolicy(np.inf, pause)
-    grown = [p for p in open_source(path, patience).events if "/camera/color/" in p.topic]
+    policy = WaitPolicy(np.inf, pause)
+    grown = [p for p in open_source(path, policy).events if "/camera/color/" in p.topic]
     assert len(grown) == 2 * FRAMES, "images, and intrinsics"
 
 

@@ -40,7 +40,7 @@ def robot(room, recorded, monkeypatch):
         world = World({"map": str(room.map)} | parameters, recorded[1], lacks)
         world.install(monkeypatch)
         world.init()
-        shell = LocalizerNode(RosModules.imported())
+        shell = LocalizerNode(RosModules.load())
         nodes.append(shell)
         return world, shell
 

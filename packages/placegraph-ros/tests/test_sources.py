@@ -17,7 +17,7 @@ def clock(step):
 def waits(pace, times):
     """How often news may be looked for before each event."""
     out, count = [], 0
-    for event in pace.paced(times, lambda time: time):
+    for event in pace.play(times, lambda time: time):
         if event is None:
             count += 1
         else:
@@ -37,21 +37,21 @@ def test_events_come_when_they_are_due():
 
 
 def test_pause_speed_and_end():
-    pace, patience = PlaybackClock(1.0, clock(0.01)), WaitPolicy(0.0)
+    pace, policy = PlaybackClock(1.0, clock(0.01)), WaitPolicy(0.0)
     came = []
-    for event in pace.paced([1.0, 1.01, 1.02, 1.03], lambda time: time):
+    for event in pace.play([1.0, 1.01, 1.02, 1.03], lambda time: time):
         if event is None and pace.paused:
             assert came == [1.0, 1.01]
-            handle_key(" ", pace, patience)
+            handle_key(" ", pace, policy)
         elif event is not None:
             came.append(event)
             if event == 1.01:
-                handle_key(" ", pace, patience)
+                handle_key(" ", pace, policy)
                 assert pace.paused
             if event == 1.02:
-                handle_key("+", pace, patience)
+                handle_key("+", pace, policy)
                 assert pace.speed == 2.0
-                handle_key("-", pace, patience)
-                handle_key("q", pace, patience)
+                handle_key("-", pace, policy)
+                handle_key("q", pace, policy)
     assert came == [1.0, 1.01, 1.02]
-    assert (pace.speed, pace.stopped, patience.over.is_set()) == (1.0, True, True)
+    assert (pace.speed, pace.stopped, policy.over.is_set()) == (1.0, True, True)

@@ -36,7 +36,7 @@ def assembled(assembly, packets):
     for packet in packets:
         if not isinstance(packet, Fault):
             out += assembly.take(packet)
-    return out + list(assembly.rest())
+    return out + list(assembly.finish())
 
 
 def of_bag(path):
@@ -84,8 +84,8 @@ def test_a_pipe_is_heard_until_it_is_known_what_comes(bag):
     packets = list(mcap_packets(io.BytesIO(data).read, "stdin"))
     assert not any(isinstance(p, Fault) for p in packets)
     coming = iter(packets)
-    plan = next(filter(None, map(listening.take, coming)), None) or listening.found()
-    said = assembled(FrameAssembly(plan), [*listening.heard(), *coming])
+    plan = next(filter(None, map(listening.take, coming)), None) or listening.find_plan()
+    said = assembled(FrameAssembly(plan), [*listening.packets(), *coming])
     same([f for f in said if isinstance(f, Frame)], pg.open_capture(path))
 
 
@@ -127,12 +127,12 @@ def test_what_lacks_is_named_until_it_comes(layout, words, bag):
     lacking = list(mcap_packets(bytes_of(bag("mcap", layout)), "robot"))
     listening = StreamDiscovery(Path("robot"), TopicChoice())
     assert not any(listening.take(p) for p in lacking)
-    assert listening.found() is None
+    assert listening.find_plan() is None
     assert words in listening.lacks[0]
     whole = mcap_packets(bytes_of(bag(name="whole")), "robot")
     for packet in whole:
         listening.take(packet)
-    assert listening.found() is not None
+    assert listening.find_plan() is not None
     assert not listening.lacks
 
 

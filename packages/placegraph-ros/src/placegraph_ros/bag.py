@@ -13,7 +13,7 @@ from typing import Any, Literal, Self
 
 from placegraph.core.files import cannot_write, exclusive
 from placegraph.errors import OptionError
-from placegraph_ros.message import Message, encoded, known, known_type, nanoseconds
+from placegraph_ros.message import Message, encode, load_types, nanoseconds, type_name
 
 
 def check_free(path: Path) -> None:
@@ -23,7 +23,7 @@ def check_free(path: Path) -> None:
 
 
 @contextmanager
-def writing(path: Path) -> Iterator[None]:
+def report_disk_errors(path: Path) -> Iterator[None]:
     """Whatever the disk says while something is written for `path` becomes a `MapError`."""
     try:
         yield
@@ -43,7 +43,7 @@ class UnfinishedFile:
     def __init__(self, path: Path) -> None:
         check_free(path)
         self.path = path
-        with writing(path), ExitStack() as stack:
+        with report_disk_errors(path), ExitStack() as stack:
             path.parent.mkdir(parents=True, exist_ok=True)
             stack.enter_context(exclusive(path))
             self.folder = path.parent / tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent)
@@ -52,7 +52,7 @@ class UnfinishedFile:
     def finish(self, made: Path) -> None:
         """Give what was made in the folder its name; raises as the constructor."""
         check_free(self.path)
-        with writing(self.path):
+        with report_disk_errors(self.path):
             made.rename(self.path)
 
     def drop(self) -> None:
@@ -100,7 +100,7 @@ class BagWriter:
         self._container: Container = ending or container or "mcap"
         self._one = ending is not None
         self._encoding = "ros1" if self._container == "rosbag1" else "cdr"
-        self._store = known(self._encoding)
+        self._store = load_types(self._encoding)
         check_free(self.path)
         self._packed = packed
         self._topics: dict[tuple[str, str], Any] = {}
@@ -110,7 +110,7 @@ class BagWriter:
     def __enter__(self) -> Self:
         self._place = UnfinishedFile(self.path)
         try:
-            with writing(self.path):
+            with report_disk_errors(self.path):
                 self._writer = self._opened(self._place.folder / self.path.stem)
         except BaseException:
             self._place.drop()
@@ -125,7 +125,7 @@ class BagWriter:
                 with suppress(Exception):  # the first error counts
                     self._writer.close()
                 return
-            with writing(self.path):
+            with report_disk_errors(self.path):
                 self._writer.close()
             one = bag.is_dir() and self._one
             self._place.finish(bag / f"{bag.name}{self.path.suffix.lower()}" if one else bag)
@@ -139,7 +139,7 @@ class BagWriter:
         Raises `OptionError` where its type is unknown, a field is not what the type says, or its
         stamp is none that ROS can say; `MapError` where the disk is full.
         """
-        data = encoded(message, self._encoding)
+        data = encode(message, self._encoding)
         self.write_bytes(message.topic, message.type, message.stamp, data, latched=message.latched)
 
     def write_bytes(
@@ -151,7 +151,7 @@ class BagWriter:
         name, at = "/" + topic.lstrip("/"), nanoseconds(stamp)
         if (name, kind) not in self._topics:
             self._topics[name, kind] = self._connection(name, kind, latched=latched)
-        with writing(self.path):
+        with report_disk_errors(self.path):
             self._writer.write(self._topics[name, kind], at, data)
 
     def _opened(self, bag: Path) -> Any:  # noqa: ANN401  # of rosbags
@@ -172,7 +172,7 @@ class BagWriter:
         return writer
 
     def _connection(self, topic: str, kind: str, *, latched: bool) -> Any:  # noqa: ANN401
-        name = known_type(kind, self._store)
+        name = type_name(kind, self._store)
         if self._encoding == "ros1":
             return self._writer.add_connection(
                 topic, name, typestore=self._store, latching=1 if latched else None

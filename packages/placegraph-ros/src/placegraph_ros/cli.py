@@ -137,7 +137,7 @@ def live(
         stack.enter_context(listen_to_keys(clock, wait_policy))
         stack.enter_context(stop_on_interrupt(clock, wait_policy))
         lines = _Lines(as_json=as_json, quiet=quiet)
-        events = clock.paced(stream.events, time_of)
+        events = clock.play(stream.events, time_of)
         with suppress(KeyboardInterrupt):  # a second Ctrl-C
             summary = run(events, localizer, sinks, lines)
             if not summary.frames and not clock.stopped:

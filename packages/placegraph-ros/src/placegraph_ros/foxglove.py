@@ -132,7 +132,7 @@ class FoxgloveServer:
             self._kept[topic] = data, stamp
         self._channels[topic].log(data, log_time=stamp)
 
-    def again(self, topic: str) -> None:
+    def resend(self, topic: str) -> None:
         """Send what is kept of a topic once more."""
         if topic in self._kept:
             data, stamp = self._kept[topic]
@@ -149,7 +149,7 @@ class _Listener:
 
     def on_subscribe(self, client: Any, channel: Any) -> None:  # noqa: ANN401, ARG002  # foxglove's
         """A viewer has come: tell what is kept."""
-        self._server.again(channel.topic)
+        self._server.resend(channel.topic)
 
     def on_playback_control_request(self, asked: Any) -> Any:  # noqa: ANN401  # foxglove's
         """Pause, go on, or change the speed; what was is not played again."""

@@ -106,12 +106,12 @@ class Localizer:
         """Return what is known after a message, a frame, or (None) after a while."""
         messages: list[Message] = []
         if isinstance(event, Packet):
-            messages = self._hear(event)
+            messages = self._take_packet(event)
         elif isinstance(event, Frame):
-            messages = self._see(event)
+            messages = self._take_frame(event)
         elif isinstance(event, Fault):
-            messages = self._amiss(event.topic, event.reason)
-        return messages + self._news()
+            messages = self._count_fault(event.topic, event.reason)
+        return messages + self._report_changes()
 
     def finish(self) -> list[Message]:
         """Return what is known when the stream has ended."""
@@ -119,32 +119,32 @@ class Localizer:
         if (
             self._assembly is None
             and not self.frames
-            and (plan := self._discovery.found()) is not None
+            and (plan := self._discovery.find_plan()) is not None
         ):
-            messages += self._found(plan)
+            messages += self._begin_stream(plan)
         if self._assembly is not None:
-            for part in self._assembly.rest():
+            for part in self._assembly.finish():
                 messages += self._part(part)
         self.tracker.wait()
         if self.options.background and self._carried is not None:  # by what the last image told
-            messages += self._reporter.moved(self.tracker.pose(), *self._carried)
-        return messages + self._news()
+            messages += self._reporter.report_motion(self.tracker.pose(), *self._carried)
+        return messages + self._report_changes()
 
-    def _hear(self, packet: Packet) -> list[Message]:
+    def _take_packet(self, packet: Packet) -> list[Message]:
         if self._assembly is not None:
-            return self._assembled(self._assembly, packet)
+            return self._assemble(self._assembly, packet)
         plan = self._discovery.take(packet)
         if plan is not None:
-            return self._found(plan)
+            return self._begin_stream(plan)
         lacks = self._discovery.lacks
-        return self._reporter.lacking(lacks[0], packet.time) if lacks else []
+        return self._reporter.report_lack(lacks[0], packet.time) if lacks else []
 
-    def _found(self, plan: Plan) -> list[Message]:
+    def _begin_stream(self, plan: Plan) -> list[Message]:
         """Begin with what was heard before it was known what frames are made of."""
         assembly = self._choose(plan)
         messages: list[Message] = []
-        for packet in self._discovery.heard():
-            messages += self._assembled(assembly, packet)
+        for packet in self._discovery.packets():
+            messages += self._assemble(assembly, packet)
         return messages
 
     def _choose(self, plan: Plan) -> FrameAssembly:
@@ -152,18 +152,18 @@ class Localizer:
         self._reporter.begin(frame_ids(self.options, self._assembly))
         return self._assembly
 
-    def _assembled(self, assembly: FrameAssembly, packet: Packet) -> list[Message]:
+    def _assemble(self, assembly: FrameAssembly, packet: Packet) -> list[Message]:
         messages: list[Message] = []
         try:
             for part in assembly.take(packet):
                 messages += self._part(part)
         except (InputError, OptionError) as error:
-            messages += self._amiss(packet.topic, str(error))
+            messages += self._count_fault(packet.topic, str(error))
         return messages
 
     def _part(self, part: Frame | OdometryPose) -> list[Message]:
         if isinstance(part, Frame):
-            return self._see(part)
+            return self._take_frame(part)
         self._moves = True
         self._carried = part.stamp, part.odometry_from_camera
         try:
@@ -171,10 +171,10 @@ class Localizer:
         except OptionError as error:
             live = self.tracker.move(*self._carried)
             self._covariance_fault = f"What odometry says of its own errors is not used: {error}"
-        self._live = None if self._mounted() else live
-        return self._reporter.moved(live, *self._carried)
+        self._live = None if self._update_mount() else live
+        return self._reporter.report_motion(live, *self._carried)
 
-    def _mounted(self) -> bool:
+    def _update_mount(self) -> bool:
         """Know where the camera sits, and whether it was told before where it is: that counts now."""
         mount = self._assembly.base_from_camera() if self._assembly is not None else None
         if mount is not None:
@@ -184,7 +184,7 @@ class Localizer:
             self.place(*told)
         return told is not None
 
-    def _see(self, frame: Frame) -> list[Message]:
+    def _take_frame(self, frame: Frame) -> list[Message]:
         """Look at a frame, or have it looked at."""
         self._live = None
         self.frames += 1
@@ -197,14 +197,14 @@ class Localizer:
             if self._wanted:
                 self.tracker.see(frame)
         except (InputError, OptionError) as error:
-            return messages + self._amiss("a frame", str(error))
+            return messages + self._count_fault("a frame", str(error))
         if not self._moves:  # images alone tell odometry
-            self._mounted()
+            self._update_mount()
             self._carried = frame.stamp, frame.odometry
-            messages += self._reporter.moved(self.tracker.pose(), *self._carried)
+            messages += self._reporter.report_motion(self.tracker.pose(), *self._carried)
         return messages
 
-    def _news(self) -> list[Message]:
+    def _report_changes(self) -> list[Message]:
         """Return what images have changed since it was told."""
         live, self._live = self._live or self.tracker.pose(), None
         newest = -np.inf if self._assembly is None else self._assembly.newest
@@ -214,8 +214,8 @@ class Localizer:
         if self.options.mode == "once" and live.status is Status.OK:
             self._wanted = False
         if self.frames:
-            return self._reporter.news(live, self._stamp_of(live))
-        return self._reporter.unusable(self.summary.left_out, newest)
+            return self._reporter.report_changes(live, self._stamp_of(live))
+        return self._reporter.report_unusable(self.summary.left_out, newest)
 
     def _stamp_of(self, live: LivePose) -> float:
         """Return when the last image that told something was taken [s]."""
@@ -223,7 +223,7 @@ class Localizer:
             return live.stamp
         return self._stamps.get(int(live.estimate.frames[-1]) % _REMEMBERED, live.stamp)
 
-    def _amiss(self, where: str, reason: str) -> list[Message]:
+    def _count_fault(self, where: str, reason: str) -> list[Message]:
         said = f"{where or 'the stream'}: {reason}"
         self._left_out[said if len(self._left_out) < _REASONS else "other reasons"] += 1
         return []
@@ -245,9 +245,9 @@ class Localizer:
         except OptionError as error:
             live = self.tracker.pose()
             reason = f"The pose that was told is not taken: {error}"
-            return self._reporter.status(live.status, reason, live.stamp, live=live)
+            return self._reporter.report_status(live.status, reason, live.stamp, live=live)
         self._wanted = True
-        return self._news()
+        return self._report_changes()
 
     def relocalize(self) -> list[Message]:
         """Forget the pose, and look for it everywhere (``reinitialize_global_localization``)."""
@@ -257,7 +257,7 @@ class Localizer:
     def update(self) -> list[Message]:
         """Look at the next image in any case (``request_nomotion_update``)."""
         self._wanted = True
-        return self._news()
+        return self._report_changes()
 
     def load(self, maps: SceneMap | SceneLibrary) -> list[Message]:
         """Go on in another map, where nothing is known yet (``load_map``)."""
@@ -267,7 +267,7 @@ class Localizer:
         mount = self._reporter.base_from_camera
         self._begin(maps)
         self._reporter.base_from_camera = mount
-        return self._news()
+        return self._report_changes()
 
     @property
     def summary(self) -> Summary:

@@ -56,7 +56,7 @@ def nanoseconds(stamp: float) -> int:
     return round(stamp * 1e9)
 
 
-def sayable(stamp: float) -> float:
+def stamp_or_zero(stamp: float) -> float:
     """Return the stamp [s]; 0, which is none, where ROS cannot say it."""
     return stamp if 0.0 <= stamp < _SECONDS else 0.0
 
@@ -133,13 +133,13 @@ def cdr(message: Message) -> bytes:
         `rosbags` is not installed.
 
     """
-    return encoded(message, "cdr")
+    return encode(message, "cdr")
 
 
-def encoded(message: Message, encoding: str) -> bytes:
+def encode(message: Message, encoding: str) -> bytes:
     """Return a message as `cdr`, or as `ros1` writes it; raises as `cdr` does."""
-    store = known(encoding)
-    kind = known_type(message.type, store)
+    store = load_types(encoding)
+    kind = type_name(message.type, store)
     serialize = store.serialize_ros1 if encoding == "ros1" else store.serialize_cdr
     try:
         return bytes(serialize(_maker(kind, encoding)(message.fields), kind))
@@ -157,12 +157,12 @@ def definition(kind: str) -> str:
 
     Raises `OptionError` where the type is unknown, `MissingExtraError` without `rosbags`.
     """
-    store = known("cdr")
-    text, _ = store.generate_msgdef(known_type(kind, store), ros_version=2)
+    store = load_types("cdr")
+    text, _ = store.generate_msgdef(type_name(kind, store), ros_version=2)
     return text
 
 
-def known(encoding: str) -> Typestore:
+def load_types(encoding: str) -> Typestore:
     """Return all types; `MissingExtraError` where `rosbags` is not installed."""
     try:
         return typestore(encoding)
@@ -172,7 +172,7 @@ def known(encoding: str) -> Typestore:
         ) from error
 
 
-def known_type(kind: str, store: Typestore) -> str:
+def type_name(kind: str, store: Typestore) -> str:
     """Return the type as the store names it; `OptionError` where there is none."""
     name = kind if "/msg/" in kind else kind.replace("/", "/msg/")
     if name not in store.fielddefs:

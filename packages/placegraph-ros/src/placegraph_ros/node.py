@@ -196,7 +196,7 @@ class RosModules:
     service: Any
 
     @classmethod
-    def imported(cls) -> RosModules:
+    def load(cls) -> RosModules:
         """Import it; `MissingExtraError` where it is not installed."""
         try:
             import rclpy
@@ -358,7 +358,7 @@ class LocalizerNode:
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node until it is shut down; the exit code is that of placegraph's errors."""
     try:
-        ros = RosModules.imported()
+        ros = RosModules.load()
     except PlacegraphError as error:
         print(f"placegraph: {error}", file=sys.stderr)  # noqa: T201  # nobody logs yet
         return error.exit_code

@@ -25,7 +25,7 @@ from placegraph_ros.message import (
     header,
     pose,
     poses,
-    sayable,
+    stamp_or_zero,
     transform,
 )
 from placegraph_ros.options import LiveOptions
@@ -167,7 +167,9 @@ class PoseReporter:
         """Tell the status anew: frames, of these names, begin to come."""
         self.frames, self._status = frames, None
 
-    def moved(self, live: LivePose, stamp: float, odom_from_camera: Floats) -> list[Message]:
+    def report_motion(
+        self, live: LivePose, stamp: float, odom_from_camera: Floats
+    ) -> list[Message]:
         """Return where the camera is by odometry: odometry in the map, and the transform map -> odom."""
         messages = self._scenery(stamp, live.scene)
         if self._whole:
@@ -185,12 +187,16 @@ class PoseReporter:
         ridden = [m for m in told if m.topic.endswith("odometry")]
         return [*messages, *ridden, transforms_message([moved], stamp)]
 
-    def news(self, live: LivePose, stamp: float) -> list[Message]:
+    def report_changes(self, live: LivePose, stamp: float) -> list[Message]:
         """Return what an image, taken at `stamp` [s], has changed; nothing where nothing is new."""
         if live.estimate is None or live.estimate is self._estimate:
             changed = self._status != (live.status, live.reason)
-            return self.status(live.status, live.reason, live.stamp, live=live) if changed else []
-        self._estimate, stamp = live.estimate, sayable(stamp)
+            return (
+                self.report_status(live.status, live.reason, live.stamp, live=live)
+                if changed
+                else []
+            )
+        self._estimate, stamp = live.estimate, stamp_or_zero(stamp)
         told = estimate_messages(
             live.estimate, stamp, self.frames, base_from_camera=self.base_from_camera
         )
@@ -199,14 +205,14 @@ class PoseReporter:
             for m in told
             if m.type != "diagnostic_msgs/msg/DiagnosticArray" and not m.topic.endswith("odometry")
         ]
-        said = self.status(live.status, live.reason, stamp, live=live)
+        said = self.report_status(live.status, live.reason, stamp, live=live)
         return [*self._scenery(stamp, live.scene), *kept, *said]
 
-    def status(
+    def report_status(
         self, status: Status, reason: str, stamp: float, *, live: LivePose | None = None
     ) -> list[Message]:
         """Return how far the pose may be trusted, and why, as diagnostics and on a topic of its own."""
-        stamp = sayable(stamp)
+        stamp = stamp_or_zero(stamp)
         self._status = status, reason
         best = live.estimate.best if live is not None and live.estimate is not None else None
         modes = len(live.estimate.modes) if live is not None and live.estimate is not None else 0
@@ -215,17 +221,17 @@ class PoseReporter:
         kind = "diagnostic_msgs/msg/DiagnosticStatus"
         return [told, Message(STATUS, kind, stamp, one, latched=True)]
 
-    def lacking(self, reason: str, stamp: float) -> list[Message]:
+    def report_lack(self, reason: str, stamp: float) -> list[Message]:
         """That nothing is known, and why, if that was not said before."""
         said = Status.LOST, reason
-        return [] if self._status == said else self.status(*said, stamp)
+        return [] if self._status == said else self.report_status(*said, stamp)
 
-    def unusable(self, left_out: Counter[str], stamp: float) -> list[Message]:
+    def report_unusable(self, left_out: Counter[str], stamp: float) -> list[Message]:
         """That no image could be used yet, and why most could not."""
         if not left_out or not np.isfinite(stamp):
             return []
         reason = left_out.most_common(1)[0][0].rstrip(".")
-        return self.lacking(f"No image could be used yet: {reason}.", stamp)
+        return self.report_lack(f"No image could be used yet: {reason}.", stamp)
 
     def _scenery(self, stamp: float, scene: str) -> list[Message]:
         """Return the map that the camera is in, and where the camera sits, once."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from placegraph.core.geometry import Floats
 from placegraph.errors import MissingExtraError, OptionError
-from placegraph_ros.bag import UnfinishedFile, check_free, writing
+from placegraph_ros.bag import UnfinishedFile, check_free, report_disk_errors
 from placegraph_ros.message import Fields, Message
 from placegraph_ros.scene_messages import CLEAR, CUBE, LINES, TEXT, TRIANGLES
 
@@ -79,7 +79,7 @@ class RerunWriter:
     def __exit__(self, kind: object, *error: object) -> None:
         assert self._place is not None  # noqa: S101  entered
         try:
-            with writing(self.path):
+            with report_disk_errors(self.path):
                 self._log("map/path", self._rr.LineStrips3D(_pieces(self._way)), static=True)
                 self._to.flush()
                 self._to.disconnect()

@@ -82,7 +82,7 @@ def _box(scene: Scene, row: int, evidence: Evidence, head: Fields) -> list[Field
             "pose": {"position": xyz(center), "orientation": {"w": 1.0}},
             "color": colour(rgb, _ALPHA),
         },
-        label(words, row, over(scene, row), head, rgb, ns=f"{evidence.verdict}/names"),
+        label(words, row, place_above(scene, row), head, rgb, ns=f"{evidence.verdict}/names"),
     ]  # fmt: skip
 
 
@@ -92,7 +92,7 @@ def extent(scene: Scene, row: int) -> Floats:
     return np.zeros(3) if extents is None else extents[row]
 
 
-def over(scene: Scene, row: int) -> Floats:
+def place_above(scene: Scene, row: int) -> Floats:
     """Return the place (3,) above an object, where its name stands [m]."""
     up = np.array([0.0, 0.0, 0.5 * extent(scene, row)[2] + _TALL])
     return np.asarray(scene.graph.positions[row] + up)
@@ -184,7 +184,7 @@ def _meshes(scene: Scene, head: Fields) -> list[Fields]:
 def _name(scene: Scene, row: int, head: Fields) -> Fields:
     graph = scene.graph
     words = graph.names[row] or graph.labels[row]
-    return label(words, row, over(scene, row), head, (1.0, 1.0, 1.0), ns=graph.labels[row])
+    return label(words, row, place_above(scene, row), head, (1.0, 1.0, 1.0), ns=graph.labels[row])
 
 
 QUALITY = 80

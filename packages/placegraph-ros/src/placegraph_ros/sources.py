@@ -68,7 +68,7 @@ class PlaybackClock:
             self.stopped = True
             self._changed.notify_all()
 
-    def waited(self, time: float) -> Iterator[None]:
+    def wait_until(self, time: float) -> Iterator[None]:
         """Wait until a time [s] of the recording is due, with a pause for news every `TICK`."""
         with self._changed:
             if self._from is not None:
@@ -89,14 +89,12 @@ class PlaybackClock:
             yield None
         self.now = time
 
-    def paced(
-        self, events: Iterable[T], time_of: Callable[[T], float | None]
-    ) -> Iterator[T | None]:
+    def play(self, events: Iterable[T], time_of: Callable[[T], float | None]) -> Iterator[T | None]:
         """Yield each event when it is due, and None while it is waited for; those of no time at once."""
         for event in events:
             time = time_of(event)
             if time is not None:
-                yield from self.waited(time)
+                yield from self.wait_until(time)
             if self.stopped:
                 return
             yield event
@@ -149,11 +147,11 @@ class WaitPolicy:
         return not self.over.is_set()
 
 
-def open_source(path: Path, patience: WaitPolicy, stdin: BinaryIO | None = None) -> Source:
+def open_source(path: Path, policy: WaitPolicy, stdin: BinaryIO | None = None) -> Source:
     """What happens in a bag, in a recording that goes on, in a folder that fills, or (``-``) in a pipe.
 
     A bag that is whole is read by its index. An MCAP without its end is read as it grows, and a folder
-    of images as it fills, until `patience` ends; standard input is an MCAP, read until it ends.
+    of images as it fills, until `policy` ends; standard input is an MCAP, read until it ends.
 
     Raises
     ------
@@ -169,9 +167,9 @@ def open_source(path: Path, patience: WaitPolicy, stdin: BinaryIO | None = None)
     if not path.exists():
         raise InputError(f"{path} does not exist; name a bag, a folder of images, or - for a pipe.")
     if not is_bag(path):
-        return Source(path, _filling(path, patience if path.is_dir() else WaitPolicy(0.0)))
+        return Source(path, _follow_folder(path, policy if path.is_dir() else WaitPolicy(0.0)))
     if path.suffix.lower() == ".mcap" and not path.is_dir() and not is_whole(path):
-        return Source(path, _growing(path, patience), choice=read_topic_choice(path, None))
+        return Source(path, _follow_file(path, policy), choice=read_topic_choice(path, None))
     return bag_source(path)
 
 
@@ -205,7 +203,7 @@ def time_of(event: StreamEvent) -> float | None:
     return event.time if isinstance(event, Packet) else None
 
 
-def _filling(path: Path, patience: WaitPolicy) -> Iterator[Frame | None]:
+def _follow_folder(path: Path, policy: WaitPolicy) -> Iterator[Frame | None]:
     """Yield the frames of a folder, and those that come into it: it is opened again whenever it has changed.
 
     While it cannot be read it is waited for, as a row may come before its image.
@@ -224,7 +222,7 @@ def _filling(path: Path, patience: WaitPolicy) -> Iterator[Frame | None]:
             for frame in frames:
                 yield frame
                 last, came = frame.stamp, True
-        more = patience.more(came=came)
+        more = policy.more(came=came)
         yield None
     if error is not None:
         raise error
@@ -243,7 +241,7 @@ def _state(path: Path) -> int:
     return hash(tuple(sorted(facts)))
 
 
-def _growing(path: Path, patience: WaitPolicy) -> Iterator[Packet | Fault]:
+def _follow_file(path: Path, policy: WaitPolicy) -> Iterator[Packet | Fault]:
     """Yield the messages of an MCAP that is being written."""
     with path.open("rb") as file:
 
@@ -252,7 +250,7 @@ def _growing(path: Path, patience: WaitPolicy) -> Iterator[Packet | Fault]:
             while len(data) < count:
                 part = file.read(count - len(data))
                 data += part
-                if not patience.more(came=bool(part)):
+                if not policy.more(came=bool(part)):
                     break
             return data
 

@@ -256,7 +256,7 @@ class TopicPart(NamedTuple):
     offsets: NDArray[np.int64]
 
 
-def joined(parts: Sequence[TopicPart]) -> Iterator[Topic]:
+def join_parts(parts: Sequence[TopicPart]) -> Iterator[Topic]:
     """Yield the topics of the parts of all files of a bag; of types that share a name, the most frequent."""
     names: dict[str, dict[tuple[str, str], list[TopicPart]]] = {}
     for part in parts:
@@ -298,7 +298,7 @@ class Channels:
         self.schemas: dict[int, str] = {}
         self.channels: dict[int, _Channel] = {}
 
-    def told(self, op: int, data: bytes) -> None:
+    def add_record(self, op: int, data: bytes) -> None:
         """Take in a record of a schema or of a channel; one that is damaged is none."""
         with suppress(struct.error):
             if op == _SCHEMA:
@@ -337,7 +337,7 @@ class _Index(Channels):
                 channel, _, time = unpack_from("<HIQ", head, 9)
                 rows[channel].append((time, at))
             elif op in {_SCHEMA, _CHANNEL}:
-                self.told(op, chunk.peek(at + 9, min(length, _FEW)))
+                self.add_record(op, chunk.peek(at + 9, min(length, _FEW)))
             at += 9 + length
         for channel, found in rows.items():
             self.found[channel].append((row, np.array(found, np.uint64)))
@@ -394,7 +394,7 @@ def _listed(file: File) -> _Index:
     index = _Index(file)
     for op, at, length in records(summary):
         if op in {_SCHEMA, _CHANNEL}:
-            index.told(op, summary[at : at + length])
+            index.add_record(op, summary[at : at + length])
         elif op == _CHUNK_INDEX:
             _chunk(index, summary, at)
     if set(index.found) - set(index.channels) or not index.found:
@@ -442,7 +442,7 @@ def _scanned(file: File) -> _Index:
             if whole or not compression:  # of a packed chunk that is cut, nothing can be said
                 index.walk(Chunk(file, start, min(at + 9 + length, size) - start, compression))
         elif op in {_SCHEMA, _CHANNEL} and length <= _FEW:
-            index.told(op, file.read(at + 9, length))
+            index.add_record(op, file.read(at + 9, length))
         loose |= op == MESSAGE
         at += 9 + length
     if loose:  # messages outside of chunks
@@ -536,7 +536,7 @@ def open_bag(path: Path) -> Bag:
             notes.append(
                 f"{name} holds messages of {' and '.join(kinds)}; the most frequent count."
             )
-    topics = {topic.name: topic for topic in sorted(joined(renamed), key=lambda t: t.name)}
+    topics = {topic.name: topic for topic in sorted(join_parts(renamed), key=lambda t: t.name)}
     return Bag(path, topics, tuple(notes))
 
 

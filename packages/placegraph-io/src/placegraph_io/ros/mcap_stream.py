@@ -81,4 +81,4 @@ def _told(known: Channels, op: int, data: bytes, name: str) -> Iterator[Packet]:
             kind = ros2_type(channel.type)
             yield Packet(channel.topic, kind, time * 1e-9, data[22:], channel.encoding)
     else:
-        known.told(op, data)
+        known.add_record(op, data)

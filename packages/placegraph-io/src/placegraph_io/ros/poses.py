@@ -359,12 +359,12 @@ class PoseReader:
             (t, transforms(data, t, self.bag.path, None if is_static(t.name) else window))
             for t, data in zip(self.moves, read[len(shown) :], strict=False)
         ]
-        self._grow(held)
+        self._build_tree(held)
         self._choose(window)
-        if not self._overlap():
-            self._grow(held, recorded=True)
+        if not self._clocks_agree():
+            self._build_tree(held, recorded=True)
             self._by_recording()
-        self._tell()
+        self._note_choices()
         if self.imu is not None:
             self._level(self.imu, read[-1])
 
@@ -385,7 +385,7 @@ class PoseReader:
         begin = -1 if first == 0 else int(times[first - 1])
         return begin, (1 << 62 if last == len(times) else int(times[last]))
 
-    def _grow(self, held: list[tuple[Topic, Moves]], *, recorded: bool = False) -> None:
+    def _build_tree(self, held: list[tuple[Topic, Moves]], *, recorded: bool = False) -> None:
         """Make the tree, by stamps or times of recording, and keep what odometry told."""
         told = self.tree.edges if self.odometry is not None else {}
         self.tree = Tree()
@@ -426,7 +426,7 @@ class PoseReader:
                 f"{topic.name} tells of {child!r}, which no transform joins with the camera"
             )
         if not moving or choice.frame is not None or choice.odometry is not None:
-            raise self._nowhere(lost)
+            raise self._no_path_error(lost)
         own = [f for f in moving if f not in OF_OTHERS and "base" not in f]
         self.frame = own[-1] if own else moving[-1]  # the outermost: in inner ones, joints move
 
@@ -449,7 +449,7 @@ class PoseReader:
         self.tree.add({(parent, child): [np.array(samples[parent, child])]})
         return parent, child
 
-    def _nowhere(self, lost: list[str]) -> InputError:
+    def _no_path_error(self, lost: list[str]) -> InputError:
         path, names = self.bag.path, self.tree.names
         wanted = repr(self.choice.frame) if self.choice.frame else "a frame in which it moves"
         known = f"frames are {', '.join(names[:12])}" if names else "there are no transforms"
@@ -459,7 +459,7 @@ class PoseReader:
             f'lacks as "transforms" in {path}.json, or give `poses`, a trajectory in TUM\'s format.'
         )
 
-    def _overlap(self) -> bool:
+    def _clocks_agree(self) -> bool:
         """Return whether images and the moving transforms they need share a clock."""
         steps = self.tree.path(self.frame, self.colour.frame) or []
         edges = [self.tree.edges.get(s) or self.tree.edges[s[::-1]] for s in steps]
@@ -477,7 +477,7 @@ class PoseReader:
             "both."
         )
 
-    def _tell(self) -> None:
+    def _note_choices(self) -> None:
         by = self.odometry.name if self.odometry is not None else "/tf"
         self.notes.append(f"Poses are those of {self.colour.frame} in {self.frame}, by {by}.")
         if self.frame in OF_OTHERS and self.choice.frame is None:

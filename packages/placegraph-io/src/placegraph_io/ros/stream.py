@@ -148,9 +148,9 @@ class StreamDiscovery:
             self._next is None or packet.time < self._next - LISTEN
         ):  # the first, or the clock was set
             self._next = packet.time + LISTEN
-        return self.found() if packet.time >= self._next else None
+        return self.find_plan() if packet.time >= self._next else None
 
-    def found(self) -> Plan | None:
+    def find_plan(self) -> Plan | None:
         """What frames are made of by what was heard, or None, and what is missing is told in `lacks`."""
         held = [packet for packets in self._heard.values() for packet in packets]
         if not held:
@@ -165,7 +165,7 @@ class StreamDiscovery:
         self.lacks = tuple(plan.lacks.values())
         return None if plan.lacks else plan
 
-    def heard(self) -> list[Packet]:
+    def packets(self) -> list[Packet]:
         """Return the messages that were heard, transforms that never change first, then in order."""
         held = [packet for packets in self._heard.values() for packet in packets]
         return sorted(held, key=lambda p: (not is_static(p.topic), p.time))
@@ -253,17 +253,17 @@ class FrameAssembly:
     def take(self, packet: Packet) -> Iterator[Frame | OdometryPose]:
         """Take in a message; `InputError` where it cannot be read, and nothing is changed."""
         if packet.topic == self._colour.name:
-            self._see(packet)
+            self._take_image(packet)
         elif self._depth is not None and packet.topic == self._depth.name:
             self._depths.append((self._stamp(packet), packet))
         elif packet.topic in self.topics:
-            self._carry(packet)
+            self._take_transforms(packet)
             yield from self._move()
-        yield from self._ready(packet.time)
+        yield from self._ready_frames(packet.time)
 
-    def rest(self) -> Iterator[Frame | OdometryPose]:
+    def finish(self) -> Iterator[Frame | OdometryPose]:
         """Yield the frames that wait for what will not come any more: the stream has ended."""
-        yield from self._ready(np.inf)
+        yield from self._ready_frames(np.inf)
 
     def base_from_camera(self) -> NDArray[np.float64] | None:
         """(4, 4) of the robot's base and the frames' camera as they are now; None: nothing joins them."""
@@ -282,7 +282,7 @@ class FrameAssembly:
         assert self.plan.pose_reader is not None  # noqa: S101
         return packet.time if self.plan.pose_reader.recorded else packet.stamp
 
-    def _see(self, packet: Packet) -> None:
+    def _take_image(self, packet: Packet) -> None:
         stamp = self._stamp(packet)
         if stamp < self._last - BACK:
             self.jumps += 1
@@ -307,12 +307,12 @@ class FrameAssembly:
         self._tree.edges = {k: e for k, e in edges if e.fixed or e.stamps[-1] <= after}
         self._moved = -np.inf
 
-    def _ready(self, now: float) -> Iterator[Frame | OdometryPose]:
+    def _ready_frames(self, now: float) -> Iterator[Frame | OdometryPose]:
         """Yield the frames all of whose parts have come, or will not come any more."""
         while self._waiting:
             stamp, packet = self._waiting[0]
             over = now - packet.time > LONGEST_WAIT
-            if not (over or (self._depth_is_settled(stamp) and self._covered() >= stamp)):
+            if not (over or (self._depth_is_settled(stamp) and self._known_until() >= stamp)):
                 return
             self._waiting.popleft()
             frame = self._frame(stamp, packet)
@@ -381,7 +381,7 @@ class FrameAssembly:
         moves = [far for near, far in steps if not _edge(tree, near, far).fixed]
         return next(iter((*named, *moves)), self.camera)
 
-    def _carry(self, packet: Packet) -> None:
+    def _take_transforms(self, packet: Packet) -> None:
         """Take in transforms or odometry."""
         rows = self._rows(packet)
         for key in self._edges & rows.keys():
@@ -393,7 +393,7 @@ class FrameAssembly:
 
     def _move(self) -> Iterator[OdometryPose]:
         """Yield where odometry has the camera by now, if it has told anything new."""
-        newest = self._covered()
+        newest = self._known_until()
         if (
             self._turns is None
             or not np.isfinite(newest)
@@ -429,7 +429,7 @@ class FrameAssembly:
             out.setdefault(key, []).append((stamp, *numbers_of(place, turn)))
         return out
 
-    def _covered(self) -> float:
+    def _known_until(self) -> float:
         """Return the stamp up to which all transforms from odometry to the camera are known [s]."""
         path = self._tree.path(self.odometry, self.camera)
         if path is None:
