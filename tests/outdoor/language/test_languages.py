@@ -13,7 +13,7 @@ from placegraph.errors import InputError, OptionError
 from placegraph.language.text import Ignored
 from placegraph.outdoor.language import describe
 from placegraph.outdoor.language.description import LISTENER, SPEAKER
-from placegraph.outdoor.language.languages.language import tables
+from placegraph.outdoor.language.languages import tables
 from placegraph.outdoor.language.vocabulary import Vocabulary
 
 MEANING = re.compile(

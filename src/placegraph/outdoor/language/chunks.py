@@ -12,7 +12,7 @@ from placegraph.outdoor.language.description import Sense
 from placegraph.outdoor.language.grammar import NounMeaning
 from placegraph.outdoor.language.languages import Language
 from placegraph.outdoor.language.scan import is_shouting
-from placegraph.outdoor.language.vocabulary.vocabulary import LanguageWords
+from placegraph.outdoor.language.vocabulary import LanguageWords
 from placegraph.outdoor.language.word_order import order_chunks
 from placegraph.outdoor.language.words import NameFinder, Words, fold, tokens
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 
 from placegraph.language.text import Word, fold_case, scan_text
-from placegraph.outdoor.language.languages.language import Language
+from placegraph.outdoor.language.languages import Language
 from placegraph.outdoor.language.words import NameFinder, Words, tokens
 
 LONGEST = 12

@@ -1,5 +1,466 @@
-"""Languages: one table each of the words that say where things stand."""
+"""Languages: phrases by the terminals of the one grammar, word forms, and lists of words."""
 
-from placegraph.outdoor.language.languages.language import Language, codes, english, language
+from __future__ import annotations
 
-__all__ = ["Language", "codes", "english", "language"]
+import tomllib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache, cached_property, lru_cache
+from importlib.resources import files
+from math import radians
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from placegraph.errors import InputError, OptionError
+from placegraph.language.measures import COUNTS
+from placegraph.language.text import Phrases, Terminal, fold_case
+from placegraph.outdoor.language.description import CARDINAL_SIGMA, DIAGONAL_SIGMA, Direction
+from placegraph.outdoor.language.words import folded
+
+if TYPE_CHECKING:
+    from importlib.resources.abc import Traversable
+
+PHRASES = ("who", "determiners", "verbs", "prepositions", "joints", "plain", "after")
+"""Sections whose keys are terminals of the grammar, one or several in a row."""
+OWN = ("relations", "parts", "adverbs")
+"""Sections with keys of their own."""
+SPOKEN = (
+    "who", "determiners", "verbs", "prepositions", "relations", "compass", "compass_short",
+    "facing", "adverbs", "joints", "parts", "plain", "after",
+)  # fmt: skip
+"""Sections of phrases; the first that has a phrase counts."""
+_MARKERS = ("GEN", "DROP", "UNSURE")
+"""Terminals that only `word_order` and `clauses` know."""
+_OF_LABELS = ("line_keys", "no_lines", "area_keys")
+"""Lists that speak of labels, and are the same in every language."""
+_ANGLES = frozenset(str(angle) for angle in range(0, 360, 45))
+_ANGLED = ("compass", "compass_short", "facing")
+_SEE = "see docs/howto-language.md"
+_MEMORY = 1 << 14
+
+
+@dataclass(frozen=True)
+class Order:
+    """In what order a language speaks; see docs/howto-language.md."""
+
+    postpositions: bool = False
+    """A relation stands behind its thing: "kirkon vieressä"."""
+    verb_final: bool = False
+    """The verb ends its clause: "kita ni kyōkai ga aru"."""
+    marked: bool = False
+    """A thing before its postposition always has an ending or a particle."""
+    genitive: bool = False
+    """A thing follows its direction or part without a word between: "nördlich der Kirche"."""
+    head_first: bool = False
+    """What is said of a noun follows it: "côté nord", "Hôtel de la Gare"; "à côté de" is one word."""
+    pro_drop: bool = False
+    """A verb needs no subject: "está al norte"."""
+    cases: bool = False
+    """An owner stands in the genitive behind what it owns: "brama parku"."""
+    verbless: bool = False
+    """Where something is can be said without a verb: "слева парк"."""
+
+
+@dataclass(frozen=True)
+class Measures:
+    """Units and numbers of a language."""
+
+    units: Mapping[str, float] = field(default_factory=dict)
+    """Metres in a unit, by all its forms."""
+    numbers: Mapping[str, float] = field(default_factory=dict)
+    before: tuple[str, ...] = ()
+    """Words before a number that say nothing: "etwa"."""
+
+
+class Form(NamedTuple):
+    """A word of a text as what it may be a form of."""
+
+    stem: str
+    case: tuple[str, ...] = ()
+    """Terminals that its ending stands for: ``("FROM",)``; none for a mere plural or accusative."""
+
+
+class Forms:
+    """Cuts endings, of texts and dictionary alike: "kirkosta" meets "kirkko" and says "from" it.
+
+    Parameters
+    ----------
+    table
+        ``endings``: endings of a text's words, by the terminals that they stand for (``""`` for
+        none); ``nominative``: endings of dictionary words; ``changes``: how a stem changes before an
+        ending, as "kk>k"; ``irregular``: further stems of dictionary words, as "joki>joe".
+    """
+
+    def __init__(self, table: Mapping[str, Any]) -> None:
+        endings = [
+            (folded(ending), tuple(key.split()))
+            for key, listed in table.get("endings", {}).items()
+            for ending in listed
+        ]
+        self.endings = sorted(endings, key=lambda entry: len(entry[0]))
+        self._nominative = [folded(ending) for ending in table.get("nominative", ())]
+        self._changes = [tuple(folded(change).split(">")) for change in table.get("changes", ())]
+        self._irregular: dict[str, list[str]] = {}
+        for pair in table.get("irregular", ()):
+            word, _, stem = folded(pair).partition(">")
+            self._irregular.setdefault(word, []).append(stem)
+        self.of = lru_cache(_MEMORY)(self._of)
+        self.stems = lru_cache(_MEMORY)(self._stems)
+
+    def __bool__(self) -> bool:
+        return bool(self.endings or self._nominative)
+
+    def _of(self, word: str) -> tuple[Form, ...]:
+        """Return what a word of a text, without diacritics, may be a form of; the word itself first."""
+        cut = [
+            (word[: -len(ending)], case) for ending, case in self.endings if word.endswith(ending)
+        ]
+        return (Form(word), *[Form(stem, case) for stem, case in cut if _is_stem(stem)])
+
+    def _stems(self, word: str) -> tuple[str, ...]:
+        """Return the stems to which endings of a text are added to make forms of a dictionary word."""
+        found = [word, *self._irregular.get(word, ())]
+        cut = [word[: -len(ending)] for ending in self._nominative if word.endswith(ending)]
+        found += [stem for stem in cut if _is_stem(stem)]
+        for old, new in self._changes:
+            found += [changed for stem in found if (changed := _change(stem, old, new))]
+        return tuple(dict.fromkeys(found))
+
+    def dictionary(self, word: str) -> tuple[Form, ...]:
+        """Return words that a form may belong to, guessed without a dictionary: for names of a map."""
+        found = []
+        for stem, case in self.of(word):
+            cut = len(stem) < len(word)
+            found += [Form(stem + end, case) for end in (("", *self._nominative) if cut else ("",))]
+            changed = [_change(stem, new, old) for old, new in self._changes if cut]
+            found += [Form(other, case) for other in changed if other]
+        return tuple(dict.fromkeys(found))
+
+
+def _is_stem(word: str) -> bool:
+    """Tell whether letters may be a stem: two of them, or a syllable, as in Korean."""
+    return len(word) > 1 or word >= "\u1100"
+
+
+def _change(stem: str, old: str, new: str) -> str:
+    """Return a stem with letters near its end changed (Wald -> Wäld|er); empty if they are not there."""
+    at = stem.rfind(old)
+    near = at > 0 and len(stem) - at - len(old) <= 3
+    return stem[:at] + new + stem[at + len(old) :] if near else ""
+
+
+class Language(Phrases):
+    """The phrases of a language, plain lists of words, and how its words bend and follow each other.
+
+    Parameters
+    ----------
+    code
+        ISO 639-1: "en".
+    table
+        A checked table (`check_table`).
+    """
+
+    def __init__(self, code: str, table: Mapping[str, Any]) -> None:
+        self.code, self.name = code, str(table["name"])
+        self.spaces: bool = table.get("spaces", True)
+        """Whether spaces stand between words."""
+        self.capitals: bool = table.get("capitals", code == "en")
+        """Whether a capital marks a name, and no common noun."""
+        self.order = Order(**table.get("order", {}))
+        measures = table.get("measures", {})
+        units, numbers = (
+            {w: float(n) for n, words in measures.get(key, {}).items() for w in words}
+            for key in ("units", "numbers")
+        )
+        self.measures = Measures(units, numbers, tuple(measures.get("before", ())))
+        self.forms = Forms(table.get("forms", {}))
+        self.prefixes: tuple[str, ...] = tuple(table.get("prefixes", ()))
+        """Words that are written onto the next word: "l'", "ال"; the longest first."""
+        self.things: Mapping[str, list[str]] = table.get("things", {})
+        """Everyday words of things, by what they mean: an English word or a tag."""
+        self.say: Mapping[str, Any] = table.get("say", {})
+        """How a statement is said: frames with slots, and what is done to a noun in a slot."""
+        self._compass: Mapping[str, list[str]] = table.get("compass", {})
+        counts = {fold_case(word): int(n) for word, n in numbers.items() if n >= 1}
+        self.counts: Mapping[str, int] = COUNTS if code == "en" else counts
+        super().__init__(_read_phrases(table, self.counts))
+        self.keys = section_keys(table)
+        """Keys that sections of other tables may have, where it is English."""
+        listed = table.get("lists", {})
+        self.lists = {name: frozenset(map(fold_case, words)) for name, words in listed.items()}
+        """Lists of words; those of labels are taken from English."""
+        if code != "en":
+            shared = {name: english().lists[name] for name in _OF_LABELS}
+            names = (*english().lists, "street_prefixes", "place_prefixes")
+            self.lists = {
+                name: self.lists.get(name, shared.get(name, frozenset())) for name in names
+            }
+
+    @cached_property
+    def compass(self) -> dict[str, Direction]:
+        """Directions of the compass by their names in one word."""
+        return {
+            word: terminals[0].value
+            for word, entries in self.by_word.items()
+            for phrase, terminals in entries
+            if terminals[0].type == "DIR" and not terminals[0].value.facing and len(phrase) == 1
+        }
+
+    def has_thing(self, word: str) -> bool:
+        """Tell whether a word is one of its everyday words of things, in any form."""
+        return any(form.stem in self._thing_stems for form in self.forms.of(folded(word)))
+
+    @cached_property
+    def _thing_stems(self) -> frozenset[str]:
+        words = {folded(word) for listed in self.things.values() for word in listed}
+        return frozenset(stem for word in words for stem in self.forms.stems(word))
+
+    def is_road(self, name: Sequence[str]) -> bool:
+        """Tell whether a name, as `words.tokens`, is that of a street."""
+        if not name:
+            return False
+        if self.code == "en":
+            return name[-1] in self.lists["road_words"]
+        if name[0] in self.lists["street_prefixes"]:
+            return True
+        return any(form.stem.endswith(self._road_ends) for form in self.forms.of(name[-1]))
+
+    @cached_property
+    def _road_ends(self) -> tuple[str, ...]:
+        """How names of roads end before an ending is added."""
+        return tuple(stem for word in self.lists["road_words"] for stem in self.forms.stems(word))
+
+    def said_of_compass(self, degrees: int) -> tuple[str, ...]:
+        """Return the ways to say a direction of the compass, the commonest first."""
+        return tuple(self._compass.get(str(degrees), ()))
+
+    @cached_property
+    def words(self) -> frozenset[str]:
+        """All words of its phrases."""
+        entries = [entry for listed in self.by_word.values() for entry in listed]
+        return frozenset(word for phrase, _ in entries for word in phrase)
+
+
+def tables(folder: Path | None = None) -> dict[str, Traversable | Path]:
+    """Return tables of languages by their codes: shipped ones, and those of a folder."""
+    places: list[Traversable | Path] = [files(__package__)]
+    if folder is not None and (folder / "languages").is_dir():
+        places.append(folder / "languages")
+    listed = [table for place in places for table in place.iterdir()]
+    return {table.name[:-5]: table for table in listed if table.name.endswith(".toml")}
+
+
+def codes(folder: Path | None = None) -> tuple[str, ...]:
+    """Return the codes of the languages that can be read."""
+    return tuple(sorted(tables(folder)))
+
+
+@cache
+def language(code: str, folder: Path | None = None) -> Language:
+    """Read the table of a language: shipped, or in the folder ``languages`` of a user's `folder`.
+
+    Raises
+    ------
+    OptionError
+        If there is none; lists the codes.
+    InputError
+        If it is malformed; names the file and the field.
+    """
+    known = tables(folder)
+    if code not in known:
+        raise OptionError(
+            f"language is {code!r}; choose one of {', '.join(sorted(known))}, or leave it out."
+        )
+    table = known[code]
+    try:
+        content = tomllib.loads(table.read_text("utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{table}: is no table of a language ({error}).") from error
+    return Language(
+        code, check_table(content, str(table), None if code == "en" else english().keys)
+    )
+
+
+def english() -> Language:
+    """Return English, the richest language, and that of everything that is not recognised."""
+    return language("en")
+
+
+def _read_phrases(
+    table: Mapping[str, Any], counts: Mapping[str, int]
+) -> dict[tuple[str, ...], tuple[Terminal, ...]]:
+    """Read the phrases of a table, and the terminals that they stand for."""
+    known: dict[tuple[str, ...], tuple[Terminal, ...]] = {}
+    for section in SPOKEN:
+        for key, phrases in table.get(section, {}).items():
+            for phrase in phrases:
+                words: list[str] = []
+                for word in fold_case(phrase).split():
+                    rest = word
+                    for prefix in table.get("prefixes", ()):  # "l'autre", as in a scanned text
+                        if (
+                            prefix.endswith("'")
+                            and rest.startswith(prefix)
+                            and len(rest) > len(prefix) + 1
+                        ):
+                            words.append(prefix)
+                            rest = rest.removeprefix(prefix)
+                    words.append(rest)
+                terminals = tuple(_terminals(section, key, words, counts))
+                known.setdefault(tuple(words), terminals)
+    return known
+
+
+def _terminals(
+    section: str, key: str, words: Sequence[str], counts: Mapping[str, int]
+) -> Iterator[Terminal]:
+    """Yield the terminals that a phrase under a key of a section stands for."""
+    first, *others = key.split()
+    match section:
+        case "compass" | "compass_short" | "facing":
+            part = key.partition(" ")[2]
+            sigma = DIAGONAL_SIGMA if int(first) % 90 else CARDINAL_SIGMA
+            direction = Direction(radians(int(first)), sigma, facing=section == "facing")
+            yield Terminal("SHORT" if section == "compass_short" else "DIR", direction)
+            if part.startswith(("OF", "ME")):  # "севернее", "kuzeyimde", "kuzeyindeyim"
+                yield from map(Terminal, others)
+            elif part:  # "nordseite": the north side
+                yield Terminal("PART", part)
+        case "relations":
+            yield Terminal("PREP", first)
+            yield from map(Terminal, others)  # "dahinter": behind it
+        case "parts":
+            yield Terminal("PART", key)
+        case "adverbs":
+            yield Terminal("ADVERB", key)
+        case "after":
+            yield Terminal("AFTER", tuple(key.split()))
+        case _:
+            count = next((counts[word] for word in words if word in counts), None)
+            for terminal in (first, *others):
+                counted = terminal in ("SEVERAL", "MANY")
+                yield Terminal("NUM", count) if counted else Terminal(terminal)
+
+
+# tables
+
+
+def _is_list_of(value: object, fits: Callable[[str], object]) -> bool:
+    return isinstance(value, list) and all(isinstance(word, str) and fits(word) for word in value)
+
+
+_Wanted = tuple[str, Callable[[Any], bool]]
+"""What is wanted of a value, in words, and whether it is so."""
+_WORDS: _Wanted = ('a list of phrases, as ["the"]', lambda value: _is_list_of(value, str.strip))
+_CHANGES: _Wanted = (
+    'a list of changes, as ["kk>k"]',
+    lambda value: _is_list_of(value, lambda change: change.count(">") == 1),
+)
+_FLAG: _Wanted = ("true or false", lambda value: isinstance(value, bool))
+_FIELDS: dict[str, _Wanted] = {
+    "name": ("a text", lambda value: isinstance(value, str) and bool(value)),
+    "examples": ("a list of tables", lambda value: isinstance(value, list)),
+    "spaces": _FLAG, "capitals": _FLAG, "prefixes": _WORDS, "scripts": _WORDS,
+    "measures.before": _WORDS, "forms.nominative": _WORDS,
+    "forms.changes": _CHANGES, "forms.irregular": _CHANGES,
+}  # fmt: skip
+_NESTED = ("measures.units", "measures.numbers", "forms.endings")
+
+
+def section_keys(table: Mapping[str, Any]) -> dict[str, frozenset[str]]:
+    """Return the keys that sections of other languages may have: the words of English keys."""
+    parts = {
+        section: frozenset(part for key in table.get(section, {}) for part in key.split())
+        for section in (*OWN, *PHRASES)
+    }
+    terminals = frozenset(_MARKERS).union(*[parts[section] for section in PHRASES])
+    return {
+        **{section: parts[section] for section in OWN},
+        **dict.fromkeys((*PHRASES, "endings"), terminals),
+        "order": frozenset(Order.__dataclass_fields__),
+    }
+
+
+def check_table(
+    table: dict[str, Any], where: str, known: Mapping[str, frozenset[str]] | None
+) -> dict[str, Any]:
+    """Return the table of a language.
+
+    Parameters
+    ----------
+    table, where
+        Content of the file, and its path.
+    known
+        Keys by section (`section_keys`); None: any.
+
+    Raises
+    ------
+    InputError
+        If it is malformed; names the file, the field and what belongs there.
+    """
+    if "name" not in table:
+        raise InputError(f"{where}: the field 'name' is missing; give the language's own name.")
+    for section, value in table.items():
+        if section in _FIELDS:
+            _demand(value, _FIELDS[section], where, section)
+        elif not isinstance(value, dict):
+            raise InputError(f"{where}: the field {section!r} is no table; {_SEE}.")
+        elif section in ("measures", "forms"):
+            _check_nested(section, value, where, known or {})
+        else:
+            _check_section(section, value, where, known)
+    return table
+
+
+def _check_section(
+    section: str, value: dict[str, Any], where: str, known: Mapping[str, frozenset[str]] | None
+) -> None:
+    free = ("things", "lists", "say", *_ANGLED)
+    if known is not None and section not in known and section not in free:
+        raise InputError(f"{where}: there is no field {section!r}; {_SEE}.")
+    allowed = _ANGLES if section in _ANGLED else None if known is None else known.get(section)
+    for key, inner in value.items():
+        words = key.split()
+        if section in _ANGLED:
+            right = words[:1] != [] and words[0] in _ANGLES
+            part, (of, _, whom) = key.partition(" ")[2], key.partition(" ")[2].partition(" ")
+            if right and known is not None and part not in ("", "OF", "ME BE", *known["parts"]):
+                right = of == "OF" and whom in known["who"]
+        elif known is not None and section in ("relations", "prepositions"):
+            others = known["who"] | {"BE"}  # "dahinter", "yanındayım"
+            right = allowed is None or (allowed | others).issuperset(words)
+        else:
+            right = allowed is None or allowed.issuperset(words)
+        if not key or not right:
+            choice = ", ".join(sorted(allowed or ()))
+            raise InputError(
+                f"{where}: the key {key!r} of {section!r} is not known; choose from {choice}: {_SEE}."
+            )
+        if section != "say":
+            wanted = _FLAG if section == "order" else _WORDS
+            _demand(inner, wanted, where, f"{section}.{key}")
+
+
+def _check_nested(
+    section: str, value: dict[str, Any], where: str, known: Mapping[str, frozenset[str]]
+) -> None:
+    for key, inner in value.items():
+        path = f"{section}.{key}"
+        if path in _FIELDS:
+            _demand(inner, _FIELDS[path], where, path)
+            continue
+        if path not in _NESTED:
+            raise InputError(f"{where}: there is no field '{path}'; {_SEE}.")
+        if not isinstance(inner, dict):
+            raise InputError(f"{where}: the field '{path}' is no table; {_SEE}.")
+        for name, words in inner.items():
+            _demand(words, _WORDS, where, f"{path}.{name}")
+            number = name.replace(".", "", 1).isdecimal() and float(name) > 0
+            ending = known.get(key, frozenset()).issuperset(name.split())
+            if not (ending if key == "endings" else number):
+                raise InputError(f"{where}: the key {name!r} of '{path}' is not known; {_SEE}.")
+
+
+def _demand(value: object, wanted: _Wanted, where: str, name: str) -> None:
+    if not wanted[1](value):
+        raise InputError(f"{where}: the field '{name}' is {value!r}; write {wanted[0]}.")

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from placegraph.core.cache import cached
-from placegraph.outdoor.language.languages.language import Language, english, language, tables
+from placegraph.outdoor.language.languages import Language, english, language, tables
 from placegraph.outdoor.language.words import singular
 
 VERSION = "1"
