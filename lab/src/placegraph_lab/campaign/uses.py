@@ -198,7 +198,7 @@ def capture(bench: Bench, path: Path, rng: Generator) -> None:
 
 def stream(_bench: Bench, path: Path, _rng: Generator) -> None:
     """Take an MCAP as it comes through a pipe."""
-    from placegraph_io.ros.mcap_stream import mcap_packets
+    from placegraph_io.ros.stream import mcap_packets
 
     file = next(iter(sorted(path.glob("*.mcap"))), path)
     try:

@@ -12,7 +12,6 @@ from placegraph.core.geometry import quaternion_from_rotation, rotation_from_vec
 from placegraph.errors import InputError
 from placegraph.io.capture.frame import Frame
 from placegraph_io.ros.containers import open_bag
-from placegraph_io.ros.mcap_stream import mcap_packets
 from placegraph_io.ros.poses import Tree
 from placegraph_io.ros.stream import (
     SILENT,
@@ -20,6 +19,7 @@ from placegraph_io.ros.stream import (
     FrameAssembly,
     OdometryPose,
     StreamDiscovery,
+    mcap_packets,
     packets_of,
 )
 from placegraph_io.ros.topics import TopicChoice, plan_of

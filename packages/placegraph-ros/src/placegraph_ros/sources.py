@@ -15,8 +15,7 @@ from placegraph.io.capture.capture import open_capture
 from placegraph.io.capture.frame import Frame
 from placegraph_io.ros.capture import is_bag
 from placegraph_io.ros.containers import is_whole, open_bag
-from placegraph_io.ros.mcap_stream import mcap_packets
-from placegraph_io.ros.stream import Fault, Packet, packets_of
+from placegraph_io.ros.stream import Fault, Packet, mcap_packets, packets_of
 from placegraph_io.ros.topics import Plan, TopicChoice, plan_of, read_topic_choice
 
 T = TypeVar("T")

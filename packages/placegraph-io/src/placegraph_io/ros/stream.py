@@ -2,13 +2,14 @@
 
 `StreamDiscovery` listens until it is known what frames are made of, `FrameAssembly` makes them. Nothing
 waits for ever: a frame comes as soon as its depth and its transforms have come, and is left out, and
-counted, where they do not come.
+counted, where they do not come. `mcap_packets` reads an MCAP that is still being written.
 """
 
 from __future__ import annotations
 
+import struct
 from collections import Counter, deque
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -23,7 +24,18 @@ from placegraph.errors import InputError, PlacegraphError
 from placegraph.io.capture.frame import Frame, LazyImages, posed_frame, quarter_turn, upright_turns
 from placegraph.io.capture.posed import SAME_MOMENT
 from placegraph_io.ros.capture import Source, metres_of, picture, unit_of
-from placegraph_io.ros.containers import Bag, Message, Topic
+from placegraph_io.ros.containers import (
+    CHUNK,
+    MAGIC,
+    MESSAGE,
+    Bag,
+    Channels,
+    Message,
+    MissingIndexError,
+    Topic,
+    records,
+    ros2_type,
+)
 from placegraph_io.ros.decode import decode, frame_of, stamp_of
 from placegraph_io.ros.poses import (
     BACK,
@@ -35,6 +47,7 @@ from placegraph_io.ros.poses import (
     numbers_of,
 )
 from placegraph_io.ros.topics import IMAGES, Plan, TopicChoice, plan_of
+from placegraph_io.storage import LARGEST_MESSAGE, CompressedBytes
 
 
 class Packet(NamedTuple):
@@ -446,3 +459,68 @@ class FrameAssembly:
 
 def _edge(tree: Tree, near: str, far: str) -> Edge:
     return tree.edges.get((near, far)) or tree.edges[far, near]
+
+
+_FOOTER, _DATA_END = 2, 15
+
+
+def mcap_packets(read: Callable[[int], bytes], name: str) -> Iterator[Packet | Fault]:
+    """Yield the messages of a stream of bytes, up to its end, or as far as it goes where it is cut off.
+
+    Parameters
+    ----------
+    read
+        Returns so many bytes, waiting for them; fewer where the stream ends.
+    name
+        What it is called in messages.
+
+    Raises
+    ------
+    InputError
+        It does not begin as an MCAP.
+
+    """
+    if read(len(MAGIC)) != MAGIC:
+        raise InputError(
+            f"{name} is no MCAP stream: it does not begin as one. Send the bytes of an .mcap from its "
+            "beginning; other bags are named as files."
+        )
+    known = Channels()
+    while len(head := read(9)) == 9:
+        op, length = unpack_from("<BQ", head)
+        if op in {_FOOTER, _DATA_END}:
+            return
+        if length > LARGEST_MESSAGE:
+            yield Fault("", f"{name} is damaged: a record of {length:,} bytes; it ends here.")
+            return
+        data = read(length)
+        whole = len(data) == length
+        try:
+            yield from _packets_of_record(known, op, data, name) if whole or op == CHUNK else ()
+        except (MissingIndexError, InputError, struct.error) as error:
+            if whole:
+                said = str(error) or "it is cut off"
+                yield Fault("", f"{name}, a chunk: {said}; what follows is read.")
+        if not whole:
+            break
+    yield Fault("", f"{name} was cut off, for it has no end; it is read as far as it goes.")
+
+
+def _packets_of_record(known: Channels, op: int, data: bytes, name: str) -> Iterator[Packet]:
+    """Yield the messages of a record."""
+    if op == CHUNK:
+        _, _, size, _, letters = unpack_from("<QQQII", data)
+        packing = data[32 : 32 + letters].decode("ascii", "replace")
+        content = data[32 + letters + 8 :]
+        if packing:
+            content = CompressedBytes(content, packing, f"{name}, a chunk").read(0, size)
+        for inner, at, length in records(content):
+            yield from _packets_of_record(known, inner, content[at : at + length], name)
+    elif op == MESSAGE:
+        number, _, time = unpack_from("<HIQ", data)
+        channel = known.channels.get(number)
+        if channel is not None and channel.encoding in {"cdr", "ros1"}:
+            kind = ros2_type(channel.type)
+            yield Packet(channel.topic, kind, time * 1e-9, data[22:], channel.encoding)
+    else:
+        known.add_record(op, data)
