@@ -20,7 +20,7 @@ from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.options import check_device
 from placegraph.indoor.rays import RayCaster
-from placegraph.indoor.rays.render_kernels import TILE, Eye, Picture, World, draw, smooth
+from placegraph.indoor.render_kernels import TILE, Eye, Picture, World, draw, smooth
 
 SAMPLES = (1, 2, 4, 8, 16)
 """Rays a pixel at edges may get."""

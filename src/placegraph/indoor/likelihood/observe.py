@@ -5,19 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, NamedTuple, Protocol, Self
+from typing import NamedTuple, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.geometry import Camera, Floats, level_from_camera
 from placegraph.errors import InputError, OptionError
-from placegraph.indoor.options import Likelihood
+from placegraph.indoor.likelihood.patches import MapEncoder, Patches
+from placegraph.indoor.options import Likelihood, PoseSearchOptions
 from placegraph.io.capture.frame import Frame, LazyImages
-
-if TYPE_CHECKING:
-    from placegraph.indoor.encode import MapEncoder, Patches
-    from placegraph.indoor.options import PoseSearchOptions
 
 
 @dataclass(frozen=True, slots=True, eq=False)

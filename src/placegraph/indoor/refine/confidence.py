@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from placegraph.core.geometry import Camera, Floats, vector_from_rotation
 from placegraph.indoor.pose.window import timed
-from placegraph.indoor.rays.render_kernels import TILE
 from placegraph.indoor.rays.trace_kernels import LANES
 from placegraph.indoor.refine.camera_correction import DULL, OFF, SUSPECT, measure_scale_error
 from placegraph.indoor.refine.correspondences import (
@@ -26,6 +25,7 @@ from placegraph.indoor.refine.landmarks import SIGMA
 from placegraph.indoor.refine.matching.guided import lightness, resized
 from placegraph.indoor.refine.refine_kernels import correlations
 from placegraph.indoor.render import Renderer
+from placegraph.indoor.render_kernels import TILE
 from placegraph.indoor.status import BENT
 from placegraph.io.capture.frame import Frame
 

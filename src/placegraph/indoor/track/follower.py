@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.random import Generator
@@ -31,12 +31,22 @@ from placegraph.indoor.track.tracker import (
 )
 from placegraph.io.capture.frame import Frame
 
-if TYPE_CHECKING:
-    from placegraph.indoor.library.library import SceneLibrary
-    from placegraph.indoor.scene_map import SceneMap
-
 HEIGHT = 0.15
 """A told height with a larger standard deviation [m] is none: on a map of RViz there is no height."""
+
+
+class SceneSource(Protocol):
+    """Several scene maps by name, such as a `SceneLibrary`."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the maps."""
+
+    def scene(self, name: str) -> Scene:
+        """Return the map of a name."""
+
+    def localize(self, capture: Sequence[Frame], **options: Any) -> PoseEstimate:  # noqa: ANN401
+        """Find the map and the pose of some frames."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +56,7 @@ class Relocalizer:
     `known`: options, encoder and device, as of `SceneMap.localize`.
     """
 
-    maps: SceneMap | SceneLibrary
+    maps: Scene | SceneSource
     known: dict[str, Any]
 
     @property
@@ -63,7 +73,7 @@ class Relocalizer:
             raise OptionError(f"scene is {name!r}; name one of {known or 'an empty library'}.")
         return name
 
-    def scene(self, name: str) -> SceneMap:
+    def scene(self, name: str) -> Scene:
         """Map of a name; `OptionError` where there is none, `InputError` where its file is gone."""
         return self.maps if isinstance(self.maps, Scene) else self.maps.scene(name)
 

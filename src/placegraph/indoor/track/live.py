@@ -19,7 +19,7 @@ from placegraph.errors import InputError, MapError, OptionError
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.options import PoseSearchOptions
 from placegraph.indoor.track.belief import Belief
-from placegraph.indoor.track.follower import Follower, Relocalizer
+from placegraph.indoor.track.follower import Follower, Relocalizer, SceneSource
 from placegraph.indoor.track.odometry import checked_covariance, checked_odometry, checked_pose
 from placegraph.indoor.track.worker import Worker
 
@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
 
     from placegraph.core.geometry import Camera
-    from placegraph.indoor.library.library import SceneLibrary
-    from placegraph.indoor.scene_map import SceneMap
     from placegraph.indoor.track.belief import LivePose
     from placegraph.io.capture.frame import Frame
 
@@ -131,7 +129,7 @@ class LiveTracker:
 
     def __init__(
         self,
-        maps: SceneMap | SceneLibrary,
+        maps: Scene | SceneSource,
         camera: Camera | None = None,
         *,
         seed: int = 0,
@@ -302,7 +300,7 @@ class LiveTracker:
     def load(
         cls,
         path: str | PathLike[str],
-        maps: SceneMap | SceneLibrary,
+        maps: Scene | SceneSource,
         **options: Any,  # noqa: ANN401
     ) -> Self:
         """A tracker that begins where another was saved; images are to confirm it.

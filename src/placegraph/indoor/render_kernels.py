@@ -1,4 +1,3 @@
-# mypy: allow-untyped-defs, allow-incomplete-defs
 """Compiled rendering: rays of pixels, and the colours of what they hit."""
 
 from __future__ import annotations
@@ -22,6 +21,9 @@ from placegraph.indoor.rays.trace_kernels import (
     new_packet,
     trace16,
 )
+
+# mypy: allow-untyped-defs, allow-incomplete-defs
+
 
 MOST_LOOKS = np.float32(8.0)
 """Looks at the texture along the longer side of what a pixel covers."""
