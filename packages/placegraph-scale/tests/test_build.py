@@ -16,7 +16,7 @@ from placegraph.errors import InputError, MapError, MissingExtraError, OptionErr
 from placegraph.outdoor.city import CityMap
 from placegraph_scale import build as module
 from placegraph_scale.build import BuildOptions, build_world
-from placegraph_scale.shards import WorldFile
+from placegraph_scale.shards import WorldFile, words
 
 BENCH, TREE = {"amenity": "bench"}, {"natural": "tree"}
 SMALL = BuildOptions(zoom=15, overlap=100.0, workers=1)
@@ -132,9 +132,11 @@ def test_words_that_were_kept_and_are_lost_are_counted_again(
         return real(target, *given)
 
     monkeypatch.setattr(module, "finish", losing)
-    steps = sys.modules["placegraph_scale.shards.words"]  # the package has a function of this name
-    count = steps.count
-    monkeypatch.setattr(steps, "count", lambda path: again.append(path.stem) or count(path))
+    monkeypatch.setattr(
+        words,
+        "count_file",
+        lambda path, real=words.count_file: again.append(path.stem) or real(path),
+    )
     build_world([extract], tmp_path / "w", SMALL)
     assert again == [made.shards[0].key]
     for name in ("words.table", "world.json"):
@@ -193,7 +195,7 @@ def test_workers_end_with_who_started_them(extract, tmp_path):
 
 
 def test_workers_are_let_go_where_the_journal_cannot_be_written(extract, tmp_path, monkeypatch):
-    gone, real = [], module.done
+    gone, real = [], module.run_tasks
 
     def done(*given):
         try:
@@ -204,7 +206,7 @@ def test_workers_are_let_go_where_the_journal_cannot_be_written(extract, tmp_pat
     def full(*_):
         raise MapError("journal.jsonl cannot be written: No space left on device.")
 
-    monkeypatch.setattr(module, "done", done)
+    monkeypatch.setattr(module, "run_tasks", done)
     monkeypatch.setattr(module.Journal, "add", full)
     with pytest.raises(MapError, match="journal"):
         build_world([extract], tmp_path / "w", SMALL)

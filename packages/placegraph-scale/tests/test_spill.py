@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from placegraph.errors import MapError
 from placegraph.outdoor.map.extract import Thing, Things, once, text_of, words_of
 from placegraph_scale import tiles as spill
-from placegraph_scale.tiles import Spills, things_of
+from placegraph_scale.tiles import TileFiles, read_frames
 
 words = st.lists(
     st.text(st.characters(exclude_categories=["Cs"]), min_size=1, max_size=9), max_size=3
@@ -27,7 +27,7 @@ def thing(i=1, points=((100000000, 500000000),)):
 
 def put(folder, *tables):
     """File of tile 0 and its size."""
-    spills = Spills(folder)
+    spills = TileFiles(folder)
     for things in tables:
         spills.add("0", Things.of(things))
     spills.flush()
@@ -40,7 +40,7 @@ def test_things_come_back(tmp_path_factory, drawn):
         Thing(2, i, 2, text_of(("a=b", "c=d"), names), [np.array(part) / 1e7 for part in shape])
         for i, names, shape in drawn
     ]
-    [back] = things_of(*put(tmp_path_factory.mktemp("spill"), given_))
+    [back] = read_frames(*put(tmp_path_factory.mktemp("spill"), given_))
     for row, (one, (_, names, _)) in enumerate(zip(given_, drawn, strict=True)):
         found = back.thing(row)
         assert found[:4] == one[:4]
@@ -65,11 +65,11 @@ def test_things_in_another_order():
 
 def test_things_of_many_tiles(tmp_path, monkeypatch):
     monkeypatch.setattr(spill, "ROOM", 300)
-    spills = Spills(tmp_path)
+    spills = TileFiles(tmp_path)
     for i in range(20):
         spills.add("01" if i % 2 else "02", Things.of([thing(i)]))
     spills.flush()
-    found = Things.joined(things_of(tmp_path / "01.things", spills.sizes["01"]))
+    found = Things.joined(read_frames(tmp_path / "01.things", spills.sizes["01"]))
     assert found.osm_id.tolist() == list(range(1, 20, 2))
     assert (tmp_path / "02.things").stat().st_size == spills.sizes["02"]
 
@@ -80,7 +80,7 @@ def test_a_damaged_file_is_named(tmp_path_factory, at, cut):
     data = bytearray(path.read_bytes())
     path.write_bytes(data[:at] if cut else data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :])
     with pytest.raises(MapError, match=r"0\.things is damaged"):
-        things_of(path, size)
+        read_frames(path, size)
 
 
 def test_the_longest_version_counts():
@@ -99,7 +99,7 @@ def test_a_full_disk(tmp_path, monkeypatch):
         def __exit__(self, *_):
             pass
 
-    spills = Spills(tmp_path)
+    spills = TileFiles(tmp_path)
     spills.add("0", Things.of([thing()]))
     monkeypatch.setattr("pathlib.Path.open", lambda *_: Full())
     with pytest.raises(MapError, match=r"0\.things cannot be written: No space left.*goes on"):

@@ -14,7 +14,15 @@ from placegraph.io.osm import urls
 from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.map import extract
 from placegraph_scale import tiles as module
-from placegraph_scale.tiles import LARGE, Split, TileJob, build_tile, split, spread_large, things_of
+from placegraph_scale.tiles import (
+    LARGE,
+    Split,
+    TileJob,
+    build_tile,
+    read_frames,
+    split,
+    spread_large,
+)
 
 ZOOM, MARGIN = 15, 100.0  # tiles of 780 m at 50 degrees
 BENCH, TREE = {"amenity": "bench"}, {"natural": "tree"}
@@ -26,7 +34,7 @@ def split_up(path, folder, zoom=ZOOM):
 
 
 def held(folder, sizes, key):
-    tables = things_of(folder / f"{key}.things", sizes[key])
+    tables = read_frames(folder / f"{key}.things", sizes[key])
     return {i for things in tables for i in things.osm_id.tolist()}
 
 
@@ -52,7 +60,7 @@ def test_things_near_a_border_are_in_both_tiles(write_world, tmp_path):
     assert held(tmp_path / "things", found.sizes, west) == {1, 2, 3}
     assert held(tmp_path / "things", found.sizes, other) == {2, 3, 4}
     assert found.populated == sorted([west, other])
-    assert Split.read_in(tmp_path / "things") == found
+    assert Split.load(tmp_path / "things") == found
     assert split_up(path, tmp_path / "things") == found
 
 
@@ -121,7 +129,7 @@ def test_an_extract_that_changes_meanwhile(write_world, tmp_path, monkeypatch):
     monkeypatch.setattr(module, "labelled", touched)
     with pytest.raises(InputError, match=r"world\.osm changed while it was read"):
         split_up(path, tmp_path / "things")
-    assert Split.read_in(tmp_path / "things") is None
+    assert Split.load(tmp_path / "things") is None
 
 
 def along(n):
@@ -142,7 +150,7 @@ def test_a_split_that_was_killed_goes_on(batches, write_world, tmp_path, monkeyp
         "multipolygons with missing or crossing members": 1,
         "ways cut where members are missing": 20,
     }
-    monkeypatch.setattr(module.Spills, "full", True)  # written down after every block
+    monkeypatch.setattr(module.TileFiles, "full", True)  # written down after every block
     real, seen = module._spread, []
 
     def dies(*given):

@@ -17,7 +17,7 @@ from placegraph.outdoor.map.index import REACH
 from placegraph.outdoor.map.index_write import STRIDE
 from placegraph.outdoor.map.objects import POINT, CityObjects
 from placegraph_scale.shards import WorldFile, finish
-from placegraph_scale.shards.words import Counted
+from placegraph_scale.shards.words import WordCounts
 
 SIDE = 8  # viewpoints are kept in squares of so many
 DISTINCT = 19  # so many copies of a world have labels that are shuffled anew
@@ -168,8 +168,8 @@ def finish_copies(source: Path, world: Path, copies: int) -> WorldFile:
     keys = [keys_of_copies(old, i, copies) for i in range(len(old.shards))]
     of = {key: (i, k) for i, mine in enumerate(keys) for k, key in enumerate(mine)}
 
-    def each(count: Callable[[Path], Counted], paths: list[Path]) -> Iterator[Counted]:
-        known: dict[tuple[int, int], Counted] = {}
+    def each(count: Callable[[Path], WordCounts], paths: list[Path]) -> Iterator[WordCounts]:
+        known: dict[tuple[int, int], WordCounts] = {}
         for path in paths:
             i, k = of[path.stem]
             first = first_of(k)

@@ -1,4 +1,12 @@
-"""Builds of worlds in shards from extracts of any size."""
+"""Builds of worlds in shards: split extracts, build tile after tile, and count words.
+
+All that is half done lies in ``WORLD/.build``, and a build resumes there: a split is complete when its
+`split.json` is there, a shard when the journal says so. Only complete shards stand in ``WORLD/shards``;
+`world.json` comes last.
+
+A task is a function and one argument, both of which can be sent to other processes; it writes its files
+in one step, so that it can be done again wherever its worker was killed.
+"""
 
 from __future__ import annotations
 
@@ -15,20 +23,18 @@ from itertools import islice
 from multiprocessing import get_context
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
-from placegraph.core import files as locks
-from placegraph.core.files import cannot_write, write_file
+from placegraph.core.files import cannot_write, exclusive, write_file
 from placegraph.core.geo import check_zoom
 from placegraph.core.threads import end_with_parent, processors
 from placegraph.errors import InputError, MapError, OptionError, ServiceError
 from placegraph.io.osm.osm import checked_osm
 from placegraph.io.osm.urls import all_on_disk, is_url, size_of
 from placegraph.outdoor.map.cells import LARGEST, SMALLEST
-from placegraph_scale.folder import bring, digest_of
-from placegraph_scale.shards import WorldFile, finish
-from placegraph_scale.shards.words import keep, kept
-from placegraph_scale.shards.workers import connected
+from placegraph_scale.folder import SHARDS, WorldFile, bring, digest_of
+from placegraph_scale.shards.words import WordCounts, finish
+from placegraph_scale.shards.workers import connect
 from placegraph_scale.tiles import (
     Split,
     TileDone,
@@ -39,216 +45,18 @@ from placegraph_scale.tiles import (
     spread_large,
 )
 
+Progress = Callable[[str, int, "int | None"], None]
 Task = TypeVar("Task")
 Made = TypeVar("Made")
 
-
 TRIES = 3
 """A task is given up when so many of its workers were killed."""
-
-
-def done(
-    work: Callable[[Task], Made], tasks: Sequence[Task], workers: int, scheduler: str | None = None
-) -> Generator[tuple[int, Made]]:
-    """Numbers and results of all tasks, in the order in which they are done; close it if you leave it.
-
-    Parameters
-    ----------
-    work
-        Function of a module, so that other processes find it.
-    tasks
-        What it is called with, once each; again where a worker was killed.
-    workers
-        Processes of this machine; 1: this one itself.
-    scheduler
-        Address of a Dask scheduler (``tcp://host:port``), whose workers do it instead.
-
-    Raises
-    ------
-    MissingExtraError
-        Dask is wanted, and not installed.
-    MapError
-        A task's worker was killed again and again.
-    OptionError
-        `workers` is less than 1.
-    ServiceError
-        The scheduler does not answer, or is of another version.
-
-    """
-    if workers < 1:
-        raise OptionError(f"workers is {workers}; give at least 1.")
-    if scheduler is not None:
-        return _on_cluster(work, tasks, scheduler)
-    if workers == 1 or len(tasks) < 2:
-        return (pair for pair in enumerate(map(work, tasks)))
-    return _in_processes(work, tasks, workers)
-
-
-def _in_processes(
-    work: Callable[[Task], Made], tasks: Sequence[Task], workers: int
-) -> Generator[tuple[int, Made]]:
-    """Results from processes of this machine; new ones take the place of those that were killed."""
-    left, killed = dict(enumerate(tasks)), 0
-    while left:
-        before = len(left)
-        try:
-            with ProcessPoolExecutor(workers, get_context("spawn"), end_with_parent) as pool:
-                try:
-                    for number, result in _answers(pool, work, left, workers):
-                        del left[number]
-                        yield number, result
-                except BaseException:
-                    pool.shutdown(wait=False, cancel_futures=True)
-                    raise
-        except BrokenProcessPool as error:
-            killed = killed + 1 if len(left) == before else 1
-            if killed == TRIES:
-                raise _killed(next(iter(left.values())), "Give fewer --workers") from error
-
-
-def _answers(
-    pool: ProcessPoolExecutor, work: Callable[[Task], Made], tasks: dict[int, Task], workers: int
-) -> Iterator[tuple[int, Made]]:
-    """Numbers and results; few wait in the pool at a time, so that the first that fails ends it."""
-    rest = iter(list(tasks.items()))
-    waiting = {pool.submit(work, task): n for n, task in islice(rest, 2 * workers)}
-    while waiting:
-        ready, _ = wait(waiting, return_when=FIRST_COMPLETED)
-        for future in ready:
-            number = waiting.pop(future)
-            for n, task in islice(rest, 1):
-                waiting[pool.submit(work, task)] = n
-            yield number, future.result()
-
-
-def _on_cluster(
-    work: Callable[[Task], Made], tasks: Sequence[Task], scheduler: str
-) -> Generator[tuple[int, Made]]:
-    """Results from the workers of a Dask scheduler, which gives a killed one's tasks to others."""
-    client = connected(scheduler)
-    import distributed
-
-    try:
-        rest = iter(enumerate(tasks))
-        running, numbers = distributed.as_completed(loop=client.loop), {}
-
-        def start(most: int) -> None:
-            for n, task in islice(rest, most):
-                future = client.submit(work, task, pure=False)
-                numbers[future.key] = n
-                running.add(future)
-
-        start(4 * max(1, len(client.scheduler_info(n_workers=-1)["workers"])))
-        for future in running:
-            result = _result(distributed, future)
-            start(1)
-            yield numbers.pop(future.key), result
-    finally:
-        client.close()
-
-
-def _result(distributed: Any, future: Any) -> Any:  # noqa: ANN401  # Dask has no types
-    try:
-        return future.result()
-    except distributed.scheduler.KilledWorker as error:
-        raise _killed(future.key, "Give workers more memory") from error
-    except (distributed.CancelledError, distributed.comm.CommClosedError) as error:
-        raise ServiceError(
-            f"The scheduler went away ({error}); start it and the same command again, which goes on "
-            "where it stopped."
-        ) from error
-
-
-def _killed(task: object, mend: str) -> MapError:
-    key = getattr(task, "key", task)
-    return MapError(
-        f"{key}, or a task beside it: its worker was killed {TRIES} times, as it is where memory is "
-        f"short. {mend}, or choose a higher --zoom (smaller tiles); what is finished stays."
-    )
-
-
-def told(path: Path) -> dict[str, Any]:
-    """What a file of a build says; `MapError` where it is damaged."""
-    try:
-        found = json.loads(path.read_bytes())
-    except ValueError:
-        found = None
-    if not isinstance(found, dict):
-        raise MapError(f"{path} is damaged; remove {path.parent}, and run the same command again.")
-    return found
-
-
-def sha256_of(path: Path) -> str:
-    """SHA-256 of a file, in hexadecimal."""
-    with path.open("rb") as file:
-        os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_SEQUENTIAL)
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def plan_of(extracts: Iterable[Path], options: BuildOptions) -> dict[str, Any]:
-    """What a build depends on; if any of it changes, it is another build."""
-    known = asdict(options)
-    for name in ("workers", "scheduler", "vocabulary", "work"):
-        del known[name]
-    words = hashlib.sha256()
-    if options.vocabulary is not None:
-        for path in sorted(options.vocabulary.iterdir()):
-            words.update(path.name.encode() + path.read_bytes())
-    return {
-        "extracts": [[path.name, path.stat().st_size, sha256_of(path)] for path in extracts],
-        "options": known,
-        "vocabulary": words.hexdigest(),
-    }
-
-
-class Journal:
-    """Tiles that are finished, and the file that says so."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.done: dict[str, TileDone] = {}
-        """By key."""
-
-    def read(self) -> None:
-        """Read what is there; a last line that was cut off is taken away."""
-        if not self.path.exists():
-            return
-        whole = 0
-        with self.path.open("rb+") as file:
-            for line in file:
-                try:
-                    made = TileDone(**json.loads(line))
-                except (ValueError, TypeError):
-                    break
-                self.done[made.key] = made
-                whole += len(line)
-            file.truncate(whole)
-
-    def add(self, made: TileDone) -> None:
-        """Write down that a tile is finished; raises `MapError` where the disk is full."""
-        line = json.dumps(asdict(made)).encode() + b"\n"
-        try:
-            with self.path.open("ab") as file:
-                file.write(line)
-                file.flush()
-                os.fsync(file.fileno())
-        except OSError as error:
-            raise no_room(self.path, error) from error
-        self.done[made.key] = made
-
-
-if TYPE_CHECKING:
-    from placegraph_scale.shards.words import Counted
-
-    Progress = Callable[[str, int, int | None], None]
-
-
 WORK, PLAN, COUNTS, EXTRACTS = ".build", "plan.json", "counts", "extracts"
 OVERLAP = 500.0
-"""Viewpoints near a rare thing are looked at up to 400 m from it, and things are in sight up to 38 m
+"""Viewpoints near a rare object are looked at up to 400 m from it, and objects are in sight up to 38 m
 from a viewpoint: with this margin [m] a border changes neither."""
 ZOOM = 12
-"""Tiles of 10 km at the equator and 6 km at 50 degrees: 200,000 things in the densest cities."""
+"""Tiles of 10 km at the equator and 6 km at 50 degrees: 200,000 objects in the densest cities."""
 
 
 @dataclass(frozen=True)
@@ -300,13 +108,13 @@ def build_world(
 ) -> WorldFile:
     """Build a folder of shards from OpenStreetMap extracts of any size.
 
-    Begun, killed and called again with the same arguments, it goes on where it stopped; the bytes of
-    the shards depend neither on that nor on how many workers there are.
+    Interrupted and called again with the same arguments, a build resumes; the bytes of the shards depend
+    neither on that nor on the number of workers.
 
     Parameters
     ----------
     extracts
-        Files in the formats of `build_city`, or URLs of such; where they overlap, things are taken
+        Files in the formats of `build_city`, or URLs of such; where they overlap, objects are taken
         once. What lies at a URL is fetched to ``WORLD/.build/extracts`` and stays there.
     folder
         Is made where it is missing. A URL that fsspec knows takes `BuildOptions.work`.
@@ -350,19 +158,137 @@ def build_world(
     for path in extracts:  # before anything is made
         _ = size_of(str(path)) if is_url(path) else checked_osm(Path(path))
     try:
-        (target / "shards").mkdir(parents=True, exist_ok=True)
+        (target / SHARDS).mkdir(parents=True, exist_ok=True)
         work.mkdir(exist_ok=True)
-        with locks.exclusive(work / "journal.jsonl"):
+        with exclusive(work / "journal.jsonl"):
             build = _Build(target, options, tell)
             build.begin(all_on_disk(extracts, work / EXTRACTS, tell))
             build.split()
             build.tiles()
             tell("counting words", 0, None)
-            made = finish(target, options.zoom, options.overlap, build.each)
+            made = finish(target, options.zoom, options.overlap, build.count)
             build.clear()
     except OSError as error:
         raise cannot_write(Path(error.filename or work), error) from error
     return made
+
+
+class _Build:
+    """One build in its folder, step after step."""
+
+    def __init__(self, target: Path, options: BuildOptions, tell: Progress) -> None:
+        self.target, self.options, self.tell = target, options, tell
+        self.work, self.extracts = target / WORK, [Path()]
+        self.journal = Journal(self.work / "journal.jsonl")
+        self.workers = options.workers or processors()
+
+    def begin(self, extracts: list[Path]) -> None:
+        """Resume the build that was begun here, if it is the same."""
+        self.extracts = sorted(extracts)
+        plan, path = _plan(self.extracts, self.options), self.work / PLAN
+        if path.exists():
+            known = _read_json(path)
+            for what in plan:
+                if known.get(what) != plan[what]:
+                    raise OptionError(
+                        f"{self.target} was begun with other {what}; build with the same, into another "
+                        f"folder, or remove {self.target} to begin anew."
+                    )
+        elif (self.target / "world.json").exists():
+            raise OptionError(
+                f"{self.target} holds a world already; build into another folder, or remove it."
+            )
+        else:  # shards built by another plan do not belong to this build
+            for shard in (self.target / SHARDS).glob("*.city"):
+                shard.unlink()
+            write_file(path, [json.dumps(plan, indent=1).encode()])
+        self.journal.read()
+
+    def split(self) -> None:
+        """Split the extracts that are not split, unless all that is left to be built lies there."""
+        if (self.work / "tiles.json").exists() and all(job.is_ready for job in self._missing()):
+            return
+        todo = [
+            _SplitJob(str(path), str(folder), self.options)
+            for path, folder in zip(self.extracts, self._folders("things"), strict=True)
+            if (begun := Split.load(folder)) is None or not begun.whole
+        ]
+        if todo:  # what touches many tiles is shared out anew as well
+            (self.work / "tiles.json").unlink(missing_ok=True)
+        if len(todo) == 1 or self.workers == 1:
+            for job in todo:
+                _split(job, self.tell)
+        else:
+            with closing(run_tasks(_split, todo, self.workers)) as parts:
+                for n, _ in enumerate(parts, 1):
+                    self.tell("splitting extracts", n, len(todo))
+
+    def tiles(self) -> None:
+        """Build the shards that are missing, each as soon as a worker is free."""
+        (self.work / COUNTS).mkdir(exist_ok=True)
+        if not (self.work / "tiles.json").exists():
+            self._spread()
+        jobs = self._missing()
+        with closing(run_tasks(build_tile, jobs, self.workers, self.options.scheduler)) as built:
+            for n, (row, made) in enumerate(built, 1):
+                self.journal.add(made)
+                for path, _ in jobs[row].things:
+                    Path(path).unlink(missing_ok=True)
+                self.tell("building tiles", n, len(jobs))
+        if not any(made.digest for made in self.journal.done.values()):
+            raise InputError(f"{self.extracts[0]} holds no two things that stand near each other.")
+
+    def count(self, work: Callable[[Path], WordCounts], paths: list[Path]) -> Iterator[WordCounts]:
+        """Yield the words of all shards, in their order: as saved when built, else counted by `work`."""
+        lost = [path for path in paths if not self._counts(path.stem).exists()]
+        for n, found in run_tasks(work, lost, self.workers, self.options.scheduler):
+            found.save(self._counts(lost[n].stem), digest_of(lost[n]))
+        for path in paths:
+            yield WordCounts.load(self._counts(path.stem), digest_of(path)) or work(path)
+
+    def clear(self) -> None:
+        """Remove what is of no more use: a journal and a plan are left, and take no room."""
+        for folder in (*self._folders("things"), *self._folders("large"), self.work / COUNTS):
+            shutil.rmtree(folder, ignore_errors=True)
+
+    def _counts(self, key: str) -> Path:
+        return self.work / COUNTS / key
+
+    def _folders(self, name: str) -> list[Path]:
+        return [self.work / f"{name}-{n}" for n in range(len(self.extracts))]
+
+    def _spread(self) -> None:
+        """Spread what touches many tiles over those that hold more, and list the files of each tile."""
+        self.tell("sharing out what is large", 0, None)
+        splits = [Split.load(folder) for folder in self._folders("things")]
+        populated = sorted({key for s in splits if s for key in s.populated})
+        files: dict[str, list[tuple[str, int]]] = {key: [] for key in populated}
+        for found, things, large in zip(
+            splits, self._folders("things"), self._folders("large"), strict=True
+        ):
+            if found is None or not found.whole:
+                raise MapError(f"{things} has gone; run the same command again.")
+            shutil.rmtree(large, ignore_errors=True)
+            large.mkdir()
+            sizes = spread_large(things, large, found.sizes, populated, self.options.overlap)
+            for folder, its in ((things, found.sizes), (large, sizes)):
+                for key in its.keys() & files.keys():
+                    files[key].append((str(folder / f"{key}.things"), its[key]))
+        write_file(self.work / "tiles.json", [json.dumps(files, sort_keys=True).encode()])
+
+    def _missing(self) -> list[TileJob]:
+        """Return jobs of the tiles whose shard is not there as the journal has it, by key."""
+        source, options = ", ".join(path.name for path in self.extracts), self.options
+        jobs = []
+        for key, things in sorted(_read_json(self.work / "tiles.json").items()):
+            out, built = self.target / SHARDS / f"{key}.city", self.journal.done.get(key)
+            if built is None or not built.stands(out):
+                named = tuple((path, size) for path, size in things)
+                counts = str(self._counts(key))
+                jobs.append(
+                    TileJob(key, named, str(out), options.overlap, options.sizes, source, counts)
+                )
+        return jobs
 
 
 @dataclass(frozen=True)
@@ -380,123 +306,178 @@ def _split(job: _SplitJob, tell: Progress | None = None) -> None:
     folder, options = Path(job.folder), job.options
     folder.mkdir(exist_ok=True)
     words = Vocabulary.load(options.vocabulary) if options.vocabulary else None
-    said = None if tell is None else lambda step, n: tell(step, n, None)
-    split(Path(job.path), folder, options.zoom, options.overlap, words, said)
+    progress = None if tell is None else lambda step, n: tell(step, n, None)
+    split(Path(job.path), folder, options.zoom, options.overlap, words, progress)
 
 
-class _Build:
-    """One build in its folder, step after step."""
+def _read_json(path: Path) -> dict[str, Any]:
+    """Read a file of a build; raises `MapError` where it is damaged."""
+    try:
+        found = json.loads(path.read_bytes())
+    except ValueError:
+        found = None
+    if not isinstance(found, dict):
+        raise MapError(f"{path} is damaged; remove {path.parent}, and run the same command again.")
+    return found
 
-    def __init__(self, target: Path, options: BuildOptions, tell: Progress) -> None:
-        self.target, self.options, self.tell = target, options, tell
-        self.work, self.extracts = target / WORK, [Path()]
-        self.journal = Journal(self.work / "journal.jsonl")
-        self.workers = options.workers or processors()
 
-    def begin(self, extracts: list[Path]) -> None:
-        """Take up the build that was begun here, if it is the same."""
-        self.extracts = sorted(extracts)
-        plan, path = plan_of(self.extracts, self.options), self.work / PLAN
-        if path.exists():
-            known = told(path)
-            for what in plan:
-                if known.get(what) != plan[what]:
-                    raise OptionError(
-                        f"{self.target} was begun with other {what}; build with the same, into another "
-                        f"folder, or remove {self.target} to begin anew."
-                    )
-        elif (self.target / "world.json").exists():
-            raise OptionError(
-                f"{self.target} holds a world already; build into another folder, or remove it."
-            )
-        else:  # what was built by another plan is none of ours
-            for shard in (self.target / "shards").glob("*.city"):
-                shard.unlink()
-            write_file(path, [json.dumps(plan, indent=1).encode()])
-        self.journal.read()
+def _plan(extracts: Iterable[Path], options: BuildOptions) -> dict[str, Any]:
+    """Return what a build depends on; if any of it changes, it is another build."""
+    known = asdict(options)
+    for name in ("workers", "scheduler", "vocabulary", "work"):
+        del known[name]
+    words, files = hashlib.sha256(), []
+    if options.vocabulary is not None:
+        for path in sorted(options.vocabulary.iterdir()):
+            words.update(path.name.encode() + path.read_bytes())
+    for path in extracts:
+        with path.open("rb") as file:
+            os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_SEQUENTIAL)
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+        files.append([path.name, path.stat().st_size, digest])
+    return {"extracts": files, "options": known, "vocabulary": words.hexdigest()}
 
-    def split(self) -> None:
-        """Split the extracts that are not, unless what is left to be built lies there."""
-        if (self.work / "tiles.json").exists() and all(job.lies_there for job in self._missing()):
+
+class Journal:
+    """Tiles that are finished: a line a tile, on disk before the next one counts."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.done: dict[str, TileDone] = {}
+        """By key."""
+
+    def read(self) -> None:
+        """Read the file; a last line that was cut off is taken away."""
+        if not self.path.exists():
             return
-        todo = [
-            _SplitJob(str(path), str(folder), self.options)
-            for path, folder in zip(self.extracts, self._folders("things"), strict=True)
-            if (begun := Split.read_in(folder)) is None or not begun.whole
-        ]
-        if todo:  # what touches many tiles is shared out anew as well
-            (self.work / "tiles.json").unlink(missing_ok=True)
-        if len(todo) == 1 or self.workers == 1:
-            for job in todo:
-                _split(job, self.tell)
-        else:
-            with closing(done(_split, todo, self.workers)) as parts:
-                for n, _ in enumerate(parts, 1):
-                    self.tell("splitting extracts", n, len(todo))
+        whole = 0
+        with self.path.open("rb+") as file:
+            for line in file:
+                try:
+                    made = TileDone(**json.loads(line))
+                except (ValueError, TypeError):
+                    break
+                self.done[made.key] = made
+                whole += len(line)
+            file.truncate(whole)
 
-    def each(self, work: Callable[[Path], Counted], paths: list[Path]) -> Iterator[Counted]:
-        """Words of all shards, in their order: as kept when they were built, else counted by `work`."""
-        lost = [path for path in paths if not self._counts(path.stem).exists()]
-        for n, counted in done(work, lost, self.workers, self.options.scheduler):
-            keep(counted, self._counts(lost[n].stem), digest_of(lost[n]))
-        for path in paths:
-            yield kept(self._counts(path.stem), digest_of(path)) or work(path)
+    def add(self, made: TileDone) -> None:
+        """Write down that a tile is finished; raises `MapError` where the disk is full."""
+        line = json.dumps(asdict(made)).encode() + b"\n"
+        try:
+            with self.path.open("ab") as file:
+                file.write(line)
+                file.flush()
+                os.fsync(file.fileno())
+        except OSError as error:
+            raise no_room(self.path, error) from error
+        self.done[made.key] = made
 
-    def tiles(self) -> None:
-        """Build the shards that are missing, each as soon as a worker is free."""
-        (self.work / COUNTS).mkdir(exist_ok=True)
-        jobs = self._missing() if (self.work / "tiles.json").exists() else self._spread()
-        total = len(jobs)
-        with closing(done(build_tile, jobs, self.workers, self.options.scheduler)) as built:
-            for n, (row, made) in enumerate(built, 1):
-                self.journal.add(made)
-                for path, _ in jobs[row].things:
-                    Path(path).unlink(missing_ok=True)
-                self.tell("building tiles", n, total)
-        if not any(made.digest for made in self.journal.done.values()):
-            raise InputError(f"{self.extracts[0]} holds no two things that stand near each other.")
 
-    def clear(self) -> None:
-        """Remove what is of no more use: a journal and a plan are left, and take no room."""
-        for folder in (*self._folders("things"), *self._folders("large"), self.work / COUNTS):
-            shutil.rmtree(folder, ignore_errors=True)
+def run_tasks(
+    work: Callable[[Task], Made], tasks: Sequence[Task], workers: int, scheduler: str | None = None
+) -> Generator[tuple[int, Made]]:
+    """Yield numbers and results of all tasks, in the order in which they are done; close it if left.
 
-    def _counts(self, key: str) -> Path:
-        return self.work / COUNTS / key
+    Parameters
+    ----------
+    work
+        Function of a module, so that other processes find it.
+    tasks
+        Its arguments, once each; again where a worker was killed.
+    workers
+        Processes of this machine; 1: this one itself.
+    scheduler
+        Address of a Dask scheduler (``tcp://host:port``), whose workers do it instead.
 
-    def _folders(self, name: str) -> list[Path]:
-        return [self.work / f"{name}-{n}" for n in range(len(self.extracts))]
+    Raises
+    ------
+    MissingExtraError
+        Dask is wanted, and not installed.
+    MapError
+        A task's worker was killed again and again.
+    OptionError
+        `workers` is less than 1.
+    ServiceError
+        The scheduler does not answer, or is of another version.
 
-    def _spread(self) -> list[TileJob]:
-        """Jobs of all tiles, once what touches many of them is spread over those that hold more."""
-        self.tell("sharing out what is large", 0, None)
-        splits = [Split.read_in(folder) for folder in self._folders("things")]
-        populated = sorted({key for s in splits if s for key in s.populated})
-        files: dict[str, list[tuple[str, int]]] = {key: [] for key in populated}
-        for found, things, large in zip(
-            splits, self._folders("things"), self._folders("large"), strict=True
-        ):
-            if found is None or not found.whole:
-                raise MapError(f"{things} has gone; run the same command again.")
-            shutil.rmtree(large, ignore_errors=True)
-            large.mkdir()
-            sizes = spread_large(things, large, found.sizes, populated, self.options.overlap)
-            for folder, its in ((things, found.sizes), (large, sizes)):
-                for key in its.keys() & files.keys():
-                    files[key].append((str(folder / f"{key}.things"), its[key]))
-        write_file(self.work / "tiles.json", [json.dumps(files, sort_keys=True).encode()])
-        return self._missing()
+    """
+    if workers < 1:
+        raise OptionError(f"workers is {workers}; give at least 1.")
+    if scheduler is not None:
+        return _run_on_cluster(work, tasks, scheduler)
+    if workers == 1 or len(tasks) < 2:
+        return (pair for pair in enumerate(map(work, tasks)))
+    return _run_in_processes(work, tasks, workers)
 
-    def _missing(self) -> list[TileJob]:
-        """Jobs of the tiles whose shard is not there as the journal has it, by key."""
-        source = ", ".join(path.name for path in self.extracts)
-        jobs = []
-        for key, things in sorted(told(self.work / "tiles.json").items()):
-            out = self.target / "shards" / f"{key}.city"
-            built: TileDone | None = self.journal.done.get(key)
-            if built is None or not built.stands(out):
-                named = tuple((path, size) for path, size in things)
-                margin, sizes = self.options.overlap, self.options.sizes
-                counts = str(self._counts(key))
-                jobs.append(TileJob(key, named, str(out), margin, sizes, source, counts))
-        return jobs
+
+def _run_in_processes(
+    work: Callable[[Task], Made], tasks: Sequence[Task], workers: int
+) -> Generator[tuple[int, Made]]:
+    """Yield results from processes of this machine; new ones replace those that were killed."""
+    left, killed = dict(enumerate(tasks)), 0
+    while left:
+        before = len(left)
+        try:
+            with ProcessPoolExecutor(workers, get_context("spawn"), end_with_parent) as pool:
+                try:
+                    # few wait in the pool at a time, so that the first that fails ends it
+                    rest = iter(list(left.items()))
+                    waiting = {pool.submit(work, t): n for n, t in islice(rest, 2 * workers)}
+                    while waiting:
+                        for future in wait(waiting, return_when=FIRST_COMPLETED)[0]:
+                            number = waiting.pop(future)
+                            for n, task in islice(rest, 1):
+                                waiting[pool.submit(work, task)] = n
+                            result = future.result()
+                            del left[number]
+                            yield number, result
+                except BaseException:
+                    pool.shutdown(wait=False, cancel_futures=True)
+                    raise
+        except BrokenProcessPool as error:
+            killed = killed + 1 if len(left) == before else 1
+            if killed == TRIES:
+                raise _killed(next(iter(left.values())), "Give fewer --workers") from error
+
+
+def _run_on_cluster(
+    work: Callable[[Task], Made], tasks: Sequence[Task], scheduler: str
+) -> Generator[tuple[int, Made]]:
+    """Yield results from the workers of a Dask scheduler, which gives a killed one's tasks to others."""
+    client = connect(scheduler)
+    import distributed
+
+    try:
+        rest = iter(enumerate(tasks))
+        running, numbers = distributed.as_completed(loop=client.loop), {}
+
+        def start(most: int) -> None:
+            for n, task in islice(rest, most):
+                future = client.submit(work, task, pure=False)
+                numbers[future.key] = n
+                running.add(future)
+
+        start(4 * max(1, len(client.scheduler_info(n_workers=-1)["workers"])))
+        for future in running:
+            try:
+                result = future.result()
+            except distributed.scheduler.KilledWorker as error:
+                raise _killed(future.key, "Give workers more memory") from error
+            except (distributed.CancelledError, distributed.comm.CommClosedError) as error:
+                raise ServiceError(
+                    f"The scheduler went away ({error}); start it and the same command again, which goes "
+                    "on where it stopped."
+                ) from error
+            start(1)
+            yield numbers.pop(future.key), result
+    finally:
+        client.close()
+
+
+def _killed(task: object, mend: str) -> MapError:
+    key = getattr(task, "key", task)
+    return MapError(
+        f"{key}, or a task beside it: its worker was killed {TRIES} times, as it is where memory is "
+        f"short. {mend}, or choose a higher --zoom (smaller tiles); what is finished stays."
+    )

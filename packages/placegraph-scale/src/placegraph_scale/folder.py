@@ -132,7 +132,7 @@ def digest_of(path: Path) -> str:
         ) from error
 
 
-def same(path: Path, digest: str) -> None:
+def check_digest(path: Path, digest: str) -> None:
     """Raise `PlacegraphError` where a file is missing, or is not the one that the world was made of."""
     if digest_of(path) != digest:
         raise MapError(

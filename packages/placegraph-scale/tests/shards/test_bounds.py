@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 import placegraph as pg
 from placegraph_scale.shards import search
 from placegraph_scale.shards import search as bounds
-from placegraph_scale.shards.search import Merged
+from placegraph_scale.shards.search import CandidatePool
 from shards_world import shards_of
 
 SHARES = st.lists(st.floats(0.0, 1.0), min_size=1, max_size=30)
@@ -14,10 +14,10 @@ SHARES = st.lists(st.floats(0.0, 1.0), min_size=1, max_size=30)
 @given(SHARES, st.floats(0.0, 16.0), st.sampled_from(bounds._NORMS))
 def test_a_norm_is_bounded_by_peak_and_mean(shares, log_gain, k):
     shares = np.array(shares)
-    worth = bounds._worth([(np.exp(log_gain), 0, bounds.ME)], 1, 1.0)
+    worth = bounds._gains([(np.exp(log_gain), 0, bounds.ME)], 1, 1.0)
     true = np.log(((1.0 + np.exp(log_gain) * shares) ** k).mean()) / k
     at = np.searchsorted(bounds._SHARES, shares.max())
-    found = bounds._norms(worth[None], np.array([[at]]), np.array([[shares.mean()]]), k)
+    found = bounds._bound_norms(worth[None], np.array([[at]]), np.array([[shares.mean()]]), k)
     assert found[0, 0, 0] >= true - 1e-9
 
 
@@ -27,12 +27,12 @@ def test_no_shard_weighs_more_than_its_bound(sharded, monkeypatch):
 
     def run(self, asked, log_mass, cores):
         found = real(self, asked, log_mass, cores)
-        for row in np.flatnonzero(~self._near(asked, cores)).tolist():
-            one = Merged(asked)
+        for row in np.flatnonzero(~self._near_rare(asked, cores)).tolist():
+            one = CandidatePool(asked)
             for _, proposed in self.each("propose", [(row, (asked, -np.inf, 512))]):
                 one.add(row, proposed)
-            one.told = 1 << 20
-            self._compare(one, dict(one.unscored(one.told)))
+            one.drawn = 1 << 20
+            self._compare(one, one.list_unscored(one.drawn))
             weights, _ = one._others()
             seen.append((np.logaddexp.reduce([one.weight, *weights]), self.reach[row]))
         return found

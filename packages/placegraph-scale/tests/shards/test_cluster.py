@@ -39,24 +39,24 @@ def test_workers_answer_as_one_process(scheduler, sharded):
 
 def test_a_step_is_sent_once_to_each_worker(scheduler, sharded, monkeypatch):
     planet, sent = pg.open_world(sharded, scheduler=scheduler), []
-    real = shards_of(planet).crew.asked
+    real = shards_of(planet).pool.ask
 
     async def asked(worker, tasks, seconds):
         sent.append(tasks)
         return await real(worker, tasks, seconds)
 
-    monkeypatch.setattr(shards_of(planet).crew, "asked", asked)
-    tasks = [workers.Task("name", source, ([],)) for source in shards_of(planet).sources]
-    assert shards_of(planet).crew.each(tasks) == {row: [] for row in range(len(tasks))}
+    monkeypatch.setattr(shards_of(planet).pool, "ask", asked)
+    tasks = [workers.ShardTask("name", source, ([],)) for source in shards_of(planet).sources]
+    assert shards_of(planet).pool.each(tasks) == {row: [] for row in range(len(tasks))}
     assert len(sent) == 2 < len(tasks) == sum(map(len, sent))
     planet.close()
 
 
 def test_a_text_takes_a_few_trips(scheduler, sharded, monkeypatch):
     planet, trips = pg.open_world(sharded, scheduler=scheduler), []
-    real = shards_of(planet).crew.each
+    real = shards_of(planet).pool.each
     monkeypatch.setattr(
-        shards_of(planet).crew, "each", lambda *told: trips.append(told) or real(*told)
+        shards_of(planet).pool, "each", lambda *told: trips.append(told) or real(*told)
     )
     found = planet.locate("A bench is north of me. A tree is east of me. A cafe is south of me.")
     assert len(trips) <= 5
@@ -79,21 +79,21 @@ def test_a_scheduler_that_is_not_there_is_said():
         free.bind(("127.0.0.1", 0))
         address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
     with pytest.raises(ServiceError, match="No scheduler answers"):
-        cluster.connected(address, 0.2)
+        cluster.connect(address, 0.2)
     with pytest.raises(ServiceError, match="No scheduler answers"):
-        cluster.connected("nonsense://x", 0.2)
+        cluster.connect("nonsense://x", 0.2)
 
 
 def test_another_version_and_no_workers_are_said(scheduler, monkeypatch):
     monkeypatch.setattr(cluster, "version", lambda _: "1999.1")
     with pytest.raises(ServiceError, match="1999"):
-        cluster.connected(scheduler)
+        cluster.connect(scheduler)
     monkeypatch.undo()
     with (
         local(n_workers=0, processes=False, protocol="tcp") as empty,
         pytest.raises(ServiceError, match="has no worker"),
     ):
-        cluster.connected(empty.scheduler_address)
+        cluster.connect(empty.scheduler_address)
 
 
 def test_without_dask_a_sentence_says_what_to_install(sharded, monkeypatch):
@@ -103,7 +103,7 @@ def test_without_dask_a_sentence_says_what_to_install(sharded, monkeypatch):
 
 
 def test_a_scheduler_that_goes_away_is_said_and_may_come_again(sharded, monkeypatch):
-    monkeypatch.setattr(cluster, "PATIENCE", 2.0)
+    monkeypatch.setattr(cluster, "TIMEOUT", 2.0)
     options = {"n_workers": 1, "processes": False, "protocol": "tcp"}
     with local(**options) as found:
         address = found.scheduler_address
@@ -120,12 +120,12 @@ def test_a_scheduler_that_goes_away_is_said_and_may_come_again(sharded, monkeypa
 def test_a_worker_out_of_memory_is_a_shard_that_does_not_answer(scheduler, sharded, monkeypatch):
     small = next(iter(shards_of(pg.open_world(sharded)).sources)).path
 
-    def full(self, source, known=workers.Holder.shard):
+    def full(self, source, known=workers.ShardCache.shard):
         if source.path == small:
             raise MemoryError
         return known(self, source)
 
-    monkeypatch.setattr(workers.Holder, "shard", full)  # workers are threads of this process
+    monkeypatch.setattr(workers.ShardCache, "shard", full)  # workers are threads of this process
     planet = pg.open_world(sharded, scheduler=scheduler)
     found = planet.locate("A bench is north of me. A tree is east of me.")
     planet.close()
@@ -138,7 +138,7 @@ def test_a_worker_out_of_memory_is_a_shard_that_does_not_answer(scheduler, shard
 
 
 def source(key, size=1):
-    return workers.Source(key, f"{key}.city", "", size)
+    return workers.ShardSource(key, f"{key}.city", "", size)
 
 
 def ran(work):
@@ -156,7 +156,7 @@ class Ending(cluster.Cluster):
         self.looks += 1
         return [f"tcp://{self.looks}:{i}" for i in range(2)]
 
-    async def asked(self, _worker, tasks, _seconds):
+    async def ask(self, _worker, tasks, _seconds):
         if any(task.source.key == "0" for task in tasks):
             raise OSError("closed")
         return [task.source.key for task in tasks]
@@ -164,8 +164,8 @@ class Ending(cluster.Cluster):
 
 def test_where_every_worker_ended_the_shard_is_lost_and_no_other():
     sources = [source(str(k)) for k in range(6)]
-    work = cluster._Work(
-        Ending(None, "x", sources), [workers.Task("name", s, ()) for s in sources], None
+    work = cluster._Dispatch(
+        Ending(None, "x", sources), [workers.ShardTask("name", s, ()) for s in sources], None
     )
     ran(work.do())
     assert work.found.pop(0).reason.startswith("0.city: every worker")
@@ -178,14 +178,16 @@ def test_where_no_worker_is_left_it_is_said(monkeypatch):
             return []
 
     monkeypatch.setattr(cluster, "REPLACED", 0.0)
-    work = cluster._Work(Empty(None, "x", []), [workers.Task("name", source("1"), ())], None)
+    work = cluster._Dispatch(
+        Empty(None, "x", []), [workers.ShardTask("name", source("1"), ())], None
+    )
     with pytest.raises(ServiceError, match="no worker"):
         ran(work.do())
 
 
 def test_workers_share_the_world_and_keep_their_shards():
     sources = [source(str(k), 1 + k % 7) for k in range(200)]
-    three, four = (cluster.shared(sources, [f"w{i}" for i in range(n)]) for n in (3, 4))
+    three, four = (cluster.share_out(sources, [f"w{i}" for i in range(n)]) for n in (3, 4))
     loads = [sum(s.size for s in sources if three[s.key] == f"w{i}") for i in range(3)]
     assert max(loads) <= 1.05 * sum(loads) / 3 + 7
     moved = sum(three[s.key] != four[s.key] and four[s.key] != "w3" for s in sources)
@@ -202,10 +204,10 @@ def test_steps_of_two_clients_are_done_one_after_the_other(monkeypatch):
         inside.remove(shard)
 
     monkeypatch.setitem(workers.STEPS, "name", step)
-    monkeypatch.setattr(workers, "same", lambda *_: None)
+    monkeypatch.setattr(workers, "check_digest", lambda *_: None)
     monkeypatch.setattr(CityMap, "open", lambda path, **_: type("City", (), {"objects": [path]})())
-    holder, before = workers.Holder(most=2), sys.getswitchinterval()
-    tasks = [workers.Task("name", source(str(k % 7)), ()) for k in range(300)]
+    holder, before = workers.ShardCache(most=2), sys.getswitchinterval()
+    tasks = [workers.ShardTask("name", source(str(k % 7)), ()) for k in range(300)]
     try:
         with ThreadPoolExecutor(4) as pool:
             done = [pool.submit(holder.work, tasks) for _ in range(4)]
@@ -224,7 +226,7 @@ def test_a_worker_killed_in_between_loses_nothing(sharded, workers):
         alone = pg.open_world(sharded)
         planet = pg.open_world(sharded, scheduler=found.scheduler_address)
         planet.locate(TEXTS[0])
-        victim = next(iter(shards_of(planet).crew.client.run(os.getpid).values()))
+        victim = next(iter(shards_of(planet).pool.client.run(os.getpid).values()))
         os.kill(victim, signal.SIGKILL)
         for text in TEXTS[:4]:
             assert planet.locate(text).to_dict() == alone.locate(text).to_dict()
@@ -235,24 +237,24 @@ def test_a_worker_stops_while_its_answer_is_still_in_time():
     sent = []
 
     class Asked(Ending):
-        async def asked(self, _worker, tasks, seconds):
+        async def ask(self, _worker, tasks, seconds):
             sent.append(seconds)
             return [None for _ in tasks]
 
-    tasks = [workers.Task("name", source("1"), ())]
+    tasks = [workers.ShardTask("name", source("1"), ())]
     for until in (cluster.monotonic() + 100.0, None):
-        ran(cluster._Work(Asked(None, "x", [source("1")]), tasks, until).do())
+        ran(cluster._Dispatch(Asked(None, "x", [source("1")]), tasks, until).do())
     assert 0.0 < sent[0] < 90.0
     assert sent[1] is None
 
 
 def test_the_world_waits_for_no_worker_longer_than_was_given():
     class Hanging(Ending):
-        async def asked(self, *_):
+        async def ask(self, *_):
             await asyncio.Event().wait()
 
-    work = cluster._Work(
-        Hanging(None, "x", [source("1")]), [workers.Task("name", source("1"), ())],
+    work = cluster._Dispatch(
+        Hanging(None, "x", [source("1")]), [workers.ShardTask("name", source("1"), ())],
         cluster.monotonic() + 0.01,
     )  # fmt: skip
     ran(work.do())

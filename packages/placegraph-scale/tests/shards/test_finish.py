@@ -9,7 +9,7 @@ from placegraph.outdoor.city import CityMap
 from placegraph_scale.folder import digest_of
 from placegraph_scale.shards import WorldFile, finish
 from placegraph_scale.shards import words as table
-from placegraph_scale.shards.words import WordTable, count, keep, kept
+from placegraph_scale.shards.words import WordCounts, WordTable, count_file
 from shards_world import ZOOM
 
 
@@ -26,7 +26,7 @@ def test_sums_are_those_of_the_whole(whole, sharded):
     assert sum(s.cells for s in told.shards) == len(whole.cells)
     rows = {word: i for i, word in enumerate(words_of(whole.objects))}
     words = range(len(rows))
-    here = [rows[table.reads(word)] for word in words]
+    here = [rows[table.text(word)] for word in words]
     assert np.array_equal(
         table.counts(words), np.bincount(whole.tokens[1], minlength=len(rows))[here]
     )
@@ -37,7 +37,7 @@ def test_sums_are_those_of_the_whole(whole, sharded):
 def test_the_table_says_where_a_name_is(sharded):
     told, table = WorldFile.read(sharded), WordTable.open(sharded / "words.table")
     (name,) = table.names.named("Rex")
-    held = table.of(len(table.labels) + name)
+    held = table.entries(len(table.labels) + name)
     holders = [told.shards[i] for i in held.shards[held.objects > 0]]
     assert len(holders) == 1
     assert "Rex" in CityMap.open(told.path(holders[0])).objects.names
@@ -45,14 +45,14 @@ def test_the_table_says_where_a_name_is(sharded):
 
 def test_what_another_version_counted_is_counted_anew(sharded, tmp_path, monkeypatch):
     (path, *_), at = sorted(sharded.glob("shards/*.city")), tmp_path / "counts"
-    found, digest = count(path), digest_of(path)
-    keep(found, at, digest)
-    assert kept(at, digest).labels == found.labels
-    assert kept(at, "another") is None
+    found, digest = count_file(path), digest_of(path)
+    found.save(at, digest)
+    assert WordCounts.load(at, digest).labels == found.labels
+    assert WordCounts.load(at, "another") is None
     with monkeypatch.context() as before:
-        before.setattr(table, "_OF_A_SHARD", ("objects", "mass"))
-        keep(found, at, digest)
-    assert kept(at, digest) is None
+        before.setattr(table, "COUNTS", ("objects", "mass"))
+        found.save(at, digest)
+    assert WordCounts.load(at, digest) is None
 
 
 def test_finishing_again_changes_nothing(world):

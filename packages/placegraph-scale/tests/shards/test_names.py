@@ -10,7 +10,7 @@ from placegraph.errors import MapError
 from placegraph.outdoor.language.words import tokens
 from placegraph.outdoor.map.names import NameIndex
 from placegraph_scale.shards import words as table
-from placegraph_scale.shards.words import Counted, WordTable
+from placegraph_scale.shards.words import WordCounts, WordTable
 
 WORDS = ("Rex", "The", "Theatre", "Station", "Stations", "4th", "West", "Street", "Lange", "Straße",
          "12", "Ulica", "Ulicy", "Museum", "of", "Salt")  # fmt: skip
@@ -19,9 +19,9 @@ SAID = st.lists(st.sampled_from(WORDS), min_size=1, max_size=4).map(" ".join)
 
 def written(path, names):
     n = len(names)
-    counted = Counted((), names, np.ones(n, np.int32), *np.ones((3, n), np.float32),
+    counted = WordCounts((), names, np.ones(n, np.int32), *np.ones((3, n), np.float32),
                       1.0, 1.0, 1.0, n, 1, 1)  # fmt: skip
-    table.write(path, [counted], path.with_name("scratch"))
+    table.write_table(path, [counted], path.with_name("scratch"))
     return WordTable.open(path).names
 
 
@@ -59,11 +59,11 @@ def test_a_damaged_table_is_named_or_says_what_it_said(tmp_path_factory, data):
 
 @pytest.mark.parametrize("off", [99, 1])  # a name that is not there; a way in which none is called
 def test_a_forged_posting_is_told(off, tmp_path, monkeypatch):
-    def forged(*given, real=table.columns_of):
+    def forged(*given, real=table.write_names):
         counts, columns = real(*given)
         return counts, columns | {"postings": columns["postings"] + off}
 
-    monkeypatch.setattr(table, "columns_of", forged)
+    monkeypatch.setattr(table, "write_names", forged)
     names = written(tmp_path / "words.table", ("Museum of Salt", "Rex Theatre"))
     with pytest.raises(MapError, match=r"words\.table.*'postings'"):
         names.named("Theatre")

@@ -231,7 +231,7 @@ def test_localizing_never_writes(world):
 
 def test_shards_are_closed_again(sharded, monkeypatch):
     planet, opened, shard = pg.open_world(sharded), [], workers.Shard
-    shards_of(planet).crew.holder.most = 2
+    shards_of(planet).pool.cache.most = 2
 
     def noted(key, city, *rest):
         opened.append(weakref.ref(city))
@@ -243,7 +243,7 @@ def test_shards_are_closed_again(sharded, monkeypatch):
     gc.collect()
     assert sum(city() is not None for city in opened) <= 2 < len(opened)
     planet.close()
-    assert not shards_of(planet).crew.holder._open
+    assert not shards_of(planet).pool.cache._open
 
 
 def test_candidates_far_from_a_fix_are_compared_as_well(planet, monkeypatch):
@@ -262,4 +262,4 @@ def test_candidates_far_from_a_fix_are_compared_as_well(planet, monkeypatch):
     every = chosen._replace(
         rows=rows, bounds=np.ones(n), far=np.zeros((n, chosen.far.shape[1]), np.float32)
     )
-    assert len(steps.compared(shard, asked, every).scores) == n
+    assert len(steps.compare(shard, asked, every).scores) == n

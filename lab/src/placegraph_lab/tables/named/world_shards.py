@@ -83,7 +83,7 @@ def _timed(planet: World, name: str, texts: list[str], *, killed: bool = False) 
     trips: list[int] = []
     for text in texts:
         planet.locate(text).to_dict()
-    crew: Any = planet.planets[name].crew
+    crew: Any = planet.planets[name].pool
     client: Any = getattr(crew, "client", None)
     each = crew.each
 
@@ -180,7 +180,7 @@ def asked(world: Path, texts: Texts) -> dict[str, Any]:
     start = time.process_time()
     planet = pg.open_world(world)
     town: Any = planet.planets[world.name]
-    town.crew.holder.most = len(town.sources)
+    town.pool.cache.most = len(town.sources)
     planet.locate(next(iter(texts.values()))[0].text)
     first = time.process_time() - start
     found: dict[str, Any] = {"first_s": first, "shards": len(town.sources)}

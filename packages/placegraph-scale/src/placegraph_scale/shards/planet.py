@@ -1,4 +1,4 @@
-"""A world in shards, searched as one map."""
+"""A world in shards, searched as one map: one town to the world that it is part of."""
 
 from __future__ import annotations
 
@@ -30,11 +30,18 @@ from placegraph.outdoor.search.status import (
     shrink,
 )
 from placegraph.world.outside import BESIDE, BuildingMatch, TownMatch
-from placegraph_scale.folder import WORDS, WorldFile, same
+from placegraph_scale.folder import WORDS, WorldFile, check_digest
 from placegraph_scale.shards.search import Search
-from placegraph_scale.shards.steps import Asked, Fix, Gathering, Things, Words, distance
+from placegraph_scale.shards.steps import (
+    Fix,
+    QueryLexicon,
+    RareObjects,
+    ShardQuery,
+    WorldWords,
+    distance,
+)
 from placegraph_scale.shards.words import WordTable
-from placegraph_scale.shards.workers import Alone, Source
+from placegraph_scale.shards.workers import Cluster, LocalPool, ShardSource
 
 if TYPE_CHECKING:
     from placegraph.core.estimate import Evidence
@@ -42,10 +49,14 @@ if TYPE_CHECKING:
     from placegraph.outdoor.search.ask import Question
     from placegraph.outdoor.search.posterior import Mode
     from placegraph.world.estimate import WorldQuery
-    from placegraph_scale.shards.search import Merged
-    from placegraph_scale.shards.steps import Thing
-    from placegraph_scale.shards.workers import Crew
+    from placegraph_scale.shards.search import CandidatePool
+    from placegraph_scale.shards.steps import RareObject
+    from placegraph_scale.shards.workers import WorkerPool
 
+Floats = NDArray[np.float64]
+
+MOST_STREETS = 8
+"""Shards that are looked into at most to see whether a name means streets."""
 WIDE = 1.35
 """Shards whose planes begin so near to each other share one [deg of a great circle]: 150 km."""
 APART = 1e8
@@ -53,15 +64,13 @@ APART = 1e8
 
 
 @dataclass(eq=False)
-class Frames:
-    """Planes, each `APART` north of the one before; the heaviest shards come first."""
+class PlaneStack:
+    """Planes of shards as one, each `APART` north of the one before; the heaviest shards come first."""
 
     planes: list[LocalPlane] = field(default_factory=list)
 
-    def placed(
-        self, origin: tuple[float, float], positions: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Positions (K, 2) [m] of a shard whose plane begins at `origin` [deg]."""
+    def add(self, origin: tuple[float, float], positions: Floats) -> Floats:
+        """Return positions (K, 2) [m] of a shard whose plane begins at `origin` [deg]."""
         own = LocalPlane(*origin)
         at = next((i for i, p in enumerate(self.planes) if _angle(p, own) < WIDE), len(self.planes))
         if at == len(self.planes):
@@ -70,63 +79,62 @@ class Frames:
             positions = self.planes[at].to_plane(own.to_lonlat(positions))
         return np.add(positions, (0.0, APART * at))
 
-    def lonlat(self, position: NDArray[np.float64]) -> tuple[float, float]:
-        """Longitude and latitude [deg] of a position (2,)."""
+    def lonlat(self, position: Floats) -> tuple[float, float]:
+        """Return longitude and latitude [deg] of a position (2,)."""
         at = round(float(position[1]) / APART)
-        longitude, latitude = (
-            self.planes[at].to_lonlat(np.subtract(position, (0.0, APART * at))).tolist()
-        )
+        own = np.subtract(position, (0.0, APART * at))
+        longitude, latitude = self.planes[at].to_lonlat(own).tolist()
         return longitude, latitude
 
 
 def _angle(one: LocalPlane, other: LocalPlane) -> float:
-    """About how far apart two planes begin [deg of a great circle]."""
+    """Return about how far apart two planes begin [deg of a great circle]."""
     aside = abs((one.longitude - other.longitude + 180.0) % 360.0 - 180.0)
     lower = min(abs(one.latitude), abs(other.latitude))
     return float(np.hypot(aside * np.cos(np.radians(lower)), one.latitude - other.latitude))
 
 
 @dataclass(frozen=True, eq=False)
-class Weighed:
+class ShardPosterior:
     """A posterior over viewpoints of many shards."""
 
     posterior: Posterior
-    """In `frames`."""
+    """In the planes of `stack`."""
     shards: NDArray[np.int64]
     """(K,) row of the shard of each position."""
-    frames: Frames
+    stack: PlaneStack
 
-    def support(self, row: int) -> NDArray[np.float64]:
-        """The heaviest points in a shard, as of `CityEstimate.support`."""
+    def support(self, row: int) -> Floats:
+        """Return the heaviest points in a shard, as of `CityEstimate.support`."""
         chances, mine = self.posterior.probabilities, np.flatnonzero(self.shards == row)
         heaviest = mine[np.argsort(-chances[mine], kind="stable")][:MOST_SUPPORT]
-        points = [(*self.frames.lonlat(self.posterior.positions[k]), chances[k]) for k in heaviest]
+        points = [(*self.stack.lonlat(self.posterior.positions[k]), chances[k]) for k in heaviest]
         return np.array(points, np.float64).reshape(-1, 3)
 
 
-def weigh(found: Merged, beyond: float, searched: float) -> Weighed:
+def compute_posterior(found: CandidatePool, beyond: float, searched: float) -> ShardPosterior:
     """Apply Bayes to all that was scored and looked at; as `viewpoints.closer`.
 
-    `beyond` is the log of what shards weigh that were not looked into; `searched` the share of the
-    world that probabilities can speak of.
+    `beyond` is the log weight of shards that were not looked into; `searched` the share of the world
+    that probabilities can speak of.
     """
     ranked, scores = found.ranked, found.values()
     weights = scores + ranked.log_prior
     order = np.argsort(-weights, kind="stable")
-    frames = Frames()
+    stack = PlaneStack()
     parts = [(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0, np.int64))]
     # the heaviest shard's plane is the first
     for row in dict.fromkeys(ranked.shard[order[weights[order] > -np.inf]].tolist()):
-        frames.placed(found.proposals[row].origin, np.zeros((0, 2)))
-    for row, proposed in sorted(found.proposals.items()):
+        stack.add(found.proposals[row].origin, np.zeros((0, 2)))
+    for row, proposal in sorted(found.proposals.items()):
         mine = np.flatnonzero((ranked.shard == row) & (weights > -np.inf))
         look = found.looks.get(row)
         if look is not None:
             mine = mine[~np.isin(ranked.at[mine], look.at)]
-            share = np.repeat(proposed.log_prior[look.at] - np.log(len(FINE)), len(FINE))
-            at = frames.placed(proposed.origin, look.positions.reshape(-1, 2))
+            share = np.repeat(proposal.log_prior[look.at] - np.log(len(FINE)), len(FINE))
+            at = stack.add(proposal.origin, look.positions.reshape(-1, 2))
             parts.append((at, look.scores.ravel(), share, np.full(len(share), row)))
-        at = frames.placed(proposed.origin, found.positions[row][ranked.at[mine]])
+        at = stack.add(proposal.origin, found.positions[row][ranked.at[mine]])
         parts.append((at, scores[mine], ranked.log_prior[mine], np.full(len(mine), row)))
     positions, scored, priors, rows = map(np.concatenate, zip(*parts, strict=True))
     rest = float(np.logaddexp(found.rest(), beyond))
@@ -135,21 +143,21 @@ def weigh(found: Merged, beyond: float, searched: float) -> Weighed:
         shares = made.probabilities * searched
         lost = float(made.probabilities.sum() - shares.sum())
         made = replace(made, probabilities=shares, elsewhere=made.elsewhere + lost)
-    return Weighed(made, rows, frames)
+    return ShardPosterior(made, rows, stack)
 
 
 @dataclass(frozen=True, eq=False)
 class ShardsMatch(TownMatch):
-    """What was said of streets and buildings, in the shards of a world."""
+    """Result of a search in the shards of a world."""
 
     search: Search
-    asked: Asked
-    cores: NDArray[np.float64]
+    asked: ShardQuery
+    cores: Floats
     """(N, 4) of all shards [deg]."""
 
     @property
     def cost(self) -> str:
-        """How many shards were looked into."""
+        """Sentence that says how many shards were looked into."""
         touched, n = len(self.search.touched), len(self.search.sources)
         return f"Looked into {touched:,} of {n:,} shards."
 
@@ -158,37 +166,41 @@ class ShardsMatch(TownMatch):
         """Shards that did not answer."""
         return tuple(self.search.lost[row] for row in sorted(self.search.lost))
 
-    def match_buildings(self, corners: Sequence[NDArray[np.float64]]) -> list[BuildingMatch | None]:
-        """As `Outside.match_buildings`, each in the shard that it stands in."""
+    def match_buildings(self, corners: Sequence[Floats]) -> list[BuildingMatch | None]:
+        """Score buildings, each in the shard that it stands in; None for those in other towns."""
         middles = [each.mean(axis=0) for each in corners]
-        away = [distance(np.broadcast_to(m, (len(self.cores), 2)), self.cores) for m in middles]
         of_shard: dict[int, list[int]] = {}
-        for k, off in enumerate(away):
-            if off.min() <= BESIDE:
-                of_shard.setdefault(int(off.argmin()), []).append(k)
-        told = [
+        for k, middle in enumerate(middles):
+            away = distance(np.broadcast_to(middle, (len(self.cores), 2)), self.cores)
+            if away.min() <= BESIDE:
+                of_shard.setdefault(int(away.argmin()), []).append(k)
+        tasks = [
             (row, (self.asked, [corners[k] for k in of])) for row, of in sorted(of_shard.items())
         ]
         out: list[BuildingMatch | None] = [None] * len(corners)
-        for row, judged in self.search.each("judge", told):
-            for k, each in zip(of_shard[row], judged, strict=True):
-                at = (float(middles[k][0]), float(middles[k][1]))
-                explain = partial(_explained, self.search, self.asked, row, at)
-                out[k] = None if each is None else BuildingMatch(each, explain)
+        for row, scores in self.search.each("judge", tasks):
+            for k, score in zip(of_shard[row], scores, strict=True):
+                explain = partial(self._explain, row, tuple(middles[k].tolist()))
+                out[k] = None if score is None else BuildingMatch(score, explain)
         return out
 
+    def _explain(self, row: int, lonlat: tuple[float, float]) -> tuple[Evidence, ...]:
+        """Return the evidence for a place, from its shard."""
+        found = self.search.restart().each("explain", [(row, (self.asked, [lonlat]))])
+        return next((evidence for _, (evidence,) in found), ())
 
-def estimate(
-    search: Search, asked: Asked, weighed: Weighed, top: int
+
+def make_estimate(
+    search: Search, asked: ShardQuery, found: ShardPosterior, top: int
 ) -> tuple[CityEstimate, dict[str, CityEstimate]]:
-    """Modes over all shards; and the part of each shard that has one, of which can be asked back."""
-    peaks = modes(weighed.posterior, top, SPACING)
+    """Make the estimate over all shards, and the part of each shard that has a mode, to be asked about."""
+    peaks = modes(found.posterior, top, SPACING)
     query = asked.query
     description = query.description
-    diagnostics = diagnose(weighed.posterior, peaks, infer_claim(description), query)
-    post, peaks = shrink(weighed.posterior, peaks, diagnostics)
-    weighed = replace(weighed, posterior=post)
-    places = _places(search, asked, weighed, peaks)
+    diagnostics = diagnose(found.posterior, peaks, infer_claim(description), query)
+    post, peaks = shrink(found.posterior, peaks, diagnostics)
+    found = replace(found, posterior=post)
+    places = _make_places(search, asked, found, peaks)
     contradiction = find_contradiction(places[0][1] if places else None, query)
     status, reason = decide(replace(diagnostics, contradiction=contradiction))
     parts = {}
@@ -196,53 +208,38 @@ def estimate(
         mine = tuple(place for r, place in places if r == row)
         parts[search.sources[row].key] = CityEstimate(
             Status.AMBIGUOUS, mine, "A part of the answer of a world in shards.", description,
-            weighed.support(row),
+            found.support(row),
         )  # fmt: skip
     return CityEstimate(status, tuple(place for _, place in places), reason, description), parts
 
 
-def _places(
-    search: Search, asked: Asked, weighed: Weighed, peaks: Sequence[Mode]
+def _make_places(
+    search: Search, asked: ShardQuery, found: ShardPosterior, peaks: Sequence[Mode]
 ) -> list[tuple[int, Place]]:
-    """Places of modes, each with the row of its shard."""
-    at = [weighed.frames.lonlat(peak.position) for peak in peaks]
+    """Make places of modes, each with the row of its shard."""
+    at = [found.stack.lonlat(peak.position) for peak in peaks]
+    positions = found.posterior.positions
     shards = [
-        int(
-            weighed.shards[np.argmin(((weighed.posterior.positions - p.position) ** 2).sum(axis=1))]
-        )
-        for p in peaks
+        int(found.shards[np.argmin(((positions - p.position) ** 2).sum(axis=1))]) for p in peaks
     ]
     of = {row: [k for k, mine in enumerate(shards) if mine == row] for row in dict.fromkeys(shards)}
-    told = [(row, ([at[k] for k in mine],)) for row, mine in of.items()]
+    tasks = [(row, ([at[k] for k in mine],)) for row, mine in of.items()]
     cells = {
         k: f"{search.sources[row].key}/{name}"
-        for row, names in search.each("name", told)
+        for row, names in search.each("name", tasks)
         for k, name in zip(of[row], names, strict=True)
     }
 
     @cache
-    def explained() -> dict[int, tuple[Evidence, ...]]:  # of all of them in one go
-        asked_of = [(row, (asked, *places)) for row, places in told]
-        answers = search.again().each("explain", asked_of)
+    def explain() -> dict[int, tuple[Evidence, ...]]:  # of all of them in one go
+        answers = search.restart().each("explain", [(row, (asked, *args)) for row, args in tasks])
         return dict(chain(*(zip(of[row], e, strict=True) for row, e in answers)))
 
     return [
         (row, Place(*at[k], p.probability, cells.get(k, search.sources[row].key), p.covariance,
-                    explain=partial(lambda k: explained().get(k, ()), k)))
+                    explain=partial(lambda k: explain().get(k, ()), k)))
         for k, (p, row) in enumerate(zip(peaks, shards, strict=True))
     ]  # fmt: skip
-
-
-def _explained(
-    search: Search, asked: Asked, row: int, lonlat: tuple[float, float]
-) -> tuple[Evidence, ...]:
-    """Evidence for a place, from its shard."""
-    told = search.again().each("explain", [(row, (asked, [lonlat]))])
-    return next((found for _, (found,) in told), ())
-
-
-MOST_STREETS = 8
-"""Shards that are looked into at most to see whether a name means streets."""
 
 
 class Planet:
@@ -251,9 +248,9 @@ class Planet:
     Parameters
     ----------
     file
-        What its `world.json` says.
-    crew
-        Who looks into shards; this process where not given.
+        Contents of its `world.json`.
+    pool
+        Workers that look into shards; this process where not given.
 
     Raises
     ------
@@ -262,28 +259,24 @@ class Planet:
 
     """
 
-    def __init__(self, file: WorldFile, crew: Crew | None = None) -> None:
+    def __init__(self, file: WorldFile, pool: WorkerPool | None = None) -> None:
         self.file = file
-        self.crew: Crew = crew or Alone()
-        same(file.folder / WORDS, file.words)
-        self.words = Words(WordTable.open(file.folder / WORDS))
-        if len(self.words.table.viewpoints) != len(file.shards):
+        self.pool: WorkerPool = pool or LocalPool()
+        check_digest(file.folder / WORDS, file.words)
+        self.words = WorldWords(WordTable.open(file.folder / WORDS))
+        if len(self.words.table) != len(file.shards):
             raise MapError(
-                f"{file.folder / WORDS} is of {len(self.words.table.viewpoints)} shards, world.json of "
+                f"{file.folder / WORDS} is of {len(self.words.table)} shards, world.json of "
                 f"{len(file.shards)}; finish the world again with `placegraph world build`."
             )
-        self.cores: NDArray[np.float64] = np.array([s.core for s in file.shards])
-        self.sources = sources_of(file)
+        self.cores: Floats = np.array([s.core for s in file.shards])
+        self.sources = _list_sources(file)
 
     @classmethod
     def open(cls, folder: str | PathLike[str], scheduler: str | None = None) -> Planet:
         """Open a folder, to be searched by this process or by the workers of a Dask scheduler."""
         file = WorldFile.read(folder)
-        if scheduler is None:
-            return cls(file)
-        from placegraph_scale.shards.workers import Cluster
-
-        return cls(file, Cluster.at(scheduler, sources_of(file)))
+        return cls(file, None if scheduler is None else Cluster.at(scheduler, _list_sources(file)))
 
     @staticmethod
     def summarize(folder: str | PathLike[str]) -> dict[str, int]:
@@ -291,28 +284,24 @@ class Planet:
         shards = WorldFile.read(folder).shards
         return {"objects": sum(s.objects for s in shards), "bytes": sum(s.bytes for s in shards)}
 
-    @property
-    def name(self) -> str:
-        """Name of the folder."""
-        return self.file.folder.resolve().name
-
     def is_street(self, name: str) -> bool:
-        """As `Town.is_street`, by what a few of the shards hold that have the name."""
+        """Return whether a name means streets only, by a few of the shards that have the name."""
         table = self.words.table
         tokens = [len(table.labels) + token for token in self.words.name_index.named(name)]
-        things = self._gathered(self._search(), np.array(tokens, np.int64), MOST_STREETS)
+        things = self._gather(self._search(), np.array(tokens, np.int64), MOST_STREETS)
         return bool(things) and all(
             t.kind == LINE and t.label.startswith("highway") for t in things
         )
 
     def match(self, said: Description, query: WorldQuery) -> TownMatch | str:
         """Search for a description; shards that do not answer are named in the `notes` of the match."""
-        self.words.table.watch.check()
+        table = self.words.table
+        table.watch.check()
         search, description = self._search(query.budget), said
         for answer in query.answers:
             description = answer.added_to(description)
-        things = Things(self.words.table.labels, [])
-        lexicon = Gathering(self.words, partial(self._gathered, search), things)
+        things = RareObjects(table.labels, [])
+        lexicon = QueryLexicon(self.words, partial(self._gather, search), things)
         on_a_way = any(LISTENER in ends(s) for s in description.statements)
         compiled = compile_query(description, lexicon, on_a_way=on_a_way)
         if reason := find_obstacle(compiled, description):
@@ -323,21 +312,22 @@ class Planet:
         log_mass, fixed = search.masses(fix, self.cores)
         if fix is not None and fixed is None:
             return ""
-        words = tuple(self.words.table.reads(int(token)) for token in compiled.mentions.tokens)
-        size = int(self.words.table.viewpoints.sum())
-        asked = Asked(compiled, words, tuple(things.rows), size, fixed)
-        found = search.run(asked, log_mass, self.cores)
-        missing = search.missing(found, log_mass)
-        gap = search.gap(missing)
+        words = tuple(table.text(int(token)) for token in compiled.mentions.tokens)
+        size = int(table.viewpoints.sum())
+        asked = ShardQuery(compiled, words, tuple(things.rows), size, fixed)
+        pool = search.run(asked, log_mass, self.cores)
+        missing = search.missing(pool, log_mass)
+        gap = search.explain_gap(missing)
         search.deadline = None
         beyond = -np.inf if missing > 0.0 else search.remaining()
-        weighed = weigh(found, beyond, 1.0 - missing)
-        made, parts = estimate(search, asked, weighed, query.top)
-        named = {f"{self.name}//{key}": part for key, part in parts.items()}
-        return ShardsMatch(compiled, weighed.posterior, made, named, gap, search, asked, self.cores)
+        found = compute_posterior(pool, beyond, 1.0 - missing)
+        made, parts = make_estimate(search, asked, found, query.top)
+        name = self.file.folder.resolve().name
+        named = {f"{name}//{key}": part for key, part in parts.items()}
+        return ShardsMatch(compiled, found.posterior, made, named, gap, search, asked, self.cores)
 
     def explain_prior(self, near: Sequence[float], radius: float) -> str | None:
-        """As `Town.explain_prior`."""
+        """Return None where the location prior is on the map; else a hint, which may be empty."""
         longitude, latitude = map(float, near)
         place = np.array([[longitude, latitude]])
         if (distance(place, self.cores) <= 4.0 * radius).any():
@@ -347,7 +337,7 @@ class Planet:
         return f" Swapped, it lies on the map: longitude comes first, {latitude},{longitude}."
 
     def ask(self, part: str, found: CityEstimate) -> Question | None:
-        """As `Town.ask`."""
+        """Return the question that tells the places of a part apart."""
         key = part.partition("//")[2]
         rows = [row for row, source in enumerate(self.sources) if source.key == key]
         asked = self._search().each("ask", [(row, (found,)) for row in rows])
@@ -355,30 +345,29 @@ class Planet:
 
     def _search(self, budget: float | None = None) -> Search:
         deadline = None if budget is None else monotonic() + budget
-        return Search(self.sources, self.words.table, self.crew, deadline)
+        return Search(self.sources, self.words.table, self.pool, deadline)
 
-    def _gathered(
+    def _gather(
         self, search: Search, tokens: NDArray[np.int64], most: int | None = None
-    ) -> list[Thing]:
-        """Things that bear tokens, from the shards that hold them."""
+    ) -> list[RareObject]:
+        """Return the objects that bear tokens, from the shards that hold them."""
         table = self.words.table
         wanted: dict[int, list[str]] = {}
         for token in tokens.tolist():
-            held = table.of(token)
-            for row in held.shards[held.objects > 0].tolist():
-                wanted.setdefault(row, []).append(table.reads(token))
-        told = [(row, (tuple(words),)) for row, words in sorted(wanted.items())]
-        return [thing for _, found in search.each("gather", told[:most]) for thing in found]
+            found = table.entries(token)
+            for row in found.shards[found.objects > 0].tolist():
+                wanted.setdefault(row, []).append(table.text(token))
+        tasks = [(row, (tuple(words),)) for row, words in sorted(wanted.items())]
+        return [thing for _, found in search.each("gather", tasks[:most]) for thing in found]
 
     def close(self) -> None:
-        """Let go of shards and of the cluster."""
-        self.crew.close()
+        """Close the shards, and leave the cluster that searches them."""
+        self.pool.close()
 
     def __repr__(self) -> str:
         shards, viewpoints = len(self.file.shards), self.words.table.viewpoints.sum()
         return f"Planet({shards:,} shards, {viewpoints:,} viewpoints)"
 
 
-def sources_of(file: WorldFile) -> tuple[Source, ...]:
-    """Where the shards of a world lie."""
-    return tuple(Source(s.key, file.path(s), s.digest, s.bytes) for s in file.shards)
+def _list_sources(file: WorldFile) -> tuple[ShardSource, ...]:
+    return tuple(ShardSource(s.key, file.path(s), s.digest, s.bytes) for s in file.shards)

@@ -1,10 +1,14 @@
-"""Workers that hold shards open: this process, or those of a Dask cluster."""
+"""Workers that hold shards open: this process, or those of a Dask cluster.
+
+The scheduler of a cluster says which workers there are. They are asked directly, each for all of its
+shards at once: a task by way of the scheduler takes several times as long as the step itself.
+"""
 
 from __future__ import annotations
 
 import asyncio
 from collections import Counter, OrderedDict
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib.metadata import version
@@ -15,38 +19,37 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self
 from zlib import crc32
 
 from placegraph.errors import MapError, MissingExtraError, PlacegraphError, ServiceError
-from placegraph_scale.folder import same
-from placegraph_scale.shards import steps
-from placegraph_scale.shards.steps import Proposed, Shard
+from placegraph_scale.folder import check_digest
+from placegraph_scale.shards.steps import STEPS, Proposal, Shard, choose_best
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from distributed import Client, Worker
 
 OPEN = 256
 """Shards that a process holds open at most."""
-STEPS: dict[str, Callable[..., Any]] = {
-    "gather": steps.gathered,
-    "weigh": steps.weighed,
-    "propose": steps.proposed,
-    "compare": steps.compared,
-    "look": steps.looked,
-    "explain": steps.explained,
-    "name": steps.named,
-    "judge": steps.judged,
-    "ask": steps.asked_back,
-}
-"""What can be done in a shard."""
+TIMEOUT = 10.0
+"""A scheduler that does not answer for so long is not there [s]."""
+LOOK = 2.0
+"""Time between two looks at which workers are there [s]."""
+EVEN = 1.05
+"""No worker has so many times its share of the world."""
+REPLACED = 300.0
+"""Time in which workers that all ended are replaced by others [s]."""
+ENDS = 3
+"""A task at which so many workers ended is given up."""
+BEGIN = 0.8
+"""Share of the time left in which a worker begins with shards, so that its results are in time."""
+_STEPS = "placegraph_steps"
+"""Name of the handler that workers get."""
 
 
-class Lost(NamedTuple):
+class Failure(NamedTuple):
     """Why a shard did not answer."""
 
     reason: str
 
 
-class Source(NamedTuple):
+class ShardSource(NamedTuple):
     """Where a shard lies, and which file it is."""
 
     key: str
@@ -56,17 +59,17 @@ class Source(NamedTuple):
     """[bytes]"""
 
 
-class Task(NamedTuple):
-    """A step in a shard, and what it is told."""
+class ShardTask(NamedTuple):
+    """A step in a shard, and its arguments."""
 
     step: str
-    source: Source
-    told: tuple[Any, ...]
+    source: ShardSource
+    arguments: tuple[Any, ...]
 
 
 @dataclass(eq=False)
-class Holder:
-    """Shards that one process holds open; those that were not used for longest are closed first.
+class ShardCache:
+    """Shards that one process holds open; those not used for longest are closed first.
 
     Several threads may ask for steps: one is done after the other.
     """
@@ -75,37 +78,38 @@ class Holder:
     _open: OrderedDict[Path, tuple[str, Shard]] = field(default_factory=OrderedDict)
     _lock: Lock = field(default_factory=Lock)
 
-    def work(self, tasks: Sequence[Task], deadline: float | None = None) -> list[Any]:
-        """Results of tasks, in their order; fewer where the time is over.
+    def work(self, tasks: Sequence[ShardTask], deadline: float | None = None) -> list[Any]:
+        """Return the results of tasks, in their order; fewer where the time is over.
 
-        What shards propose is compared at once, as far as it counts among all that these propose.
+        Proposals are scored at once, as far as they count among all that these shards propose.
         """
         done: list[Any] = []
         for task in tasks:
             if deadline is not None and monotonic() >= deadline:
                 break
             done.append(self._do(task))
-        proposed = [k for k, result in enumerate(done) if isinstance(result, Proposed)]
-        for i, at in steps.counting([done[k] for k in proposed]):
+        proposed = [k for k, result in enumerate(done) if isinstance(result, Proposal)]
+        for i, at in choose_best([done[k] for k in proposed]):
             k = proposed[i]
-            asked, told = tasks[k].told[0], done[k]
-            scored = self._do(Task("compare", tasks[k].source, (asked, told.part(at))))
-            done[k] = scored if isinstance(scored, Lost) else told._replace(scored=(at, scored))
+            asked, proposal = tasks[k].arguments[0], done[k]
+            scored = self._do(ShardTask("compare", tasks[k].source, (asked, proposal.part(at))))
+            is_lost = isinstance(scored, Failure)
+            done[k] = scored if is_lost else proposal._replace(scored=(at, scored))
         return done
 
-    def _do(self, task: Task) -> Any:  # noqa: ANN401
-        """Result of a step, or `Lost` where the shard is missing, damaged or of another version."""
+    def _do(self, task: ShardTask) -> Any:  # noqa: ANN401
+        """Return the result of a step, or `Failure` where the shard is missing, damaged or too large."""
         with self._lock:
             try:
-                return STEPS[task.step](self.shard(task.source), *task.told)
+                return STEPS[task.step](self.shard(task.source), *task.arguments)
             except PlacegraphError as error:
-                return Lost(str(error))
+                return Failure(str(error))
             except MemoryError:
-                return Lost(
+                return Failure(
                     f"{task.source.path} does not fit into this process's memory; use less of it."
                 )
 
-    def shard(self, source: Source) -> Shard:
+    def shard(self, source: ShardSource) -> Shard:
         """Open a shard; raises `InputError` or `MapError`."""
         from placegraph.outdoor.city import CityMap
 
@@ -113,7 +117,7 @@ class Holder:
         if held is not None and held[0] == source.digest:
             self._open.move_to_end(source.path)
             return held[1]
-        same(source.path, source.digest)
+        check_digest(source.path, source.digest)
         city = CityMap.open(source.path, shard=True)
         if not len(city.objects):  # pragma: no cover  # which `open` refuses
             raise MapError(f"{source.path} is empty; build it again.")
@@ -124,56 +128,40 @@ class Holder:
         return shard
 
 
-class Crew(Protocol):
+class WorkerPool(Protocol):
     """Does steps in shards."""
 
-    def each(self, tasks: Sequence[Task], deadline: float | None = None) -> dict[int, Any]:
-        """Results of tasks by their rows; those not done by the deadline are left out."""
+    def each(self, tasks: Sequence[ShardTask], deadline: float | None = None) -> dict[int, Any]:
+        """Return the results of tasks by their rows; those not done by the deadline are left out."""
 
     def close(self) -> None:
-        """Let go of what is held."""
+        """Release all shards."""
 
 
 @dataclass(eq=False)
-class Alone:
-    """One process, one shard after the other."""
+class LocalPool:
+    """Pool of this process alone: one shard after the other."""
 
-    holder: Holder = field(default_factory=Holder)
+    cache: ShardCache = field(default_factory=ShardCache)
 
-    def each(self, tasks: Sequence[Task], deadline: float | None = None) -> dict[int, Any]:
-        """Results of tasks by their rows."""
-        return dict(enumerate(self.holder.work(tasks, deadline)))
+    def each(self, tasks: Sequence[ShardTask], deadline: float | None = None) -> dict[int, Any]:
+        """Return the results of tasks by their rows; those not done by the deadline are left out."""
+        return dict(enumerate(self.cache.work(tasks, deadline)))
 
     def close(self) -> None:
         """Close all shards."""
-        self.holder = Holder(self.holder.most)
+        self.cache = ShardCache(self.cache.most)
 
 
-PATIENCE = 10.0
-"""A scheduler that does not answer for so long is not there [s]."""
-LOOK = 2.0
-"""So long after it was looked which workers are there, it is looked again [s]."""
-EVEN = 1.05
-"""No worker has so many times its share of the world."""
-REPLACED = 300.0
-"""Workers that all ended have others in their place by then [s]."""
-ENDS = 3
-"""A task at which so many workers ended is given up."""
-BEGIN = 0.8
-"""In this share of the time that is left a worker begins with shards: what it tells is to be in time."""
-_STEPS = "placegraph_steps"
-"""What workers are asked."""
-
-
-def connected(address: str, patience: float = PATIENCE) -> Client:
-    """Client of a scheduler.
+def connect(address: str, timeout: float = TIMEOUT) -> Client:
+    """Connect to a scheduler.
 
     Raises
     ------
     MissingExtraError
         Dask is not installed.
     ServiceError
-        There is no scheduler, it has no worker, or it or a worker runs another Dask or placegraph.
+        There is no scheduler, it has no worker, or it or a worker runs another version of Dask.
 
     """
     try:
@@ -183,31 +171,30 @@ def connected(address: str, patience: float = PATIENCE) -> Client:
             "A scheduler takes Dask; install it with `pip install 'placegraph[scale]'`."
         ) from error
     try:
-        client = Client(address, timeout=patience, set_as_default=False)
+        client = Client(address, timeout=timeout, set_as_default=False)
     except (OSError, ValueError, TimeoutError, RuntimeError, ImportError) as error:
         raise ServiceError(
             f"No scheduler answers at {address!r} ({error}). Start one with `dask scheduler`, or leave "
             "--scheduler out to work in this process."
         ) from error
     try:
-        _check(client, address)
+        _check_workers(client, address)
     except BaseException:
         client.close()
         raise
     return client
 
 
-def _check(client: Client, address: str) -> None:
-    """Raise `ServiceError` where the cluster cannot do the work."""
-    workers = client.scheduler_info(n_workers=-1)["workers"]
-    if not workers:
+def _check_workers(client: Client, address: str) -> None:
+    """Raise `ServiceError` where the cluster has no worker, or another version of Dask."""
+    if not client.scheduler_info(n_workers=-1)["workers"]:
         raise ServiceError(
             f"The scheduler at {address} has no worker; start some with `dask worker {address}`."
         )
     versions: Any = client.get_versions()
-    told = {"the scheduler": versions["scheduler"], **versions["workers"]}
-    for who, found in told.items():
-        ours, theirs = version("distributed"), (found or {}).get("packages", {}).get("distributed")
+    ours = version("distributed")
+    for who, found in {"the scheduler": versions["scheduler"], **versions["workers"]}.items():
+        theirs = (found or {}).get("packages", {}).get("distributed")
         if theirs != ours:
             raise ServiceError(
                 f"{who} of {address} runs distributed {theirs}, and this process {ours}; install one "
@@ -217,66 +204,66 @@ def _check(client: Client, address: str) -> None:
 
 @dataclass(eq=False)
 class Cluster:
-    """Workers of a cluster; what one did not end is done by another one."""
+    """Workers of a cluster; where one ends, another one does its tasks."""
 
     client: Client
     address: str
-    sources: Sequence[Source]
+    sources: Sequence[ShardSource]
     """All shards of the world."""
     _there: list[str] = field(default_factory=list)
     """Workers when they were last asked for ..."""
     _seen: float = 0.0
     """... and when that was [s]."""
     _ready: set[str] = field(default_factory=set)
-    """Workers that know what to do."""
-    _shared: tuple[tuple[str, ...], dict[str, str]] = ((), {})
-    """Whose the shards are, among which workers."""
+    """Workers that have the handler."""
+    _shares: tuple[tuple[str, ...], dict[str, str]] = ((), {})
+    """Workers, and which of them has each shard."""
 
     @classmethod
-    def at(cls, address: str, sources: Sequence[Source]) -> Self:
-        """Cluster of a scheduler, for these shards; raises as `connected`."""
-        return cls(connected(address, PATIENCE), address, sources)
+    def at(cls, address: str, sources: Sequence[ShardSource]) -> Self:
+        """Return the cluster of a scheduler, for these shards; raises as `connect`."""
+        return cls(connect(address, TIMEOUT), address, sources)
 
-    def each(self, tasks: Sequence[Task], deadline: float | None = None) -> dict[int, Any]:
-        """Results of tasks by their rows; `ServiceError` where the scheduler or all workers are gone."""
+    def each(self, tasks: Sequence[ShardTask], deadline: float | None = None) -> dict[int, Any]:
+        """Return results by row; `ServiceError` where the scheduler or all workers are gone."""
         if self.client.status == "closed":  # the scheduler went away, and may have come again
-            self.client = connected(self.address, PATIENCE)
+            self.client = connect(self.address, TIMEOUT)
             self._seen = 0.0
-        work = _Work(self, tasks, deadline)
+        work = _Dispatch(self, tasks, deadline)
         self.client.sync(work.do)
         return work.found
 
     async def workers(self, age: float = LOOK) -> list[str]:
-        """Addresses of all workers that are there now, or were no longer ago [s]."""
+        """Return addresses of all workers that are there now, or were no longer ago [s]."""
         if monotonic() - self._seen >= age:
-            with _answering(self.address):
+            with _expecting_answer(self.address):
                 if self.client.scheduler is None:  # it is being left
                     raise OSError("the connection is closed")
                 scheduler: Any = self.client.scheduler
-                told = await scheduler.identity()
-            self._there, self._seen = sorted(told["workers"]), monotonic()
+                found = await scheduler.identity()
+            self._there, self._seen = sorted(found["workers"]), monotonic()
         return self._there
 
-    async def asked(self, worker: str, tasks: list[Task], seconds: float | None) -> list[Any]:
-        """Results of tasks by a worker, as of `Holder.work`; `OSError` where it ends."""
+    async def ask(self, worker: str, tasks: list[ShardTask], seconds: float | None) -> list[Any]:
+        """Return the results of tasks by a worker, as of `ShardCache.work`; `OSError` where it ends."""
         from distributed.protocol.pickle import dumps, loads
 
         rpc = self.client.rpc(worker)
-        batch, told = dumps((tasks, seconds)), None
+        batch, answer = dumps((tasks, seconds)), None
         if worker in self._ready:
-            told = await getattr(rpc, _STEPS)(told=batch)
-        if told is None:  # it is new, or another one at the same address
+            answer = await getattr(rpc, _STEPS)(told=batch)
+        if answer is None:  # it is new, or another one at the same address
             await rpc.run(function=dumps(_prepare))
             self._ready.add(worker)
-            told = await getattr(rpc, _STEPS)(told=batch)
-        found: list[Any] = loads(told)
+            answer = await getattr(rpc, _STEPS)(told=batch)
+        found: list[Any] = loads(answer)
         return found
 
-    def shared(self, workers: tuple[str, ...]) -> dict[str, str]:
-        """The worker of each shard, by its key."""
-        if self._shared[0] != workers:
-            self._shared = workers, shared(self.sources, workers)
-        return self._shared[1]
+    def shares(self, workers: tuple[str, ...]) -> dict[str, str]:
+        """Return the worker of each shard, by its key."""
+        if self._shares[0] != workers:
+            self._shares = workers, share_out(self.sources, workers)
+        return self._shares[1]
 
     def close(self) -> None:
         """Leave the cluster; its workers stay."""
@@ -284,11 +271,11 @@ class Cluster:
 
 
 @dataclass(eq=False)
-class _Work:
-    """Tasks, and what became of them."""
+class _Dispatch:
+    """Tasks on their way to workers, and their results."""
 
     cluster: Cluster
-    tasks: Sequence[Task]
+    tasks: Sequence[ShardTask]
     deadline: float | None
     found: dict[int, Any] = field(default_factory=dict)
     ends: Counter[int] = field(default_factory=Counter)
@@ -305,7 +292,7 @@ class _Work:
             if not there:
                 await self._wait(monotonic() - since)
                 continue
-            of, whose = dict[str, list[int]](), self.cluster.shared(tuple(there))
+            of, whose = dict[str, list[int]](), self.cluster.shares(tuple(there))
             for row in (row for row in range(len(self.tasks)) if row not in self.found):
                 of.setdefault(whose[self.tasks[row].source.key], []).append(row)
             await asyncio.gather(*(self._by(worker, rows) for worker, rows in of.items()))
@@ -318,24 +305,24 @@ class _Work:
                 f"The scheduler at {self.cluster.address} has no worker any more that answers; start "
                 f"some with `dask worker {self.cluster.address}`, where this process can reach them."
             )
-        if waited >= PATIENCE:
+        if waited >= TIMEOUT:
             self.gone.clear()  # others may have taken their addresses
         await asyncio.sleep(0.1)
 
     def left(self) -> float:
-        """Time that is left [s]."""
+        """Return the time that is left [s]."""
         return float("inf") if self.deadline is None else self.deadline - monotonic()
 
     async def _by(self, worker: str, rows: list[int]) -> None:
         """Have a worker do tasks until it ends."""
         for part in [[row] for row in rows] if self.ends else [rows]:
             try:
-                results = await self._asked(worker, [self.tasks[row] for row in part])
+                results = await self._ask(worker, [self.tasks[row] for row in part])
             except OSError as error:
                 self.gone.add(worker)
                 self.ends.update(part)
                 self.found |= {
-                    row: Lost(
+                    row: Failure(
                         f"{self.tasks[row].source.path}: every worker that opened it ended ({error}); "
                         "give workers more memory."
                     )
@@ -344,10 +331,10 @@ class _Work:
                 return
             self.found |= zip(part, results, strict=False)  # fewer where it was late
 
-    async def _asked(self, worker: str, tasks: list[Task]) -> list[Any]:
-        """As `Cluster.asked`; nothing where the time is over, `OSError` where the worker is gone."""
+    async def _ask(self, worker: str, tasks: list[ShardTask]) -> list[Any]:
+        """As `Cluster.ask`; nothing where the time is over, `OSError` where the worker is gone."""
         seconds = None if self.deadline is None else BEGIN * max(0.0, self.left())
-        call = asyncio.ensure_future(self.cluster.asked(worker, tasks, seconds))
+        call = asyncio.ensure_future(self.cluster.ask(worker, tasks, seconds))
         try:
             while not call.done():
                 await asyncio.wait({call}, timeout=max(0.0, min(LOOK, self.left())))
@@ -360,8 +347,8 @@ class _Work:
             call.cancel()
 
 
-def shared(shards: Sequence[Source], workers: Sequence[str]) -> dict[str, str]:
-    """The worker of each shard, by its key: nearly the same one whichever others there are.
+def share_out(shards: Sequence[ShardSource], workers: Sequence[str]) -> dict[str, str]:
+    """Return the worker of each shard, by its key: nearly the same one whichever others there are.
 
     None has much more than its share of the bytes.
     """
@@ -375,32 +362,28 @@ def shared(shards: Sequence[Source], workers: Sequence[str]) -> dict[str, str]:
     return found
 
 
-@dataclass(eq=False)
-class _Steps:
-    """What a worker holds, and does when it is asked."""
+def _prepare(dask_worker: Worker) -> None:
+    """Give a worker the handler that does steps."""
+    cache = ShardCache()
 
-    holder: Holder = field(default_factory=Holder)
-
-    async def do(self, told: bytes) -> bytes:
-        """Do tasks in a thread, so that the worker goes on to say that it is there."""
-        return await asyncio.to_thread(self._done, told)
-
-    def _done(self, told: bytes) -> bytes:
+    def work(told: bytes) -> bytes:
         from distributed.protocol.pickle import dumps, loads
 
         tasks, seconds = loads(told)
         deadline = None if seconds is None else monotonic() + seconds
-        return bytes(dumps(self.holder.work(tasks, deadline)))
+        return bytes(dumps(cache.work(tasks, deadline)))
 
+    async def do(
+        told: bytes,
+    ) -> bytes:  # in a thread, so that the worker goes on to say it is there
+        return await asyncio.to_thread(work, told)
 
-def _prepare(dask_worker: Worker) -> None:
-    """Have a worker do steps when it is asked."""
-    dask_worker.handlers.setdefault(_STEPS, _Steps().do)
+    dask_worker.handlers.setdefault(_STEPS, do)
 
 
 @contextmanager
-def _answering(address: str) -> Iterator[None]:
-    """Within it, a scheduler is asked that may have gone: `ServiceError`."""
+def _expecting_answer(address: str) -> Iterator[None]:
+    """Turn errors of a scheduler that may have gone into `ServiceError`."""
     from distributed import CancelledError
 
     try:
