@@ -16,7 +16,7 @@ from placegraph.errors import InputError, MapError, PlacegraphError
 
 if TYPE_CHECKING:
     from placegraph.indoor.library import SceneLibrary
-    from placegraph.indoor.library.library import SceneCollection
+    from placegraph.indoor.library.search import SceneCollection
     from placegraph.indoor.scene_map import SceneMap
     from placegraph.outdoor.city import CityMap
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from placegraph.core.estimate import SceneEstimate
     from placegraph.indoor.library import SceneLibrary
-    from placegraph.indoor.library.library import SceneCollection
+    from placegraph.indoor.library.search import SceneCollection
 
 Library = Annotated[
     Path,

@@ -18,9 +18,8 @@ import numpy as np
 from placegraph.core.estimate import SceneEstimate, Status
 from placegraph.core.geometry import angle_between
 from placegraph.errors import OptionError
-from placegraph.indoor.library.answer import by_frames
-from placegraph.indoor.library.localize import looked_into
-from placegraph.indoor.library.search import SearchOptions
+from placegraph.indoor.library.localize import localize_in_scenes
+from placegraph.indoor.library.search import SearchOptions, weigh_frames
 from placegraph.indoor.map.floor import storey_at
 from placegraph.indoor.map.rooms import room_at
 from placegraph.indoor.pose.window import chosen_frames
@@ -178,7 +177,7 @@ def _locate_by_frames(world: World, query: WorldQuery, evidence: WorldEvidence) 
     left = 1.0 - found.elsewhere - np.cumsum([0.0, *(m.probability for m in found.modes)])
     shown = replace(found, modes=found.modes[: min(query.most, max(1, int((left > LEFT).sum())))])
     inside = evidence.parsed.inside if evidence.parsed else None
-    answers = looked_into(
+    answers = localize_in_scenes(
         world.library, frames, shown, description=inside, refine=query.refine, seed=query.seed,
         device=query.device, progress=query.progress,
     )  # fmt: skip
@@ -211,7 +210,7 @@ def _propose_scenes(
     """Return the scenes that frames may show, with all other evidence, likeliest first."""
     others, count = world.others, len(world.scenes)
     if others is None:
-        weighed = by_frames(world.library, frames, None, SearchOptions())
+        weighed = weigh_frames(world.library, frames, None, SearchOptions())
         found = weighed.estimate(world.library, count)
     else:
         count = others.count

@@ -18,7 +18,7 @@ from placegraph.maps import checked, is_world, open_folder, open_map
 from placegraph.world.outside import CityTown, Town
 
 if TYPE_CHECKING:
-    from placegraph.indoor.library.library import SceneCollection
+    from placegraph.indoor.library.search import SceneCollection
     from placegraph.indoor.scene_map import SceneMap
     from placegraph.io.capture.capture import Capture
     from placegraph.io.capture.frame import Frame

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from placegraph.core.estimate import Status
 from placegraph.errors import OptionError
 from placegraph.indoor.library import SceneLibrary, SearchOptions, library_of, search
-from placegraph.indoor.library.search import WORDS, encode, patch_weights, scores, told_apart
+from placegraph.indoor.library.search import WORDS, cluster_vectors, encode_frames, score_scenes
 from placegraph.indoor.library.search_kernels import (
     CELL,
     FURTHEST,
@@ -112,10 +112,10 @@ def test_a_thing_taken_for_another_in_every_frame_is_one_witness(by_labels, room
 
 def test_noise_is_what_no_patch_beside_says(rooms):
     (encoder,) = SceneLibrary("labels").encoders
-    said = encode(list(rooms["study"].film(3, frames=2)), [encoder]).said[0]
-    quiet = patch_weights(replace(said, beside=np.zeros_like(said.beside)), 2, SearchOptions())
+    said = encode_frames(list(rooms["study"].film(3, frames=2)), [encoder]).parts[0]
+    quiet = replace(said, beside=np.zeros_like(said.beside)).weights(2, SearchOptions())
     assert not quiet.any()
-    weight = patch_weights(said, 2, SearchOptions(thing=1.5))
+    weight = said.weights(2, SearchOptions(thing=1.5))
     by_word = np.bincount(said.word, weight)
     assert by_word.max() == pytest.approx(1.5, rel=1e-5)
     assert (said.beside >= 0).all()
@@ -175,20 +175,22 @@ def test_the_papers_sum_is_the_papers_sum(maps, rooms, name):
         for s, scene in enumerate(library):
             vectors = library.entry(scene).signature.vectors[encoder.key]
             wanted[s] += (patches @ vectors.T).max(axis=1).mean()
-    query = encode(film, library.encoders, exact=True)
-    got = scores(library.own_index, query, SearchOptions(method="cosines")).total
+    query = encode_frames(film, library.encoders, exact=True)
+    got = score_scenes(library.own_index, query, SearchOptions(method="cosines")).total
     np.testing.assert_allclose(got, wanted, atol=1e-6)
     found = library.search(film, options=SearchOptions(method="cosines"))
     assert {m.scene: m.score for m in found.modes} == dict(zip(library, got.tolist(), strict=True))
-    assert (len(query.said[0].words) > WORDS) == (name == "appearance")
+    assert (len(query.parts[0].words) > WORDS) == (name == "appearance")
 
 
 def test_the_papers_sum_of_a_large_library_is_made_in_parts(by_labels, rooms, monkeypatch):
-    query = encode(list(rooms["parlour"].film(6, frames=3)), by_labels.encoders, exact=True)
+    query = encode_frames(list(rooms["parlour"].film(6, frames=3)), by_labels.encoders, exact=True)
     paper = SearchOptions(method="cosines")
-    whole = scores(by_labels.own_index, query, paper).total
+    whole = score_scenes(by_labels.own_index, query, paper).total
     monkeypatch.setattr(search, "_TABLE", 1)
-    np.testing.assert_allclose(scores(by_labels.own_index, query, paper).total, whole, atol=1e-9)
+    np.testing.assert_allclose(
+        score_scenes(by_labels.own_index, query, paper).total, whole, atol=1e-9
+    )
 
 
 @settings(max_examples=20)
@@ -220,7 +222,7 @@ def test_words_stand_for_their_vectors(count, kinds, seed):
     table = rng.normal(size=(kinds, 8)).astype(np.float32)
     table /= np.linalg.norm(table, axis=1, keepdims=True)
     row = rng.integers(0, kinds, count)
-    words, word = told_apart(table[row])
+    words, word = cluster_vectors(table[row])
     assert len(words) <= WORDS
     if len(np.unique(row)) <= WORDS:
         np.testing.assert_array_equal(words[word], table[row])
@@ -238,10 +240,10 @@ def test_where_things_stand_tells_rooms_of_the_same_things_apart(rooms):
     for name, room in (("study", study), ("mirror", mirror)):
         film = room.film(11, frames=10)
         assert library.search(film).best.scene == name
-        query = encode(list(film), library.encoders)
+        query = encode_frames(list(film), library.encoders)
         gap = {
             geometry: np.ptp(
-                scores(library.index, query, SearchOptions(geometry=geometry)).total[:2]
+                score_scenes(library.index, query, SearchOptions(geometry=geometry)).total[:2]
             )
             for geometry in (False, True)
         }
@@ -261,11 +263,11 @@ def test_a_large_library_is_shortlisted(by_labels, rooms):
                 for x, i, r in ((v, part, new), (whole, index, old))
             )
             np.testing.assert_array_equal(one, two)
-    query = encode(list(rooms["bedroom"].film(3)), by_labels.encoders)
-    means = {s.key: s.words[s.word].mean(axis=0) for s in query.said}
+    query = encode_frames(list(rooms["bedroom"].film(3)), by_labels.encoders)
+    means = {s.key: s.words[s.word].mean(axis=0) for s in query.parts}
     assert by_labels.names.index("bedroom") in index.nearest(means, 2)
-    full = scores(index, query, SearchOptions(geometry=False)).total
-    some = scores(part, query, SearchOptions(geometry=False)).total
+    full = score_scenes(index, query, SearchOptions(geometry=False)).total
+    some = score_scenes(part, query, SearchOptions(geometry=False)).total
     np.testing.assert_allclose(full[rows], some, rtol=1e-3)
 
 

@@ -19,6 +19,7 @@ from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
+from importlib import import_module
 from itertools import islice
 from multiprocessing import get_context
 from os import PathLike
@@ -446,7 +447,7 @@ def _run_on_cluster(
 ) -> Generator[tuple[int, Made]]:
     """Yield results from the workers of a Dask scheduler, which gives a killed one's tasks to others."""
     client = connect(scheduler)
-    import distributed
+    distributed: Any = import_module("distributed")  # parts of it have no types
 
     try:
         rest = iter(enumerate(tasks))

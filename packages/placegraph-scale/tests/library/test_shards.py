@@ -48,7 +48,7 @@ def shards(signatures, tmp_path_factory):
 def test_texts_are_answered_as_by_the_library(shards, large):
     for text in TEXTS:
         np.testing.assert_allclose(
-            shards.said(read(text)), large.texts.scores(read(text)), atol=1e-6
+            shards.score_text(read(text)), large.texts.scores(read(text)), atol=1e-6
         )
         ours, theirs = shards.search(text), large.search(text)
         assert ours.best.scene == theirs.best.scene
@@ -88,11 +88,11 @@ def test_scenes_by_their_map_files(rooms, tmp_path):
     found = shards.search("a study with two desks")
     assert found.best.scene == "study"
     assert any(e.verdict == "for" for e in found.best.evidence)
-    near = shards.holding(found.stats["rows"][:2])
+    near = shards.open_scenes(found.stats["rows"][:2])
     assert near.names[0] == "study"
     (tmp_path / "study.scene").write_bytes(b"another")
     with pytest.raises(MapError, match="another map"):
-        SceneShards.open(tmp_path / "shards").holding(found.stats["rows"][:1])
+        SceneShards.open(tmp_path / "shards").open_scenes(found.stats["rows"][:1])
 
 
 # --- bad input ---
@@ -110,7 +110,7 @@ def test_nothing_to_write_and_nothing_asked(tmp_path, shards):
     with pytest.raises(OptionError, match="row"):
         shards.name(SCENES)
     with pytest.raises(InputError, match="no map file"):
-        shards.holding([0])
+        shards.open_scenes([0])
 
 
 def test_a_shard_that_is_cut_while_it_is_open_is_named(signatures, tmp_path, rooms, monkeypatch):

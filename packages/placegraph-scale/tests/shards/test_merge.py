@@ -53,7 +53,7 @@ def test_a_table_is_the_same_however_little_memory_there_is(tmp_path_factory, fo
             i: int(found[i].objects[texts.index(word)])
             for i, texts in enumerate(said) if word in texts
         }  # fmt: skip
-        entries = made.of(row)
+        entries = made.entries(row)
         expected = {i: n for i, n in held.items() if n}
         assert dict(zip(entries.shards.tolist(), entries.objects.tolist(), strict=True)) == expected
         np.testing.assert_array_equal(entries.mass, entries.objects * np.float32(0.5))
@@ -82,7 +82,7 @@ def test_starts_grow_step_by_step(tmp_path, monkeypatch):
     made, sizes = ColumnFiles(tmp_path / "columns"), np.array([3, 0, 4, 1, 1])
     np.testing.assert_array_equal(made.starts("starts", sizes), [0, 3, 3, 7, 8, 9])
     np.testing.assert_array_equal(made.take("few", sizes, np.array([4, 2, 0])), [1, 4, 3])
-    assert len(made.of("none", "<u4")) == 0
+    assert len(made.open("none", "<u4")) == 0
 
 
 def test_a_scratch_folder_that_cannot_be_made_is_told(tmp_path):

@@ -1,4 +1,4 @@
-"""The scenes of a library by name: what is known of each, and its map when it is needed."""
+"""Libraries: scene maps by name, and the question in which of them a capture was taken."""
 
 from __future__ import annotations
 
@@ -8,45 +8,53 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.estimate import Evidence, PoseEstimate, SceneEstimate
 from placegraph.core.files import real_path, regular
 from placegraph.core.geo import EarthPose
-from placegraph.core.geometry import Camera
 from placegraph.core.mapfile import MapFile, pack_strings, read_map, sound, write_map
 from placegraph.core.pickling import Shown
 from placegraph.errors import InputError, MapError, MissingExtraError, OptionError
 from placegraph.indoor.encode import ENCODERS, Encoder, encoder
-from placegraph.indoor.language import Sentence, TextIndex
+from placegraph.indoor.language import Sentence, TextIndex, score
 from placegraph.indoor.language.index import Columns
-from placegraph.indoor.library.answer import Many, evidence, search
-from placegraph.indoor.library.localize import localize
-from placegraph.indoor.library.search import Scores, SearchOptions, scores
+from placegraph.indoor.library.search import (
+    Query,
+    SceneCollection,
+    Scores,
+    SearchOptions,
+    explain_frames,
+    score_scenes,
+)
 from placegraph.indoor.library.signature import (
     GRAIN,
     KIND,
     VERSION,
     Index,
     Signature,
-    columns,
     decoys,
+    pack_signatures,
+    read_signatures,
     signature_of,
-    signatures_in,
 )
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.pose.estimate import whereabouts
 from placegraph.indoor.scene_map import SceneMap
-from placegraph.indoor.track.live import LiveTracker
 from placegraph.io.capture.capture import Capture
-from placegraph.io.capture.frame import Frame
 
 if TYPE_CHECKING:
-    from placegraph.indoor.library.search import Query
+    from placegraph.core.estimate import Evidence
+    from placegraph.core.geometry import Camera
+    from placegraph.indoor.track.live import LiveTracker
 
+Progress = Callable[[str, int, int], None]
+Encoders = str | Encoder | Sequence[str | Encoder]
+
+SUFFIX = ".scene"
+"""Of the maps in a folder."""
 _OPEN = 8  # maps kept open
 _MERGED = 8  # of those localized in, with their tables
 
@@ -64,13 +72,15 @@ class Entry:
     """Where its map stands on Earth: one a candidate, likeliest first, for somebody anywhere in it."""
 
 
-class Scenes:
+class SceneLibrary(SceneCollection, Shown):
     """Scenes by name, each with a signature of kilobytes; maps are opened when they are needed.
+
+    Made empty, opened from a file that `save` wrote, or from a folder of scene maps.
 
     Parameters
     ----------
     encoders
-        What scenes and captures are compared by: names, such as ``labels``, or encoders. A capture
+        By which scenes and captures are compared: names, such as ``labels``, or encoders. A capture
         needs something for one of them only.
     height
         Of the cameras above the floor [m]; `options.STANDING` if not given.
@@ -82,11 +92,11 @@ class Scenes:
 
     """
 
+    missing = 0
+    notes = ()
+
     def __init__(
-        self,
-        encoders: str | Encoder | Sequence[str | Encoder] = ("labels", "appearance"),
-        *,
-        height: float | None = None,
+        self, encoders: Encoders = ("labels", "appearance"), *, height: float | None = None
     ) -> None:
         given = [encoders] if isinstance(encoders, str | Encoder) else list(encoders)
         self.encoders = tuple(encoder(e) if isinstance(e, str) else e for e in given)
@@ -155,13 +165,16 @@ class Scenes:
         self._index = self._own = self._texts = None
 
     def entry(self, name: str) -> Entry:
-        """Signature and file of a scene; `OptionError` where there is none of this name."""
+        """Return signature and file of a scene; `OptionError` where there is none of this name."""
         if name not in self._entries:
-            raise OptionError(f"{name!r} is no scene of this library; it has {self._some()}.")
+            names = ", ".join(list(self._entries)[:5]) + (", ..." if len(self) > 5 else "")
+            raise OptionError(
+                f"{name!r} is no scene of this library; it has {names or 'none at all'}."
+            )
         return self._entries[name]
 
     def scene(self, name: str) -> SceneMap:
-        """Map of a scene, opened where it is not open yet.
+        """Return the map of a scene, opened where it is not open yet.
 
         Raises
         ------
@@ -195,8 +208,8 @@ class Scenes:
             self._open.pop(next(n for n in self._open if self._entries[n].path is not None))
         return opened
 
-    def kept(self, key: Hashable, merge: Callable[[], Scene]) -> Scene:
-        """A map merged of some scenes: one of the last eight, else made anew."""
+    def cached(self, key: Hashable, merge: Callable[[], Scene]) -> Scene:
+        """Return a map merged of some scenes: one of the last eight, else made anew."""
         if key not in self._merged:
             self._merged[key] = merge()
         self._merged.move_to_end(key)
@@ -205,15 +218,10 @@ class Scenes:
         return self._merged[key]
 
     def __getstate__(self) -> dict[str, Any]:
-        """Signatures, and the maps that no file holds; the rest is opened and derived again."""
-        held = {n: m for n, m in self._open.items() if self._entries[n].path is None}
-        derived: dict[str, Any] = {
-            "_index": None,
-            "_own": None,
-            "_texts": None,
-            "_merged": OrderedDict(),
-        }
-        return self.__dict__ | derived | {"_open": OrderedDict(held)}
+        """Return signatures, and the maps that no file holds; the rest is opened and derived again."""
+        held = OrderedDict((n, m) for n, m in self._open.items() if self._entries[n].path is None)
+        derived: dict[str, Any] = {"_index": None, "_own": None, "_texts": None}
+        return self.__dict__ | derived | {"_merged": OrderedDict(), "_open": held}
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -233,38 +241,35 @@ class Scenes:
         encoders = ", ".join(e.name for e in self.encoders)
         return f"{type(self).__name__}({len(self)} scenes by {encoders})"
 
-    def _some(self) -> str:
-        names = ", ".join(list(self._entries)[:5])
-        return names + (", ..." if len(self) > 5 else "") if names else "none at all"
-
-    missing = 0
-    """Scenes that cannot be searched: of shards alone."""
-    notes: tuple[str, ...] = ()
-
     def name(self, row: int) -> str:
-        """Name of a scene by its row."""
+        """Return the name of a scene by its row."""
         return self.names[row]
 
     def earth(self, row: int) -> tuple[EarthPose, ...]:
-        """Where it stands."""
+        """Return where a scene stands on Earth."""
         return self.entry(self.names[row]).earth
 
-    def compared(self, query: Query, options: SearchOptions) -> Scores:
-        """What frames say of all scenes, and of the homes beside them."""
-        return scores(self.own_index if options.method == "cosines" else self.index, query, options)
+    def score_frames(self, query: Query, options: SearchOptions) -> Scores:
+        """Score all scenes, and the homes beside them, by frames."""
+        index = self.own_index if options.method == "cosines" else self.index
+        return score_scenes(index, query, options)
 
-    def said(self, sentence: Sentence) -> NDArray[np.float64]:
-        """What a text says of each scene (n,) against the average of them [nat]."""
+    def score_text(self, sentence: Sentence) -> NDArray[np.float64]:
+        """Return the log-likelihood ratio of a text for each scene (n,), against their average."""
         return self.texts.scores(sentence)
 
-    def evidence(
+    def explain(
         self, row: int, asked: Query | Sentence, options: SearchOptions
     ) -> tuple[Evidence, ...]:
-        """What speaks for a scene."""
-        return evidence(self, self.names[row], asked, options)
+        """Return the evidence of each object of a scene, or of each statement of a text."""
+        signature = self.entry(self.names[row]).signature
+        if isinstance(asked, Query):
+            return explain_frames(self.index, row, signature, asked, options)
+        rooms = [a.get("room", "") for a in signature.attributes]
+        return score(asked, signature.graph, rooms, self.texts, signature.attributes).evidence
 
-    def holding(self, rows: Sequence[int]) -> Scenes:  # noqa: ARG002  # all are here
-        """Library, with their maps, of some scenes at least: itself."""
+    def open_scenes(self, rows: Sequence[int]) -> SceneLibrary:  # noqa: ARG002  # all are here
+        """Return the library itself: it has all scenes."""
         return self
 
     @property
@@ -281,8 +286,7 @@ class Scenes:
     def own_index(self) -> Index:
         """The scenes alone, without the homes beside them."""
         if self._own is None:
-            scenes = self.index.owner < len(self)
-            self._own = self.index.subset(np.flatnonzero(scenes))
+            self._own = self.index.subset(np.flatnonzero(self.index.owner < len(self)))
         return self._own
 
     @property
@@ -295,85 +299,8 @@ class Scenes:
                 self._texts.add_units(entry.signature.described)
         return self._texts
 
-
-def digest_of(path: Path) -> str:
-    """SHA-256 of a file's bytes, in hexadecimal; `InputError` where they cannot be read."""
-    try:
-        return hashlib.sha256(regular(path).read_bytes()).hexdigest()
-    except OSError as error:
-        raise InputError(
-            f"{path} cannot be read any more ({error.strerror}); bring it back."
-        ) from error
-
-
-Progress = Callable[[str, int, int], None]
-
-
-SUFFIX = ".scene"
-"""Of the maps in a folder."""
-
-
-class SceneCollection:
-    """What a library is asked, whether it was read or is mapped in shards."""
-
-    def search(
-        self,
-        query: str | Capture | Sequence[Frame],
-        *,
-        frames: slice | Sequence[int] | None = None,
-        description: str | None = None,
-        options: SearchOptions | None = None,
-        most: int = 10,
-    ) -> SceneEstimate:
-        """Which scenes a capture was taken in, or a text describes, likeliest first.
-
-        Parameters
-        ----------
-        query
-            A capture or frames in order of time; or a text: "a kitchen with two sinks".
-        frames
-            Which frames; all if not given.
-        description
-            What somebody says of the place where a capture was taken.
-        options
-            `SearchOptions`; what measured best if not given. Of captures only.
-        most
-            Modes returned at most.
-
-        Raises
-        ------
-        OptionError
-            The library is empty; the query has nothing that can be compared, or understood.
-        InputError
-            An image is broken.
-
-        """
-        return search(
-            cast("Many", self),
-            query,
-            frames=frames,
-            description=description,
-            options=options,
-            most=most,
-        )
-
-    def localize(self, capture: Capture | Sequence[Frame], **options: Any) -> PoseEstimate:  # noqa: ANN401
-        """Scene and pose of a capture: retrieval, then a pose in each of the best, one by one.
-
-        Parameters, result and errors: `placegraph.indoor.library.localize.localize`.
-        """
-        return localize(cast("Many", self), capture, **options)
-
-
-class SceneLibrary(SceneCollection, Shown, Scenes):
-    """Scenes by name, and the question in which of them something is.
-
-    Made empty, opened from a file that `save` wrote, or from a folder of scene maps; parameters
-    and errors as of `Scenes`.
-    """
-
     def live(self, camera: Camera | None = None, **options: Any) -> LiveTracker:  # noqa: ANN401
-        """The map and the pose in it at any time, as frames come.
+        """Return a tracker of the map and the pose in it at any time, as frames come.
 
         Options and errors: `placegraph.indoor.track.live.LiveTracker`.
         """
@@ -389,15 +316,14 @@ class SceneLibrary(SceneCollection, Shown, Scenes):
         """
         if not len(self):
             raise OptionError("The library is empty: add a scene before you save it.")
-        entries = [self.entry(name) for name in self]
-        nowhere = [n for n, e in zip(self, entries, strict=True) if e.path is None]
-        if nowhere:
-            raise OptionError(
-                f"{nowhere[0]!r} is a map in memory; save it, and add it to the library by its file."
-            )
-        folder = real_path(path).parent
-        places = [os.path.relpath(real_path(e.path), folder) for e in entries if e.path is not None]
-        signatures = [e.signature for e in entries]
+        folder, places = real_path(path).parent, []
+        entries = list(self._entries.values())
+        for name, entry in self._entries.items():
+            if entry.path is None:
+                raise OptionError(
+                    f"{name!r} is a map in memory; save it, and add it to the library by its file."
+                )
+            places.append(os.path.relpath(real_path(entry.path), folder))
         meta = {
             "encoders": [{"name": e.name, "key": e.key} for e in self.encoders],
             "digests": [e.digest for e in entries],
@@ -406,7 +332,8 @@ class SceneLibrary(SceneCollection, Shown, Scenes):
             "grain": GRAIN,
         }
         arrays = {"names": pack_strings(self.names), "paths": pack_strings(places)}
-        arrays |= columns(signatures, [e.key for e in self.encoders])
+        keys = [e.key for e in self.encoders]
+        arrays |= pack_signatures([e.signature for e in entries], keys)
         write_map(path, KIND, VERSION, meta, arrays)
 
     @classmethod
@@ -414,7 +341,7 @@ class SceneLibrary(SceneCollection, Shown, Scenes):
         cls,
         path: str | os.PathLike[str],
         *,
-        encoders: str | Encoder | Sequence[str | Encoder] | None = None,
+        encoders: Encoders | None = None,
         progress: Progress | None = None,
     ) -> SceneLibrary:
         """Open a library's file, or make a library of a folder of scene maps.
@@ -434,16 +361,24 @@ class SceneLibrary(SceneCollection, Shown, Scenes):
             It is no such thing; a folder holds no map; encoders are other than the file's.
 
         """
-        if Path(path).is_dir():
-            return cls._of_folder(Path(path), encoders, progress)
-        return cls._of_file(path, encoders)
+        if not Path(path).is_dir():
+            return cls._of_file(path, encoders)
+        paths = sorted(Path(path).glob(f"*{SUFFIX}"))
+        if not paths:
+            raise InputError(
+                f"{path} holds no scene map (*{SUFFIX}); build some with `placegraph scene build`."
+            )
+        library, tell = cls() if encoders is None else cls(encoders), progress or (lambda *_: None)
+        for i, file in enumerate(paths):
+            tell("reading maps", i, len(paths))
+            library.add(file.stem, file)
+        tell("reading maps", len(paths), len(paths))
+        return library
 
     @classmethod
-    def _of_file(
-        cls, path: str | os.PathLike[str], encoders: str | Encoder | Sequence[str | Encoder] | None
-    ) -> SceneLibrary:
+    def _of_file(cls, path: str | os.PathLike[str], encoders: Encoders | None) -> SceneLibrary:
         file = read_map(path, KIND, VERSION)
-        made = encoders_of(file, encoders)
+        made = match_encoders(file, encoders)
         with sound(path, "Make the library again."):
             library = cls(made, height=file.meta["height"])
             names, places = file.strings("names"), file.strings("paths")
@@ -452,7 +387,7 @@ class SceneLibrary(SceneCollection, Shown, Scenes):
                 tuple(map(EarthPose.from_dict, found))
                 for found in file.meta.get("earth", [[]] * len(names))
             ]
-            signatures = signatures_in(file, [e.key for e in library.encoders])
+            signatures = read_signatures(file, [e.key for e in library.encoders])
             folder = real_path(path).parent
             for name, place, signature, digest, earth in zip(
                 names, places, signatures, digests, poses, strict=True
@@ -461,48 +396,32 @@ class SceneLibrary(SceneCollection, Shown, Scenes):
                 library.insert(name, Entry(signature, at, digest, earth))
         return library
 
-    @classmethod
-    def _of_folder(
-        cls,
-        folder: Path,
-        encoders: str | Encoder | Sequence[str | Encoder] | None,
-        progress: Progress | None,
-    ) -> SceneLibrary:
-        paths = sorted(folder.glob(f"*{SUFFIX}"))
-        if not paths:
-            raise InputError(
-                f"{folder} holds no scene map (*{SUFFIX}); build some with `placegraph scene build`."
-            )
-        library = cls() if encoders is None else cls(encoders)
-        for i, path in enumerate(paths):
-            if progress:
-                progress("reading maps", i, len(paths))
-            library.add(path.stem, path)
-        if progress:
-            progress("reading maps", len(paths), len(paths))
-        return library
-
 
 def library_of(maps: Mapping[str, SceneMap], **options: Any) -> SceneLibrary:  # noqa: ANN401
-    """Library of maps in memory; options are those of `SceneLibrary`."""
+    """Return a library of maps in memory; options are those of `SceneLibrary`."""
     library = SceneLibrary(**options)
     for name, scene in maps.items():
         library.add(name, scene)
     return library
 
 
-def encoders_of(
-    file: MapFile, given: str | Encoder | Sequence[str | Encoder] | None
-) -> list[Encoder]:
-    """Encoders of a file, made by name or given; `MapError` where these are others."""
+def match_encoders(file: MapFile, given: Encoders | None) -> list[Encoder]:
+    """Return the encoders of a file, made by name or given; `MapError` where these are others."""
     known = [] if given is None else [given] if isinstance(given, str | Encoder) else list(given)
     made = {e.key: e for e in (encoder(g) if isinstance(g, str) else g for g in known)}
     try:
         wanted = [(str(e["name"]), str(e["key"])) for e in file.meta["encoders"]]
     except (KeyError, TypeError) as error:
         raise MapError(f"{file.header.path}: names no encoders. Make the library again.") from error
-    out = [made.get(key) or _by_name(name, key) for name, key in wanted]
-    for found, (_, key) in zip(out, wanted, strict=True):
+    out = []
+    for name, key in wanted:
+        found = made.get(key)
+        if found is None and name in ENCODERS:
+            try:
+                by_name = encoder(name)
+            except (OptionError, MissingExtraError):  # it needs weights, or what is not installed
+                by_name = None
+            found = by_name if by_name is not None and by_name.key == key else None
         if found is None or (made and not made.keys() & {k for _, k in wanted}):
             here = ", ".join(made) or (found.key if found else "nothing that makes such vectors")
             raise MapError(
@@ -510,13 +429,15 @@ def encoders_of(
                 "encoder that it was made with (encoders=..., or --encoder and --weights), or make "
                 "the library again."
             )
-    return [e for e in out if e is not None]
+        out.append(found)
+    return out
 
 
-def _by_name(name: str, key: str) -> Encoder | None:
-    """Encoder that can be made by its name alone, and has this key; None where there is none."""
+def digest_of(path: Path) -> str:
+    """Return the SHA-256 of a file's bytes, in hexadecimal; `InputError` where they cannot be read."""
     try:
-        made = encoder(name) if name in ENCODERS else None
-    except (OptionError, MissingExtraError):  # it needs weights, or what is not installed
-        return None
-    return made if made is not None and made.key == key else None
+        return hashlib.sha256(regular(path).read_bytes()).hexdigest()
+    except OSError as error:
+        raise InputError(
+            f"{path} cannot be read any more ({error.strerror}); bring it back."
+        ) from error

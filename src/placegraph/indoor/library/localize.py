@@ -21,9 +21,7 @@ from placegraph.indoor.encode import Encoder
 from placegraph.indoor.encode import encoder as encoder_named
 from placegraph.indoor.language import Sentence, read
 from placegraph.indoor.language.prior import unused
-from placegraph.indoor.library.answer import Many
-from placegraph.indoor.library.answer import search as search_in
-from placegraph.indoor.library.search import SearchOptions
+from placegraph.indoor.library.search import SceneCollection, SearchOptions
 from placegraph.indoor.localize import localized
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.mapping.merge import merge_scenes
@@ -33,7 +31,7 @@ from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
 
 if TYPE_CHECKING:
-    from placegraph.indoor.library.library import Scenes
+    from placegraph.indoor.library.library import SceneLibrary
 
 SCENES = 8
 """Scenes localized in at most."""
@@ -47,7 +45,7 @@ case: it may be its twin."""
 
 
 def localize(
-    library: Many,
+    library: SceneCollection,
     capture: Capture | Sequence[Frame],
     *,
     frames: slice | Sequence[int] | None = None,
@@ -57,7 +55,7 @@ def localize(
     encoder: str | Encoder | None = None,
     **options: Any,  # noqa: ANN401  # of `SceneMap.localize`
 ) -> PoseEstimate:
-    """In which scene of a library a capture was taken, and where in it.
+    """Return in which scene of a library a capture was taken, and where in it.
 
     Each mode names its scene, and its pose is in that scene's own map; so is the trajectory, in the
     best mode's. `stats["retrieval"]` holds what the search said. Maps are only read. Where the
@@ -89,18 +87,21 @@ def localize(
         An option needs an extra.
 
     """
-    _check(most, options)
+    if most < 1:
+        raise OptionError(f"most is {most}; localize in at least one scene.")
+    if {"shares", "prior"} & options.keys():
+        raise OptionError("shares, prior: a library finds these itself; leave them out.")
     chosen = chosen_frames(capture, frames)
-    found = search_in(library, chosen, description=description, options=search, most=most)
-    answers = looked_into(
-        library.holding(found.stats.get("rows", ())), chosen, found,
+    found = library.search(chosen, description=description, options=search, most=most)
+    answers = localize_in_scenes(
+        library.open_scenes(found.stats.get("rows", ())), chosen, found,
         description=description, encoder=encoder, **options,
     )  # fmt: skip
     return doubt_by_search(choose_scene(answers), found, len(answers))
 
 
-def looked_into(
-    library: Scenes,
+def localize_in_scenes(
+    library: SceneLibrary,
     frames: Sequence[Frame],
     found: SceneEstimate,
     *,
@@ -108,25 +109,35 @@ def looked_into(
     encoder: str | Encoder | None = None,
     **options: Any,  # noqa: ANN401  # of `SceneMap.localize`
 ) -> list[PoseEstimate]:
-    """What frames say in the scenes that a search found, one by one, until no other can matter."""
-    reader = _reader(library, frames, encoder)
+    """Localize frames in the scenes that a search found, one by one, until no other can matter."""
+    reader = encoder  # of the frames; None: the frames' own instances, or none
+    if encoder is None and frames[0].label_kind == "labels":
+        reader = next((e for e in library.encoders if e.name == "labels"), None)
+    elif isinstance(encoder, str):
+        own = next((e for e in library.encoders if e.name == encoder), None)
+        reader = own or encoder_named(encoder)
+    assert not isinstance(reader, str)  # noqa: S101
+    sentence = read(description) if isinstance(description, str) else description
     answers: list[PoseEstimate] = []
     for mode in found.modes:
-        if _settled(answers, [m.probability for m in found.modes]):
+        if _is_settled(answers, [m.probability for m in found.modes]):
             break
         start = perf_counter()
-        scene = _opened(library, mode.scene, reader)
+        scene = _open(library, mode.scene, reader)
         opening = perf_counter() - start
+        useful = sentence  # what says nothing of this scene was heard by the search
+        if sentence is not None and len(unused(sentence, scene)) >= len(sentence.statements):
+            useful = None
         estimate = localized(
             scene, frames, shares=[1.0 / len(scene.scenes)] * len(scene.scenes), encoder=reader,
-            description=_useful(description, scene), **options,
+            description=useful, **options,
         )  # fmt: skip
-        answers.append(_in_its_own(estimate, scene, found, opening))
+        answers.append(_move_to_scene(estimate, scene, found, opening))
     return answers
 
 
-def _settled(answers: list[PoseEstimate], probabilities: Sequence[float]) -> bool:
-    """Whether no other scene needs to be looked into. Of labels alone the search knew as much."""
+def _is_settled(answers: list[PoseEstimate], probabilities: Sequence[float]) -> bool:
+    """Return whether no other scene needs to be looked into. Of labels alone the search knew as much."""
     sure = [answer.status is Status.OK for answer in answers]
     if not any(sure):
         return False
@@ -139,78 +150,49 @@ def _settled(answers: list[PoseEstimate], probabilities: Sequence[float]) -> boo
     return certain or looked - first > RIVALS
 
 
-def _check(most: int, options: dict[str, Any]) -> None:
-    if most < 1:
-        raise OptionError(f"most is {most}; localize in at least one scene.")
-    if {"shares", "prior"} & options.keys():
-        raise OptionError("shares, prior: a library finds these itself; leave them out.")
+def _open(library: SceneLibrary, name: str, reader: Encoder | None) -> Scene:
+    """Return the map of a scene, named in its poses, with the vectors that the library has of it.
+
+    The library caches the last ones with their tables.
+    """
+
+    def make() -> Scene:
+        scene, vectors = library.scene(name), library.entry(name).signature.vectors
+        if reader is None or reader.key not in vectors:
+            made = replace(scene, graph=replace(scene.graph, embeddings=None), encoder="")
+        else:
+            made = scene.with_embeddings(vectors[reader.key], encoder=reader.key)
+        return merge_scenes({name: made})
+
+    return library.cached((reader and reader.key, name), make)
 
 
-def _reader(
-    library: Scenes, frames: Sequence[Frame], given: str | Encoder | None
-) -> Encoder | None:
-    """Encoder that the filter reads the frames by; None: the frames' own instances, or none."""
-    if given is None and frames[0].label_kind == "labels":
-        return next((e for e in library.encoders if e.name == "labels"), None)
-    if not isinstance(given, str):
-        return given
-    return next((e for e in library.encoders if e.name == given), None) or encoder_named(given)
-
-
-def _opened(library: Scenes, name: str, reader: Encoder | None) -> Scene:
-    """Map of a scene that names its poses by it; the library keeps the last ones with their tables."""
-    return library.kept(
-        (reader and reader.key, name),
-        lambda: merge_scenes({name: _with(library, name, reader)}),
-    )
-
-
-def _with(library: Scenes, name: str, reader: Encoder | None) -> Scene:
-    """Map of a scene with the vectors that the library has of it; without, if it has none."""
-    scene = library.scene(name)
-    vectors = library.entry(name).signature.vectors
-    if reader is None or reader.key not in vectors:
-        return replace(scene, graph=replace(scene.graph, embeddings=None), encoder="")
-    return scene.with_embeddings(vectors[reader.key], encoder=reader.key)
-
-
-def _useful(description: str | Sentence | None, scene: Scene) -> Sentence | None:
-    """What was said, if it is of anything in these scenes: the search has heard it already."""
-    if description is None:
-        return None
-    sentence = read(description) if isinstance(description, str) else description
-    useful = len(unused(sentence, scene)) < len(sentence.statements)
-    return sentence if useful else None
-
-
-def _in_its_own(
+def _move_to_scene(
     estimate: PoseEstimate, scene: Scene, found: SceneEstimate, opening: float
 ) -> PoseEstimate:
-    """Estimate with poses in the map of its scene."""
+    """Move the poses of an estimate to the map of its scene; scenes are shifted when merged, never turned."""
     into = {name: scene.scene_from_map[i] for i, name in enumerate(scene.scenes)}
-    trajectory = estimate.trajectory
+
+    def move(mode: PoseMode) -> PoseMode:
+        moved = into[mode.scene] @ mode.map_from_camera
+        return replace(mode, map_from_camera=moved, pose=split_pose(np.asarray(moved))[0])
+
+    trajectory, refinement = estimate.trajectory, estimate.refinement
     if estimate.best is not None:
         trajectory = into[estimate.best.scene] @ trajectory
-    retrieval = {"elsewhere": found.elsewhere} | {m.scene: m.probability for m in found.modes}
-    refinement = estimate.refinement
     if refinement is not None:
+        coarse = refinement.coarse
         refinement = replace(
-            refinement,
-            coarse=_own(refinement.coarse, into),
-            coarse_trajectory=into[refinement.coarse.scene] @ refinement.coarse_trajectory,
-        )
+            refinement, coarse=move(coarse),
+            coarse_trajectory=into[coarse.scene] @ refinement.coarse_trajectory,
+        )  # fmt: skip
+    retrieval = {"elsewhere": found.elsewhere} | {m.scene: m.probability for m in found.modes}
+    seconds = found.stats["seconds"] | {"opening": round(opening, 4)}
     return replace(
         estimate,
-        modes=tuple(_own(m, into) for m in estimate.modes),
+        modes=tuple(map(move, estimate.modes)),
         trajectory=trajectory,
         refinement=refinement,
         map=None,  # the merged one has other axes
-        stats=estimate.stats | {"retrieval": retrieval | {"seconds": found.stats["seconds"] | {
-            "opening": round(opening, 4)}}},
-    )  # fmt: skip
-
-
-def _own(mode: PoseMode, into: dict[str, Any]) -> PoseMode:
-    """Mode with its pose in its own scene's map; scenes are shifted when merged, never turned."""
-    pose, _ = split_pose(np.asarray(into[mode.scene] @ mode.map_from_camera))
-    return replace(mode, map_from_camera=into[mode.scene] @ mode.map_from_camera, pose=pose)
+        stats=estimate.stats | {"retrieval": retrieval | {"seconds": seconds}},
+    )

@@ -382,22 +382,21 @@ GRAIN = 0.01
 DECOYS = "data/decoys.library"
 
 
-def columns(signatures: Sequence[Signature], keys: Sequence[str]) -> dict[str, NDArray[Any]]:
-    """Arrays of signatures, with their vectors of the encoders of these keys."""
-    arrays = _graphs(signatures) | _panoramas(signatures)
-    for i, key in enumerate(keys):
-        arrays |= _vectors(i, np.concatenate([s.vectors[key] for s in signatures]))
-    return arrays
-
-
-def _graphs(signatures: Sequence[Signature]) -> dict[str, NDArray[Any]]:
+def pack_signatures(
+    signatures: Sequence[Signature], keys: Sequence[str]
+) -> dict[str, NDArray[Any]]:
+    """Return signatures as columns of a file, with their vectors of the encoders of these keys."""
     graphs = [s.graph for s in signatures]
     labels = sorted({label for g in graphs for label in g.labels})
     kinds = sorted({kind for g in graphs for kind in g.relations})
     code, kind_code = ({w: i for i, w in enumerate(words)} for words in (labels, kinds))
     extents = [np.zeros_like(g.positions) if g.extents is None else g.extents for g in graphs]
     attributes = (a for s in signatures for a in s.attributes)
-    return {
+
+    def join(column: str) -> NDArray[Any]:
+        return np.concatenate([getattr(s, column) for s in signatures])
+
+    arrays = {
         "objects": np.array([len(g) for g in graphs], np.int32),
         "edges": np.array([len(g.relations) for g in graphs], np.int32),
         "ids": pack_strings([i for g in graphs for i in g.ids]),
@@ -413,31 +412,30 @@ def _graphs(signatures: Sequence[Signature]) -> dict[str, NDArray[Any]]:
         "targets": np.concatenate([g.targets for g in graphs]).astype(np.int32),
         "relations": pack_strings(kinds),
         "relation_of": np.array([kind_code[r] for g in graphs for r in g.relations], np.int32),
-    }
-
-
-def _panoramas(signatures: Sequence[Signature]) -> dict[str, NDArray[Any]]:
-    return {
-        "share": np.concatenate([s.share for s in signatures]).astype(np.float16),
-        "part": np.concatenate([s.part for s in signatures]).astype(np.int32),
-        "place_part": np.concatenate([s.place_part for s in signatures]).astype(np.int32),
+        "share": join("share").astype(np.float16),
+        "part": join("part").astype(np.int32),
+        "place_part": join("place_part").astype(np.int32),
         "place_counts": np.array([len(s.places) for s in signatures], np.int32),
-        "places": _in_steps(np.concatenate([s.places for s in signatures])),
-        "panoramas": np.concatenate([s.panoramas for s in signatures]).reshape(-1, TURNS),
+        "places": _in_steps(join("places")),
+        "panoramas": join("panoramas").reshape(-1, TURNS),
     }
-
-
-def _vectors(i: int, vectors: NDArray[np.float32]) -> dict[str, NDArray[Any]]:
-    first, code = distinct(vectors)
-    numbers, scales = in_8_bits(vectors[first])
-    return {f"vectors_{i}": numbers, f"scales_{i}": scales, f"code_{i}": code.astype(np.int32)}
+    for i, key in enumerate(keys):
+        vectors = np.concatenate([s.vectors[key] for s in signatures])
+        first, rows = distinct(vectors)
+        numbers, scales = in_8_bits(vectors[first])
+        arrays |= {
+            f"vectors_{i}": numbers,
+            f"scales_{i}": scales,
+            f"code_{i}": rows.astype(np.int32),
+        }
+    return arrays
 
 
 def _in_steps(metres: NDArray[np.floating]) -> NDArray[np.int32]:
     return np.rint(metres / GRAIN).astype(np.int32)
 
 
-def signatures_in(file: MapFile, keys: list[str]) -> list[Signature]:
+def read_signatures(file: MapFile, keys: list[str]) -> list[Signature]:
     """Signatures of a file; raises any error where columns do not fit."""
     grain = float(file.meta["grain"])
     objects, edges, places = (
@@ -526,21 +524,21 @@ def decoys(encoders: Sequence[Encoder]) -> list[Signature]:
     Vectors of labels are made of the labels; of encoders that the file has no vectors of, they are
     zero: to these, the homes say neither yes nor no.
     """
-    return [replace(s, vectors={e.key: _decoy_vectors(s, e) for e in encoders}) for s in _decoys()]
+
+    def vectors(signature: Signature, encoder: Encoder) -> NDArray[np.float32]:
+        if encoder.name == "labels":
+            from placegraph.indoor.encode.labels import LabelsEncoder
+
+            assert isinstance(encoder, LabelsEncoder)  # noqa: S101
+            return np.stack([encoder.vector(label) for label in signature.graph.labels])
+        zeros = np.zeros((len(signature), encoder.dimension), np.float32)
+        return signature.vectors.get(encoder.key, zeros)
+
+    return [replace(s, vectors={e.key: vectors(s, e) for e in encoders}) for s in _read_decoys()]
 
 
 @lru_cache(maxsize=1)
-def _decoys() -> tuple[Signature, ...]:
+def _read_decoys() -> tuple[Signature, ...]:
     with as_file(files("placegraph.indoor.library").joinpath(DECOYS)) as path:
         file = read_map(path, KIND, VERSION)
-        return tuple(signatures_in(file, [str(e["key"]) for e in file.meta["encoders"]]))
-
-
-def _decoy_vectors(signature: Signature, encoder: Encoder) -> NDArray[np.float32]:
-    if encoder.name == "labels":
-        from placegraph.indoor.encode.labels import LabelsEncoder
-
-        assert isinstance(encoder, LabelsEncoder)  # noqa: S101
-        return np.stack([encoder.vector(label) for label in signature.graph.labels])
-    zeros = np.zeros((len(signature), encoder.dimension), np.float32)
-    return signature.vectors.get(encoder.key, zeros)
+        return tuple(read_signatures(file, [str(e["key"]) for e in file.meta["encoders"]]))

@@ -22,9 +22,14 @@ from numpy.typing import NDArray
 from placegraph.errors import OptionError
 from placegraph.indoor.encode import Encoder, encoder
 from placegraph.indoor.language import read
-from placegraph.indoor.library.answer import by_query
 from placegraph.indoor.library.library import Entry, SceneLibrary
-from placegraph.indoor.library.search import Query, Said, SearchOptions, told_apart
+from placegraph.indoor.library.search import (
+    PatchWords,
+    Query,
+    SearchOptions,
+    cluster_vectors,
+    weigh_query,
+)
 from placegraph.indoor.library.search_kernels import beside
 from placegraph.indoor.library.signature import BANDS, TURNS, Signature, signature_of
 from placegraph_lab.tables.runner import (
@@ -114,12 +119,12 @@ def seen(
             own = own + rng.normal(0.0, NOISE / np.sqrt(own.shape[1]), own.shape)
             own = own / np.maximum(np.linalg.norm(own, axis=1, keepdims=True), 1e-9)
         use = shown & own.any(axis=1)
-        words, word = told_apart(own[use].astype(np.float32))
+        words, word = cluster_vectors(own[use].astype(np.float32))
         every = np.full(len(flat), -1, np.int32)
         every[use] = word
         around = beside(every, np.array([shape] * len(places)))
         said.append(
-            Said(
+            PatchWords(
                 e.key, e.temperature, words, word, frame[use],
                 np.tile(turn.reshape(-1), len(places))[use].astype(np.int32),
                 np.tile(band.reshape(-1), len(places))[use].astype(np.int32), around[use],
@@ -210,16 +215,16 @@ def ask_read(
             text = spoken(signatures, stock, row, seed, 0.1)
             start = time.perf_counter()
             if way == "text":
-                library.said(read(text))
+                library.score_text(read(text))
             else:
-                by_query(library, query, SearchOptions())
+                weigh_query(library, query, SearchOptions())
             times.append(1e3 * (time.perf_counter() - start))
         out[way] = float(np.median(times[1:]))  # the first compiles, and makes the index
     return out | {"peak": peak()}
 
 
 def _frames(shards: SceneShards, query: Query) -> Callable[[int], Any]:
-    return lambda looked: by_query(shards, query, SearchOptions(shortlist=looked)).estimate(
+    return lambda looked: weigh_query(shards, query, SearchOptions(shortlist=looked)).estimate(
         shards, 10
     )
 

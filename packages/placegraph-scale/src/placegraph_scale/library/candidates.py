@@ -18,13 +18,12 @@ from numpy.typing import NDArray
 from placegraph.core.geometry import LocalPlane
 from placegraph.errors import MapError, PlacegraphError
 from placegraph.indoor.library import SceneLibrary
-from placegraph.indoor.library.answer import by_frames
-from placegraph.indoor.library.search import SearchOptions
+from placegraph.indoor.library.search import SearchOptions, weigh_frames
 from placegraph.outdoor.language.words import tokens
 from placegraph.world.evidence import UNANCHORED, OtherScenes, fit_prior
 from placegraph.world.world import World
 from placegraph_scale.library.shards import SceneShards
-from placegraph_scale.library.write import Listed, shard_of
+from placegraph_scale.library.write import Listed, make_shard
 
 if TYPE_CHECKING:
     from placegraph.indoor.library.library import Entry
@@ -64,7 +63,7 @@ class CandidateScenes(SceneShards):
         found = [shard for s in every for shard in s.shards]
         if len(library):
             listed = [Listed(name, library.entry(name)) for name in library]
-            found.insert(0, shard_of(listed, first.usual))
+            found.insert(0, make_shard(listed, first.usual))
         return cls(
             first.encoders, first.usual, tuple(found), first.beside,
             sum(s.missing for s in every), tuple(note for s in every for note in s.notes),
@@ -103,7 +102,7 @@ class CandidateScenes(SceneShards):
 
     def find_names(self, text: str) -> set[str]:
         """Return the names of scenes and buildings that stand in a text."""
-        found = [self._at(row) for row in self.find_named(text)]
+        found = [self._find(row) for row in self.find_named(text)]
         told = [
             x for s, row in found
             for x in (s.string("names", row), *s.string("buildings", row).split("\n"))
@@ -145,10 +144,10 @@ class CandidateScenes(SceneShards):
         """Return a world of the scenes that a question may be about."""
         near = self.fit_prior(query)
         inside = text.parsed.inside if text.parsed else None
-        weights = np.log(near) + (0.0 if inside is None else self.said(inside))
+        weights = np.log(near) + (0.0 if inside is None else self.score_text(inside))
         weighed, missing = None, self.missing * (1.0 if query.near is None else UNANCHORED)
         if query.capture is not None:
-            weighed = by_frames(self, query.capture, query.frames, SearchOptions())
+            weighed = weigh_frames(self, query.capture, query.frames, SearchOptions())
             weights += np.log(weighed.shares + 1e-12)
             missing = 0.0  # `weighed.elsewhere` holds them
         places, likely = [], np.zeros(0, np.int64)
@@ -162,7 +161,7 @@ class CandidateScenes(SceneShards):
         notes = list(self.notes)
         for row in sorted({*likely.tolist(), *named, *self.find_beside(places)[:BESIDE]}):
             try:
-                self.map(row)
+                self.open_map(row)
             except PlacegraphError as error:
                 notes.append(str(error))
             else:
@@ -170,7 +169,7 @@ class CandidateScenes(SceneShards):
                 names[row] = name if name not in names.values() else f"{name} (scene {row})"
         rest = np.append(np.delete(weights, list(names)), np.log(missing) if missing else -np.inf)
         out = World(world.cities, planets=world.planets, ignored=world.ignored)
-        out.library = self.holding(list(names), list(names.values()))
+        out.library = self.open_scenes(list(names), list(names.values()))
         out.scenes = {name: out.library.scene(name) for name in names.values()}
         modes = () if weighed is None else tuple(
             replace(weighed.mode(self, row), scene=name) for row, name in names.items()

@@ -1,6 +1,8 @@
-"""Whether the columns of a shard fit each other: compiled code believes them.
+"""Libraries too large to be read: shards that are mapped, and few scenes looked at closely.
 
-Checksums tell damage; these tell a file that was forged with the right ones.
+An inverted index over labels and relations ranks all scenes by a text; what the labels of frames say
+is summed over all scenes, and their looks over the mean vector of each. The best by either are
+then compared with the frames in every direction, beside the same homes that no library has.
 """
 
 from __future__ import annotations
@@ -15,12 +17,11 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.estimate import Evidence
 from placegraph.core.files import Watch, real_path
 from placegraph.core.geo import EarthPose
 from placegraph.core.mapfile import read_header, read_map, sound
@@ -30,21 +31,14 @@ from placegraph.indoor.language import Sentence, score
 from placegraph.indoor.language.appearance import with_colours
 from placegraph.indoor.language.index import Columns, Postings
 from placegraph.indoor.language.score import compared, of_scenes
-from placegraph.indoor.library.answer import evidence
-from placegraph.indoor.library.library import (
-    Entry,
-    SceneCollection,
-    SceneLibrary,
-    digest_of,
-    encoders_of,
-)
+from placegraph.indoor.library.library import Entry, SceneLibrary, digest_of, match_encoders
 from placegraph.indoor.library.search import (
     Query,
+    SceneCollection,
     Scores,
     SearchOptions,
-    patch_weights,
-    ratio,
-    scores,
+    explain_frames,
+    score_scenes,
 )
 from placegraph.indoor.library.search_kernels import held
 from placegraph.indoor.library.signature import (
@@ -59,153 +53,77 @@ from placegraph.indoor.library.signature import (
 from placegraph.indoor.map.scene import Scene, from_8_bits
 from placegraph.indoor.scene_map import SceneMap
 
-STRINGS = ("names", "paths", "digests", "earth", "buildings")
-"""Columns of bytes, each beside one that says where those of a scene begin."""
-
-
-def check_usual(usual: Usual) -> None:
-    """Raise any of LookupError, TypeError, ValueError where columns do not fit each other."""
-    if not usual.keys:
-        raise ValueError("no encoders")
-    for i in range(len(usual.keys)):
-        vectors, common = usual.seen(i)
-        if vectors.ndim != 2 or common.shape != (len(vectors),) or not np.isfinite(vectors).all():
-            raise ValueError(f"vectors_{i}")
-    _check_texts(usual.columns)
-
-
-def check_scenes(shard: Shard) -> None:
-    """The same of a shard."""
-    a = shard.arrays
-    units, objects, views = len(a["starts"]) - 1, len(a["share"]), len(a["places"])
-    _ends(a["unit_starts"], units, least=1)
-    _ends(a["starts"], objects, least=1)
-    _ends(a["place_starts"], views)
-    shapes = {"panoramas": (views, BANDS, TURNS), "places": (views, 2), "share": (objects,)}
-    for i in range(len(shard.usual.keys)):
-        known, d = len(a[f"scales_{i}"]), shard.usual.seen(i)[0].shape[1]
-        shapes |= {f"vectors_{i}": (known, d), f"means_{i}": (units, d), f"code_{i}": (objects,)}
-        _rows(f"code_{i}", a[f"code_{i}"], known)
-    if "order" in a:  # scenes, not the homes beside them
-        shapes |= {"order": (objects,), "stands": (len(a["stands"]), 6)}
-        _check_told(shard)
-    for name, shape in shapes.items():
-        if a[name].shape != shape:
-            raise ValueError(f"{name} is {a[name].shape}, not {shape}")
-    many = np.repeat(np.diff(a["starts"]), np.diff(a["place_starts"]))
-    if views and (a["panoramas"].reshape(views, -1).max(axis=1) > many).any():
-        raise ValueError("panoramas point outside the objects")
-
-
-def _check_told(shard: Shard) -> None:
-    a, count = shard.arrays, len(shard)
-    _ends(a["stand_starts"], len(a["stands"]))
-    for name in STRINGS:
-        starts = a[f"{name}_starts"]
-        _ends(starts, int(starts[-1]))
-        if int(starts[-1]) > a[name].size or len(starts) != count + 1:
-            raise ValueError(name)
-    if len(a["stand_starts"]) != count + 1 or not np.isfinite(a["stands"]).all():
-        raise ValueError("stands")
-    _check_texts(shard.columns)
-    if shard.columns.scenes != count:
-        raise ValueError("texts are of other scenes")
-
-
-def _ends(starts: NDArray[Any], total: int, least: int = 0) -> None:
-    """Raise `ValueError` where runs do not begin at 0, shrink, or end elsewhere."""
-    ends = (int(starts[0]), int(starts[-1])) if starts.ndim == 1 and len(starts) > 1 else None
-    if starts.dtype != np.int64 or ends != (0, total) or (np.diff(starts) < least).any():
-        raise ValueError("runs do not fit what they are of")
-
-
-def _rows(name: str, rows: NDArray[Any], count: int) -> None:
-    """Raise `ValueError` where integers are no rows of so many."""
-    if rows.size and not (rows.dtype.kind == "i" and rows.min() >= 0 and rows.max() < count):
-        raise ValueError(f"{name} points outside what it is of")
-
-
-def _check_texts(c: Columns) -> None:
-    """Raise `ValueError` where columns of texts do not fit each other."""
-    count = len(c.scene)
-    for of, words in ((c.of_labels, len(c.labels)), (c.of_triples, len(c.triples))):
-        _ends(of.starts, len(of.units))
-        if len(of.starts) - 1 != words or len(of.counts) != len(of.units):
-            raise ValueError("postings of texts")
-        _rows("postings", of.units, count)
-    rows = len(c.looks) - len(c.of_labels.units), len(c.room_looks) - count
-    lengths = {len(c.much) - count, len(c.rooms) - count, len(c.whole) - count, *rows}
-    ascending = np.array_equal(np.unique(c.scene), np.arange(c.scenes))
-    if lengths != {0} or not ascending or (np.diff(c.scene) < 0).any():
-        raise ValueError("columns of texts are of different lengths")
-    for numbers, least in (
-        (c.of_labels.counts, 0),
-        (c.of_triples.counts, 0),
-        (c.much, 1),
-        (c.rooms, 0),
-    ):
-        if not ((numbers >= least) & (numbers < np.inf)).all():
-            raise ValueError("numbers of texts")
-    for name, rows, many in zip(
-        ("subjects", "relations", "targets"), c.triples.T,
-        (len(c.labels), len(c.relations), len(c.labels)), strict=True,
-    ):  # fmt: skip
-        _rows(name, rows, many)
-
+if TYPE_CHECKING:
+    from placegraph.core.estimate import Evidence
 
 KIND, VERSION = "shard", 1
 """Of map files."""
 HEAD, BESIDE = "usual.shard", "beside.shard"
-"""What is usual and which shards there are, written last; the homes that no library has."""
+"""Background model and list of shards, written last; the homes that no library has."""
 MEND = "Make the shards again with `placegraph library shard`."
+STRINGS = ("names", "paths", "digests", "earth", "buildings")
+"""Columns of bytes, each beside one that says where those of a scene begin."""
 FEW = 5_000
 """Vectors of a shard that all are compared with every word of a query: those of labels are so few."""
+_OPEN = 64
+"""Maps kept open."""
 
 
 @dataclass(frozen=True, eq=False)
-class Usual:
-    """What is usual in homes, the same for all shards: looks and names of things, and texts."""
+class Background:
+    """Background model of homes, the same for all shards: looks and names of objects, and texts."""
 
     meta: Mapping[str, Any]
     arrays: Mapping[str, NDArray[Any]]
     keys: Sequence[str]
 
     def seen(self, i: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Vectors (B, d) that are seen anywhere, and the share (B,) of each, to encoder i."""
+        """Return vectors (B, d) that are seen anywhere, and the share (B,) of each, to encoder i."""
         return self.arrays[f"vectors_{i}"], self.arrays[f"common_{i}"]
-
-    def mean(self, i: int) -> NDArray[np.float32]:
-        """(d,) of these."""
-        vectors, common = self.seen(i)
-        return np.asarray(common @ vectors)
 
     @cached_property
     def columns(self) -> Columns:
         """Scenes that say what is usual in a text."""
-        return columns_in(self.meta, self.arrays)
+        return read_columns(self.meta, self.arrays)
 
     def vocabulary(self, i: int, own: NDArray[np.float32], code: NDArray[np.int32]) -> Vocabulary:
-        """Vocabulary of objects with rows (M,) of vectors (U, d), in which what is usual comes last."""
+        """Return the vocabulary of objects with rows (M,) of vectors (U, d); what is usual comes last."""
         vectors, common = self.seen(i)
         every = np.concatenate([own, vectors])
         unknown = np.flatnonzero(~every.any(axis=1))
         return Vocabulary(every, unknown, code, np.arange(len(own), len(every)), common)
 
+    def check(self) -> None:
+        """Raise LookupError, TypeError or ValueError where columns do not fit each other."""
+        if not self.keys:
+            raise ValueError("no encoders")
+        for i in range(len(self.keys)):
+            vectors, common = self.seen(i)
+            shape = (len(vectors),)
+            if vectors.ndim != 2 or common.shape != shape or not np.isfinite(vectors).all():
+                raise ValueError(f"vectors_{i}")
+        _check_texts(self.columns)
+
 
 @dataclass(frozen=True, eq=False)
 class Shard:
-    """Mapped columns of S scenes; everything that is derived of all of them is on disk."""
+    """Mapped columns of S scenes; all that is derived of them is on disk.
+
+    A shard is mapped from a file (`write`), or made in memory of scenes that are read.
+    """
 
     meta: Mapping[str, Any]
     arrays: Mapping[str, NDArray[Any]]
-    usual: Usual
+    usual: Background
     folder: Path = Path()
     """To which paths of maps are relative."""
     watch: Watch | None = None
     """Of the file that columns are windows on."""
+    _vocabularies: dict[int, Vocabulary] = field(default_factory=dict)
+    """Of encoders with few vectors, unpacked."""
 
     @classmethod
-    def open(cls, path: Path, usual: Usual) -> Shard:
+    def open(cls, path: Path, usual: Background) -> Shard:
         """Map a shard; its checksum is compared, and what its columns point to.
 
         Raises `InputError` where it is not there, `MapError` where it is damaged, newer or none.
@@ -216,7 +134,7 @@ class Shard:
             own = ("share", "starts", *(f"code_{i}" for i in range(len(usual.keys))))
             arrays = file.arrays | {n: np.array(file.arrays[n]) for n in own}
             shard = cls(file.meta, arrays, usual, path.parent, file.watch)
-            check_scenes(shard)
+            _check_shard(shard)
         return shard
 
     def check(self) -> None:
@@ -228,19 +146,19 @@ class Shard:
         return len(self.arrays["unit_starts"]) - 1
 
     def string(self, column: str, row: int) -> str:
-        """What a column of strings says of a scene."""
+        """Return the text of a scene in a column of strings."""
         starts = self.arrays[f"{column}_starts"]
         part = self.arrays[column][starts[row] : starts[row + 1]]
         return bytes(part).decode("utf-8", "replace")
 
     def strings(self, column: str) -> list[str]:
-        """What it says of all scenes."""
+        """Return the texts of all scenes."""
         blob = self.arrays[column].tobytes()
         ends = self.arrays[f"{column}_starts"].tolist()
         return [blob[a:b].decode("utf-8", "replace") for a, b in itertools.pairwise(ends)]
 
     def signature(self, row: int, scene: Scene) -> Signature:
-        """Signature of a scene, with what only its map says of it."""
+        """Return the signature of a scene, with what only its map says of it."""
         a = self.arrays
         first, last = a["unit_starts"][row : row + 2]
         objects = np.arange(a["starts"][first], a["starts"][last])
@@ -250,13 +168,12 @@ class Shard:
             raise MapError(
                 f"{scene.source} has other objects than its shard; make the shards again."
             )
-        at, part, panoramas = len(order), np.zeros(len(order), np.int32), []
-        numbers = {}
+        part, panoramas = np.zeros(len(order), np.int32), []
         for number, unit_ in enumerate(range(first, last)):
             own = a["order"][a["starts"][unit_] : a["starts"][unit_ + 1]]
-            part[own], numbers[unit_] = number, np.append(own, at)
+            part[own] = number
             seen = a["panoramas"][a["place_starts"][unit_] : a["place_starts"][unit_ + 1]]
-            panoramas.append(numbers[unit_][seen].astype(np.uint16))
+            panoramas.append(np.append(own, len(order))[seen].astype(np.uint16))
         back = np.argsort(order)
         share = np.square(a["share"][objects])[back]
         counts = np.diff(a["place_starts"])[first:last]
@@ -273,13 +190,13 @@ class Shard:
 
     @cached_property
     def columns(self) -> Columns:
-        """As texts ask for them."""
-        return columns_in(self.meta, self.arrays)
+        """Columns that texts are compared with."""
+        return read_columns(self.meta, self.arrays)
 
-    def promising(
+    def bound_scores(
         self, query: Query, options: SearchOptions
     ) -> tuple[NDArray[np.float64] | None, NDArray[np.float64] | None]:
-        """How promising (S,) each scene is by encoders of few vectors, and by those of many.
+        """Score each scene (S,) quickly by encoders of few vectors, and by those of many.
 
         By the first it is what the frames say of all that it holds: no finalist of an exhaustive
         search is missing among the best. By the others, how like its mean is to what was seen.
@@ -288,45 +205,36 @@ class Shard:
         few: NDArray[Any] | None = None
         many: NDArray[Any] | None = None
         for i, key in enumerate(self.usual.keys):
-            for said in (s for s in query.said if s.key == key):
+            for words in (s for s in query.parts if s.key == key):
+                code = a[f"code_{i}"]
                 if len(a[f"vectors_{i}"]) <= FEW:
-                    told = ratio(said, self._all(i), options)
-                    patches = patch_weights(said, len(query), options)
-                    weight = np.bincount(said.word, patches, len(said.words))
-                    units = held(
-                        told, a[f"code_{i}"], a["share"], a["starts"], weight, options.wrong
-                    )
+                    if i not in self._vocabularies:
+                        own = unit(from_8_bits(a[f"vectors_{i}"], a[f"scales_{i}"]))
+                        self._vocabularies[i] = self.usual.vocabulary(i, own, code)
+                    ratios = words.ratios(self._vocabularies[i], options)
+                    weight = words.word_weights(len(query), options)
+                    units = held(ratios, code, a["share"], a["starts"], weight, options.wrong)
                     few = units if few is None else few + units
                 else:
-                    counts = np.bincount(said.word, minlength=len(said.words))
-                    seen = counts @ said.words / len(said.word) - self.usual.mean(i)
+                    counts = np.bincount(words.word, minlength=len(words.words))
+                    vectors, common = self.usual.seen(i)
+                    seen = counts @ words.words / len(words.word) - np.asarray(common @ vectors)
                     near = a[f"means_{i}"] @ seen.astype(np.float32)
                     many = near if many is None else many + near
         first = a["unit_starts"][:-1]
         best = [w if w is None else np.maximum.reduceat(w, first) for w in (few, many)]
         return best[0], best[1]
 
-    def _all(self, i: int) -> Vocabulary:
-        if i not in self._kept:
-            own = from_8_bits(self.arrays[f"vectors_{i}"], self.arrays[f"scales_{i}"])
-            self._kept[i] = self.usual.vocabulary(i, unit(own), self.arrays[f"code_{i}"])
-        return self._kept[i]
-
-    @cached_property
-    def _kept(self) -> dict[int, Vocabulary]:
-        """Few vectors, unpacked."""
-        return {}
-
     def vectors(self, i: int, objects: NDArray[np.int64]) -> NDArray[np.float32]:
-        """Vectors (M, d) of some objects."""
+        """Return vectors (M, d) of some objects."""
         rows = self.arrays[f"code_{i}"][objects]
         return unit(
             from_8_bits(self.arrays[f"vectors_{i}"][rows], self.arrays[f"scales_{i}"][rows])
         )
 
 
-def together(picks: Sequence[tuple[Shard, NDArray[np.int64]]]) -> Index:
-    """Index of some scenes (rows ascending) of several shards, in this order."""
+def join_scenes(picks: Sequence[tuple[Shard, NDArray[np.int64]]]) -> Index:
+    """Return the index of some scenes (rows ascending) of several shards, in this order."""
     usual = picks[0][0].usual
     parts: list[dict[str, NDArray[Any]]] = []
     vectors: list[list[NDArray[np.float32]]] = []
@@ -360,13 +268,13 @@ def together(picks: Sequence[tuple[Shard, NDArray[np.int64]]]) -> Index:
 
 
 def unit(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Unit vectors (N, d) of these, zero ones as they are."""
+    """Scale vectors (N, d) to length 1; zero ones stay."""
     lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
     return np.asarray(vectors / np.where(lengths > 1e-6, lengths, np.inf), np.float32)
 
 
-def columns_in(meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Columns:
-    """Columns of texts as `shard_write.of_texts` wrote them."""
+def read_columns(meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Columns:
+    """Return columns of texts as `write.pack_texts` wrote them."""
     a = {name.removeprefix("text_"): v for name, v in arrays.items() if name.startswith("text_")}
     return Columns(
         labels=tuple(map(str, meta["labels"])),
@@ -378,20 +286,88 @@ def columns_in(meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> C
     )  # fmt: skip
 
 
-_OPEN = 64
-"""Maps kept open."""
+# Compiled code believes columns. Checksums tell damage; these checks tell a file that was forged.
+
+
+def _check_shard(shard: Shard) -> None:
+    """Raise LookupError, TypeError or ValueError where columns of a shard do not fit each other."""
+    a, count = shard.arrays, len(shard)
+    units, objects, views = len(a["starts"]) - 1, len(a["share"]), len(a["places"])
+    _check_runs(a["unit_starts"], units, least=1)
+    _check_runs(a["starts"], objects, least=1)
+    _check_runs(a["place_starts"], views)
+    shapes = {"panoramas": (views, BANDS, TURNS), "places": (views, 2), "share": (objects,)}
+    for i in range(len(shard.usual.keys)):
+        known, d = len(a[f"scales_{i}"]), shard.usual.seen(i)[0].shape[1]
+        shapes |= {f"vectors_{i}": (known, d), f"means_{i}": (units, d), f"code_{i}": (objects,)}
+        _check_rows(f"code_{i}", a[f"code_{i}"], known)
+    if "order" in a:  # scenes, not the homes beside them
+        shapes |= {"order": (objects,), "stands": (len(a["stands"]), 6)}
+        _check_runs(a["stand_starts"], len(a["stands"]))
+        for name in STRINGS:
+            starts = a[f"{name}_starts"]
+            _check_runs(starts, int(starts[-1]))
+            if int(starts[-1]) > a[name].size or len(starts) != count + 1:
+                raise ValueError(name)
+        if len(a["stand_starts"]) != count + 1 or not np.isfinite(a["stands"]).all():
+            raise ValueError("stands")
+        _check_texts(shard.columns)
+        if shard.columns.scenes != count:
+            raise ValueError("texts are of other scenes")
+    for name, shape in shapes.items():
+        if a[name].shape != shape:
+            raise ValueError(f"{name} is {a[name].shape}, not {shape}")
+    many = np.repeat(np.diff(a["starts"]), np.diff(a["place_starts"]))
+    if views and (a["panoramas"].reshape(views, -1).max(axis=1) > many).any():
+        raise ValueError("panoramas point outside the objects")
+
+
+def _check_runs(starts: NDArray[Any], total: int, least: int = 0) -> None:
+    """Raise `ValueError` where runs do not begin at 0, shrink, or end elsewhere."""
+    ends = (int(starts[0]), int(starts[-1])) if starts.ndim == 1 and len(starts) > 1 else None
+    if starts.dtype != np.int64 or ends != (0, total) or (np.diff(starts) < least).any():
+        raise ValueError("runs do not fit what they are of")
+
+
+def _check_rows(name: str, rows: NDArray[Any], count: int) -> None:
+    """Raise `ValueError` where integers are no rows of so many."""
+    if rows.size and not (rows.dtype.kind == "i" and rows.min() >= 0 and rows.max() < count):
+        raise ValueError(f"{name} points outside what it is of")
+
+
+def _check_texts(c: Columns) -> None:
+    """Raise `ValueError` where columns of texts do not fit each other."""
+    count = len(c.scene)
+    for of, words in ((c.of_labels, len(c.labels)), (c.of_triples, len(c.triples))):
+        _check_runs(of.starts, len(of.units))
+        if len(of.starts) - 1 != words or len(of.counts) != len(of.units):
+            raise ValueError("postings of texts")
+        _check_rows("postings", of.units, count)
+    rows = len(c.looks) - len(c.of_labels.units), len(c.room_looks) - count
+    lengths = {len(c.much) - count, len(c.rooms) - count, len(c.whole) - count, *rows}
+    ascending = np.array_equal(np.unique(c.scene), np.arange(c.scenes))
+    if lengths != {0} or not ascending or (np.diff(c.scene) < 0).any():
+        raise ValueError("columns of texts are of different lengths")
+    numbers = (c.of_labels.counts, 0), (c.of_triples.counts, 0), (c.much, 1), (c.rooms, 0)
+    if not all(((n >= least) & (n < np.inf)).all() for n, least in numbers):
+        raise ValueError("numbers of texts")
+    for name, column, many in zip(
+        ("subjects", "relations", "targets"), c.triples.T,
+        (len(c.labels), len(c.relations), len(c.labels)), strict=True,
+    ):  # fmt: skip
+        _check_rows(name, column, many)
 
 
 @dataclass(frozen=True, eq=False)
 class SceneShards(SceneCollection):
-    """Scenes in shards, asked as a library is; `shard_write.write_shards` makes them.
+    """Scenes in shards, asked as a library is; `write.write_shards` makes them.
 
     By rows. Of more scenes than `SearchOptions.shortlist` half as many by labels, and as many by
     looks, are compared with what lies in every direction.
     """
 
     encoders: tuple[Encoder, ...]
-    usual: Usual
+    usual: Background
     shards: tuple[Shard, ...]
     beside: Shard
     """Homes that no library has."""
@@ -418,19 +394,19 @@ class SceneShards(SceneCollection):
         InputError
             The folder is none of shards.
         MapError
-            No shard is sound, or what is usual is not; the encoders are others.
+            No shard is sound, or the background model is not; the encoders are others.
 
         """
         folder = Path(folder)
         if not (folder / HEAD).is_file():
             raise InputError(f"{folder} holds no shards of a library: it has no {HEAD}. {MEND}")
         head = read_map(folder / HEAD, KIND, VERSION)
-        made = tuple(encoders_of(head, encoders))
+        made = tuple(match_encoders(head, encoders))
         with sound(folder / HEAD, MEND):
-            usual = Usual(head.meta, head.arrays, [e.key for e in made])
-            check_usual(usual)
-            told = [(str(s["file"]), int(s["scenes"])) for s in head.meta["shards"]]
-            if not told or any(Path(name).name != name or count < 1 for name, count in told):
+            usual = Background(head.meta, head.arrays, [e.key for e in made])
+            usual.check()
+            listed = [(str(s["file"]), int(s["scenes"])) for s in head.meta["shards"]]
+            if not listed or any(Path(name).name != name or count < 1 for name, count in listed):
                 raise ValueError("no shards")
         found: list[Shard] = []
         notes, missing = [], 0
@@ -444,7 +420,8 @@ class SceneShards(SceneCollection):
             return shard if len(shard) == count else other
 
         with ThreadPoolExecutor(2) as pool:
-            for (_, count), shard in zip(told, pool.map(lambda s: opened(*s), told), strict=True):
+            every = pool.map(lambda s: opened(*s), listed)
+            for (_, count), shard in zip(listed, every, strict=True):
                 if isinstance(shard, Shard):
                     found.append(shard)
                 else:
@@ -472,26 +449,26 @@ class SceneShards(SceneCollection):
         return f"SceneShards({len(self):,} scenes in {len(self.shards)} shards)"
 
     def name(self, row: int) -> str:
-        """Name of a scene."""
+        """Return the name of a scene."""
         return self._string(row, "names")
 
     def path(self, row: int) -> Path | None:
-        """Map file of a scene, None where there is none."""
-        told, (shard, _) = self._string(row, "paths"), self._at(row)
-        return real_path(shard.folder / told) if told else None
+        """Return the map file of a scene, None where there is none."""
+        place, (shard, _) = self._string(row, "paths"), self._find(row)
+        return real_path(shard.folder / place) if place else None
 
     def earth(self, row: int) -> tuple[EarthPose, ...]:
-        """Where a scene stands: one a candidate, likeliest first."""
-        with sound(self._at(row)[0].folder, MEND):
-            told = json.loads(self._string(row, "earth") or "[]")
-            return tuple(EarthPose.from_dict(p) for p in told)
+        """Return where a scene stands on Earth: one a candidate, likeliest first."""
+        with sound(self._find(row)[0].folder, MEND):
+            poses = json.loads(self._string(row, "earth") or "[]")
+            return tuple(EarthPose.from_dict(p) for p in poses)
 
-    def map(self, row: int) -> SceneMap:
-        """Map of a scene; raises as `Scenes.scene`."""
+    def open_map(self, row: int) -> SceneMap:
+        """Return the map of a scene; raises as `SceneLibrary.scene`."""
         return self._entry(row)[1]
 
-    def holding(self, rows: Sequence[int], names: Sequence[str] | None = None) -> SceneLibrary:
-        """Library, with their maps, of some scenes, called by other names where these are given.
+    def open_scenes(self, rows: Sequence[int], names: Sequence[str] | None = None) -> SceneLibrary:
+        """Return a library, with their maps, of some scenes, called by other names where these are given.
 
         Raises `InputError` where a map is not there, `MapError` where it is another than was added.
         """
@@ -505,7 +482,7 @@ class SceneShards(SceneCollection):
         if row in self._opened:
             self._opened.move_to_end(row)
             return self._opened[row]
-        path, (shard, own) = self.path(row), self._at(row)
+        path, (shard, own) = self.path(row), self._find(row)
         if path is None:
             raise InputError(f"{self.name(row)}: the shards know no map file of it.")
         digest = self._string(row, "digests")
@@ -518,8 +495,8 @@ class SceneShards(SceneCollection):
             self._opened.popitem(last=False)
         return entry, scene
 
-    def compared(self, query: Query, options: SearchOptions) -> Scores:
-        """What frames say of all scenes, and of the homes beside them.
+    def score_frames(self, query: Query, options: SearchOptions) -> Scores:
+        """Score all scenes, and the homes beside them, by frames.
 
         Scenes that are not looked at closely are as the worst of those that are.
         """
@@ -527,38 +504,36 @@ class SceneShards(SceneCollection):
             raise OptionError("method is 'cosines': shards are compared by 'likelihood' alone.")
         self.check()
         start = perf_counter()
-        rows = self._candidates(query, options)
+        rows = self._choose_candidates(query, options)
         found_in = perf_counter() - start
-        index = together([*self._picked(rows), (self.beside, np.arange(len(self.beside)))])
-        near = scores(index, query, replace(options, shortlist=len(index)))
+        at = np.searchsorted(rows, self.starts).tolist()
+        picks = [
+            (shard, rows[first:last] - self.starts[i])
+            for i, (shard, (first, last)) in enumerate(
+                zip(self.shards, itertools.pairwise(at), strict=True)
+            )
+            if last > first
+        ]
+        index = join_scenes([*picks, (self.beside, np.arange(len(self.beside)))])
+        near = score_scenes(index, query, replace(options, shortlist=len(index)))
         total = np.full(len(self) + len(self.beside), near.total.min())
         total[np.append(rows, np.arange(len(self), len(total)))] = near.total
-        return Scores(total, near.heat, {"candidates": found_in} | near.seconds)
+        return Scores(total, near.temperature, {"candidates": found_in} | near.seconds)
 
-    def _candidates(self, query: Query, options: SearchOptions) -> NDArray[np.int64]:
-        """Rows of the scenes that are looked at: the best by labels, and the best by looks."""
+    def _choose_candidates(self, query: Query, options: SearchOptions) -> NDArray[np.int64]:
+        """Return rows of the scenes that are looked at: the best by labels, and the best by looks."""
         if len(self) <= options.shortlist:
             return np.arange(len(self))
         ways = [
             np.concatenate(found)
-            for found in zip(*(s.promising(query, options) for s in self.shards), strict=True)
+            for found in zip(*(s.bound_scores(query, options) for s in self.shards), strict=True)
             if found[0] is not None
         ]
         most = max(1, options.shortlist // 2)
         return np.unique(np.concatenate([np.argpartition(-w, most - 1)[:most] for w in ways]))
 
-    def _picked(self, rows: NDArray[np.int64]) -> list[tuple[Shard, NDArray[np.int64]]]:
-        at = np.searchsorted(rows, self.starts)
-        return [
-            (shard, rows[first:last] - self.starts[i])
-            for i, (shard, (first, last)) in enumerate(
-                zip(self.shards, itertools.pairwise(at.tolist()), strict=True)
-            )
-            if last > first
-        ]
-
-    def said(self, sentence: Sentence) -> NDArray[np.float64]:
-        """What a text says of each scene (n,) against what is usual [nat]."""
+    def score_text(self, sentence: Sentence) -> NDArray[np.float64]:
+        """Return the log-likelihood ratio of a text for each scene (n,), against what is usual."""
         self.check()
         usual = self.usual.columns
         parts = [
@@ -567,18 +542,20 @@ class SceneShards(SceneCollection):
         ]
         return np.concatenate(parts)
 
-    def evidence(
+    def explain(
         self, row: int, asked: Query | Sentence, options: SearchOptions
     ) -> tuple[Evidence, ...]:
-        """What speaks for a scene, by its map, where that is there."""
+        """Return the evidence for a scene, by its map, where that is there."""
         path = self.path(row)
         if path is None or not path.exists():
             return ()
         if isinstance(asked, Query):
-            return evidence(self.holding([row]), self.name(row), asked, options)
-        return score(asked, self.map(row)).evidence
+            library = self.open_scenes([row])
+            signature = self._entry(row)[0].signature
+            return explain_frames(library.index, 0, signature, asked, options)
+        return score(asked, self.open_map(row)).evidence
 
-    def _at(self, row: int) -> tuple[Shard, int]:
+    def _find(self, row: int) -> tuple[Shard, int]:
         if not 0 <= row < len(self):
             raise OptionError(f"row is {row}; there are {len(self)} scenes.")
         shard = int(np.searchsorted(self.starts, row, "right")) - 1
@@ -586,5 +563,5 @@ class SceneShards(SceneCollection):
         return self.shards[shard], row - int(self.starts[shard])
 
     def _string(self, row: int, column: str) -> str:
-        shard, own = self._at(row)
+        shard, own = self._find(row)
         return shard.string(column, own)

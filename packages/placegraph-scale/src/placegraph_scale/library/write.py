@@ -18,10 +18,17 @@ from placegraph.errors import MapError, OptionError
 from placegraph.indoor.encode import Encoder, encoder
 from placegraph.indoor.language.index import columns_of
 from placegraph.indoor.library.library import Entry
-from placegraph.indoor.library.signature import Index, decoys
-from placegraph.indoor.library.signature import split_into_units as units
+from placegraph.indoor.library.signature import Index, decoys, split_into_units
 from placegraph.indoor.map.scene import in_8_bits
-from placegraph_scale.library.shards import BESIDE, HEAD, KIND, VERSION, SceneShards, Shard, Usual
+from placegraph_scale.library.shards import (
+    BESIDE,
+    HEAD,
+    KIND,
+    VERSION,
+    Background,
+    SceneShards,
+    Shard,
+)
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -66,7 +73,7 @@ def write_shards(
     if size < 1:
         raise OptionError(f"size is {size}; a shard holds at least one scene.")
     folder, left = Path(folder), iter(scenes)
-    usual: Usual | None = None
+    usual: Background | None = None
     names: set[str] = set()
     files: list[dict[str, Any]] = []
     for number in itertools.count():
@@ -75,17 +82,17 @@ def write_shards(
             break
         if usual is None:
             _empty(folder)
-            usual = usual_of(some, made)
+            usual = learn_background(some, made)
         for listed in some:
             if listed.name in names:
                 raise OptionError(f"Two scenes are called {listed.name!r}; rename one of them.")
             names.add(listed.name)
         file = f"{number:05d}.shard"
-        _write(folder / file, *shard_arrays(some, keys))
+        _write(folder / file, *pack_shard(some, keys))
         files.append({"file": file, "scenes": len(some)})
     if usual is None:
         raise OptionError("There is no scene: a library in shards holds at least one.")
-    _write(folder / BESIDE, {}, of_index(Index.of(decoys(made), keys)))
+    _write(folder / BESIDE, {}, pack_index(Index.of(decoys(made), keys)))
     told = {"encoders": [{"name": e.name, "key": e.key} for e in made], "shards": files}
     _write(folder / HEAD, {**told, **usual.meta}, usual.arrays)
     return SceneShards.open(folder, encoders=made)
@@ -108,17 +115,19 @@ def _write(path: Path, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any
     write_map(path, KIND, VERSION, meta, arrays, mapped=tuple(arrays))
 
 
-def shard_of(scenes: Sequence[Listed], usual: Usual) -> Shard:
+def make_shard(scenes: Sequence[Listed], usual: Background) -> Shard:
     """A shard in memory."""
-    return Shard(*shard_arrays(scenes, usual.keys), usual)
+    return Shard(*pack_shard(scenes, usual.keys), usual)
 
 
-def shard_arrays(scenes: Sequence[Listed], keys: Sequence[str]) -> tuple[dict[str, Any], Arrays]:
+def pack_shard(scenes: Sequence[Listed], keys: Sequence[str]) -> tuple[dict[str, Any], Arrays]:
     """Metadata and columns of a shard."""
-    meta, arrays = of_texts(scenes)
+    meta, arrays = pack_texts(scenes)
     signatures = [s.entry.signature for s in scenes]
-    arrays |= of_index(Index.of(signatures, keys))
-    arrays["order"] = np.concatenate([u.objects for u in units(signatures)]).astype(np.uint16)
+    arrays |= pack_index(Index.of(signatures, keys))
+    arrays["order"] = np.concatenate([u.objects for u in split_into_units(signatures)]).astype(
+        np.uint16
+    )
     earth = [s.entry.earth for s in scenes]
     told = {
         "names": [s.name for s in scenes],
@@ -130,7 +139,7 @@ def shard_arrays(scenes: Sequence[Listed], keys: Sequence[str]) -> tuple[dict[st
         ],
     }
     for name, strings in told.items():
-        arrays[name], arrays[f"{name}_starts"] = packed(strings)
+        arrays[name], arrays[f"{name}_starts"] = pack_text(strings)
     arrays["stand_starts"] = np.cumsum([0, *map(len, earth)]).astype(np.int64)
     arrays["stands"] = np.array([_stand(p) for own in earth for p in own], float).reshape(-1, 6)
     meta["rooms"] = list(dict.fromkeys(room for s in signatures for room in s.rooms))
@@ -143,19 +152,19 @@ def _stand(pose: EarthPose) -> tuple[float, ...]:
     return pose.longitude, pose.latitude, east, both, north, pose.probability
 
 
-def usual_of(scenes: Sequence[Listed], encoders: Sequence[Encoder]) -> Usual:
+def learn_background(scenes: Sequence[Listed], encoders: Sequence[Encoder]) -> Background:
     """What is usual in some scenes and in the homes beside them."""
     keys = [e.key for e in encoders]
     signatures = [s.entry.signature for s in scenes[:SCENES_OF_USUAL]]
     index = Index.of(signatures + decoys(encoders), keys)
-    meta, arrays = of_texts(scenes[:SCENES_OF_USUAL])
+    meta, arrays = pack_texts(scenes[:SCENES_OF_USUAL])
     for i, key in enumerate(keys):
         v = index.vocabularies[key]
         arrays[f"vectors_{i}"], arrays[f"common_{i}"] = v.vectors[v.usual], v.common
-    return Usual(meta, arrays, keys)
+    return Background(meta, arrays, keys)
 
 
-def of_index(index: Index) -> Arrays:
+def pack_index(index: Index) -> Arrays:
     """What frames are compared with; vectors in 8 bits, each once."""
     scenes = int(index.owner[-1]) + 1
     arrays: Arrays = {
@@ -174,7 +183,7 @@ def of_index(index: Index) -> Arrays:
     return arrays
 
 
-def of_texts(scenes: Sequence[Listed]) -> tuple[dict[str, Any], Arrays]:
+def pack_texts(scenes: Sequence[Listed]) -> tuple[dict[str, Any], Arrays]:
     """What texts are compared with: postings of labels and of relations."""
     columns = columns_of([s.entry.signature.described for s in scenes])
     meta = {"labels": columns.labels, "relations": columns.relations, "scenes": columns.scenes}
@@ -189,7 +198,7 @@ def of_texts(scenes: Sequence[Listed]) -> tuple[dict[str, Any], Arrays]:
     return meta, {f"text_{name}": np.asarray(array) for name, array in found.items()}
 
 
-def packed(strings: Sequence[str]) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+def pack_text(strings: Sequence[str]) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
     """Strings as bytes, and where each begins and the last ends."""
     parts = [s.encode() for s in strings]
     starts = np.concatenate([[0], np.cumsum([len(p) for p in parts])]).astype(np.int64)

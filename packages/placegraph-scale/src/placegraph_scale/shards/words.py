@@ -557,8 +557,8 @@ def _write_table(path: Path, found: Iterable[WordCounts], scratch: Path, at_once
         made.add("shards", "<i4", np.full(many, i))
         for name in COUNTS:
             made.add(name, ENTRIES[name], getattr(c, name)[here])
-        for name, known in of_shards.items():
-            known.append(getattr(c, name))
+        for name, column in of_shards.items():
+            column.append(getattr(c, name))
         entries += many
     labels: list[str] = []
 
