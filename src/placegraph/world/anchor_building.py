@@ -41,6 +41,16 @@ _ALIGNED, _REACH = 0.9, 1.0  # walls that may be one: cosine, distance [m]
 _TELLING = 4  # windows that make up for outer walls that a map has few of
 _NATS = 25.0  # what is so much worse is not refined
 
+_DRAWN = 0.5  # of the whole footprint, as pictures from above are placed [m]
+_LEAST = 0.01  # probability of a candidate that is told
+_KEPT = 64  # residuals, about
+_CONTRADICTS = 25.0  # chi squared of 3 from which on a candidate is not where a prior has it
+
+_STEP, _FARTHEST = 0.5, 100.0
+"""Along a slide [m]."""
+_SHARE = 0.9
+"""Of points that are to stay as they are."""
+
 
 class Fit(NamedTuple):
     """One pose of a map in a footprint's plane."""
@@ -58,41 +68,41 @@ class Fit(NamedTuple):
     """Shares of the outline that are the building's walls and that stick out; of windows in walls."""
 
 
-def fits(walls: OuterWalls, footprint: Footprint) -> list[Fit]:
-    """All poses that may be one, no two the same."""
+def fit_walls(walls: OuterWalls, footprint: Footprint) -> list[Fit]:
+    """Fit outer walls to a footprint; return all poses that may be right, no two the same."""
     sigma = float(np.hypot(_ROUGH, footprint.grain / 2.0))
     found: list[Fit] = []
-    for heading in _headings(walls, footprint):
-        shifts = _shifts(walls, footprint, heading, sigma)
-        found += [_refined(walls, footprint, heading, shift, sigma) for shift in shifts]
+    for heading in _propose_headings(walls, footprint):
+        shifts = _propose_shifts(walls, footprint, heading, sigma)
+        found += [_refine(walls, footprint, heading, shift, sigma) for shift in shifts]
     found.sort(key=lambda fit: -fit.score)
     kept: list[Fit] = []
     middle = walls.points.mean(axis=0)
     for fit in found:
         if fit.score < found[0].score - _NATS:
             break
-        if not any(same(fit, other, middle) for other in kept):
+        if not any(is_same_pose(fit, other, middle) for other in kept):
             kept.append(fit)
     return kept
 
 
-def same(one: Fit, other: Fit, middle: Floats, metres: float = 0.6) -> bool:
-    """Whether two fits have the middle (2,) of a map within some metres, and turn it alike."""
+def is_same_pose(one: Fit, other: Fit, middle: Floats, metres: float = 0.6) -> bool:
+    """Return whether two fits have the middle (2,) of a map within some metres, and turn it alike."""
     turn = abs((one.heading - other.heading + np.pi) % (2 * np.pi) - np.pi)
-    away = moved_by(middle[None], one.heading, one.shift) - moved_by(
+    away = move(middle[None], one.heading, one.shift) - move(
         middle[None], other.heading, other.shift
     )
     return bool(turn < 0.1 and np.linalg.norm(away) < metres)
 
 
-def moved_by(points: Floats, heading: float, shift: Floats) -> Floats:
-    """Points (N, 2) of a map [m] in a footprint's plane."""
+def move(points: Floats, heading: float, shift: Floats) -> Floats:
+    """Move points (N, 2) of a map [m] to a footprint's plane."""
     moved: Floats = points @ rotation_z(-heading)[:2, :2].T + shift
     return moved
 
 
-def _headings(walls: OuterWalls, footprint: Footprint) -> list[float]:
-    """Headings [rad] under which walls face where the footprint's do, the likeliest first."""
+def _propose_headings(walls: OuterWalls, footprint: Footprint) -> list[float]:
+    """Return headings [rad] under which walls face where the footprint's do, the likeliest first."""
     lengths = np.linalg.norm(footprint.ends - footprint.starts, axis=1)
     both = []
     for normals, weights in (
@@ -110,16 +120,18 @@ def _headings(walls: OuterWalls, footprint: Footprint) -> list[float]:
 
 
 def _log_wall(inwards: Floats, sigma: float) -> Floats:
-    """Log density of a point of the outline so far within the building (negative: outside) [m]."""
+    """Return the log density of a point of the outline so far within the building (negative: outside) [m]."""
     peak = np.exp(-0.5 * ((inwards - THICK) / sigma) ** 2) / (sigma * np.sqrt(2 * np.pi))
     rest = np.where(inwards > 0, _WITHIN, _OUTSIDE)
     density: Floats = np.log(_OUTER * peak + (1 - _OUTER) * rest)
     return density
 
 
-def _shifts(walls: OuterWalls, footprint: Footprint, heading: float, sigma: float) -> list[Floats]:
-    """Shifts (2,) [m] of the map's origin that are worth refining under a heading."""
-    turned = moved_by(walls.points, heading, np.zeros(2))
+def _propose_shifts(
+    walls: OuterWalls, footprint: Footprint, heading: float, sigma: float
+) -> list[Floats]:
+    """Return shifts (2,) [m] of the map's origin that are worth refining under a heading."""
+    turned = move(walls.points, heading, np.zeros(2))
     centre = (turned.min(axis=0) + turned.max(axis=0)) / 2.0
     corners = np.concatenate([footprint.starts, footprint.ends])
     margin = float(np.linalg.norm(np.ptp(turned, axis=0))) / 2.0 + 2.0
@@ -150,14 +162,14 @@ def _shifts(walls: OuterWalls, footprint: Footprint, heading: float, sigma: floa
     return found
 
 
-def _refined(
+def _refine(
     walls: OuterWalls, footprint: Footprint, heading: float, shift: Floats, sigma: float
 ) -> Fit:
-    """Least squares of a pose and of the walls' thickness, from a pose near by."""
+    """Refine a pose and the walls' thickness by least squares, from a pose near by."""
     thick, weights = THICK, np.minimum(walls.weights, walls.step / 2.0)
     for _ in range(8):
-        moved = moved_by(walls.points, heading, shift)
-        inwards, normal, matched, _ = against(walls, footprint, moved, heading)
+        moved = move(walls.points, heading, shift)
+        inwards, normal, matched, _ = match_walls(walls, footprint, moved, heading)
         left = inwards - thick
         trust = weights * matched / sigma**2 / (1.0 + (left / (2 * sigma)) ** 2) ** 2
         lever = moved - shift
@@ -171,13 +183,13 @@ def _refined(
         if np.abs(step).max() < 1e-4:
             break
     covariance = np.asarray(np.linalg.inv(hessian)[:3, :3], np.float64)
-    return _judged(walls, footprint, (heading, shift, thick), sigma, covariance)
+    return _score(walls, footprint, (heading, shift, thick), sigma, covariance)
 
 
-def against(
+def match_walls(
     walls: OuterWalls, footprint: Footprint, moved: Floats, heading: float
 ) -> tuple[Floats, Floats, NDArray[np.bool_], NDArray[np.int64]]:
-    """How far inwards [m] (N,), wall's normal (N, 2), whether one matches (N,), and which (N,)."""
+    """Return how far inwards [m] (N,), wall's normal (N, 2), whether one matches (N,), and which (N,)."""
     facing = (walls.normals @ rotation_z(-heading)[:2, :2].T) @ footprint.normals.T
     distance = segment_distances(moved, footprint.starts, footprint.ends)
     distance = np.where(facing > _ALIGNED, distance, np.inf)
@@ -188,14 +200,14 @@ def against(
     return inwards, normal, near, which
 
 
-def _judged(
+def _score(
     walls: OuterWalls, footprint: Footprint, pose: tuple[float, Floats, float], sigma: float,
     covariance: Floats,
 ) -> Fit:  # fmt: skip
-    """A pose with its log-likelihood: walls, windows that face nobody, doors at entrances."""
+    """Score a pose: walls, windows that face nobody, doors at entrances."""
     heading, shift, thick = pose
-    moved = moved_by(walls.points, heading, shift)
-    inwards, _, near, which = against(walls, footprint, moved, heading)
+    moved = move(walls.points, heading, shift)
+    inwards, _, near, which = match_walls(walls, footprint, moved, heading)
     inside = within(moved, footprint.rings)
     far = segment_distances(moved, footprint.starts, footprint.ends).min(axis=1)
     depth = np.where(near, inwards - thick + THICK, np.where(inside, np.maximum(far, 0.01), -far))
@@ -206,17 +218,17 @@ def _judged(
     log += windows * np.log(np.where(outer & ~footprint.shared[which], _SURELY, 1 - _SURELY))
     score = float(walls.weights @ log)
     score -= 0.5 * ((thick - THICK) / VARIES) ** 2
-    score += at_entrances(walls, footprint, moved, outer)
+    score += score_entrances(walls, footprint, moved, outer)
     out = float((~inside & (far > 3 * sigma)).mean())
     seen = float(outer[windows].mean()) if windows.any() else np.nan
     off = np.where(outer, np.abs(inwards - thick), np.nan)
     return Fit(heading, shift, score, off, covariance, (float(outer.mean()), out, seen))
 
 
-def at_entrances(
+def score_entrances(
     walls: OuterWalls, footprint: Footprint, moved: Floats, outer: NDArray[np.bool_]
 ) -> float:
-    """Log-likelihood of doors (N, 2), where they are moved to, in outer walls (N,), by entrances."""
+    """Return the log-likelihood of moved doors (N, 2) in outer walls (N,), by entrances."""
     if not len(footprint.entrances):
         return 0.0
     doors = walls.kind == DOOR
@@ -229,8 +241,8 @@ def at_entrances(
     return score + float(np.log(0.3)) * int((covered & ~served).sum())
 
 
-def wrong(walls: OuterWalls, fit: Fit) -> str:
-    """Why the map is not of the building; empty where it may be."""
+def find_fault(walls: OuterWalls, fit: Fit) -> str:
+    """Return why the map is not of the building; empty where it may be."""
     outer, out, seen = fit.outer
     windows = len(np.unique(walls.opening[walls.kind == WINDOW]))
     if out > 0.05:
@@ -242,14 +254,8 @@ def wrong(walls: OuterWalls, fit: Fit) -> str:
     return ""
 
 
-_STEP, _FARTHEST = 0.5, 100.0
-"""Along a slide [m]."""
-_SHARE = 0.9
-"""Of points that are to stay as they are."""
-
-
-def between(walls: OuterWalls, footprint: Footprint, fits: Sequence[Fit]) -> list[Fit]:
-    """Poses beside those that fit: for each way along which a map slides, one in its middle.
+def slide_between(walls: OuterWalls, footprint: Footprint, fits: Sequence[Fit]) -> list[Fit]:
+    """Return poses beside those that fit: for each way along which a map slides, one in its middle.
 
     Its covariance holds the way, and its score counts how many such maps would lie there, side by side.
     """
@@ -260,19 +266,19 @@ def between(walls: OuterWalls, footprint: Footprint, fits: Sequence[Fit]) -> lis
     for fit in fits:
         for turn in main - fit.heading + np.pi / 2.0 * np.arange(4):
             along = np.array([np.cos(turn), np.sin(turn)])
-            width = float(np.ptp(moved_by(walls.points, fit.heading, fit.shift) @ along))
-            far = _far(walls, footprint, fit, along)
+            width = float(np.ptp(move(walls.points, fit.heading, fit.shift) @ along))
+            far = _sliding_distance(walls, footprint, fit, along)
             beside = far / width - 1.0
             if beside > 0:
-                slid = _slid(walls, footprint, fit, along * far, beside)
-                if not any(same(slid, other, middle, width) for other in found):
+                slid = _slide(walls, footprint, fit, along * far, beside)
+                if not any(is_same_pose(slid, other, middle, width) for other in found):
                     found.append(slid)
     return found
 
 
-def _far(walls: OuterWalls, footprint: Footprint, fit: Fit, along: Floats) -> float:
-    """How far [m] a map slides along a direction (2,)."""
-    moved = moved_by(walls.points, fit.heading, fit.shift)
+def _sliding_distance(walls: OuterWalls, footprint: Footprint, fit: Fit, along: Floats) -> float:
+    """Return how far [m] a map slides along a direction (2,)."""
+    moved = move(walls.points, fit.heading, fit.shift)
     facing = walls.normals @ rotation_z(-fit.heading)[:2, :2].T @ along
     held = np.isfinite(fit.off) & ((np.abs(facing) < 0.5) | (walls.kind == WINDOW))
     if not held.any():
@@ -280,36 +286,30 @@ def _far(walls: OuterWalls, footprint: Footprint, fit: Fit, along: Floats) -> fl
     far = 0.0
     while far < _FARTHEST:
         there = moved + (far + _STEP) * along
-        _, _, near, _ = against(walls, footprint, there, fit.heading)
+        _, _, near, _ = match_walls(walls, footprint, there, fit.heading)
         if near[held].mean() < _SHARE or within(there, footprint.rings).mean() < _SHARE:
             break
         far += _STEP
     return far
 
 
-def _slid(walls: OuterWalls, footprint: Footprint, fit: Fit, way: Floats, beside: float) -> Fit:
-    """The pose in the middle of a way (2,) [m], for so many maps `beside` each other."""
+def _slide(walls: OuterWalls, footprint: Footprint, fit: Fit, way: Floats, beside: float) -> Fit:
+    """Return the pose in the middle of a way (2,) [m], for so many maps `beside` each other."""
     shift, covariance = fit.shift + way / 2.0, fit.covariance.copy()
     covariance[:2, :2] += np.outer(way, way) / 12.0
     outer = np.isfinite(fit.off)
     before, after = (
-        at_entrances(walls, footprint, moved_by(walls.points, fit.heading, at), outer)
+        score_entrances(walls, footprint, move(walls.points, fit.heading, at), outer)
         for at in (fit.shift, shift)
     )
     score = fit.score - before + after + float(np.log(beside))
     return fit._replace(shift=shift, covariance=covariance, score=score)
 
 
-_DRAWN = 0.5  # of the whole footprint, as pictures from above are placed [m]
-_LEAST = 0.01  # probability of a candidate that is told
-_KEPT = 64  # residuals, about
-_CONTRADICTS = 25.0  # chi squared of 3 from which on a candidate is not where a prior has it
-
-
 def fit_building(
     scene: Scene, path: Path, name: str, level: str = "", *, prior: Anchor | None = None
 ) -> Fitted:
-    """Anchors of a map of one scene by the footprint of a named building.
+    """Fit anchors of a map of one scene to the footprint of a named building.
 
     Parameters
     ----------
@@ -333,22 +333,22 @@ def fit_building(
     walls = outer_walls(scene)
     found, good = [], []
     for footprint in footprints(path, name, level):
-        tried = fits(walls, footprint)
-        held = [fit for fit in tried if not wrong(walls, fit)]
+        tried = fit_walls(walls, footprint)
+        held = [fit for fit in tried if not find_fault(walls, fit)]
         found += tried
-        good += [(footprint, fit) for fit in (*held, *between(walls, footprint, held))]
+        good += [(footprint, fit) for fit in (*held, *slide_between(walls, footprint, held))]
     if not good:
         best = max(found, key=lambda fit: fit.score, default=None)
-        why = "no wall has its directions" if best is None else wrong(walls, best)
+        why = "no wall has its directions" if best is None else find_fault(walls, best)
         raise OptionError(
             f"The map does not fit the building {name!r}: {why}. Name another building, or give "
             "--pair or --pose."
         )
     scores = np.array([fit.score for _, fit in good])
-    anchors = [_anchor(footprint, fit, level) for footprint, fit in good]
+    anchors = [_make_anchor(footprint, fit, level) for footprint, fit in good]
     notes = []
     if prior is not None:
-        anchors, logs = _joined(anchors, prior, walls.points.mean(axis=0))
+        anchors, logs = _apply_prior(anchors, prior, walls.points.mean(axis=0))
         scores = scores + logs
     shares = np.exp(scores - scores.max())
     shares /= shares.sum()
@@ -366,7 +366,7 @@ def fit_building(
     return Fitted(tuple(told), tuple(notes), tuple(shown.values()))
 
 
-def _anchor(footprint: Footprint, fit: Fit, level: str) -> Anchor:
+def _make_anchor(footprint: Footprint, fit: Fit, level: str) -> Anchor:
     turned = rotation_z(-fit.heading)[:2, :2]
     covariance = np.zeros((4, 4))
     rows = np.ix_([0, 1, 3], [0, 1, 3])
@@ -382,10 +382,10 @@ def _anchor(footprint: Footprint, fit: Fit, level: str) -> Anchor:
     )  # fmt: skip
 
 
-def _joined(
+def _apply_prior(
     anchors: Sequence[Anchor], prior: Anchor, middle: Floats
 ) -> tuple[list[Anchor], Floats]:
-    """Candidates as a prior corrects them at the middle (2,) of the map [m], and log density (N,) of each."""
+    """Correct candidates by a prior at the middle (2,) of the map [m]; return them and log densities (N,)."""
     rows, back = np.ix_([0, 1, 3], [0, 1, 3]), np.array([-middle[0], -middle[1], 0.0])
     there, found, logs, squares, away = prior.shifted(back), [], [], [], []
     for anchor in anchors:

@@ -36,9 +36,17 @@ _STARTS, _PAIRED = 400, 200  # pairs of points tried, of so many points
 _SCALE_OFF = 0.03
 _NAMED = 3  # points that are named one by one
 
+USUAL = 5.0
+"""Accuracy of a fix that does not tell its own [m]; 68 % lie within."""
+_WITHIN = 1.515  # radius that holds 68 % of a round Gaussian [standard deviations]
+_COMMON = 1.5  # what all fixes of an hour share, and none of them averages out [m]
+_MATCHES = 0.02  # between a map's viewpoints and the frames that they are of [m]
+_TURNS = 3  # viewpoints that tell whether a capture's poses are the map's
+_LOST = np.radians(45.0)  # a heading known no better is not known
+
 
 class Fitted(NamedTuple):
-    """Candidates, best first, and what a person should know of them."""
+    """Candidates of an anchor, best first, with notes for the user."""
 
     anchors: tuple[Anchor, ...]
     notes: tuple[str, ...]
@@ -54,7 +62,7 @@ def fit_points(
     in_time: bool = False,
     method: str = "pairs",
 ) -> Fitted:
-    """Anchor of a map by points of it, at least 3.
+    """Fit the anchor of a map to points of it, at least 3.
 
     Parameters
     ----------
@@ -90,10 +98,12 @@ def fit_points(
     targets = base.to_map(ground)[:, :2]
     sigma = np.ones(len(here)) if accuracy is None else np.maximum(_FINEST, accuracy)
     sources = here[:, :2]
-    heading, weights = _robust(sources, targets, sigma, told=accuracy is not None, method=method)
+    heading, weights = _fit_heading(
+        sources, targets, sigma, told=accuracy is not None, method=method
+    )
     total = weights.sum()
     middle, aim = (weights @ side / total for side in (sources, targets))
-    away = _away(sources, targets, heading, weights)
+    away = _residuals(sources, targets, heading, weights)
     off = np.linalg.norm(away, axis=1)
     freedom = 2.0 * float((weights > 0).sum()) - 3.0
     left = float(weights @ (off / sigma) ** 2)
@@ -102,23 +112,23 @@ def fit_points(
     if accuracy is None:
         spread = (left + _USUALLY * _USUAL**2) / (freedom + _USUALLY)
     if in_time:
-        spread *= _alike(away[weights > 0])
+        spread *= _count_correlated(away[weights > 0])
     arms = np.square(sources - middle).sum(axis=1)
     held = weights / weights.max() / sigma**2
-    height, of_height = _height(here[:, 2], there[:, 2], sigma, held)
+    height, of_height = _fit_height(here[:, 2], there[:, 2], sigma, held)
     covariance = np.diag([spread / held.sum()] * 2 + [of_height, spread / (held @ arms)])
     # north is elsewhere at the points' middle than at the first of them
     start = replace(base, height=height, heading=heading)
     centred = start.shifted(-(start.enu_from_map[:2, :2].T @ aim) @ np.eye(2, 3))
     centred = replace(centred, covariance=covariance, method=method, residuals=tuple(off))
     anchor = replace(centred.shifted([*middle, 0.0]), height=height)
-    return Fitted((anchor,), tuple(_notes(sources, targets, sigma, weights, off, there)))
+    return Fitted((anchor,), tuple(_find_faults(sources, targets, sigma, weights, off, there)))
 
 
-def _robust(
+def _fit_heading(
     sources: Floats, targets: Floats, sigma: Floats, *, told: bool, method: str
 ) -> tuple[float, Floats]:
-    """Heading [rad] and weights (N,) of Tukey's fit."""
+    """Return heading [rad] and weights (N,) of Tukey's fit."""
     some = np.unique(np.linspace(0, len(sources) - 1, _PAIRED).astype(int))
     i, j = some[np.stack(np.triu_indices(len(some), 1))]
     apart = np.linalg.norm(sources[i] - sources[j], axis=1)
@@ -146,36 +156,36 @@ def _robust(
     # the widest that are still taken for good; a map is rarely wrong by less than this
     limit = _TUKEY * max(scale, 1.0 if told else 0.1)
     for _ in range(20):
-        off = _off(sources, targets, heading, weights) / sigma
+        off = _distances(sources, targets, heading, weights) / sigma
         tukey = np.where(off < limit, (1.0 - (off / limit) ** 2) ** 2, 0.0)
         if (tukey > 0).sum() < 2:
             break
         weights = tukey / sigma**2
-        heading = _heading(sources, targets, weights)
+        heading = _align(sources, targets, weights)
     return heading, weights * sigma**2 / max(float((weights * sigma**2).max()), 1e-12)
 
 
-def _heading(sources: Floats, targets: Floats, weights: Floats) -> float:
-    """Heading [rad] that turns sources onto targets, both (N, 2), about their weighted middles."""
+def _align(sources: Floats, targets: Floats, weights: Floats) -> float:
+    """Return the heading [rad] that turns sources onto targets, both (N, 2), about their weighted middles."""
     a, b = (side - weights @ side / weights.sum() for side in (sources, targets))
     cross = weights @ (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
     dot = weights @ (a * b).sum(axis=1)
     return float(-np.arctan2(cross, dot))
 
 
-def _away(sources: Floats, targets: Floats, heading: float, weights: Floats) -> Floats:
-    """What is left (N, 2) [m] under a heading."""
+def _residuals(sources: Floats, targets: Floats, heading: float, weights: Floats) -> Floats:
+    """Return the residuals (N, 2) [m] under a heading."""
     a, b = (side - weights @ side / weights.sum() for side in (sources, targets))
     return np.asarray(a @ rotation_z(-heading)[:2, :2].T - b)
 
 
-def _off(sources: Floats, targets: Floats, heading: float, weights: Floats) -> Floats:
-    """What is left (N,) [m] under a heading."""
-    return np.asarray(np.linalg.norm(_away(sources, targets, heading, weights), axis=1))
+def _distances(sources: Floats, targets: Floats, heading: float, weights: Floats) -> Floats:
+    """Return the lengths of residuals (N,) [m] under a heading."""
+    return np.asarray(np.linalg.norm(_residuals(sources, targets, heading, weights), axis=1))
 
 
-def _alike(away: Floats) -> float:
-    """How many errors (N, 2) that follow each other are worth one, by their correlation (AR(1))."""
+def _count_correlated(away: Floats) -> float:
+    """Return how many errors (N, 2) that follow each other are worth one, by their correlation (AR(1))."""
     square = float((away**2).sum())
     if len(away) < LEAST or square == 0.0:
         return 1.0
@@ -185,8 +195,8 @@ def _alike(away: Floats) -> float:
     return (1.0 + share) / (1.0 - share)
 
 
-def _height(z: Floats, heights: Floats, sigma: Floats, held: Floats) -> tuple[float, float]:
-    """Height of z = 0 [m] and its variance, by the median of what both know."""
+def _fit_height(z: Floats, heights: Floats, sigma: Floats, held: Floats) -> tuple[float, float]:
+    """Return the height of z = 0 [m] and its variance, by the median of known differences."""
     both = np.isfinite(z) & np.isfinite(heights) & (held > 0)
     if not both.any():
         return 0.0, UNKNOWN_HEIGHT**2
@@ -198,10 +208,10 @@ def _height(z: Floats, heights: Floats, sigma: Floats, held: Floats) -> tuple[fl
     return height, sure**2 * 1.57 / both.sum()
 
 
-def _notes(
+def _find_faults(
     sources: Floats, targets: Floats, sigma: Floats, weights: Floats, off: Floats, lonlath: Floats
 ) -> list[str]:
-    """What a person should know of the fit."""
+    """Return sentences on points that lie off, on a line, or are exchanged."""
     mute = np.flatnonzero(weights < 0.05).tolist()
     notes = [f"Point {k + 1} is {off[k]:.1f} m off, and has no say." for k in mute]
     if len(mute) > _NAMED:
@@ -220,12 +230,12 @@ def _notes(
         size = np.sqrt(np.square(b - b.mean(axis=0)).sum() / np.square(a - a.mean(axis=0)).sum())
         if abs(size - 1.0) > _SCALE_OFF and width[0] * abs(size - 1.0) > 2 * np.median(sigma) * 0.1:
             notes.append(f"The points would fit better if the map were {size:.3f} times as large.")
-        notes += _exchanged(sources, targets, off, lonlath)
+        notes += _find_exchanged(sources, targets, off, lonlath)
     return notes
 
 
-def _exchanged(sources: Floats, targets: Floats, off: Floats, lonlath: Floats) -> list[str]:
-    """What would fit much better than what is left (N,) [m], if two coordinates changed places."""
+def _find_exchanged(sources: Floats, targets: Floats, off: Floats, lonlath: Floats) -> list[str]:
+    """Return which coordinates would fit much better than with residuals (N,) [m] if they were exchanged."""
     tried = {"x and y": (sources * (-1.0, 1.0), targets)}
     if (np.abs(lonlath[:, 0]) <= 90.0).all():
         there = np.column_stack([lonlath[:, 1::-1], np.zeros(len(off))])
@@ -233,30 +243,10 @@ def _exchanged(sources: Floats, targets: Floats, off: Floats, lonlath: Floats) -
         tried["longitude and latitude"] = (sources, base.to_map(there)[:, :2])
     notes, every = [], np.ones(len(off))
     for which, sides in tried.items():
-        left = float(np.median(_off(*sides, _heading(*sides, every), every)))
+        left = float(np.median(_distances(*sides, _align(*sides, every), every)))
         if left < 0.3 * float(np.median(off)) and np.median(off) > 0.5:
             notes.append(f"They would fit to {left:.2f} m, were {which} exchanged.")
     return notes
-
-
-USUAL = 5.0
-"""Accuracy of a fix that does not tell its own [m]; 68 % lie within."""
-_WITHIN = 1.515  # radius that holds 68 % of a round Gaussian [standard deviations]
-_COMMON = 1.5  # what all fixes of an hour share, and none of them averages out [m]
-_MATCHES = 0.02  # between a map's viewpoints and the frames that they are of [m]
-_TURNS = 3  # viewpoints that tell whether a capture's poses are the map's
-_LOST = np.radians(45.0)  # a heading known no better is not known
-
-
-class _Paired(NamedTuple):
-    """Places in the map of the frames that have fixes."""
-
-    points: Floats
-    """(N, 3) [m]."""
-    lonlath: Floats
-    """(N, 3) longitude, latitude [deg], height [m], which may be NaN."""
-    accuracy: Floats
-    """(N,) standard deviation of each along an axis [m]."""
 
 
 def fit_capture(
@@ -267,7 +257,7 @@ def fit_capture(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Fitted:
-    """Anchor of a map by the GPS fixes of a capture: of `fixes.txt`, else of its images' EXIF.
+    """Fit the anchor of a map to the GPS fixes of a capture: `fixes.txt`, else the EXIF of its images.
 
     Where the map was made of the capture, its own poses are the map's; else its frames are found in
     the map first.
@@ -298,35 +288,48 @@ def fit_capture(
             f"in {FILE} or in the EXIF of their images; {LEAST} are needed. Else give --pair, --pose "
             "or --in."
         )
-    poses, how = _poses(scene, capture, seed, progress)
-    paired = _paired({row: fix for row, fix in fixes.items() if row in poses}, poses)
-    if len(paired.points) < LEAST:
+    poses, how = _find_poses(scene, capture, seed, progress)
+    # a fix that several frames repeat is one, in their middle
+    rows: dict[Fix, list[int]] = {}
+    for row, fix in fixes.items():
+        if row in poses:
+            rows.setdefault(fix, []).append(row)
+    if len(rows) < LEAST:
         raise OptionError(
-            f"{len(paired.points)} different fixes belong to frames that were found in the map; "
+            f"{len(rows)} different fixes belong to frames that were found in the map; "
             f"{LEAST} are needed. Else give --pair, --pose or --in."
         )
-    found = fit_points(*paired, in_time=True, method="gps")
+    points = np.array(
+        [np.mean([poses[row][:3, 3] for row in own], axis=0) for own in rows.values()]
+    )
+    known = np.array(list(rows), np.float64)
+    accuracy = np.where(np.isfinite(known[:, 3]), known[:, 3], USUAL) / _WITHIN
+    found = fit_points(points, known[:, :3], accuracy, in_time=True, method="gps")
     anchor = found.anchors[0]
     covariance = anchor.covariance + np.diag([_COMMON**2, _COMMON**2, _COMMON**2, 0.0])
     turn = float(np.sqrt(covariance[3, 3]))
     if turn > _LOST and not rough:
-        reach = float(np.ptp(paired.points[:, :2], axis=0).max())
+        reach = float(np.ptp(points[:, :2], axis=0).max())
         raise OptionError(
-            f"The fixes (±{np.median(paired.accuracy):.0f} m) lie within {reach:.0f} m of the map and tell "
+            f"The fixes (±{np.median(accuracy):.0f} m) lie within {reach:.0f} m of the map and tell "
             "no heading: walk farther, around the house too, or give --in and --building."
         )
     return Fitted((replace(anchor, covariance=covariance),), (how, *found.notes))
 
 
-def _poses(
+def _find_poses(
     scene: SceneMap, capture: Capture, seed: int, progress: Progress | None
 ) -> tuple[Mapping[int, Floats], str]:
-    """Pose (4, 4) in the map of each frame, by its row, and how they are known."""
-    for known in _told(capture):
-        if _made_of(scene, known):
+    """Return the pose (4, 4) in the map of each frame, by its row, and how the poses are known."""
+    file = None if capture.path is None else capture.path / "trajectory.tum"
+    posed = [] if file is None or not file.exists() else [with_poses(capture, file)]
+    for known in (*posed, capture) if len(scene.viewpoints) >= _TURNS else ():
+        at = np.array([frame.odometry[:3, 3] for frame in known])
+        away = np.linalg.norm(scene.viewpoints[:, None] - at[None], axis=2).min(axis=1)
+        if (away < _MATCHES).mean() > 0.95:  # the map's viewpoints are where these frames were
             poses = {frame.index: frame.odometry for frame in known}
-            said = "The map was made of these frames: their poses are its own."
-            return {row: poses[f.index] for row, f in enumerate(capture) if f.index in poses}, said
+            how = "The map was made of these frames: their poses are its own."
+            return {row: poses[f.index] for row, f in enumerate(capture) if f.index in poses}, how
     estimate = scene.localize(capture, seed=seed, progress=progress)
     if estimate.status is not Status.OK:
         raise OptionError(
@@ -335,29 +338,3 @@ def _poses(
         )
     found = zip(estimate.frames.tolist(), estimate.trajectory, strict=True)
     return dict(found), f"{len(estimate.frames)} frames were found in the map first."
-
-
-def _told(capture: Capture) -> list[Capture]:
-    """The capture with the poses that a map may have been made by."""
-    file = None if capture.path is None else capture.path / "trajectory.tum"
-    return [capture] if file is None or not file.exists() else [with_poses(capture, file), capture]
-
-
-def _made_of(scene: SceneMap, capture: Capture) -> bool:
-    """Whether the frames were where the map's viewpoints are."""
-    if len(scene.viewpoints) < _TURNS:
-        return False
-    at = np.array([frame.odometry[:3, 3] for frame in capture])
-    away = np.linalg.norm(scene.viewpoints[:, None] - at[None], axis=2).min(axis=1)
-    return bool((away < _MATCHES).mean() > 0.95)
-
-
-def _paired(fixes: Mapping[int, Fix], poses: Mapping[int, Floats]) -> _Paired:
-    """Fixes and places; a fix that several frames repeat is one, in their middle."""
-    rows: dict[Fix, list[int]] = {}
-    for row, fix in fixes.items():
-        rows.setdefault(fix, []).append(row)
-    points = [np.mean([poses[row][:3, 3] for row in group], axis=0) for group in rows.values()]
-    told = np.array(list(rows), np.float64).reshape(-1, 4)
-    accuracy = np.where(np.isfinite(told[:, 3]), told[:, 3], USUAL) / _WITHIN
-    return _Paired(np.reshape(points, (-1, 3)), told[:, :3], accuracy)

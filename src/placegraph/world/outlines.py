@@ -31,6 +31,15 @@ _NEAR = 5.0  # what lies this close to a building may be its neighbour, or its e
 _BEYOND = 0.6  # what is beyond a wall is looked for this far outside of it [m]
 _PIECE, _MOST = 1.0, 400  # of walls, length [m] and number
 
+WALL, WINDOW, DOOR = 0, 1, 2
+"""What a point of the outer walls lies in."""
+_WORDS = {"window": WINDOW, "windows": WINDOW, "door": DOOR, "doors": DOOR, "entrance": DOOR}
+_THICK = 0.7  # thicker walls between two rooms are not closed [m]
+_BESIDE = 0.5  # an opening lies no farther from the inner face of its wall [m]
+_WIDEST = 8.0  # what is wider is all the windows of a house in one object [m]
+_STEP, _MOST_POINTS = 0.1, 600  # between points [m], or so many
+_WORTH = 2.0  # of a wall, so much of it is one independent look [m]
+
 
 @dataclass(frozen=True, eq=False)
 class Footprint:
@@ -65,8 +74,8 @@ class Footprint:
         return tuple(np.arange(lowest[0] if lowest else 0.0, count[-1])) if count else ()
 
 
-class _Thing(NamedTuple):
-    """Something on the map, longitude and latitude."""
+class _MapObject(NamedTuple):
+    """Object of the map, in longitude and latitude."""
 
     osm: str
     point: bool
@@ -75,7 +84,7 @@ class _Thing(NamedTuple):
 
 
 def footprints(path: Path, name: str, level: str = "") -> list[Footprint]:
-    """Footprints of the buildings of a name, at most a few.
+    """Return the footprints of the buildings of a name, at most a few.
 
     Parameters
     ----------
@@ -95,24 +104,24 @@ def footprints(path: Path, name: str, level: str = "") -> list[Footprint]:
 
     """
     if path.suffix.lower() == ".city":
-        things, grain = _of_city(path)
+        things, grain = _read_city(path)
     else:
+        kinds, grain = ("node", "way", "relation"), 0.0
         things = [
-            _Thing(f"{('node', 'way', 'relation')[e.osm_type]}/{e.osm_id}", e.kind == POINT, e.tags, e.parts)
+            _MapObject(f"{kinds[e.osm_type]}/{e.osm_id}", e.kind == POINT, e.tags, e.parts)
             for e in read_osm(path, _KEYS)
-        ]  # fmt: skip
-        grain = 0.0
+        ]
     wanted = " ".join(name.split()).casefold()
-    named = [t for t in things if wanted in {n.casefold() for n in _names(t)}]
+    named = [t for t in things if wanted in {n.casefold() for n in _list_names(t)}]
     if not named:
-        others = sorted({n for t in things for n in _names(t) if "/" not in n})
+        others = sorted({n for t in things for n in _list_names(t) if "/" not in n})
         close = get_close_matches(name, others, 3, 0.5)
         hint = f" Is it {' or '.join(map(repr, close))}?" if close else ""
         raise OptionError(f"--building {name!r}: nothing in {path} has that name.{hint}")
     buildings = [t for t in things if _is_building(t)]
-    found: dict[str, tuple[_Thing, Mapping[str, str]]] = {}
+    found: dict[str, tuple[_MapObject, Mapping[str, str]]] = {}
     for thing in named:
-        around = [thing] if _is_building(thing) else _around(thing, buildings)
+        around = [thing] if _is_building(thing) else _find_buildings(thing, buildings)
         for building in around:
             found.setdefault(building.osm, (building, {**building.tags, **thing.tags}))
     if not found:
@@ -123,17 +132,16 @@ def footprints(path: Path, name: str, level: str = "") -> list[Footprint]:
         ids = ", ".join(sorted(found)[:3])
         raise OptionError(f"--building {name!r}: {len(found)} bear that name; give an id ({ids}).")
     doors = [t for t in things if t.point and {"entrance", "door"} & t.tags.keys()]
-    doors = [t for t in doors if _same_level(t.tags.get("level", "0"), level)]
+    if level:
+        there = set(levels_of(level))
+        doors = [t for t in doors if there & set(levels_of(t.tags.get("level", "0")))]
     return [
-        _footprint(building, tags, buildings, doors, grain) for building, tags in found.values()
+        _make_footprint(building, tags, buildings, doors, grain)
+        for building, tags in found.values()
     ]
 
 
-def _same_level(one: str, other: str) -> bool:
-    return not other or bool(set(levels_of(one)) & set(levels_of(other)))
-
-
-def _names(thing: _Thing) -> Iterator[str]:
+def _list_names(thing: _MapObject) -> Iterator[str]:
     tags = thing.tags
     yield thing.osm
     for key, value in tags.items():
@@ -144,22 +152,23 @@ def _names(thing: _Thing) -> Iterator[str]:
         yield from (f"{street} {number}", f"{number} {street}")
 
 
-def _is_building(thing: _Thing) -> bool:
+def _is_building(thing: _MapObject) -> bool:
     return not thing.point and thing.tags.get("building", "no") != "no" and len(thing.rings[0]) > 3
 
 
-def _around(thing: _Thing, buildings: Iterable[_Thing]) -> list[_Thing]:
-    """Buildings that something stands in."""
+def _find_buildings(thing: _MapObject, buildings: Iterable[_MapObject]) -> list[_MapObject]:
+    """Return the buildings that an object stands in."""
     middle = thing.rings[0][:-1].mean(axis=0) if len(thing.rings[0]) > 3 else thing.rings[0][0]
-    return [b for b in buildings if _box_holds(b, middle) and within(middle[None], b.rings)[0]]
+    found = []
+    for building in buildings:
+        ring = building.rings[0]
+        in_box = (ring.min(axis=0) <= middle).all() and (middle <= ring.max(axis=0)).all()
+        if in_box and within(middle[None], building.rings)[0]:
+            found.append(building)
+    return found
 
 
-def _box_holds(building: _Thing, point: Floats) -> bool:
-    ring = building.rings[0]
-    return bool((ring.min(axis=0) <= point).all() and (point <= ring.max(axis=0)).all())
-
-
-def _of_city(path: Path) -> tuple[list[_Thing], float]:
+def _read_city(path: Path) -> tuple[list[_MapObject], float]:
     from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.map.objects import GRAIN
 
@@ -171,15 +180,15 @@ def _of_city(path: Path) -> tuple[list[_Thing], float]:
         names = o.name_values[o.name_starts[i] : o.name_starts[i + 1]]
         tags["name"] = ";".join(o.names[k] for k in names.tolist())
         rings = [city.plane.to_lonlat(part.astype(np.float64)) for part in o.parts(i)]
-        things.append(_Thing(o.osm(i), o.kind[i] == POINT, tags, rings))
+        things.append(_MapObject(o.osm(i), o.kind[i] == POINT, tags, rings))
     return things, GRAIN
 
 
-def _footprint(
-    building: _Thing,
+def _make_footprint(
+    building: _MapObject,
     tags: Mapping[str, str],
-    buildings: Sequence[_Thing],
-    doors: Sequence[_Thing],
+    buildings: Sequence[_MapObject],
+    doors: Sequence[_MapObject],
     grain: float,
 ) -> Footprint:
     lon, lat = building.rings[0][0].tolist()
@@ -217,18 +226,9 @@ def _footprint(
     places = [p for p in at if (p >= low).all() and (p <= high).all()]
     entrances = plane(np.array(places)) if places else np.zeros((0, 2))
     return Footprint(
-        tags.get("name", ""),
-        building.osm,
-        tags,
-        base,
-        rings,
-        start,
-        end,
-        normals,
-        shared,
-        entrances,
-        grain,
-    )
+        tags.get("name", ""), building.osm, tags, base, rings, start, end, normals, shared,
+        entrances, grain,
+    )  # fmt: skip
 
 
 def within(points: Floats, rings: Sequence[Floats]) -> NDArray[np.bool_]:
@@ -240,16 +240,6 @@ def within(points: Floats, rings: Sequence[Floats]) -> NDArray[np.bool_]:
             if ay != by:
                 inside ^= ((ay > y) != (by > y)) & (x < (bx - ax) * (y - ay) / (by - ay) + ax)
     return inside
-
-
-WALL, WINDOW, DOOR = 0, 1, 2
-"""What a point of the outer walls lies in."""
-_WORDS = {"window": WINDOW, "windows": WINDOW, "door": DOOR, "doors": DOOR, "entrance": DOOR}
-_THICK = 0.7  # thicker walls between two rooms are not closed [m]
-_BESIDE = 0.5  # an opening lies no farther from the inner face of its wall [m]
-_WIDEST = 8.0  # what is wider is all the windows of a house in one object [m]
-_STEP, _MOST_POINTS = 0.1, 600  # between points [m], or so many
-_WORTH = 2.0  # of a wall, so much of it is one independent look [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,7 +267,7 @@ class OuterWalls:
 
 
 def outer_walls(scene: Scene) -> OuterWalls:
-    """Outer walls of the floor of a map of one scene: the outline of its rooms, inner walls closed.
+    """Return the outer walls of a map of one scene: the outline of its rooms, inner walls closed.
 
     Raises
     ------
@@ -308,12 +298,12 @@ def outer_walls(scene: Scene) -> OuterWalls:
             points.append(a + share[:, None] * (b - a))
             normals.append(np.tile([(b - a)[1] / far, -(b - a)[0] / far], (len(share), 1)))
     at = np.concatenate(points)
-    kind, opening = _openings(scene, at)
+    kind, opening = _find_openings(scene, at)
     return OuterWalls(at, np.concatenate(normals), kind, opening, step, outer)
 
 
-def _openings(scene: Scene, at: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Kind (N,) and number (N,) of the opening that each point lies in."""
+def _find_openings(scene: Scene, at: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return kind (N,) and number (N,) of the opening that each point lies in."""
     kind, opening, number = np.zeros(len(at), np.int64), np.full(len(at), -1), 0
     for row, label in enumerate(scene.graph.labels):
         what = _WORDS.get((label_words(label) or [""])[-1], WALL)

@@ -142,7 +142,8 @@ class PatchWords:
 
     def word_weights(self, frames: int, options: SearchOptions) -> NDArray[np.float64]:
         """Return the total weight (W,) of the patches of each word."""
-        return np.bincount(self.word, self.weights(frames, options), len(self.words))
+        weights = self.weights(frames, options)
+        return np.asarray(np.bincount(self.word, weights, len(self.words)), np.float64)
 
     def ratios(self, vocabulary: Vocabulary, options: SearchOptions) -> NDArray[np.float32]:
         """Return how much likelier each word is of an object that looks like each vector, than of anything.

@@ -396,7 +396,7 @@ def pack_signatures(
     def join(column: str) -> NDArray[Any]:
         return np.concatenate([getattr(s, column) for s in signatures])
 
-    arrays = {
+    arrays: dict[str, NDArray[Any]] = {
         "objects": np.array([len(g) for g in graphs], np.int32),
         "edges": np.array([len(g.relations) for g in graphs], np.int32),
         "ids": pack_strings([i for g in graphs for i in g.ids]),
