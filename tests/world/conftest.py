@@ -1,8 +1,15 @@
 """A small world: two towns drawn in ASCII, and rooms that stand in their buildings."""
 
+from functools import cache
+
 import numpy as np
 import pytest
-from tests.indoor.library.conftest import maps, rooms  # noqa: F401 - fixtures
+from tests.indoor.library.conftest import (  # noqa: F401 - fixtures
+    make_rooms,
+    maps,
+    rooms,
+    signatures_once,
+)
 
 from placegraph.core.geo import Anchor
 from placegraph.outdoor.city import build_city
@@ -55,17 +62,23 @@ def anchored(scene, city, name, **known):
     return scene.anchored(there.shifted(middle))
 
 
-@pytest.fixture(scope="session")
-def folder(maps, tmp_path_factory):  # noqa: F811
-    """Folder of the small world, with a file that is none of its maps."""
-    folder = tmp_path_factory.mktemp("world")
+@cache
+def make_folder(factory):
+    folder = factory.mktemp("world")
     cities = {}
     for name, center in PLACES.items():
         osm = Town.parse(TOWN.format(center=center)).write_osm(folder / f"{name}.osm")
         cities[name] = build_city(osm, folder / f"{name}.city")
     for name, (room, town, building) in STANDS.items():
-        anchored(maps[room], cities[town], building).save(folder / f"{name}.scene")
+        scene = make_rooms()[room].scene
+        anchored(scene, cities[town], building).save(folder / f"{name}.scene")
     return folder
+
+
+@pytest.fixture(scope="session")
+def folder(tmp_path_factory):
+    """Folder of the small world, with a file that is none of its maps."""
+    return make_folder(tmp_path_factory)
 
 
 @pytest.fixture(scope="session")

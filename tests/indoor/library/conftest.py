@@ -1,12 +1,16 @@
-"""Three rooms drawn in ASCII, their maps and walks through them: one small library."""
+"""Three rooms drawn in ASCII, their maps and walks through them: one small library.
 
-from dataclasses import dataclass
+Rooms, films and signatures are made once a session, whichever tests ask for them.
+"""
+
+from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
 import pytest
 
 from placegraph.core.geometry import Camera
-from placegraph.indoor.library import library_of
+from placegraph.indoor.library import library, library_of
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture
 from placegraph_lab.worlds.flat.flat import Flat
@@ -71,19 +75,23 @@ class Room:
     flat: Flat
     interior: Interior
     scene: SceneMap
+    films: dict = field(default_factory=dict)
 
     def walk(self, seed: int, frames: int = 6, **options: float) -> Walk:
         return stroll(self.flat, np.random.default_rng(seed), frames=frames, rate=2.0, **options)
 
     def film(self, seed: int, frames: int = 6, **options) -> Capture:
         """Capture of a walk."""
-        rng = np.random.default_rng(seed + 1)
         options.setdefault("camera", SMALL)
-        return record(self.interior, self.walk(seed, frames), rng, **options)
+        key = (seed, frames, repr(sorted(options.items())))
+        if key not in self.films:
+            rng = np.random.default_rng(seed + 1)
+            self.films[key] = record(self.interior, self.walk(seed, frames), rng, **options)
+        return self.films[key]
 
 
-@pytest.fixture(scope="session")
-def rooms():
+@cache
+def make_rooms():
     """Rooms by name."""
     made = {}
     for i, (name, drawing) in enumerate(DRAWINGS.items()):
@@ -92,6 +100,33 @@ def rooms():
         interior = flat.furnish(np.random.default_rng(i))
         made[name] = Room(flat, interior, scene_of(interior, name=name))
     return made
+
+
+@pytest.fixture(scope="session")
+def rooms():
+    """Rooms by name."""
+    return make_rooms()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def signatures_once():
+    """Compute the signature of each map once."""
+    known, real = {}, library.signature_of
+
+    def signature_of(scene, encoders, captures=(), height=None):
+        arrays = (scene.graph.positions, scene.graph.embeddings, scene.mesh.vertices)
+        key = (
+            *(b"" if a is None else np.asarray(a).tobytes() for a in arrays), height, scene.source,
+            scene.graph.labels, scene.graph.names, scene.graph.relations, repr(scene.attributes),
+            scene.scenes, scene.encoder, tuple(e.key for e in encoders),
+        )  # fmt: skip
+        if captures or key not in known:
+            known[key] = real(scene, encoders, captures, height)
+        return known[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(library, "signature_of", signature_of)
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -20,6 +20,8 @@ from placegraph.maps import WORLD
 if TYPE_CHECKING:
     from placegraph.core.geo import Box
 
+    Progress = Callable[[str, int, int | None], None]
+
 NAME, WORDS, SHARDS = WORLD, "words.table", "shards"
 FORMAT, VERSION = "placegraph world", 1
 _MEND = "Write it anew with `placegraph world build`."
@@ -116,12 +118,12 @@ class WorldFile:
         files.write_file(self.folder / NAME, [text.encode() + b"\n"])
 
     def path(self, shard: ShardFile) -> Path:
-        """Where a shard's file lies."""
+        """Return where a shard's file lies."""
         return self.folder / shard.file
 
 
 def digest_of(path: Path) -> str:
-    """Digest that a map file ends with; `InputError` where it cannot be read."""
+    """Return the digest that a map file ends with; `InputError` where it cannot be read."""
     try:
         with files.regular(path).open("rb") as file:
             file.seek(-DIGEST, 2)
@@ -141,12 +143,8 @@ def check_digest(path: Path, digest: str) -> None:
         )
 
 
-if TYPE_CHECKING:
-    Progress = Callable[[str, int, int | None], None]
-
-
 def bring(world: WorldFile, url: str, progress: Progress | None = None) -> WorldFile:
-    """Bring a world to a URL, and return it; its `world.json` comes last, so that what is there is whole.
+    """Bring a world to a URL, and return it; `world.json` comes last, so that a world there is complete.
 
     Raises
     ------
@@ -202,10 +200,10 @@ def fetch(url: str, folder: str | PathLike[str], progress: Progress | None = Non
         files.write_file(folder / NAME, [told])
         world = WorldFile.read(folder)
         for n, shard in enumerate(world.shards):
-            _fetched(system, f"{root}/{shard.file}", world.path(shard), shard.digest)
+            _fetch_file(system, f"{root}/{shard.file}", world.path(shard), shard.digest)
             if progress is not None:
                 progress("fetching shards", n + 1, len(world.shards))
-        _fetched(system, f"{root}/{WORDS}", folder / WORDS, world.words)
+        _fetch_file(system, f"{root}/{WORDS}", folder / WORDS, world.words)
     except PlacegraphError:
         raise
     except Exception as error:  # each file system has its own
@@ -223,7 +221,7 @@ def fetch(url: str, folder: str | PathLike[str], progress: Progress | None = Non
 def fetch_places(
     places: Sequence[str | PathLike[str]], keep: str | PathLike[str] | None
 ) -> list[Path]:
-    """Places on this machine; `fetch` brings the world that lies at a URL to the folder `keep`."""
+    """Return places on this machine; the world at a URL is fetched to the folder `keep`."""
     urls = [str(place) for place in places if is_url(place)]
     if keep is not None and not urls:
         raise OptionError("keep: it is of a world at a URL, and none is given; leave it out.")
@@ -237,7 +235,7 @@ def fetch_places(
     return [fetch(str(p), keep) if keep is not None and is_url(p) else Path(p) for p in places]
 
 
-def _fetched(system: Any, there: str, here: Path, digest: str) -> None:  # noqa: ANN401  # fsspec has no types
+def _fetch_file(system: Any, there: str, here: Path, digest: str) -> None:  # noqa: ANN401  # fsspec has no types
     try:
         same = digest_of(here) == digest
     except PlacegraphError:

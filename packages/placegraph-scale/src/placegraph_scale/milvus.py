@@ -33,10 +33,21 @@ Floats = NDArray[np.float32]
 
 
 SCHEMES = ("http", "https", "tcp")
-PATIENCE = 600.0
+LONGEST = 600.0
 """Longest wait for what grows with the number of rows (flush, index, load) [s]."""
 RECOVERY = 60.0
 """Time given to a server that has just been restarted [s]."""
+
+PREFIX = "placegraph_"
+LOADING = "_loading"
+LARGE = 200_000
+"""From here on a graph of neighbours (HNSW) is searched, below it every row."""
+MOST = 16_384
+"""Neighbours that Milvus gives at once."""
+TOGETHER = 1_000
+"""Queries sent at once."""
+BATCH = 10_000
+"""Rows sent, and counted, at once: 2.7 MB of 64 numbers; a server takes up to 64 MB."""
 
 _ours: ContextVar[bool] = ContextVar("placegraph_milvus_call", default=False)
 
@@ -65,8 +76,8 @@ class Server:
 
         """
         check_uri(uri)
-        if not 0.0 < timeout <= PATIENCE:
-            raise OptionError(f"timeout is {timeout}; give seconds up to {PATIENCE:.0f}.")
+        if not 0.0 < timeout <= LONGEST:
+            raise OptionError(f"timeout is {timeout}; give seconds up to {LONGEST:.0f}.")
         try:
             from pymilvus import MilvusClient
         except ImportError as error:
@@ -74,16 +85,16 @@ class Server:
                 "A Milvus server is reached through pymilvus; install it with "
                 "`pip install 'placegraph[milvus]'`, or keep the vectors in a file."
             ) from error
-        with _speaking(shown(uri), "connect"):
+        with _typed_errors(shown(uri), "connect"):
             client = MilvusClient(uri=uri, timeout=timeout, dedicated=True)
         return cls(client, uri, timeout)
 
     def collections(self) -> list[str]:
-        """Names of all collections, sorted."""
+        """Return names of all collections, sorted."""
         return sorted(self._call("list_collections"))
 
     def describe(self, collection: str) -> dict[str, Any]:
-        """Schema and description of a collection."""
+        """Return schema and description of a collection."""
         return dict(self._call("describe_collection", collection))
 
     def create(self, collection: str, dimension: int, description: str) -> None:
@@ -115,7 +126,7 @@ class Server:
         self._wait("load_collection", collection)
 
     def count(self, collection: str, condition: str = "") -> int:
-        """Rows there now, written a moment ago included; the collection has to be loaded."""
+        """Count rows, those just written included; the collection has to be loaded."""
         answer = self._call(
             "query", collection, filter=condition, output_fields=["count(*)"],
             consistency_level="Strong", limit=6 * self._timeout,
@@ -125,7 +136,7 @@ class Server:
     def search(
         self, collection: str, queries: Floats, n: int, condition: str, parameters: dict[str, int]
     ) -> list[list[tuple[int, float]]]:
-        """Ids and cosines of the nearest `n` rows of each query."""
+        """Return ids and cosines of the nearest `n` rows of each query."""
         answers = self._call(
             "search", collection, data=list(queries), limit_rows=n, filter=condition,
             search_params={"params": parameters}, consistency_level="Bounded",
@@ -152,7 +163,7 @@ class Server:
         last = monotonic() + RECOVERY
         while True:
             try:
-                self._call(method, *arguments, limit=PATIENCE)
+                self._call(method, *arguments, limit=LONGEST)
             except ServiceError:
                 self._call("list_collections")  # raises where the server is gone altogether
                 if monotonic() > last:
@@ -175,7 +186,7 @@ class Server:
             options["limit"] = limit_rows
         if timed:
             options["timeout"] = limit or self._timeout
-        with _speaking(self.address, method):
+        with _typed_errors(self.address, method):
             return getattr(self._client, method)(*arguments, **options)
 
 
@@ -193,24 +204,24 @@ def check_uri(uri: str) -> None:
 
 
 def shown(uri: str) -> str:
-    """URI as it may stand in a message: without a password."""
+    """Return a URI for messages: without a password."""
     head, at, tail = uri.rpartition("@")
     scheme, found, _ = head.partition("://")
     return f"{scheme if found else ''}{found}…@{tail}" if at else uri
 
 
-class _OursIsQuiet(logging.Filter):
-    """pymilvus logs every failure with its traceback; ours become one sentence."""
+class _QuietFilter(logging.Filter):
+    """Filter of pymilvus's log: failures of our calls become one sentence instead of a traceback."""
 
     def filter(self, record: logging.LogRecord) -> bool:  # noqa: ARG002 -- all records alike
         return not _ours.get()
 
 
-_QUIET = _OursIsQuiet()
+_QUIET = _QuietFilter()
 
 
 @contextmanager
-def _speaking(address: str, method: str) -> Iterator[None]:
+def _typed_errors(address: str, method: str) -> Iterator[None]:
     """Turn whatever pymilvus raises into a `ServiceError`."""
     import grpc
     from pymilvus.exceptions import MilvusException
@@ -230,16 +241,6 @@ def _speaking(address: str, method: str) -> Iterator[None]:
         _ours.reset(token)
 
 
-PREFIX = "placegraph_"
-LOADING = "_loading"
-LARGE = 200_000
-"""From here on a graph of neighbours (HNSW) is searched, below it every row."""
-MOST = 16_384
-"""Neighbours that Milvus gives at once."""
-TOGETHER = 1_000
-"""Queries sent at once."""
-
-
 @dataclass(frozen=True, slots=True)
 class StoreInfo:
     """A collection of placegraph on a server."""
@@ -254,11 +255,11 @@ class StoreInfo:
     """Whether it may be searched; else its load was begun and not finished."""
 
     def is_named(self, name: str) -> bool:
-        """Whether `name` leads to this collection."""
+        """Return whether `name` leads to this collection."""
         return self.collection.removesuffix(LOADING) == collection_name(name, self.origin)
 
     def description(self) -> str:
-        """JSON that the collection carries."""
+        """Return the JSON that the collection carries."""
         said = {"placegraph": 1, "name": self.name, "map": self.origin.map}
         said |= {"model": self.origin.model, "rows": self.rows, "dimension": self.dimension}
         return json.dumps(said, ensure_ascii=True, sort_keys=True)
@@ -301,8 +302,8 @@ class MilvusStore:
 
     @classmethod
     def on(cls, server: Server, *, name: str | None = None, origin: Origin | None = None) -> Self:
-        """As `open`, on a connection that is there."""
-        info = _chosen(server, name, origin)
+        """Open a store on a server that is connected; arguments and errors as of `open`."""
+        info = _choose_store(server, name, origin)
         server.load(info.collection)
         there = server.count(info.collection)
         if there != info.rows:
@@ -328,7 +329,7 @@ class MilvusStore:
     def search(
         self, queries: NDArray[np.float32], n: int, region: Region | None = None
     ) -> Neighbours:
-        """Nearest `n` rows of each query; see `EmbeddedStore.search`.
+        """Return the nearest `n` rows of each query; see `EmbeddedStore.search`.
 
         Exact below 200,000 rows; recall from there on .99, within a region .98. Raises
         `ServiceError` where the server has gone.
@@ -338,7 +339,7 @@ class MilvusStore:
         asked = checked_queries(queries, n, self.dimension)
         found = np.full((len(asked), n), -1, np.int64)
         similarity = np.full((len(asked), n), -np.inf, np.float32)
-        condition = "" if region is None else _condition(region.checked())
+        condition = "" if region is None else _region_filter(region.checked())
         # Rows outside a region take up places in the search: with 128, a tenth of the best is lost.
         effort = max(2 * n, 128 if region is None else 1024)
         parameters = {"ef": effort} if self.info.rows >= LARGE else {}
@@ -363,9 +364,9 @@ class MilvusStore:
 
 
 def list_stores(server: Server) -> tuple[StoreInfo, ...]:
-    """Stores of placegraph on a server, by name of the collection; others' collections are not."""
+    """Return placegraph's stores on a server, by name of the collection."""
     names = [c for c in server.collections() if c.startswith(PREFIX)]
-    found = (described(server, name) for name in names)
+    found = (describe_store(server, name) for name in names)
     return tuple(info for info in found if info is not None)
 
 
@@ -382,14 +383,14 @@ def drop_store(server: Server, collection: str) -> StoreInfo:
 
 
 def collection_name(name: str, origin: Origin) -> str:
-    """Name of the collection of a store: what Milvus allows of `name`, then the version."""
+    """Return the name of a store's collection: what Milvus allows of `name`, then the version."""
     plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
     plain = re.sub(r"[^0-9A-Za-z]+", "_", plain).strip("_")[:100]
     return f"{PREFIX}{plain or 'map'}_{origin.version}"
 
 
-def described(server: Server, collection: str) -> StoreInfo | None:
-    """What a collection holds by its own description, None where it is not placegraph's."""
+def describe_store(server: Server, collection: str) -> StoreInfo | None:
+    """Return the store of a collection by its own description; None where it is not placegraph's."""
     about = server.describe(collection)
     try:
         said = json.loads(about["description"])
@@ -405,8 +406,8 @@ def described(server: Server, collection: str) -> StoreInfo | None:
         return None
 
 
-def _chosen(server: Server, name: str | None, origin: Origin | None) -> StoreInfo:
-    """The one complete store of that name and origin."""
+def _choose_store(server: Server, name: str | None, origin: Origin | None) -> StoreInfo:
+    """Return the one complete store of that name and origin."""
     if name is None and origin is None:
         raise OptionError("Say which store of the server: its name, or the map and the model.")
     named = [s for s in list_stores(server) if name is None or s.is_named(name)]
@@ -435,8 +436,8 @@ def _chosen(server: Server, name: str | None, origin: Origin | None) -> StoreInf
     )
 
 
-def _condition(region: Region) -> str:
-    """Filter of a region, half a step wider: positions are multiples of a step, as its edges are."""
+def _region_filter(region: Region) -> str:
+    """Return the filter of a region, half a step wider: positions and edges are multiples of a step."""
     west, south, east, north = (round(x / GRAIN) * GRAIN for x in region)
     half = 0.5 * GRAIN
     either = "or" if region.crosses_date_line else "and"
@@ -444,10 +445,6 @@ def _condition(region: Region) -> str:
         f"(longitude >= {west - half:.9f} {either} longitude <= {east + half:.9f}) "
         f"and latitude >= {south - half:.9f} and latitude <= {north + half:.9f}"
     )
-
-
-BATCH = 10_000
-"""Rows sent, and counted, at once: 2.7 MB of 64 numbers; a server takes up to 64 MB."""
 
 
 def load_milvus(
@@ -474,19 +471,19 @@ def load_milvus(
         The unfinished load, or the store, is of other rows.
 
     """
-    tell = progress or _silent
+    tell = progress or (lambda _step, _done, _total: None)
     final = collection_name(name, origin)
     wanted = StoreInfo(final, name, origin, len(content), content.dimension, complete=True)
     there = set(server.collections())
     if final in there:
-        _refuse_other_rows(server, wanted)
+        _check_rows(server, wanted)
         return MilvusStore.on(server, name=name, origin=origin)
-    load = _Load(server, content, final + LOADING, tell)
+    load = _Loader(server, content, final + LOADING, tell)
     if load.collection not in there:
         server.create(load.collection, content.dimension, wanted.description())
         load.send(load.batches(), replace=False)
     elif resume:
-        _refuse_other_rows(server, wanted, LOADING)
+        _check_rows(server, wanted, LOADING)
     else:
         raise IncompleteStoreError(
             f"An earlier load into {final} on {server.address} was not finished; go on with --resume "
@@ -497,7 +494,7 @@ def load_milvus(
     return MilvusStore.on(server, name=name, origin=origin)
 
 
-class _Load:
+class _Loader:
     """Rows on their way into a collection that is not searched yet."""
 
     def __init__(
@@ -528,12 +525,12 @@ class _Load:
         )
 
     def batches(self) -> list[tuple[int, int]]:
-        """First and last (excluded) row of each batch."""
+        """Return first and last (excluded) row of each batch."""
         count = len(self.content)
         return [(start, min(start + BATCH, count)) for start in range(0, count, BATCH)]
 
     def missing(self) -> list[tuple[int, int]]:
-        """Batches that are not there, there in part, or there twice.
+        """Return batches that are not there, there in part, or there twice.
 
         Each is counted: a row sent twice by a client that lost the answer must not make up for one
         that a dying server lost.
@@ -562,14 +559,10 @@ class _Load:
         ]
 
 
-def _silent(_step: str, _done: int, _total: int) -> None:
-    """Progress that nobody asked for."""
-
-
-def _refuse_other_rows(server: Server, wanted: StoreInfo, ending: str = "") -> None:
+def _check_rows(server: Server, wanted: StoreInfo, ending: str = "") -> None:
     """Raise `StoreError` where a collection of the wanted name does not hold the wanted rows."""
     collection = wanted.collection + ending
-    found = described(server, collection)
+    found = describe_store(server, collection)
     same = found is not None and (found.origin, found.rows, found.dimension) == (
         wanted.origin,
         wanted.rows,

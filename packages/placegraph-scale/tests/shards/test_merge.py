@@ -32,7 +32,7 @@ def shards(draw):
     return found
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(shards())
 def test_a_table_is_the_same_however_little_memory_there_is(tmp_path_factory, found):
     folder = tmp_path_factory.mktemp("table")

@@ -44,7 +44,7 @@ def test_a_misspelt_name_is_found_by_its_words(tmp_path):
     assert names.closest_name("Church") is None
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(st.data())
 def test_a_damaged_table_is_named_or_says_what_it_said(tmp_path_factory, data):
     names = tuple(sorted(f"{a} {b}" for a in WORDS for b in WORDS))

@@ -126,7 +126,7 @@ def test_a_shard_where_scenes_stand_may_be_gone(folders, frames, tmp_path):
     assert {m.scene for m in found.modes} == {FLAT, TWIN}
 
 
-def test_scenes_in_library_shards_and_beside_the_folder(folders, frames, tmp_path):
+def test_scenes_in_library_shards_and_beside_the_folder(both, folders, frames, tmp_path):
     """Wherever they lie: the same answer."""
     world = shutil.copytree(folders[1], tmp_path / "WORLD")
     library, paths = pg.SceneLibrary(), sorted(folders[1].glob("*.scene"))
@@ -136,7 +136,7 @@ def test_scenes_in_library_shards_and_beside_the_folder(folders, frames, tmp_pat
     write_library(
         world / "homes.shards", [Listed(n, library.entry(n), str(folders[1] / f"{n}.scene")) for n in library]
     )  # fmt: skip
-    wanted = pg.open_world(folders[1]).locate(WINDOW, frames)
+    wanted = both[1].locate(WINDOW, frames)
     same(pg.open_world(world).locate(WINDOW, frames), wanted)
     shutil.rmtree(world / "homes.shards")
     assert not pg.open_world(world).scenes
