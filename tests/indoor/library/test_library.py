@@ -232,7 +232,7 @@ def test_poses_decide_where_the_search_is_wrong(maps, rooms, monkeypatch, status
         modes = tuple(SceneMode(scene=n, probability=known * p, score=p) for n, p in told)
         return SceneEstimate(status, modes[:most], "", 1.0 - known, {"seconds": {}})
 
-    monkeypatch.setattr(localize, "search_in", misled)
+    monkeypatch.setattr(SceneLibrary, "search", misled)
     library = library_of(maps, encoders="appearance")
     film = rooms["study"].film(21, 8, depth=True, labels=None)
     estimate = library.localize(film, refine=False)
