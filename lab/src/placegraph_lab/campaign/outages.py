@@ -268,7 +268,7 @@ def scheduler(inputs: Path, effort: Effort, seconds: float) -> Counter[str]:
         start = time.perf_counter()
         while not counts or time.perf_counter() - start < seconds:
             counts[judged(ask, wanted, effort)] += 1
-            for worker in world.planets[folder.name].crew.client.run(os.getpid).values():
+            for worker in world.planets[folder.name].pool.client.run(os.getpid).values():
                 os.kill(worker, signal.SIGKILL)
             counts[judged(ask, wanted, effort)] += 1
             cluster.close()

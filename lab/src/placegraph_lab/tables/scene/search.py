@@ -22,7 +22,7 @@ from placegraph.core.geometry import rotation_z
 from placegraph.indoor.encode import Encoder, vectors_of
 from placegraph.indoor.library import SceneLibrary
 from placegraph.indoor.library.library import Entry
-from placegraph.indoor.library.search import SearchOptions, encode, scores
+from placegraph.indoor.library.search import SearchOptions, encode_frames, score_scenes
 from placegraph.indoor.library.signature import TURNS, Index, Signature, signature_of
 from placegraph.io.capture.capture import Capture
 from placegraph_lab.tables.runner import INDOOR, WORLDS, Journal, code_key
@@ -103,8 +103,8 @@ class Cosines:
 
     def search(self, capture: Capture) -> Found:
         """Scenes by their score."""
-        query = encode(list(capture), self._encoders, exact=True)
-        total = scores(self._index, query, SearchOptions(method="cosines")).total
+        query = encode_frames(list(capture), self._encoders, exact=True)
+        total = score_scenes(self._index, query, SearchOptions(method="cosines")).total
         order = np.argsort(-total, kind="stable")
         return Found(
             tuple(self._names[i] for i in order),
