@@ -7,7 +7,15 @@ from hypothesis import strategies as st
 
 from placegraph.errors import MapError, OptionError
 from placegraph.indoor.encode import encoder
-from placegraph.indoor.library.signature import APART, BANDS, TURNS, coarse, far_apart, signature_of
+from placegraph.indoor.library.signature import (
+    APART,
+    BANDS,
+    TURNS,
+    coarse,
+    decoys,
+    far_apart,
+    signature_of,
+)
 from placegraph.indoor.map.map_kernels import AZIMUTHS, ELEVATIONS
 
 LABELS = encoder("labels")
@@ -102,3 +110,23 @@ def test_vectors_of_a_wrong_shape_are_refused(maps):
 
     with pytest.raises(OptionError, match="finite numbers belong"):
         signature_of(maps["study"], [Wrong()])
+
+
+@pytest.mark.parametrize("name", ["labels", "appearance"])
+def test_homes_have_vectors_of_the_encoders_as_they_are(name):
+    """Where this fails, an encoder has changed: run `placegraph-lab decoys` again."""
+    made = encoder(name)
+    homes = decoys([made])
+    assert len(homes) >= 24
+    vectors = np.concatenate([h.vectors[made.key] for h in homes])
+    assert vectors.shape[1] == made.dimension
+    assert vectors.any(axis=1).mean() > 0.8
+
+
+def test_homes_say_nothing_to_encoders_they_do_not_know():
+    class Other:
+        name, key, dimension, temperature = "other", "other 1", 5, 0.1
+
+    homes = decoys([encoder("labels"), Other()])
+    assert all(h.vectors["other 1"].shape == (len(h), 5) for h in homes)
+    assert not any(h.vectors["other 1"].any() for h in homes)

@@ -6,6 +6,9 @@ from dataclasses import replace
 import pytest
 
 import placegraph as pg
+from placegraph.core.estimate import Status
+from placegraph.demo.flat import TWIN, WINDOW, furnish
+from placegraph.demo.world import FLAT, TOWNS
 from placegraph.errors import InputError, MapError, OptionError, PlacegraphError
 
 
@@ -62,3 +65,69 @@ def test_a_link_to_itself_is_refused_by_name(tmp_path):
     (tmp_path / "a.scene").symlink_to(tmp_path / "a.scene")
     with pytest.raises(PlacegraphError, match=r"a\.scene"):
         pg.open_world(tmp_path)
+
+
+pytestmark = pytest.mark.all
+
+
+@pytest.fixture(scope="module")
+def town(demo_world, tmp_path_factory):
+    """The world that `placegraph demo` leaves."""
+    folder = tmp_path_factory.mktemp("demo") / "world"
+    shutil.copytree(demo_world, folder)
+    for name in TOWNS[1:]:
+        pg.build_city(folder / f"{name}.osm", folder / f"{name}.city")
+    furnish(folder, demo_world / f"{FLAT}.scene")
+    return pg.open_world(folder)
+
+
+@pytest.fixture(scope="module")
+def frames(demo_world):
+    """Three frames taken by a window."""
+    return pg.open_capture(demo_world / "window")
+
+
+def test_in_the_library_on_its_street_by_the_window(town, frames):
+    found = town.locate(WINDOW, frames)
+    best = found.best
+    assert (found.status, best.scene, best.building) == (Status.OK, TWIN, "Bücherhalle")
+    assert (best.room, best.level) == ("living room", "1")
+    assert any("window" in e.statement and e.verdict == "for" for e in best.evidence)
+
+
+def test_identical_flats_are_told_apart_by_the_sentence(town, frames):
+    alone = town.locate(None, frames)
+    assert alone.status is Status.AMBIGUOUS
+    assert {m.scene for m in alone.modes} == {FLAT, TWIN}
+    told = town.locate("I am in the hotel, by the window", frames)
+    assert (told.status, told.best.scene) == (Status.OK, FLAT)
+
+
+def test_a_sentence_that_fits_two_towns_is_told_apart_by_the_frames(town, frames):
+    alone = town.locate(WINDOW)
+    assert alone.status is Status.AMBIGUOUS
+    likely = [m for m in alone.modes if m.probability > 0.1]
+    assert {m.building for m in likely} == {"Bücherhalle", "Stadtbücherei"}
+    assert {round(m.longitude) for m in likely} == {10, 11}
+    assert town.locate(WINDOW, frames).best.longitude == pytest.approx(9.9887, abs=0.001)
+
+
+def test_of_two_libraries_in_town_the_street_is_believed(town):
+    told = town.locate("I am in the library on Brückenstraße")
+    assert told.best.building == "Stadtbibliothek"
+    assert sum(m.probability for m in told.modes if m.building == "Stadtbibliothek") > 0.8
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "I am on the square",
+        "I am standing on a square. There is a fountain north of me and a café to my east.",
+        "I am in the park",
+    ],
+)
+def test_open_ground_is_no_building(town, text):
+    """A promenade along the library's wall is called a square, too."""
+    found = town.locate(text)
+    assert found.best.scene == ""
+    assert sum(m.probability for m in found.modes if m.scene) < 0.1
