@@ -99,12 +99,12 @@ def open_folder(path: str | os.PathLike[str], **options: Any) -> Any:  # noqa: A
 
 
 def is_shards(path: str | os.PathLike[str]) -> bool:
-    """Whether a folder is a library in shards, by the name of the file that is written last."""
+    """Return whether a folder is a library in shards, by the name of the file that is written last."""
     return _holds(path, SHARDS)
 
 
 def is_world(path: str | os.PathLike[str]) -> bool:
-    """Whether a folder is a world in shards, by the same."""
+    """Return whether a folder is a world in shards, by the name of the file that is written last."""
     return _holds(path, WORLD)
 
 
@@ -151,14 +151,14 @@ def _is_scene_graph(path: Path) -> bool:
 
 @dataclass(frozen=True)
 class Found:
-    """Files of a world, as they are called; none was looked into."""
+    """Files of a world, by name; none was opened."""
 
     paths: dict[str, dict[str, Path]]
     """Of each kind of map its files by name; folders of `shards` (of scenes), and of each `world`."""
     ignored: tuple[tuple[Path, str], ...]
     """Files and folders left alone, and why."""
     twins: tuple[str, ...]
-    """What is wrong with their names."""
+    """Faults of their names."""
 
     def check(self) -> None:
         """Read the head of each; `MapError` where some are no maps, or others than they are called."""
@@ -179,7 +179,7 @@ class Found:
 
 
 def find(places: Sequence[Path]) -> Found:
-    """Map files that are named, or lie in folders that are named, by what they are called."""
+    """Find map files among places and in their folders, by name."""
     paths: dict[str, dict[str, Path]] = {k: {} for k in (*KINDS.values(), "shards", "world")}
     ignored, twins = [], []
     for path in itertools.chain.from_iterable(map(_files, places)):
@@ -199,7 +199,7 @@ def find(places: Sequence[Path]) -> Found:
 
 
 def checked(places: Sequence[Path]) -> Found:
-    """What `find` finds, which is something, and sound as far as the heads of files tell.
+    """Find map files as `find` does, and check the heads of files.
 
     Raises
     ------
@@ -228,7 +228,7 @@ def _name(path: Path) -> str:
 
 
 def _files(place: Path) -> list[Path]:
-    """Maps that a place is, or holds: a world in shards, and what lies in its folder, too."""
+    """Return the maps that a place is, or holds: a world in shards, and what lies in its folder, too."""
     if is_shards(place):
         return [place]
     try:

@@ -1,6 +1,10 @@
 """A small world: two towns drawn in ASCII, and rooms that stand in their buildings."""
 
+import atexit
+import shutil
+import tempfile
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -63,8 +67,9 @@ def anchored(scene, city, name, **known):
 
 
 @cache
-def make_folder(factory):
-    folder = factory.mktemp("world")
+def make_folder():
+    folder = Path(tempfile.mkdtemp(prefix="world"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
     cities = {}
     for name, center in PLACES.items():
         osm = Town.parse(TOWN.format(center=center)).write_osm(folder / f"{name}.osm")
@@ -76,9 +81,9 @@ def make_folder(factory):
 
 
 @pytest.fixture(scope="session")
-def folder(tmp_path_factory):
+def folder():
     """Folder of the small world, with a file that is none of its maps."""
-    return make_folder(tmp_path_factory)
+    return make_folder()
 
 
 @pytest.fixture(scope="session")

@@ -75,7 +75,7 @@ class Room:
     flat: Flat
     interior: Interior
     scene: SceneMap
-    films: dict = field(default_factory=dict)
+    films: dict = field(default_factory=dict, init=False)
 
     def walk(self, seed: int, frames: int = 6, **options: float) -> Walk:
         return stroll(self.flat, np.random.default_rng(seed), frames=frames, rate=2.0, **options)

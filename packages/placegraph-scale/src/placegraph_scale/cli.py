@@ -79,7 +79,7 @@ def build(
 def run_build(
     files: Sequence[str], out: str, options: BuildOptions, *, as_json: bool, quiet: bool
 ) -> None:
-    """Build a world, and say what it holds."""
+    """Build a world, and print what it holds."""
     from time import perf_counter
 
     from placegraph_scale.build import build_world
@@ -140,7 +140,7 @@ def shard(
 def _listed(
     paths: list[Path], first: SceneLibrary, out: Path, open_: Callable[[Path], SceneLibrary]
 ) -> Iterator[Listed]:
-    """Scenes of all libraries, one library open at a time; names say of which, if there are several."""
+    """Yield scenes of all libraries, one open at a time; names tell of which, if there are several."""
     from placegraph_scale.library.write import Listed
 
     for i, path in enumerate(paths):

@@ -1,8 +1,8 @@
-"""What a library keeps of a scene to know it again: kilobytes, without meshes and images.
+"""Signatures of scenes: what a library stores of each, in kilobytes, and the index of all of them.
 
-Its graph without geometry, a vector an object and encoder, and *panoramas*: which object lies in
-which direction, seen from some places of its floor. They say how much of what is seen an object
-takes up, what is seen together, and how that changes along a way.
+A signature is the graph of a scene without geometry, a vector an object and encoder, and *panoramas*: which
+object lies in which direction, seen from some places of its floor. They tell how much of what is seen an
+object takes up, what is seen together, and how that changes along a way.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ _SPACING = 0.5  # of the grid that places are chosen from [m]
 
 @dataclass(frozen=True, eq=False)
 class Signature:
-    """What is known of one scene of N objects without opening its map."""
+    """Summary of one scene of N objects that needs no map: graph, vectors and panoramas."""
 
     graph: SceneGraph
     """Without embeddings."""
@@ -80,7 +80,7 @@ class Signature:
 
     @cached_property
     def described(self) -> list[Described]:
-        """What may be described of it; worked out once."""
+        """Rooms and objects as texts describe them; computed once."""
         rooms = [a.get("room", "") for a in self.attributes]
         return units(self.graph, rooms, self.attributes)
 
@@ -91,7 +91,7 @@ def signature_of(
     captures: Sequence[Capture] = (),
     height: float | None = None,
 ) -> Signature:
-    """Signature of a map.
+    """Compute the signature of a map.
 
     Parameters
     ----------
@@ -149,7 +149,7 @@ def signature_of(
 
 
 def far_apart(points: NDArray[np.float64], most: int) -> NDArray[np.int64]:
-    """Rows of at most `most` of points (K, 2): the most central first, then ever the farthest.
+    """Return rows of at most `most` of points (K, 2): the most central first, then ever the farthest.
 
     None nearer to another than `APART`.
     """
@@ -166,7 +166,7 @@ def far_apart(points: NDArray[np.float64], most: int) -> NDArray[np.int64]:
 
 
 def coarse(objects: NDArray[np.uint16], count: int) -> NDArray[np.uint16]:
-    """Panoramas (P, BANDS, TURNS) by the object that most rays (P, E, A) of a bin hit."""
+    """Return panoramas (P, BANDS, TURNS) by the object that most rays (P, E, A) of a bin hit."""
     places = len(objects)
     wide, high = AZIMUTHS // TURNS, ELEVATIONS // BANDS
     # bins are centred on multiples of their width, of the fine as of the coarse
@@ -193,7 +193,7 @@ SAMPLE = 1024
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Vocabulary:
-    """What the objects of a library look like to one encoder: each vector once."""
+    """Vectors of the objects of a library by one encoder, each once."""
 
     vectors: NDArray[np.float32]
     """(U, d) unit, or zero: nothing is known."""
@@ -208,7 +208,7 @@ class Vocabulary:
 
     @classmethod
     def of(cls, vectors: NDArray[np.float32], weight: NDArray[np.floating]) -> Vocabulary:
-        """Vocabulary of objects with vectors (M, d), seen with these weights (M,)."""
+        """Return the vocabulary of objects with vectors (M, d), seen with these weights (M,)."""
         first, code = distinct(vectors)
         own = np.ascontiguousarray(vectors[first])
         share = np.bincount(code, weight, len(first))
@@ -224,7 +224,7 @@ class Vocabulary:
         return np.asarray(self.common @ self.vectors[self.usual])
 
     def of_objects(self, rows: NDArray[np.int64]) -> Vocabulary:
-        """Vocabulary of some objects, with the same notion of what is usual."""
+        """Return the vocabulary of some objects, with the same background model."""
         used = np.concatenate([self.code[rows], self.usual])
         numbers = np.arange(len(used))
         return replace(
@@ -238,7 +238,7 @@ class Vocabulary:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Unit:
-    """What is compared with a capture: a scene, or one of those that a scene was merged of."""
+    """Part of a scene that is compared with a capture: all of it, or one of those that it was merged of."""
 
     scene: int
     """Row of the signature."""
@@ -251,7 +251,7 @@ class Unit:
 
 
 def split_into_units(signatures: Sequence[Signature]) -> Iterator[Unit]:
-    """Units of scenes, in their order."""
+    """Yield the units of scenes, in their order."""
     for row, s in enumerate(signatures):
         for part in np.unique(s.part):
             objects = np.flatnonzero(s.part == part)
@@ -263,7 +263,7 @@ def split_into_units(signatures: Sequence[Signature]) -> Iterator[Unit]:
 
 @dataclass(frozen=True, eq=False)
 class Index:
-    """S split_into_units of M objects and K panoramas in all; made anew when scenes come or go."""
+    """S units of M objects and K panoramas in all; made anew when scenes come or go."""
 
     owner: NDArray[np.int64]
     """(S,) scene of each unit, ascending."""
@@ -283,7 +283,7 @@ class Index:
 
     @classmethod
     def of(cls, signatures: Sequence[Signature], keys: Sequence[str]) -> Index:
-        """Index of scenes that all have vectors under these keys."""
+        """Return the index of scenes that all have vectors under these keys."""
         parts = list(split_into_units(signatures))
         seen = [signatures[u.scene].share[u.objects] for u in parts]
         roots = [np.sqrt(share) for share in seen]
@@ -330,7 +330,7 @@ class Index:
         return EmbeddedStore.of(np.arange(len(self)), rows, bits=32)
 
     def nearest(self, words: Mapping[str, NDArray[np.floating]], most: int) -> NDArray[np.int64]:
-        """Rows of the scenes most like what was said: the mean vector (d,) by encoder's key."""
+        """Return rows of the scenes most like what was said: the mean vector (d,) by encoder's key."""
         parts = [
             words[key] - v.mean if key in words else np.zeros(v.vectors.shape[1])
             for key, v in self.vocabularies.items()
@@ -339,7 +339,7 @@ class Index:
         return np.sort(found.ids[0])
 
     def subset(self, rows: NDArray[np.int64]) -> Index:
-        """Index of some scenes, with the same notion of what is usual."""
+        """Return the index of some scenes, with the same notion of what is usual."""
         objects = runs(self.starts, rows)
         places = runs(self.place_starts, rows)
         return Index(
@@ -354,7 +354,7 @@ class Index:
 
 
 def distinct(rows: NDArray[np.float32]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """First rows (U,) of those that differ of rows (P, d), and which of them each is (P,).
+    """Return first rows (U,) of those that differ of rows (P, d), and which of them each is (P,).
 
     By a 64-bit hash: sorting the rows themselves would take a hundred times as long.
     """
@@ -364,12 +364,12 @@ def distinct(rows: NDArray[np.float32]) -> tuple[NDArray[np.int64], NDArray[np.i
 
 
 def starts_of(counts: Sequence[int] | NDArray[np.int64]) -> NDArray[np.int64]:
-    """First row (S + 1,) of each of S runs of these lengths, and where the last ends."""
+    """Return the first row (S + 1,) of each of S runs of these lengths, and where the last ends."""
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
 
 
 def runs(starts: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.int64]:
-    """All numbers from starts[r] to starts[r + 1], for each of some rows."""
+    """Return all numbers from starts[r] to starts[r + 1], for each of some rows."""
     counts = np.diff(starts)[rows]
     first = np.repeat(starts[rows] - starts_of(counts)[:-1], counts)
     return np.asarray(first + np.arange(int(counts.sum())))
@@ -436,7 +436,7 @@ def _in_steps(metres: NDArray[np.floating]) -> NDArray[np.int32]:
 
 
 def read_signatures(file: MapFile, keys: list[str]) -> list[Signature]:
-    """Signatures of a file; raises any error where columns do not fit."""
+    """Read the signatures of a file; raises any error where columns do not fit."""
     grain = float(file.meta["grain"])
     objects, edges, places = (
         _ends(file.array(name, "<i4")) for name in ("objects", "edges", "place_counts")
@@ -514,7 +514,7 @@ def _ends(counts: NDArray[np.int32]) -> NDArray[np.int64]:
 
 
 def decoys(encoders: Sequence[Encoder]) -> list[Signature]:
-    """Signatures of homes that are in no library, with vectors of these encoders.
+    """Return signatures of homes that are in no library, with vectors of these encoders.
 
     A library of one scene could say nothing of what is rare, and every capture would be of the best of
     its scenes. So drawn homes of many styles stand beside it (`placegraph-lab decoys` makes them, of homes

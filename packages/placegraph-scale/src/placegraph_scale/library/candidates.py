@@ -22,8 +22,8 @@ from placegraph.indoor.library.search import SearchOptions, weigh_frames
 from placegraph.outdoor.language.words import tokens
 from placegraph.world.evidence import UNANCHORED, OtherScenes, fit_prior
 from placegraph.world.world import World
-from placegraph_scale.library.shards import SceneShards
-from placegraph_scale.library.write import Listed, make_shard
+from placegraph_scale.library.shards import SceneShards, Shard
+from placegraph_scale.library.write import Listed, pack_shard
 
 if TYPE_CHECKING:
     from placegraph.indoor.library.library import Entry
@@ -33,11 +33,11 @@ if TYPE_CHECKING:
 
 
 LIKELIEST, NAMED, BESIDE = 16, 8, 8
-"""Scenes looked into: by all that is known, by their names, and by where a town says one is."""
+"""Candidates by all evidence, by their names, and by the best places of towns."""
 AROUND = 150.0
-"""So near to a town's best place [m]."""
+"""Distance of candidates from a town's best place [m]."""
 LONGEST = 6
-"""Words of a name that are looked for in a text."""
+"""Words of the longest name that is looked for in a text."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +63,7 @@ class CandidateScenes(SceneShards):
         found = [shard for s in every for shard in s.shards]
         if len(library):
             listed = [Listed(name, library.entry(name)) for name in library]
-            found.insert(0, make_shard(listed, first.usual))
+            found.insert(0, Shard(*pack_shard(listed, keys), first.usual))
         return cls(
             first.encoders, first.usual, tuple(found), first.beside,
             sum(s.missing for s in every), tuple(note for s in every for note in s.notes),
@@ -77,9 +77,9 @@ class CandidateScenes(SceneShards):
 
     @cached_property
     def things(self) -> tuple[str, ...]:
-        """Labels of all things, and names of their rooms."""
-        told = (x for s in self.shards for x in (*s.meta["labels"], *s.meta["rooms"]))
-        return tuple(dict.fromkeys(map(str, told)))
+        """Labels of all objects, and names of their rooms."""
+        every = (x for s in self.shards for x in (*s.meta["labels"], *s.meta["rooms"]))
+        return tuple(dict.fromkeys(map(str, every)))
 
     @cached_property
     def called(self) -> dict[str, list[int]]:
@@ -102,16 +102,14 @@ class CandidateScenes(SceneShards):
 
     def find_names(self, text: str) -> set[str]:
         """Return the names of scenes and buildings that stand in a text."""
-        found = [self._find(row) for row in self.find_named(text)]
-        told = [
-            x for s, row in found
-            for x in (s.string("names", row), *s.string("buildings", row).split("\n"))
-        ]  # fmt: skip
-        return {*told} - {""}
+        names = {""}
+        for row in self.find_named(text):
+            names |= {self._string(row, "names"), *self._string(row, "buildings").split("\n")}
+        return names - {""}
 
     @cached_property
     def stands(self) -> NDArray[np.float64]:
-        """(K, 7) row, and what a shard says of a candidate of where that scene stands."""
+        """(K, 7) row of the scene, and the columns `stands` of a shard, of each anchor hypothesis."""
         rows = [
             np.column_stack([np.repeat(np.arange(len(s)), np.diff(s.arrays["stand_starts"])) + first,
                              s.arrays["stands"]])

@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.geo import EarthPose
 from placegraph.core.mapfile import write_map
 from placegraph.errors import MapError, OptionError
 from placegraph.indoor.encode import Encoder, encoder
@@ -27,7 +26,6 @@ from placegraph_scale.library.shards import (
     VERSION,
     Background,
     SceneShards,
-    Shard,
 )
 
 Arrays = dict[str, NDArray[Any]]
@@ -36,7 +34,7 @@ Arrays = dict[str, NDArray[Any]]
 SIZE = 10_000
 """Scenes of a shard."""
 SCENES_OF_USUAL = 2_000
-"""Scenes of the first shard that tell what is usual."""
+"""Scenes of the first shard that the background model is learned from."""
 
 
 class Listed(NamedTuple):
@@ -56,7 +54,7 @@ def write_shards(
 ) -> SceneShards:
     """Write scenes into shards, so many at a time, and open them.
 
-    What is usual is told by the first shard, for all: draw the order of scenes at random.
+    The background model is learned from the first shard: draw the order of scenes at random.
 
     Raises
     ------
@@ -66,8 +64,6 @@ def write_shards(
         They cannot be written.
 
     """
-    from placegraph_scale.library.shards import SceneShards
-
     made = [encoder(e) if isinstance(e, str) else e for e in encoders]
     keys = [e.key for e in made]
     if size < 1:
@@ -93,8 +89,8 @@ def write_shards(
     if usual is None:
         raise OptionError("There is no scene: a library in shards holds at least one.")
     _write(folder / BESIDE, {}, pack_index(Index.of(decoys(made), keys)))
-    told = {"encoders": [{"name": e.name, "key": e.key} for e in made], "shards": files}
-    _write(folder / HEAD, {**told, **usual.meta}, usual.arrays)
+    head = {"encoders": [{"name": e.name, "key": e.key} for e in made], "shards": files}
+    _write(folder / HEAD, {**head, **usual.meta}, usual.arrays)
     return SceneShards.open(folder, encoders=made)
 
 
@@ -115,21 +111,15 @@ def _write(path: Path, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any
     write_map(path, KIND, VERSION, meta, arrays, mapped=tuple(arrays))
 
 
-def make_shard(scenes: Sequence[Listed], usual: Background) -> Shard:
-    """A shard in memory."""
-    return Shard(*pack_shard(scenes, usual.keys), usual)
-
-
 def pack_shard(scenes: Sequence[Listed], keys: Sequence[str]) -> tuple[dict[str, Any], Arrays]:
-    """Metadata and columns of a shard."""
+    """Return metadata and columns of a shard."""
     meta, arrays = pack_texts(scenes)
     signatures = [s.entry.signature for s in scenes]
     arrays |= pack_index(Index.of(signatures, keys))
-    arrays["order"] = np.concatenate([u.objects for u in split_into_units(signatures)]).astype(
-        np.uint16
-    )
+    objects = [u.objects for u in split_into_units(signatures)]
+    arrays["order"] = np.concatenate(objects).astype(np.uint16)
     earth = [s.entry.earth for s in scenes]
-    told = {
+    texts = {
         "names": [s.name for s in scenes],
         "paths": [s.place for s in scenes],
         "digests": [s.entry.digest for s in scenes],
@@ -138,22 +128,23 @@ def pack_shard(scenes: Sequence[Listed], keys: Sequence[str]) -> tuple[dict[str,
             "\n".join(sorted({p.building for p in poses if p.building})) for poses in earth
         ],
     }
-    for name, strings in told.items():
-        arrays[name], arrays[f"{name}_starts"] = pack_text(strings)
+    for name, strings in texts.items():
+        parts = [s.encode() for s in strings]
+        starts = np.concatenate([[0], np.cumsum([len(p) for p in parts])])
+        arrays[f"{name}_starts"] = starts.astype(np.int64)
+        arrays[name] = np.frombuffer(b"".join(parts) or b"\0", np.uint8)
     arrays["stand_starts"] = np.cumsum([0, *map(len, earth)]).astype(np.int64)
-    arrays["stands"] = np.array([_stand(p) for own in earth for p in own], float).reshape(-1, 6)
+    stands = []  # longitude, latitude [deg], covariance east, both, north [m^2], probability
+    for pose in (pose for own in earth for pose in own):
+        (east, both), (_, north) = pose.covariance[:2, :2].tolist()
+        stands.append((pose.longitude, pose.latitude, east, both, north, pose.probability))
+    arrays["stands"] = np.array(stands, float).reshape(-1, 6)
     meta["rooms"] = list(dict.fromkeys(room for s in signatures for room in s.rooms))
     return meta, arrays
 
 
-def _stand(pose: EarthPose) -> tuple[float, ...]:
-    """Longitude, latitude [deg], covariance east, both and north [m^2], and probability."""
-    (east, both), (_, north) = pose.covariance[:2, :2].tolist()
-    return pose.longitude, pose.latitude, east, both, north, pose.probability
-
-
 def learn_background(scenes: Sequence[Listed], encoders: Sequence[Encoder]) -> Background:
-    """What is usual in some scenes and in the homes beside them."""
+    """Learn what is usual in some scenes and in the homes beside them."""
     keys = [e.key for e in encoders]
     signatures = [s.entry.signature for s in scenes[:SCENES_OF_USUAL]]
     index = Index.of(signatures + decoys(encoders), keys)
@@ -165,7 +156,7 @@ def learn_background(scenes: Sequence[Listed], encoders: Sequence[Encoder]) -> B
 
 
 def pack_index(index: Index) -> Arrays:
-    """What frames are compared with; vectors in 8 bits, each once."""
+    """Return the columns that frames are compared with; vectors in 8 bits, each once."""
     scenes = int(index.owner[-1]) + 1
     arrays: Arrays = {
         "unit_starts": np.searchsorted(index.owner, np.arange(scenes + 1)).astype(np.int64),
@@ -184,7 +175,7 @@ def pack_index(index: Index) -> Arrays:
 
 
 def pack_texts(scenes: Sequence[Listed]) -> tuple[dict[str, Any], Arrays]:
-    """What texts are compared with: postings of labels and of relations."""
+    """Return the columns that texts are compared with: postings of labels and of relations."""
     columns = columns_of([s.entry.signature.described for s in scenes])
     meta = {"labels": columns.labels, "relations": columns.relations, "scenes": columns.scenes}
     found = {
@@ -196,10 +187,3 @@ def pack_texts(scenes: Sequence[Listed]) -> tuple[dict[str, Any], Arrays]:
         "scene": columns.scene,
     }  # fmt: skip
     return meta, {f"text_{name}": np.asarray(array) for name, array in found.items()}
-
-
-def pack_text(strings: Sequence[str]) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
-    """Strings as bytes, and where each begins and the last ends."""
-    parts = [s.encode() for s in strings]
-    starts = np.concatenate([[0], np.cumsum([len(p) for p in parts])]).astype(np.int64)
-    return np.frombuffer(b"".join(parts) or b"\0", np.uint8), starts
