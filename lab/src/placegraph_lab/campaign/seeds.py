@@ -472,10 +472,10 @@ def _library(folder: Path, places: DrawnPlaces) -> None:
 
 def _shards(folder: Path, places: DrawnPlaces) -> None:
     """One map under four names, two a shard; the folder is a world as well."""
-    from placegraph_scale.library.write import Listed, write_shards
+    from placegraph_scale.library.write import NamedEntry, write_shards
 
     entry = _rooms(folder, places).entry("room")
-    listed = [Listed(f"room {i}", entry, "../room.scene") for i in range(4)]
+    listed = [NamedEntry(f"room {i}", entry, "../room.scene") for i in range(4)]
     write_shards(folder / "rooms.shards", listed, encoders=("labels",), size=2)
 
 

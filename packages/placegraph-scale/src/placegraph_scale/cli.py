@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from placegraph.indoor.library import SceneLibrary
     from placegraph_scale.build import BuildOptions
-    from placegraph_scale.library.write import Listed
+    from placegraph_scale.library.write import NamedEntry
 
 
 def build(
@@ -139,9 +139,9 @@ def shard(
 
 def _listed(
     paths: list[Path], first: SceneLibrary, out: Path, open_: Callable[[Path], SceneLibrary]
-) -> Iterator[Listed]:
+) -> Iterator[NamedEntry]:
     """Yield scenes of all libraries, one open at a time; names tell of which, if there are several."""
-    from placegraph_scale.library.write import Listed
+    from placegraph_scale.library.write import NamedEntry
 
     for i, path in enumerate(paths):
         library = open_(path) if i else first
@@ -153,4 +153,4 @@ def _listed(
             entry = library.entry(name)
             at = entry.path and real_path(entry.path)
             place = os.path.relpath(at, real_path(out)) if at else ""
-            yield Listed(name if len(paths) == 1 else f"{path.stem}: {name}", entry, place)
+            yield NamedEntry(name if len(paths) == 1 else f"{path.stem}: {name}", entry, place)

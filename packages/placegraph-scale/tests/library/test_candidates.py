@@ -12,7 +12,7 @@ from placegraph.world import open_world
 from placegraph_lab.tables.scene.search import varied
 from placegraph_scale.library import candidates
 from placegraph_scale.library.shards import SceneShards
-from placegraph_scale.library.write import Listed, write_shards
+from placegraph_scale.library.write import NamedEntry, write_shards
 
 ASKED = (
     {"text": "I am in the Stadtbibliothek, in a room with two desks."},
@@ -38,7 +38,9 @@ def maps_and_library(folder, tmp_path_factory):
             shutil.copy(city, there)
     library.save(read / "all.library")
     library = pg.open_map(read / "all.library")
-    listed = [Listed(n, library.entry(n), str(library.entry(n).path.resolve())) for n in library]
+    listed = [
+        NamedEntry(n, library.entry(n), str(library.entry(n).path.resolve())) for n in library
+    ]
     write_shards(mapped / "all.shards", listed)
     return read, mapped
 
@@ -78,9 +80,9 @@ def test_scenes_that_nothing_tells_apart_are_looked_into(folder, films, tmp_path
     library = pg.SceneLibrary()
     for name in names:
         library.add(name, folder / f"{name}.scene")
-    write_shards(
-        tmp_path / "all.shards", [Listed(n, library.entry(n), str(folder / f"{n}.scene")) for n in library]
-    )  # fmt: skip
+    paths = {n: str(folder / f"{n}.scene") for n in library}
+    entries = [NamedEntry(n, library.entry(n), path) for n, path in paths.items()]
+    write_shards(tmp_path / "all.shards", entries)
     world, room = open_world(tmp_path), "study" if len(names) == 1 else "parlour"
     for asked in (
         {"text": "There is a sofa." if len(names) > 1 else "I am in a room with two desks."},
@@ -145,8 +147,8 @@ def damaged(maps_and_library, tmp_path):
     read, mapped = maps_and_library
     library = pg.open_map(read / "all.library")
     more = varied({n: library.entry(n).signature for n in library}, 5, np.random.default_rng(0))
-    listed = [Listed(n, library.entry(n), str(library.entry(n).path)) for n in library]
-    listed += [Listed(n, Entry(s, None)) for n, s in more.items()]
+    listed = [NamedEntry(n, library.entry(n), str(library.entry(n).path)) for n in library]
+    listed += [NamedEntry(n, Entry(s, None)) for n, s in more.items()]
     there = tmp_path / "world"
     there.mkdir()
     shutil.copy(mapped / "west.city", there)
@@ -188,7 +190,7 @@ def test_a_map_that_is_gone_is_named(maps_and_library, damaged, tmp_path):
     read, _ = maps_and_library
     library = pg.open_map(read / "all.library")
     listed = [
-        Listed(
+        NamedEntry(
             n,
             library.entry(n),
             str(tmp_path / "gone.scene") if n == "reading" else str(library.entry(n).path),

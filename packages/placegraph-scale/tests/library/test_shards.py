@@ -13,7 +13,7 @@ from placegraph.indoor.library import library_of
 from placegraph.indoor.library.library import Entry
 from placegraph_lab.tables.scene.search import varied
 from placegraph_scale.library.shards import SceneShards
-from placegraph_scale.library.write import Listed, write_shards
+from placegraph_scale.library.write import NamedEntry, write_shards
 
 SCENES = 60
 TEXTS = ("a study with two desks", "a bed next to a wardrobe", "a room with a plant but no sofa")
@@ -36,7 +36,7 @@ def large(signatures):
 
 
 def listed(signatures):
-    return [Listed(name, Entry(s, None)) for name, s in signatures.items()]
+    return [NamedEntry(name, Entry(s, None)) for name, s in signatures.items()]
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +83,7 @@ def test_scenes_by_their_map_files(rooms, tmp_path):
     for name, room in rooms.items():
         room.scene.save(tmp_path / f"{name}.scene")
         made.add(name, tmp_path / f"{name}.scene")
-    scenes = [Listed(n, made.entry(n), f"../{n}.scene") for n in made]
+    scenes = [NamedEntry(n, made.entry(n), f"../{n}.scene") for n in made]
     shards = write_shards(tmp_path / "shards", scenes)
     found = shards.search("a study with two desks")
     assert found.best.scene == "study"
@@ -247,6 +247,8 @@ def test_a_pose_in_the_likeliest(rooms, tmp_path):
     for name, room in rooms.items():
         room.scene.save(tmp_path / f"{name}.scene")
         made.add(name, tmp_path / f"{name}.scene")
-    shards = write_shards(tmp_path / "s", [Listed(n, made.entry(n), f"../{n}.scene") for n in made])
+    shards = write_shards(
+        tmp_path / "s", [NamedEntry(n, made.entry(n), f"../{n}.scene") for n in made]
+    )
     found = shards.localize(rooms["study"].film(3), most=2, refine=False, seed=0)
     assert found.best.scene == "study"

@@ -11,7 +11,7 @@ from placegraph.demo.flat import STANDS, TWIN, WINDOW, furnish
 from placegraph.demo.world import FLAT, TOWN
 from placegraph.errors import MapError, OptionError
 from placegraph_lab.worlds.shards import write_shards
-from placegraph_scale.library.write import Listed
+from placegraph_scale.library.write import NamedEntry
 from placegraph_scale.library.write import write_shards as write_library
 
 SAID = (
@@ -133,9 +133,9 @@ def test_scenes_in_library_shards_and_beside_the_folder(both, folders, frames, t
     for path in paths:
         library.add(path.stem, path)
         (world / path.name).unlink()
-    write_library(
-        world / "homes.shards", [Listed(n, library.entry(n), str(folders[1] / f"{n}.scene")) for n in library]
-    )  # fmt: skip
+    paths = {n: str(folders[1] / f"{n}.scene") for n in library}
+    entries = [NamedEntry(n, library.entry(n), path) for n, path in paths.items()]
+    write_library(world / "homes.shards", entries)
     wanted = both[1].locate(WINDOW, frames)
     same(pg.open_world(world).locate(WINDOW, frames), wanted)
     shutil.rmtree(world / "homes.shards")

@@ -48,7 +48,7 @@ from placegraph_lab.tables.scene.sentences import Scene, describe
 from placegraph_lab.tables.statistics import apart, peak
 from placegraph_lab.worlds.home.home import STYLES, home, scene_of
 from placegraph_scale.library.shards import HEAD, SceneShards
-from placegraph_scale.library.write import SIZE, Listed, write_shards
+from placegraph_scale.library.write import SIZE, NamedEntry, write_shards
 
 WRONG = (0.0, 0.1, 0.3)
 FRAMES, FACTS = 5, 6
@@ -80,11 +80,11 @@ def scene(signatures: Sequence[Signature], stock: Stock, row: int, seed: int) ->
     return stock.variation(signatures[row % len(signatures)], np.random.default_rng((seed, row)))
 
 
-def listed(signatures: Sequence[Signature], count: int, seed: int) -> Iterator[Listed]:
+def listed(signatures: Sequence[Signature], count: int, seed: int) -> Iterator[NamedEntry]:
     """So many scenes, each made when it is asked for."""
     stock = Stock.of(signatures)
     for i in range(count):
-        yield Listed(f"home {i}", Entry(scene(signatures, stock, i, seed), None))
+        yield NamedEntry(f"home {i}", Entry(scene(signatures, stock, i, seed), None))
 
 
 def seen(

@@ -23,7 +23,7 @@ from placegraph.outdoor.language.words import tokens
 from placegraph.world.evidence import UNANCHORED, OtherScenes, fit_prior
 from placegraph.world.world import World
 from placegraph_scale.library.shards import SceneShards, Shard
-from placegraph_scale.library.write import Listed, pack_shard
+from placegraph_scale.library.write import NamedEntry, pack_shard
 
 if TYPE_CHECKING:
     from placegraph.indoor.library.library import Entry
@@ -62,7 +62,7 @@ class CandidateScenes(SceneShards):
                 )
         found = [shard for s in every for shard in s.shards]
         if len(library):
-            listed = [Listed(name, library.entry(name)) for name in library]
+            listed = [NamedEntry(name, library.entry(name)) for name in library]
             found.insert(0, Shard(*pack_shard(listed, keys), first.usual))
         return cls(
             first.encoders, first.usual, tuple(found), first.beside,

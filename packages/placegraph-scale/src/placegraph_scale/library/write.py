@@ -37,7 +37,7 @@ SCENES_OF_USUAL = 2_000
 """Scenes of the first shard that the background model is learned from."""
 
 
-class Listed(NamedTuple):
+class NamedEntry(NamedTuple):
     """One scene on its way into a shard."""
 
     name: str
@@ -48,7 +48,7 @@ class Listed(NamedTuple):
 
 def write_shards(
     folder: str | os.PathLike[str],
-    scenes: Iterable[Listed],
+    scenes: Iterable[NamedEntry],
     encoders: Sequence[str | Encoder] = ("labels", "appearance"),
     size: int = SIZE,
 ) -> SceneShards:
@@ -111,7 +111,7 @@ def _write(path: Path, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any
     write_map(path, KIND, VERSION, meta, arrays, mapped=tuple(arrays))
 
 
-def pack_shard(scenes: Sequence[Listed], keys: Sequence[str]) -> tuple[dict[str, Any], Arrays]:
+def pack_shard(scenes: Sequence[NamedEntry], keys: Sequence[str]) -> tuple[dict[str, Any], Arrays]:
     """Return metadata and columns of a shard."""
     meta, arrays = pack_texts(scenes)
     signatures = [s.entry.signature for s in scenes]
@@ -143,7 +143,7 @@ def pack_shard(scenes: Sequence[Listed], keys: Sequence[str]) -> tuple[dict[str,
     return meta, arrays
 
 
-def learn_background(scenes: Sequence[Listed], encoders: Sequence[Encoder]) -> Background:
+def learn_background(scenes: Sequence[NamedEntry], encoders: Sequence[Encoder]) -> Background:
     """Learn what is usual in some scenes and in the homes beside them."""
     keys = [e.key for e in encoders]
     signatures = [s.entry.signature for s in scenes[:SCENES_OF_USUAL]]
@@ -174,7 +174,7 @@ def pack_index(index: Index) -> Arrays:
     return arrays
 
 
-def pack_texts(scenes: Sequence[Listed]) -> tuple[dict[str, Any], Arrays]:
+def pack_texts(scenes: Sequence[NamedEntry]) -> tuple[dict[str, Any], Arrays]:
     """Return the columns that texts are compared with: postings of labels and of relations."""
     columns = columns_of([s.entry.signature.described for s in scenes])
     meta = {"labels": columns.labels, "relations": columns.relations, "scenes": columns.scenes}
