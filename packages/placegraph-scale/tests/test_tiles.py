@@ -17,7 +17,7 @@ from placegraph.errors import InputError, MapError
 from placegraph.io.osm import urls
 from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.map import extract
-from placegraph.outdoor.map.extract import Thing, Things, once, text_of, words_of
+from placegraph.outdoor.map.extract import Thing, Things, drop_duplicates, join_words, split_words
 from placegraph_scale import tiles as module
 from placegraph_scale.tiles import (
     LARGE,
@@ -228,7 +228,7 @@ words = st.lists(
 )
 degrees = st.tuples(st.integers(-1800000000, 1800000000), st.integers(-900000000, 900000000))
 parts = st.lists(st.lists(degrees, min_size=1, max_size=4), min_size=1, max_size=3)
-BENCH_TEXT = text_of(["amenity=bench"], [])
+BENCH_TEXT = join_words(["amenity=bench"], [])
 
 
 def thing(i=1, points=((100000000, 500000000),)):
@@ -247,14 +247,14 @@ def put(folder, *tables):
 @given(st.lists(st.tuples(st.integers(-(1 << 60), 1 << 60), words, parts), min_size=1, max_size=4))
 def test_things_come_back(tmp_path_factory, drawn):
     given_ = [
-        Thing(2, i, 2, text_of(("a=b", "c=d"), names), [np.array(part) / 1e7 for part in shape])
+        Thing(2, i, 2, join_words(("a=b", "c=d"), names), [np.array(part) / 1e7 for part in shape])
         for i, names, shape in drawn
     ]
     [back] = read_frames(*put(tmp_path_factory.mktemp("spill"), given_))
     for row, (one, (_, names, _)) in enumerate(zip(given_, drawn, strict=True)):
         found = back.thing(row)
         assert found[:4] == one[:4]
-        labels, said = words_of(found.text)
+        labels, said = split_words(found.text)
         assert labels == ("a=b", "c=d")
         assert said == tuple(re.sub("[\x1d-\x1f]", " ", name) for name in names)
         for a, b in zip(found.parts, one.parts, strict=True):
@@ -295,10 +295,10 @@ def test_a_damaged_file_is_named(tmp_path_factory, at, cut):
 
 def test_the_longest_version_counts():
     things = Things.of([thing(1), thing(1, [(0, 0), (1, 1)]), thing(2)])
-    kept = once(things)
+    kept = drop_duplicates(things)
     assert kept.osm_id.tolist() == [1, 2]
     assert len(kept.thing(0).parts[0]) == 2
-    assert once(kept) is kept
+    assert drop_duplicates(kept) is kept
 
 
 def test_a_full_disk(tmp_path, monkeypatch):

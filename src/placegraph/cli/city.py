@@ -338,9 +338,9 @@ def check(map_file: MapFile, as_json: AsJson = False) -> None:
     Example: placegraph city check monaco.city
     """
     from placegraph.outdoor.city import CityMap
-    from placegraph.outdoor.map.city import findings
+    from placegraph.outdoor.map.city import find_oddities
 
-    found = findings(CityMap.open(map_file))
+    found = find_oddities(CityMap.open(map_file))
     if as_json:
         click.echo(json.dumps(found, ensure_ascii=False))
     else:

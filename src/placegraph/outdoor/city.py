@@ -131,9 +131,9 @@ class CityMap(Shown, City):
         holds them, and shapes as coarse as the map's; ``cells`` are squares with property `cell`.
         Raises `OptionError` where it is neither.
         """
-        from placegraph.outdoor.map.city import features
+        from placegraph.outdoor.map.city import make_geojson
 
-        return features(self, what)
+        return make_geojson(self, what)
 
     def to_geopandas(self, what: Literal["objects", "cells"] = "objects") -> gpd.GeoDataFrame:
         """`to_geojson` as a table in WGS84; raises `MissingExtraError` without GeoPandas."""

@@ -17,7 +17,7 @@ from placegraph.outdoor.locate import search
 from placegraph.outdoor.map.geometry_kernels import nearest_on_parts
 from placegraph.outdoor.map.index import REACH
 from placegraph.outdoor.map.objects import AREA, LINE, POINT
-from placegraph.outdoor.search.answer import TELLING, answer, evidence_at, looked_at
+from placegraph.outdoor.search.answer import TELLING, answer, find_evidence, score_positions
 from placegraph.outdoor.search.posterior import ELSEWHERE
 from placegraph.outdoor.search.request import (
     Hints,
@@ -170,7 +170,7 @@ class CityMatch(TownMatch):
         for each in corners:
             score = scorer.score(each)
             middle = self.city.plane.to_plane(each).mean(axis=0)
-            explain = partial(evidence_at, middle, self.city, self.query)
+            explain = partial(find_evidence, middle, self.city, self.query)
             out.append(None if score is None else BuildingMatch(score, explain))
         return out
 
@@ -247,7 +247,7 @@ class BuildingScorer:
         )
         far = np.linalg.norm(rays, axis=1, keepdims=True)
         outer = np.concatenate([middle + rays * (1.0 + d / np.maximum(far, 1.0)) for d in AROUND])
-        ratios, served = looked_at(np.concatenate([inner, outer]), self.request.city, query)
+        ratios, served = score_positions(np.concatenate([inner, outer]), self.request.city, query)
         weights, is_meant = [], False
         for i, s in enumerate(query.used):
             is_within = s.relation in WITHIN and s.source == SPEAKER
@@ -275,7 +275,7 @@ class BuildingScorer:
         gain = float(np.log((1.0 - noise) * odds + noise))
         if on is None or is_negated:
             return gain
-        there, _ = looked_at(on.position[None], self.request.city, query)
+        there, _ = score_positions(on.position[None], self.request.city, query)
         return gain + p * max(0.0, float(there[0, i]) - gain)
 
     def _contains(self, rows: NDArray[np.int32], footprint: Floats) -> tuple[bool, bool]:

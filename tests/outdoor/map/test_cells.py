@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.errors import MapError, OptionError
-from placegraph.outdoor.map.cells import Grid, sightings
+from placegraph.outdoor.map.cells import Grid, find_visible
 from placegraph.outdoor.map.directions_kernels import name_direction
 from placegraph.outdoor.map.geometry_kernels import nearest_on_parts
 
@@ -372,7 +372,7 @@ class Things:
         return np.concatenate(([0], np.cumsum(np.array(lengths, np.int32)))).astype(np.int32)
 
     def seen(self, grid, radius, rows=None):
-        return sightings(
+        return find_visible(
             self.kind,
             self.part_starts,
             self.point_starts,

@@ -7,21 +7,21 @@ import pytest
 import placegraph as pg
 from placegraph.core.geojson import areas
 from placegraph.errors import OptionError
-from placegraph.outdoor.map.city import findings
+from placegraph.outdoor.map.city import find_oddities
 
 BENCH, TREE = {"amenity": "bench", "name": "B"}, {"natural": "tree", "name": "T"}
 
 
 def found(city):
     """Findings, each a sentence or two of which the last says what to do."""
-    lines = findings(city)
+    lines = find_oddities(city)
     assert all((line.endswith(".") and line[0].isupper()) or line[0].isdigit() for line in lines)
     return " ".join(lines)
 
 
 @pytest.mark.parametrize("name", ["monaco", "toronto", "harbour"])
 def test_sound_maps(name, request):
-    assert findings(request.getfixturevalue(name)) == []
+    assert find_oddities(request.getfixturevalue(name)) == []
 
 
 def mixed(n=20):
@@ -30,7 +30,7 @@ def mixed(n=20):
 
 
 def test_a_mixed_world_is_sound(build_world):
-    assert findings(build_world(mixed())) == []
+    assert find_oddities(build_world(mixed())) == []
 
 
 def test_too_wide(build_world):

@@ -17,7 +17,7 @@ from placegraph.errors import InputError, MapError, MapLockedError, OptionError,
 from placegraph.maps import open_map
 from placegraph.outdoor.city import build_city
 from placegraph.outdoor.language.vocabulary import Vocabulary
-from placegraph.outdoor.map.extract import TOLERANCE, clip, names_of
+from placegraph.outdoor.map.extract import TOLERANCE, clip, list_names
 from placegraph.outdoor.map.objects import AREA, GRAIN, LINE, POINT, centers, simplify
 from placegraph_lab.worlds.town.town import Town
 
@@ -226,7 +226,7 @@ def test_all_names_count(build_world):
     ],
 )
 def test_who_runs_it_and_where_it_stands_are_names(tags, found):
-    assert names_of(tags) == found
+    assert list_names(tags) == found
 
 
 @given(
@@ -237,7 +237,7 @@ def test_who_runs_it_and_where_it_stands_are_names(tags, found):
     )
 )
 def test_names_are_clean(tags):
-    found = names_of(tags)
+    found = list_names(tags)
     assert len(set(found)) == len(found)
     assert all(name and name == name.strip() and ";" not in name for name in found)
     if any(part.strip() for part in tags.get("name", "").split(";")):

@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.outdoor.likelihood.query import compile_query
-from placegraph.outdoor.search.answer import evidence_at, looked_at, reference, wind
-from placegraph.outdoor.search.answer import said as in_words
+from placegraph.outdoor.search.answer import describe_object, find_evidence, score_positions, wind
+from placegraph.outdoor.search.answer import quote_statement as in_words
 from placegraph.outdoor.search.request import parse
 
 BAKERY, BENCH, FOUNTAIN, PARK = "shop=bakery", "amenity=bench", "amenity=fountain", "leisure=park"
@@ -28,7 +28,7 @@ def world(build_world, at):
 def told(world, said):
     """Evidence of statements at the viewpoint."""
     city, position = world
-    return lambda *statements: evidence_at(position, city, compile_query(said(*statements), city))
+    return lambda *statements: find_evidence(position, city, compile_query(said(*statements), city))
 
 
 def test_what_is_true_speaks_for(told):
@@ -84,7 +84,7 @@ def test_nothing_can_be_used(told):
 def test_a_place_where_nothing_is(world, said):
     city, _ = world
     query = compile_query(said((BAKERY, "north", "me"), (BENCH, "west", BAKERY)), city)
-    for evidence in evidence_at(np.array([-9000.0, 9000.0]), city, query):
+    for evidence in find_evidence(np.array([-9000.0, 9000.0]), city, query):
         assert evidence.verdict == "against"
         assert evidence.objects == ()
 
@@ -110,7 +110,7 @@ def test_statements_in_words(world, said):
 def test_references_are_those_of_the_map(harbour):
     o = harbour.objects
     for row in range(0, len(o), 9):
-        ref = reference(row, harbour)
+        ref = describe_object(row, harbour)
         assert (ref.id, ref.label, ref.name) == (o.osm(row), o.label(row), o.name(row))
         at = harbour.plane.to_plane((ref.longitude, ref.latitude))
         np.testing.assert_allclose(at, o.center[row], atol=0.01)
@@ -126,7 +126,7 @@ def test_winds(angle):
 def test_positions_that_lie_far_apart_are_judged_each_by_itself(harbour):
     query = compile_query(parse(harbour, "A bakery is north of me."), harbour)
     here, away = np.zeros(2), np.full(2, 30_000.0)  # from where nothing is in sight
-    both, served = looked_at(np.array([here, away]), harbour, query)
-    assert both[0] == pytest.approx(looked_at(here[None], harbour, query)[0][0])
-    assert both[1] == pytest.approx(looked_at(away[None], harbour, query)[0][0])
+    both, served = score_positions(np.array([here, away]), harbour, query)
+    assert both[0] == pytest.approx(score_positions(here[None], harbour, query)[0][0])
+    assert both[1] == pytest.approx(score_positions(away[None], harbour, query)[0][0])
     assert (served[1] == -1).all()

@@ -11,11 +11,11 @@ from placegraph.outdoor.likelihood.query import compile_query
 from placegraph.outdoor.network.network import EncodedCity
 from placegraph.outdoor.search import cells, posterior
 from placegraph.outdoor.search.candidates import (
-    candidate_cells,
-    dense_cells,
     find_candidates,
-    views_by,
-    views_in,
+    find_cells,
+    find_dense_cells,
+    find_views,
+    find_views_in,
 )
 from placegraph.outdoor.search.edit_distance import rank
 from placegraph.outdoor.search.posterior import compute_posterior, score
@@ -67,9 +67,7 @@ def test_every_matcher_ranks_the_cells_of_every_way(matcher, by, harbour, encode
     assert found.cells == tuple(harbour.cells.id_of(row) for row in found.rows)
     if by != "all":
         query = compile_query(text, harbour)
-        assert set(found.rows) <= set(
-            candidate_cells(asking(harbour, query, 6, by, encoded)).tolist()
-        )
+        assert set(found.rows) <= set(find_cells(asking(harbour, query, 6, by, encoded)).tolist())
 
 
 def test_relational_matching_finds_the_place(harbour, encoded, text):
@@ -120,7 +118,7 @@ def test_fused_is_relational_shifted(harbour, make_network, text):
 
 def test_both_takes_turns(harbour, encoded, query):
     dense, sparse, both = (
-        candidate_cells(asking(harbour, query, 8, by, encoded)).tolist()
+        find_cells(asking(harbour, query, 8, by, encoded)).tolist()
         for by in ("dense", "sparse", "both")
     )
     assert len(dense) == 8
@@ -131,9 +129,9 @@ def test_both_takes_turns(harbour, encoded, query):
 
 
 def test_all_are_all(harbour, encoded, query):
-    found = candidate_cells(asking(harbour, query, 3, "all", encoded))
+    found = find_cells(asking(harbour, query, 3, "all", encoded))
     assert found.tolist() == list(range(len(harbour.cells)))
-    views = views_by(asking(harbour, query, 3, "all", encoded))
+    views = find_views(asking(harbour, query, 3, "all", encoded))
     assert len(views) == len(harbour.views)
 
 
@@ -149,7 +147,9 @@ def test_a_store_of_ones_own_is_asked(harbour, encoded, query):
             return Neighbours(ids, np.zeros((1, n), np.float32))
 
     store, region = Store(), Region(*whole(harbour))
-    rows = dense_cells(asking(harbour, query, 9, "dense", encoded, store=store, region=region), 4)
+    rows = find_dense_cells(
+        asking(harbour, query, 9, "dense", encoded, store=store, region=region), 4
+    )
     assert rows.tolist() == [5, 3]
     ((vectors, n, asked),) = store.asked
     assert vectors.shape == (1, encoded.network.shape.dimension)
@@ -159,7 +159,7 @@ def test_a_store_of_ones_own_is_asked(harbour, encoded, query):
 def test_a_region_keeps_candidates_in(harbour, encoded, query, text):
     west, south, east, north = whole(harbour)
     half = Region(west, south, (west + east) / 2, north)
-    rows = dense_cells(asking(harbour, query, 9, "dense", encoded, region=half), 20)
+    rows = find_dense_cells(asking(harbour, query, 9, "dense", encoded, region=half), 20)
     lonlat = harbour.plane.to_lonlat(harbour.cells.centers(rows))
     assert len(rows)
     assert (lonlat[:, 0] <= half.east).all()
@@ -171,11 +171,11 @@ def test_a_region_keeps_candidates_in(harbour, encoded, query, text):
 
 def test_views_in_cells_are_those_that_lie_there(harbour):
     rows = np.array([7, 40])
-    views = views_in(harbour, rows)
+    views = find_views_in(harbour, rows)
     assert (np.diff(views) > 0).all()
     delta = np.abs(harbour.views.positions[:, None] - harbour.cells.centers(rows)[None]).max(axis=2)
     assert views.tolist() == np.flatnonzero((delta <= harbour.cells.size / 2).any(axis=1)).tolist()
-    assert views_in(harbour, rows[:0]).shape == (0,)
+    assert find_views_in(harbour, rows[:0]).shape == (0,)
 
 
 def test_what_is_only_absent_finds_nothing(harbour, encoded, said):
@@ -262,7 +262,7 @@ def test_no_way_to_candidates_leaves_a_region(harbour, encoded, query):
     west, south, east, north = whole(harbour)
     half = Region((west + east) / 2, south, east, north)
     for by in WAYS:
-        rows = candidate_cells(asking(harbour, query, 12, by, encoded, region=half))
+        rows = find_cells(asking(harbour, query, 12, by, encoded, region=half))
         assert len(rows)
         lonlat = harbour.plane.to_lonlat(harbour.cells.centers(rows))
         # viewpoints of a cell may lie in the region though its centre does not

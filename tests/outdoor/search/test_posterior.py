@@ -17,10 +17,10 @@ from placegraph.outdoor.search.posterior import (
     ELSEWHERE,
     WITHIN,
     Posterior,
+    apply_bayes,
     compute_posterior,
+    find_modes,
     look_around,
-    modes,
-    posterior,
     rerank,
     score,
 )
@@ -42,7 +42,7 @@ def found_of(drawn, unscored=-50.0, step=20.0):
     """Posterior of viewpoints (column, row, score) on a grid."""
     drawn = np.array(drawn, float)
     prior = np.full(len(drawn), -np.log(len(drawn)))
-    return posterior(step * drawn[:, :2], drawn[:, 2], prior, unscored)
+    return apply_bayes(step * drawn[:, :2], drawn[:, 2], prior, unscored)
 
 
 @given(places, st.floats(-50, 5))
@@ -67,7 +67,7 @@ def test_it_is_bayes_rule(drawn):
 @given(places, st.integers(1, 8))
 def test_modes(drawn, top):
     found = found_of(drawn)
-    peaks = modes(found, top, SPACING)
+    peaks = find_modes(found, top, SPACING)
     assert len(peaks) <= top
     probabilities = [m.probability for m in peaks]
     assert probabilities == sorted(probabilities, reverse=True)
@@ -91,14 +91,14 @@ def test_the_first_mode_holds_the_heaviest_surroundings(drawn):
         found.probabilities[np.hypot(*(found.positions - p).T) <= APART].sum()
         for p in found.positions
     )
-    assert modes(found, 1, SPACING)[0].probability >= 0.6 * heaviest
+    assert find_modes(found, 1, SPACING)[0].probability >= 0.6 * heaviest
 
 
 def test_a_mode_is_where_its_probability_is():
     found = Posterior(
         np.array([[0.0, 0.0], [20.0, 0.0], [1000.0, 0.0]]), np.array([0.3, 0.3, 0.2]), 0.2
     )
-    first, second = modes(found, 5, SPACING)
+    first, second = find_modes(found, 5, SPACING)
     np.testing.assert_allclose(first.position, (10, 0))
     assert first.probability == pytest.approx(0.6)
     assert first.covariance[0, 0] == pytest.approx(100 + SPACING**2 / 12 + 1)
@@ -111,7 +111,7 @@ def test_probability_is_of_lying_within():
     found = Posterior(
         np.concatenate([0.5 * WITHIN * ring, 2.5 * WITHIN * ring]), np.full(120, 1 / 120), 0.0
     )
-    best = modes(found, 20, SPACING)[0]
+    best = find_modes(found, 20, SPACING)[0]
     distance = np.hypot(*(found.positions - best.position).T)
     assert best.probability == pytest.approx(
         found.probabilities[distance <= WITHIN].sum(), abs=0.02
@@ -120,16 +120,16 @@ def test_probability_is_of_lying_within():
 
 def test_no_place_at_all():
     nothing = Posterior(np.zeros((0, 2)), np.zeros(0), 1.0)
-    assert modes(nothing, 5, SPACING) == []
+    assert find_modes(nothing, 5, SPACING) == []
     none = Posterior(np.zeros((3, 2)), np.zeros(3), 1.0)
-    assert modes(none, 5, SPACING) == []
+    assert find_modes(none, 5, SPACING) == []
 
 
 def test_what_was_not_scored_counts():
     sure = [(-50, 0, 12.0), (50, 50, 0.0)]
-    best = modes(found_of(sure), 1, SPACING)[0].probability
+    best = find_modes(found_of(sure), 1, SPACING)[0].probability
     assert best > 0.9
-    doubtful = modes(found_of(sure, unscored=12.0), 1, SPACING)[0].probability
+    doubtful = find_modes(found_of(sure, unscored=12.0), 1, SPACING)[0].probability
     assert doubtful < 0.5
 
 
@@ -138,7 +138,7 @@ def test_extreme_scores_do_not_overflow(drawn, shift):
     found = found_of([(x, y, s + shift) for x, y, s in drawn])
     assert np.isfinite(found.probabilities).all()
     assert 0 <= found.elsewhere <= 1
-    for mode in modes(found, 5, SPACING):
+    for mode in find_modes(found, 5, SPACING):
         assert np.isfinite(mode.covariance).all()
 
 
@@ -304,7 +304,7 @@ def test_search_finds_what_looking_everywhere_finds(everywhere, harbour):
     description, positions, scores = everywhere
     found = search(Request(harbour, compile_query(description, harbour)))
     assert found.probabilities.sum() + found.elsewhere <= 1 + 1e-6
-    best = modes(found, 1, 6.67)[0]
+    best = find_modes(found, 1, 6.67)[0]
     highest = max(smoothed(positions, scores, positions[i]) for i in np.argsort(-scores)[:50])
     assert smoothed(positions, scores, best.position) > highest - 0.7
 
@@ -317,7 +317,7 @@ def test_probabilities_are_those_of_looking_everywhere(everywhere, harbour):
     weights /= weights.sum() + ELSEWHERE
     found = search(Request(harbour, compile_query(description, harbour)))
     left = weights.copy()  # places count for the first mode that is near
-    for mode in modes(found, 3, 6.67):
+    for mode in find_modes(found, 3, 6.67):
         near = np.hypot(*(positions - mode.position).T) <= 50.0
         assert mode.probability == pytest.approx(left[near].sum(), abs=0.15)
         left[near] = 0.0
@@ -339,7 +339,7 @@ def test_the_best_of_few_is_the_best_of_all(text, monaco):
     asked = make_request(monaco, text, Hints(), Matching())
     every = Candidates.given(asked, np.arange(len(monaco.views)))
     few, all_ = (
-        modes(p, 5, 6.67)[0]
+        find_modes(p, 5, 6.67)[0]
         for p in (search(asked), compute_posterior(asked, scored(asked, every, 30.0)))
     )
     assert np.hypot(*(few.position - all_.position)) < 1.0
@@ -350,7 +350,7 @@ def test_a_thing_out_of_sight_is_found(harbour, said, hafenstadt):
     """The only museum is 70 m south: no viewpoint there has it in sight."""
     text = said(("me", "along", "Hafenstraße"), ("tourism=museum", "south", "me", {"far": True}))
     found = search(Request(harbour, compile_query(text, harbour)))
-    best = modes(found, 1, 6.67)[0]
+    best = find_modes(found, 1, 6.67)[0]
     museum = harbour.plane.to_plane(hafenstadt.position("I"))
     assert best.position[1] > museum[1] + 50
 
@@ -365,7 +365,7 @@ def test_candidates_do_not_depend_on_the_order_of_statements(harbour, said):
     statements = [s for name in ("square and fountain", "names") for s in QUERIES[name]]
     one = search(Request(harbour, compile_query(said(*statements), harbour)))
     two = search(Request(harbour, compile_query(said(*statements[::-1]), harbour)))
-    for a, b in zip(modes(one, 3, 6.67), modes(two, 3, 6.67), strict=True):
+    for a, b in zip(find_modes(one, 3, 6.67), find_modes(two, 3, 6.67), strict=True):
         np.testing.assert_allclose(a.position, b.position, atol=1.0)
         assert a.probability == pytest.approx(b.probability, abs=0.02)
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from placegraph.core.estimate import Status
 from placegraph.outdoor.language import describe
-from placegraph.outdoor.search.posterior import Posterior, modes
+from placegraph.outdoor.search.posterior import Posterior, find_modes
 from placegraph.outdoor.search.status import (
     AT_A_PLACE,
     HERE,
@@ -31,7 +31,7 @@ def make_posterior(*peaks, elsewhere=0.0):
 
 
 def judge(found, claim=IN_SIGHT):
-    return decide(diagnose(found, modes(found, 5, SPACING), claim, None))
+    return decide(diagnose(found, find_modes(found, 5, SPACING), claim, None))
 
 
 @pytest.mark.parametrize("claim", [IN_SIGHT, AT_A_PLACE])
@@ -86,7 +86,7 @@ def test_calibration_takes_and_never_gives(share, claim, unknown):
 
 def test_what_is_not_believed_lies_elsewhere():
     found = make_posterior((0, 0.7), (FAR, 0.2), elsewhere=0.1)
-    peaks = modes(found, 5, SPACING)
+    peaks = find_modes(found, 5, SPACING)
     posterior, shrunk = shrink(found, peaks, diagnose(found, peaks, AT_A_PLACE, None))
     assert shrunk[0].probability == AT_A_PLACE.of_place.apply(0.7, unknown_name=False) < 0.7
     assert shrunk[1].probability / shrunk[0].probability == pytest.approx(2 / 7)

@@ -13,12 +13,12 @@ from placegraph.outdoor.track.belief import (
     Belief,
     TrackGrid,
     _by_fourier,
-    laid,
-    moved,
-    reborn,
-    score,
-    straight,
-    way,
+    add_positions,
+    inject_uniform,
+    make_displacement,
+    make_walk,
+    propagate,
+    score_belief,
 )
 
 SHORT = st.floats(-150.0, 150.0)
@@ -33,7 +33,7 @@ def lump(grid, at=(0.0, 0.0)):
     """All probability at one place, in the grid's middle."""
     mass = np.zeros((grid.rows, grid.columns), np.float32)
     middle = grid.positions(np.array([grid.rows // 2 * grid.columns + grid.columns // 2]))
-    laid(mass, grid, middle + at, np.ones(1))
+    add_positions(mass, grid, middle + at, np.ones(1))
     return Belief(mass, 0.0)
 
 
@@ -59,8 +59,8 @@ def test_the_start_knows_nothing(grid):
 @given(SHORT, SHORT, st.floats(0.0, 40.0))
 def test_a_measured_motion_moves_the_mean(grid, east, north, sigma):
     before = lump(grid)
-    kernel = straight(east, north, sigma)
-    after = moved(before, kernel)
+    kernel = make_displacement(east, north, sigma)
+    after = propagate(before, kernel)
     assert kernel.weights.sum() == pytest.approx(1.0, abs=1e-5)
     assert after.mass.sum() + after.elsewhere == pytest.approx(1.0, abs=1e-5)
     np.testing.assert_allclose(mean(after, grid) - mean(before, grid), (east, north), atol=0.05)
@@ -70,24 +70,27 @@ def test_a_measured_motion_moves_the_mean(grid, east, north, sigma):
 @given(SHORT, SHORT, st.floats(0.0, 20.0))
 def test_forth_and_back_keeps_the_mean(grid, east, north, sigma):
     before = lump(grid, (3.0, -7.0))
-    after = moved(moved(before, straight(east, north, sigma)), straight(-east, -north, sigma))
+    after = propagate(
+        propagate(before, make_displacement(east, north, sigma)),
+        make_displacement(-east, -north, sigma),
+    )
     np.testing.assert_allclose(mean(after, grid), mean(before, grid), atol=0.1)
 
 
 @given(st.floats(0.0, 120.0), st.floats(0.0, 30.0), st.floats(0.0, 6.3), st.floats(0.0, 0.6))
 def test_a_loose_way_forth_and_back_keeps_the_mean(grid, distance, loose, bearing, sigma):
     before = lump(grid)
-    forth = way(distance, loose, bearing, sigma)
-    back = way(distance, loose, bearing + np.pi, sigma)
+    forth = make_walk(distance, loose, bearing, sigma)
+    back = make_walk(distance, loose, bearing + np.pi, sigma)
     np.testing.assert_allclose(
-        mean(moved(moved(before, forth), back), grid), mean(before, grid), atol=0.3
+        mean(propagate(propagate(before, forth), back), grid), mean(before, grid), atol=0.3
     )
     ahead = np.array([np.sin(bearing), np.cos(bearing)])
     assert forth.mean @ ahead <= distance + 0.8 * loose + 1e-6
 
 
 def test_in_any_direction(grid):
-    after = moved(lump(grid), way(100.0, 5.0, None, 0.0))
+    after = propagate(lump(grid), make_walk(100.0, 5.0, None, 0.0))
     positions = grid.positions(np.arange(after.mass.size)) - mean(lump(grid), grid)
     off = np.hypot(*positions.T)
     ring = after.mass.ravel()[(off > 70.0) & (off < 130.0)].sum()
@@ -96,7 +99,7 @@ def test_in_any_direction(grid):
 
 
 def test_a_looser_way_spreads_more():
-    spread = [np.trace(way(100.0, loose, 1.0, sigma).covariance)
+    spread = [np.trace(make_walk(100.0, loose, 1.0, sigma).covariance)
               for loose, sigma in ((2.0, 0.05), (25.0, 0.05), (25.0, 0.5))]  # fmt: skip
     assert spread == sorted(spread)
     assert spread[0] < 100.0 < spread[2]
@@ -105,42 +108,44 @@ def test_a_looser_way_spreads_more():
 def test_large_kernels_give_the_same_through_fourier(grid):
     belief = Belief.start(grid)
     for kernel in (
-        way(120.0, 30.0, 0.7, 0.4),
-        straight(-333.0, 52.0, 10.0),
-        way(90.0, 9.0, None, 0),
+        make_walk(120.0, 30.0, 0.7, 0.4),
+        make_displacement(-333.0, 52.0, 10.0),
+        make_walk(90.0, 9.0, None, 0),
     ):
         plain = np.zeros_like(belief.mass)
-        plain += moved(Belief(belief.mass * np.float32(1e3), 0.0), kernel).mass / np.float32(1e3)
+        plain += propagate(Belief(belief.mass * np.float32(1e3), 0.0), kernel).mass / np.float32(
+            1e3
+        )
         fourier = _by_fourier(belief.mass, kernel)
         np.testing.assert_allclose(fourier.sum(), plain.sum(), rtol=1e-3)
         # cells lighter than the background are shifted whole: compare where there is something
         lumped = lump(grid)
         np.testing.assert_allclose(
-            _by_fourier(lumped.mass, kernel), moved(lumped, kernel).mass, atol=1e-5
+            _by_fourier(lumped.mass, kernel), propagate(lumped, kernel).mass, atol=1e-5
         )
 
 
 def test_over_the_border_and_far_away(grid):
-    gone = moved(lump(grid), straight(20_000.0, 0.0, 10.0))
+    gone = propagate(lump(grid), make_displacement(20_000.0, 0.0, 10.0))
     assert gone.elsewhere == pytest.approx(1.0, abs=1e-6)
-    half = moved(Belief.start(grid), straight(0.5 * 20.0 * grid.columns, 0.0, 0.0))
+    half = propagate(Belief.start(grid), make_displacement(0.5 * 20.0 * grid.columns, 0.0, 0.0))
     assert 0.1 < half.elsewhere < 0.9
 
 
 def test_who_was_lost_may_be_anywhere_again(grid):
     gone = Belief(np.zeros((grid.rows, grid.columns), np.float32), 1.0)
-    back = reborn(gone, grid)
+    back = inject_uniform(gone, grid)
     assert back.elsewhere < 0.85
     assert back.mass.sum() + back.elsewhere == pytest.approx(1.0, abs=1e-5)
     start = Belief.start(grid)
-    np.testing.assert_allclose(reborn(start, grid).mass.sum(), start.mass.sum(), atol=0.02)
+    np.testing.assert_allclose(inject_uniform(start, grid).mass.sum(), start.mass.sum(), atol=0.02)
 
 
 @pytest.mark.parametrize("name", QUERIES)
 def test_closer_looks_are_looks(name, harbour, said, request):
     look = request.getfixturevalue("score")
     description = said(*QUERIES[name])
-    found = score(compile_query(description, harbour), harbour, np.ones(len(harbour.views)))
+    found = score_belief(compile_query(description, harbour), harbour, np.ones(len(harbour.views)))
     assert found.positions.shape == (len(found.closer), len(FINE), 2)
     off = []
     for view, positions, ratios in zip(found.closer, found.positions, found.ratios, strict=True):
@@ -161,7 +166,7 @@ def test_a_believed_place_is_looked_at_however_badly_it_fits(name, harbour, said
     for view in rng.choice(n, 12, replace=False):
         weights = np.full(n, 1e-12)
         weights[view] = 1.0
-        found = score(query, harbour, weights)
+        found = score_belief(query, harbour, weights)
         seen = look(harbour, description, harbour.views.positions[view] + FINE)[0]
         exact = float(np.log(np.exp(seen.astype(np.float64)).mean()))
         assert found.views[view] == pytest.approx(exact, abs=0.8)
@@ -170,7 +175,7 @@ def test_a_believed_place_is_looked_at_however_badly_it_fits(name, harbour, said
 def test_nothing_drops_to_zero(harbour, said):
     for name, statements in QUERIES.items():
         query = compile_query(said(*statements), harbour)
-        found = score(query, harbour, np.ones(len(harbour.views)))
+        found = score_belief(query, harbour, np.ones(len(harbour.views)))
         assert np.isfinite(found.views).all(), name
         assert found.views.min() >= np.log(query.statements.noise).sum() - 3.0
         assert found.nothing == pytest.approx(
@@ -180,7 +185,7 @@ def test_nothing_drops_to_zero(harbour, said):
 
 def test_no_belief_on_the_map_is_no_error(harbour, said):
     query = compile_query(said(*QUERIES["one bench"]), harbour)
-    found = score(query, harbour, np.zeros(len(harbour.views)))
+    found = score_belief(query, harbour, np.zeros(len(harbour.views)))
     assert len(found.closer) == 0
     assert (found.views == found.nothing).all()
 
@@ -190,7 +195,7 @@ def test_many_are_left_with_their_bounds(monaco, said):
     description = said(("building=yes", "north", "highway=footway"))
     query = compile_query(description, monaco)
     weights = np.ones(len(monaco.views))
-    found = score(query, monaco, weights)
+    found = score_belief(query, monaco, weights)
     spread = np.unique(found.views.round(3))
     assert (found.views > found.nothing + 0.05).sum() > MOST_SCORED / 3
     assert len(spread) > 100

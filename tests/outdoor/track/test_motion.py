@@ -6,7 +6,15 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from placegraph.outdoor.track.motion import _TENS, _UNITS, UNSAID, Leg, in_digits, seconds, ways
+from placegraph.outdoor.track.motion import (
+    _TENS,
+    _UNITS,
+    UNSAID,
+    Leg,
+    in_digits,
+    seconds,
+    split_legs,
+)
 
 NORTH, EAST, SOUTH, WEST = 0.0, 0.5, 1.0, 1.5  # bearings and turns in units of pi
 LEFT, RIGHT, AHEAD, BACK = -0.5, 0.5, 0.0, 1.0
@@ -70,7 +78,7 @@ STILL = [
 
 @pytest.mark.parametrize(("text", "expected"), SAID)
 def test_ways(text, expected):
-    parts = ways(text)
+    parts = split_legs(text)
     assert len(parts) == len(expected), parts
     for part, wanted in zip(parts, expected, strict=True):
         if isinstance(wanted, str):
@@ -85,18 +93,19 @@ def test_ways(text, expected):
 
 @pytest.mark.parametrize("text", STILL)
 def test_what_is_no_way_comes_back_as_it_is(text):
-    assert ways(text) == [text]
+    assert split_legs(text) == [text]
 
 
 def test_how_loosely():
     plain, exact, blocks, timed = (
-        ways(f"I walked {how} east.")[0]
+        split_legs(f"I walked {how} east.")[0]
         for how in ("100 m", "exactly 100 m", "a block", "75 seconds")
     )
     assert exact.spread < plain.spread < timed.spread < blocks.spread
     assert plain.spread == pytest.approx(27.0)
     due, loose, north = (
-        ways(f"I went 10 m {how}.")[0].sigma for how in ("due north", "roughly north", "north")
+        split_legs(f"I went 10 m {how}.")[0].sigma
+        for how in ("due north", "roughly north", "north")
     )
     assert due < north < loose
 
@@ -146,7 +155,7 @@ WORDS = ["I", "walked", "went", "turned", "left", "north", "200", "m", "two", "h
 @example("after 5 m")
 @example("hundred m north")
 def test_any_text_is_cut(text):
-    for part in ways(text):
+    for part in split_legs(text):
         if isinstance(part, Leg):
             assert part.distance >= 0.0
             assert part.spread >= 0.0

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from placegraph.outdoor.network.graphs import (
-    Fits,
     PlaceGraphs,
+    WordWeights,
     entries,
     place_batch,
     text_batch,
@@ -73,7 +73,7 @@ def test_words_of_nodes_stand_where_their_nodes_do(places):
 def test_how_rare_a_mention_is():
     starts, tokens = np.array([0, 0, 1, 3]), np.array([0, 1, 2], np.int32)
     counts = np.array([1, 60, 40])
-    fits = word_fits(Fits(starts, tokens, np.ones(3, np.float32)), counts, 100)
+    fits = word_fits(WordWeights(starts, tokens, np.ones(3, np.float32)), counts, 100)
     assert fits.rarity == pytest.approx([0.0, -np.log(0.01) / 10.0, 0.0])  # 0 of all who may be all
 
 

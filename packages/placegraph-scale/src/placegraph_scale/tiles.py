@@ -41,12 +41,12 @@ from placegraph.outdoor.map.extract import (
     Thing,
     Things,
     clip,
+    drop_duplicates,
+    drop_largest,
     keys_read,
-    labelled,
-    nothing_in,
-    objects_of,
-    once,
-    without_largest,
+    label_elements,
+    make_empty_error,
+    make_objects,
 )
 from placegraph_scale.folder import digest_of
 from placegraph_scale.shards.words import count_words
@@ -262,7 +262,7 @@ def split(
         found.save(folder)
         return found
 
-    tables = labelled(
+    tables = label_elements(
         read_columns(path, keys_read(vocabulary), left_out, index),
         vocabulary,
         progress or (lambda _step, _n: None),
@@ -277,7 +277,7 @@ def split(
         (folder / DONE).unlink(missing_ok=True)
         raise InputError(f"{path} changed while it was read; build again when it is whole.")
     if not count:
-        raise nothing_in(path, left_out)
+        raise make_empty_error(path, left_out)
     return save(whole=True)
 
 
@@ -420,16 +420,16 @@ def build_tile(job: TileJob) -> TileDone:
     plane = LocalPlane(*(round(x, 4) for x in core.center))
     left_out, things = LeftOut(), None
     if tables:
-        things = _cut(once(Things.joined(tables)), core.widened(job.margin))
+        things = _cut(drop_duplicates(Things.joined(tables)), core.widened(job.margin))
         del tables
     if things:
-        things = without_largest(things, left_out, plane)
+        things = drop_largest(things, left_out, plane)
     out = Path(job.out)
     if not things:
         return TileDone(job.key, "")
     cell_size, stride, edge_distance = job.sizes
     city = City.create(
-        plane, objects_of(things, plane), cell_size=cell_size, stride=stride,
+        plane, make_objects(things, plane), cell_size=cell_size, stride=stride,
         edge_distance=edge_distance, source=job.source, left_out=dict(left_out.counts),
     )  # fmt: skip
     words = count_words(city, job.key)

@@ -221,7 +221,7 @@ class InSight(NamedTuple):
     """Square of how uncertain the viewpoint itself is [m^2]."""
 
 
-class Fits(NamedTuple):
+class MentionObjects(NamedTuple):
     """Which things in sight each mention may stand for."""
 
     many: NDArray[np.int64]
@@ -256,9 +256,9 @@ def in_sight(scene, objects, at, sight, total, pairs, blur, view):
 
 @kernel
 def room(statements, words):
-    """`Fits` of viewpoints one after the other: nothing is allocated for each of them."""
+    """`MentionObjects` of viewpoints one after the other: nothing is allocated for each of them."""
     n = words.fit.shape[1]
-    return Fits(
+    return MentionObjects(
         np.empty(n, np.int64), np.empty((n, MOST), np.int32), np.empty((n, MOST), np.float32),
         np.empty(n, np.float32), np.empty((len(statements.op), 2, MOST), np.float32),
         np.empty(n, np.float32), np.empty((n, MOST), np.float32),

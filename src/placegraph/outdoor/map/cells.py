@@ -40,7 +40,7 @@ class Grid(NamedTuple):
     rows: int
 
 
-class Sightings(NamedTuple):
+class VisibleObjects(NamedTuple):
     """Objects near grid points, in CSR form over the grid points that have any, row-major."""
 
     points: NDArray[np.int64]
@@ -53,7 +53,7 @@ class Sightings(NamedTuple):
     """(E, 2) object's nearest point minus the grid point, east and north [m]."""
 
 
-def sightings(
+def find_visible(
     kind: NDArray[np.uint8],
     part_starts: NDArray[np.int32],
     point_starts: NDArray[np.int32],
@@ -62,7 +62,7 @@ def sightings(
     grid: Grid,
     radius: float,
     rows: NDArray[np.int64] | None = None,
-) -> Sightings:
+) -> VisibleObjects:
     """Nearest points of objects within `radius` [m] of each grid point.
 
     `kind`, `part_starts`, `point_starts` and `points` are the columns of `CityObjects`; `rows`
@@ -89,7 +89,7 @@ def sightings(
     order = _sorted(at)
     at, who, where = at[order], who[order], where[order]
     first = np.flatnonzero(np.diff(at, prepend=-1))
-    return Sightings(at[first], np.append(first, len(at)).astype(np.int64), who, where)
+    return VisibleObjects(at[first], np.append(first, len(at)).astype(np.int64), who, where)
 
 
 def out_of_proportion(things: int, stride: float) -> MapError:
@@ -272,9 +272,9 @@ class Cells(Portable, Mapping[str, Cell]):
         return f"c{column}r{row}"
 
 
-def cell_sightings(objects: CityObjects, grid: Grid, size: float) -> Sightings:
+def find_in_cells(objects: CityObjects, grid: Grid, size: float) -> VisibleObjects:
     """Objects of each square of edge `size` [m] around the grid's points, where they are nearest."""
-    around = sightings(
+    around = find_visible(
         objects.kind,
         objects.part_starts,
         objects.point_starts,
@@ -284,14 +284,14 @@ def cell_sightings(objects: CityObjects, grid: Grid, size: float) -> Sightings:
     )
     inside = np.abs(around.offsets).max(axis=1, initial=0.0) <= size / 2
     counts = np.concatenate(([0], np.cumsum(inside)))
-    return Sightings(
+    return VisibleObjects(
         around.points, counts[around.starts], around.objects[inside], around.offsets[inside]
     )
 
 
-def occupied_cells(objects: CityObjects, grid: Grid, size: float) -> NDArray[np.int64]:
+def find_occupied(objects: CityObjects, grid: Grid, size: float) -> NDArray[np.int64]:
     """Grid points (C,) whose square holds at least two objects, so that an edge can exist."""
-    seen = cell_sightings(objects, grid, size)
+    seen = find_in_cells(objects, grid, size)
     return seen.points[np.diff(seen.starts) >= 2]
 
 
@@ -306,7 +306,7 @@ def cell_graph(objects: CityObjects, cells: Cells, cell: str) -> SceneGraph:
 
     center = cells.center(cell)
     grid = Grid(float(center[0]), float(center[1]), cells.grid.stride, 1, 1)
-    seen = cell_sightings(objects, grid, cells.size)
+    seen = find_in_cells(objects, grid, cells.size)
     rows, at = seen.objects, center + seen.offsets
     edges = [
         (source, target, relation)

@@ -16,10 +16,18 @@ from placegraph.core.mapfile import pack_strings, read_map, sound, starts, write
 from placegraph.core.pickling import Portable
 from placegraph.errors import OptionError
 from placegraph.outdoor.language.vocabulary import Vocabulary
-from placegraph.outdoor.map.cells import Cells, Grid, Sightings, cell_graph, occupied_cells
-from placegraph.outdoor.map.index import LARGE, MAPPED, WORTH, ViewIndex, index_in, stored
+from placegraph.outdoor.map.cells import Cells, Grid, VisibleObjects, cell_graph, find_occupied
+from placegraph.outdoor.map.index import ViewIndex, index_in
 from placegraph.outdoor.map.index_kernels import looks
-from placegraph.outdoor.map.index_write import Core, Seen, tokens_of
+from placegraph.outdoor.map.index_write import (
+    LARGE,
+    MAPPED,
+    WORTH,
+    Core,
+    SightTotals,
+    name_columns,
+    tokens_of,
+)
 from placegraph.outdoor.map.names import NameIndex
 from placegraph.outdoor.map.objects import (
     AREA,
@@ -80,7 +88,7 @@ class City(Portable):
         low, high = ends_of(objects.points)
         columns, rows = (int(n) for n in np.ceil((high - low) / stride) + 1)
         grid = Grid(float(low[0]), float(low[1]), stride, columns, rows)
-        occupied = occupied_cells(objects, grid, cell_size)
+        occupied = find_occupied(objects, grid, cell_size)
         cells = Cells(plane, grid, cell_size, edge_distance, occupied)
         return cls(plane, objects, cells, source, left_out)
 
@@ -119,7 +127,7 @@ class City(Portable):
         }
         if len(objects) >= WORTH if index is None else index:
             meta["views"] = list(self.views.grid)
-            arrays |= stored(self.views)
+            arrays |= name_columns(self.views.arrays())
         write_map(path, KIND, VERSION, meta, arrays, MAPPED, quick=quick)
 
     @classmethod
@@ -191,16 +199,16 @@ class City(Portable):
     def _views(self) -> ViewIndex:
         return self.index or ViewIndex.build(self.objects)[0]
 
-    def look_around(self, core: Core) -> Seen:
+    def look_around(self, core: Core) -> SightTotals:
         """Derive and cache `views` around a core; return what they see."""
         self.__dict__["_views"], seen = ViewIndex.build(self.objects, core)
         return seen
 
-    def in_sight(self, rows: NDArray[np.integer[Any]]) -> Sightings:
+    def in_sight(self, rows: NDArray[np.integer[Any]]) -> VisibleObjects:
         """Return what is in sight of viewpoints `rows` (K,) of `views`, the `points` of the result."""
         points = np.asarray(rows, np.int64)
         starts, objects, offsets, _ = looks(self.columns, self.views.columns, points)
-        return Sightings(points, starts, objects, offsets)
+        return VisibleObjects(points, starts, objects, offsets)
 
     @cached_property
     def name_index(self) -> NameIndex:
@@ -300,7 +308,7 @@ def _starts(counts: NDArray[Any]) -> NDArray[np.int32]:
     return bounds.astype(np.int32)
 
 
-def features(city: City, what: Literal["objects", "cells"]) -> dict[str, Any]:
+def make_geojson(city: City, what: Literal["objects", "cells"]) -> dict[str, Any]:
     """FeatureCollection of a city: `CityMap.to_geojson` says more."""
     if what not in ("objects", "cells"):
         raise OptionError(f"what is {what!r}; it is 'objects' or 'cells'.")
@@ -341,7 +349,7 @@ WIDEST = 60_000.0
 """Cities wider than this are distorted by their plane [m]."""
 
 
-def findings(city: City) -> list[str]:
+def find_oddities(city: City) -> list[str]:
     """Sentences about what is odd in a map that could be opened (so: sound in its bytes and columns)."""
     objects, found = city.objects, []
     span = np.ptp(objects.points, axis=0)

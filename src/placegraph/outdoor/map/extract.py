@@ -46,18 +46,18 @@ class Thing(NamedTuple):
     kind: int
     """POINT, LINE or AREA."""
     text: str
-    """Its labels and its names, see `text_of`."""
+    """Its labels and its names, see `join_words`."""
     parts: Sequence[NDArray[np.float64]]
     """Lines or rings, each (n, 2) longitude, latitude [deg]."""
 
 
-def text_of(labels: Iterable[str], names: Iterable[str]) -> str:
-    """Labels and names in one string, which `words_of` takes apart."""
+def join_words(labels: Iterable[str], names: Iterable[str]) -> str:
+    """Labels and names in one string, which `split_words` takes apart."""
     said = WORD.join([n if n.isprintable() else n.translate(_CLEAN) for n in names])
     return WORD.join(labels) + LIST + said if said else WORD.join(labels)
 
 
-def words_of(text: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def split_words(text: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Labels and names of a text."""
     labels, _, names = text.partition(LIST)
     return tuple(labels.split(WORD)), tuple(names.split(WORD)) if names else ()
@@ -148,7 +148,7 @@ class Things:
         )
 
 
-def once(things: Things) -> Things:
+def drop_duplicates(things: Things) -> Things:
     """Things once each, where extracts that touch hold the same ones: the longest version counts."""
     counts = np.diff(things.first)
     order = np.lexsort((-counts, things.osm_id, things.osm_type))
@@ -271,15 +271,15 @@ def read_extract(
     else:
         overture = load_module("placegraph_io.overture", "overture")
         blocks = _in_columns(overture.read_overture(path, left_out))
-    tables = list(labelled(blocks, vocabulary, progress or (lambda _step, _n: None)))
-    things = without_largest(Things.joined(tables), left_out) if tables else ()
+    tables = list(label_elements(blocks, vocabulary, progress or (lambda _step, _n: None)))
+    things = drop_largest(Things.joined(tables), left_out) if tables else ()
     if not things:
-        raise nothing_in(path, left_out)
+        raise make_empty_error(path, left_out)
     plane = _plane(things.lonlat)
-    return plane, objects_of(things, plane), dict(sorted(left_out.counts.items()))
+    return plane, make_objects(things, plane), dict(sorted(left_out.counts.items()))
 
 
-def nothing_in(path: str | PathLike[str] | Overture, left_out: LeftOut) -> InputError:
+def make_empty_error(path: str | PathLike[str] | Overture, left_out: LeftOut) -> InputError:
     """Return the error of an extract without anything that people speak of."""
     return InputError(
         f"{path} holds nothing worth naming (roads, buildings, shops ...); left out: "
@@ -292,7 +292,7 @@ def keys_read(vocabulary: Vocabulary | None = None) -> frozenset[str]:
     return frozenset((*(vocabulary or Vocabulary.default()).keys, "name"))
 
 
-def labelled(
+def label_elements(
     blocks: Iterable[OsmColumns], vocabulary: Vocabulary, progress: Progress
 ) -> Generator[Things]:
     """Elements that the vocabulary has a word for, or that have a name; blocks of them at a time."""
@@ -316,7 +316,7 @@ def _labelled(columns: OsmColumns, vocabulary: Vocabulary) -> Things:
         text = known.get((id(tags), kind))
         if text is None:
             labels = vocabulary.labels_of(tags) or named_labels(kind, tags, vocabulary)
-            text = text_of(labels, names_of(tags)) if labels else ""
+            text = join_words(labels, list_names(tags)) if labels else ""
             known[id(tags), kind] = text
         texts.append(text)
     things = Things(*columns[:-1], texts)
@@ -330,7 +330,7 @@ def _in_columns(elements: Iterator[OsmElement]) -> Iterator[OsmColumns]:
         yield OsmColumns(*head, [element.tags for element in batch])
 
 
-def names_of(tags: Mapping[str, str]) -> tuple[str, ...]:
+def list_names(tags: Mapping[str, str]) -> tuple[str, ...]:
     """Names of an element, the name proper first, the address last, without repetitions."""
     found = [tags["name"]] if "name" in tags else []
     keys = [key for key in tags if "name" in key or "brand" in key]
@@ -360,7 +360,7 @@ def named_labels(kind: int, tags: Mapping[str, str], vocabulary: Vocabulary) -> 
     return tuple(best[:3]) or (UNKNOWN,)
 
 
-def without_largest(things: Things, left_out: LeftOut, plane: LocalPlane | None = None) -> Things:
+def drop_largest(things: Things, left_out: LeftOut, plane: LocalPlane | None = None) -> Things:
     """Leave out what would stretch the map far beyond a city, or fill it with grid points."""
     lonlat = things.lonlat
     at = (plane or _plane(lonlat)).to_plane(lonlat)
@@ -383,7 +383,7 @@ def _plane(lonlat: NDArray[np.float64]) -> LocalPlane:
     return LocalPlane(*(round(float(x), 4) for x in median))
 
 
-def objects_of(things: Things, plane: LocalPlane) -> CityObjects:
+def make_objects(things: Things, plane: LocalPlane) -> CityObjects:
     """Columns of things on a plane: simplified, and sorted along a curve, whatever order they came in."""
     simple, point_starts = simplify(plane.to_plane(things.lonlat), things.point_starts, TOLERANCE)
     steps = np.round(simple / GRAIN).astype(np.int64)
@@ -396,7 +396,7 @@ def objects_of(things: Things, plane: LocalPlane) -> CityObjects:
     kind = things.kind[order]
     texts: dict[str, int] = {}  # many things are called alike
     which = np.array([texts.setdefault(text, len(texts)) for text in things.texts])[order]
-    said = list(map(words_of, texts))
+    said = list(map(split_words, texts))
     label_starts, label_table, label_values = _table([labels for labels, _ in said], which)
     name_starts, name_table, name_values = _table([names for _, names in said], which)
     return CityObjects(

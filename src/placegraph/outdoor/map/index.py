@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 
 from placegraph.core.mapfile import MapFile
 from placegraph.outdoor.map.index_kernels import FADED, REACHED, SIDE, WIDTH
-from placegraph.outdoor.map.index_write import LEVELS, STRIDE, build, grid_of
+from placegraph.outdoor.map.index_write import DTYPES, LEVELS, PREFIX, STRIDE, build, grid_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from placegraph.core.files import Watch
-    from placegraph.outdoor.map.index_write import Core, Seen
+    from placegraph.outdoor.map.index_write import Core, SightTotals
     from placegraph.outdoor.map.objects import CityObjects
 
 POINT, AREA = 0, 2
@@ -94,7 +94,7 @@ class ViewIndex:
     """Of the map file that columns are windows on."""
 
     @classmethod
-    def build(cls, objects: CityObjects, core: Core | None = None) -> tuple[Self, Seen]:
+    def build(cls, objects: CityObjects, core: Core | None = None) -> tuple[Self, SightTotals]:
         """Index of a map that has none yet, about a core if one is given, and what is seen there."""
         grid = grid_of(objects)
         columns, seen = build(objects, core=core)
@@ -284,32 +284,6 @@ def _check(c: ViewColumns, share: NDArray[np.float64]) -> None:
         raise ValueError("shares of tokens are none")
 
 
-WORTH = 10_000
-"""Maps of fewer objects are stored without one: it is several times as large as they are, and derived
-in a fifth of a second."""
-_PREFIX = "view_"
-_DTYPES = {
-    "tiles": "<i8", "present": "<i8", "total": "|u1", "pairs": "<u2", "thing_counts": "<u4",
-    "things": "<i4", "run_counts": "<u4", "run_tiles": "<u4", "run_slots": "<i8",
-    "run_first": "<u4", "run_pairs": "|u1", "run_total": "|u1", "postings": "<u4", "share": "<f8",
-}  # fmt: skip
-MAPPED = frozenset(
-    _PREFIX + name
-    for name in (
-        "run_slots", "run_tiles", "run_first", "postings", "things", "pairs", "total", "run_pairs",
-        "run_total",
-    )
-)  # fmt: skip
-"""Columns that are read where they lie ..."""
-LARGE = 16 << 20
-"""... where they have so many bytes together: what is read is held, whatever becomes of the file."""
-
-
-def stored(index: ViewIndex) -> dict[str, NDArray[Any]]:
-    """Columns of a map file."""
-    return {_PREFIX + name: column for name, column in index.arrays().items()}
-
-
 def index_in(file: MapFile, words: int) -> ViewIndex | None:
     """The index that a map file has of as many `words`; None where it has none.
 
@@ -318,7 +292,7 @@ def index_in(file: MapFile, words: int) -> ViewIndex | None:
     """
     if "views" not in file.meta:
         return None
-    columns = {name: file.array(_PREFIX + name, dtype) for name, dtype in _DTYPES.items()}
+    columns = {name: file.array(PREFIX + name, dtype) for name, dtype in DTYPES.items()}
     east, north, width = file.meta["views"]
     index = ViewIndex.of(columns, (float(east), float(north), int(width)))
     index = replace(index, watch=file.watch)

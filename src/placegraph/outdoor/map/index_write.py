@@ -1,4 +1,4 @@
-"""The index of viewpoints, built: once, when a map is written, and band after band of a large one."""
+"""The index of viewpoints, written: derived once, band after band of a large map, as columns of its file."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from placegraph.outdoor.map.index_kernels import (
 from placegraph.outdoor.map.objects import ends_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from numpy.typing import NDArray
 
@@ -37,6 +37,25 @@ SECOND_LABEL = (1.0, 0.35, 0.2)
 """How readily a thing is called by its first, second, third ... label."""
 LEVELS = (LEAST * np.exp(STEP * np.arange(GRADES))).astype(np.float32)
 """(GRADES,) mass of a grade."""
+WORTH = 10_000
+"""Maps of fewer objects are stored without one: it is several times as large as they are, and derived
+in a fifth of a second."""
+PREFIX = "view_"
+DTYPES = {
+    "tiles": "<i8", "present": "<i8", "total": "|u1", "pairs": "<u2", "thing_counts": "<u4",
+    "things": "<i4", "run_counts": "<u4", "run_tiles": "<u4", "run_slots": "<i8",
+    "run_first": "<u4", "run_pairs": "|u1", "run_total": "|u1", "postings": "<u4", "share": "<f8",
+}  # fmt: skip
+MAPPED = frozenset(
+    PREFIX + name
+    for name in (
+        "run_slots", "run_tiles", "run_first", "postings", "things", "pairs", "total", "run_pairs",
+        "run_total",
+    )
+)  # fmt: skip
+"""Columns that are read where they lie ..."""
+LARGE = 16 << 20
+"""... where they have so many bytes together: what is read is held, whatever becomes of the file."""
 AT_ONCE = 150_000
 """Objects of a band, about."""
 
@@ -52,7 +71,7 @@ class Core(NamedTuple):
     """Which viewpoints (K, 2) [m] are counted."""
 
 
-class Seen(NamedTuple):
+class SightTotals(NamedTuple):
     """Sums and maxima of what the viewpoints of a core have in sight."""
 
     mass: NDArray[np.float64]
@@ -132,7 +151,7 @@ def grid_of(objects: CityObjects) -> Grid:
 
 def build(
     objects: CityObjects, at_once: int = AT_ONCE, core: Core | None = None
-) -> tuple[dict[str, NDArray[Any]], Seen]:
+) -> tuple[dict[str, NDArray[Any]], SightTotals]:
     """Columns of a `ViewIndex`, and what was seen from a core; of nothing, where there is none.
 
     Memory grows with what is in sight of a band, time with the map. Raises `MapError` where things
@@ -172,7 +191,7 @@ def build(
         return build(objects, at_once, core._replace(low=-everywhere, high=everywhere))
     masses, shares, peaks, sights, spreads, pulls = zip(*sums, strict=True)
     most = (np.max(peaks, axis=0), sum(sights), max(spreads), max(pulls))
-    seen_ = Seen(sum(masses), sum(shares), *most, viewpoints)
+    seen_ = SightTotals(sum(masses), sum(shares), *most, viewpoints)
     return _joined(parts, n_tokens) | {"share": mass[:-1] / max(mass[-1], 1e-30)}, seen_
 
 
@@ -250,3 +269,8 @@ def _joined(parts: list[dict[str, NDArray[Any]]], n_tokens: int) -> dict[str, ND
     columns["run_first"] = first[order].astype(np.uint32)
     columns["run_counts"] = np.bincount(token, minlength=n_tokens).astype(np.uint32)
     return columns
+
+
+def name_columns(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Return the columns of an index (`ViewIndex.arrays`) as a map file names them."""
+    return {PREFIX + name: column for name, column in arrays.items()}

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from placegraph.outdoor.language.description import SPEAKER, Description, Mention, Relation
 from placegraph.outdoor.likelihood.query import Query, is_tag
-from placegraph.outdoor.map.cells import Sightings, sightings
+from placegraph.outdoor.map.cells import VisibleObjects, find_visible
 from placegraph.outdoor.map.city import City
 from placegraph.outdoor.map.directions_kernels import share_winds
 from placegraph.outdoor.map.objects import of_name
@@ -268,7 +268,7 @@ class PlaceGraphs:
         They reach beyond the cell's edge: who stands at it speaks of what lies beyond.
         """
         o = city.objects
-        seen = sightings(
+        seen = find_visible(
             o.kind, o.part_starts, o.point_starts, o.points, grid=city.cells.grid, radius=REACH
         )
         rows = np.searchsorted(seen.points, city.cells.points)
@@ -281,7 +281,7 @@ class PlaceGraphs:
         return cls.of_sightings(city, seen, np.arange(len(seen.points)))
 
     @classmethod
-    def of_sightings(cls, city: City, seen: Sightings, rows: NDArray[np.int64]) -> PlaceGraphs:
+    def of_sightings(cls, city: City, seen: VisibleObjects, rows: NDArray[np.int64]) -> PlaceGraphs:
         """Graphs around the points `rows` (K,) of what is seen there."""
         chosen, kept = _nearest_things(seen.starts, seen.offsets, np.asarray(rows, np.int64))
         things = seen.objects[kept]
@@ -397,7 +397,7 @@ def agreements(
     )  # fmt: skip
 
 
-class Fits(NamedTuple):
+class WordWeights(NamedTuple):
     """Weights of the map's words for N text nodes, as CSR."""
 
     starts: Rows
@@ -406,7 +406,7 @@ class Fits(NamedTuple):
     weights: Floats
 
 
-def fits_of(texts: TextGraphs, queries: Sequence[Query]) -> Fits:
+def fits_of(texts: TextGraphs, queries: Sequence[Query]) -> WordWeights:
     """Words of the map that each text node may stand for, as relational matching reads them."""
     starts, tokens, weights = [0], [], []
     for q, query in enumerate(queries):
@@ -415,7 +415,7 @@ def fits_of(texts: TextGraphs, queries: Sequence[Query]) -> Fits:
             tokens.append(query.mentions.tokens[a:b])
             weights.append(query.mentions.weights[a:b])
             starts.append(starts[-1] + int(b - a))
-    return Fits(
+    return WordWeights(
         np.array(starts, np.int64),
         np.concatenate([np.zeros(0, np.int32), *tokens]),
         np.concatenate([np.zeros(0, np.float32), *weights]),
@@ -434,7 +434,7 @@ class WordFits(NamedTuple):
     """(N,) minus log share of the map's things that a node may be, / 10; 0 of the speaker."""
 
 
-def word_fits(fits: Fits, counts: Rows, total: int) -> WordFits:
+def word_fits(fits: WordWeights, counts: Rows, total: int) -> WordFits:
     """`WordFits` from how well words fit, and how many (counts (T,)) of the `total` things bear them."""
     starts, tokens, weights = fits
     mass = np.concatenate(([0.0], np.cumsum(weights * counts[tokens])))

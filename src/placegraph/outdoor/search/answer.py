@@ -23,7 +23,7 @@ from placegraph.outdoor.likelihood.query import Query, ends
 from placegraph.outdoor.map.city import City
 from placegraph.outdoor.map.geometry_kernels import nearest_on_parts
 from placegraph.outdoor.map.index import REACH
-from placegraph.outdoor.search.posterior import SPACING, Mode, Posterior, modes, ranked
+from placegraph.outdoor.search.posterior import SPACING, Mode, Posterior, find_modes, rank_modes
 from placegraph.outdoor.search.request import Request
 from placegraph.outdoor.search.status import (
     Diagnostics,
@@ -58,14 +58,14 @@ def wind(angle: float) -> str:
     return WINDS[round(angle / (np.pi / 4)) % 8]
 
 
-def evidence_at(position: NDArray[np.float64], city: City, query: Query) -> tuple[Evidence, ...]:
+def find_evidence(position: NDArray[np.float64], city: City, query: Query) -> tuple[Evidence, ...]:
     """Evidence of every statement at a position (2,) [m]; unused statements come last."""
     unused = tuple(
-        Evidence(said(s, query), "silent", 0.0, (), reason) for s, reason in query.unused
+        Evidence(quote_statement(s, query), "silent", 0.0, (), reason) for s, reason in query.unused
     )
     if not query.used:
         return unused
-    ratios, served = looked_at(position[None], city, query)
+    ratios, served = score_positions(position[None], city, query)
     found = [
         _evidence(s, float(r), [int(o) for o in rows if o >= 0], position, city, query)
         for s, r, rows in zip(query.used, ratios[0], served[0], strict=True)
@@ -73,7 +73,7 @@ def evidence_at(position: NDArray[np.float64], city: City, query: Query) -> tupl
     return (*found, *unused)
 
 
-def looked_at(
+def score_positions(
     positions: NDArray[np.float64], city: City, query: Query
 ) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     """Log-likelihood ratio (N, S) of each statement used at positions (N, 2) [m], and what serves it.
@@ -117,7 +117,11 @@ def _evidence(
         names = " and ".join(query.description.mentions[n].name for n in sorted(unknown))
         note = f"the map knows no {names}; one of its kind serves"
     return Evidence(
-        said(statement, query), verdict, ratio, tuple(reference(o, city) for o in rows), note
+        quote_statement(statement, query),
+        verdict,
+        ratio,
+        tuple(describe_object(o, city) for o in rows),
+        note,
     )
 
 
@@ -176,14 +180,14 @@ def _find_delta(
     return delta, float(angle_between(bearing(delta), statement.bearing))
 
 
-def reference(row: int, city: City) -> ObjectRef:
+def describe_object(row: int, city: City) -> ObjectRef:
     """Describe a map object in an estimate."""
     o = city.objects
     longitude, latitude = (float(x) for x in city.plane.to_lonlat(o.center[row]))
     return ObjectRef(o.osm(row), o.label(row), o.name(row), longitude, latitude)
 
 
-def said(statement: Statement, query: Query) -> str:
+def quote_statement(statement: Statement, query: Query) -> str:
     """A statement in the text's own words; put into words where one sentence makes several."""
     others = query.description.statements
     if statement.text and sum(s.text == statement.text for s in others) == 1:
@@ -214,13 +218,13 @@ def answer(asked: Request, found: Posterior, top: int) -> CityEstimate:
     """Return the estimate of a posterior: at most `top` modes, their evidence, status and support."""
     city, query, matching = asked.city, asked.query, asked.matching
     spacing = city.cells.size if matching.of_cells else SPACING
-    peaks = (ranked if matching.ranks else modes)(found, top, spacing)
+    peaks = (rank_modes if matching.ranks else find_modes)(found, top, spacing)
     diagnostics = diagnose(found, peaks, infer_claim(asked.understood), query, city)
     if matching.of_cells:
         diagnostics = replace(diagnostics, cell_matcher=matching.matcher, ranks_only=matching.ranks)
     else:
         found, peaks = shrink(found, peaks, diagnostics)
-    places = make_places(peaks, city, partial(evidence_at, city=city, query=query))
+    places = make_places(peaks, city, partial(find_evidence, city=city, query=query))
     contradiction = find_contradiction(places[0] if places else None, query)
     status, reason = decide(replace(diagnostics, contradiction=contradiction))
     return CityEstimate(

@@ -56,7 +56,7 @@ class Candidates(NamedTuple):
         return Candidates(self.rows[kept], self.bounds[kept], self.far[kept], self.stands[kept])
 
 
-def ranks(
+def rank_bounds(
     bounds: NDArray[np.float64], stands: NDArray[np.float64], most: int, drawn: int = DRAWN
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Rows of the `most` of largest bound, and of `drawn` that stand for all others, as these do.
@@ -88,7 +88,7 @@ def find_candidates(asked: Request, drawn: int = DRAWN, least: float = 0.0) -> C
             0.0 if query.far else least,  # to which those add
         )  # fmt: skip
     else:
-        chosen = views_by(asked).astype(np.int32)
+        chosen = find_views(asked).astype(np.int32)
         bounds, stands = np.full(len(chosen), HIGHEST), np.zeros(len(chosen))
     far = np.zeros((len(chosen), len(query.statements.op)), np.float32)
     found = Candidates(chosen, bounds, far, stands)
@@ -102,19 +102,21 @@ def _with_far(
 ) -> Candidates:
     """Add viewpoints around rare things out of sight, and what those add to each statement."""
     statements, city = asked.query.statements, asked.city
-    extra = around_far(city, far, found.rows)
+    extra = find_around_far(city, far, found.rows)
     extra = extra[:: 1 + len(extra) // FAR_CANDIDATES]
     chosen = np.concatenate([found.rows, extra])
     bounds = np.concatenate([found.bounds, weights[extra] if len(weights) else np.ones(len(extra))])
     stands = np.concatenate([found.stands, np.zeros(len(extra))])
     added = distant(statements, city.columns, far, city.views.positions_of(chosen))
     total = np.log(np.maximum(bounds, 1e-300)) + np.log1p(statements.gain * added).sum(axis=1)
-    rows, stands = ranks(np.exp(total - total.max(initial=-np.inf)), stands, MOST_CANDIDATES, drawn)
+    rows, stands = rank_bounds(
+        np.exp(total - total.max(initial=-np.inf)), stands, MOST_CANDIDATES, drawn
+    )
     bounds = np.exp(np.minimum(total[rows], 690.0))
     return Candidates(chosen[rows], bounds, added[rows], stands)
 
 
-def around_far(city: City, far: Far, chosen: NDArray[np.int32]) -> NDArray[np.int32]:
+def find_around_far(city: City, far: Far, chosen: NDArray[np.int32]) -> NDArray[np.int32]:
     """Viewpoints (K,) around rare things out of sight that are not among the chosen, ascending."""
     anchors = city.objects.center[far.anchors[:MOST_ANCHORS]]
     around = [city.views.near(anchor, FAR_REACH) for anchor in anchors]
@@ -138,30 +140,30 @@ def _inside(asked: Request) -> NDArray[np.bool_] | None:
     return asked.inside(asked.city.views.positions.astype(np.float64))
 
 
-def views_by(asked: Request) -> NDArray[np.int64]:
+def find_views(asked: Request) -> NDArray[np.int64]:
     """Viewpoints (V,) in the dense candidates, and for ``both`` those of largest bound as well."""
     way, inside = asked.matching.way, _inside(asked)
     if way == "all":
         return np.arange(len(asked.city.views)) if inside is None else np.flatnonzero(inside)
-    views = views_in(asked.city, dense_cells(asked, asked.matching.candidates))
+    views = find_views_in(asked.city, find_dense_cells(asked, asked.matching.candidates))
     return np.union1d(views, _touched(asked, MOST_CANDIDATES)) if way == "both" else views
 
 
-def views_in(city: City, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+def find_views_in(city: City, rows: NDArray[np.int64]) -> NDArray[np.int64]:
     """Viewpoints (V,) that lie in cells, ascending."""
     half = city.cells.size / 2
     around = [city.views.near(center, half) for center in city.cells.centers(rows)]
     return np.unique(np.concatenate([np.zeros(0, np.int64), *around]))
 
 
-def candidate_cells(asked: Request) -> NDArray[np.int64]:
+def find_cells(asked: Request) -> NDArray[np.int64]:
     """Rows of `city.cells.points` that are worth matching, best first (Eq. 12-13)."""
     cells, n, way = asked.city.cells, asked.matching.candidates, asked.matching.way
     if way == "all":
         return np.flatnonzero(asked.inside(cells.centers(np.arange(len(cells)))))
     found = []
     if way != "sparse":
-        found.append(dense_cells(asked, n))
+        found.append(find_dense_cells(asked, n))
     if way != "dense":
         found.append(_sparse_cells(asked, n))
     if len(found) == 1:
@@ -171,7 +173,7 @@ def candidate_cells(asked: Request) -> NDArray[np.int64]:
     return np.array(list(dict.fromkeys(turns))[:n], np.int64)
 
 
-def dense_cells(asked: Request, n: int) -> NDArray[np.int64]:
+def find_dense_cells(asked: Request, n: int) -> NDArray[np.int64]:
     """Rows of the `n` cells whose embeddings are nearest to that of the text (Eq. 11-13)."""
     store, cells = asked.matching.store, asked.city.cells
     store = asked.encoded.store if store is None else store

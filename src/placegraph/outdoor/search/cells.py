@@ -16,8 +16,8 @@ from placegraph.errors import OptionError
 from placegraph.outdoor.language.description import Description
 from placegraph.outdoor.likelihood.query import compile_query
 from placegraph.outdoor.map.city import City
-from placegraph.outdoor.search.candidates import Candidates, candidate_cells, views_in
-from placegraph.outdoor.search.posterior import Posterior, posterior, rerank, score
+from placegraph.outdoor.search.candidates import Candidates, find_cells, find_views_in
+from placegraph.outdoor.search.posterior import Posterior, apply_bayes, rerank, score
 from placegraph.outdoor.search.request import LocationPrior, Matching, Request, is_count
 
 TIMEOUT = 0.1
@@ -88,14 +88,14 @@ def search_cells(asked: Request) -> Posterior:
     left = max(1e-12, 1.0 - float(np.exp(log_prior[rows]).sum()))
     rest = np.log(left) + np.logaddexp.reduce(tail) - np.log(len(tail))
     total = np.logaddexp(np.logaddexp.reduce(fits + log_prior[rows]), rest)
-    return posterior(centers[rows], fits - total, log_prior[rows], rest - total)
+    return apply_bayes(centers[rows], fits - total, log_prior[rows], rest - total)
 
 
 def rank_cells(
     asked: Request, timeout: float = TIMEOUT
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Rows (K,) of `city.cells.points` of all candidates, and their scores (K,)."""
-    rows = candidate_cells(asked)
+    rows = find_cells(asked)
     if not len(rows):
         return rows, np.zeros(0)
     match asked.matching.matcher:
@@ -130,7 +130,7 @@ def _by_edits(asked: Request, rows: NDArray[np.int64], timeout: float) -> NDArra
 def _relational(asked: Request, rows: NDArray[np.int64]) -> NDArray[np.float64]:
     """Log-likelihood ratio of the best viewpoint of each cell, shifted by the network if `fused`."""
     city, scores = asked.city, np.full(len(rows), -1e9)
-    views = views_in(city, rows)
+    views = find_views_in(city, rows)
     if not len(views) or not asked.is_positive:
         return scores
     plain = replace(asked, prior=LocationPrior())

@@ -44,7 +44,7 @@ class Posterior:
         return float(self.probabilities[_within(self.positions, position, radius)].sum())
 
 
-def posterior(
+def apply_bayes(
     positions: NDArray[np.float64],
     scores: NDArray[np.float64],
     log_prior: NDArray[np.float64],
@@ -75,7 +75,7 @@ class Mode:
     probability: float
 
 
-def modes(found: Posterior, top: int, spacing: float) -> list[Mode]:
+def find_modes(found: Posterior, top: int, spacing: float) -> list[Mode]:
     """Peaks of the posterior, heaviest first; positions lie on a grid of `spacing` [m]."""
     heavy = np.argsort(-found.probabilities, kind="stable")[:HEAVIEST]
     own = (spacing**2 / 12.0 + 1.0) * np.eye(2)
@@ -88,11 +88,11 @@ def modes(found: Posterior, top: int, spacing: float) -> list[Mode]:
     ]
 
 
-def ranked(found: Posterior, top: int, spacing: float) -> list[Mode]:
-    """Peaks of positions that stand best first, whatever they weigh; arguments as of `modes`."""
+def rank_modes(found: Posterior, top: int, spacing: float) -> list[Mode]:
+    """Peaks of positions that stand best first, whatever they weigh; arguments as of `find_modes`."""
     # each outweighs all below it together
     weights = 0.5 ** np.arange(1.0, 1.0 + len(found.positions))
-    best = modes(replace(found, probabilities=weights), top, spacing)
+    best = find_modes(replace(found, probabilities=weights), top, spacing)
     return [replace(mode, probability=found.within(mode.position, WITHIN)) for mode in best]
 
 
@@ -240,7 +240,7 @@ def compute_posterior(asked: Request, found: Scored) -> Posterior:
     if asked.matching.way == "dense" and len(scores):
         here = np.logaddexp.reduce(scores + log_prior)
         rest = max(rest, float(here + np.log(1.0 / DENSE_REACH - 1.0)))
-    return posterior(positions, scores, log_prior, rest)
+    return apply_bayes(positions, scores, log_prior, rest)
 
 
 def look_around(
@@ -263,4 +263,4 @@ def spread_prior(asked: Request) -> Posterior:
     norm = np.logaddexp.reduce(log_prior)
     rest = np.log(max(1e-12, 1.0 - np.exp(log_prior[likely] - norm).sum()))
     positions = views.positions_of(likely).astype(np.float64)
-    return posterior(positions, np.zeros(len(likely)), log_prior[likely] - norm, float(rest))
+    return apply_bayes(positions, np.zeros(len(likely)), log_prior[likely] - norm, float(rest))

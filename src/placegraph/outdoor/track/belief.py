@@ -27,8 +27,8 @@ from placegraph.outdoor.likelihood.query import Query
 from placegraph.outdoor.map.city import City
 from placegraph.outdoor.map.index import ViewIndex
 from placegraph.outdoor.map.index_write import STRIDE
-from placegraph.outdoor.search.answer import evidence_at
-from placegraph.outdoor.search.candidates import FAR_CANDIDATES, around_far
+from placegraph.outdoor.search.answer import find_evidence
+from placegraph.outdoor.search.candidates import FAR_CANDIDATES, find_around_far
 from placegraph.outdoor.search.posterior import (
     CLOSER,
     ELSEWHERE,
@@ -127,7 +127,7 @@ class Kernel(NamedTuple):
     """(2, 2) of the displacement [m^2]."""
 
 
-def straight(east: float, north: float, sigma: float) -> Kernel:
+def make_displacement(east: float, north: float, sigma: float) -> Kernel:
     """Kernel of a measured displacement [m], with its standard deviation along each axis [m]."""
     along = _normal(sigma)
     shift, share = _grid_of(along, along)
@@ -139,7 +139,7 @@ def odometry_sigma(length: float) -> float:
     return ODOMETRY * length + STEP
 
 
-def way(distance: float, sigma: float, bearing: float | None, bearing_sigma: float) -> Kernel:
+def make_walk(distance: float, sigma: float, bearing: float | None, bearing_sigma: float) -> Kernel:
     """Kernel of a distance [m] in a direction [rad], each with its deviation; None: in any direction.
 
     A negative distance that the deviation allows counts as its amount: who hardly moved may have
@@ -207,13 +207,15 @@ def _split(at: Floats, mass: Floats) -> tuple[NDArray[np.int64], Floats]:
     return np.concatenate(corners).astype(np.int64), np.concatenate(parts)
 
 
-def laid(mass: NDArray[np.float32], grid: TrackGrid, positions: Floats, shares: Floats) -> None:
+def add_positions(
+    mass: NDArray[np.float32], grid: TrackGrid, positions: Floats, shares: Floats
+) -> None:
     """Add shares (n,) at positions (n, 2) [m] on the grid to the masses of its cells."""
     at, part = _split((positions - grid.low) / STRIDE, shares)
     np.add.at(mass, (at[:, 1], at[:, 0]), part.astype(np.float32))
 
 
-def moved(belief: Belief, kernel: Kernel) -> Belief:
+def propagate(belief: Belief, kernel: Kernel) -> Belief:
     """Belief after a motion; what leaves the grid is elsewhere."""
     mass, weights = belief.mass, kernel.weights
     broad = np.count_nonzero(mass) > MOST_SPREAD
@@ -248,16 +250,16 @@ def _by_fourier(mass: NDArray[np.float32], kernel: Kernel) -> NDArray[np.float32
     return out
 
 
-def reborn(belief: Belief, grid: TrackGrid) -> Belief:
+def inject_uniform(belief: Belief, grid: TrackGrid) -> Belief:
     """Belief that allows for having been lost on the way, as in augmented Monte Carlo localization.
 
     A small share of what is on the map, and a larger one of what is elsewhere, starts anew anywhere.
     """
     fresh = KIDNAPPED * (1.0 - belief.elsewhere) + RETURNED * belief.elsewhere
-    return mixed(belief, grid, 1.0 - KIDNAPPED, 1.0 - RETURNED, fresh)
+    return mix_uniform(belief, grid, 1.0 - KIDNAPPED, 1.0 - RETURNED, fresh)
 
 
-def mixed(belief: Belief, grid: TrackGrid, kept: float, stays: float, fresh: float) -> Belief:
+def mix_uniform(belief: Belief, grid: TrackGrid, kept: float, stays: float, fresh: float) -> Belief:
     """Keep a share of the map's mass, and of what is elsewhere; `fresh` mass starts anew."""
     mass = belief.mass * np.float32(kept)
     mass.ravel()[grid.cells] += np.float32(fresh * (1.0 - ELSEWHERE) / len(grid.cells))
@@ -309,7 +311,7 @@ class Stop:
         """Bayes: the belief on arrival times the likelihood of what was said."""
         arrival = self.arrival
         weights = arrival.mass.ravel()[grid.cells].astype(np.float64)
-        scores = score(query, city, weights)
+        scores = score_belief(query, city, weights)
         highest = max(0.0, float(scores.views.max()))
         mass = arrival.mass.ravel() * np.float32(np.exp(scores.nothing - highest))
         mass[grid.cells] = weights * np.exp(scores.views - highest)
@@ -326,7 +328,7 @@ class Stop:
 
     def unsure(self, grid: TrackGrid) -> Stop:
         """Return a fresh one, whose speaker may have moved without a word."""
-        return Stop(mixed(self.now, grid, 1.0 - UNTOLD, 1.0 - UNTOLD, UNTOLD))
+        return Stop(mix_uniform(self.now, grid, 1.0 - UNTOLD, 1.0 - UNTOLD, UNTOLD))
 
     def placed(self, grid: TrackGrid) -> Belief:
         """Belief in which the heaviest cells lie where the closer look saw them."""
@@ -334,7 +336,7 @@ class Stop:
             return self.now
         mass = self.now.mass.copy()
         mass.ravel()[_cells_at(grid, self.fine[0])] = 0.0
-        laid(mass, grid, *self.fine)
+        add_positions(mass, grid, *self.fine)
         return Belief(mass, self.now.elsewhere)
 
     def posterior(self, grid: TrackGrid, most: int) -> Posterior:
@@ -388,7 +390,7 @@ class Memory:
         note = f"said {way:.0f} m before" if way >= 1.0 else "said here before"
         return tuple(
             replace(e, note="; ".join(part for part in (note, e.note) if part))
-            for e in evidence_at(at, city, self.query)
+            for e in find_evidence(at, city, self.query)
         )
 
     def after(self, shift: Floats, spread: Floats) -> Memory:
@@ -430,7 +432,7 @@ class Scores(NamedTuple):
     """(B, 9) ... and the ratios there."""
 
 
-def score(query: Query, city: City, weights: Floats) -> Scores:
+def score_belief(query: Query, city: City, weights: Floats) -> Scores:
     """Score what was said under a belief: `weights` (W,) of the viewpoints, any scale."""
     statements, views = query.statements, city.views
     relative = weights / max(float(weights.max()), 1e-300)
@@ -481,7 +483,7 @@ def _candidates(
     far = np.zeros((min(len(chosen), MOST_SCORED), len(statements.op)), np.float32)
     if query.far is None:
         return chosen, bounds, far
-    extra = around_far(city, query.far, chosen)
+    extra = find_around_far(city, query.far, chosen)
     extra = extra[relative[extra] > 0.0]
     chosen = np.concatenate([chosen, extra])
     bounds = np.concatenate([bounds, relative[extra]])

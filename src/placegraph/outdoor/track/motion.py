@@ -219,7 +219,7 @@ class Leg:
     """Standard deviation of the direction [rad]."""
 
 
-def ways(text: str) -> list[Leg | str]:
+def split_legs(text: str) -> list[Leg | str]:
     """Cut a text into legs and into texts about places, in the order in which they were told.
 
     A text without motion comes back as it is.

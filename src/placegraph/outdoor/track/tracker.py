@@ -24,12 +24,12 @@ from placegraph.outdoor.map.city import City
 from placegraph.outdoor.search.answer import (
     MOST_SUPPORT,
     answer_nothing,
-    evidence_at,
+    find_evidence,
     find_support,
     make_places,
 )
 from placegraph.outdoor.search.ask import Answer
-from placegraph.outdoor.search.posterior import SPACING, modes
+from placegraph.outdoor.search.posterior import SPACING, find_modes
 from placegraph.outdoor.search.request import finite, is_count, parse, positive, share_views
 from placegraph.outdoor.search.status import (
     IN_SIGHT,
@@ -48,13 +48,13 @@ from placegraph.outdoor.track.belief import (
     Memory,
     Stop,
     TrackGrid,
-    moved,
+    inject_uniform,
+    make_displacement,
+    make_walk,
     odometry_sigma,
-    reborn,
-    straight,
-    way,
+    propagate,
 )
-from placegraph.outdoor.track.motion import Leg, ways
+from placegraph.outdoor.track.motion import Leg, split_legs
 
 
 @dataclass(frozen=True)
@@ -68,13 +68,13 @@ class Waypoint:
     """The best mode after it."""
 
 
-def estimate(
+def answer_belief(
     city: City, stop: Stop, memory: tuple[Memory, ...], grid: TrackGrid, top: int, why: str
 ) -> CityEstimate:
     """Return where the speaker is by the belief at a stop; `why` the last text did not change it."""
     query = stop.query
     found = stop.posterior(grid, MOST_SUPPORT)
-    peaks = modes(found, top, SPACING)
+    peaks = find_modes(found, top, SPACING)
     # a way is followed to what is in sight, whatever its texts alone would claim
     diagnostics = diagnose(found, peaks, IN_SIGHT, query, city)
     found, peaks = shrink(found, peaks, diagnostics)
@@ -89,7 +89,7 @@ def explain(
     position: Floats, city: City, query: Query | None, memory: tuple[Memory, ...]
 ) -> tuple[Evidence, ...]:
     """Evidence of what was said here, then of what was said before, the latest first."""
-    here = evidence_at(position, city, query) if query is not None else ()
+    here = find_evidence(position, city, query) if query is not None else ()
     return (*here, *(e for m in reversed(memory) for e in m.evidence(position, city)))
 
 
@@ -182,7 +182,7 @@ class CityTracker:
             why = self._hear(text)
             return self._noted(text.text or "a description", why)
         check_text(text)
-        for part in ways(text):
+        for part in split_legs(text):
             if isinstance(part, Leg):
                 self._went(part)
             else:
@@ -224,7 +224,7 @@ class CityTracker:
         if max(length, loose) > FARTHEST:
             self._start_over()
         else:
-            self._moved(straight(east, north, loose))
+            self._moved(make_displacement(east, north, loose))
         return self._noted(f"moved {east:.1f} m east, {north:.1f} m north", "")
 
     def walk(
@@ -285,12 +285,12 @@ class CityTracker:
         if distance + loose > FARTHEST:
             self._start_over()
         else:
-            self._moved(way(distance, loose, bearing, sigma))
+            self._moved(make_walk(distance, loose, bearing, sigma))
 
     def _moved(self, kernel: Kernel) -> None:
-        belief = moved(self._stop.placed(self._grid), kernel)
+        belief = propagate(self._stop.placed(self._grid), kernel)
         self._memory = tuple(m.after(kernel.mean, kernel.covariance) for m in self._remembered())
-        self._stop = Stop(reborn(belief, self._grid))
+        self._stop = Stop(inject_uniform(belief, self._grid))
 
     def _remembered(self) -> tuple[Memory, ...]:
         """Return the memories with that of this stop."""
@@ -340,7 +340,7 @@ class CityTracker:
     def _noted(self, said: str, why: str) -> CityEstimate:
         """Make the estimate and keep it."""
         if self._understood or self._shares is not None:
-            self._estimate = estimate(
+            self._estimate = answer_belief(
                 self.city, self._stop, self._memory, self._grid, self._top, why
             )
         else:

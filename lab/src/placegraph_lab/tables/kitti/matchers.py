@@ -366,7 +366,7 @@ class Transformer:
 
     def _fits(self, texts: Any) -> Any:  # noqa: ANN401  # `TextGraphs`, `WordFits`
         """Which of the cells' words are a text's own: here both sides call things alike."""
-        from placegraph.outdoor.network.graphs import Fits, word_fits
+        from placegraph.outdoor.network.graphs import WordWeights, word_fits
 
         own = {word: row for row, word in enumerate(self.places.vocabulary)}
         row = np.array([own.get(word, -1) for word in texts.vocabulary], np.int64)
@@ -374,5 +374,7 @@ class Transformer:
         known = tokens >= 0
         starts = np.concatenate(([0], np.cumsum(known)))[texts.word_starts]
         borne = np.bincount(self.places.words, minlength=len(own))
-        fits = Fits(starts.astype(np.int64), tokens[known].astype(np.int32), texts.weights[known])
+        fits = WordWeights(
+            starts.astype(np.int64), tokens[known].astype(np.int32), texts.weights[known]
+        )
         return word_fits(fits, borne, len(self.places.offsets))

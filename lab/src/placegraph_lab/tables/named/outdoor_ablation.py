@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.likelihood.query import compile_query
 from placegraph.outdoor.network.network import EncodedCity, GraphTransformer
-from placegraph.outdoor.search.candidates import dense_cells
+from placegraph.outdoor.search.candidates import find_dense_cells
 from placegraph.outdoor.search.request import Matching, Request, parse
 from placegraph_lab.tables.outdoor.extracts import (
     EXTRACTS,
@@ -102,7 +102,7 @@ def _hits(
 ) -> dict[str, list[bool]]:
     query = compile_query(parse(encoded.city, text), encoded.city)
     asked = Request(encoded.city, query, matching=Matching(encoded=encoded))
-    dense = dense_cells(asked, CANDIDATES)
+    dense = find_dense_cells(asked, CANDIDATES)
     given = np.append(others[: max(GIVEN) - 1], truth)  # last: where all are equal, it is not found
     match, own = (matched(encoded, asked.text, rows) for rows in (given, dense))
     logit, cosine = match.logit, match.cosine

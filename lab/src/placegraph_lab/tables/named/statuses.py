@@ -22,7 +22,7 @@ from placegraph.core.geometry import Floats
 from placegraph.errors import PlacegraphError
 from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.locate import search
-from placegraph.outdoor.search.posterior import SPACING, WITHIN, modes
+from placegraph.outdoor.search.posterior import SPACING, WITHIN, find_modes
 from placegraph.outdoor.search.request import Hints, Matching, make_request
 from placegraph.outdoor.search.status import (
     AT_A_PLACE,
@@ -227,7 +227,7 @@ def shares(city: CityMap, told: Told) -> list[tuple[str, float, bool]]:
     """Of each radius that is claimed: its name, the best place's share, and whether it is right."""
     try:
         asked = make_request(city, told.text, Hints(listener=told.start), Matching())
-        peaks = modes(found := search(asked), 1, SPACING)
+        peaks = find_modes(found := search(asked), 1, SPACING)
     except PlacegraphError:
         return []
     if not peaks or told.goal is None:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
 from placegraph.outdoor.city import CityMap, build_city
-from placegraph.outdoor.map.cells import Sightings, cell_sightings
+from placegraph.outdoor.map.cells import VisibleObjects, find_in_cells
 from placegraph.outdoor.map.objects import CityObjects
 from placegraph_lab.tables.outdoor.matchers import cell_centers
 from placegraph_lab.tables.outdoor.queries import JITTER, Query, Setting, make_queries
@@ -157,7 +157,7 @@ def crop(city: CityMap, cells: int, around: ArrayLike | None = None) -> CityMap:
     off = cell_centers(city) - middle
     kept = np.sort(np.argsort(np.hypot(*off.T), kind="stable")[:cells])
     points = city.cells.points[kept]
-    seen = cell_sightings(city.objects, city.cells.grid, city.cells.size)
+    seen = find_in_cells(city.objects, city.cells.grid, city.cells.size)
     rows = np.unique(_things(seen, np.searchsorted(seen.points, points))).astype(np.int64)
     return replace(city, objects=take(city.objects, rows), cells=replace(city.cells, points=points))
 
@@ -245,6 +245,6 @@ def _repeated(starts: Starts, copies: int) -> NDArray[np.int32]:
     return np.concatenate(([0], np.cumsum(np.tile(np.diff(starts), copies)))).astype(np.int32)
 
 
-def _things(seen: Sightings, rows: Rows) -> NDArray[np.int32]:
+def _things(seen: VisibleObjects, rows: Rows) -> NDArray[np.int32]:
     _, entries = _rows(seen.starts, rows)
     return seen.objects[entries]

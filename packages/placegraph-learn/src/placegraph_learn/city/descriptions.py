@@ -29,7 +29,7 @@ from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.likelihood.query import Query, compile_query
 from placegraph.outdoor.map.directions_kernels import name_direction
 from placegraph.outdoor.map.objects import AREA, LINE
-from placegraph.outdoor.network.graphs import Fits, TextGraphs, fits_of
+from placegraph.outdoor.network.graphs import TextGraphs, WordWeights, fits_of
 from placegraph.outdoor.search.candidates import find_candidates
 from placegraph.outdoor.search.posterior import HARD, score
 from placegraph.outdoor.search.request import Request
@@ -343,7 +343,7 @@ class ExamplePool:
     """Q examples of one city, each with K viewpoints."""
 
     texts: TextGraphs
-    fits: Fits
+    fits: WordWeights
     positions: NDArray[np.float64]
     """(Q, 2) where the text was given [m]."""
     views: NDArray[np.int64]

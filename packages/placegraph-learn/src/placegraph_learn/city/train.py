@@ -19,7 +19,7 @@ from placegraph.core.networks import device_for, digest
 from placegraph.errors import InputError, OptionError
 from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.language.vocabulary import Vocabulary
-from placegraph.outdoor.network.graphs import Fits, TextGraphs, WordVectors
+from placegraph.outdoor.network.graphs import TextGraphs, WordVectors, WordWeights
 from placegraph.outdoor.network.graphs import split_label as words_of
 from placegraph.outdoor.network.network import Shape, Weights, trained, write_weights
 from placegraph.outdoor.search.posterior import HARD
@@ -484,6 +484,6 @@ def read_pool(path: Path) -> ExamplePool:
     arrays = dict(file.arrays)
     texts: dict[str, Any] = {f.name: arrays[f"text:{f.name}"] for f in fields(TextGraphs)}
     texts["vocabulary"] = file.strings("text:vocabulary")
-    fits = Fits(*(arrays[f"fit:{name}"] for name in Fits._fields))
+    fits = WordWeights(*(arrays[f"fit:{name}"] for name in WordWeights._fields))
     rest = {n: arrays[n] for n in ("positions", "views", "scores", "right")}
     return ExamplePool(TextGraphs(**texts), fits, **rest)

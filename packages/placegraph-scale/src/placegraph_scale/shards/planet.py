@@ -20,7 +20,7 @@ from placegraph.outdoor.language.description import LISTENER
 from placegraph.outdoor.likelihood.query import compile_query, ends
 from placegraph.outdoor.map.objects import LINE
 from placegraph.outdoor.search.answer import MOST_SUPPORT
-from placegraph.outdoor.search.posterior import FINE, SPACING, Posterior, modes, posterior
+from placegraph.outdoor.search.posterior import FINE, SPACING, Posterior, apply_bayes, find_modes
 from placegraph.outdoor.search.status import (
     decide,
     diagnose,
@@ -98,7 +98,7 @@ def _angle(one: LocalPlane, other: LocalPlane) -> float:
 class ShardPosterior:
     """A posterior over viewpoints of many shards."""
 
-    posterior: Posterior
+    apply_bayes: Posterior
     """In the planes of `stack`."""
     shards: NDArray[np.int64]
     """(K,) row of the shard of each position."""
@@ -138,7 +138,7 @@ def compute_posterior(found: CandidatePool, beyond: float, searched: float) -> S
         parts.append((at, scores[mine], ranked.log_prior[mine], np.full(len(mine), row)))
     positions, scored, priors, rows = map(np.concatenate, zip(*parts, strict=True))
     rest = float(np.logaddexp(found.rest(), beyond))
-    made = posterior(positions, scored, priors, rest)
+    made = apply_bayes(positions, scored, priors, rest)
     if searched < 1.0:
         shares = made.probabilities * searched
         lost = float(made.probabilities.sum() - shares.sum())
@@ -194,7 +194,7 @@ def make_estimate(
     search: Search, asked: ShardQuery, found: ShardPosterior, top: int
 ) -> tuple[CityEstimate, dict[str, CityEstimate]]:
     """Make the estimate over all shards, and the part of each shard that has a mode, to be asked about."""
-    peaks = modes(found.posterior, top, SPACING)
+    peaks = find_modes(found.posterior, top, SPACING)
     query = asked.query
     description = query.description
     diagnostics = diagnose(found.posterior, peaks, infer_claim(description), query)

@@ -32,7 +32,7 @@ from placegraph.outdoor.language.description import Relation
 from placegraph.outdoor.likelihood.match_kernels import ME, SLACK
 from placegraph.outdoor.likelihood.query import OPERATION
 from placegraph.outdoor.map.index import REACH
-from placegraph.outdoor.search.candidates import DRAWN, FAR_REACH, MOST_CANDIDATES, ranks
+from placegraph.outdoor.search.candidates import DRAWN, FAR_REACH, MOST_CANDIDATES, rank_bounds
 from placegraph.outdoor.search.posterior import CLOSER, ELSEWHERE, FEWEST, WITHIN, are_enough
 from placegraph_scale.shards.steps import distance, join_columns
 from placegraph_scale.shards.workers import Failure, ShardSource, ShardTask, WorkerPool
@@ -235,7 +235,9 @@ class CandidatePool:
         given = sorted(self.proposals.items())
         highest = max((p.highest for _, p in given), default=-np.inf)
         bounds = join_columns([p.bounds * np.exp(p.highest - highest) for _, p in given])
-        rows, stands = ranks(bounds, join_columns([p.stands for _, p in given]), MOST_CANDIDATES)
+        rows, stands = rank_bounds(
+            bounds, join_columns([p.stands for _, p in given]), MOST_CANDIDATES
+        )
         return Ranked(
             join_columns([np.full(len(p.rows), r) for r, p in given], np.int64)[rows],
             join_columns([np.arange(len(p.rows)) for _, p in given], np.int64)[rows],

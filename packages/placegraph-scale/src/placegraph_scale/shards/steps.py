@@ -17,7 +17,7 @@ from placegraph.outdoor.likelihood.query import Far, MentionTokens
 from placegraph.outdoor.map.index import REACH
 from placegraph.outdoor.map.index_write import STRIDE
 from placegraph.outdoor.map.objects import Blocks, CityObjects, columns_of, index_of
-from placegraph.outdoor.search.answer import evidence_at
+from placegraph.outdoor.search.answer import find_evidence
 from placegraph.outdoor.search.candidates import MOST_CANDIDATES, Candidates, find_candidates
 from placegraph.outdoor.search.posterior import ALL, look_around
 from placegraph.outdoor.search.posterior import score as score_of
@@ -484,7 +484,7 @@ def explain(
     """Return the evidence for and against places [deg]."""
     request = shard.request(asked)
     places = map(shard.city.plane.to_plane, lonlats)
-    return [evidence_at(at, request.city, request.query) for at in places]
+    return [find_evidence(at, request.city, request.query) for at in places]
 
 
 def score_buildings(
