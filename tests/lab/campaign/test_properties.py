@@ -7,7 +7,6 @@ from placegraph_lab.campaign import platforms as processes
 from placegraph_lab.campaign import properties, town_properties
 from placegraph_lab.campaign import properties as room_properties
 from placegraph_lab.campaign.properties import Property, tried
-from placegraph_lab.campaign.town_properties import turn
 
 OUTDOORS, INDOORS, OVER_PROCESSES = (
     list(world[2].items())
@@ -70,8 +69,3 @@ def test_rows_are_one_a_property(tmp_path, monkeypatch):
     assert [(r.part, r.what, r.tried, r.accepted) for r in found] == [
         ("properties", "always", 1, 1)
     ] * 2
-
-
-def test_turns_are_clockwise_and_mirrors_swap_west_and_east():
-    np.testing.assert_allclose(turn(np.pi / 2) @ (0.0, 1.0), (1.0, 0.0), atol=1e-12)
-    np.testing.assert_allclose(turn(0.0, mirrored=True) @ (1.0, 2.0), (-1.0, 2.0))

@@ -7,14 +7,6 @@ from placegraph.errors import OptionError
 from placegraph_lab.tables.statistics import reliability
 
 
-def test_two_bins_by_hand():
-    confidence = [0.1, 0.2, 0.7, 0.9]
-    bins = reliability(confidence, [False, True, True, True], bins=2)
-    assert bins.confidence == pytest.approx([0.15, 0.8])
-    assert bins.accuracy == pytest.approx([0.5, 1.0])
-    assert bins.error == pytest.approx(0.5 * 0.35 + 0.5 * 0.2)
-
-
 def test_calibrated_answers_reach_the_floor(rng):
     confidence = rng.random(20_000)
     right = rng.random(20_000) < confidence

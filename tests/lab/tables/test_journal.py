@@ -6,16 +6,6 @@ from placegraph_lab.tables import runner as journal
 from placegraph_lab.tables.runner import Journal, code_key
 
 
-def test_rows_are_found_again(tmp_path):
-    first = Journal(tmp_path / "a.jsonl")
-    first.put("x", {"n": 1})
-    first.put("y", [2.5, None])
-    first.put("x", {"n": 3})
-    again = Journal(tmp_path / "a.jsonl")
-    assert (len(again), again["x"], again["y"]) == (2, {"n": 3}, [2.5, None])
-    assert "z" not in again
-
-
 def test_a_line_cut_short_is_passed_over(tmp_path):
     path = tmp_path / "a.jsonl"
     Journal(path).put("x", 1)

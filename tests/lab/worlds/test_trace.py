@@ -5,14 +5,9 @@ from itertools import pairwise
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph_lab.worlds.drawing import ORTHOGONAL, blots, rings, step, strokes
+from placegraph_lab.worlds.drawing import ORTHOGONAL, blots, step, strokes
 
 cells = st.sets(st.tuples(st.integers(0, 7), st.integers(0, 7)), min_size=1)
-
-
-def signed_area(ring):
-    """Shoelace; positive where the ring is clockwise on the page (rows grow southwards)."""
-    return sum(c0 * r1 - c1 * r0 for (r0, c0), (r1, c1) in pairwise(ring)) / 2
 
 
 @given(cells)
@@ -23,18 +18,6 @@ def test_blots_part_the_cells(drawn):
     for blot in found:
         around = {step(cell, d) for cell in blot for d in ORTHOGONAL} - blot
         assert not around & drawn
-
-
-@given(cells)
-def test_rings_enclose_the_blot(drawn):
-    for blot in blots(drawn):
-        outer, *inner = rings(blot)
-        assert signed_area(outer) > 0
-        assert all(signed_area(ring) < 0 for ring in inner)
-        assert sum(signed_area(ring) for ring in [outer, *inner]) == len(blot)
-        for ring in [outer, *inner]:
-            assert ring[0] == ring[-1]
-            assert len(set(ring)) == len(ring) - 1, "a ring must not touch itself"
 
 
 @given(cells)

@@ -1,6 +1,5 @@
 """Errors before and after a refinement, its verdict, and how honest covariances are."""
 
-import json
 import math
 
 import numpy as np
@@ -14,13 +13,10 @@ from placegraph.core.geometry import (
     rotation_from_vector,
     split_pose,
 )
-from placegraph.errors import OptionError
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
-from placegraph_lab.tables.indoor.metrics import dumps
 from placegraph_lab.tables.indoor.refine import (
     EDGES,
-    LIMITS,
     measure_refined,
     refine_score,
     sigmas_of,
@@ -84,27 +80,6 @@ def test_what_was_wrongly_refused_is_known_where_the_pose_was_kept(window):
     assert refine_score([better, twisted]).wrongly_refused == 0.5
     assert math.isnan(refine_score([silent]).wrongly_refused)
     assert refine_score([better, silent]).accepted == 0.0
-
-
-def test_scores_have_two_sides(window):
-    results = [
-        measure_refined(estimate(at(0.01), coarse=at(0.3, 1.0), seconds={"a": 0.2}), window, seconds=1),
-        measure_refined(estimate(at(0.4), coarse=at(0.2, 1.0), seconds={"b": 0.4}), window, seconds=3),
-        measure_refined(estimate(at(0.08), coarse=at(0.08), accepted=False), window, seconds=2),
-    ]  # fmt: skip
-    s = refine_score(results)
-    assert LIMITS == ((0.1, 5.0), (0.25, 2.0), (0.25, 5.0), (0.25, 10.0))
-    assert s.before.recall == pytest.approx((1 / 3, 2 / 3, 2 / 3, 2 / 3))
-    assert s.after.recall == pytest.approx((2 / 3,) * 4)
-    assert s.before.mean == pytest.approx((0.58 / 3, 2 / 3))
-    assert s.after.median == pytest.approx((0.08, 0.0), abs=1e-6)
-    assert (s.accepted, s.harmful) == pytest.approx((2 / 3, 1 / 3))
-    assert s.worst == ("seq01 0:2 OK 0.20 m 1.0 deg -> 0.40 m 0.0 deg",)
-    assert (s.seconds, s.refine_seconds) == pytest.approx((2.0, 0.3))
-    assert s.stages == pytest.approx({"a": 0.1, "b": 0.2})
-    assert json.loads(dumps(s.to_dict()))["after"]["recall"]["0.1 m, 5 deg"] == 0.6667
-    with pytest.raises(OptionError):
-        refine_score([])
 
 
 def test_the_spread_of_honest_covariances_is_normal(window, rng):

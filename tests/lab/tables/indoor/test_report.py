@@ -4,7 +4,7 @@ import json
 import math
 
 from placegraph.indoor.options import PoseSearchOptions
-from placegraph_lab.tables.indoor.bench import chosen, house_jobs, office_jobs
+from placegraph_lab.tables.indoor.bench import house_jobs, office_jobs
 from placegraph_lab.tables.indoor.metrics import Answer, dumps
 from placegraph_lab.tables.indoor.report import Row, errors
 from placegraph_lab.tables.named.indoor_filter import report
@@ -37,15 +37,6 @@ def test_every_row_has_a_name_of_its_own():
     assert len(JOBS) == len(house_jobs()) + len(office_jobs())
     assert JOBS["none: depth"].options == PoseSearchOptions(semantic=False, colour=False)
     assert JOBS["instances: all"].options == PoseSearchOptions()
-
-
-def test_rows_are_chosen_by_name():
-    names = [j.name for j in chosen(JOBS.values(), ["classes: *", "none: depth"])]
-    assert names == [
-        "classes: semantic", "classes: semantic + depth", "classes: semantic + colour",
-        "classes: all", "none: depth",
-    ]  # fmt: skip
-    assert chosen(JOBS.values(), []) == list(JOBS.values())
 
 
 def test_a_row_is_written():

@@ -19,7 +19,6 @@ from placegraph_lab.tables.named.indoor_semantics import (
     Case,
     Row,
     ask,
-    named,
     report,
 )
 from placegraph_lab.worlds.flat.flat import Flat
@@ -65,18 +64,6 @@ def world(tmp_path_factory):
     )
     capture = open_capture(folder / "walk")
     return scene, Window("walk", capture, true_poses(folder / "walk")[-1])
-
-
-def test_a_capture_of_instances_as_one_of_labels(world):
-    scene, window = world
-    capture = named(window.capture, scene, {"wall": "brickwork"})
-    frame = capture[0]
-    assert frame.label_kind == capture.label_kind == "labels"
-    assert (frame.labels() == window.capture[0].labels()).all()
-    row = {int(id_): i for i, id_ in enumerate(scene.graph.ids)}
-    for value, name in frame.label_names.items():
-        label = scene.graph.labels[row[value]]
-        assert name == ("brickwork" if label == "wall" else label)
 
 
 @pytest.mark.parametrize("name", [LABELS, pytest.param(OTHERS, marks=pytest.mark.all)])

@@ -14,12 +14,9 @@ from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
 from placegraph.io.capture.tum import write_tum
 from placegraph_lab.tables.indoor.windows import (
-    HALVES,
     Window,
     covered,
     house_windows,
-    office_windows,
-    true_poses,
 )
 
 CAMERA = Camera(60, 40, 40.0, 40.0, 30.0, 20.0)
@@ -64,19 +61,6 @@ def test_nothing_of_the_truth_is_in_a_window(tmp_path):
     assert [f.rgb().shape for f in window.capture] == [(40, 60, 3)] * 5
     with pytest.raises(InputError, match="trajectory"):
         house_windows(tmp_path, 5)
-
-
-def test_halves_of_the_office_do_not_overlap(shared):
-    for half, ((low, high), _) in HALVES.items():
-        found = office_windows(shared / "data/office", half)
-        rows = [f.index for w in found for f in w.capture]
-        assert not [r for r in rows if low <= r < high]
-        assert all(len(w.capture) == 10 for w in found)
-        assert found[0].capture[1].index - found[0].capture[0].index == 2
-        truth = true_poses(shared / "data/office")
-        for window in found:
-            assert (window.truth == truth[window.capture[-1].index]).all()
-    assert found[0].name == "a in b 0:19:2"
 
 
 def test_coverage_is_what_the_map_holds():

@@ -72,19 +72,6 @@ def test_recall_counts_the_exact_cell(fold, relational):
         assert (found.queries, found.cells) == (48, 24)
 
 
-def test_distances_are_those_of_the_best_of_k(data, fold, relational):
-    found = evaluate(fold, "oracle", Oracle(fold), Names(data), within=relational)
-    truth = data.poses.positions[fold.poses, :2]
-    cells = data.poses.cells[fold.poses]
-    off = np.hypot(*(data.cells.centers[cells] - truth).T)
-    for r, share in found.centered[1].items():
-        assert share == pytest.approx((off <= r).mean())
-    assert found.off["centered"] == pytest.approx(np.median(off))
-    assert found.off["placed"] < found.off["centered"]
-    assert found.centered[10][15.0] == 1.0
-    assert json.loads(json.dumps(found.to_dict(), allow_nan=False)) == found.to_dict()
-
-
 def test_another_drive_is_infinitely_far(data, fold, relational):
     """Cells of another drive, and answers that are none, are no hits at any distance."""
     scenes = data.cells.scene[fold.cells]

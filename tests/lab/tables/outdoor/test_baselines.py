@@ -30,19 +30,6 @@ def park(write_world):
     return Bins.of(read_raw(write_world(nodes)))
 
 
-def nearest(bins, bag, asked):
-    """Object that is nearest to the best cell."""
-    best = bins.city.plane.to_plane(bag.locate(asked, top=1))[0]
-    return bins.city.osm[np.argmin(np.hypot(*(bins.city.center - best).T))]
-
-
-def test_triples_tell_mirrored_places_apart(park):
-    bag = Bag.of(park, "triples", reach=50.0)
-    assert nearest(park, bag, query(("bench", "north", "tree"))) in ("node/1", "node/2")
-    assert nearest(park, bag, query(("tree", "north", "bench"))) in ("node/3", "node/4")
-    assert nearest(park, bag, query(("bench", "east", "tree"))) in ("node/5", "node/6", "node/7")
-
-
 def test_rarity_is_the_logarithm_of_the_share(park):
     bag = Bag.of(park, "labels", reach=50.0)
     held = {

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from placegraph.outdoor.city import CityMap, build_city
-from placegraph_lab.tables.outdoor.extracts import crop, tile
+from placegraph.outdoor.city import build_city
+from placegraph_lab.tables.outdoor.extracts import tile
 
 
 @pytest.fixture(scope="module")
@@ -19,20 +19,6 @@ def rows_of(city):
         o.osm(i): (o.label(i), o.name(i), o.kind[i], [p.tolist() for p in o.parts(i)])
         for i in range(len(o))
     }
-
-
-def test_a_part_has_the_cells_of_the_whole(city, tmp_path):
-    part, smaller = crop(city, 40), crop(city, 20)
-    assert len(part.cells) == 40
-    assert set(smaller.cells) < set(part.cells) < set(city.cells)
-    for cell in part.cells:
-        assert part.graph(cell) == city.graph(cell)
-    known = rows_of(city)
-    assert all(known[osm] == row for osm, row in rows_of(part).items())
-    assert len(part.objects) < len(city.objects)
-    part.objects.check()
-    part.save(tmp_path / "part.city")
-    assert len(CityMap.open(tmp_path / "part.city").cells) == 40
 
 
 def test_copies_stand_apart_and_differ(city):

@@ -5,7 +5,7 @@ import pytest
 
 import placegraph as pg
 from placegraph.outdoor.search.ask import NO, NONE, YES, Question, Thing
-from placegraph_lab.tables.named.outdoor_dialogue import Speaker, dialogue, distance, standing_in
+from placegraph_lab.tables.named.outdoor_dialogue import Speaker, dialogue, distance
 from placegraph_lab.tables.outdoor.queries import Query, load
 from placegraph_lab.worlds.town.town import Town
 
@@ -57,15 +57,6 @@ def test_the_speaker_sees_things_in_their_direction_and_areas_around(world):
     assert speaker.answer(names).option == "Volkspark"
     none = Question("Which?", ("A", "B", NONE), (Thing("A"), Thing("B")), 1.0)
     assert speaker.answer(none).option == NONE
-
-
-def test_standing_in_is_the_areas_that_hold_a_point(world):
-    town, bins, _ = world
-    inside = bins.city.plane.to_plane(town.position("F"))
-    assert [bins.city.labels[bins.city.named[i]] for i in standing_in(bins.city, inside)] == [
-        "Volkspark"
-    ]
-    assert standing_in(bins.city, inside + np.array([0.0, 500.0])) == []
 
 
 @pytest.mark.parametrize("asking", ["best", "random"])

@@ -15,13 +15,11 @@ from placegraph_lab.tables.outdoor.matchers import (
     PAPER_EDITS,
     PAPER_TRANSFORMER,
     RELATIONAL,
-    Places,
     RetrieveMatcher,
-    ask,
     matcher,
 )
 from placegraph_lab.tables.outdoor.metrics import Protocol
-from placegraph_lab.tables.outdoor.queries import Query, load, make_queries
+from placegraph_lab.tables.outdoor.queries import load, make_queries
 from placegraph_lab.tables.runner import Journal
 from placegraph_learn.city.descriptions import evaluated
 
@@ -81,25 +79,6 @@ def test_slow_matchers_get_some_queries_and_answers_are_asked_once(city, town, t
         r.to_dict() for r in rows
     ]
     assert asking.asked("toronto", protocols[0], PAPER_EDITS) == 0
-
-
-def test_exact_is_the_cell_that_covers_the_truth(city):
-    grid = city.cells.grid
-    inside = city.cells[next(iter(city.cells))]
-    nowhere = city.plane.to_lonlat((grid.east - 500.0, grid.north - 500.0))
-
-    class Fixed:
-        def rank(self, _, top):
-            return Places(np.array([[inside.longitude, inside.latitude]])[:top], (inside.id,))
-
-    at = Query("", inside.longitude, inside.latitude, ())
-    (answer,) = ask(Fixed(), city, [at])
-    assert answer.exact == (True,)
-    assert answer.distance.tolist() == pytest.approx([0.0], abs=1e-6)
-    away = Query("", float(nowhere[0]), float(nowhere[1]), ())
-    (answer,) = ask(Fixed(), city, [away])
-    assert answer.exact == (False,)  # no cell covers the truth
-    assert answer.distance[0] > 500.0
 
 
 def off_center(city, query):

@@ -43,19 +43,6 @@ def test_nearest_points_are_those_of_brute_force(town, x, y):
             assert expected > 24.7
 
 
-@given(x=st.floats(0.0, 1.0), y=st.floats(0.0, 1.0))
-def test_centroids_are_those_of_brute_force(town, x, y):
-    bins = load(town)
-    center = bins.city.center
-    viewpoint = center.min(0) + (x, y) * np.ptp(center, axis=0)
-    around = bins.around(viewpoint[None], 25.0, "centroid")
-    assert (
-        around.objects.tolist()
-        == np.flatnonzero(np.hypot(*(center - viewpoint).T) <= 25.0).tolist()
-    )
-    assert (around.points == center[around.objects]).all()
-
-
 def park(half):
     corners = [(-half, -half), (half, -half), (half, half), (-half, half)]
     return [(e, n, {}) for e, n in corners], [([0, 1, 2, 3, 0], {"leisure": "park"})]

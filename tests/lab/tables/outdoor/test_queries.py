@@ -99,14 +99,3 @@ def test_absent_things_are_not_there(town):
             absent = [label for label, osm in ends if not osm]
             assert len(absent) == said.noisy
             assert not near.intersection(absent)
-
-
-def test_names_are_kept_or_removed(town):
-    city = load(town).city
-    names = {city.labels[i] for i in set(city.named) - set(city.label)}
-    assert names
-    without = {x for q in make_queries(town, n=N) for s in q.said for x in (s.source, s.target)}
-    assert not names & without
-    kept = make_queries(town, setting="names", n=N)
-    spoken = {x for q in kept for s in q.said for x in (s.source, s.target)}
-    assert names & spoken

@@ -51,21 +51,6 @@ def test_kinds_and_centres(write_world):
     assert city.labels[city.label[row["way/1"]]] == "building"
 
 
-def test_a_hole_moves_the_centroid_away_from_it(write_world):
-    hole = [(2.0, 2.0), (8.0, 2.0), (8.0, 18.0), (2.0, 18.0)]
-    path = write_world(
-        [(e, n, {}) for e, n in SQUARE + hole],
-        [([0, 1, 2, 3, 0], {}), ([4, 5, 6, 7, 4], {})],
-        [([(0, "outer"), (1, "inner")], {"type": "multipolygon", "building": "yes"})],
-    )
-    city = read_raw(path)
-    assert city.osm == ("relation/1",)
-    ends = city.segments.reshape(-1, 2)
-    middle = 0.5 * (ends.min(0) + ends.max(0))
-    # (400 * 10 - 96 * 5) / 304: the hole's weight is taken off
-    assert city.center[0] - middle == pytest.approx([3520.0 / 304.0 - 10.0, 0.0], abs=0.02)
-
-
 def test_only_what_touches_the_bounds_is_cached(write_world):
     nodes = [(0.0, 0.0, {"shop": "books"}), (900.0, 100.0, {"shop": "toys"}), (100.0, 900.0, {})]
     path = write_world(nodes, [([0, 2], {"highway": "path"}), ([1, 2], {"highway": "steps"})])

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph_lab.tables.outdoor.nearby import DIRECTIONS, Around, Triples, encode, relations
+from placegraph_lab.tables.outdoor.nearby import Around, Triples, relations
 from placegraph_lab.tables.outdoor.outdoor_kernels import EAST, NORTH, SOUTH, WEST
 
 METRES = st.floats(-100.0, 100.0, allow_subnormal=False)
@@ -46,13 +46,3 @@ def test_pairs_are_those_of_brute_force(points):
         if a != b and 1.0 <= np.sqrt(((points[a] - points[b]) ** 2).sum()) <= 30.0
     }
     assert found == expected
-
-
-@given(st.integers(0, 99), st.integers(0, 3), st.integers(0, 99))
-def test_codes_are_one_to_one(source, direction, target):
-    code = int(encode(source, direction, target, 100))
-    assert (code // 100 // len(DIRECTIONS), code // 100 % len(DIRECTIONS), code % 100) == (
-        source,
-        direction,
-        target,
-    )

@@ -1,12 +1,9 @@
 """The measures of changes, on answers by hand and on one real sequence."""
 
-import json
-
-import numpy as np
 import pytest
 
 from placegraph.indoor.build import build_scene
-from placegraph_lab.tables.named.scene_changes import Told, ask, changes_of, figures, report
+from placegraph_lab.tables.named.scene_changes import Told, ask, figures, report
 
 
 def told(**columns):
@@ -34,22 +31,6 @@ def test_sums_and_rates():
     assert ".67 (2 of 3)" in table
     assert ".50 (2 of 4)" in table
     assert "1 in 1" in table
-
-
-def test_nothing_visible_is_no_rate():
-    f = figures([told(visible=(), found=(), right=(), wrong=(), errors=())])
-    assert f["recall"] is None
-    assert f["precision"] is None
-    assert "–" in report([("x", [told(visible=(), found=(), right=(), wrong=(), errors=())])])
-
-
-def test_what_was_changed_is_read(tmp_path):
-    matrix = np.eye(4).tolist()
-    entries = [{"id": 3, "action": "move", "matrix": matrix}, {"id": 4, "action": "remove"}]
-    (tmp_path / "changes.json").write_text(json.dumps({"changes": entries}))
-    found = changes_of(tmp_path)
-    np.testing.assert_array_equal(found["3"], np.eye(4))
-    assert found["4"] is None
 
 
 @pytest.mark.all

@@ -10,24 +10,9 @@ from placegraph_lab.tables.named.scene_sentences import (
     office,
     part_of,
     reader,
-    thinned,
     told,
 )
 from placegraph_lab.tables.named.scene_sentences import report_people as report
-
-
-def test_no_room_has_texts_in_both_halves():
-    texts = told()
-    assert len(texts) >= 60
-    assert not {t.room for t in texts[::2]} & {t.room for t in texts[1::2]}
-    assert len({t.text for t in texts}) == len(texts)
-
-
-def test_poor_maps_miss_things():
-    room = office()
-    poor = thinned(room, np.random.default_rng(0))
-    assert 0.5 * len(room) < len(poor) < 0.85 * len(room)
-    assert len(thinned(poor, np.random.default_rng(0), 1.0)) == 1
 
 
 def test_first_places_are_counted():

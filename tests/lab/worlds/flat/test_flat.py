@@ -38,11 +38,6 @@ def chamber():
     return Flat.parse(CHAMBER, source="chamber.txt")
 
 
-def test_settings_and_size(chamber):
-    assert (chamber.name, chamber.metres, chamber.height) == ("Chamber", (0.5, 0.25), 3.0)
-    assert chamber.size == (6.0, 1.75)
-
-
 def test_rooms_walls_and_the_outside(chamber):
     assert [room.name for room in chamber.rooms] == ["study"]
     assert chamber.rooms[0].symbol.looks["walls"].kind == "wallpaper"
@@ -50,17 +45,6 @@ def test_rooms_walls_and_the_outside(chamber):
     assert chamber.room_of[0, 2] == chamber.room_of[0, 7] == chamber.room_of[3, 11] == SOLID
     assert chamber.room_of[1, 3] == 0
     assert len(chamber.rooms[0].cells) == 8 * 5
-
-
-def test_things_and_what_carries_them(chamber):
-    assert [blot.glyph for blot in chamber.things] == ["S", "B", "t", "v", "c"]
-    desk, vase = chamber.things[2:4]
-    assert len(desk.cells) == 6  # the vase's cell is the desk's too
-    assert len(vase.cells) == 1
-    assert chamber.host(vase) is desk
-    assert chamber.host(desk) is None
-    assert chamber.base(desk) == 0.0
-    assert chamber.base(vase) == desk.symbol.height == 0.75
 
 
 def test_a_closed_door_blocks_and_divides():

@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from placegraph_lab.worlds.flat.flat import Flat
-from placegraph_lab.worlds.home.change import KINDS, ROOMS, SHELL, SYNONYMS, on
+from placegraph_lab.worlds.home.change import KINDS, ROOMS, SHELL, SYNONYMS
 from placegraph_lab.worlds.home.home import (
     CAMERA,
     STYLES,
@@ -78,36 +78,6 @@ def test_months_later(seed):
         if thing.label in SHELL:
             assert later[thing.id] is thing
     assert all(t.label in WORDS for i, t in later.items() if i not in before)
-
-
-def test_a_moved_table_takes_along_what_stands_on_it():
-    text = """
-[drawing]
-####################
-#                  #
-#   TTTTTTT        #
-#   TTVTTTT        #
-#   TTTTTTT        #
-#                  #
-#        1         #
-#                  #
-####################
-[legend]
-1 room: label=study
-T table: label=desk
-V drum: label=vase in=T height=0.2
-"""
-    interior = Flat.parse(text).furnish(np.random.default_rng(0))
-    desk = interior.thing("desk")
-    assert [t.label for t in on(interior.things, desk)] == ["vase"]
-    later = changed(interior, np.random.default_rng(1), moved=1.0, removed=0.0, added=0)
-    moved, vase = later.thing("desk"), later.thing("vase")
-    assert not np.allclose(moved.bounds, desk.bounds)
-    low, high = vase.bounds[0, :2], vase.bounds[1, :2]
-    assert (low > moved.bounds[0, :2]).all()
-    assert (high < moved.bounds[1, :2]).all()
-    gone = changed(interior, np.random.default_rng(1), moved=0.0, removed=1.0, added=0)
-    assert {t.label for t in gone.things} <= SHELL
 
 
 def test_the_map_of_a_home():

@@ -58,22 +58,6 @@ def test_points_roads_and_bridge(tmp_path):
     assert bridge[-1] == pytest.approx((-10.0, -40.0), abs=0.02)
 
 
-def test_area_with_hole_is_a_multipolygon(tmp_path):
-    _, ways, relations = osm("[drawing]\n####\n#  #\n####\n", tmp_path)
-    assert relations == [
-        ({"type": "multipolygon", "building": "yes"}, [("outer", 1), ("inner", 2)])
-    ]
-    assert [len(line) for _, line in ways] == [5, 5]
-
-
-def test_a_park_runs_on_below_its_pond_and_bench(tmp_path):
-    park = '[drawing]\nb"""""\n""≈≈""\n""""""\n""b"""\n[legend]\nb: amenity=bench\n'
-    _, ways, relations = osm(park, tmp_path)
-    assert not relations
-    [outline] = [line for tags, line in ways if tags == {"leisure": "park"}]
-    assert len(outline) == 7  # the first bench stands beside the park and dents it
-
-
 DOORS = """
 [drawing]
 -----1---
