@@ -1,6 +1,6 @@
-"""A grammar at work: the chunks of a clause become what of them can be understood.
+"""A grammar at work, for both wings: chunks of a clause become phrases and a clause.
 
-The grammar is a table of states (LALR), made by lark once and kept.
+The grammar is a table of states (LALR), made by lark once and cached.
 """
 
 from __future__ import annotations
@@ -196,18 +196,18 @@ class IslandParser(Generic[Result]):
         self, chunks: list[Chunk], left_out: list[Chunk]
     ) -> tuple[Result | None, list[Chunk], int]:
         """Parse a beginning of the chunks that cannot be parsed whole."""
-        kept = [chunk for chunk in chunks if chunk not in left_out]
-        for n in range(len(kept) - 1, max(0, len(kept) - 1 - _BACK), -1):
+        used = [chunk for chunk in chunks if chunk not in left_out]
+        for n in range(len(used) - 1, max(0, len(used) - 1 - _BACK), -1):
             parser = self._grammar.parse()
             try:
-                for chunk in kept[:n]:
+                for chunk in used[:n]:
                     parser.feed(chunk.type, chunk)
             except UnexpectedTokenError:
                 continue
             clause = self._finish(parser)
             if clause is not None:
-                used = chunks.index(kept[n])
-                return clause, [chunk for chunk in left_out if chunk in chunks[:used]], used
+                end = chunks.index(used[n])
+                return clause, [chunk for chunk in left_out if chunk in chunks[:end]], end
         return None, left_out, len(chunks)
 
     def _finish(self, parser: Parse) -> Result | None:
@@ -317,8 +317,8 @@ def _table(text: str, start: str) -> bytes:
         def lex(self, *_: object) -> Any: ...  # noqa: ANN401  # tokens come one by one
 
     lark = Lark(text, start=start, parser="lalr", lexer=NoLexer, maybe_placeholders=False)
-    told, memo = lark.memo_serialize([TerminalDef, Rule])
-    table = told["parser"]["parser"]
+    parts, memo = lark.memo_serialize([TerminalDef, Rule])
+    table = parts["parser"]["parser"]
     rules = {key: rule for key, rule in memo.items() if rule["__type__"] == "Rule"}
     number = {key: n for n, key in enumerate(rules)}
     made = {

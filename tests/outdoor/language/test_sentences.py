@@ -1,14 +1,17 @@
-"""Tables of sentences: what is understood of them, and what is left out."""
+"""Tables of sentences: what is understood of them, what is left out, and turns of phrase."""
 
 from __future__ import annotations
 
-from math import radians
+import json
+import re
+from math import degrees, radians
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
 
 from placegraph.outdoor.language import describe
+from placegraph.outdoor.language.description import LISTENER, SPEAKER, Relation
 
 
 class Case(NamedTuple):
@@ -111,7 +114,89 @@ def test_how_loosely_a_direction_is_meant(text, sigma):
 
 
 def test_a_description_becomes_plain_json():
-    import json
-
     description = describe("Two benches are 30 m north of me. Blah.")
     assert json.loads(json.dumps(description.to_dict()))["mentions"][2]["count"] == 2
+
+
+# turns of phrase: what strangers say (turns.txt), and what must be read of it
+
+WINDS = ("north", "northeast", "east", "southeast", "south", "southwest", "west", "northwest")
+ALIKE = {
+    Relation.NEAR: {Relation.NEAR, Relation.SAME, Relation.ALONG, Relation.INSIDE, Relation.ACROSS},
+    Relation.INSIDE: {Relation.INSIDE, Relation.NEAR, Relation.ALONG},
+    Relation.ALONG: {Relation.ALONG, Relation.NEAR},
+    Relation.VISIBLE: set(Relation) - {Relation.BETWEEN},
+}
+"""Relations that say as much as the one that is asked for."""
+PLACES = ("me", "it", "place", "van", "hotel", "house", "one", "that", "restaurant")
+
+
+def turns():
+    """Sentences of turns.txt, and the lines that say what they mean."""
+    text = Path(__file__).with_name("turns.txt").read_text("utf-8")
+    for block in re.split(r"\n\s*\n", re.sub(r"(?m)^#.*\n", "", text).strip()):
+        sentence, *lines = block.splitlines()
+        yield sentence, [line.strip() for line in lines]
+
+
+def is_read(line, description):
+    """Whether a line is so: "relation source > targets", then bearing, distance, no, maybe."""
+    relation, _, rest = line.removeprefix("not ").partition(" ")
+    relation = Relation(relation)
+    source, _, rest = rest.partition(">")
+    words, extra = rest.split(), []
+    while words and (words[-1] in (*WINDS, "no", "maybe") or re.fullmatch(r"\d+m", words[-1])):
+        extra.append(words.pop())
+    targets = [t.strip() for t in " ".join(words).split(",") if t.strip()]
+    found = False
+    for s in description.statements:
+        ends = [s.target] if s.target2 is None else [s.target, s.target2]
+        orders = [(s.source, ends)]
+        if relation is not Relation.DIRECTION:  # in either order, where that is the same
+            between = relation is Relation.BETWEEN
+            orders.append((s.source, ends[::-1]) if between else (s.target, [s.source]))
+        found = found or (
+            s.relation in ALIKE.get(relation, {relation})
+            and s.negated == ("no" in extra)
+            and ("maybe" not in extra or s.certainty < 0.8)
+            and all(measures(s, word) for word in extra)
+            and any(
+                names(source.strip(), one, description)
+                and all(names(t, n, description) for t, n in zip(targets, nodes, strict=False))
+                for one, nodes in orders
+            )
+        )
+    return found != line.startswith("not ")
+
+
+def measures(s, word):
+    if word in WINDS:
+        off = (degrees(s.bearing or 0.0) - 45.0 * WINDS.index(word) + 180.0) % 360.0 - 180.0
+        return s.bearing is not None and abs(off) < 30.0
+    if word in ("no", "maybe"):
+        return True
+    return s.distance is not None and abs(s.distance - float(word[:-1])) < 1.0
+
+
+def names(word, node, description):
+    at = {s.target for s in description.statements if s.relation is Relation.SAME}
+    if word in PLACES and node in {SPEAKER, *at}:
+        return True
+    if word == "you":
+        return node == LISTENER
+    mention = description.mentions[node]
+    return word.lower() in f"{mention.words} {mention.name}".lower()
+
+
+TURNS = list(turns())
+
+
+def test_turns_of_phrase_are_read():
+    for sentence, lines in TURNS[::2]:
+        description = describe(sentence)
+        assert [line for line in lines if not is_read(line, description)] == [], sentence
+
+
+def test_most_turns_of_phrase_are_read_that_nobody_looked_at():
+    read = [is_read(line, describe(said)) for said, lines in TURNS[1::2] for line in lines]
+    assert sum(read) >= 0.75 * len(read)

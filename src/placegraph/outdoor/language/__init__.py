@@ -77,8 +77,7 @@ def describe(
         Length of a block [m] in the direction of a bearing [rad], or in any (None), on the map at
         hand; 100 m if not given.
     language
-        Code of the language of the text ("de"); if None, it is told from the words, sentence by
-        sentence.
+        Code of the language of the text ("de"); if None, it is recognised, sentence by sentence.
 
     Raises
     ------

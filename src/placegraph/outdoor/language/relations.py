@@ -223,11 +223,11 @@ class PlaceReader(StatementBuilder):
                 return
         target = self._resolve(thing, source) if thing else self._implied_target(source, context)
         sure = 1.0 if thing is not None or target == SPEAKER else FROM_YOU
-        told = any(
+        from_you = any(
             s.relation is Relation.DIRECTION and s.target == LISTENER and s.certainty >= FROM_YOU
             for s in self.statements
         )
-        if sure < 1.0 and (context.walked or told):
+        if sure < 1.0 and (context.walked or from_you):
             sure = LEGS[-1]  # "your destination is to the north": of where the walk has led
         self._add_direction(
             context, source, target, place.direction, distance=place.distance, certainty=sure

@@ -30,7 +30,7 @@ def clean(text: str) -> str:
     """
     if text.isascii():
         return text
-    kept = []
+    letters = []
     for letter in unicodedata.normalize("NFC", text):
         kind = unicodedata.category(letter)
         if kind == "Cf" or "\u0591" <= letter <= "\u05c7" or "\u064b" <= letter <= "\u0652":
@@ -38,12 +38,12 @@ def clean(text: str) -> str:
         if letter == "ـ":
             continue
         if kind == "Nd" and not letter.isascii():
-            kept.append(str(unicodedata.digit(letter)))
+            letters.append(str(unicodedata.digit(letter)))
         elif "\uff01" <= letter <= "\uffee" or letter == "\u3000":
-            kept.append(unicodedata.normalize("NFKC", letter))
+            letters.append(unicodedata.normalize("NFKC", letter))
         else:
-            kept.append("'" if letter == "ʼ" else letter)  # an apostrophe that is a letter
-    return unicodedata.normalize("NFC", "".join(kept))
+            letters.append("'" if letter == "ʼ" else letter)  # an apostrophe that is a letter
+    return unicodedata.normalize("NFC", "".join(letters))
 
 
 @cache
