@@ -271,7 +271,7 @@ def test_where_no_camera_can_be_the_table_is_empty(hall):
 
 def test_tables_are_made_once_for_each_height(hall):
     first = hall.visibility(OPTIONS)
-    assert hall.visibility(replace(OPTIONS, record=True)) is first
+    assert hall.visibility(OPTIONS.with_filter(record=True)) is first
     assert hall.visibility(PoseSearchOptions(heights=(1.2,), spacing=1.0)) is not first
 
 
