@@ -81,6 +81,7 @@ def test_labels_may_name_some(ply, tmp_path):
         build_scene(ply, None, labels=tmp_path / "no.json")
 
 
+@pytest.mark.all
 def test_labels_win_over_the_files_own_by_id_or_name(shared):
     house = shared / "data" / "house" / "map" / "house.glb"
     told = json.loads(house.with_name("objects.json").read_text())

@@ -363,8 +363,8 @@ def test_a_prior_that_is_wrong_is_not_believed(flat, flat_walk, truth):
     [
         {"semantic": True, "depth": True, "colour": True},
         {"semantic": True},
-        {"depth": True, "colour": True},
-        {"depth": True},
+        pytest.param({"depth": True, "colour": True}, marks=pytest.mark.all),
+        pytest.param({"depth": True}, marks=pytest.mark.all),
         {"colour": True},
     ],
     ids="+".join,
@@ -404,6 +404,7 @@ def test_a_camera_at_any_height(height, room, room_world, render, truth):
     right(room.localize(walk), truth(walk)[-1], 0.1, 2.0)
 
 
+@pytest.mark.all
 def test_a_height_that_frames_leave_open(room, room_world, render, truth):
     """Near frames of one wall fit at another height nearly as well: right, or not believed."""
     walk = render(room_world, "at 0.9", 3, through="123", frames=6, height=0.9)
@@ -615,6 +616,7 @@ def test_the_shared_house(house, shared, truth):
     assert estimate.frames.tolist() == [5, 6, 7, 8, 9]
 
 
+@pytest.mark.all
 def test_the_shared_office_is_not_in_the_house(house, shared):
     """Real frames of a place that this map does not have, with depth and colours."""
     office = open_capture(shared / "data/office")

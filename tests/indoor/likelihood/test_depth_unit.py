@@ -95,8 +95,7 @@ def test_no_depth_no_suspicion(room, walk):
 
 @pytest.mark.parametrize(
     ("factor", "says"),
-    [(1000.0, "1000 times too long"), (39.37, "39 times too long"),
-     (0.001, "1000 times too short"), (0.01, "100 times too short")],
+    [(1000.0, "1000 times too long"), (0.01, "100 times too short")],
 )  # fmt: skip
 def test_absurd_depth_is_refused(room, walk, factor, says):
     frames = scaled(walk[:3], factor)

@@ -81,7 +81,7 @@ def patches(grid, camera=CAMERA, rows=None, table=None):
     st.integers(16, 400), st.integers(16, 400), st.floats(2, 60), st.booleans(),
     st.floats(0.5, 2), st.floats(-0.1, 0.1),
 )  # fmt: skip
-@settings(max_examples=60)
+@settings(max_examples=20)
 def test_samples_fill_the_image_whatever_the_stride(width, height, stride, bent, focal, off):
     """Every sample is the centre of a cell, and the cells are the image: nothing is cut off."""
     longer = max(width, height)

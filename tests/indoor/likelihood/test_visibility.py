@@ -80,7 +80,7 @@ def test_panoramas_are_what_rays_hit(place, request, rng):
     table = scene.visibility(OPTIONS)
     low, high = (opponent(*np.float32(c)) for c in ((0, 0, 0), (1, 1, 1)))
     missed = 0
-    for k in rng.choice(len(table), 12, replace=False):
+    for k in rng.choice(len(table), 6, replace=False):
         objects, ranges, colours = panorama(scene, table.positions[k])
         same = table.panoramas.objects[k] == objects
         assert same.mean() > 0.98  # rays along edges go either way
@@ -240,7 +240,11 @@ SMALL = "free._ground: in a small room, a square metre is more than a hundredth 
 
 
 @pytest.mark.parametrize(
-    "place", ["flat", pytest.param("room", marks=pytest.mark.xfail(reason=SMALL, strict=True))]
+    "place",
+    [
+        "flat",
+        pytest.param("room", marks=[pytest.mark.all, pytest.mark.xfail(reason=SMALL, strict=True)]),
+    ],
 )
 def test_one_vast_triangle_does_not_spread_the_grid(place, request):
     """The flat on a plain to the horizon: cameras are looked for in the flat."""

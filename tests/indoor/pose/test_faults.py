@@ -51,6 +51,7 @@ def test_what_is_wrong_is_named(room, shot, rng, spoil, strength, said):
     assert estimate.reason.endswith(".")
 
 
+@pytest.mark.all
 def test_a_mirror_without_depth_is_named(room, shot):
     """Images alone fit here and there: frames contradict each other, until they are turned round."""
     estimate = room.localize(bad.mirrored(bad.only(shot, ("colour",)), 0, None).frames)
@@ -65,6 +66,7 @@ def test_a_prior_below_the_floor_is_named(room, shot, truth, walk):
     assert "Without the prior they fit" in estimate.reason
 
 
+@pytest.mark.all
 def test_frames_from_elsewhere_in_a_long_capture_are_named(room, room_world, render, flat_walk):
     """It is tracked: the newest frames are right, and yet the first were taken in another room."""
     walk = render(room_world, "long", 5, through="123", frames=34)
