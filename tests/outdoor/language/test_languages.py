@@ -151,6 +151,7 @@ def test_a_malformed_table_is_told_by_file_and_field(table, fault, tmp_path):
     [
         "Ég stend hjá Palais Aurore. Norðan við mig er stórt tré og austan við mig er brú.",
         "Tôi đang đứng gần Jardin Des Enfants. Phía bắc có một cái cây to, phía đông là cầu.",
+        "Kütüphane köprünün doğusunda alıyor. yer",  # a sentence of one adverb, which is left out
     ],
 )
 def test_little_evidence_is_no_error(text):

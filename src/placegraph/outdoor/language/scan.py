@@ -193,7 +193,7 @@ def _cut(written: str, known: Callable[[str], bool]) -> list[str]:
 def scan_english(
     text: str, language: Language, labels: Iterable[tuple[int, int]] = (), begin: int = 0
 ) -> list[list[Word]]:
-    """Cut a text from `begin` on into sentences (`language.words.scan`); "St. Mary's" ends none."""
+    """Cut a text from `begin` on into sentences (`scan_text`); "St. Mary's" ends none."""
     return scan_text(text, labels, shortened=language.lists["shortened"], begin=begin)
 
 
