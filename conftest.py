@@ -33,7 +33,16 @@ settings.register_profile(
 settings.register_profile("thorough", deadline=None, suppress_health_check=_SLOW)
 settings.load_profile("quick")
 
+TESTS = Path(__file__).parent / "tests"
 SHARED = Path(__file__).resolve().parents[1] / "shared"
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """Run the tests of one folder in one worker, which builds their maps and servers once."""
+    for item in items:
+        top = item.path.parent == TESTS
+        item.add_marker(pytest.mark.xdist_group(str(item.path if top else item.path.parent)))
 
 
 @pytest.fixture(scope="session")
