@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from placegraph.errors import OptionError
-from placegraph.indoor.map.map_kernels import chart_of
 
 GRAIN = 2.0**-13
 """Step of vertices [m], 0.12 mm; a power of two, so that float32 holds multiples exactly."""
@@ -353,6 +352,8 @@ def _useful_levels(mesh: Mesh) -> NDArray[np.int64]:
     most = np.ceil(np.log2(sizes.max(axis=1))).astype(np.int64)
     if not len(mesh) or (most == 0).all():
         return most
+    from placegraph.indoor.map.map_kernels import chart_of  # compiled
+
     chart = chart_of(mesh.triangles, len(mesh.vertices))[mesh.triangles[:, 0]]
     rows, chart = np.unique(chart, return_inverse=True)
     uv = mesh.uv[mesh.triangles]
