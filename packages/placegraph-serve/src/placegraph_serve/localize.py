@@ -13,6 +13,7 @@ from placegraph.core.estimate import PoseEstimate, Status
 from placegraph.errors import OptionError, PlacegraphError, RequestError
 from placegraph.indoor.options import FilterOptions, PoseSearchOptions
 from placegraph.indoor.pose.prior import Prior
+from placegraph.indoor.status import diagnostics_of
 from placegraph.io.capture.frame import Frame
 from placegraph.outdoor.track.tracker import CityTracker
 from placegraph_serve.locate import answered, given, on_earth
@@ -175,8 +176,7 @@ def worth(estimate: Any) -> tuple[int, float]:  # noqa: ANN401
     pose = pose_estimate(estimate)
     refined = pose is not None and pose.refinement is not None and pose.refinement.accepted
     settled = estimate.status is Status.OK or refined
-    ratio = pose.stats.get("trust", {}).get("ratio") if pose is not None else None
-    return int(settled), ratio or 0.0
+    return int(settled), 0.0 if pose is None else diagnostics_of(pose).ratio
 
 
 def pose_estimate(estimate: Any) -> PoseEstimate | None:  # noqa: ANN401
