@@ -98,7 +98,7 @@ def _angle(one: LocalPlane, other: LocalPlane) -> float:
 class ShardPosterior:
     """A posterior over viewpoints of many shards."""
 
-    apply_bayes: Posterior
+    posterior: Posterior
     """In the planes of `stack`."""
     shards: NDArray[np.int64]
     """(K,) row of the shard of each position."""
