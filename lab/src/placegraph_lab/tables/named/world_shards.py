@@ -83,7 +83,8 @@ def _timed(planet: World, name: str, texts: list[str], *, killed: bool = False) 
     trips: list[int] = []
     for text in texts:
         planet.locate(text).to_dict()
-    crew: Any = planet.planets[name].pool
+    town: Any = planet.planets[name]
+    crew = town.pool
     client: Any = getattr(crew, "client", None)
     each = crew.each
 
@@ -168,7 +169,7 @@ def compared(city: Path, world: Path, texts: Texts) -> list[dict[str, Any]]:
             row["same"] += bool(np.hypot(*(a - b)) < 20.0)
             row["differ"].append(abs(one.best.probability - many.best.probability))
         rows.append(
-            row | {"queries": len(queries), "shards": len(planet.planets[world.name].sources)}
+            row | {"queries": len(queries), "shards": _sources(planet.planets[world.name])}
         )
     return rows
 
@@ -264,6 +265,10 @@ def world_shards(
     run.save({
         "rows": rows, "grown": grown, "model": capacity, "crews": crews,
     })  # fmt: skip
+
+
+def _sources(town: Any) -> int:  # noqa: ANN401  # what a world holds is known by its protocol
+    return len(town.sources)
 
 
 def built(city: Path, folder: Path, zoom: int, copies: list[int], seed: int) -> list[Path]:
