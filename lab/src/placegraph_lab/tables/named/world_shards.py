@@ -168,9 +168,7 @@ def compared(city: Path, world: Path, texts: Texts) -> list[dict[str, Any]]:
             )
             row["same"] += bool(np.hypot(*(a - b)) < 20.0)
             row["differ"].append(abs(one.best.probability - many.best.probability))
-        rows.append(
-            row | {"queries": len(queries), "shards": _sources(planet.planets[world.name])}
-        )
+        rows.append(row | {"queries": len(queries), "shards": _sources(planet.planets[world.name])})
     return rows
 
 
