@@ -9,7 +9,13 @@ import placegraph as pg
 from placegraph.core.estimate import Status
 from placegraph.demo.flat import TWIN, WINDOW, furnish
 from placegraph.demo.world import FLAT, TOWNS
-from placegraph.errors import InputError, MapError, OptionError, PlacegraphError
+from placegraph.errors import (
+    InputError,
+    MapError,
+    MissingExtraError,
+    OptionError,
+    PlacegraphError,
+)
 
 
 def test_maps_are_opened_when_they_are_asked_for_and_kept(folder):
@@ -131,3 +137,13 @@ def test_open_ground_is_no_building(town, text):
     found = town.locate(text)
     assert found.best.scene == ""
     assert sum(m.probability for m in found.modes if m.scene) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("file", "open_it"), [("usual.shard", pg.open_map), ("world.json", pg.open_world)]
+)
+def test_shards_without_their_plugin_name_the_extra(file, open_it, tmp_path, monkeypatch):
+    (tmp_path / file).touch()
+    monkeypatch.setattr("placegraph.core.plugins.plugins", lambda _group: {})
+    with pytest.raises(MissingExtraError, match=r"placegraph\[scale\]"):
+        open_it(tmp_path)
