@@ -126,13 +126,13 @@ def test_nodes_on_disk_give_the_same(write_world, tmp_path, monkeypatch):
 
 def test_an_extract_that_changes_meanwhile(write_world, tmp_path, monkeypatch):
     path = write_world([(0, 0, BENCH)])
-    real = module.labelled
+    real = module.label_elements
 
     def touched(*given):
         yield from real(*given)
         os.utime(path, (1, 1))
 
-    monkeypatch.setattr(module, "labelled", touched)
+    monkeypatch.setattr(module, "label_elements", touched)
     with pytest.raises(InputError, match=r"world\.osm changed while it was read"):
         split_up(path, tmp_path / "things")
     assert Split.load(tmp_path / "things") is None
