@@ -19,6 +19,7 @@ from collections import OrderedDict, defaultdict
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from struct import unpack_from
 from threading import Lock
@@ -164,7 +165,7 @@ class Messages(Database):
         self.packed = packed
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _messages, (self.path, self.packed)
+        return partial(Messages, packed=self.packed), (self.path,)
 
     def read(self, offset: int, most: int | None = None) -> bytes:
         """As `MessageStore.read`; the offset is the row's id."""
@@ -174,10 +175,6 @@ class Messages(Database):
             whole = LARGEST_MESSAGE if most is None else most
             return CompressedBytes(data, "zstd", f"{self.path}, message {offset},").read(0, whole)
         return data
-
-
-def _messages(path: Path, packed: bool) -> Messages:
-    return Messages(path, packed=packed)
 
 
 class Message(NamedTuple):
