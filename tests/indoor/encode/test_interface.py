@@ -1,9 +1,13 @@
 """What all encoders have in common: names, binding, and vectors that are checked."""
 
+from importlib.metadata import EntryPoint
+from string import Formatter
+
 import numpy as np
 import pytest
 
-from placegraph.errors import MapError, OptionError
+from placegraph.core import plugins
+from placegraph.errors import MapError, MissingExtraError, OptionError
 from placegraph.indoor.encode import (
     Encoder,
     MapEncoder,
@@ -14,6 +18,7 @@ from placegraph.indoor.encode import (
     spoken,
     vectors_of,
 )
+from placegraph.indoor.refine.matching import matcher
 
 
 @pytest.mark.parametrize("name", ["labels", "appearance"])
@@ -102,3 +107,18 @@ def test_vectors_of_the_map_come_first_and_those_of_others_are_refused(room):
         vectors_of(Fixed(), room)
     with pytest.raises(OptionError, match="finite numbers belong"):
         vectors_of(Fixed(vectors=np.full((len(room), 3), np.inf)), room)
+
+
+@pytest.mark.parametrize(
+    ("make", "group", "name"),
+    [(encoder, plugins.ENCODERS, "features"), (matcher, plugins.MATCHERS, "roma")],
+)
+def test_others_join_by_entry_points(monkeypatch, make, group, name):
+    found = {}
+    monkeypatch.setattr(plugins, "plugins", lambda asked: found if asked == group else {})
+    with pytest.raises(MissingExtraError, match=r"pip install 'placegraph\[learn\]'"):
+        make(name)
+    with pytest.raises(OptionError, match="'mine'"):
+        make("mine")
+    found["mine"] = EntryPoint("mine", "string:Formatter", group)
+    assert isinstance(make("mine"), Formatter)
