@@ -18,9 +18,9 @@ from placegraph.indoor.map.floor import storeys
 from placegraph.indoor.map.free_space import BEYOND, nearest_scene
 from placegraph.indoor.map.scene import MOST_LANDMARKS, WIDTH
 from placegraph.indoor.map.scene_file import VIEWPOINTS, columns, near_box, save_scene
-from placegraph.indoor.mapping import merge
 from placegraph.indoor.mapping.from_capture import thin_points
-from placegraph.indoor.options import PoseSearchOptions
+from placegraph.indoor.mapping.merge import merge_scenes
+from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.pose.estimate import add_earth_poses
 from placegraph.indoor.scene_map import SceneMap
 
@@ -40,15 +40,17 @@ SHIFT = np.array([0.4, -0.3, 3.0])
 @pytest.fixture(scope="module")
 def stacked(room, flat):
     """The flat as the upper storey of the room."""
-    upper = merge._shift_scene("up", flat, SHIFT)
-    both = [room, upper]
+    both = merge_scenes({"down": room, "up": flat})
+    shifts = np.stack([np.zeros(3), SHIFT]) + both.scene_from_map[:, :3, 3]
+    part = np.zeros(len(both.mesh.vertices), np.int64)
+    part[both.mesh.triangles] = both.scene_of[both.mesh.object_of][:, None]
     return replace(
         room,
-        graph=merge._join_graphs([m.graph for m in both], [0, len(room)]),
-        mesh=merge._join_meshes([m.mesh for m in both], [0, len(room)]),
-        attributes=(*room.attributes, *flat.attributes),
-        scene_of=np.zeros(len(room) + len(flat), np.int32),
-        encoded=(*room.encoded, *flat.encoded),
+        graph=replace(both.graph, positions=both.graph.positions + shifts[both.scene_of]),
+        mesh=replace(both.mesh, vertices=both.mesh.vertices + shifts[part]),
+        attributes=both.attributes,
+        scene_of=np.zeros(len(both), np.int32),
+        encoded=both.encoded,
     )
 
 
@@ -89,7 +91,7 @@ def test_a_camera_upstairs_is_a_level_up_and_in_a_room_there(stacked, flat):
 @pytest.mark.all
 def test_either_storey_is_found(stacked, walk, flat_walk, truth):
     for capture, shift in ((walk, np.zeros(3)), (flat_walk, SHIFT)):
-        found = stacked.localize(capture, options=PoseSearchOptions().only(depth=True, colour=True))
+        found = stacked.localize(capture, options=FilterOptions().only(depth=True, colour=True))
         true = split_pose(truth(capture)[-1])[0]
         assert found.best.pose[:3] == pytest.approx(true[:3] + shift, abs=0.1)
 
@@ -98,7 +100,7 @@ def test_either_storey_is_found(stacked, walk, flat_walk, truth):
 def test_places_beside_an_open_side_look_in(closed, boxes):
     """A scan may look in from outside its box; through a wall nobody does."""
     scene = scene_of_model(boxes(STAGE | (CLOSED if closed else {})))
-    at = scene.visibility(PoseSearchOptions()).positions
+    at = scene.visibility(FilterOptions()).positions
     beside = at[at[:, 0] > 5.3]
     assert bool(len(beside)) is not closed
     assert (at[:, 0] < 5.2 + BEYOND).all()
@@ -112,7 +114,7 @@ def test_places_beside_an_open_side_look_in(closed, boxes):
 def test_cameras_are_looked_for_where_the_maps_own_were(room, tmp_path):
     seen = np.array([[3.0, 3.0, 0.61], [3.5, 3.0, 0.63]]) + np.array([0, 0, room.floors[0]])
     scene = replace(room, viewpoints=seen)
-    table = scene.visibility(PoseSearchOptions())
+    table = scene.visibility(FilterOptions())
     own = table.positions[table.usual]
     assert 0 < len(own) < 40
     assert (np.abs(own[:, :2] - seen[0, :2]).max(axis=1) < 1.5).all()
@@ -121,15 +123,15 @@ def test_cameras_are_looked_for_where_the_maps_own_were(room, tmp_path):
     save_scene(scene, tmp_path / "it.scene")
     np.testing.assert_allclose(SceneMap.open(tmp_path / "it.scene").viewpoints, seen, atol=0.0051)
     assert "viewpoints" not in columns(room)[1], "a mesh has none; nor have older files"
-    moved = merge.merge_scenes({"a": room, "b": scene})
+    moved = merge_scenes({"a": room, "b": scene})
     shift = np.linalg.inv(moved.scene_from_map[1])[:3, 3]
     np.testing.assert_allclose(moved.viewpoints, seen + shift)
 
 
 def test_beside_a_walked_scene_cameras_are_held_as_usual(room):
     seen = np.array([[3.0, 3.0, 0.61 + room.floors[0]]])
-    both = merge.merge_scenes({"mesh": room, "walked": replace(room, viewpoints=seen)})
-    table = both.visibility(PoseSearchOptions())
+    both = merge_scenes({"mesh": room, "walked": replace(room, viewpoints=seen)})
+    table = both.visibility(FilterOptions())
     within = nearest_scene(both, table.positions[:, :2])[0]
     above = table.positions[:, 2] - table.ground
     assert (table.layer[table.usual & (within == 1)] == 0).all()
@@ -168,9 +170,9 @@ def test_viewpoints_far_from_the_mesh_are_told():
 
 def test_places_that_look_in_are_found_in_blocks(boxes, monkeypatch):
     scene = scene_of_model(boxes(STAGE))
-    whole = build_table(scene, PoseSearchOptions()).positions
+    whole = build_table(scene, FilterOptions()).positions
     monkeypatch.setattr(free, "_PAIRS", 1000)
-    np.testing.assert_array_equal(build_table(scene, PoseSearchOptions()).positions, whole)
+    np.testing.assert_array_equal(build_table(scene, FilterOptions()).positions, whole)
 
 
 def test_viewpoints_are_few_and_everywhere(rng):
