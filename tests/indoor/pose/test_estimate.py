@@ -1,8 +1,13 @@
-"""Probabilities of poses, by the likelihood and by how far frames fit there."""
+"""Probabilities of poses by how far frames fit there, and poses on Earth."""
+
+import math
 
 import numpy as np
 import pytest
 
+from placegraph.core.geo import Anchor
+from placegraph.indoor.map.rooms import room_at
+from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.pose.estimate import weigh_by_confidence
 
 
@@ -18,3 +23,56 @@ def test_the_likeliest_pose_is_not_where_frames_do_not_fit():
         weigh_by_confidence(shares, np.full(3, -np.inf)), shares
     )  # labels alone
     assert got.sum() == pytest.approx(1.0)
+
+
+HERE = Anchor(
+    7.42, 43.73, 50.0, math.radians(30), np.diag([0.01, 0.01, 0.04, 1e-4]), "Library", "way/7", "2", 0.7
+)  # fmt: skip
+TURNED = Anchor(7.42, 43.73, 50.0, math.radians(210), building="Library", probability=0.3)
+
+
+def test_a_capture_is_found_on_earth(room, walk):
+    anchored = room.anchored(HERE, TURNED)
+    bare = room.localize(walk, seed=1, refine=False)
+    found = anchored.localize(walk, seed=1, refine=False)
+    best = found.best
+    assert bare.best.earth == ()
+    np.testing.assert_array_equal(best.map_from_camera, bare.best.map_from_camera)
+    here, turned = best.earth
+    assert (here.building, here.osm, here.level, here.room) == ("Library", "way/7", "2", "study")
+    assert here.probability == pytest.approx(0.7 * best.probability)
+    place = HERE.to_earth(best.map_from_camera[:3, 3])
+    assert (here.longitude, here.latitude, here.height) == pytest.approx(tuple(place))
+    yaw = best.pose[3]
+    assert math.cos(here.heading - (math.radians(30) + math.pi / 2 - yaw)) == pytest.approx(1)
+    assert math.cos(turned.heading - here.heading) == pytest.approx(-1)
+    assert here.covariance[2, 2] == pytest.approx(0.04 + best.covariance[2, 2], rel=1e-6)
+    assert found.to_dict()["modes"][0]["earth"][0]["room"] == "study"
+    seen = [o for e in found.evidence for o in e.objects]
+    assert seen
+    assert all(abs(o.latitude - 43.73) < 1e-4 for o in seen)
+    kinds = {f["properties"]["kind"] for f in found.geojson()["features"]}
+    assert kinds == {"mode", "ellipse", "evidence"}
+    refined = anchored.refine(walk, best.map_from_camera)
+    again = HERE.to_earth(refined.best.map_from_camera[:3, 3])
+    assert refined.geopose()["position"]["h"] == pytest.approx(again[2])
+
+
+def test_a_tracker_says_it_too(room, walk):
+    tracker = room.anchored(HERE).tracker(walk[0].camera, seed=1)
+    for frame in walk[:3]:
+        best = tracker.update(frame).best
+        place = HERE.to_earth(best.map_from_camera[:3, 3])
+        assert best.earth[0].longitude == pytest.approx(place[0], abs=1e-12)
+
+
+def test_rooms_have_the_names_that_most_things_in_them_say(flat):
+    named = {room_at(flat, position) for position in flat.graph.positions}
+    assert named - {""} == {a["room"] for a in flat.attributes if "room" in a}
+    sofa = flat.graph.labels.index("sofa")
+    x, y, z = flat.graph.positions[sofa]
+    assert room_at(flat, (x, y, z)) == flat.attributes[sofa]["room"]
+    assert room_at(flat, (x, y, z + 9)) == room_at(flat, (x + 99, y, z)) == ""
+    pair = merge_scenes({"a": flat, "b": flat})
+    at = pair.graph.positions[len(flat) + sofa]
+    assert room_at(pair, at) == flat.attributes[sofa]["room"]

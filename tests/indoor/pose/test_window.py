@@ -1,10 +1,285 @@
-"""What a window of frames keeps."""
+"""Questions and windows: odometry as level steps, keyframes, frames that are chosen and read."""
 
+import math
 import time
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from placegraph.indoor.pose.window import timed
+from placegraph.core.geometry import (
+    Camera,
+    between,
+    compose,
+    level_from_camera,
+    pose_matrix,
+    rotation_from_quaternion,
+    split_pose,
+    wrap,
+)
+from placegraph.errors import OptionError
+from placegraph.indoor.options import MotionNoise, PoseSearchOptions
+from placegraph.indoor.pose.particle_filter import propagate
+from placegraph.indoor.pose.window import PoseQuery, chosen_frames, keyframes, level_poses, timed
+from placegraph.io.capture.capture import Capture
+from placegraph.io.capture.frame import Frame
+
+seeds = st.integers(0, 2**32 - 1)
+numbers = st.floats(-1, 1)
+quaternions = (
+    st.tuples(numbers, numbers, numbers, numbers)
+    .map(np.array)
+    .filter(lambda q: np.linalg.norm(q) > 0.05)
+)
+
+
+def some_walk(rng, count=6):
+    """True poses (T, 4), gravity (T, 3) in the camera and matrices (T, 4, 4) of a tilting camera."""
+    poses = np.column_stack([rng.uniform(-5, 5, (count, 3)), rng.uniform(-np.pi, np.pi, count)])
+    gravity = rng.normal((0, 1, 0), 0.3, (count, 3))
+    gravity /= np.linalg.norm(gravity, axis=1, keepdims=True)
+    return poses, gravity, pose_matrix(poses, level_from_camera(gravity))
+
+
+def same_steps(got, expected):
+    """The same way, seen from frames that may differ by a shift and a turn about the vertical."""
+    steps, wanted = between(got[:-1], got[1:]), between(expected[:-1], expected[1:])
+    np.testing.assert_allclose(steps[:, :3], wanted[:, :3], atol=1e-7)
+    np.testing.assert_allclose(wrap(steps[:, 3] - wanted[:, 3]), 0.0, atol=1e-7)
+
+
+@given(seeds)
+def test_level_odometry_is_taken_as_it_is(seed):
+    poses, gravity, matrices = some_walk(np.random.default_rng(seed))
+    got = level_poses(matrices, gravity)
+    np.testing.assert_allclose(got[:, 2] - got[0, 2], poses[:, 2] - poses[0, 2], atol=1e-8)
+    same_steps(got, poses)
+
+
+@given(seeds, quaternions)
+def test_odometry_at_any_slant_is_set_upright(seed, quaternion):
+    """A SLAM's own frame has any axes up: ARKit's y, a camera's -y, or none at all."""
+    poses, gravity, matrices = some_walk(np.random.default_rng(seed))
+    slant = np.eye(4)
+    slant[:3, :3] = rotation_from_quaternion(quaternion)
+    slant[:3, 3] = (7, -3, 2)
+    same_steps(level_poses(slant @ matrices, gravity), poses)
+
+
+@pytest.mark.parametrize(
+    "up", [(0, 0, 1), (0, 1, 0), (0, -1, 0), (1, 0, 0), (-1, 0, 0), (0, 0, -1)]
+)
+def test_odometry_with_any_axis_up(up, rng):
+    poses, gravity, matrices = some_walk(rng)
+    up = np.array(up, float)
+    side = np.roll(up, 1)
+    slant = np.eye(4)
+    slant[:3, :3] = np.column_stack([side, np.cross(up, side), up])  # columns: where x, y, z go
+    same_steps(level_poses(slant @ matrices, gravity), poses)
+
+
+def test_a_single_frame(rng):
+    _, gravity, matrices = some_walk(rng, 1)
+    got = level_poses(matrices, gravity)
+    assert got.shape == (1, 4)
+    assert np.isfinite(got).all()
+
+
+def test_noisy_gravity_sets_the_frame_upright_by_its_mean(rng):
+    """Tilts are each frame's own; the vertical of the whole is better than that of any frame."""
+    poses, gravity, matrices = some_walk(rng, 400)
+    slant = np.eye(4)
+    slant[:3, :3] = rotation_from_quaternion((0.3, -0.2, 0.1, 0.9))
+    noisy = gravity + rng.normal(0, 0.02, gravity.shape)
+    noisy /= np.linalg.norm(noisy, axis=1, keepdims=True)
+    got = level_poses(slant @ matrices, noisy)
+    # z of places 10 m apart would be off by 0.2 m for a vertical off by 0.02 rad
+    error = (got[:, 2] - poses[:, 2]) - (got[0, 2] - poses[0, 2])
+    assert np.abs(error).max() < 0.04
+
+
+def test_the_poses_match_what_the_captures_say(walk, truth):
+    """On a rendered walk, odometry differs from the truth by its drift alone."""
+    got = level_poses(walk.odometry, walk.gravity)
+    expected, _ = split_pose(truth(walk))
+    drift = between(got[0], got[-1]) - between(expected[0], expected[-1])
+    assert np.abs(drift).max() < 0.05
+
+
+# ---------------------------------------------------------------------------------- Eq. 1
+
+
+STEP = np.array([0.6, -0.2, 0.1, 0.5])
+
+
+def test_without_noise_particles_take_the_step(rng):
+    poses = np.column_stack([rng.normal(size=(50, 3)), rng.uniform(-np.pi, np.pi, 50)])
+    moved = propagate(poses, STEP, MotionNoise(0, 0, 0, 0), rng)
+    np.testing.assert_allclose(moved, compose(poses, STEP))
+
+
+@pytest.mark.parametrize("step", [STEP, np.zeros(4), np.array([0, 0, 0, 2 * math.pi - 0.1])])
+def test_noise_is_a_floor_and_a_share_of_the_step(step, rng):
+    """Each particle errs on its own, along and across its own heading, without bias."""
+    noise = MotionNoise(0.02, 0.1, 0.01, 0.2)
+    poses = np.tile([3.0, 1.0, 1.6, 2.5], (40_000, 1))
+    moved = propagate(poses, step, noise, rng)
+    errors = between(poses, moved) - step
+    errors[:, 3] = wrap(errors[:, 3])
+    way = 0.02 + 0.1 * np.linalg.norm(step[:3])
+    turn = 0.01 + 0.2 * abs(float(wrap(step[3])))  # the short way round
+    sd = np.array([way, way, way, turn])
+    assert (np.abs(errors.mean(axis=0)) < 5 * sd / math.sqrt(len(errors))).all()
+    np.testing.assert_allclose(errors.std(axis=0), sd, rtol=0.03)
+    correlation = np.corrcoef(errors.T) - np.eye(4)
+    assert np.abs(correlation).max() < 0.03
+
+
+def test_propagation_is_of_its_generator(rng):
+    poses = rng.normal(size=(20, 4))
+    first, again = (
+        propagate(poses, STEP, MotionNoise(), np.random.default_rng(5)) for _ in range(2)
+    )
+    np.testing.assert_array_equal(first, again)
+    assert (propagate(poses, STEP, MotionNoise(), np.random.default_rng(6)) != first).any()
+
+
+# ------------------------------------------------------------------------------ keyframes
+
+
+def along(xs, yaws=None):
+    """Poses along x."""
+    poses = np.zeros((len(xs), 4))
+    poses[:, 0] = xs
+    poses[:, 3] = 0.0 if yaws is None else yaws
+    return poses
+
+
+def test_all_frames_unless_told_otherwise():
+    assert keyframes(np.arange(5.0), along(np.zeros(5)), 0, 0) == [0, 1, 2, 3, 4]
+
+
+def test_keyframes_by_time():
+    stamps = np.array([0, 0.2, 0.4, 0.6, 0.8, 2.0, 2.1])
+    assert keyframes(stamps, along(np.zeros(7)), 0.5, 0) == [0, 3, 5, 6]
+
+
+def test_keyframes_by_way():
+    stamps = np.arange(8.0)
+    xs = np.array([0, 0.1, 0.2, 0.35, 0.4, 0.4, 0.71, 0.72])
+    assert keyframes(stamps, along(xs), 0, 0.3) == [0, 3, 6, 7]
+
+
+def test_keyframes_by_turn():
+    yaws = np.array([3.0, 3.1, -3.1, -3.0, -2.9, -2.8])  # across the half turn
+    assert keyframes(np.arange(6.0), along(np.zeros(6), yaws), 0, 0.3) == [0, 3, 5]
+    # where only time is asked for, a turn is none
+    assert keyframes(np.arange(6.0), along(np.zeros(6), yaws), 10.0, 0) == [0, 5]
+
+
+def test_keyframes_by_either():
+    stamps = np.arange(6.0)
+    xs = np.array([0, 1.0, 1.0, 1.0, 1.0, 1.0])
+    assert keyframes(stamps, along(xs), 3.0, 0.5) == [0, 1, 4, 5]
+
+
+@given(
+    st.lists(st.floats(0.01, 2), min_size=1, max_size=30),
+    seeds,
+    st.floats(0, 3),
+    st.floats(0, 3),
+)
+def test_keyframes_lose_nothing(gaps, seed, seconds, metres):
+    """First and last stay, and no frame left out is beyond reach of the keyframe before it."""
+    stamps = np.cumsum(gaps)
+    poses = np.cumsum(np.random.default_rng(seed).normal(0, 0.3, (len(gaps), 4)), axis=0)
+    kept = keyframes(stamps, poses, seconds, metres)
+    assert kept[0] == 0
+    assert kept[-1] == len(gaps) - 1
+    assert kept == sorted(set(kept))
+    if seconds > 0 or metres > 0:
+        for i in set(range(len(gaps))) - set(kept):
+            before = max(k for k in kept if k < i)
+            assert not seconds or stamps[i] - stamps[before] < seconds
+            assert not metres or np.linalg.norm(poses[i, :3] - poses[before, :3]) < metres
+
+
+CAMERA = Camera(8, 6, 8.0, 8.0, 4.0, 3.0)
+
+
+@pytest.fixture(scope="module")
+def capture():
+    image = np.zeros((6, 8, 3), np.uint8)
+    frames = [Frame.from_arrays(image, CAMERA, stamp=i / 5, index=i) for i in range(6)]
+    return Capture.from_frames(frames)
+
+
+@pytest.mark.parametrize(
+    ("asked", "rows"),
+    [
+        (None, [0, 1, 2, 3, 4, 5]),
+        (slice(2, 4), [2, 3]),
+        (slice(None, None, 2), [0, 2, 4]),
+        (slice(-2, None), [4, 5]),
+        ([1, 3], [1, 3]),
+        ((0,), [0]),
+        (np.array([2, 5]), [2, 5]),
+        ([-6, -1], [0, 5]),
+        (range(1, 3), [1, 2]),
+    ],
+)
+def test_by_slice_by_rows_or_all(capture, asked, rows):
+    assert [f.index for f in chosen_frames(capture, asked)] == rows
+    assert [f.index for f in chosen_frames(list(capture), asked)] == rows
+
+
+@pytest.mark.parametrize(
+    ("asked", "says"),
+    [
+        ([], "none chosen"),
+        (slice(3, 3), "none chosen"),
+        (slice(9, 12), "none chosen"),
+        ([6], "outside"),
+        ([-7], "outside"),
+        ([3, 1], "order of time"),
+        ([1, 1], "each frame once"),
+        (slice(None, None, -1), "order of time"),
+        ([1.5], "whole numbers"),
+        (["1"], "whole numbers"),
+        ("123", "whole numbers"),
+        (3, "whole numbers"),
+    ],
+)
+def test_what_is_refused(capture, asked, says):
+    with pytest.raises(OptionError, match=says) as raised:
+        chosen_frames(capture, asked)
+    assert str(raised.value).startswith("frames")
+
+
+def test_nothing_to_choose_from():
+    with pytest.raises(OptionError, match="none chosen of the capture's 0"):
+        chosen_frames([], None)
+
+
+def test_of_the_frames_chosen_keyframes_are_asked_about(room, capture):
+    query = PoseQuery.of(room, capture, frames=slice(1, 6), options=PoseSearchOptions(every=0.35))
+    assert [f.index for f in query.frames] == [1, 3, 5]
+    assert PoseQuery.of(room).frames == []
+
+
+def test_what_the_map_cannot_serve_is_not_asked(room, capture):
+    assert PoseQuery.of(room, capture).options.colour is room.coloured is True
+    grey = SimpleNamespace(coloured=False)
+    assert not PoseQuery.of(grey, capture).options.colour
+    with pytest.raises(OptionError, match="all off"):
+        PoseQuery.of(grey, capture, options=PoseSearchOptions().only(colour=True))
+
+
+def test_seeds_are_not_negative(room, capture):
+    with pytest.raises(OptionError, match="seed is -1"):
+        PoseQuery.of(room, capture, seed=-1)
 
 
 def test_seconds_add_up_by_stage():
