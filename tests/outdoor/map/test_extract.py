@@ -8,7 +8,7 @@ import sys
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from placegraph.core.geo import Box
@@ -386,6 +386,7 @@ def test_progress_is_told(hafenstadt, tmp_path):
     assert all(isinstance(step, str) and n >= 0 for step, n in told)
 
 
+@settings(max_examples=12)
 @given(st.text(alphabet='#"≈~*-|+ .bS', min_size=1, max_size=60))
 def test_any_town_builds(tmp_path_factory, drawing):
     folder = tmp_path_factory.getbasetemp()

@@ -223,12 +223,12 @@ def torch_scores(numpy_network, lessons, batch, device="cpu"):
     "sizes",
     [
         {},
-        {"layers": 0},
-        {"crossings": 0},
+        pytest.param({"layers": 0}, marks=pytest.mark.all),
+        pytest.param({"crossings": 0}, marks=pytest.mark.all),
         {"heads": 1, "subwords": 2.0},
         {"known": WORD_VECTORS},
         {"statements": False},
-        {"statements": False, "crossings": 0},
+        pytest.param({"statements": False, "crossings": 0}, marks=pytest.mark.all),
     ],
 )
 def test_numpy_is_torch(make_network, harbour, batch, words, sizes):
