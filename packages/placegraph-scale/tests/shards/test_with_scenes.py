@@ -133,8 +133,8 @@ def test_scenes_in_library_shards_and_beside_the_folder(both, folders, frames, t
     for path in paths:
         library.add(path.stem, path)
         (world / path.name).unlink()
-    paths = {n: str(folders[1] / f"{n}.scene") for n in library}
-    entries = [NamedEntry(n, library.entry(n), path) for n, path in paths.items()]
+    places = {n: str(folders[1] / f"{n}.scene") for n in library}
+    entries = [NamedEntry(n, library.entry(n), place) for n, place in places.items()]
     write_library(world / "homes.shards", entries)
     wanted = both[1].locate(WINDOW, frames)
     same(pg.open_world(world).locate(WINDOW, frames), wanted)
