@@ -18,7 +18,7 @@ from placegraph.cli.command import Argument, Option
 from placegraph.cli.common import AsJson, Quiet, console, echo_json, progress_of
 from placegraph.cli.scene_options import Device, Seed
 from placegraph.errors import InputError
-from placegraph_io.info import BagFile
+from placegraph_io.cli import BagFile
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
