@@ -37,7 +37,7 @@ RerunFile = Annotated[
 
 
 def open_sinks(stack: ExitStack, out: Path | None, rerun: Path | None) -> list[Sink]:
-    """Return the who writes the messages; errors as of `BagWriter` and `RerunWriter`."""
+    """Open the writers of the messages; errors as of `BagWriter` and `RerunWriter`."""
     sinks: list[Sink] = []
     if out is not None:
         from placegraph_ros.bag import BagWriter
