@@ -1,16 +1,18 @@
 """Fixtures of the whole suite."""
 
 import fcntl
+import hashlib
 import importlib.util
 import io
 import json
 import os
+import pickle
 import signal
 import subprocess
 import sys
 import time
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 # Before NumPy is imported: threads of OpenBLAS wait busily for each other, and other tests run beside.
@@ -225,21 +227,50 @@ def harbour_file(harbour, tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
-def demo_world(tmp_path_factory):
+def common_folder(tmp_path_factory):
+    """Folder that all workers of this run share."""
+    base = tmp_path_factory.getbasetemp()
+    return base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+
+
+@pytest.fixture(scope="session")
+def demo_world(common_folder):
     """Folder with the demo's files and two maps made of them, made once for all workers.
 
     Copy it; what is written there would be seen by other tests.
     """
     from placegraph.demo.world import unpack
 
-    base = tmp_path_factory.getbasetemp()
-    base = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
-    folder = base / "demo-world"
-    with (base / "demo-world.lock").open("w") as lock:
+    folder = common_folder / "demo-world"
+    with (common_folder / "demo-world.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not folder.is_dir():
-            made = unpack(base / "demo-world.making")
+            made = unpack(common_folder / "demo-world.making")
             pg.build_city(made / "hafenstadt.osm", made / "hafenstadt.city")
             pg.build_scene(made / "altbau.glb", made / "altbau.scene")
             made.rename(folder)
     return folder
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _known_surfaces(common_folder):
+    """Compute once how the surfaces of a map look: it takes a second, and libraries ask again."""
+    from placegraph.indoor.encode import appearance
+
+    compute = appearance.surfaces
+
+    def surfaces(scene):
+        bare = replace(scene, anchors=(), source="", encoder="", landmarks=None)
+        name = hashlib.sha256(pickle.dumps(bare)).hexdigest()
+        file = common_folder / f"surfaces-{name}.npz"
+        if not file.exists():
+            means, cells = compute(scene)
+            made = file.with_suffix(f".{os.getpid()}.npz")
+            np.savez(made, means=means, cells=cells)
+            made.replace(file)
+        with np.load(file) as known:
+            return known["means"], known["cells"]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(appearance, "surfaces", surfaces)
+        yield

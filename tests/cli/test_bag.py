@@ -8,30 +8,20 @@ import numpy as np
 import pytest
 
 import placegraph as pg
-from placegraph.core.geometry import Camera
-from placegraph.indoor.build import build_scene
 from placegraph_lab.worlds.bags import BagWriter, Layout, write_capture
-from placegraph_lab.worlds.flat.walks import stroll, write_walk
 
 
 @pytest.fixture(scope="module")
-def world(tmp_path_factory, study):
+def world(room, tmp_path_factory):
     """Map file, capture folder without labels, and the same as a bag."""
-    folder, rng = tmp_path_factory.mktemp("bags"), np.random.default_rng(3)
-    interior = study.furnish(rng)
-    build_scene(interior.write_glb(folder / "room.glb"), folder / "room.scene")
-    walk = stroll(study, rng, frames=4, through="123")
-    camera = Camera(160, 90, 115.0, 115.0, 80.0, 45.0)
-    write_walk(interior, walk, folder / "walk", rng, camera=camera)
-    for name in ("gravity.txt", "trajectory.tum"):
-        (folder / "walk" / name).unlink(missing_ok=True)
-    for name in ("instances", "labels"):
-        shutil.rmtree(folder / "walk" / name, ignore_errors=True)
+    folder = tmp_path_factory.mktemp("bags")
+    left_out = shutil.ignore_patterns("gravity.txt", "trajectory.tum", "instances", "labels")
+    shutil.copytree(room.walk, folder / "walk", ignore=left_out)
     clip = pg.open_capture(folder / "walk")
     with BagWriter(folder / "bag") as writer:
         write_capture(writer, clip)
     return SimpleNamespace(
-        map=folder / "room.scene", walk=folder / "walk", bag=folder / "bag/bag.mcap", clip=clip
+        map=room.map, walk=folder / "walk", bag=folder / "bag/bag.mcap", clip=clip
     )
 
 
@@ -48,16 +38,16 @@ def test_a_bag_is_localized_like_its_folder(run, world):
 
 def test_what_lies_in_it(run, world):
     told = run("bag", "info", world.bag, "--json").json
-    assert (told["frames"], told["poses_in"]) == (4, "odom")
+    assert (told["frames"], told["poses_in"]) == (6, "odom")
     assert told["uses"] == {"localize": [], "refine": [], "build": [], "track": []}
     assert told["chosen"]["colour"] == "/camera/color/image_raw"
     assert told["chosen"]["camera"] == "/camera/color/camera_info"
     (tf,) = (t for t in told["topics"] if t["topic"] == "/tf")
-    assert (tf["messages"], tf["type"], tf["used"]) == (4, "tf2_msgs/TFMessage", ["transforms"])
+    assert (tf["messages"], tf["type"], tf["used"]) == (6, "tf2_msgs/TFMessage", ["transforms"])
     assert {"parent": "odom", "child": "base_link", "fixed": False} in told["transforms"]
     words = run("bag", "info", world.bag).out
     assert "sensor_msgs/Image, rgb8 160 x 90" in words
-    assert "build: yes, 4 frames" in words
+    assert "build: yes, 6 frames" in words
 
 
 @pytest.mark.parametrize(

@@ -1,49 +1,36 @@
 """The command line: exit codes, one sentence on stderr, answers and nothing else on stdout."""
 
+import io
 import json
 import os
 import subprocess
 import sys
 from pathlib import Path
 
+import click
 import pytest
 from PIL import Image
+from tests.cli.failing import fails
 
 from placegraph import __version__, open_map
+from placegraph.cli import APP
 from placegraph.core.mapfile import writing
-from placegraph_lab.worlds.town.town import Town
 
+LINES = "I am on Speicherweg. The museum is south of me.\n\nI walked 60 m east.\nThe bank is north of me.\n"
 CLEAR = "I am on Speicherweg. The museum is south of me."
 SQUARES = "I am standing on a square. There is a fountain north of me and a café to my east."
 IMPOSSIBLE = "A lighthouse is north of me and a zoo is to the south."
-COMMANDS = ["city build", "city locate", "city info", "city check", "city fetch", "city evaluate",
-            "city convert-kitti360pose", "demo"]  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def osm(tmp_path_factory):
-    return Town.load("hafenstadt").write_osm(tmp_path_factory.mktemp("cli") / "town.osm")
-
-
-@pytest.fixture(scope="module")
-def city(osm):
-    from placegraph.outdoor.city import build_city
-
-    path = osm.with_name("town.city")
-    build_city(osm, path)
-    return path
-
-
-def fails(result, code, *words):
-    """Check that a run failed with one sentence on stderr, and nothing on stdout."""
-    assert result.code == code
-    assert result.out == ""
-    lines = result.err.strip().splitlines()
-    assert len(lines) == 1, result.err
-    assert lines[0].startswith("placegraph: ")
-    assert lines[0].rstrip('"').endswith(".")
-    for word in words:
-        assert str(word) in lines[0]
+HELP = {
+    "scene localize": ("--frames", "--near", "--png", "--tum", "--no-refine", "--overlay", "AMBIGUOUS",
+                       "Example:"),
+    "scene refine": ("--pose", "--estimate", "--matcher", "--overlay", "AMBIGUOUS", "Example:"),
+    "scene render": ("--pose", "--tum", "--estimate", "--capture", "overlay.png", "Example:"),
+    "scene export": ("placegraph scene export house.scene",),
+    "scene view": ("placegraph scene view house.scene",),
+    "locate": ("placegraph locate town/",),
+    "library build": ("[default: labels and appearance]",),
+}  # fmt: skip
+"""What some helps teach, beside the commands of groups."""
 
 
 # --- help and version ---
@@ -54,47 +41,48 @@ def test_version(run):
     assert (result.code, result.out.strip()) == (0, __version__)
 
 
-@pytest.mark.parametrize("command", ["", "city", *COMMANDS])
-def test_help(command, run):
-    result = run(*command.split(), "--help")
-    assert result.code == 0
-    assert "Usage: " in result.out
-    assert result.err == ""
-    known = {"": ["city", "scene", "demo"], "city": [c.split()[1] for c in COMMANDS[:-1]]}
-    for word in known.get(command, ["--help"]):
-        assert word in result.out
+def commands_of(group, words=()):
+    """Words of a command and of every one below, with the names of those right below."""
+    names = group.list_commands(None) if isinstance(group, click.Group) else []
+    yield words, names
+    for name in names:
+        yield from commands_of(group.get_command(None, name), (*words, name))
+
+
+def test_every_command_has_help(run):
+    for words, names in commands_of(APP):
+        result = run(*words, "--help")
+        assert (result.code, result.err) == (0, ""), words
+        assert result.out.startswith(f"Usage: {' '.join(['placegraph', *words])} "), words
+        for word in (*HELP.get(" ".join(words), ()), *names):
+            assert word in " ".join(result.out.split()), words
 
 
 @pytest.mark.parametrize(
     "arguments",
     ["", "city", "nonsense", "city nonsense", "city build", "city build a.osm", "city locate",
      "city locate a.city", "city info", "city build a.osm -o b --cell-size wide",
-     "city locate a.city bench --top many", "city info a.city --nonsense"],
+     "city locate a.city bench --top many", "city info a.city --nonsense",
+     "scene", "scene build", "scene build a.glb", "scene info", "scene localize a.scene",
+     "scene localize a.scene walk --seed many", "scene encode a.scene -o b.scene"],
 )  # fmt: skip
 def test_mistyped_commands(arguments, run):
     result = run(*arguments.split())
-    assert result.code == 2
+    assert (result.code, result.out) == (2, "")
     assert "Usage: " in result.err
-    assert result.out == ""
 
 
 def test_the_installed_script_and_the_module(city):
-    script = Path(sys.executable).with_name("placegraph")
-    for command in (
-        [script],
-        *([sys.executable, "-m", m] for m in ("placegraph", "placegraph.cli")),
-    ):
-        done = subprocess.run(  # noqa: S603  # our own script
-            [*command, "city", "locate", city, CLEAR, "--json"],
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        assert json.loads(done.stdout)["status"] == "OK"
-        assert done.stderr == ""
-    missing = subprocess.run(  # noqa: S603  # our own script
-        [script, "city", "info", "missing.city"], capture_output=True, text=True, check=False
-    )
+    def call(command, *arguments):
+        command = [*command, *map(str, arguments)]
+        return subprocess.run(command, capture_output=True, text=True, check=False)  # noqa: S603
+
+    script = [Path(sys.executable).with_name("placegraph")]
+    found = call(script, "city", "locate", city, CLEAR, "--json")
+    assert (found.returncode, json.loads(found.stdout)["status"], found.stderr) == (0, "OK", "")
+    for module in ("placegraph", "placegraph.cli"):
+        assert call([sys.executable, "-m", module], "--version").stdout.strip() == __version__
+    missing = call(script, "city", "info", "missing.city")
     assert (missing.returncode, missing.stdout) == (3, "")
     assert "Traceback" not in missing.stderr
 
@@ -304,6 +292,29 @@ def test_names_and_texts_are_printed_as_they_are(run, tmp_path):
     assert "brackets.osm" in info.out
 
 
+@pytest.mark.parametrize("preset", ["paper", "published"])
+@pytest.mark.parametrize("candidates", [1, 10])
+def test_ranks_are_printed_without_a_percentage(run, city, preset, candidates):
+    asked = ("city", "locate", city, CLEAR, "--preset", preset, "--candidates", candidates)
+    told = run(*asked)
+    assert told.code == 0, told.err
+    assert told.out.startswith("AMBIGUOUS: The ")
+    assert "1. " in told.out
+    assert "%" not in told.out
+    assert run(*asked, "--json").json["modes"][0]["probability"] < 0.1
+
+
+def test_probabilities_are_printed(run, city):
+    assert "%" in run("city", "locate", city, CLEAR).out
+
+
+@pytest.mark.parametrize("options", [(), ("--preset", "paper", "--matcher", "relational")])
+def test_candidates_that_nothing_counts_are_refused(run, city, options):
+    refused = run("city", "locate", city, CLEAR, *options, "--candidates", 5)
+    assert (refused.code, refused.out) == (7, "")
+    assert "candidates is 5, but relational by sparse" in refused.err
+
+
 # --- asking back ---
 
 
@@ -333,6 +344,75 @@ def test_whoever_goes_away_still_gets_what_is_known(run, city):
         result = run("city", "locate", city, SQUARES, "--ask", "--json", stdin=stdin)
         assert result.code == 0
         assert result.json["status"] == "AMBIGUOUS"
+
+
+# --- track ---
+
+
+def test_track_tells_an_estimate_a_line(run, city):
+    result = run("city", "track", city, stdin=LINES)
+    assert (result.code, result.err) == (0, "")
+    lines = result.out.splitlines()
+    assert len(lines) == 3
+    assert [line.split()[0] for line in lines][::2] == ["OK", "OK"]
+    assert all("%" in line and "±" in line for line in lines)
+
+
+def test_track_as_json_lines(run, city):
+    result = run("city", "track", city, "--json", "--top", 2, stdin=LINES + "quit\nA bench.\n")
+    told = [json.loads(line) for line in result.out.splitlines()]
+    assert [t["said"] for t in told] == [line for line in LINES.splitlines() if line]
+    assert all(len(t["modes"]) <= 2 for t in told)
+    assert told[-1]["status"] == "OK"
+    assert told[-1]["modes"][0]["probability"] > 0.9
+    assert 0.0 <= told[-1]["elsewhere"] < 0.1
+
+
+def test_reset_and_what_is_not_understood(run, city):
+    result = run("city", "track", city, stdin="I am next to a bench.\nreset\nzzz\n")
+    first, reset, nothing = result.out.splitlines()
+    assert first.startswith("AMBIGUOUS")
+    assert reset.startswith("LOST: Nothing has been said yet")
+    assert nothing.startswith("LOST: Nothing of what was said last could be understood.")
+
+
+def test_track_near_with_pictures(run, city, hafenstadt, tmp_path):
+    longitude, latitude = hafenstadt.lonlat(30, 59)
+    text = "I am standing on a square. There is a fountain north of me and a café to my east.\n"
+    apart = run("city", "track", city, stdin=text)
+    page, picture = tmp_path / "a.html", tmp_path / "a.png"
+    near = run("city", "track", city, "--near", f"{longitude},{latitude}", "--radius", 60,
+               "--html", page, "--png", picture, stdin=text)  # fmt: skip
+    assert apart.out.startswith("AMBIGUOUS")
+    assert near.out.startswith("OK")
+    assert 'getContext("2d")' in page.read_text("utf-8")
+    with Image.open(picture) as drawn:
+        assert drawn.size == (1200, 900)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "stdin", "code", "word"),
+    [(["--near", "here"], "", 7, "--near"), (["--radius", "0", "--near", "1,2"], "", 7, "radius"),
+     (["--top", "0"], "", 7, "top"), ([], "A bench\0.\n", 6, "character")],
+)  # fmt: skip
+def test_track_refuses(run, city, arguments, stdin, code, word):
+    result = run("city", "track", city, *arguments, stdin=stdin)
+    assert result.code == code
+    assert word in result.err
+    assert result.out == ""
+
+
+def test_track_at_a_terminal(run, city, monkeypatch):
+    class Terminal(io.StringIO):
+        def isatty(self):
+            return True
+
+    monkeypatch.setattr(io, "StringIO", Terminal)
+    result = run("city", "track", city, stdin="\0\nI am next to a bench.\n")
+    assert result.code == 0
+    assert result.out.startswith("AMBIGUOUS")
+    assert result.err.startswith("> ")
+    assert "no character of a text" in result.err
 
 
 # --- info, check, fetch, demo ---

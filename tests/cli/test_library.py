@@ -134,16 +134,6 @@ def test_a_text_that_is_a_folder_too(run, library, tmp_path, monkeypatch):
 # --- what is built ---
 
 
-def test_help_names_the_default_encoders(run):
-    from inspect import signature
-
-    from placegraph.indoor.library import SceneLibrary
-
-    names = signature(SceneLibrary).parameters["encoders"].default
-    told = " ".join(run("library", "build", "--help").out.split())
-    assert f"[default: {' and '.join(names)}]" in told
-
-
 def test_two_maps_of_one_name_are_told_before_any_work(run, world, tmp_path, monkeypatch):
     (tmp_path / "other").mkdir()
     shutil.copy(world / "altbau.scene", tmp_path / "other" / "altbau.scene")

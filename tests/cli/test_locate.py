@@ -2,7 +2,6 @@
 
 import pytest
 
-from placegraph.world import World
 from placegraph_lab.worlds.town.town import Town
 
 TOWN = """
@@ -52,9 +51,3 @@ def test_bad_questions_are_typed_errors(run, world, arguments, code, says):
     assert result.code == code
     assert says in result.err
     assert "Traceback" not in result.err
-
-
-def test_help_teaches(run):
-    result = run("locate", "--help")
-    assert "placegraph locate town/" in result.out.replace("\n  ", " ")
-    assert repr(World({}, {})) == "World(0 cities, 0 scenes)"

@@ -1,26 +1,30 @@
+import asyncio
 import re
 import shutil
 import subprocess
 import sys
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from dataclasses import replace
 
 import httpx
 import numpy as np
 import pytest
-import uvicorn
 from starlette.testclient import TestClient
 
 from placegraph.core.geo import Anchor
-from placegraph.demo.world import FLAT, TOWN, unpack
-from placegraph.indoor.build import build_scene
+from placegraph.demo.world import FLAT, TOWN
+from placegraph.indoor.map.mesh import Mesh
+from placegraph.indoor.map.textures import encode_arrays
 from placegraph.maps import open_map
 from placegraph.outdoor.city import build_city
 from placegraph_lab.worlds.town.town import Town
 from placegraph_serve.app import create_app
 from placegraph_serve.options import ServeOptions
-from placegraph_serve.places import Places
+from placegraph_serve.places import Dispatcher, Places
+from placegraph_serve.workers import answer
 
 HOSTILE = """
 [town]
@@ -43,33 +47,30 @@ L: tourism=museum name=Museum LONG
 1 road: highway=primary name=</textarea><svg/onload=window.hacked=1>
 """.replace("LONG", "of everything that is very long " * 12)
 HOUSE = "<img src=x onerror=window.hacked=1>"
+SENTENCE = "A bakery is north of me. The church is east of the bakery."
 
 
 @pytest.fixture(scope="session")
-def maps(tmp_path_factory):
+def maps(demo_world, tmp_path_factory):
     """Folder with the demo's town and two of its homes."""
     folder = tmp_path_factory.mktemp("served")
-    world = unpack(folder / "raw")
-    (folder / "maps").mkdir()
-    build_city(world / f"{TOWN}.osm", folder / "maps" / f"{TOWN}.city")
-    for name in ("home1", "home2"):
-        (world / f"{name}.scene").rename(folder / "maps" / f"{name}.scene")
-    return folder / "maps"
+    for name in (f"{TOWN}.city", "home1.scene", "home2.scene"):
+        shutil.copy(demo_world / name, folder)
+    return folder
 
 
 @pytest.fixture(scope="session")
-def walk(maps):
+def walk(demo_world):
     """A film in the demo's flat, which is not among the maps."""
-    return maps.parent / "raw" / "walk"
+    return demo_world / "walk"
 
 
 @pytest.fixture(scope="session")
-def flat(maps):
+def flat(demo_world, tmp_path_factory):
     """The demo's flat, which stands on Earth: its y axis points to the east."""
-    scene = build_scene(maps.parent / "raw" / f"{FLAT}.glb", maps.parent / "raw" / f"{FLAT}.scene")
     anchor = Anchor(8.0, 53.0, 40.0, np.pi / 2, np.diag([1.0, 1.0, 1.0, 1e-4]), "Haus", level="2")
-    file = maps.parent / f"{FLAT}.scene"
-    scene.anchored(anchor).save(file)
+    file = tmp_path_factory.mktemp("flat") / f"{FLAT}.scene"
+    open_map(demo_world / file.name).anchored(anchor).save(file)
     return file
 
 
@@ -87,11 +88,37 @@ def ready(asked, status=200):
     return answer
 
 
+class LocalQueue:
+    """Worker queue whose requests a thread of this process answers, one after the other."""
+
+    ready, waiting, running, answered, replaced = True, 0, 0, 0, 0
+
+    def __init__(self, name, pool, dispatcher):
+        self.name, self.pool, self.dispatcher = name, pool, dispatcher
+
+    def begin(self):
+        pass
+
+    async def end(self):
+        self.pool.shutdown()
+
+    async def ask(self, verb, asked):
+        loop = asyncio.get_running_loop()
+        return await loop.run_in_executor(self.pool, answer, self.dispatcher, verb, asked)
+
+
 @contextmanager
-def serving(*paths, **options):
-    """Client of an application whose processes have started."""
-    options = ServeOptions(names=("testserver",), **options)  # as Starlette calls it
-    with TestClient(create_app(Places(paths), options)) as client:
+def serving(*paths, processes=(), **options):
+    """Client of an application; a thread works in place of kinds of processes that are not named."""
+    # Starlette calls itself testserver
+    options = ServeOptions(names=("testserver",), sentence_workers=1, **options)
+    app = create_app(places := Places(paths), options)
+    server, pool = app.state.server, ThreadPoolExecutor(1)
+    dispatcher = Dispatcher(places, options)
+    for name in {"sentences", "captures", "steps"}.difference(processes):
+        setattr(server, name, LocalQueue(name, pool, dispatcher))
+    server.sessions._lane = server.steps
+    with TestClient(app) as client:
         ready(lambda: client.get("/healthz"))
         yield client
 
@@ -99,7 +126,7 @@ def serving(*paths, **options):
 @pytest.fixture(scope="session")
 def client(town):
     """One server of the town alone, for all tests that do not change it."""
-    with serving(town, sentence_workers=1) as client:
+    with serving(town) as client:
         yield client
 
 
@@ -125,58 +152,37 @@ class Running:
         return self.process.returncode, said
 
 
+def without_colours(scene):
+    """Map of labels alone, which is compared with others in no time."""
+    mesh = scene.mesh
+    bare = Mesh.plain(mesh.vertices, mesh.triangles, mesh.object_of)
+    return replace(scene, mesh=bare, encoded=encode_arrays(bare.textures))
+
+
 @pytest.fixture(scope="session")
-def hotel(maps, flat, tmp_path_factory):
-    """Folder with the town, and the flat as a floor of the town's hotel."""
-    folder = tmp_path_factory.mktemp("town")
+def running(maps, demo_world, tmp_path_factory):
+    """A server: a town with a flat in its hotel, a hostile one with a home, a home of no town."""
+    folder = tmp_path_factory.mktemp("running")
+    build_city(Town.parse(HOSTILE).write_osm(folder / "hostile.osm"), folder / "hostile.city")
     shutil.copy(maps / f"{TOWN}.city", folder)
-    anchor = Anchor(
-        9.99884, 53.55015, 6.4, 0.3, np.diag([1.0, 1, 1, 1e-4]), "Hotel Hansa", level="2"
-    )
-    open_map(flat).anchored(anchor).save(folder / f"{FLAT}.scene")
-    return folder
-
-
-@pytest.fixture(scope="session")
-def running(hotel):
-    """A server of the town and the flat, which stands in the town's hotel."""
-    server = Running(hotel, "--port", "0")
-    server.folder = hotel
+    hotel = (9.99884, 53.55015, 6.4, 0.3, np.diag([1.0, 1, 1, 1e-4]), "Hotel Hansa")
+    flat = open_map(demo_world / f"{FLAT}.scene").anchored(Anchor(*hotel, level="2"))
+    flat.save(folder / f"{FLAT}.scene")
+    home1, home2 = (without_colours(open_map(maps / f"home{k}.scene")) for k in (1, 2))
+    home1.save(folder / "home1.scene")
+    there = Anchor(7.42, 43.73, 0.0, 0.4, building=HOUSE, level="<i>0")
+    home2.anchored(there).save(folder / f"{HOUSE}.scene")
+    server = Running(folder, "--port", "0")
+    server.folder = folder
     yield server
     code, said = server.end()
     assert (code, said) == (0, "")
 
 
-@contextmanager
-def threaded(folder):
-    """Address of a server of a folder, in a thread."""
-    app = create_app(Places([folder]), ServeOptions(sentence_workers=1))
-    server = uvicorn.Server(uvicorn.Config(app, port=0, log_level="error", ws="websockets-sansio"))
-    thread = threading.Thread(target=server.run)
-    thread.start()
-    try:
-        while not (server.started and app.state.server.sentences.ready):
-            assert thread.is_alive()
-            threading.Event().wait(0.05)
-        [socket] = server.servers[0].sockets
-        yield f"http://127.0.0.1:{socket.getsockname()[1]}/"
-    finally:
-        server.should_exit = True
-        thread.join()
-
-
 @pytest.fixture(scope="session")
-def url(maps, hotel, tmp_path_factory):
-    """Address of a page: a town with a flat in its hotel, a hostile one with a home, a home of no town."""
-    folder = tmp_path_factory.mktemp("page")
-    build_city(Town.parse(HOSTILE).write_osm(folder / "hostile.osm"), folder / "hostile.city")
-    for file in hotel.iterdir():
-        shutil.copy(file, folder)
-    shutil.copy(maps / "home1.scene", folder)
-    there = Anchor(7.42, 43.73, 0.0, 0.4, building=HOUSE, level="<i>0")
-    open_map(maps / "home2.scene").anchored(there).save(folder / f"{HOUSE}.scene")
-    with threaded(folder) as url:
-        yield url
+def url(running):
+    """Address of the page."""
+    return f"{running.url}/"
 
 
 @pytest.fixture(scope="session")

@@ -1,8 +1,17 @@
-"""Routes, asked through the application with real processes behind them."""
+"""Routes, asked through the application: sentences, search boxes, sessions."""
+
+import asyncio
+import math
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-SENTENCE = "A bakery is north of me. The church is east of the bakery."
+import placegraph as pg
+from placegraph.errors import RequestError
+from placegraph_serve.options import ServeOptions
+from placegraph_serve.requests import Begin, Step
+from placegraph_serve.server import Sessions
+from serve_world import SENTENCE
 
 
 def test_maps_and_health(client):
@@ -13,8 +22,6 @@ def test_maps_and_health(client):
 
 
 def test_a_sentence_is_located(client, town):
-    import placegraph as pg
-
     told = client.post("/v1/locate", json={"text": SENTENCE}).json()
     alone = pg.open_map(town).locate(SENTENCE)
     assert told["map"] == "hafenstadt"
@@ -86,3 +93,146 @@ def test_the_newest_of_what_is_typed_is_answered(client):
         socket.send_json({"id": "q", "text": "A bank", "map": "paris"})
         told = socket.receive_json()
         assert (told["id"], told["problem"]["code"]) == ("q", "map_unknown")
+
+
+# --- search boxes ---
+
+
+def found(client, q, **more):
+    return client.get("/api", params={"q": q} | more).json()["features"]
+
+
+def test_names_have_photons_properties(client, town):
+    city = pg.open_map(town)
+    row = next(i for i in range(len(city.objects)) if "=" in city.objects.label(i)
+               and city.objects.name(i).count(" ") == 1)  # fmt: skip
+    name = city.objects.name(row)
+    best = found(client, name)[0]
+    assert best["properties"]["name"] == name
+    assert set(best["properties"]) >= {"osm_type", "osm_id", "osm_key", "osm_value", "type"}
+    assert best["properties"]["osm_type"] in "NWR"
+    assert found(client, name[:-2].lower())[0]["properties"]["name"].startswith(name[:3])
+    wrong = name[0] + name[2:]
+    assert name in [f["properties"]["name"] for f in found(client, wrong)]
+
+
+def test_what_is_near_comes_first(client):
+    def distance(feature):
+        lon, lat = feature["geometry"]["coordinates"]
+        return ((lon - at[0]) * math.cos(math.radians(lat))) ** 2 + (lat - at[1]) ** 2
+
+    everything = found(client, "bench", limit=50)
+    at = everything[-1]["geometry"]["coordinates"]
+    near = found(client, "bench", lon=at[0], lat=at[1], limit=50)
+    distances = [distance(f) for f in near]
+    assert distances == sorted(distances)
+    assert len(near) == len(everything)
+    assert len(found(client, "bench", limit=1)) == 1
+
+
+def test_extents_run_from_the_north_west(client):
+    extents = [f["properties"]["extent"] for f in found(client, "church") if
+               "extent" in f["properties"]]  # fmt: skip
+    assert extents
+    for west, north, east, south in extents:
+        assert west < east
+        assert south < north
+
+
+def test_a_sentence_is_found(client):
+    best = found(client, SENTENCE)[0]
+    asked = client.post("/v1/locate", json={"text": SENTENCE}).json()["estimate"]["modes"][0]
+    assert best["geometry"]["coordinates"] == pytest.approx([asked["longitude"], asked["latitude"]])
+    assert best["properties"]["osm_key"] == "placegraph"
+
+
+def test_bad_searches(client):
+    assert client.get("/api").json()["code"] == "fields"
+    assert client.get("/api", params={"q": "a", "lat": 91}).status_code == 422
+    assert found(client, "xqzzy") == []
+    assert found(client, "?") == []
+
+
+# --- sessions of somebody who walks through a town ---
+
+
+@pytest.fixture
+def walker(client):
+    session = client.post("/v1/sessions", json={}).json()["session"]
+    yield client, f"/v1/sessions/{session}"
+    client.delete(f"/v1/sessions/{session}")
+
+
+def test_words_and_ways(walker, town):
+    client, at = walker
+    tracker = pg.open_map(town).track()
+    for step, own in (
+        ({"text": SENTENCE}, lambda: tracker.tell(SENTENCE)),
+        ({"east": 30.0, "north": 5.0}, lambda: tracker.move(30.0, 5.0)),
+        ({"distance": 20.0, "bearing_deg": 180.0}, lambda: tracker.walk(20.0, 3.141592653589793)),
+    ):
+        told = client.post(at, json=step).json()
+        known = own()
+        assert told["estimate"]["status"] == known.status.name
+        assert told["estimate"]["modes"][0]["longitude"] == pytest.approx(known.best.longitude)
+    nothing = client.post(at, json={})
+    assert nothing.status_code == 422
+    assert "give text, answers, east and north, or distance" in nothing.json()["detail"]
+
+
+def test_questions_on_the_way_are_answered(walker):
+    client, at = walker
+    question = client.post(at, json={"text": "I see a bench."}).json()["question"]
+    before = client.post(at, json={"distance": 0.0}).json()["estimate"]["modes"]
+    answer = {"question": question, "option": question["options"][0]}
+    told = client.post(at, json={"answers": [answer]}).json()
+    assert told["estimate"]["modes"][0]["probability"] > before[0]["probability"]
+    assert told["question"]["text"] != question["text"]
+    assert client.post(at, json={"answers": [answer | {"option": "?"}]}).status_code == 422
+
+
+def test_a_process_that_dies_holds_no_session():
+    class WorkerQueue:
+        died = b"", None
+
+        async def ask(self, *_):
+            return self.died
+
+    async def visits():
+        lane = WorkerQueue()
+        sessions = Sessions(lane, ServeOptions())
+        session = (await sessions.begin(Begin()))[0]["session"]
+        lane.died = None, {"code": "worker_died"}
+        assert (await sessions.begin(Begin()))[1]["code"] == "worker_died"
+        assert len(sessions) == 1
+        assert (await sessions.step(session, Step(text=SENTENCE)))[1]["code"] == "worker_died"
+        assert len(sessions) == 0
+
+    with ThreadPoolExecutor(1) as pool:  # a browser's loop may run in this thread
+        pool.submit(asyncio.run, visits()).result()
+
+
+def test_their_number_is_bounded_and_they_end():
+    class WorkerQueue:
+        over = asyncio.Queue()
+
+        async def ask(self, verb, asked):
+            if verb == "end":
+                self.over.put_nowait(asked["session"])
+            return b"{}", None
+
+    async def visits():
+        sessions = Sessions(WorkerQueue(), ServeOptions(sessions=2, session_seconds=0.05))
+        begun = [(await sessions.begin(Begin()))[0]["session"] for _ in range(2)]
+        with pytest.raises(RequestError, match="end one, or come again") as full:
+            await sessions.begin(Begin())
+        assert (full.value.status, full.value.code) == (503, "busy")
+        assert full.value.retry_after > 0
+        assert [await WorkerQueue.over.get() for _ in range(2)] == begun
+        with pytest.raises(RequestError) as gone:
+            await sessions.step(begun[0], Step(text=SENTENCE))
+        assert (gone.value.status, gone.value.code) == (404, "session_unknown")
+        assert (await sessions.begin(Begin()))[0]["expires_s"] == 0.05
+
+    with ThreadPoolExecutor(1) as pool:  # a browser's loop may run in this thread
+        pool.submit(asyncio.run, visits()).result()

@@ -24,7 +24,7 @@ ROW = 17
 
 @pytest.fixture(scope="module")
 def client(flat):
-    with serving(flat, sentence_workers=1) as client:
+    with serving(flat) as client:
         yield client
 
 

@@ -1,4 +1,4 @@
-"""The page in a real browser, with a real server behind it."""
+"""The page in a real browser, with a real server behind it: sentences, buildings, senses."""
 
 import re
 
@@ -168,3 +168,231 @@ def test_the_page_trusts_nobody_else(web):
         assert not re.search(r"https?:", policy)
     assert web.get("/parts/../app.py").status_code == 404
     assert web.get("/parts/nothing.js").status_code == 404
+
+
+# --- the way from the city into a building, in a real browser: plans, poses, images ---
+
+
+KITCHEN = "I am in the Hotel Hansa, in the kitchen."
+SCALE = "document.querySelector('.scale span').textContent"
+
+
+def inside(page):
+    """Wait until the plan fills the map."""
+    page.wait_for_selector(".floor:not([hidden])")
+    still(page)
+
+
+def test_a_sentence_leads_from_the_city_into_the_room_and_back(browser, url):
+    with opened(browser, f"{url}#q={KITCHEN}") as page:
+        page.get_by_role("button", name="yes").click()  # in Hotel Hansa
+        page.wait_for_selector(".chip:has-text('Hotel Hansa')")
+        assert page.inner_text(".mode .named >> nth=0") == "kitchen, Hotel Hansa, floor 2"
+        still(page)
+        assert page.evaluate(SCALE) == "50 m"
+        page.click(".modes .mode >> nth=0")
+        inside(page)
+        assert page.evaluate(SCALE) in {"1 m", "2 m"}
+        assert page.inner_text(".floor b") == "Hotel Hansa"
+        assert (
+            page.get_by_role("button", name="Floor 2", exact=True).get_attribute("aria-pressed")
+            == "true"
+        )
+        box = page.locator(".pin.on").bounding_box()  # it stands in the kitchen
+        page.mouse.move(box["x"] + 60, box["y"] + 60)
+        page.wait_for_selector(".tip:has-text('kitchen')")
+        page.click(".floor .out")
+        page.wait_for_selector(".floor", state="hidden")
+        still(page)
+        page.get_by_role("button", name="Enter Hotel Hansa").click()
+        inside(page)
+        page.click("#tab-inside")  # images that are taken now are of this flat
+        page.wait_for_selector(".scenes [aria-pressed=true]:has-text('altbau')")
+        assert {a.split("/")[2] for a in page.asked} == {url.split("/")[2]}
+
+
+def test_places_of_other_towns_and_of_none_are_shown_where_they_are(browser, url):
+    with opened(browser, f"{url}#q={KITCHEN}") as page:
+        page.click(".modes .mode >> nth=1")  # a home that stands nowhere
+        page.wait_for_selector('.map[data-stage="scene"]')
+        page.wait_for_selector(".pin.on:has-text('2')")
+        page.click(".modes .mode >> nth=2")  # in the other town
+        inside(page)
+        assert "onerror" in page.inner_text(".floor b")
+        page.click(".modes .mode >> nth=0")
+        page.wait_for_selector(".floor b:has-text('Hotel Hansa')")
+        page.wait_for_selector(".pin.on:has-text('1')")
+
+
+def test_images_show_where_they_were_taken(browser, url, walk):
+    with opened(browser, f"{url}#tab=inside&scene=altbau") as page:
+        inside(page)
+        chooser = page.locator(".drop input[type=file]")
+        assert chooser.first.get_attribute("capture") == "environment"
+        chooser.last.set_input_files(walk / "rgb" / "000005.jpg")
+        page.wait_for_selector(".status")
+        assert page.get_by_role("button", name="altbau").inner_text().endswith("floor 2")
+        assert page.locator(".pin").count() >= 1
+        assert "Hotel Hansa, floor 2" in page.inner_text(".mode .named >> nth=0")
+        page.wait_for_selector('.pictures img[src^="data:image/png"]')
+        page.wait_for_selector('.pictures img[src^="data:image/gif"]')  # particles, moving
+        page.locator("summary", has_text="GeoPose").click()
+        assert '"quaternion"' in page.inner_text("details pre")
+        page.click(".pictures button >> nth=0")
+        page.wait_for_selector("dialog[open] img")
+        page.keyboard.press("Escape")
+        page.wait_for_selector("dialog", state="detached")
+        page.click(".floor .out")
+        page.wait_for_selector(".floor", state="hidden")
+        page.wait_for_selector(".pin.on")  # the pose is on the city's map, too
+        page.wait_for_url("**scene=altbau**")
+
+
+def test_a_home_of_no_town_has_a_plan_of_its_own(browser, url):
+    with opened(browser, f"{url}#tab=inside&scene=home1", refused=True) as page:
+        page.wait_for_selector('.map[data-stage="scene"]')
+        still(page)
+        assert page.locator(".credit").is_hidden()
+        page.locator(".drop input[type=file]").last.set_input_files(
+            {"name": "broken.jpg", "mimeType": "image/jpeg", "buffer": b"no image"}
+        )
+        page.wait_for_selector(".problem[role=alert]")
+        assert "images[0]" in page.inner_text(".problem")
+        assert page.inner_text(".problem").count("opy it again") == 1  # the mend
+        page.click("#tab-here")
+        page.fill("#text", KITCHEN)
+        page.wait_for_selector('.map[data-stage="city"]')
+        page.wait_for_selector(".pin.on")
+
+
+def test_hostile_buildings_are_only_names(browser, url):
+    with opened(browser, f"{url}#map=hostile") as page:
+        still(page)
+        page.locator(".door").click()
+        inside(page)
+        assert "onerror" in page.inner_text(".floor b")
+        assert page.get_by_role("button", name="Floor <i>0").is_visible()
+        page.click("#tab-inside")
+        assert "onerror" in page.inner_text(".scenes")
+        assert page.evaluate("window.hacked === undefined")
+        assert page.locator(".map img, .scenes img").count() == 0
+
+
+def test_plans_are_drawn_of_what_is_there(web):
+    told = web.get("/v1/maps/altbau/drawing").json()
+    assert {t["name"] for t in told["things"] if t["room"]} >= {"kitchen", "hall"}
+    west, south, east, north = told["bounds"]
+    for x, y, *_ in (thing["box"] for thing in told["things"]):
+        assert west <= x <= east
+        assert south <= y <= north
+    pictures = [web.get(f"/v1/maps/altbau/drawing.png{dark}") for dark in ("", "?dark=1")]
+    assert all(p.content.startswith(b"\x89PNG") for p in pictures)
+    assert pictures[0].content != pictures[1].content
+    wrong = web.get("/v1/maps/altbau/drawing.png", params={"scene": "attic"})
+    assert (wrong.status_code, wrong.json()["detail"]) == (
+        422, "scene: the map has no 'attic'; it has altbau.",
+    )  # fmt: skip
+    assert web.get("/v1/maps/hafenstadt/drawing.png").json()["code"] == "map_kind"
+    [anchor] = {m["name"]: m for m in web.get("/v1/maps").json()["maps"]}["altbau"]["anchors"]
+    assert (anchor["building"], anchor["level"]) == ("Hotel Hansa", "2")
+
+
+# --- what the device knows, in a real browser: voice, satellites and compass, granted, denied and absent ---
+
+
+SQUARE = "There is a fountain on the square."
+EAR = """
+window.SpeechRecognition = class {
+  start() { window.ear = this; }
+  stop() { this.onend(); }
+  hear(text, isFinal) {
+    const result = Object.assign([{ transcript: text }], { isFinal });
+    this.onresult({ results: [result] });
+  }
+};
+"""
+DEAF = """
+delete window.SpeechRecognition;
+delete window.webkitSpeechRecognition;
+delete Navigator.prototype.geolocation;
+"""
+LOST = "navigator.geolocation.watchPosition = (ok, no) => { no({ code: 2 }); return 1; };"
+TURN = """a => dispatchEvent(new DeviceOrientationEvent(
+    "deviceorientationabsolute", { alpha: a, beta: 0, gamma: 0, absolute: true }))"""
+ALLOWED = ["geolocation", "accelerometer", "gyroscope", "magnetometer"]
+PHONE = {"has_touch": True, "is_mobile": True, "viewport": {"width": 360, "height": 640}}
+
+
+def test_what_is_spoken_is_asked_however_early(browser, url):
+    with opened(browser, f"{url}#map=hafenstadt", first=EAR) as page:
+        page.click("#voice")
+        assert page.get_attribute("#voice", "aria-pressed") == "true"
+        assert "a service of its maker" in page.inner_text("#note")
+        page.evaluate("ear.hear('There is a', false)")
+        assert page.input_value("#text") == "There is a"
+        page.evaluate(f"ear.hear({SQUARE!r}, true)")
+        page.wait_for_selector(".evidence .object")
+        assert page.input_value("#text") == SQUARE
+        page.evaluate("ear.onend()")
+        assert page.get_attribute("#voice", "aria-pressed") == "false"
+
+
+def test_a_deaf_ear_is_told_in_words(browser, url):
+    told = {
+        "not-allowed": "may not use the microphone", "network": "type instead",
+        "no-speech": "Nothing was heard", "bad-grammar": "could not listen (bad-grammar)",
+    }  # fmt: skip
+    with opened(browser, f"{url}#map=hafenstadt", first=EAR) as page:
+        for error, words in told.items():
+            page.click("#voice")
+            page.evaluate(f"ear.onerror({{ error: '{error}' }}); ear.onend()")
+            assert words in page.inner_text("#note")
+            assert page.get_attribute("#voice", "aria-pressed") == "false"
+
+
+def test_satellites_and_compass_go_along_only_when_asked(browser, url):
+    here = {"latitude": 53.5509, "longitude": 9.9935, "accuracy": 20}
+    link = f"{url}#map=hafenstadt&q={SQUARE}"
+    asked = []
+    with opened(browser, link, permissions=ALLOWED, geolocation=here, **PHONE) as page:
+        page.on(
+            "websocket", lambda socket: socket.on("framesent", lambda sent: asked.extend([sent]))
+        )
+        page.reload()
+        page.wait_for_selector(".status")
+        assert asked
+        assert not any("near" in sent or "heading" in sent for sent in asked)
+        page.tap("#gps")
+        page.wait_for_selector(".chip:has-text('of this device')")
+        page.wait_for_url("**near=9.99350%2C53.55090&radius=150**")
+        assert '"near":[9.9935,53.5509]' in asked[-1]
+        page.tap("#compass")
+        page.wait_for_selector("#compass[aria-pressed=true]")
+        page.evaluate(TURN, 270)
+        page.wait_for_selector(".chip:has-text('looking east (90°)')")
+        page.wait_for_url("**heading=90**")
+        assert '"heading_deg":90' in asked[-1]
+        page.evaluate(TURN, 267)  # a hand that trembles
+        assert page.is_visible(".chip:has-text('(90°)')")
+        page.tap(".chip:has-text('looking')")
+        page.tap(".chip:has-text('of this device')")
+        page.wait_for_selector(".chip", state="detached")
+        assert page.locator("[aria-pressed=true]:is(#gps, #compass)").count() == 0
+        page.wait_for_function("!location.hash.includes('near')")
+
+
+def test_what_is_denied_or_unknown_is_told_in_words(browser, url):
+    with opened(browser, url) as page:
+        page.click("#gps")
+        page.wait_for_selector("#note:has-text('may not tell where it is; allow it')")
+        assert page.get_attribute("#gps", "aria-pressed") == "false"
+    with opened(browser, url, first=LOST) as page:
+        page.click("#gps")
+        page.wait_for_selector("#note:has-text('does not know where it is')")
+
+
+def test_buttons_of_absent_senses_are_not_shown(browser, url):
+    with opened(browser, url, first=DEAF) as page:
+        still(page)
+        assert page.locator("#voice:visible, #gps:visible, #compass:visible").count() == 0
+        assert page.is_visible("#middle")

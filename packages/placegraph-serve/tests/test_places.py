@@ -1,11 +1,14 @@
-"""Maps by name, as their files are now."""
+"""Maps by name, as their files are now, and drawings of them."""
 
 import shutil
+import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
 from placegraph.errors import InputError, MapError, RequestError
 from placegraph.maps import open_map
+from placegraph_serve.drawing import Kept
 from placegraph_serve.locate import locate
 from placegraph_serve.options import ServeOptions
 from placegraph_serve.places import Dispatcher, Places
@@ -116,3 +119,36 @@ def test_a_world_in_shards_is_asked_as_a_map(maps, tmp_path):
     assert places.world("all") is places.world("all")
     (tmp_path / "all" / "world.json").write_text("{}")
     assert "world build" in places.listed()[0]["problem"]
+
+
+# --- what is drawn is made once, and kept while there is room ---
+
+
+def test_what_two_ask_for_at_once_is_made_once():
+    kept, made = Kept(100), []
+    begun, go = threading.Event(), threading.Event()
+
+    def make():
+        made.append(1)
+        begun.set()
+        assert go.wait(60)
+        return b"drawn"
+
+    with ThreadPoolExecutor(2) as pool:
+        first = pool.submit(kept.get, ("a",), make)
+        assert begun.wait(60)
+        second = pool.submit(kept.get, ("a",), make)
+        go.set()
+        assert first.result() == second.result() == b"drawn"
+    assert made == [1]
+
+
+def test_what_was_asked_for_longest_ago_goes_first():
+    kept, made = Kept(5), []
+
+    def ask(key):
+        return kept.get((key,), lambda: made.append(key) or key.encode() * 2)
+
+    assert [ask(key) for key in "abaca"] == [b"aa", b"bb", b"aa", b"cc", b"aa"]
+    assert made == ["a", "b", "c"]
+    assert (ask("b"), made[-1], kept.size) == (b"bb", "b", 4)

@@ -1,5 +1,8 @@
-"""Pictures as somebody sends them."""
+"""Requests as somebody sends them: pictures, captures as ZIP, the GeoPose protocol."""
 
+import base64
+import json
+import zipfile
 from io import BytesIO
 
 import numpy as np
@@ -8,8 +11,9 @@ from PIL import Image
 
 from placegraph.core.geometry import Camera
 from placegraph.errors import InputError, RequestError
+from placegraph_serve.geopose import gravity_of, image_bytes, read_request, version_of
 from placegraph_serve.options import ServeOptions
-from placegraph_serve.requests import read_depth, read_photo
+from placegraph_serve.requests import capture_in, read_depth, read_photo
 
 OPTIONS = ServeOptions()
 
@@ -101,3 +105,194 @@ def test_depth_of_16_bits():
     assert (depth == 1.5).all()
     with pytest.raises(InputError, match="16 bits"):
         read_depth(picture(kind="PNG"), "depth[0]", 1000.0, OPTIONS)
+
+
+# --- captures that come as a ZIP ---
+
+
+@pytest.fixture
+def packed(tmp_path):
+    def pack(*entries):
+        with zipfile.ZipFile(tmp_path / "a.zip", "w", zipfile.ZIP_DEFLATED) as archive:
+            for name, content in entries:
+                archive.writestr(name, content)
+        (tmp_path / "out").mkdir()
+        return tmp_path / "a.zip", tmp_path / "out"
+
+    return pack
+
+
+def test_a_capture_below_one_folder_is_found(walk, tmp_path):
+    with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
+        for path in walk.rglob("*"):
+            archive.write(path, f"walk/{path.relative_to(walk)}")
+        archive.writestr("__MACOSX/walk/._a", b"")
+    (tmp_path / "out").mkdir()
+    assert len(capture_in(tmp_path / "a.zip", tmp_path / "out", ServeOptions())) == 18
+    with pytest.raises(RequestError, match="18 frames; send at most 17"):
+        capture_in(tmp_path / "a.zip", tmp_path / "out", ServeOptions(images=17))
+
+
+@pytest.mark.parametrize("name", ["../evil", "/etc/evil", "a/../../evil", "a\\..\\evil", "c:evil"])
+def test_no_name_leads_out(packed, tmp_path, name):
+    with pytest.raises(InputError, match="leads out of the ZIP"):
+        capture_in(*packed((name, b"x")), ServeOptions())
+    assert not list((tmp_path / "out").iterdir())
+    assert not (tmp_path / "evil").exists()
+
+
+def test_no_link_is_followed(packed):
+    link = zipfile.ZipInfo("rgb")
+    link.external_attr = 0o120777 << 16
+    with pytest.raises(InputError, match="leads out"):
+        capture_in(*packed((link, "/etc")), ServeOptions())
+
+
+@pytest.mark.parametrize("kind", [zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_damaged_bytes(packed, kind):
+    entry = zipfile.ZipInfo("rgb/0.png")
+    entry.compress_type = kind
+    file, out = packed((entry, bytes(range(256)) * 20))
+    data = bytearray(file.read_bytes())
+    data[60:100] = bytes(40)
+    file.write_bytes(data)
+    with pytest.raises(InputError, match="no whole ZIP"):
+        capture_in(file, out, ServeOptions())
+
+
+def test_half_a_zip(packed):
+    file, out = packed(("rgb/0.png", b"x" * 5000))
+    file.write_bytes(file.read_bytes()[:-40])
+    with pytest.raises(InputError, match="no whole ZIP"):
+        capture_in(file, out, ServeOptions())
+
+
+def test_a_bomb_is_not_unpacked(packed, tmp_path):
+    file, out = packed(*((f"rgb/{i}.png", bytes(1 << 20)) for i in range(4)))
+    assert file.stat().st_size < 10_000
+    with pytest.raises(RequestError, match="unpacked"):
+        capture_in(file, out, ServeOptions(unpacked_bytes=3 << 20))
+    assert not list((tmp_path / "out").iterdir())
+
+
+def test_a_length_that_lies(packed):
+    file, out = packed(("rgb/0.png", bytes(1 << 20)))
+    data = file.read_bytes()
+    told = (1 << 20).to_bytes(4, "little")
+    file.write_bytes(data.replace(told, (1000).to_bytes(4, "little")))  # in both directories
+    with pytest.raises(InputError, match="no whole ZIP"):
+        capture_in(file, out, ServeOptions(unpacked_bytes=2000))
+
+
+def test_too_many_files(packed):
+    with pytest.raises(RequestError, match="207 files"):
+        capture_in(*packed(*((f"{i}", b"") for i in range(207))), ServeOptions(images=10))
+
+
+def test_no_capture(packed):
+    with pytest.raises(InputError, match="holds no capture of a known recorder"):
+        capture_in(*packed(("notes.txt", b"hello")), ServeOptions())
+
+
+# --- requests of the GeoPose protocol, as clients really send them ---
+
+
+@pytest.mark.parametrize(
+    ("accept", "version"),
+    [
+        ("application/vnd.oscp+json; version=2.0;", 2),
+        ("application/vnd.oscp+json;version=1.0", 1),
+        ("application/vnd.oscp+json ;  version = 2.0 ", 2),
+        ('text/html, Application/VND.oscp+json; charset=utf-8; version="2.0"', 2),
+        ("*/*", None),
+        ("application/vnd.oscp+json, text/html; version=1", None),
+    ],
+)
+def test_versions_however_they_are_spaced(accept, version):
+    assert version_of(accept) == version
+
+
+def test_a_version_that_is_not_spoken():
+    with pytest.raises(RequestError, match=r"ask for 1\.0 or 2\.0") as refused:
+        version_of("application/vnd.oscp+json; version=3.0")
+    assert refused.value.status == 406
+
+
+@pytest.mark.parametrize(
+    "head", ["", "data:image/jpeg;base64,", "data:application/octet-stream;base64,"]
+)
+def test_base64_of_all_kinds(head):
+    data = bytes(range(256))
+    for coded in (base64.b64encode(data), base64.urlsafe_b64encode(data)):
+        assert image_bytes(head + coded.decode()) == data
+        assert image_bytes(head + coded.decode().rstrip("=")) == data
+    assert image_bytes(head + base64.encodebytes(data).decode()) == data
+    with pytest.raises(InputError, match="not base64"):
+        image_bytes(head + "@@@@")
+
+
+def test_readings_of_both_versions_are_the_same():
+    camera = {"imageBytes": "AAAA", "imageFormat": "JPG", "size": [4, 3]}
+    fix = {"latitude": 1.5, "longitude": 2.5}
+    one = {
+        "id": "a",
+        "timestamp": "2020-12-26T15:19:50.413Z",
+        "sensors": [{"id": "0", "type": "camera", "params": {"model": "PINHOLE"}}],
+        "sensorReadings": [
+            {"sensorId": "0", "timestamp": "2020-12-26T15:19:50Z", "reading": camera},
+            {"sensorId": "9", "timestamp": 1608995990000, "reading": [fix]},
+        ],
+    }
+    two = {
+        "id": "a",
+        "timestamp": 1608995990413,
+        "sensors": [{"id": "0", "type": "camera"}],
+        "sensorReadings": {
+            "cameraReadings": [
+                camera | {"sensorId": "0", "timestamp": 1608995990000,
+                          "params": {"model": "PINHOLE"}}
+            ],
+            "geolocationReadings": [fix | {"sensorId": "1", "timestamp": 1608995990000}],
+        },
+    }  # fmt: skip
+    first, second = (read_request(json.dumps(told).encode(), None) for told in (one, two))
+    assert (first.version, second.version) == (1, 2)
+    for told in (first, second):
+        assert told.camera[0]["image"] == b"\0\0\0"
+        assert told.camera[0]["params"] == {"model": "PINHOLE"}
+        assert told.camera[0]["when"] == 1608995990.0
+        assert told.geolocation[0]["latitude"] == 1.5
+
+
+@pytest.mark.parametrize(
+    ("body", "says"),
+    [
+        (b"{", "not JSON"),
+        (b"[]", "no object"),
+        (b"{}", "sensorReadings: missing"),
+        (b'{"sensorReadings": [1]}', "no list of objects"),
+        (b'{"sensorReadings": [], "sensors": 3}', "sensors: no list"),
+        (b'{"sensorReadings": {"cameraReadings": [{"imageBytes": 7}]}}', "imageBytes: no text"),
+        (b'{"sensorReadings": {"cameraReadings": [{"timestamp": "now"}]}}', "timestamp"),
+        (b'{"sensorReadings": [], "priorPoses": [{}]}', "priorPoses: a pose has no position"),
+        (b'{"sensorReadings": {"cameraReadings": [{"params": [1]}]}}', "params: .* is no object"),
+        (
+            b'{"sensorReadings": {"cameraReadings": [{"imageOrientation": 90}]}}',
+            "imageOrientation: '90' is no object",
+        ),
+        (b'{"sensorReadings": [], "id": "\\ud800"}', "not JSON"),  # could not be sent back
+        (b'{"sensorReadings": [], "timestamp": 1%s}' % (b"0" * 400), "not JSON"),
+    ],
+)
+def test_bad_requests_name_the_field(body, says):
+    with pytest.raises(InputError, match=says):
+        read_request(body, None)
+
+
+def test_gravity_of_an_accelerometer():
+    assert gravity_of({"x": 0, "y": 9.8, "z": 0}) == pytest.approx([0, 1, 0])  # held upright
+    assert gravity_of({"x": 0, "y": 0, "z": 9.8}) == pytest.approx([0, 0, 1])  # looks down
+    assert gravity_of({"x": 0, "y": -9.8, "z": 0}) == pytest.approx([0, 1, 0])  # the other sign
+    # screen tipped towards the ceiling: the camera looks below the horizon
+    assert gravity_of({"x": 0, "y": 9.0, "z": 3.0})[2] > 0
+    assert gravity_of({"x": 0, "y": 0, "z": 0}) is None

@@ -4,20 +4,24 @@ import base64
 import concurrent.futures
 import json
 import os
+import re
+import shlex
 import shutil
 import signal
 import socket
 import subprocess
 import sys
+from pathlib import Path
 
 import httpx
 import pytest
 from tests.browser import opened
 
 from placegraph.errors import OptionError
-from serve_world import Running
+from placegraph_serve.app import listen
+from serve_world import SENTENCE, Running
 
-SAID = {"text": "A bakery is north of me. The church is east of the bakery.", "map": "hafenstadt"}
+SAID = {"text": SENTENCE, "map": "hafenstadt"}
 
 
 @pytest.fixture(scope="module")
@@ -274,3 +278,37 @@ def test_questions_of_a_world_are_answered(running):
     told = ask(answers=answers).json()
     assert told["estimate"]["modes"] != first["estimate"]["modes"]
     assert ask(language="xx").status_code == 422
+
+
+# --- what the how-to asks with curl is answered ---
+
+
+PAGE = Path(__file__).parents[3] / "docs" / "howto-serve.md"
+LINES = re.findall(r"^curl .*$", PAGE.read_text("utf-8"), re.MULTILINE)
+
+
+@pytest.mark.parametrize("line", LINES, ids=lambda line: line[:60])
+def test_curl(line, running, walk, tmp_path):
+    if shutil.which("curl") is None:
+        pytest.skip("curl is not installed")
+    (tmp_path / "walk").symlink_to(walk)
+    words = shlex.split(line.replace("http://127.0.0.1:8000", running.url))
+    out = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=True)  # noqa: S603
+    if "-o" in words:
+        assert (tmp_path / "plan.png").read_bytes().startswith(b"\x89PNG")
+    elif "/metrics" in line:
+        assert "placegraph_requests_total{" in out.stdout
+    else:
+        told = json.loads(out.stdout)
+        assert "code" not in told, told
+        assert told.get("maps") or told.get("features") or told["estimate"]["modes"]
+
+
+# --- the socket that the server listens at ---
+
+
+def test_answers_do_not_wait_for_the_client():
+    with listen("127.0.0.1", 0) as listening, socket.create_connection(listening.getsockname()):
+        taken, _ = listening.accept()
+        with taken:
+            assert taken.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)

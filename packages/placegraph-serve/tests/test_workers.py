@@ -10,9 +10,9 @@ from starlette.testclient import TestClient
 
 from placegraph_serve.limits import Guard, Keys, Metrics
 from placegraph_serve.options import ServeOptions
-from serve_world import ready, serving
+from serve_world import SENTENCE, ready, serving
 
-SAID = {"text": "A bakery is north of me. The church is east of the bakery."}
+SAID = {"text": SENTENCE}
 
 
 def processes(client):
@@ -27,7 +27,7 @@ def replaced(client):
 @pytest.fixture(scope="module")
 def bounded(town):
     """A client of one process, with a tiny limit of seconds and a queue of one."""
-    with serving(town, sentence_workers=1, queue=1, sentence_seconds=4.0) as client:
+    with serving(town, processes=("sentences", "steps"), queue=1, sentence_seconds=4.0) as client:
         yield client
 
 
@@ -71,7 +71,8 @@ def test_what_takes_too_long_ends_and_who_waits_is_sent_away(stopped):
     assert stopped.post("/v1/locate", json=SAID).status_code == 200
 
 
-def test_a_session_whose_process_died_is_over(client):
+def test_a_session_whose_process_died_is_over(bounded):
+    client = bounded
     lane = client.app.state.server.steps
     at = f"/v1/sessions/{client.post('/v1/sessions', json={}).json()['session']}"
     (worker,) = lane._workers

@@ -1,13 +1,168 @@
-"""`placegraph scene build` where things go wrong: exit codes, one line, nothing half done."""
+"""`placegraph scene build` and `info`: one sentence for people, JSON for machines, nothing half done."""
 
+import json
 import os
 import resource
 
 import numpy as np
 import pytest
+from tests.cli.failing import fails
 
 from placegraph.core.mapfile import writing
 from placegraph.io.mesh.ply import write_ply
+
+PLY = """ply
+format ascii 1.0
+element vertex 7
+property float x
+property float y
+property float z
+property int objectId
+element face 3
+property list uchar int vertex_indices
+end_header
+0 0 1 1
+4 0 1 1
+4 4 1 1
+0 4 1 1
+1 1 2 2
+2 1 2 2
+2 2 2 5
+4 0 1 2 3
+3 4 5 6
+3 4 4 5
+"""
+
+
+@pytest.fixture
+def ply(tmp_path):
+    path = tmp_path / "room.ply"
+    path.write_text(PLY)
+    return path
+
+
+@pytest.fixture
+def labels(tmp_path):
+    path = tmp_path / "labels.json"
+    path.write_text('{"1": "floor", "2": "table [/b]"}')
+    return path
+
+
+def test_build_and_info(run, ply, labels, tmp_path):
+    out = tmp_path / "room.scene"
+    result = run("scene", "build", ply, "-o", out, "--labels", labels)
+    assert (result.code, result.err) == (0, "")
+    assert result.out.startswith(f"{out}: 2 objects, 3 triangles, floor at 1.00 m, ")
+    assert "Left out: 1 triangles without area." in result.out
+    shown = run("scene", "info", out)
+    assert shown.code == 0
+    for word in ("room.ply", "table [/b] 1", "triangles", "floor"):
+        assert word in shown.out
+    told = run("scene", "info", out, "--json").json
+    assert told["objects"] == 2
+    assert told["labels"] == {"floor": 1, "table [/b]": 1}
+    assert told["floor_m"] == [1.0]
+    assert (told["low_m"], told["high_m"]) == ([0, 0, 1], [4, 4, 2])
+    assert told["bytes"] == out.stat().st_size
+    assert told["relations"] == {}
+
+
+def test_build_as_json_and_in_silence(run, ply, tmp_path):
+    out = tmp_path / "a.scene"
+    told = run("scene", "build", ply, "-o", out, "--json")
+    assert told.err == ""
+    assert told.json["objects"] == 2
+    assert told.json["left_out"] == {"triangles without area": 1}
+    assert told.json["bytes"] == out.stat().st_size
+    quiet = run("scene", "build", ply, "-o", out, "--quiet")
+    assert (quiet.code, quiet.out, quiet.err) == (0, "", "")
+
+
+def test_build_options(run, ply, tmp_path):
+    out = tmp_path / "a.scene"
+
+    def told(*options):
+        return run("scene", "build", ply, "-o", out, "--json", *options).json
+
+    assert told("--floor", "-2.5")["floor_m"] == [-2.5]
+    assert told("--scale", "0.5")["high_m"] == [2, 2, 1]
+    assert told("--up", "y", "--floor", "0")["low_m"] == [0, -2, 0]
+    assert told("--object-property", "OBJECTID")["objects"] == 2
+    fails(
+        run("scene", "build", ply, "-o", out, "--object-property", "part"), 3, "'part'", "room.ply"
+    )
+    fails(run("scene", "build", ply, "-o", out, "--up", "x"), 7, "up is 'x'")
+    fails(run("scene", "build", ply, "-o", out, "--detail", "huge"), 7, "detail is 'huge'", "tiny")
+    fails(run("scene", "build", ply, "-o", out, "--error", "-1"), 7, "error is -1.0")
+    fails(run("scene", "build", ply, "-o", out, "--texel", "nan"), 7, "texel is nan")
+    fails(run("scene", "build", ply, "-o", out, "--frames", "one"), 7, "--frames", "10:20")
+    fails(run("scene", "build", ply, "-o", out, "--frames", "::0"), 7, "--frames", "1 or more")
+    for option in (("--frames", "1:2"), ("--voxel", "0.1"), ("--poses", "odometry")):
+        fails(run("scene", "build", ply, "-o", out, *option), 7, "room.ply is no capture")
+    fails(run("scene", "build", ply, "-o", out, "--reader", "x"), 7, "--reader", "name=value")
+    fails(run("scene", "build", ply, "-o", out, "--reader", "x=1"), 7, "x: no option of .ply")
+    fails(run("scene", "build", ply, "-o", out, "--floor", "nan"), 7, "floor")
+
+
+def test_build_refuses(run, ply, tmp_path):
+    out = tmp_path / "a.scene"
+    fails(run("scene", "build", tmp_path / "no.glb", "-o", out), 3, "no.glb", "does not exist")
+    (tmp_path / "a.xyz").touch()
+    fails(run("scene", "build", tmp_path / "a.xyz", "-o", out), 3, "unknown ending")
+    fails(run("scene", "build", ply, "-o", ply), 7, "room.ply")
+    fails(run("scene", "build", ply, "-o", out, "--labels", tmp_path / "no.json"), 3, "no.json")
+    fails(run("scene", "build", ply, "-o", tmp_path / "no" / "a.scene"), 4, "a.scene")
+    ply.write_text(PLY.replace("4 4 1 1\n", "4 4 nan 1\n"))
+    fails(run("scene", "build", ply, "-o", out), 3, "room.ply", "not numbers")
+    ply.write_text(PLY.replace("3 4 5 6", "3 4 5 9"))
+    fails(run("scene", "build", ply, "-o", out), 3, "room.ply", "outside 0 to 6")
+    with writing(out):
+        fails(run("scene", "build", ply, "-o", out), 5, "a.scene")
+    assert not out.exists()
+
+
+def test_no_floor_is_mended_by_an_option(run, ply, tmp_path):
+    ply.write_text(PLY.replace("4 0 1 2 3", "4 0 0 0 0"))
+    out = tmp_path / "a.scene"
+    fails(run("scene", "build", ply, "-o", out, "--up", "y"), 3, "shows no floor", "--floor 0")
+    assert run("scene", "build", ply, "-o", out, "--up", "y", "--floor", "0").code == 0
+
+
+def test_what_is_no_scene(run, ply, tmp_path):
+    fails(
+        run("scene", "info", tmp_path / "no.scene"), 3, "does not exist", "`placegraph scene build`"
+    )
+    fails(run("scene", "info", ply), 4, "not a placegraph map", "`placegraph scene build`")
+    out = tmp_path / "a.scene"
+    run("scene", "build", ply, "-o", out)
+    fails(run("city", "info", out), 4, "is a scene map, not a city map")
+    out.write_bytes(out.read_bytes()[:-50])
+    fails(run("scene", "info", out), 4, "a.scene", "damaged")
+
+
+def test_the_shared_house(run, shared, tmp_path):
+    source = shared / "data" / "house" / "map"
+    out = tmp_path / "house.scene"
+    told = run(
+        "scene",
+        "build",
+        source / "house.glb",
+        "-o",
+        out,
+        "--labels",
+        source / "objects.json",
+        "--json",
+    ).json
+    assert told["objects"] == 86
+    assert told["textures"] == 66
+    assert told["floor_m"] == [0.0]
+    assert told["bytes"] < (source / "house.glb").stat().st_size
+    assert told["labels"]["Chair"] == sum(
+        thing["label"] == "Chair" for thing in json.loads((source / "objects.json").read_text())
+    )
+
+
+# --- where things go wrong ---
 
 CORNERS = np.array(
     [[0, 0, 0], [4, 0, 0], [4, 3, 0], [0, 3, 0], [1, 1, 0.7], [2, 1, 0.7], [2, 2, 0.7]]
@@ -25,14 +180,6 @@ def mesh(tmp_path):
         )
 
     return write
-
-
-def fails(result, code, *words):
-    assert (result.code, result.out) == (code, "")
-    (line,) = result.err.strip().splitlines()
-    assert line.startswith("placegraph: ")
-    for word in words:
-        assert str(word) in line
 
 
 def test_every_refusal_names_file_and_mend(run, mesh, tmp_path):
