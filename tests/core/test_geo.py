@@ -1,21 +1,42 @@
-"""Anchors: a map's points on Earth and back, poses as GeoPose has them, what is not known added up."""
+"""The Earth: anchors, GeoJSON, tiles."""
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from placegraph.core.estimate import (
+    CityEstimate,
+    Evidence,
+    ObjectRef,
+    Place,
+    PoseEstimate,
+    PoseMode,
+    SceneEstimate,
+    SceneMode,
+    Status,
+)  # fmt: skip
 from placegraph.core.geo import (
     CAMERA_FROM_BODY,
     Anchor,
+    bounds,
+    check_zoom,
     ecef_from_enu,
     ecef_from_geodetic,
     geodetic_from_ecef,
+    held,
+    key_at,
+    key_of,
     ranked,
+    reached,
+    tile_of,
+    tiles,
 )
+from placegraph.core.geojson import SHARE
 from placegraph.core.geometry import (
     WGS84_A,
     LocalPlane,
@@ -25,7 +46,10 @@ from placegraph.core.geometry import (
     rotation_from_vector,
     vector_from_rotation,
 )
-from placegraph.errors import OptionError
+from placegraph.errors import GeoPoseError, OptionError
+
+# --- anchors: a map's points on Earth and back, poses as GeoPose has them, what is not known added up ---
+
 
 anchors = st.builds(
     Anchor, st.floats(-180, 180), st.floats(-90, 90), st.floats(-500, 9000), st.floats(-7, 7)
@@ -198,3 +222,169 @@ def test_the_plane_of_a_city_touches_here(lon, lat, east, north):
     ecef = ecef_from_geodetic((lon, lat, 0.0)) + ecef_from_enu(lon, lat) @ (east, north, 0.0)
     on_plane = LocalPlane(lon, lat).to_plane(geodetic_from_ecef(ecef)[:2])
     assert np.allclose(on_plane, (east, north), atol=0.25)
+
+
+# --- estimates in the words of geography: what is known, and what is not ---
+
+
+CAFE = Evidence(
+    "A café is near", "for", 2.0, (ObjectRef("node/1", "amenity=cafe", "Adler", 9.5, 47.1),)
+)
+MUTE = Evidence("depth", "for", 0.9, note="90% lie on surfaces")
+HERE = Anchor(9.5, 47.1, 450.0, 0.3, np.eye(4) * 1e-4, "Library", "way/7", "1", 0.75)
+
+
+def posed(*anchors):
+    matrix = pose_matrix([3.0, 4.0, 1.6, math.pi / 2], level_from_camera((0, 1, 0)))
+    earth = tuple(a.pose(matrix, np.eye(6) * 1e-4, probability=0.8, room="study") for a in anchors)
+    mode = PoseMode(
+        matrix,
+        np.zeros(4),
+        np.eye(6) * 1e-4,
+        0.8,
+        "flat",
+        matrix,
+        earth,
+        explain=lambda: (CAFE, MUTE),
+    )
+    return PoseEstimate(Status.OK, (mode,), "One place fits.")
+
+
+def heard(longitude=9.5):
+    place = Place(longitude, 47.1, 0.9, "cell-7", np.diag([400.0, 100.0]), explain=lambda: (CAFE,))
+    return CityEstimate(Status.OK, (place,), "One place fits.")
+
+
+def strict(plain):
+    return json.loads(json.dumps(plain, allow_nan=False))
+
+
+def test_a_pose_from_images_is_a_geopose():
+    said = strict(posed(HERE).geopose())
+    assert set(said["position"]) == {"lat", "lon", "h"}
+    assert math.hypot(*said["quaternion"].values()) == pytest.approx(1.0)
+    assert said["unknown"] == []
+    assert said["probability"] == pytest.approx(0.6)
+    assert said["accuracy"]["position"] == pytest.approx(math.sqrt(1e-4 * (2 + 25 / 3)), rel=0.1)
+    assert (said["status"], said["reason"]) == ("OK", "One place fits.")
+
+
+def test_a_sentence_pretends_neither_height_nor_orientation():
+    said = strict(heard().geopose())
+    assert said["position"] == {"lat": 47.1, "lon": 9.5, "h": 0.0}
+    assert said["quaternion"] == {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
+    assert said["unknown"] == ["height", "orientation"]
+    assert said["accuracy"] == {"position": pytest.approx(math.sqrt(250.0)), "orientation": None}
+
+
+@pytest.mark.parametrize(
+    ("estimate", "named"),
+    [
+        (posed(), r"'flat' has no place on Earth.*`placegraph scene anchor`"),
+        (
+            SceneEstimate(Status.OK, (SceneMode("flat", 0.9, 3.0),), "It fits."),
+            "'flat' has no place",
+        ),
+        (PoseEstimate(Status.LOST, (), "It is dark."), "no pose: It is dark"),
+    ],
+)
+def test_no_pose_on_earth_is_said_with_its_mend(estimate, named):
+    with pytest.raises(GeoPoseError, match=named):
+        estimate.geopose()
+    if estimate.modes:
+        with pytest.raises(GeoPoseError, match=named):
+            estimate.geojson()
+    else:
+        assert estimate.geojson()["features"] == []
+
+
+def test_modes_ellipses_and_evidence_are_features():
+    other = replace(HERE, heading=HERE.heading + math.pi, probability=0.25)
+    said = strict(posed(HERE, other).geojson())
+    kinds = [f["properties"]["kind"] for f in said["features"]]
+    assert kinds == ["mode", "ellipse"] * 2 + ["evidence"] * 2
+    first = said["features"][0]["properties"]
+    assert (first["mode"], first["candidate"], first["probability"]) == (1, 1, pytest.approx(0.6))
+    assert (first["room"], first["building"], first["osm"], first["level"]) == (
+        "study", "Library", "way/7", "1",
+    )  # fmt: skip
+    assert len(said["features"][0]["geometry"]["coordinates"]) == 3
+    cafe, mute = said["features"][-2:]
+    assert cafe["geometry"]["coordinates"] == [9.5, 47.1]
+    assert (cafe["properties"]["id"], cafe["properties"]["verdict"]) == ("node/1", "for")
+    assert mute["geometry"] is None
+
+
+@pytest.mark.parametrize("longitude", [9.5, 179.9999])
+def test_an_ellipse_holds_its_share(longitude):
+    said = strict(heard(longitude).geojson())
+    point, ellipse = said["features"][:2]
+    assert len(point["geometry"]["coordinates"]) == 2
+    (ring,) = ellipse["geometry"]["coordinates"]
+    assert ring[0] == ring[-1]
+    ring = np.array(ring)
+    assert np.ptp(ring[:, 0]) < 1  # it does not run around the world
+    plane = LocalPlane(longitude, 47.1)
+    axes = np.abs(plane.to_plane(ring)).max(axis=0)
+    assert np.allclose(axes, np.sqrt(-2 * math.log(1 - SHARE)) * np.array([20, 10]), rtol=0.01)
+    x, y = ring[:-1].T
+    assert (x * np.roll(y, -1) - y * np.roll(x, -1)).sum() > 0  # counter-clockwise
+
+
+# --- the quadtree: keys are paths, cores cover the Earth once, margins reach what they say ---
+
+
+spots = st.tuples(st.floats(-180.0, 179.999), st.floats(-89.9, 89.9))
+
+
+@given(spots, st.integers(1, 16))
+def test_a_place_lies_in_the_tile_of_its_key(place, zoom):
+    key = key_at(*place, zoom)
+    box = bounds(key)
+    assert box.west - 1e-9 <= place[0] <= box.east + 1e-9
+    assert box.south - 1e-9 <= place[1] <= box.north + 1e-9
+    assert key_of(*tile_of(key)) == key
+    assert key.startswith(key_at(*place, zoom - 1))
+    assert held(np.array([place]), key).all()
+
+
+@pytest.mark.parametrize("key", ["4", "01x", "0" * 17, "٣"])
+def test_what_is_no_key(key):
+    with pytest.raises(OptionError, match="is no tile"):
+        tile_of(key)
+
+
+@pytest.mark.parametrize("zoom", [0, 17, -1, 1.5, True, "3"])
+def test_what_is_no_zoom(zoom):
+    with pytest.raises(OptionError, match="zoom"):
+        check_zoom(zoom)
+
+
+def test_children_make_up_their_parent():
+    parent = bounds("120")
+    children = [bounds("120" + digit) for digit in "0123"]
+    assert {c.west for c in children} == {parent.west, parent.center[0]}
+    assert max(c.north for c in children) == parent.north
+    assert children[0].south == children[2].north
+
+
+def test_keys_are_those_of_web_maps():
+    """As Bing's quadkeys of tile 3, 5 of level 3."""
+    assert key_of(3, 5, 3) == "213"
+    assert key_of(3 + 8, 5, 3) == "213"  # once around the Earth
+    assert key_at(-123.1, 49.25, 3) == "021"
+    assert key_at(180.0, 10.0, 3) == key_at(-180.0, 10.0, 3)
+    assert tiles(np.array([(0.1, 0.1), (-0.1, -0.1)]), 1).tolist() == [[1, 0], [0, 1]]
+    assert not held(np.array([(0.1, 0.1)]), "2").any()
+
+
+@given(spots.filter(lambda p: abs(p[1]) < 80), st.integers(8, 15), st.floats(0.0, 3000.0))
+def test_a_margin_reaches_every_tile_within_it(place, zoom, margin):
+    lonlat = np.array([place])
+    west, north, east, south = reached(lonlat, lonlat, zoom, margin)[0]
+    plane = LocalPlane(*place)
+    for angle in np.linspace(0.0, 2.0 * np.pi, 9):
+        there = plane.to_lonlat(margin * np.array([np.sin(angle), np.cos(angle)]))
+        column, row, _ = tile_of(key_at(*there, zoom))
+        assert north <= row <= south
+        assert any(west <= column + turn <= east for turn in (-(1 << zoom), 0, 1 << zoom))
