@@ -5,7 +5,7 @@ of the demo's world and the maps made of them lying there. A ``python`` block is
 ``bash`` block every line, of a ``console`` block every line behind ``$``, must be a ``placegraph``
 command; a trailing ``# exits with 6`` says what is expected instead of 0. ``../shared`` stands for
 the folder of shared data, where it exists. A block with ``<!-- no-run: reason -->`` on the line
-above is skipped, with its reason.
+above is skipped, with its reason. `make test` leaves out the pages of `LONG`, `make test-all` none.
 """
 
 import contextlib
@@ -30,6 +30,10 @@ from placegraph.core import plugins
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT.parent / "shared"
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+LONG = {"encoders", *(f"howto-{subject}" for subject in (
+    "anchor", "bags", "follow", "hydra", "maps", "planet", "refine", "ros",
+))}  # fmt: skip
+"""Pages of many seconds, whose subjects have tests of their own on every run."""
 SHELL = ("bash", "sh", "shell", "console")
 
 FENCE = re.compile(
@@ -124,7 +128,11 @@ def run(block, namespace, monkeypatch):
         exec(compile(source, str(block.page), "exec"), namespace)  # noqa: S102
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+@pytest.mark.parametrize(
+    "page",
+    [pytest.param(p, marks=pytest.mark.all if p.stem in LONG else (), id=str(p.relative_to(ROOT)))
+     for p in PAGES],
+)  # fmt: skip
 def test_page(page, request, tmp_path, monkeypatch):
     blocks = blocks_of(page, page.read_text("utf-8"))
     assert all(block.reason != "" for block in blocks), f"{page}: a no-run without a reason"

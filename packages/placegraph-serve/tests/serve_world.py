@@ -6,7 +6,7 @@ import sys
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 
 import httpx
@@ -82,10 +82,12 @@ def town(maps):
 def ready(asked, status=200):
     """Ask until the answer has a status, and return that answer."""
     end = time.monotonic() + 120
-    while (answer := asked()).status_code != status:
-        assert time.monotonic() < end, answer.text
+    while time.monotonic() < end:
+        with suppress(httpx.RemoteProtocolError):  # a busy machine is too slow for tiny limits
+            if (answer := asked()).status_code == status:
+                return answer
         threading.Event().wait(0.05)
-    return answer
+    pytest.fail(f"no answer {status} in two minutes")
 
 
 class LocalQueue:

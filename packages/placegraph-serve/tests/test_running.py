@@ -19,7 +19,7 @@ from tests.browser import opened
 
 from placegraph.errors import OptionError
 from placegraph_serve.app import listen
-from serve_world import SENTENCE, Running
+from serve_world import SENTENCE, Running, ready
 
 SAID = {"text": SENTENCE, "map": "hafenstadt"}
 
@@ -37,13 +37,13 @@ def small(town, tmp_path_factory):
         "from placegraph_serve.places import Places\n"
         "from placegraph_serve.app import serve\n"
         "if __name__ == '__main__':\n"
-        "    options = ServeOptions(head_seconds=0.3, body_seconds=0.3, json_bytes=3000, depth=8,\n"
+        "    options = ServeOptions(head_seconds=0.5, body_seconds=0.5, json_bytes=3000, depth=8,\n"
         "        sentence_workers=1, keys=Path('keys'), log_queries=True)\n"
         "    say = lambda url: print('Serving at ' + url, flush=True)\n"
         "    serve(Places(['hafenstadt.city']), options, '127.0.0.1', 0, say)\n"
     )
     server = Running(program="serve.py", cwd=folder)
-    httpx.post(f"{server.url}/v1/locate?key=secret", json=SAID, timeout=60).raise_for_status()
+    ready(lambda: httpx.post(f"{server.url}/v1/locate?key=secret", json=SAID, timeout=60))
     yield server
     code, said = server.end()
     assert code == 0
