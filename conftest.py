@@ -149,41 +149,10 @@ def _world(name):
     return module
 
 
-STUDY = """
-[flat]
-name = Study
-height = 2.6
-[drawing]
-######====##########
-#SSS         pp  BB#
-#SSS             BB#
-#SSS  tt      1  BB#
-#SSS  tt         BB#
-#                  #
-#LL  3             #
-#LL       hhTTT  2 +
-#         hhTTT    +
-#CCCCCC     TTT    #
-####################
-[legend]
-1 room: label=study walls=wallpaper palegoldenrod floor=parquet sienna
-2 spot:
-3 spot:
-S sofa: look=fabric darkred trim=fabric firebrick
-B shelf: label=bookcase height=2.1
-t roundtable: label=side table height=0.45
-T table: label=desk look=wood burlywood
-h chair: faces=T look=plain teal trim=plain darkslategrey
-C cabinet: label=sideboard height=0.8 look=wood peru
-L lamp:
-p picture:
-"""
-
-
 @pytest.fixture(scope="session")
 def study() -> Flat:
     """Drawing of one furnished room, for walks that the command line is asked about."""
-    return Flat.parse(STUDY)
+    return Flat.load("study")
 
 
 @pytest.fixture(scope="session")

@@ -128,6 +128,15 @@ def lonlat(value: str | None, option: str) -> tuple[float, float] | None:
     return longitude, latitude
 
 
+CellSize = Annotated[float, Option(help="Edge of a cell [m].")]
+Stride = Annotated[
+    float | None, Option(help="Distance of cell centres [m]; the cell size if not given.")
+]
+EdgeDistance = Annotated[
+    float | None,
+    Option(help="Objects nearer than this are joined [m]; the cell size if not given."),
+]
+VocabularyFolder = Annotated[Path | None, Option(help="Folder with edited vocabulary tables.")]
 OVERTURE = "What of Overture is read"
 EDGES = "give west,south,east,north in degrees, such as 7.41,43.72,7.44,43.75."
 
@@ -149,21 +158,16 @@ def build(
             "of maps, as by `world build`.",
         ),
     ],
-    cell_size: Annotated[float, Option(help="Edge of a cell [m].")] = 50.0,
-    stride: Annotated[
-        float | None, Option(help="Distance of cell centres [m]; the cell size if not given.")
-    ] = None,
-    edge_distance: Annotated[
-        float | None,
-        Option(help="Objects nearer than this are joined [m]; the cell size if not given."),
-    ] = None,
+    cell_size: CellSize = 50.0,
+    stride: Stride = None,
+    edge_distance: EdgeDistance = None,
     bbox: Annotated[
         str | None, Option(help="W,S,E,N [deg]: only what touches this box.", panel=OVERTURE)
     ] = None,
     confidence: Annotated[
         float, Option(help="Least probability of a place to exist.", panel=OVERTURE)
     ] = 0.5,
-    vocabulary: Annotated[Path | None, Option(help="Folder with edited vocabulary tables.")] = None,
+    vocabulary: VocabularyFolder = None,
     no_index: Annotated[
         bool,
         Option(

@@ -112,35 +112,6 @@ def _made(
     )  # fmt: skip
 
 
-DRAWING = """
-[flat]
-name = Room
-height = 2.6
-[drawing]
-########====########
-#SSS         pp  BB#
-#SSS             BB#
-#SSS  tt      1  BB#
-#SSS  tt         BB#
-#                  #
-#LL  3             #
-#LL       hhTTT  2 +
-#         hhTTT    +
-#CCCCCC     TTT    #
-####################
-[legend]
-1 room: label=study walls=wallpaper palegoldenrod floor=parquet sienna
-2 spot:
-3 spot:
-S sofa: look=fabric darkred trim=fabric firebrick
-B shelf: label=bookcase height=2.1
-t roundtable: label=side table height=0.45
-T table: label=desk look=wood burlywood
-h chair: faces=T look=plain teal trim=plain darkslategrey
-C cabinet: label=sideboard height=0.8 look=wood peru
-L lamp:
-p picture:
-"""
 _CAMERA = Camera(160, 90, 115.0, 115.0, 80.0, 45.0)
 _FRAMES = 5
 _FAR, _TURNED = 0.1, np.deg2rad(2.0)
@@ -169,7 +140,7 @@ class Room:
 
 def furnished(folder: Path) -> Room:
     """The room, made in a folder."""
-    drawing = Flat.parse(DRAWING)
+    drawing = Flat.load("study")
     interior = drawing.furnish(np.random.default_rng(1))
     interior.write_glb(folder / "room.glb")
     built = build_scene(folder / "room.glb", folder / "room.scene", detail="full")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import click
 
+from placegraph.cli.city import CellSize, EdgeDistance, Stride, VocabularyFolder
 from placegraph.cli.command import Argument, Option
 from placegraph.cli.common import AsJson, Quiet, echo_json, progress_of
 from placegraph.cli.library import ItsEncoders, opened
@@ -38,15 +39,10 @@ def build(
         int, Option(help="Level of the quadtree: tiles of 10 km at the equator by 12.")
     ] = 12,
     overlap: Annotated[float, Option(help="How far shards reach beyond their tiles [m].")] = 500.0,
-    cell_size: Annotated[float, Option(help="Edge of a cell [m].")] = 50.0,
-    stride: Annotated[
-        float | None, Option(help="Distance of cell centres [m]; the cell size if not given.")
-    ] = None,
-    edge_distance: Annotated[
-        float | None,
-        Option(help="Objects nearer than this are joined [m]; the cell size if not given."),
-    ] = None,
-    vocabulary: Annotated[Path | None, Option(help="Folder with edited vocabulary tables.")] = None,
+    cell_size: CellSize = 50.0,
+    stride: Stride = None,
+    edge_distance: EdgeDistance = None,
+    vocabulary: VocabularyFolder = None,
     workers: Annotated[
         int | None, Option(help="Processes; one a processor if not given.", least=1)
     ] = None,
