@@ -70,7 +70,7 @@ class Drawn:
     def _recorded(self, **options: Any) -> Any:  # noqa: ANN401
         from placegraph_lab.worlds.flat.flat import Flat
 
-        study = Flat.parse(writer("conftest").STUDY)
+        study = Flat.load("study")
         return writer("io.conftest").Recorded(study, **options)
 
     @cached_property
