@@ -1,11 +1,14 @@
-"""Rooms, walks and pictures of the core's own tests; PyTorch on one thread."""
+"""Fixtures of the core's tests, PyTorch on one thread, and notes of a training's progress."""
+
+import copy
 
 import pytest
 import torch
-from tests.indoor.conftest import *  # noqa: F403  # fixtures
-from tests.indoor.encode.conftest import *  # noqa: F403
-from tests.indoor.refine.conftest import *  # noqa: F403
-from tests.indoor.refine.matching.conftest import *  # noqa: F403
+from tests.indoor.conftest import render, room, room_world, truth, walk  # noqa: F401  # fixtures
+from tests.indoor.encode.conftest import timm  # noqa: F401
+from tests.indoor.refine.matching.conftest import errors, picture, texture, warped  # noqa: F401
+
+from placegraph_learn.training import Progress
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -15,3 +18,30 @@ def one_torch_thread():
     torch.set_num_threads(1)
     yield
     torch.set_num_threads(before)
+
+
+class Notes(Progress):
+    """Progress of a training, as it was reported; ends it as Ctrl-C does at `stop`, (epoch, step)."""
+
+    def __init__(self, stop=None):
+        self.stop, self.filled, self.prepared, self.steps, self.rows = stop, [], [], [], []
+
+    def filling(self, *made):
+        self.filled.append(made)
+
+    def preparing(self, *prepared):
+        self.prepared.append(prepared)
+
+    def step(self, epoch, done, total, losses):
+        self.steps.append((epoch, done, total, copy.copy(losses)))
+        if (epoch, done) == self.stop:
+            raise KeyboardInterrupt
+
+    def epoch(self, row):
+        self.rows.append(dict(row))
+
+
+@pytest.fixture(scope="session")
+def make_notes():
+    """Make a progress that takes notes: `make_notes(stop=(epoch, step))`."""
+    return Notes

@@ -2,6 +2,7 @@
 
 import inspect
 import json
+import shutil
 
 import pytest
 from PIL import Image
@@ -9,7 +10,6 @@ from PIL import Image
 from placegraph.errors import OptionError
 from placegraph.outdoor.network.network import read_weights
 from placegraph_lab.worlds.home.lessons import homes
-from placegraph_lab.worlds.town.town import Town
 from placegraph_learn.city.train import TrainOptions
 from placegraph_learn.cli import ShownProgress, choose_worlds, train_city
 
@@ -18,12 +18,10 @@ TEXT = "I am on Speicherweg. The museum is south of me."
 
 
 @pytest.fixture(scope="module")
-def city(tmp_path_factory):
-    from placegraph.outdoor.city import build_city
-
-    folder = tmp_path_factory.mktemp("train")
-    build_city(Town.load("hafenstadt").write_osm(folder / "town.osm"), folder / "town.city")
-    return folder / "town.city"
+def city(harbour, tmp_path_factory):
+    path = tmp_path_factory.mktemp("train") / "town.city"
+    harbour.save(path)
+    return path
 
 
 @pytest.fixture(scope="module")
@@ -32,30 +30,27 @@ def pools(tmp_path_factory):
 
 
 def test_train_writes_weights_a_table_and_curves(run, city, pools, tmp_path):
-    out, work = tmp_path / "a.weights", tmp_path / "work"
-    result = run("city", "train", city, "-o", out, "--work", work, "--pools", pools, *TINY)
+    out, work, words = (tmp_path / name for name in ("a.weights", "work", "words.txt"))
+    words.write_text("2 3\nmuseum 1 2 3\nhouse 3 2 1\n", "utf-8")
+    given = ("city", "train", city, "-o", out, "--work", work, "--pools", pools, *TINY)
+    assert run(*given, "--word-vectors", tmp_path / "gone.txt").code != 0
+    given = (*given, "--word-vectors", words)
+    result = run(*given)
     assert (result.code, result.err) == (0, "")
     header, first, second, last = result.out.splitlines()
     assert header.split()[:4] == ["epoch", "match", "similarity", "embedding"]
     assert (first.split()[0], second.split()[0]) == ("1", "2")
     assert len(first) == len(second) == len(header)
     assert last.startswith(f"{out}: {out.stat().st_size:,} bytes")
-    assert len(read_weights(out).training["curves"]) == 2
+    weights = read_weights(out)
+    assert len(weights.training["curves"]) == 2
+    assert set(weights.words.words) <= {"museum", "house"}
     with Image.open(work / "curves.png") as drawn:
         assert len(drawn.getcolors(1 << 20)) > 20
     assert {path.suffix for path in pools.iterdir()} == {".pool"}
-    again = run("city", "train", city, "-o", out, "--work", work, "--pools", pools, *TINY, "--json")
-    assert again.json["fingerprint"] == read_weights(out).fingerprint
+    again = run(*given, "--json")
+    assert again.json["fingerprint"] == weights.fingerprint
     assert [row["epoch"] for row in again.json["curves"]] == [1, 2]
-
-
-def test_train_takes_word_vectors(run, city, pools, tmp_path):
-    out, work, words = (tmp_path / name for name in ("a.weights", "work", "words.txt"))
-    words.write_text("2 3\nmuseum 1 2 3\nhouse 3 2 1\n", "utf-8")
-    given = ("city", "train", city, "-o", out, "--work", work, "--pools", pools, *TINY, "--quiet")
-    assert run(*given, "--word-vectors", tmp_path / "gone.txt").code != 0
-    assert run(*given, "--word-vectors", words).code == 0
-    assert set(read_weights(out).words.words) <= {"museum", "house"}
     here = run("city", "locate", city, TEXT, "--weights", out, "--matcher", "transformer", "--json")
     assert here.json["modes"]
 
@@ -84,13 +79,10 @@ def test_defaults_are_those_of_the_library():
     options = inspect.signature(train_city).parameters
     for name in ("epochs", "examples", "steps", "batch", "check", "rate", "seed"):
         assert options[name].default == getattr(TrainOptions(), name), name
-
-
-def test_sizes_and_losses_are_those_of_the_library():
-    options = inspect.signature(train_city).parameters
     for name in ("layers", "crossings", "heads", "statements"):
         assert options[name].default == getattr(TrainOptions().shape, name), name
     assert tuple(options["losses"].default.split(",")) == TrainOptions().losses
+    assert [w.name for w in choose_worlds(None, 3, 2, 5)] == [w.name for w in homes(3, seed=5)]
 
 
 def test_the_papers_network_is_trained_and_locates(run, city, pools, tmp_path):
@@ -105,40 +97,31 @@ def test_the_papers_network_is_trained_and_locates(run, city, pools, tmp_path):
     assert (shape.layers, shape.crossings, shape.heads, shape.statements) == (1, 1, 2, False)
     found = run("city", "locate", city, TEXT, "--preset", "paper", "--weights", out, "--json")
     assert found.json["modes"]
-    odd = run("city", "train", city, "-o", out, "--work", tmp_path / "odd", *TINY, "--heads", 5)
-    assert (odd.code, "width 48 for 5 heads" in odd.err) == (7, True)
 
 
-def test_what_cannot_be_trained_is_refused_at_once(run, city, tmp_path):
-    out, work = tmp_path / "a.weights", tmp_path / "work"
-    train = ("city", "train", city)
-    gone = run("city", "train", tmp_path / "gone.city", "-o", out, "--work", work)
-    assert gone.code == 3
-    nowhere = run(*train, "-o", tmp_path / "no" / "a.weights", "--work", work)
-    assert nowhere.code == 4
-    twice = run(*train, city, "-o", out, "--work", work)
-    assert (twice.code, "Several maps are called town" in twice.err) == (7, True)
-    assert run(*train, "-o", out, "--work", work, "--epochs", 0).code == 2
-    assert not work.exists()
-
-
-def test_another_training_and_a_strange_device_are_refused(run, city, pools, tmp_path):
-    train = ("city", "train", city, "-o", tmp_path / "a.weights", "--work", tmp_path / "work")
-    (tmp_path / "work").mkdir()
-    (tmp_path / "work" / "plan.json").write_text("{}", "utf-8")
-    other = run(*train, "--pools", pools, *TINY)
-    assert (other.code, "another" in other.err) == (7, True)
-    strange = run(*train, "--pools", pools, *TINY[:-1], "abacus")
-    assert (strange.code, "it is 'cpu', 'cuda' or 'auto'" in strange.err) == (7, True)
-    fast = run(*train, *TINY, "--rate", 50)
-    assert (fast.code, "rate is 50" in fast.err) == (7, True)
+def test_what_cannot_be_trained_is_refused_at_once(run, city, pools, tmp_path):
+    out, work, other = tmp_path / "a.weights", tmp_path / "work", tmp_path / "other"
+    other.mkdir()
+    (other / "plan.json").write_text("{}", "utf-8")
+    here = (city, "-o", out, "--work", work)
+    for arguments, code, words in (
+        ((tmp_path / "gone.city", "-o", out, "--work", work), 3, "gone.city"),
+        ((city, "-o", tmp_path / "no" / "a.weights", "--work", work), 4, "a.weights"),
+        ((city, *here), 7, "Several maps are called town"),
+        ((*here, "--epochs", 0), 2, "epochs"),
+        ((city, "-o", out, "--work", other, "--pools", pools, *TINY), 7, "another"),
+        ((*here, "--pools", pools, *TINY[:-1], "abacus"), 7, "it is 'cpu', 'cuda' or 'auto'"),
+        ((*here, *TINY, "--rate", 50), 7, "rate is 50"),
+        ((*here, *TINY, "--heads", 5), 7, "width 48 for 5 heads"),
+    ):
+        result = run("city", "train", *arguments)
+        assert (result.code, words in result.err) == (code, True), result.err
+    assert not out.exists()
 
 
 @pytest.fixture(scope="module")
 def maps(room, walk, tmp_path_factory):
     """Three maps of the one room, each with its captures; two images a capture."""
-    import shutil
-
     at = tmp_path_factory.mktemp("maps")
     for name in "abc":
         room.save(at / f"{name}.scene")
@@ -171,10 +154,6 @@ def test_the_command_trains_and_goes_on(run, maps, tmp_path, monkeypatch):
     assert json.loads((work / "plan.json").read_text("utf-8"))["held"] == 1
 
 
-def test_homes_by_the_command_are_those_of_the_library():
-    assert [w.name for w in choose_worlds(None, 3, 2, 5)] == [w.name for w in homes(3, seed=5)]
-
-
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
@@ -190,10 +169,3 @@ def test_wrong_commands_say_what_is_wrong(run, tmp_path, arguments, said):
                  "--work", tmp_path / "work")  # fmt: skip
     assert result.code == OptionError.exit_code
     assert said in result.err
-
-
-def test_help_teaches(run):
-    result = run("scene", "train", "--help")
-    assert result.code == 0
-    for word in ("--synthetic", "changed", "Example: placegraph scene train"):
-        assert word in result.out

@@ -7,12 +7,12 @@ from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
+import torch
 
 from placegraph.errors import InputError, MissingExtraError, OptionError, ServiceError
 from placegraph.indoor.refine.matching import Matcher, matcher
 from placegraph.indoor.refine.matching.matches import to_normalised, to_pixels
 
-torch = pytest.importorskip("torch", reason="needs PyTorch: pip install 'placegraph[roma]'")
 pytest.importorskip("kornia", reason="needs kornia: pip install 'placegraph[roma]'")
 
 SHIFT = np.array([14.0, -9.0])
@@ -162,11 +162,8 @@ def test_roma_is_asked_and_answers_in_pixels(library, picture, kind):
         check_shift(found)
         assert len(found) <= 2000
     assert made._network.asked == [[(240, 320), (240, 320)], [(240, 320), (200, 300)]]
-
-
-def test_without_a_second_look(library):
     matcher("roma", weights=library.roma, backbone=library.dino, size=112, fine=0)
-    assert library.calls[0].fine is False
+    assert library.calls[1].fine is False  # without a second look
 
 
 def test_tiny_roma_sees_images_that_are_not_too_large(library, picture):
@@ -262,24 +259,17 @@ def test_without_files_the_hub_is_asked_and_nothing_is_unpickled(
         matcher(name, **options)
 
 
-@pytest.mark.parametrize(
-    ("name", "options", "named"),
-    [
+def test_options_out_of_range_are_refused(library, library_v2):
+    for name, options, named in (
         ("roma", {"kind": "underwater"}, "underwater"),
         ("roma", {"size": 555}, "555"),
         ("roma", {"least": 2}, "least"),
         ("romav2", {"setting": "warp"}, "warp"),
         ("romav2", {"count": 0}, "count"),
         ("roma", {"device": "abacus"}, "abacus"),
-    ],
-)
-def test_options_out_of_range_are_refused(library, library_v2, name, options, named):
-    assert library_v2.weights.exists()
-    with pytest.raises(OptionError, match=named):
-        matcher(name, weights=library.roma, **options)
-
-
-def test_a_device_that_romav2_would_not_take_is_refused(library_v2):
+    ):
+        with pytest.raises(OptionError, match=named):
+            matcher(name, weights=library.roma, **options)
     library_v2.where.device = torch.device("cuda")
     with pytest.raises(OptionError, match="lets nobody choose"):
         matcher("romav2", weights=library_v2.weights, device="cpu")
@@ -291,9 +281,6 @@ def test_without_the_library_it_says_what_to_install(monkeypatch, name, missing)
     with pytest.raises(MissingExtraError, match=r"placegraph\[roma\]"):
         matcher(name)
 
-
-pytest.importorskip("torch", reason="needs PyTorch: pip install 'placegraph[roma]'")
-pytest.importorskip("kornia", reason="needs kornia: pip install 'placegraph[roma]'")
 
 PACKAGES = "romatch==0.1.2", "loguru", "einops"
 """What its networks import and we do not: pip would bring another PyTorch, and much besides."""
@@ -338,28 +325,15 @@ for kind, more in (("indoor", {"backbone": folder / "dino.pth", "fine": 160}), (
 def test_the_library_itself_on_numbers_drawn_by_chance(tmp_path):
     """RoMa as published (`romatch`), ViT-L/14 and all, and the tiny one: 1.7 GB of weights."""
     site = tmp_path / "site"
-    pip = [
-        sys.executable,
-        "-m",
-        "pip",
-        "install",
-        "--quiet",
-        "--no-deps",
-        "--target",
-        site,
-        *PACKAGES,
-    ]
+    pip = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--target", site, *PACKAGES]
     installed = subprocess.run(pip, capture_output=True, text=True, check=False)  # noqa: S603
     if installed.returncode:
         pytest.skip(f"romatch cannot be installed here: {installed.stderr[-200:]}")
     path = os.pathsep.join([str(site), *filter(None, sys.path)])
     asked = subprocess.run(  # noqa: S603
-        [sys.executable, "-c", DRAWN, tmp_path],
-        env=os.environ | {"PYTHONPATH": path},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+        [sys.executable, "-c", DRAWN, tmp_path], env=os.environ | {"PYTHONPATH": path},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
     for file in tmp_path.glob("*.pth"):
         file.unlink()
     assert not asked.returncode, asked.stderr

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from placegraph.core.geometry import Camera
-from placegraph.indoor.encode import Encoder, bound, encoder
+from placegraph.indoor.encode import bound
 from placegraph.indoor.encode.appearance import (
     DIMENSION,
     LEAST,
@@ -49,24 +49,9 @@ def pictures(walk):
     return [f.rgb() for f in walk]
 
 
-def test_it_is_what_the_registry_makes():
-    made = encoder("appearance")
-    assert isinstance(made, Encoder)
-    assert (made.name, made.dimension) == ("appearance", DIMENSION)
-    assert made.key == APPEARANCE.key
-    assert made.key.startswith("appearance ")
-
-
 @pytest.mark.parametrize(
     ("shape", "grid"),
-    [
-        ((90, 160), (9, 16)),
-        ((160, 90), (16, 9)),
-        ((91, 161), (9, 16)),
-        ((2, 1), (16, 9)),
-        ((3, 5000), (9, 16)),
-        ((3000, 4000), (9, 16)),
-    ],
+    [((160, 90), (16, 9)), ((91, 161), (9, 16)), ((2, 1), (16, 9)), ((3, 5000), (9, 16))],
 )
 def test_images_of_any_size_have_patches(shape, grid, rng):
     image = frame_of(rng.integers(0, 256, (*shape, 3), np.uint8))
@@ -85,17 +70,12 @@ def test_an_image_of_one_colour_says_nothing(colour, shape):
     assert not patches.any()
 
 
-def test_an_even_part_of_an_image_speaks():
-    rgb = np.full((144, 256, 3), 200, np.uint8)
-    rgb[0, 0] = 0
-    assert np.linalg.norm(APPEARANCE.patches(frame_of(rgb)), axis=-1) == pytest.approx(1, abs=1e-4)
-
-
 def test_patches_lie_where_the_image_has_them():
     rgb = np.full((144, 256, 3), 200, np.uint8)
     rgb[32:48, 64:80] = 180, 20, 30
-    alike = APPEARANCE.patches(frame_of(rgb)) @ APPEARANCE.patches(frame_of(rgb))[0, 0]
-    odd = alike < 0.9
+    patches = APPEARANCE.patches(frame_of(rgb))
+    assert np.linalg.norm(patches, axis=-1) == pytest.approx(1, abs=1e-4)  # even ones speak, too
+    odd = patches @ patches[0, 0] < 0.9
     assert odd[2, 4]
     assert odd.sum() == 1
 
@@ -108,9 +88,7 @@ def test_an_upright_image_is_read_upright(pictures):
     assert np.sum(np.rot90(lying) * turned, axis=-1).min() > 0.9
 
 
-@pytest.mark.parametrize(
-    "gains", [(1.4, 1.4, 1.4), (0.7, 0.7, 0.7), (1.15, 1.0, 0.85), (0.8, 0.95, 1.1)]
-)
+@pytest.mark.parametrize("gains", [(1.4, 1.4, 1.4), (0.7, 0.7, 0.7), (0.8, 0.95, 1.1)])
 def test_exposure_and_white_balance_change_little(pictures, gains):
     same, other = [], []
     for rgb in pictures:
@@ -139,6 +117,9 @@ def test_every_object_that_can_be_seen_has_a_unit_vector(room, vectors, walk):
     assert np.isclose(lengths, 1.0, atol=1e-4).sum() >= len(room) - 1
     assert (np.isclose(lengths, 1.0, atol=1e-4) | (lengths == 0.0)).all()
     assert APPEARANCE.objects(room, [walk]) == pytest.approx(vectors)
+    mesh = Mesh.plain(room.mesh.vertices, room.mesh.triangles, room.mesh.object_of)
+    bare = SceneMap.create(mesh, room.graph.ids, room.graph.labels, floor=0.0)
+    assert not APPEARANCE.objects(bare).any()
 
 
 def test_patches_know_their_objects(room, vectors, walk):
@@ -160,12 +141,6 @@ def test_bound_to_a_map(room, vectors, walk):
     assert patches.temperature == APPEARANCE.temperature
     table = APPEARANCE.patches(walk[0]).reshape(144, -1) @ vectors.T
     assert patches.table[patches.rows] == pytest.approx(table, abs=0.03)  # 8 bits
-
-
-def test_a_map_without_colours_says_nothing(room):
-    mesh = Mesh.plain(room.mesh.vertices, room.mesh.triangles, room.mesh.object_of)
-    bare = SceneMap.create(mesh, room.graph.ids, room.graph.labels, floor=0.0)
-    assert not APPEARANCE.objects(bare).any()
 
 
 CAMERA = Camera(64, 36, 46.0, 46.0, 32.0, 18.0)
@@ -200,11 +175,5 @@ def test_an_object_asked_for_is_looked_at(room, table):
         for row, pose in zip(visible.tolist(), poses, strict=True)
     ]
     assert sum(seen) >= len(seen) - 1  # one may stand behind the edge of another
-
-
-def test_what_cannot_be_seen_is_left_out(table, room):
     assert towards(table, np.array([len(room) + 7])).shape == (0, 4, 4)
-
-
-def test_a_map_without_free_places(table):
     assert around(replace(table, positions=np.zeros((0, 3)))).shape == (0, 4, 4)

@@ -44,9 +44,6 @@ def test_options_are_said_with_the_name():
     for wrong in ("labels colour=1", "labels colour", "labels 'colour", ""):
         with pytest.raises(OptionError):
             encoder(wrong)
-
-
-def test_what_is_no_encoder():
     with pytest.raises(OptionError, match="one of labels, appearance"):
         encoder("votes")
     with pytest.raises(OptionError, match="'labels'"):

@@ -9,7 +9,7 @@ from placegraph.core.geometry import Camera
 from placegraph.errors import OptionError
 from placegraph.indoor import encode
 from placegraph.indoor.build import scene_of_model
-from placegraph.indoor.encode import Encoder, MapEncoder, Patches, bound
+from placegraph.indoor.encode import MapEncoder, Patches, bound
 from placegraph.indoor.encode.confusion import Confusion
 from placegraph.indoor.encode.labels import (
     GRID,
@@ -36,11 +36,13 @@ def scene(boxes):
     return scene_of_model(model)
 
 
-def frame(names, row, kind="labels"):
-    """Frame of 4 x 8 patches of 10 px, all lines of them like `row`."""
-    ids = np.kron(np.array([row] * 4), np.ones((10, 10), int))
+def frame(names, row, kind="labels", camera=EIGHT):
+    """Frame of 4 x 8 patches of 10 px, all lines of them like `row`; or of a whole label image."""
+    ids = np.asarray(row)
+    if ids.ndim == 1:
+        ids = np.kron(np.array([row] * 4), np.ones((10, 10), int))
     return Frame.from_arrays(
-        np.zeros((90, 160, 3), np.uint8), CAMERA, labels=ids, label_camera=EIGHT, label_kind=kind,
+        np.zeros((90, 160, 3), np.uint8), CAMERA, labels=ids, label_camera=camera, label_kind=kind,
         label_names=names,
     )  # fmt: skip
 
@@ -50,18 +52,6 @@ def cosines(encoder, scene, image):
     patches = bound(encoder, scene).encode(image)
     rows = patches.rows[:8]
     return np.where(rows[:, None] >= 0, patches.table[rows], np.nan)
-
-
-def test_it_is_an_encoder_that_knows_no_map(scene):
-    encoder = encode.encoder("labels", grid=FOUR)
-    assert isinstance(encoder, Encoder)
-    assert isinstance(encoder, LabelsEncoder)
-    assert isinstance(bound(encoder, scene), MapEncoder)
-    vectors = encoder.objects(scene)
-    assert vectors.shape == (len(scene), encoder.dimension)
-    assert vectors.dtype == np.float32
-    assert np.linalg.norm(vectors, axis=1) == pytest.approx([1, 1, 1, 1, 0], abs=1e-5)
-    assert encoder.key == LabelsEncoder().key != "labels"
 
 
 def test_labels_are_all_objects_of_that_label(scene):
@@ -74,6 +64,9 @@ def test_labels_are_all_objects_of_that_label(scene):
     assert np.isnan(got[[3, 4, 5]]).all()
     assert np.abs(got[[0, 1, 2]][[[0], [1], [2]], [[0, 2], [0, 1], [1, 2]]]).max() < 0.3
     assert not got[0, 4]  # nothing is known of that one
+    merged = merge_scenes({"attic": scene, "cellar": scene})
+    both = cosines(LabelsEncoder(FOUR), merged, image)
+    assert np.flatnonzero(both[0] > 0.99).tolist() == [1, 3, 6, 8]
     patches = bound(LabelsEncoder(FOUR), scene).encode(image)
     assert (patches.camera, patches.grid) == (EIGHT, FOUR)
     assert len(patches.table) == 3  # patches of one label share a row
@@ -101,31 +94,17 @@ def test_a_grid_is_any(scene):
     ).any()
 
 
-def test_frames_without_labels():
+def test_frames_that_say_nothing(scene):
     bare = Frame.from_arrays(np.zeros((90, 160, 3), np.uint8), CAMERA)
-    assert LabelsEncoder().patches(bare) is None
     assert LabelsEncoder().camera(bare) == CAMERA
-
-
-def test_ids_of_instances_are_labels_where_they_have_names(scene):
+    assert LabelsEncoder().patches(bare) is None
+    assert bound(LabelsEncoder(), scene).encode(frame({0: "unknown"}, [0] * 8)) is None
     image = frame({}, [0, 1, 2, 3, 4, 5, 6, 7], "instances")
     assert LabelsEncoder().patches(image) is None
     with pytest.raises(OptionError, match="ids of objects without names"):
         bound(LabelsEncoder(), scene).encode(image)
     named = frame({3: "chair"}, [3] * 8, "instances")
     assert (LabelsEncoder().patches(named) @ LabelsEncoder().vector("chair") > 0.99).all()
-
-
-def test_labels_that_say_nothing_are_none(scene):
-    image = frame({0: "unknown"}, [0] * 8)
-    assert not LabelsEncoder().patches(image).any()
-    assert bound(LabelsEncoder(), scene).encode(image) is None
-
-
-def test_a_merged_map_has_the_labels_of_all_its_scenes(scene):
-    merged = merge_scenes({"attic": scene, "cellar": scene})
-    got = cosines(LabelsEncoder(FOUR), merged, frame({0: "chair"}, [0] * 8))
-    assert np.flatnonzero(got[0] > 0.99).tolist() == [1, 3, 6, 8]
 
 
 def test_vectors_that_the_map_holds_are_used(scene):
@@ -135,9 +114,6 @@ def test_vectors_that_the_map_holds_are_used(scene):
     assert np.flatnonzero(got[0] > 0.95).tolist() == [1, 3]  # reversed, they are the same rows
     got = cosines(encoder, held, frame({0: "floor"}, [0] * 8))
     assert np.flatnonzero(got[0] > 0.95).tolist() == [4]
-
-
-# ---------------------------------------------------------------------------- probabilities
 
 
 def probable(**share):
@@ -223,10 +199,11 @@ def test_segmenters_that_do_not_keep_their_word():
         LabelsEncoder(segmenter=Broken()).patches(image)
 
 
-def test_options_that_are_none():
+def test_options_that_are_none(scene):
     for grid in ((0, 4), (4, 0), (-1, 2)):
-        with pytest.raises(OptionError, match="at least one row"):
-            LabelsEncoder(grid)
+        for make in (LabelsEncoder, lambda grid: InstancesEncoder(scene, grid)):
+            with pytest.raises(OptionError, match="at least one row"):
+                make(grid)
     with pytest.raises(OptionError, match="names: give"):
         LabelsEncoder(segmenter=lambda _: np.ones((1, 1, 1)))
     for options in ({"names": ["chair"]}, {"names": ["chair"], "segmenter": Halves()}):
@@ -234,9 +211,6 @@ def test_options_that_are_none():
             LabelsEncoder(**options)
     with pytest.raises(OptionError, match="encoder 'labels'"):
         encode.encoder("labels", shape=3)
-
-
-# ------------------------------------------------------------------------------- confusions
 
 
 def test_a_said_label_stands_for_what_it_may_be(scene):
@@ -255,13 +229,9 @@ def test_a_said_label_stands_for_what_it_may_be(scene):
         1, abs=1e-5
     )
     assert LabelsEncoder(confusion=known).key == LabelsEncoder().key
-
-
-def test_confusions_of_probabilities(scene):
-    known = Confusion(("desk", "chair"), [[0.0, 1.0], [1.0, 0.0]])
-    encoder = LabelsEncoder(FOUR, confusion=known, **probable(chair=1.0, desk=0.0))
-    got = cosines(encoder, scene, frame({}, [0] * 8))
-    assert got[0].argmax() == 2
+    swapped = Confusion(("desk", "chair"), [[0.0, 1.0], [1.0, 0.0]])
+    encoder = LabelsEncoder(FOUR, confusion=swapped, **probable(chair=1.0, desk=0.0))
+    assert cosines(encoder, scene, image)[0].argmax() == 2
 
 
 def test_accuracy_rises_with_a_known_confusion(boxes, rng):
@@ -313,172 +283,90 @@ def test_nothing_known_is_nothing_said(count):
     assert (majority(np.full((4, 4), -1, np.int32), (2, 2), count) == -1).all()
 
 
-CAMERA_INSTANCES = Camera(160, 90, 100.0, 100.0, 80.0, 45.0)
-UNIT_INSTANCES = ((0, 0, 0), (1, 1, 1))
+INSTANCES = frame(None, [0, 1, 2, 3, -1, 7, 1, 1], "instances")
 
 
-@pytest.fixture(scope="module")
-def scene_instances(boxes):
-    """Four objects, ids 0 to 3; two of them are chairs, if written differently."""
-    model = boxes(
-        {
-            "floor": UNIT_INSTANCES,
-            "Chair": UNIT_INSTANCES,
-            "desk": UNIT_INSTANCES,
-            "chair ": UNIT_INSTANCES,
-        }
-    )
-    return scene_of_model(model)
-
-
-def frame_instances(ids, kind="instances", names=None, camera=None):
-    return Frame.from_arrays(
-        np.zeros((90, 160, 3), np.uint8), CAMERA_INSTANCES, labels=np.array(ids, np.int32),
-        label_kind=kind, label_names=names, label_camera=camera,
-    )  # fmt: skip
-
-
-def blocks(rows, size=10):
-    """Label image whose patches each have one value."""
-    return np.kron(np.array(rows), np.ones((size, size), int))
-
-
-EIGHT_INSTANCES = Camera(80, 40, 50.0, 50.0, 40.0, 20.0)  # blocks of 4 x 8 patches of 10 px
-
-
-def words_of(patches):
-    """What each patch agrees with: sets of objects, None where it says nothing."""
+def objects_of(patches):
+    """Objects that each patch of the first line agrees with; None where it says nothing."""
     agreed = [set(np.flatnonzero(row == 1).tolist()) for row in patches.table]
-    return [agreed[r] if r >= 0 else None for r in patches.rows]
+    return [agreed[r] if r >= 0 else None for r in patches.rows[:8]]
 
 
-def test_instances_are_single_objects(scene_instances):
-    image = blocks([[0, 1, 2, 3, -1, 7, 1, 1]] * 4)
-    encoder = InstancesEncoder(scene_instances, (4, 8))
+def test_instances_are_single_objects(scene):
+    encoder = InstancesEncoder(scene, FOUR)
     assert isinstance(encoder, MapEncoder)
-    patches = encoder.encode(frame_instances(image, camera=EIGHT_INSTANCES))
+    patches = encoder.encode(INSTANCES)
     assert isinstance(patches, Patches)
-    assert words_of(patches)[:8] == [{0}, {1}, {2}, {3}, None, None, {1}, {1}]
-    assert words_of(patches)[8:16] == words_of(patches)[:8]
-    assert (patches.camera, patches.grid) == (EIGHT_INSTANCES, (4, 8))
-    assert patches.rows.dtype == np.int32
-    assert patches.table.dtype == np.float32
+    assert objects_of(patches) == [{0}, {1}, {2}, {3}, None, None, {1}, {1}]
+    assert (patches.rows.reshape(4, 8) == patches.rows[:8]).all()
+    assert (patches.camera, patches.grid) == (EIGHT, FOUR)
+    assert (patches.rows.dtype, patches.table.dtype) == (np.int32, np.float32)
     assert set(np.unique(patches.table)) == {-1, 1}
+    bare = Frame.from_arrays(np.zeros((90, 160, 3), np.uint8), CAMERA)
+    for other in (bare, frame({0: "chair"}, [0] * 8)):  # ids of labels are no ids of objects
+        assert InstancesEncoder(scene).encode(other) is None
 
 
-def test_instances_read_as_labels(scene_instances):
-    image = blocks([[0, 1, 2, 3, -1, 9, 0, 0]] * 4)
-    patches = ClassesOfInstances(scene_instances, (4, 8)).encode(
-        frame_instances(image, camera=EIGHT_INSTANCES)
-    )
-    assert words_of(patches)[:8] == [{0}, {1, 3}, {2}, {1, 3}, None, None, {0}, {0}]
-    assert len(patches.table) == 3  # one row a label
+def test_instances_read_as_labels(scene, boxes):
+    patches = ClassesOfInstances(scene, FOUR).encode(INSTANCES)
+    assert objects_of(patches) == [{0}, {1, 3}, {2}, {1, 3}, None, None, {1, 3}, {1, 3}]
+    assert len(patches.table) == 4  # one row a label
+    other = scene_of_model(boxes({"desk": UNIT, "desk ": UNIT, "chair": UNIT}))
+    merged = merge_scenes({"attic": scene, "cellar": other})  # rows 0 to 4, and 5 to 7
+    got = objects_of(InstancesEncoder(merged, FOUR).encode(INSTANCES))
+    assert got[:6] == [{0, 5}, {1, 6}, {2, 7}, {3}, None, None]
+    got = objects_of(ClassesOfInstances(merged, FOUR).encode(INSTANCES))
+    assert got[:4] == [{0, 5, 6}, {1, 3, 5, 6}, {2, 7}, {1, 3}]
 
 
-def test_the_majority_of_pixels_speaks(scene_instances):
-    image = np.full((40, 80), -1)
-    encoder = InstancesEncoder(scene_instances, (1, 2))
-
-    def left(**share):
-        """Column 0 of two patches of 1600 pixels: so many of each object."""
-        flat = np.full(1600, -1)
-        first = 0
-        for name, count in share.items():
-            flat[first : first + count] = int(name[1:])
-            first += count
-        image[:, :40] = flat.reshape(40, 40)
-        return int(encoder.encode(frame_instances(image, camera=EIGHT_INSTANCES)).rows[0])
-
-    assert left(o1=900, o2=700) == 1
-    assert left(o1=700, o2=900) == 2
-    assert left(o1=500, o2=400, o3=600) == 3  # the most, if less than half
-    assert left(o1=800) == 1  # half is known
-    assert left(o1=799) == -1  # less than half
-    assert left(o1=300, o2=200, o3=400) == 3  # more than half is known, of whatever
-    assert left() == -1
-    assert int(encoder.encode(frame_instances(image, camera=EIGHT_INSTANCES)).rows[1]) == -1
+@pytest.mark.parametrize(
+    ("counts", "winner"),
+    [
+        ({1: 900, 2: 700}, 1), ({1: 700, 2: 900}, 2),
+        ({1: 500, 2: 400, 3: 600}, 3),  # the most, if less than half
+        ({1: 800}, 1), ({1: 799}, -1),  # half is known, or less
+        ({1: 300, 2: 200, 3: 400}, 3),  # more than half is known, of whatever
+        ({}, -1),
+    ],
+)  # fmt: skip
+def test_the_majority_of_pixels_speaks(scene, counts, winner):
+    """Two patches of 1600 pixels, of which the first shows so many of each object."""
+    ids = np.repeat([*counts, -1], [*counts.values(), 1600 - sum(counts.values())])
+    image = np.hstack([ids.reshape(40, 40), np.full((40, 40), -1)])
+    rows = InstancesEncoder(scene, (1, 2)).encode(frame(None, image, "instances")).rows
+    assert rows.tolist() == [winner, -1]
 
 
-@pytest.mark.parametrize("shape", [(45, 80), (90, 160), (31, 53), (9, 16)])
+@pytest.mark.parametrize("shape", [(45, 80), (31, 53), (9, 16)])
 @pytest.mark.parametrize("grid", [GRID, (14, 14), (4, 3), (1, 1)])
-def test_any_image_has_the_encoders_grid(scene_instances, shape, grid):
-    """Patches of 196 or 144 or any number; those that no pixel lies in say nothing."""
+def test_any_image_has_the_encoders_grid(scene, shape, grid):
+    """Patches that no pixel lies in say nothing."""
     image = np.zeros(shape, int)
     image[:, shape[1] // 2 :] = 2
-    camera = CAMERA_INSTANCES.resized(shape[1], shape[0])
-    patches = InstancesEncoder(scene_instances, grid).encode(frame_instances(image, camera=camera))
+    camera = CAMERA.resized(shape[1], shape[0])
+    patches = InstancesEncoder(scene, grid).encode(frame(None, image, "instances", camera))
     rows = patches.rows.reshape(grid)
     pixel_rows = {y * grid[0] // shape[0] for y in range(shape[0])}
     for y in range(grid[0]):
         if y not in pixel_rows:
             assert (rows[y] == -1).all()
         elif grid[1] > 1:
-            assert rows[y, 0] == 0
-            assert rows[y, -1] == 2
-
-
-def test_frames_without_such_labels(scene_instances):
-    image = blocks([[0] * 8] * 4)
-    bare = Frame.from_arrays(np.zeros((90, 160, 3), np.uint8), CAMERA_INSTANCES)
-    assert InstancesEncoder(scene_instances).encode(bare) is None
-    # ids of labels are no ids of objects
-    labelled = frame_instances(image, "labels", {0: "chair"}, EIGHT_INSTANCES)
-    assert InstancesEncoder(scene_instances).encode(labelled) is None
-
-
-def test_numbers_in_a_merged_map_are_of_any_scene(scene_instances):
-    merged = merge_scenes({"attic": scene_instances, "cellar": scene_instances})
-    image = blocks([[0, 1, 2, 3, -1, 9, 0, 0]] * 4)
-    got = words_of(
-        InstancesEncoder(merged, (4, 8)).encode(frame_instances(image, camera=EIGHT_INSTANCES))
-    )
-    assert got[:6] == [{0, 4}, {1, 5}, {2, 6}, {3, 7}, None, None]
-    got = words_of(
-        ClassesOfInstances(merged, (4, 8)).encode(frame_instances(image, camera=EIGHT_INSTANCES))
-    )
-    assert got[:4] == [{0, 4}, {1, 3, 5, 7}, {2, 6}, {1, 3, 5, 7}]
-
-
-def test_a_number_may_be_a_chair_here_and_a_desk_there(scene_instances, boxes):
-    other = scene_of_model(
-        boxes({"desk": UNIT_INSTANCES, "desk ": UNIT_INSTANCES, "chair": UNIT_INSTANCES})
-    )
-    merged = merge_scenes({"attic": scene_instances, "cellar": other})  # rows 0 to 3, and 4 to 6
-    image = blocks([[0, 1, 2, 3, -1, 9, 0, 0]] * 4)
-    got = words_of(
-        ClassesOfInstances(merged, (4, 8)).encode(frame_instances(image, camera=EIGHT_INSTANCES))
-    )
-    assert got[:4] == [{0, 4, 5}, {1, 3, 4, 5}, {2, 6}, {1, 3}]
-
-
-def test_encoders_that_are_none(scene_instances):
-    for grid in ((0, 4), (4, 0), (-1, 2)):
-        with pytest.raises(OptionError, match="at least one row"):
-            InstancesEncoder(scene_instances, grid)
+            assert (rows[y, 0], rows[y, -1]) == (0, 2)
 
 
 def test_the_rendered_walk_says_what_is_there(room, walk):
-    """Nearly all patches of a rendered frame_instances see an object that the map has."""
     patches = InstancesEncoder(room).encode(walk[0])
     assert patches.grid == GRID
     assert (patches.rows >= 0).mean() > 0.95
     assert len(np.unique(patches.rows)) > 3
 
 
-def test_ids_of_another_map_are_told(scene_instances):
-    own, other = (
-        frame_instances(blocks([[0, 1, 2, 3, -1, -1, 1, 1]] * 4), camera=EIGHT_INSTANCES),
-        frame_instances(blocks([[0, 10, 12, 13, 14, -1, 1, 1]] * 4), camera=EIGHT_INSTANCES),
-    )
-    assert not foreign(scene_instances, [own], 0.9)
-    said = foreign(scene_instances, [own, other], 0.9)
+def test_ids_of_another_map_are_told(scene):
+    own = frame(None, [0, 1, 2, 3, -1, -1, 1, 1], "instances")
+    other = frame(None, [0, 10, 12, 13, 14, -1, 1, 1], "instances")
+    assert not foreign(scene, [own], 0.9)
+    said = foreign(scene, [own, other], 0.9)
     assert "Of the 8 instance ids in the frames, 4 are no objects of this map (10, 12" in said
     assert "labels=None" in said
-    assert "may be another map's" in foreign(
-        scene_instances, [own], 0.1
-    )  # numbers are alike everywhere
-    assert not foreign(
-        scene_instances,
-        [frame_instances(blocks([[1] * 8] * 4), "labels", {1: "a"}, EIGHT_INSTANCES)],
-        0.1,
-    )
+    assert "may be another map's" in foreign(scene, [own], 0.1)  # numbers are alike everywhere
+    assert not foreign(scene, [frame({1: "a"}, [1] * 8)], 0.1)

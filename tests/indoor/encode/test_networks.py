@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -72,6 +73,8 @@ def test_office_has_a_plant_and_a_sofa(network):
     if not folder.exists():
         pytest.skip(f"{folder} is not there")
     assert isinstance(network, Segmenter)
+    assert network.names == {i: name for i, name in enumerate(PASCAL) if name}
+    assert len(PASCAL) == len(network.names) + 1 == 21
     frames = labelled(open_capture(folder), network)
     seen = {}
     for i in range(0, 370, 45):
@@ -95,19 +98,12 @@ def test_size_keeps_the_shape_of_the_image(network):
     assert network.labels(grey).shape == network.size(500, 3)[::-1]
 
 
-def test_names(network):
-    assert len(PASCAL) == 21
-    assert network.names == {i: name for i, name in enumerate(PASCAL) if name}
-    assert 0 not in network.names
-
-
 @pytest.mark.usefixtures("network")
-def test_names_file(tmp_path):
+def test_names_file(tmp_path, rng):
     path = tmp_path / "names.json"
     path.write_text(json.dumps({"0": None, "9": "seat"}))
     other = segmenter(WEIGHTS, path, threads=1)
     assert other.names == {9: "seat"}
-    rng = np.random.default_rng(0)
     labels = other.labels(rng.integers(0, 256, (48, 64, 3), np.uint8))
     assert set(np.unique(labels).tolist()) <= {-1, 9}
 
@@ -121,7 +117,7 @@ def test_bad_names_files(content, tmp_path):
 
 
 @pytest.mark.parametrize("content", [b"", b"TFL3", b"\0" * 400, b"\x1c\0\0\0TFL3" + b"\xff" * 64])
-def test_bad_weights(content, tmp_path):
+def test_bad_weights(content, tmp_path, monkeypatch):
     pytest.importorskip("ai_edge_litert")
     path = tmp_path / "net.tflite"
     with pytest.raises(InputError, match="does not exist"):
@@ -129,12 +125,8 @@ def test_bad_weights(content, tmp_path):
     path.write_bytes(content)
     with pytest.raises(InputError, match=r"net\.tflite"):
         segmenter(path)
-
-
-def test_without_the_extra(tmp_path, monkeypatch):
-    path = tmp_path / "net.tflite"
-    path.write_bytes(b"\x1c\0\0\0TFL3" + bytes(64))
     monkeypatch.setitem(sys.modules, "ai_edge_litert.interpreter", None)
+    path.write_bytes(b"\x1c\0\0\0TFL3" + bytes(64))
     with pytest.raises(MissingExtraError, match="segment"):
         segmenter(path)
 
@@ -153,12 +145,6 @@ def test_labelled_is_lazy_and_remembers(capture):
     assert halves.asked == 2
     np.testing.assert_array_equal(seen[0].depth(), capture[0].depth())
     assert capture[0].labels() is None
-
-
-def test_labels_of_another_size_are_refused(capture):
-    seen = labelled(capture, Halves((5, 5)))
-    with pytest.raises(OptionError, match="segmenter"):
-        seen[0].labels()
 
 
 def test_labelled_frames_vote(capture):
@@ -238,24 +224,16 @@ def test_a_model_tells_metres(gives, depth, weights, tmp_path):
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        ({"gives": "inverse"}, "no scale"),
-        ({"gives": "relative"}, "no scale"),
-        ({"gives": "feet"}, "metres"),
-        ({}, "gives"),
-        ({"gives": "metres", "std": 1}, "JSON object"),
-        ({"gives": "metres", "mean": 0.5}, "mean"),
+        ({"gives": "inverse"}, "no scale"), ({"gives": "relative"}, "no scale"),
+        ({"gives": "feet"}, "metres"), ({}, "gives"),
+        ({"gives": "metres", "std": 1}, "JSON object"), ({"gives": "metres", "mean": 0.5}, "mean"),
         ({"gives": "metres", "mean": [0.5, None, 0.5]}, "mean"),
         ({"gives": "metres", "deviation": [0, 1, 1]}, "deviation"),
     ],
-)
+)  # fmt: skip
 def test_bad_forms(content, words, tmp_path):
     with pytest.raises(InputError, match=words):
         depth_network(tmp_path / "none.tflite", form(tmp_path, **content))
-
-
-def test_a_model_without_its_form(weights):
-    with pytest.raises(InputError, match=r"mean\.json does not exist; say"):
-        depth_network(weights)
 
 
 class Rule:
@@ -272,16 +250,6 @@ class Rule:
     def depth(self, rgb):
         self.asked += 1
         return self.rule(rgb)
-
-
-def bare(capture):
-    """The capture without depth and labels."""
-    return Capture.from_frames(
-        Frame.from_arrays(
-            f.rgb(), f.camera, odometry=f.odometry, gravity=f.gravity, stamp=f.stamp, index=f.index
-        )
-        for f in capture
-    )
 
 
 @pytest.fixture
@@ -310,7 +278,11 @@ def test_measured_is_lazy_and_remembers(colours):
     assert rule.asked == 71
 
 
-def test_what_is_refused(colours):
+def test_what_is_refused(colours, capture, weights):
+    with pytest.raises(OptionError, match="segmenter"):
+        labelled(capture, Halves((5, 5)))[0].labels()
+    with pytest.raises(InputError, match=r"mean\.json does not exist; say"):
+        depth_network(weights)
     rule = Rule(lambda _: np.ones((5, 5)))
     seen = measured(colours, rule)
     with pytest.raises(OptionError, match="promised"):
@@ -333,9 +305,10 @@ def test_a_pose_by_a_network(room, walk, truth):
         return 1.05 * depth * np.exp(0.03 * rng.normal() + 0.05 * rng.normal(size=depth.shape))
 
     options = PoseSearchOptions(semantic=False, likelihood=Likelihood(depth_slope=SLOPE))
+    bare = Capture.from_frames([replace(f, depth_camera=None, label_camera=None) for f in walk])
     network = Rule(rule, (walk.depth_camera.width, walk.depth_camera.height))
     estimate = room.localize(
-        measured(bare(walk), network), options=options, refine=RefineOptions(depth=False), seed=0
+        measured(bare, network), options=options, refine=RefineOptions(depth=False), seed=0
     )
     off = np.linalg.inv(truth(walk)[-1]) @ estimate.best.map_from_camera
     assert np.linalg.norm(off[:3, 3]) < 0.25

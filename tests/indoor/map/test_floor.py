@@ -1,5 +1,7 @@
 """Where the floor is: by its label, or as the largest low surface that looks up."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -27,14 +29,10 @@ def height(model):
     return floor_height(mesh, [t.label for t in model.things])
 
 
-def named(floor, **others):
-    """The room with its slab called `floor`, and further boxes."""
-    return {floor: ROOM["slab"]} | {k: v for k, v in ROOM.items() if k != "slab"} | others
-
-
 @pytest.mark.parametrize("label", ["slab", "floor", "Floor", "kitchen_floor", "ground"])
 def test_the_upper_side_of_the_slab(label, boxes):
-    assert height(boxes(named(label))) == pytest.approx(0.1, abs=1e-6)
+    parts = {label if name == "slab" else name: box for name, box in ROOM.items()}
+    assert height(boxes(parts)) == pytest.approx(0.1, abs=1e-6)
 
 
 def test_a_floor_that_looks_down():
@@ -58,6 +56,9 @@ def test_a_floor_that_stands_upright_tells_no_height(boxes):
     standing = {"floor": ((0, 0, 0), (0.1, 4, 5)), "slab": ((0, 0, -0.2), (5, 4, 0.1))}
     assert height(boxes(standing)) == pytest.approx(0.1, abs=1e-6)
     assert height(boxes({"floor": standing["floor"]})) is None
+    corners = np.array([[-500, -500, 2], [500, -500, 2], [0, 900, 2]])  # one giant triangle
+    assert floor_height(Mesh.plain(corners, [[0, 1, 2]]), ["x"]) == 2.0
+    assert floor_height(Mesh.plain(corners[:, [0, 2, 1]], [[0, 1, 2]]), ["x"]) is None
 
 
 def test_furniture_alone_is_no_floor(boxes):
@@ -86,13 +87,6 @@ def test_scans_are_noisy_and_reach_below_the_floor(rng):
     assert floor_height(Mesh.plain(points, triangles), ["unknown"]) == pytest.approx(1.0, abs=0.02)
 
 
-def test_one_giant_triangle():
-    corners = np.array([[-500, -500, 2], [500, -500, 2], [0, 900, 2]])
-    assert floor_height(Mesh.plain(corners, [[0, 1, 2]]), ["x"]) == 2.0
-    upright = corners[:, [0, 2, 1]]
-    assert floor_height(Mesh.plain(upright, [[0, 1, 2]]), ["x"]) is None
-
-
 @pytest.mark.parametrize(
     ("label", "words"),
     [
@@ -105,26 +99,17 @@ def test_words_of_labels(label, words):
     assert label_words(label) == words
 
 
-def test_what_is_called_floor():
+def test_the_last_word_says_what_is_built_in():
     assert all(map(is_floor, ["floor", "Floor", "LivingRoomFloor", "wet floor 2"]))
     assert not any(map(is_floor, ["floor lamp", "floorboard", "", "FloorMat"]))
+    built_in = structure(["HouseWall", "wall clock", "floor", "", "RoomWindow"])
+    assert built_in.tolist() == [True, False, True, False, True]
 
 
-def test_the_shared_house(shared):
-    from dataclasses import replace
-
-    from placegraph.io.mesh.gltf import read_glb
-
-    model = read_glb(shared / "data" / "house" / "map" / "house.glb")
-    nameless = replace(model, things=tuple(replace(t, label="thing") for t in model.things))
+def test_the_shared_house(house):
+    nameless = replace(house, things=tuple(replace(t, label="thing") for t in house.things))
     assert height(nameless) == pytest.approx(0.0, abs=0.01)
-    assert scene_of_model(model).floors.tolist() == [0.0]
-
-
-def test_the_last_word_says_what_is_built_in():
-    assert structure(["HouseWall", "wall clock", "floor", "", "RoomWindow"]).tolist() == [
-        True, False, True, False, True,
-    ]  # fmt: skip
+    assert scene_of_model(house).floors.tolist() == [0.0]
 
 
 @pytest.mark.parametrize("label", ["", "unknown", "Object", "object 3", "17", "Mesh_01", "none"])
@@ -132,10 +117,7 @@ def test_words_that_name_nothing(label):
     assert nameless(label)
     assert same_label(label, "chair")
     assert same_label("chair", label)
-
-
-@pytest.mark.parametrize("label", ["chair", "unknown chair", "other furniture", "椅子"])
-def test_words_that_do(label):
-    assert not nameless(label)
-    assert same_label(label, label.upper())
-    assert not same_label(label, "lamp")
+    for word in ("chair", "unknown chair", "other furniture", "椅子"):
+        assert not nameless(word)
+        assert same_label(word, word.upper())
+        assert not same_label(word, "lamp")

@@ -26,13 +26,10 @@ from placegraph.indoor.scene_map import SceneMap
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 STAGE = {
-    "floor": ((0, 0, -0.1), (5, 4, 0)),
-    "ceiling": ((0, 0, 2.6), (5, 4, 2.7)),
-    "wall west": ((-0.2, 0, 0), (0, 4, 2.6)),
-    "wall south": ((0, -0.2, 0), (5, 0, 2.6)),
-    "wall north": ((0, 4, 0), (5, 4.2, 2.6)),
-    "table": ((1, 1, 0.7), (3, 3, 0.75)),
-}
+    "floor": ((0, 0, -0.1), (5, 4, 0)), "ceiling": ((0, 0, 2.6), (5, 4, 2.7)),
+    "wall west": ((-0.2, 0, 0), (0, 4, 2.6)), "wall south": ((0, -0.2, 0), (5, 0, 2.6)),
+    "wall north": ((0, 4, 0), (5, 4.2, 2.6)), "table": ((1, 1, 0.7), (3, 3, 0.75)),
+}  # fmt: skip
 CLOSED = {"wall east": ((5, 0, 0), (5.2, 4, 2.6))}
 SHIFT = np.array([0.4, -0.3, 3.0])
 
@@ -59,18 +56,14 @@ def test_storeys_are_floors_with_rooms_above(room, flat, stacked, boxes):
     assert below == room.floors[0]
     assert above == pytest.approx(flat.floors[0] + SHIFT[2], abs=0.02)
     assert len(storeys(room, 0)) == 1, "a roof is no storey"
-    shelves = {f"shelf {i}": ((0, i, 2.2), (5, i + 0.3, 2.25)) for i in range(3)}
-    assert len(storeys(scene_of_model(boxes(STAGE | shelves)), 0)) == 1
-
-
-def test_storeys_of_heights_that_are_none_take_no_memory_by_them(stacked):
     vertices = stacked.mesh.vertices.copy()
-    vertices[-200:, 2] += 1e9
-    far = replace(stacked, mesh=replace(stacked.mesh, vertices=vertices))
+    vertices[-200:, 2] += 1e9  # heights that are none take no memory by them
     tracemalloc.start()
-    storeys(far, 0)
+    storeys(replace(stacked, mesh=replace(stacked.mesh, vertices=vertices)), 0)
     assert tracemalloc.get_traced_memory()[1] < 100e6
     tracemalloc.stop()
+    shelves = {f"shelf {i}": ((0, i, 2.2), (5, i + 0.3, 2.25)) for i in range(3)}
+    assert len(storeys(scene_of_model(boxes(STAGE | shelves)), 0)) == 1
 
 
 def test_a_camera_upstairs_is_a_level_up_and_in_a_room_there(stacked, flat):
@@ -97,7 +90,7 @@ def test_either_storey_is_found(stacked, walk, flat_walk, truth):
 
 
 @pytest.mark.parametrize("closed", [False, True])
-def test_places_beside_an_open_side_look_in(closed, boxes):
+def test_places_beside_an_open_side_look_in(closed, boxes, monkeypatch):
     """A scan may look in from outside its box; through a wall nobody does."""
     scene = scene_of_model(boxes(STAGE | (CLOSED if closed else {})))
     at = scene.visibility(FilterOptions()).positions
@@ -109,6 +102,8 @@ def test_places_beside_an_open_side_look_in(closed, boxes):
     low = at[at[:, 2] < 0.5]
     under = (low[:, :2] > [1, 1]) & (low[:, :2] < [3, 3])
     assert under.all(axis=1).any(), "under the table"
+    monkeypatch.setattr(free, "_PAIRS", 1000)  # they are found in blocks
+    np.testing.assert_array_equal(build_table(scene, FilterOptions()).positions, at)
 
 
 def test_cameras_are_looked_for_where_the_maps_own_were(room, tmp_path):
@@ -163,22 +158,13 @@ def test_absurd_viewpoints_and_landmarks_are_refused(forged, says, room, tmp_pat
         SceneMap.open(tmp_path / "it.scene")
 
 
-def test_viewpoints_far_from_the_mesh_are_told():
-    points = np.array([[0.5, 0.5, 0.5], [10.9, 0, 0], [11.1, 0, 0], [0, 0, -10.1]])
-    assert near_box(points, np.array([[0.0] * 3, [1.0] * 3])).tolist() == [True, True, False, False]
-
-
-def test_places_that_look_in_are_found_in_blocks(boxes, monkeypatch):
-    scene = scene_of_model(boxes(STAGE))
-    whole = build_table(scene, FilterOptions()).positions
-    monkeypatch.setattr(free, "_PAIRS", 1000)
-    np.testing.assert_array_equal(build_table(scene, FilterOptions()).positions, whole)
-
-
 def test_viewpoints_are_few_and_everywhere(rng):
     points = rng.uniform(0, 10, (5000, 3))
     got = thin_points(points)
     assert VIEWPOINTS / 3 < len(got) <= VIEWPOINTS
     nearest = np.linalg.norm(points[:, None] - got[None], axis=2).min(axis=1)
     assert nearest.max() < 4.0
+    points_near = np.array([[0.5, 0.5, 0.5], [10.9, 0, 0], [11.1, 0, 0], [0, 0, -10.1]])
+    box = np.array([[0.0] * 3, [1.0] * 3])
+    assert near_box(points_near, box).tolist() == [True, True, False, False]
     np.testing.assert_allclose(thin_points(points[:1].repeat(9, axis=0)), points[:1], atol=0.005)

@@ -83,32 +83,25 @@ def test_plain_meshes():
     assert coloured.object_of.tolist() == [1, 0]
     assert (coloured.colours == 9).all()
     assert len(Mesh.plain(np.zeros((0, 3)), np.zeros((0, 3), int))) == 0
+    assert square().normals().tolist() == [[0, 0, 2], [0, 0, 2]]  # twice the area
+    moved = square().moved([1, 2, 3])
+    assert moved.vertices[0].tolist() == [1, 2, 3]
+    assert moved.vertices.dtype == np.float32
 
 
-def test_bounds():
-    mesh = square(vertices=np.array([[0, 0, 5], [2, 0, 0], [2, 1, 0], [-7, 1, 0]], np.float32))
-    assert mesh.bounds().tolist() == [[-7, 0, 0], [2, 1, 5]]
-    boxes = mesh.object_bounds(3)
-    assert boxes[0].tolist() == [[0, 0, 0], [2, 1, 5]]
-    assert boxes[1].tolist() == [[-7, 0, 0], [2, 1, 5]]
-    assert np.isnan(boxes[2]).all()
-    assert np.isnan(Mesh.plain(np.zeros((0, 3)), np.zeros((0, 3), int)).bounds()).all()
-
-
-def test_bounds_of_objects_in_any_order(rng):
+def test_bounds(rng):
+    empty = Mesh.plain(np.zeros((0, 3)), np.zeros((0, 3), int))
+    assert np.isnan(empty.bounds()).all()
     triangles = rng.integers(0, 50, (200, 3))
     points, owner = rng.normal(size=(50, 3)).astype(np.float32), rng.integers(0, 9, 200)
-    boxes = Mesh.plain(points, triangles, owner).object_bounds(9)
+    mesh = Mesh.plain(points, triangles, owner)
+    np.testing.assert_array_equal(mesh.bounds(), [points.min(axis=0), points.max(axis=0)])
+    boxes = mesh.object_bounds(10)
     for row in range(9):
         own = points[triangles[owner == row].ravel()]
         np.testing.assert_array_equal(boxes[row], [own.min(axis=0), own.max(axis=0)])
+    assert np.isnan(boxes[9]).all()
 
-
-def test_normals_are_twice_the_area():
-    assert square().normals().tolist() == [[0, 0, 2], [0, 0, 2]]
-
-
-# --- colours ---
 
 CHESS = np.array([[[255, 0, 0], [0, 255, 0]], [[0, 0, 255], [255, 255, 255]]], np.uint8)
 
@@ -126,14 +119,16 @@ def test_a_hit_has_the_colour_of_its_texel():
     assert colour(mesh, 0, 0.1, 0.05) == [0, 0, 255]  # near the origin
     assert colour(mesh, 0, 0.9, 0.05) == [255, 255, 255]  # near (2, 0)
     assert colour(mesh, -1, 0.3, 0.3) == [0, 0, 0]
-
-
-def test_textures_repeat():
-    near = square(uv=np.full((4, 2), [0.25, 0.75], np.float32), textures=(CHESS,))
-    far = square(uv=np.full((4, 2), [-3.75, 8.75], np.float32), textures=(CHESS,))
-    assert colour(near, 0, 0.3, 0.3) == colour(far, 0, 0.3, 0.3) == [0, 0, 255]
+    for at in ([0.25, 0.75], [-3.75, 8.75]):  # textures repeat
+        far = square(uv=np.full((4, 2), at, np.float32), textures=(CHESS,))
+        assert colour(far, 0, 0.3, 0.3) == [0, 0, 255]
     edge = square(uv=np.ones((4, 2), np.float32), textures=(CHESS,))
     assert colour(edge, 0, 0.3, 0.3) == [255, 0, 0]
+    other = np.arange(18, dtype=np.uint8).reshape(2, 3, 3)
+    texels, starts, sizes = square(textures=(CHESS, other)).texels()
+    assert sizes.tolist() == [[2, 2], [3, 2]]
+    assert starts.tolist() == [0, 4]
+    assert texels[4 + 1 * 3 + 2].tolist() == other[1, 2].tolist()
 
 
 def test_vertex_colours_are_mixed_and_multiplied():
@@ -145,16 +140,6 @@ def test_vertex_colours_are_mixed_and_multiplied():
     assert colour(mesh, 0, 1.0, 0.0) == [40, 0, 0]
     assert colour(mesh, 1, 1.0, 0.0) == [0, 100, 255]
 
-
-def test_texels_lie_behind_each_other():
-    other = np.arange(18, dtype=np.uint8).reshape(2, 3, 3)
-    texels, starts, sizes = square(textures=(CHESS, other)).texels()
-    assert sizes.tolist() == [[2, 2], [3, 2]]
-    assert starts.tolist() == [0, 4]
-    assert texels[4 + 1 * 3 + 2].tolist() == other[1, 2].tolist()
-
-
-# --- steps ---
 
 coordinates = arrays.arrays(
     np.float32, (4, 3), elements=st.floats(-1e4, 1e4, width=32) | st.floats(-3, 3, width=32)
@@ -175,20 +160,11 @@ def test_snapping_moves_little_and_once(points):
     np.testing.assert_array_equal(again.uv, snapped.uv)
     multiples = snapped.vertices.astype(np.float64) / snapped.steps()[0]
     np.testing.assert_array_equal(multiples, np.rint(multiples))
-
-
-def test_steps_are_fine_in_a_house_and_coarse_on_a_continent():
-    shifted = square().moved([GRAIN, 0, 0])
-    assert shifted.steps() == (GRAIN, UV_GRAIN)
+    # fine in a house and coarse on a continent
+    assert square().moved([GRAIN, 0, 0]).steps() == (GRAIN, UV_GRAIN)
     assert square().steps()[0] == 1.0, "the longest that all coordinates are multiples of"
     large = square(vertices=np.array(SQUARE, np.float32) * 1e6 + 0.5)
     assert 0.1 < large.steps()[0] < 1.0
-
-
-def test_moved():
-    moved = square().moved([1, 2, 3])
-    assert moved.vertices[0].tolist() == [1, 2, 3]
-    assert moved.vertices.dtype == np.float32
 
 
 soups = st.integers(0, 60).flatmap(
@@ -196,17 +172,12 @@ soups = st.integers(0, 60).flatmap(
 )
 
 
-@given(soups)
-def test_any_triangles_come_back(rows):
+@given(soups, st.integers(0, 2**32 - 1))
+def test_the_surface_is_the_same_and_numbers_are_dense(rows, seed):
     triangles = np.array(rows[: len(rows) // 3 * 3], np.int32).reshape(-1, 3)
     back = from_high_water(high_water(triangles))
     np.testing.assert_array_equal(back, triangles)
     assert back.dtype == np.int32
-
-
-@given(soups, st.integers(0, 2**32 - 1))
-def test_the_surface_is_the_same_and_numbers_are_dense(rows, seed):
-    triangles = np.array(rows[: len(rows) // 3 * 3], np.int32).reshape(-1, 3)
     rng = np.random.default_rng(seed)
     count = int(triangles.max(initial=-1)) + 3
     mesh = Mesh.plain(
@@ -229,45 +200,29 @@ def test_the_surface_is_the_same_and_numbers_are_dense(rows, seed):
     np.testing.assert_array_equal(seen[firsts], np.arange(len(after.vertices)))
 
 
-def test_it_is_worth_it(rng):
+def test_order_makes_files_smaller(rng):
     n = 60
     x, y = (a.ravel() for a in np.meshgrid(np.arange(n + 1), np.arange(n + 1), indexing="ij"))
     a = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
-    triangles = np.concatenate(
-        [np.stack([a, a + n + 1, a + n + 2], 1), np.stack([a, a + n + 2, a + 1], 1)]
-    )
+    corners = [a, a + n + 1, a + n + 2], [a, a + n + 2, a + 1]
+    triangles = np.concatenate([np.stack(c, 1) for c in corners])
     shuffled = rng.permutation((n + 1) ** 2)
     points = np.stack([x, y, 0 * x], axis=1)[np.argsort(shuffled)]
     triangles = shuffled[triangles][rng.permutation(len(triangles))].astype(np.int32)
-    size = {
-        name: len(pack(codes)[2])
-        for name, codes in (
-            ("as it was", triangles),
-            ("ordered", high_water(ordered(Mesh.plain(points, triangles)).triangles)),
-        )
-    }
-    assert size["ordered"] < size["as it was"] / 3
-
-
-def test_a_fan_of_many_triangles_takes_no_time():
-    rim = np.arange(1, 40_001, dtype=np.int32)
+    codes = high_water(ordered(Mesh.plain(points, triangles)).triangles)
+    assert len(pack(codes)[2]) < len(pack(triangles)[2]) / 3
+    rim = np.arange(1, 40_001, dtype=np.int32)  # a fan of many triangles takes no time
     triangles = np.stack([0 * rim, rim, np.roll(rim, -1)], axis=1)
-    points = np.random.default_rng(0).normal(size=(40_001, 3))
+    points = rng.normal(size=(40_001, 3))
     assert len(ordered(Mesh.plain(points, triangles))) == 40_000
 
 
-def quad(texture, width=2.0, height=1.0, uv=1.0, colours=255):
+def quad(texture, width=2.0, height=1.0, uv=1.0):
     """Wall width x height [m] with `uv` repeats of a texture along each side."""
     corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], float)
-    return Mesh(
-        vertices=np.column_stack([corners * (width, height), np.zeros(4)]).astype(np.float32),
-        triangles=np.array([[0, 1, 2], [0, 2, 3]], np.int32),
-        object_of=np.array([0, 1], np.int32),
-        colours=np.broadcast_to(np.uint8(colours), (4, 3)).astype(np.uint8),
-        uv=(corners * uv).astype(np.float32),
-        texture_of=np.zeros(2, np.int32),
-        textures=(np.asarray(texture, np.uint8),),
-    )
+    vertices = np.column_stack([corners * (width, height), np.zeros(4)]).astype(np.float32)
+    texture = np.asarray(texture, np.uint8)
+    return square(vertices=vertices, uv=(corners * uv).astype(np.float32), textures=(texture,))
 
 
 def looked_at(surface, triangle, u, v, footprint=0.0):
@@ -299,11 +254,8 @@ def test_near_by_it_shows_what_the_mesh_shows(flat, rng):
 
 def test_corner_colours_tint_the_texture(rng):
     mesh = quad(rng.integers(0, 256, (5, 7, 3)), uv=3.7)
-    mesh = Mesh(
-        mesh.vertices, mesh.triangles, mesh.object_of,
-        rng.integers(0, 256, (4, 3)).astype(np.uint8),
-        mesh.uv - 5.3, mesh.texture_of, mesh.textures,
-    )  # fmt: skip
+    tints = rng.integers(0, 256, (4, 3)).astype(np.uint8)
+    mesh = replace(mesh, colours=tints, uv=mesh.uv - np.float32(5.3))
     triangle, u, v = hits_on(mesh, rng)
     got = looked_at(Surface.of(mesh), triangle, u, v) * 255
     expected = mesh.colour_at(triangle.astype(np.int32), u.astype("f4"), v.astype("f4"))
@@ -315,10 +267,7 @@ def test_a_texture_repeats_even_at_its_seams():
     texture = np.arange(4 * 3).reshape(1, 4, 3) * 20
     mesh = quad(texture, uv=1.0)
     for shift in (0.0, -1e-9, 1.0 - 2**-24, -3.0, 1e4):
-        moved = Mesh(
-            mesh.vertices, mesh.triangles, mesh.object_of, mesh.colours,
-            np.full((4, 2), shift, np.float32), mesh.texture_of, mesh.textures,
-        )  # fmt: skip
+        moved = replace(mesh, uv=np.full((4, 2), shift, np.float32))
         column = 3 if -1e-3 < shift < 0 or 0.5 < shift < 1 else 0
         colour = np.array(colour_at(Surface.of(moved), 0, np.float32(0.3), np.float32(0.3), 0.0))
         np.testing.assert_allclose(colour * 255, texture[0, column], atol=0.01)
@@ -343,11 +292,7 @@ def test_levels_halve_down_to_one_texel(shape, rng):
 
 def test_smaller_textures_repeat_their_last_level(rng):
     small, large = (rng.integers(0, 256, (n, n, 3)).astype(np.uint8) for n in (2, 16))
-    mesh = quad(small)
-    mesh = Mesh(
-        mesh.vertices, mesh.triangles, mesh.object_of, mesh.colours, mesh.uv,
-        np.array([0, 1], np.int32), (small, large),
-    )  # fmt: skip
+    mesh = replace(quad(small), texture_of=np.array([0, 1], np.int32), textures=(small, large))
     surface = Surface.of(mesh)
     assert surface.levels.shape == (2, 5, 3)
     assert surface.levels[0].tolist() == [[0, 2, 2], [4, 1, 1], [4, 1, 1], [4, 1, 1], [4, 1, 1]]
@@ -364,20 +309,9 @@ def test_texels_per_metre_of_the_denser_side(rng):
     np.testing.assert_allclose(Surface.of(quad(texture, uv=3)).texels_per_metre, 192, rtol=1e-5)
     flat = Surface.of(quad(np.full((1, 1, 3), 7), uv=0))
     assert flat.texels_per_metre.tolist() == [0, 0]
-
-
-def test_triangles_without_area_have_a_density_that_is_a_number():
-    mesh = quad(np.zeros((4, 4, 3)))
-    vertices = mesh.vertices.copy()
-    vertices[1] = vertices[0]
-    vertices[2] = vertices[0]
-    surface = Surface.of(
-        Mesh(
-            vertices, mesh.triangles, mesh.object_of, mesh.colours, mesh.uv, mesh.texture_of,
-            mesh.textures,
-        )
-    )  # fmt: skip
-    assert np.isfinite(surface.texels_per_metre).all()
+    mesh = quad(texture)
+    point = replace(mesh, vertices=mesh.vertices[[0, 0, 0, 3]])  # triangles without area
+    assert np.isfinite(Surface.of(point).texels_per_metre).all()
 
 
 def test_what_stands_for_more_sees_more():
@@ -390,12 +324,7 @@ def test_what_stands_for_more_sees_more():
     assert set(near.round(6).ravel().tolist()) == {0.0, 1.0}
     for footprint in (2 / 64, 1 / 8, 0.5, 3.0):
         np.testing.assert_allclose(looked_at(surface, *at, footprint), 0.5, atol=0.01)
-
-
-def test_the_level_fits_the_footprint():
-    """Half black, half white: a ray for a quarter of the wall sees one half, for all of it both."""
-    board = np.zeros((64, 64, 3))
-    board[:, 32:] = 255
+    board[:, :32], board[:, 32:] = 0, 255  # of halves, a ray for a quarter of the wall sees one
     surface = Surface.of(quad(board, 1.0, 1.0))
     left = (np.array([1]), np.array([0.1]), np.array([0.7]))  # x = 0.1
     assert looked_at(surface, *left, 0.25).tolist() == [[0, 0, 0]]
@@ -416,11 +345,8 @@ def test_charts_of_an_atlas_are_not_mixed_from_afar(monkeypatch):
         for z in range(8)
     ]
     triangles = np.concatenate([np.array([[0, 1, 2], [0, 2, 3]]) + 4 * z for z in range(8)])
-    mesh = Mesh(
-        np.concatenate(quads).astype(np.float32), triangles.astype(np.int32), np.zeros(16, np.int32),
-        np.full((32, 3), 255, np.uint8), np.concatenate(uv).astype(np.float32),
-        np.zeros(16, np.int32), (texture,),
-    )  # fmt: skip
+    mesh = Mesh.plain(np.concatenate(quads), triangles)
+    mesh = replace(mesh, uv=np.concatenate(uv).astype(np.float32), textures=(texture,))
     surface = Surface.of(mesh)
     third = np.array([1 / 3])
     for triangle, wanted in ((0, (250, 0, 0)), (2, (0, 0, 250))):
@@ -430,19 +356,12 @@ def test_charts_of_an_atlas_are_not_mixed_from_afar(monkeypatch):
     assert (whole.levels[0, -1, 1:] == 1).all(), "one picture ends in one texel"
 
 
-# --------------------------------------------------------------------------- opponents
-
-
-def test_opponents_by_hand():
+def test_opponents_and_a_dimmer_lamp():
     got = opponent(np.float32(0.6), np.float32(0.3), np.float32(0.04))
     assert got == pytest.approx((0.94, 0.56, -0.04), abs=1e-6)
     grey = opponent(np.float32(0.5), np.float32(0.5), np.float32(0.5))
     assert grey == pytest.approx((1.5, 0, 0), abs=1e-6)
-
-
-def test_a_dimmer_lamp_leaves_the_colour():
     bright = np.array(opponent(*np.array([0.8, 0.5, 0.2], np.float32)))
     dim = np.array(opponent(*np.array([0.4, 0.25, 0.1], np.float32)))
     assert dim[0] == pytest.approx(bright[0] / 2, abs=1e-6)
     np.testing.assert_allclose(dim[1:], bright[1:], rtol=0.05)
-    assert abs(bright[1]) > 0.3

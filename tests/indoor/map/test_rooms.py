@@ -19,7 +19,7 @@ def rooms(model, floor=0.0, labels=None):
     return rooms_of(mesh, labels or [t.label for t in model.things], floor)
 
 
-def house(gap=0.0, *, over=None, wall="wall"):
+def two_rooms(gap=0.0, *, over=None, wall="wall"):
     """Boxes of two rooms 4 x 3 m, west and east of a wall with a gap in it, a lintel above."""
     parts = {
         "floor": ((-0.1, -0.1, -0.1), (8.2, 3.1, 0)),
@@ -77,18 +77,14 @@ def test_each_thing_is_in_its_drawn_room(altbau):
 def test_a_doorway_ends_a_room(boxes):
     """0.9 m wide below a wall; or so narrow, against its rooms, that no wall above is needed."""
     for options in ({"gap": 0.9, "over": 2.1}, {"gap": 1.6, "over": 2.1}, {"gap": 0.9}):
-        found = rooms(boxes(house(**options)))
+        found = rooms(boxes(two_rooms(**options)))
         assert len(found) == 2, options
         assert found.areas == pytest.approx([12, 12], rel=0.06)
         assert found.at([(1, 1), (7, 1), (-3, 1), (1, 1000)]).tolist() in (
             [0, 1, -1, -1], [1, 0, -1, -1],
         )  # fmt: skip
-
-
-def test_a_wide_opening_does_not(boxes):
-    """Nor does a beam across it."""
-    for options in ({"gap": 2.4}, {"gap": 2.4, "over": 2.1}):
-        assert len(rooms(boxes(house(**options)))) == 1, options
+    for options in ({"gap": 2.4}, {"gap": 2.4, "over": 2.1}):  # a wide opening, even below a beam
+        assert len(rooms(boxes(two_rooms(**options)))) == 1, options
 
 
 def test_a_closed_door_is_wall(boxes):
@@ -105,7 +101,7 @@ def test_a_closed_door_is_wall(boxes):
 
 def test_furniture_divides_no_room(boxes):
     """A tall shelf with a name, across the room but for a metre."""
-    parts = house(gap=3.0)
+    parts = two_rooms(gap=3.0)
     shelf = {"shelf": ((2, 0, 0), (2.4, 2.1, 2.2))}
     assert len(rooms(boxes(parts | shelf))) == 1
     assert len(rooms(boxes(parts | {"room wall": shelf["shelf"]}))) == 2
@@ -114,8 +110,8 @@ def test_furniture_divides_no_room(boxes):
 def test_walls_without_names_are_walls_if_they_are_tall(boxes):
     """A scan whose objects are unknown, or where nothing is called a wall."""
     for name in ("unknown", "brickwork"):
-        assert len(rooms(boxes(house(gap=0.9, wall=name)))) == 2
-    low = house(gap=0.9, wall="unknown")
+        assert len(rooms(boxes(two_rooms(gap=0.9, wall=name)))) == 2
+    low = two_rooms(gap=0.9, wall="unknown")
     low["middle unknown"] = ((4, 0, 0), (4.1, 1.05, 1.2))
     low["inner unknown"] = ((4, 1.95, 0), (4.1, 3, 1.2))
     assert len(rooms(boxes(low))) == 1, "a low thing without a name is furniture"
@@ -123,7 +119,7 @@ def test_walls_without_names_are_walls_if_they_are_tall(boxes):
 
 def test_a_closet_belongs_to_its_room(boxes):
     """1.2 m2 behind a door that stands open: no room of its own."""
-    parts = house(gap=3.0) | {
+    parts = two_rooms(gap=3.0) | {
         "closet wall": ((0, 1.4, 0), (1.0, 1.5, HEIGHT)), "front wall": ((1.0, 0.7, 0), (1.1, 1.5, HEIGHT)),
     }  # fmt: skip
     found = rooms(boxes(parts))
@@ -132,7 +128,7 @@ def test_a_closet_belongs_to_its_room(boxes):
 
 
 def test_what_is_in_which_room(boxes):
-    parts = house(gap=0.9, over=2.1) | {
+    parts = two_rooms(gap=0.9, over=2.1) | {
         "sofa": ((0.2, 0.2, 0), (2, 1, 0.8)), "bed": ((6, 1, 0), (8, 3, 0.5)),
         "lamp": ((6.5, 1.5, 2), (6.8, 1.8, 2.5)), "picture": ((3.95, 0.3, 1.2), (3.99, 0.9, 1.8)),
         "clock": ((4.11, 0.3, 1.2), (4.15, 0.9, 1.8)), "window": ((8.1, 1, 1), (8.2, 2, 2)),
@@ -173,8 +169,8 @@ def test_a_scan_with_holes_is_one_room(rng):
 
 def test_rooms_turn_with_the_map(boxes):
     """Walls askew to the grid are as tight."""
-    model = boxes(house(gap=0.9, over=2.1))
-    for degrees in (10, 30, 45):
+    model = boxes(two_rooms(gap=0.9, over=2.1))
+    for degrees in (10, 45):
         c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
         turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
         mesh = Mesh.plain(model.vertices @ turn.T + (3, -7, 5), model.triangles, model.thing_of)
@@ -197,7 +193,7 @@ def test_no_rooms(boxes):
 
 
 def test_rooms_that_the_source_names_are_kept(boxes):
-    model = boxes(house(gap=0.9, over=2.1) | {"sofa": ((0.2, 0.2, 0), (2, 1, 0.8))})
+    model = boxes(two_rooms(gap=0.9, over=2.1) | {"sofa": ((0.2, 0.2, 0), (2, 1, 0.8))})
     mesh = Mesh.plain(model.vertices, model.triangles, model.thing_of)
     labels = [t.label for t in model.things]
     blank = [{"colour": "red"}] * len(labels)
@@ -255,24 +251,18 @@ def test_areas_add_up(rng):
     votes = np.zeros((4, 4))
     areas_within(corners, areas, own, np.zeros(2), 0.1, rooms, votes)
     assert votes.sum(axis=1) == pytest.approx(np.bincount(own, areas, 4))
-
-
-def test_half_a_triangle_in_each_room():
-    corners = np.array([[[0, 0, 0], [2, 0, 0], [0, 0, 1.0]]])
+    corners = np.array([[[0, 0, 0], [2, 0, 0], [0, 0, 1.0]]])  # half of it in each room
     rooms = np.repeat([0, 1], 10)[:, None].repeat(3, axis=1).astype(np.int32)
     votes = np.zeros((1, 3))
     areas_within(corners, np.ones(1), np.zeros(1, np.int32), np.array([0, -0.1]), 0.1, rooms, votes)
     assert votes[0] == pytest.approx([0.75, 0.25, 0], abs=0.03)
 
 
-def test_the_house_has_two_rooms_behind_its_folding_doors(shared):
+def test_the_house_has_two_rooms_behind_its_folding_doors(house):
     """Bedroom, study, and an open plan of living room, kitchen and balcony."""
-    from placegraph.io.mesh.gltf import read_glb
-
-    model = read_glb(shared / "data/house/map/house.glb")
-    found = rooms(model)
+    found = rooms(house)
     assert len(found) == 3
-    row = {t.name: room for t, room in zip(model.things, found.room_of.tolist(), strict=True)}
+    row = {t.name: room for t, room in zip(house.things, found.room_of.tolist(), strict=True)}
     open_plan, bedroom = row["SofaC_01_001"], row["Bed_01_001"]
     study = row["ChairD_01_003"]
     assert [open_plan, bedroom, study] == [0, 1, 2]

@@ -37,6 +37,10 @@ def test_a_file_holds_them_and_one_without_opens(room, some, tmp_path):
     assert np.array_equal(again.points, landmarks.points)
     assert np.array_equal(again.vectors, landmarks.vectors)
     assert bytes_of(tmp_path / "a.scene")["landmarks"] > 0
+    merged = merge_scenes({"a": replace(room, landmarks=landmarks), "b": room})
+    shift = np.linalg.inv(merged.scene_from_map[0])[:3, 3]
+    assert np.allclose(merged.landmarks.points, landmarks.points + shift, atol=1e-5)
+    assert merge_scenes({"a": room, "b": room}).landmarks is None
     save_scene(room, tmp_path / "b.scene")
     assert open_scene(tmp_path / "b.scene", SceneMap).landmarks is None
 
@@ -49,10 +53,3 @@ def test_damaged_columns_are_refused(room, some, tmp_path):
         open_scene(tmp_path / "a.scene", SceneMap)
     with pytest.raises(OptionError, match="landmarks"):
         Landmarks(np.full((1, 3), np.nan, np.float32), np.zeros((1, WIDTH), np.int8))
-
-
-def test_they_move_with_their_scene(room, some):
-    merged = merge_scenes({"a": replace(room, landmarks=some[2]), "b": room})
-    shift = np.linalg.inv(merged.scene_from_map[0])[:3, 3]
-    assert np.allclose(merged.landmarks.points, some[2].points + shift, atol=1e-5)
-    assert merge_scenes({"a": room, "b": room}).landmarks is None

@@ -5,30 +5,25 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from tests.indoor.conftest import _model
 
 from placegraph.core.geometry import Camera, level_from_camera, pose_matrix, rotation_from_vector
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.refine.correspondences import PointMatches, Surfaces, sample_readings
 from placegraph.indoor.refine.fit import Problem
 from placegraph.indoor.refine.options import RefineOptions
+from placegraph.indoor.refine.refiner import Refiner
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
 
 CAMERA = Camera(160, 120, 120.0, 120.0, 80.0, 60.0)
-FACES = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]]
 
 
 def _boxes(boxes):
     """Map of boxes {label: (low, high)}, each an object of six sides; the first is the hall."""
-    vertices, triangles, objects = [], [], []
-    for row, (low, high) in enumerate(boxes.values()):
-        corners = np.array([np.where([i >> 2 & 1, i >> 1 & 1, i & 1], high, low) for i in range(8)])
-        faces = np.array([f for a, b, c, d in FACES for f in ((a, c, b), (a, d, c))])
-        triangles.append(faces + 8 * row)
-        vertices.append(corners)
-        objects += [row] * len(faces)
-    mesh = Mesh.plain(np.concatenate(vertices), np.concatenate(triangles), objects)
+    model = _model(boxes)
+    mesh = Mesh.plain(model.vertices, model.triangles, model.thing_of)
     return SceneMap.create(mesh, list(map(str, range(len(boxes)))), list(boxes), floor=0.0)
 
 
@@ -91,12 +86,18 @@ def _off(pose, truth):
     return float(np.linalg.norm(delta[:3, 3])), float(np.degrees(turn))
 
 
+def _white(scene):
+    """The map without colours."""
+    mesh = Mesh.plain(scene.mesh.vertices, scene.mesh.triangles, scene.mesh.object_of)
+    return SceneMap.create(mesh, scene.graph.ids, scene.graph.labels, floor=0.0)
+
+
 @pytest.fixture(scope="session")
 def kit():
     """Functions that make maps, poses, exact captures and problems: see those above."""
     return SimpleNamespace(
         boxes=_boxes, standing=_standing, frames=_frames, problem=_problem, moved=_moved, off=_off,
-        camera=CAMERA,
+        white=_white, camera=CAMERA,
     )  # fmt: skip
 
 
@@ -148,6 +149,19 @@ def in_memory():
         return Capture.from_frames(frames)
 
     return rebuilt
+
+
+@pytest.fixture
+def refiner(room, walk):
+    """Refiner of frames of the walk through the drawn room, by its options."""
+
+    def made(scene=room, matcher=None, frames=slice(None), *, depth=True, colour=True, **options):
+        chosen = list(walk)[frames]
+        depths = [f.depth() if depth else None for f in chosen]
+        queries = [f.rgb() if colour else None for f in chosen]
+        return Refiner(scene, chosen, depths, queries, RefineOptions(**options), matcher)
+
+    return made
 
 
 @pytest.fixture(scope="session")

@@ -19,7 +19,6 @@ from placegraph.io.capture.capture import Capture, open_capture
 pytestmark = pytest.mark.usefixtures("one_thread")
 FIVE = slice(0, 5)
 WITHOUT_DEPTH = PoseSearchOptions().only(semantic=True, colour=True)
-SAME = pytest.mark.all  # what others show already
 
 
 def honest(estimate, truth, kit, metres=0.3, degrees=5.0):
@@ -36,51 +35,31 @@ def honest(estimate, truth, kit, metres=0.3, degrees=5.0):
     return estimate
 
 
-# ------------------------------------------------------------------------------ no overlap
-
-
-@pytest.mark.parametrize("yaw", [0.0, *(pytest.param(y, marks=SAME) for y in (90.0, 180.0, 270.0))])
-def test_a_start_in_another_room(flat_world, flat_walk, truth, kit, yaw):
+def test_a_start_in_another_room(flat_world, flat_walk, truth, kit):
     """What the frames saw is not there: not OK, and not moved to wherever it fits."""
-    x, y = flat_world.drawing.position("2")
-    start = kit.standing(x, y, yaw, z=1.6)
+    start = kit.standing(*flat_world.drawing.position("2"), 0.0, z=1.6)
     right = truth(flat_walk)[4]
     assert kit.off(start, right)[0] > 1.5
     estimate = honest(flat_world.scene.refine(flat_walk, start, frames=FIVE), right, kit)
     assert kit.off(estimate.best.map_from_camera, start)[0] < 1.0
 
 
-def test_a_map_without_the_place(flat, walk, exact, kit):
-    for start in (exact.poses[4], kit.standing(3.0, 3.0, 45.0, z=1.6)):
-        estimate = flat.refine(walk, start, frames=FIVE)
-        assert estimate.status is not Status.OK, estimate.reason
-    assert flat.localize(walk, frames=FIVE).status is not Status.OK
+def test_a_map_without_the_place(flat, walk, kit):
+    estimate = flat.refine(walk, kit.standing(3.0, 3.0, 45.0, z=1.6), frames=FIVE)
+    assert estimate.status is not Status.OK, estimate.reason
 
 
-def test_a_start_off_the_map(room, walk, kit):
+def test_a_start_off_the_map_inside_a_wall_or_upside_down(room, walk, exact, kit):
     estimate = room.refine(walk, kit.standing(80.0, 80.0, 10.0), frames=FIVE)
     assert estimate.status is Status.LOST
     assert not estimate.refinement.accepted
-
-
-def test_a_start_inside_a_wall_or_upside_down(room, walk, exact, kit):
-    for start in (
-        kit.standing(0.05, 1.0, 0.0),
-        kit.moved(exact.poses[4], turn_deg=(180.0, 0.0, 0.0)),
-    ):
+    upside_down = kit.moved(exact.poses[4], turn_deg=(180.0, 0.0, 0.0))
+    for start in (kit.standing(0.05, 1.0, 0.0), upside_down):
         honest(room.refine(walk, start, frames=FIVE), exact.poses[4], kit)
 
 
-# ------------------------------------------------------------------------- maps that say little
-
-
-def white(scene):
-    mesh = Mesh.plain(scene.mesh.vertices, scene.mesh.triangles, scene.mesh.object_of)
-    return SceneMap.create(mesh, scene.graph.ids, scene.graph.labels, floor=0.0)
-
-
 def test_a_map_without_texture(room, walk, exact, kit):
-    bare = white(room)
+    bare = kit.white(room)
     start = kit.moved(exact.poses[4], (0.08, -0.08, 0), (0, 0, 4.0))
     estimate = honest(bare.refine(walk, start, frames=FIVE), exact.poses[4], kit)
     assert estimate.refinement.accepted  # depth needs no colours
@@ -88,9 +67,6 @@ def test_a_map_without_texture(room, walk, exact, kit):
     blind = RefineOptions(depth=False, images=True)
     estimate = honest(bare.refine(walk, start, frames=FIVE, options=blind), exact.poses[4], kit)
     assert not estimate.refinement.accepted
-    semantic = PoseSearchOptions().only(semantic=True)
-    estimate = bare.localize(walk, frames=FIVE, options=semantic)
-    assert estimate.refinement is None or not estimate.refinement.accepted
 
 
 def test_a_map_of_one_object(room, walk, exact, kit):
@@ -109,9 +85,6 @@ def test_a_map_of_one_object(room, walk, exact, kit):
     honest(sofa.refine(walk, start, frames=FIVE), exact.poses[4], kit)
 
 
-# ----------------------------------------------------------------------------------- images
-
-
 def spoilt(kind):
     noise = np.random.default_rng(0)
 
@@ -123,66 +96,41 @@ def spoilt(kind):
             return np.ascontiguousarray(rgb[..., ::-1])
         if kind == "burnt":
             return np.clip(rgb.astype(int) * 4 + 120, 0, 255).astype(np.uint8)
-        return np.full_like(rgb, {"black": 0, "blank": 128, "white": 255}[kind])
+        return np.zeros_like(rgb)
 
     return made
 
 
 @pytest.mark.parametrize(
-    ("kind", "seed"),
-    [
-        ("black", 0),
-        ("burnt", 0),
-        ("noise", 0),
-        *(pytest.param(k, 0, marks=SAME) for k in ("blank", "white", "swapped")),
-        # before one wall: other draws end at other heights
-        *(pytest.param("burnt", seed, marks=SAME) for seed in (1, 3)),
-    ],
+    "kind",
+    ["black", "burnt", *(pytest.param(k, marks=pytest.mark.all) for k in ("noise", "swapped"))],
 )
-def test_images_that_show_nothing(room, walk, exact, kit, in_memory, kind, seed):
+def test_images_that_show_nothing(room, walk, exact, kit, in_memory, kind):
     capture = in_memory(walk[:5], rgb=spoilt(kind))
-    estimate = honest(room.localize(capture, seed=seed), exact.poses[4], kit)
+    estimate = honest(room.localize(capture), exact.poses[4], kit)
     away = estimate.best.map_from_camera[:3, 3] - exact.poses[4][:3, 3]
     assert np.hypot(*away[:2]) < 0.05  # depth is left; the height nothing holds here
     assert abs(away[2]) < 3.0 * np.sqrt(estimate.best.covariance[2, 2])
     blind = room.localize(capture, options=WITHOUT_DEPTH)
     honest(blind, exact.poses[4], kit, 0.5, 8.0)
-    if kind in {"black", "blank", "white", "noise"}:
+    if kind in {"black", "noise"}:
         assert blind.refinement is None or not blind.refinement.accepted
-
-
-# ----------------------------------------------------------------------------- cameras, depth
-
-
-def with_camera(capture, change):
-    frames = []
-    for f in capture:
-        cameras = {
-            n: change(getattr(f, n)) for n in ("camera", "depth_camera", "label_camera")
-        }  # fmt: skip
-        frames.append(replace(f, **cameras))
-    return Capture.from_frames(frames)
 
 
 BY_IMAGES = 0.6
 """A fault that is known: images alone, by a focal length 30 % too short, may be OK and so far off [m]."""
 
 
-@pytest.mark.parametrize(
-    ("factor", "depth"),
-    [
-        (0.7, True),
-        (0.7, False),
-        *(pytest.param(by, d, marks=SAME) for by in (1.3, 2.0) for d in (True, False)),
-    ],
-)
-def test_a_wrong_focal_length(room, walk, exact, kit, factor, depth):
-    wrong = with_camera(
-        walk[:5], lambda c: replace(c, fx=c.fx * factor, fy=c.fy * factor)
-    )  # fmt: skip
+@pytest.mark.parametrize("depth", [True, False])
+def test_a_wrong_focal_length(room, walk, exact, kit, depth):
+    def wrong(camera):
+        return replace(camera, fx=camera.fx * 0.7, fy=camera.fy * 0.7)
+
+    names = ("camera", "depth_camera", "label_camera")
+    frames = [replace(f, **{n: wrong(getattr(f, n)) for n in names}) for f in walk[:5]]
     options = PoseSearchOptions() if depth else WITHOUT_DEPTH
-    far = BY_IMAGES if factor == 0.7 and not depth else 0.3
-    honest(room.localize(wrong, options=options), exact.poses[4], kit, far)
+    far = 0.3 if depth else BY_IMAGES
+    honest(room.localize(Capture.from_frames(frames), options=options), exact.poses[4], kit, far)
 
 
 def test_a_swapped_size_is_refused(walk, tmp_path):
@@ -195,34 +143,20 @@ def test_a_swapped_size_is_refused(walk, tmp_path):
         open_capture(folder)[0].rgb()
 
 
-@pytest.mark.parametrize(
-    "factor",
-    [0.8, 3.281, *(pytest.param(by, marks=SAME) for by in (0.2, 1 / 3.281, 1.25, 5.0))],
-)
+@pytest.mark.parametrize("factor", [3.281, pytest.param(0.8, marks=pytest.mark.all), 0.0])
 def test_depth_in_another_unit_is_never_a_pose(room, walk, exact, kit, in_memory, factor):
     capture = in_memory(walk[:5], depth=lambda f: f.depth() * np.float32(factor))
-    honest(room.localize(capture), exact.poses[4], kit)
-    start = kit.moved(exact.poses[4], (0.05, 0.05, 0))
-    honest(room.refine(capture, start), exact.poses[4], kit)
-
-
-def test_depth_that_is_all_zero_is_none(room, walk, exact, kit, in_memory):
-    capture = in_memory(walk[:5], depth=lambda f: np.zeros_like(f.depth()))
     start = kit.moved(exact.poses[4], (0.05, 0.05, 0))
     estimate = honest(room.refine(capture, start), exact.poses[4], kit)
-    assert "depth" not in estimate.refinement.reason
-
-
-# --------------------------------------------------------------------------------- motion
-
-
-def test_one_frame(room, walk, exact, kit):
-    for row in (0, 9):
-        honest(room.localize(walk, frames=[row]), exact.poses[row], kit)
+    if factor:
+        honest(room.localize(capture), exact.poses[4], kit)
+    else:
+        assert "depth" not in estimate.refinement.reason  # none was read
 
 
 def test_a_camera_that_stands_still(room, walk, exact, kit):
     """The same moment five times: no more is known than from one."""
+    honest(room.localize(walk, frames=[0]), exact.poses[0], kit)
     still = [replace(walk[4], stamp=float(i), index=i) for i in range(5)]
     estimate = honest(room.localize(still), exact.poses[4], kit)
     alone = room.localize(walk, frames=[4])
@@ -255,6 +189,12 @@ def test_odometry_that_is_wrong(room, walk, exact, kit, in_memory, made):
     honest(refined, exact.poses[4], kit)
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_odometry_that_is_no_number_is_refused(walk, in_memory, value):
+    with pytest.raises(OptionError, match="odometry"):
+        in_memory(walk[:2], odometry=lambda f: np.where(np.eye(4, k=3), value, f.odometry))
+
+
 def test_what_contradicts_the_odometry_is_not_ok(room, walk, located, monkeypatch):
     """The filter may still say so: the frames, each where it fits, part from their way."""
     assert located.status is Status.OK
@@ -264,20 +204,6 @@ def test_what_contradicts_the_odometry_is_not_ok(room, walk, located, monkeypatc
     assert after.status is Status.AMBIGUOUS
     assert "odometry" in after.reason
     assert not after.refinement.accepted
-
-
-@pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_odometry_that_is_no_number_is_refused(walk, in_memory, value):
-    def made(frame):
-        pose = frame.odometry.copy()
-        pose[0, 3] = value
-        return pose
-
-    with pytest.raises(OptionError, match="odometry"):
-        in_memory(walk[:2], odometry=made)
-
-
-# --------------------------------------------------------------------------------- weights
 
 
 @pytest.mark.parametrize("content", [b"", b"no weights", b"PK\x03\x04" + bytes(200)])

@@ -53,11 +53,30 @@ def sights_of(capture, poses, rng, count=60, sigma=1.0, noise=0.0, wrong=0.0):
     st.tuples(*[st.floats(-1.0, 1.0)] * 2, st.floats(-4.0, 4.0)),
 )
 def test_a_disturbed_way_through_the_hall_is_found_again(kit, hall, walked, way, shift, turn):
-    solution = solve(kit.problem(hall, walked), kit.moved(way, shift, turn), DEPTH_WIDTHS, 6)
+    start = kit.moved(way, shift, turn)
+    before = start.copy()
+    solution = solve(kit.problem(hall, walked), start, DEPTH_WIDTHS, 6)
+    np.testing.assert_array_equal(start, before)
     for pose, truth in zip(solution.poses, way, strict=True):
         metres, degrees = kit.off(pose, truth)
         assert metres < 0.005
         assert degrees < 0.1
+
+
+def test_one_frame(kit, hall, walked, way):
+    start = kit.moved(way[:1], (0.06, -0.05, 0.01), (0, 0, 3.0))
+    problem = kit.problem(hall, walked[:1])
+    solution = solve(problem, start, DEPTH_WIDTHS, 6)
+    assert kit.off(solution.poses[0], way[0])[0] < 0.005
+    assert solution.information.shape == (6, 6)
+    np.testing.assert_array_equal(solution.lags.values, 0.0)  # nothing is late
+    assert solution.lags.find_clear() == {}
+    np.testing.assert_array_equal(solution.lags.of_depth(way[:1]), way[:1])
+    shift, away = common_error(problem, solution)
+    assert shift >= ALONE
+    assert 0.5 < away < 6.0
+    five = solve(kit.problem(hall, walked), way, DEPTH_WIDTHS).covariance()
+    assert np.trace(five[:3, :3]) < np.trace(solution.covariance()[:3, :3])
 
 
 def test_a_furnished_room(kit, room, exact):
@@ -71,20 +90,6 @@ def test_a_furnished_room(kit, room, exact):
     assert 0 < solution.steps <= 12
     for pose in solution.poses:
         np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-9)
-
-
-def test_the_start_is_left_as_it_was(kit, hall, walked, way):
-    start = kit.moved(way, (0.05, 0, 0))
-    before = start.copy()
-    solve(kit.problem(hall, walked), start, DEPTH_WIDTHS)
-    np.testing.assert_array_equal(start, before)
-
-
-def test_one_frame(kit, hall, walked, way):
-    start = kit.moved(way[:1], (0.06, -0.05, 0.01), (0, 0, 3.0))
-    solution = solve(kit.problem(hall, walked[:1]), start, DEPTH_WIDTHS, 6)
-    assert kit.off(solution.poses[0], way[0])[0] < 0.005
-    assert solution.information.shape == (6, 6)
 
 
 def test_odometry_holds_a_frame_that_saw_nothing(kit, hall, walked, way):
@@ -144,24 +149,17 @@ def test_gravity_is_a_prior_not_a_cage(kit, hall, walked, way, tilt_deg):
     assert np.degrees(np.arccos(np.clip(up[:, 2], -1, 1))).max() < 0.05
 
 
-# ------------------------------------------------------------------------------- covariance
-
-
-def symmetric_and_positive(matrix):
-    np.testing.assert_allclose(matrix, matrix.T, atol=1e-9 * np.abs(matrix).max())
-    return np.linalg.eigvalsh(matrix).min() > 0
-
-
 def test_covariances_are_positive_definite(kit, hall, walked, way):
     solution = solve(kit.problem(hall, walked), way, DEPTH_WIDTHS)
-    assert symmetric_and_positive(solution.information)
     whole = np.linalg.inv(solution.information)
     for t in range(5):
-        assert symmetric_and_positive(solution.covariance(t))
         np.testing.assert_allclose(
             solution.covariance(t), whole[6 * t : 6 * t + 6, 6 * t : 6 * t + 6], rtol=1e-6
         )
     np.testing.assert_array_equal(solution.covariance(), solution.covariance(4))
+    for matrix in (solution.information, *map(solution.covariance, range(5))):
+        np.testing.assert_allclose(matrix, matrix.T, atol=1e-9 * np.abs(matrix).max())
+        assert np.linalg.eigvalsh(matrix).min() > 0
 
 
 def test_along_a_corridor_nobody_knows_how_far(kit):
@@ -180,15 +178,6 @@ def test_along_a_corridor_nobody_knows_how_far(kit):
     assert found[1, 3] == pytest.approx(poses[-1, 1, 3], abs=0.003)
 
 
-def test_more_frames_know_better(kit, hall, walked, way):
-    one = solve(kit.problem(hall, walked[4:]), way[4:], DEPTH_WIDTHS).covariance()
-    five = solve(kit.problem(hall, walked), way, DEPTH_WIDTHS).covariance()
-    assert np.trace(five[:3, :3]) < np.trace(one[:3, :3])
-
-
-# -------------------------------------------------------------------------- moved furniture
-
-
 @pytest.mark.parametrize(("metres", "within"), [(0.06, 0.035), (0.15, 0.01), (0.4, 0.01)])
 def test_moved_furniture_is_weighted_down(kit, way, metres, within):
     changed = kit.boxes({"hall": HALL, "chest": ((3 + metres, 1.4, 0), (3.5 + metres, 1.8, 0.9))})
@@ -201,9 +190,6 @@ def test_moved_furniture_is_weighted_down(kit, way, metres, within):
         assert solution.shares[1] < 0.9
         still = solve(kit.problem(scene, kit.frames(scene, way)), way, DEPTH_WIDTHS)
         assert still.shares.tolist() == [1.0, 1.0]
-
-
-# ----------------------------------------------------------------------------------- pixels
 
 
 @pytest.mark.parametrize("wrong", [0.0, 0.3])
@@ -226,9 +212,6 @@ def test_points_say_what_depth_cannot(kit, rng):
     solution = solve(problem, kit.moved(poses, (0.06, 0.0, 0.0)), DEPTH_WIDTHS, 6)
     assert kit.off(solution.poses[-1], poses[-1])[0] < 0.005
     assert np.sqrt(solution.covariance()[0, 0]) < 0.05
-
-
-# --------------------------------------------------------------------------------- odometry
 
 
 @settings(max_examples=20)
@@ -254,9 +237,6 @@ def test_errors_of_odometry_do_not_depend_on_the_frames_of_reference(kit, way, s
     np.testing.assert_allclose(deviations[:, 0], 0.01 + 0.1 * way_of, atol=1e-9)
 
 
-# ---- Covariances that know what all frames have in common
-
-
 @pytest.fixture(scope="module")
 def problem(kit, hall, walked):
     return kit.problem(hall, walked)
@@ -267,16 +247,11 @@ def solution(problem, way):
     return solve(problem, way, DEPTH_WIDTHS)
 
 
-def pulled(kit, solution, way, metres):
-    """A solution whose frames part from their way."""
-    apart = np.stack([kit.moved(p, (0, metres * (-1) ** t, 0)) for t, p in enumerate(way)])
-    return replace(solution, poses=apart)
-
-
 def test_frames_that_pull_apart_say_how_far_the_map_is_off(kit, problem, solution, way):
     sizes, turns = [], []
     for metres in (0.0, 0.005, 0.02, 0.1):
-        found = covariance(problem, pulled(kit, solution, way, metres))
+        apart = np.stack([kit.moved(p, (0, metres * (-1) ** t, 0)) for t, p in enumerate(way)])
+        found = covariance(problem, replace(solution, poses=apart))
         assert np.linalg.eigvalsh(found).min() > 0
         sizes.append(np.sqrt(found[0, 0]))
         turns.append(np.sqrt(found[5, 5]))
@@ -302,13 +277,6 @@ def test_unexplained_depth_makes_it_grow(problem, solution):
     assert np.isfinite(unknown)
 
 
-def test_one_frame_has_no_other_to_part_from(kit, hall, walked, way):
-    problem = kit.problem(hall, walked[:1])
-    shift, away = common_error(problem, solve(problem, way[:1], DEPTH_WIDTHS))
-    assert shift >= ALONE
-    assert 0.5 < away < 6.0
-
-
 def test_matches_that_miss_make_it_grow(kit, hall, walked, way, rng):
     """By as much as they miss at their distance."""
     found = []
@@ -329,9 +297,6 @@ def test_matches_that_miss_make_it_grow(kit, hall, walked, way, rng):
     nothing = PointMatches.none()
     bare = kit.problem(hall, walked, sights=[nothing] * 5, blind=range(5))
     assert common_error(bare, made) == (pytest.approx(LEAST), 1.0)
-
-
-pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 @pytest.fixture(scope="module")
@@ -358,18 +323,6 @@ def test_how_late_depth_is_is_found(kit, hall, looking_about, lag):
         assert degrees < 0.4
 
 
-def test_of_one_frame_nothing_is_late(kit, hall, walked, way):
-    solution = solve(kit.problem(hall, walked[:1]), way[:1], DEPTH_WIDTHS)
-    np.testing.assert_array_equal(solution.lags.values, 0.0)
-    assert solution.lags.find_clear() == {}
-    np.testing.assert_array_equal(solution.lags.of_depth(way[:1]), way[:1])
-
-
-def test_the_usual_lag_is_some_hundredths_of_a_second_or_part_of_the_time_between():
-    assert usual_lag(np.array([0.0])) == usual_lag(np.arange(0, 1, 0.033)) == 0.03
-    assert usual_lag(np.arange(10.0)) == pytest.approx(0.3)
-
-
 @given(st.floats(-0.3, 0.3))
 def test_the_way_in_map_axes_is_the_derivative(kit, lag):
     poses = np.stack([kit.standing(1 + 0.3 * i, 2 + 0.1 * i, 20 * i) for i in range(4)])
@@ -380,6 +333,8 @@ def test_the_way_in_map_axes_is_the_derivative(kit, lag):
     np.testing.assert_allclose(moved, told[:, :3], atol=1e-6)
     back = Lags(np.array([lag, 0.0]), np.ones(2), twist, 1.0).of_depth(poses)
     np.testing.assert_allclose(back, at)
+    assert usual_lag(np.array([0.0])) == usual_lag(np.arange(0, 1, 0.033)) == 0.03
+    assert usual_lag(np.arange(10.0)) == pytest.approx(0.3)
 
 
 def test_in_steady_motion_a_lag_is_not_told_from_a_shift_and_stamps_are_believed(kit, hall):

@@ -9,66 +9,30 @@ from placegraph.indoor.refine.options import DepthNoise, RefineOptions
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"views": 0},
-        {"views": 2.5},
-        {"readings": -1},
-        {"least": 0},
-        {"frames": 0},
-        {"frames": 1.5},
-        {"inlier": 0.0},
-        {"inlier": math.nan},
-        {"tilt": 0.0},
-        {"tilt": -1.0},
-        {"spread": math.inf},
-        {"images": "sometimes"},
-        {"depth": False, "images": False},
-        {"reach": (-0.1, 0.1)},
-        {"reach": (0.1, -0.1)},
-        {"reach": 0.1},
-        {"reach": (0.1,)},
-        {"reach": (0.1, 0.1, 0.1)},
-        {"reach": (math.inf, 0.1)},
-        {"reach": (math.nan, 0.1)},
-        {"reach": (0.1, 4.0)},
-        {"images": [1]},
-        {"images": 1},
-        {"noise": None},
-        {"motion": DepthNoise()},
-        {"depth": "no"},
-        {"joint": 1},
-        {"check": None},
-        {"tilt": 1e-200},
-        {"spread": 4.0},
-        {"views": 1000},
+        {"views": 0}, {"views": 2.5}, {"views": 1000}, {"readings": -1}, {"least": 0}, {"frames": 0},
+        {"frames": 1.5}, {"inlier": 0.0}, {"inlier": math.nan}, {"tilt": 0.0}, {"tilt": -1.0},
+        {"tilt": 1e-200}, {"spread": math.inf}, {"spread": 4.0}, {"images": "sometimes"},
+        {"images": [1]}, {"images": 1}, {"depth": False, "images": False}, {"depth": "no"},
+        {"reach": (-0.1, 0.1)}, {"reach": (0.1, -0.1)}, {"reach": 0.1}, {"reach": (0.1,)},
+        {"reach": (0.1, 0.1, 0.1)}, {"reach": (math.inf, 0.1)}, {"reach": (math.nan, 0.1)},
+        {"reach": (0.1, 4.0)}, {"noise": None}, {"motion": DepthNoise()}, {"joint": 1}, {"check": None},
     ],
-)
+)  # fmt: skip
 def test_what_makes_no_sense_is_named(wrong):
-    with pytest.raises(OptionError) as raised:
+    with pytest.raises(OptionError, match=next(iter(wrong)) + r"(?s:.*)\.$"):
         RefineOptions(**wrong)
-    assert next(iter(wrong)) in str(raised.value)
-    assert str(raised.value).endswith(".")
-
-
-@pytest.mark.parametrize(
-    "facing",
-    [(0.8, 0.5), (0.5, 0.5), (-2.0, 0.5), (0.5, 1.5), (0.1,), 0.5, (math.nan, 0.9), (0, 0.5, 1)],
-)
-def test_cosines_ascend(facing):
-    with pytest.raises(OptionError, match="facing"):
-        DepthNoise(facing=facing)
 
 
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"floor": -0.01},
-        {"slope": math.nan},
-        {"surface": math.inf},
-        {"surface": 0.0},
-        {"surface": 1e-200},
+        {"floor": -0.01}, {"slope": math.nan}, {"surface": math.inf}, {"surface": 0.0},
+        {"surface": 1e-200}, {"facing": (0.8, 0.5)}, {"facing": (0.5, 0.5)}, {"facing": (-2.0, 0.5)},
+        {"facing": (0.5, 1.5)}, {"facing": (0.1,)}, {"facing": 0.5}, {"facing": (math.nan, 0.9)},
+        {"facing": (0, 0.5, 1)},
     ],
-)
-def test_noise_is_a_size(wrong):
+)  # fmt: skip
+def test_noise_is_a_size_and_cosines_ascend(wrong):
     with pytest.raises(OptionError, match=next(iter(wrong))):
         DepthNoise(**wrong)
 

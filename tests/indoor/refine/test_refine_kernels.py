@@ -50,9 +50,6 @@ def test_rows_add_up_to_normal_equations(rows, seed):
     assert not np.tril(h, -1).any()
 
 
-# ------------------------------------------------------------------------------------ depth
-
-
 @pytest.fixture(scope="module")
 def frame(walked):
     return walked[0]
@@ -137,22 +134,14 @@ def test_distances_from_a_wall_are_along_its_normal(kit):
     nearer = kit.moved(pose, (0.2, 0.0, 0.0))
     off = plane_distances(surfaces, *parts(nearer), seen.directions, seen.depth)
     np.testing.assert_allclose(off[wall], 0.2, atol=1e-4)
-
-
-def test_where_the_map_shows_nothing_distances_are_infinite(hall, kit, seen):
-    outside = kit.standing(7.0, 2.0, 0.0)
-    off = plane_distances(Surfaces.of(hall), *parts(outside), seen.directions, seen.depth)
+    outside = kit.standing(7.0, 2.0, 0.0)  # where the map shows nothing
+    off = plane_distances(surfaces, *parts(outside), seen.directions, seen.depth)
     assert np.isinf(off[seen.depth > 0]).all()
-
-
-# ----------------------------------------------------------------------------------- pixels
 
 
 @settings(max_examples=40)
 @given(
-    st.tuples(SMALL, SMALL, SMALL, SMALL, SMALL, SMALL),
-    st.integers(0, 999),
-    st.floats(0.5, 20.0),
+    st.tuples(SMALL, SMALL, SMALL, SMALL, SMALL, SMALL), st.integers(0, 999), st.floats(0.5, 20.0)
 )
 def test_pixel_equations_are_those_of_reprojection(d, seed, width):
     rng = np.random.default_rng(seed)
@@ -179,19 +168,11 @@ def test_pixel_equations_are_those_of_reprojection(d, seed, width):
     off = 1e-5 * np.sqrt(scale * np.sum(w * e**2)) + 1e-9 * scale
     np.testing.assert_allclose(g, j.T @ (w * e), atol=off)
     assert total == pytest.approx(robust.sum())
-
-
-def test_points_behind_the_camera_say_nothing():
+    # points behind the camera say nothing
     behind = np.array([[0.1, 0.2, -2.0], [0.0, 0.0, 0.01]])
-    h, g, total = pixel_system(
-        np.eye(3), np.zeros(3), behind, np.zeros((2, 2)), np.ones(2), 100.0, 3.0
-    )
-    assert total == 0.0
-    assert not h.any()
-    assert not g.any()
-
-
-# ----------------------------------------------------------------------------- correlations
+    rest = np.zeros((2, 2)), np.ones(2), 100.0, 3.0
+    h, g, total = pixel_system(np.eye(3), np.zeros(3), behind, *rest)
+    assert not any((h.any(), g.any(), total))
 
 
 @given(st.integers(0, 999))

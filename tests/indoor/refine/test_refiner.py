@@ -3,13 +3,11 @@
 import numpy as np
 import pytest
 
-from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.refine.confidence import held_back
 from placegraph.indoor.refine.correspondences import PointMatches
 from placegraph.indoor.refine.matching import Matches
 from placegraph.indoor.refine.options import RefineOptions
-from placegraph.indoor.refine.refiner import FEW, MANY, FittedTrajectory, Refiner, matching_stages
-from placegraph.indoor.scene_map import SceneMap
+from placegraph.indoor.refine.refiner import FEW, MANY, FittedTrajectory, matching_stages
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -27,17 +25,6 @@ class Nowhere:
         assert len(masks) == len(views)
         self.views.append(len(views))
         return [Matches.none() for _ in views]
-
-
-@pytest.fixture
-def refiner(room, walk):
-    def made(scene=room, matcher=None, depth=True, frames=slice(None), **options):
-        chosen = list(walk)[frames]
-        depths = [f.depth() if depth else None for f in chosen]
-        queries = [f.rgb() for f in chosen]
-        return Refiner(scene, chosen, depths, queries, RefineOptions(**options), matcher)
-
-    return made
 
 
 def test_matches_in_held_back_blocks_take_no_part(refiner, exact):
@@ -97,9 +84,8 @@ def test_where_depth_is_sure_no_image_is_matched(refiner, exact):
     assert nowhere.views == []
 
 
-def test_a_white_map_is_not_matched(refiner, exact, room):
-    mesh = Mesh.plain(room.mesh.vertices, room.mesh.triangles, room.mesh.object_of)
-    white = SceneMap.create(mesh, room.graph.ids, room.graph.labels, floor=0.0)
+def test_a_white_map_is_not_matched(refiner, exact, room, kit):
+    white = kit.white(room)
     nowhere = Nowhere()
     fitted = refiner(white, nowhere, depth=False).fitted(exact.poses)
     assert nowhere.views == []

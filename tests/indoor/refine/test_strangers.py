@@ -17,7 +17,6 @@ from placegraph.indoor.render import Renderer
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 FIVE = slice(0, 5)
-SAME = pytest.mark.all  # what others show already
 BLIND = RefineOptions(depth=False)
 BOTH = RefineOptions(images=True)
 
@@ -60,7 +59,7 @@ def pairs(value, which, count=200):
     return Mine(made)
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e300])
+@pytest.mark.parametrize("value", [np.nan, -np.inf, 1e300])
 @pytest.mark.parametrize("which", ["query", "rendered"])
 def test_points_that_are_no_numbers_or_outside_are_dropped(hall, way, walked, value, which):
     frame = walked[0]
@@ -87,22 +86,27 @@ def test_points_that_are_no_numbers_end(room, walk, start, options, which):
     [
         (lambda _, views: [(1, 2)] * views, "returned tuple"),
         (lambda *_: None, "one Matches for each"),
-        (lambda *_: [], "one Matches for each"),
         (lambda _, views: [Matches.none()] * (views + 1), "one Matches for each"),
         (lambda _, views: (Matches.none() for _ in range(views)), "one Matches for each"),
     ],
-    ids=["other things", "None", "too few", "too many", "a generator"],
+    ids=["other things", "None", "too many", "a generator"],
 )
 def test_what_is_no_answer_is_named(room, walk, start, made, says):
-    with pytest.raises(OptionError, match="'mine'") as raised:
+    with pytest.raises(OptionError, match=f"'mine'.*{says}"):
         room.refine(walk, start, frames=[4], matcher=Mine(made), options=BLIND)
-    assert says in str(raised.value)
 
 
-@pytest.mark.parametrize("wrong", [3, None, object, ["sift"]])
-def test_what_is_no_matcher_is_named(room, walk, start, wrong):
-    with pytest.raises(OptionError, match="matcher is"):
-        room.refine(walk, start, frames=[4], matcher=wrong)
+def test_options_that_are_none_are_named(room, walk, start):
+    for wrong in (3, None, object, ["sift"]):
+        with pytest.raises(OptionError, match="matcher is"):
+            room.refine(walk, start, frames=[4], matcher=wrong)
+    with pytest.raises(OptionError, match="seed is -1"):
+        room.refine(walk, start, frames=[4], seed=-1)
+    with pytest.raises(OptionError, match="seed is -1"):
+        room.localize(walk, frames=[4], seed=-1)
+    for wrong in ("yes", 1, {}, PoseSearchOptions()):
+        with pytest.raises(OptionError, match="refine is"):
+            room.localize(walk, frames=[4], refine=wrong)
 
 
 def test_the_surest_of_too_many_are_used(hall, way, walked, rng):
@@ -117,21 +121,9 @@ def test_the_surest_of_too_many_are_used(hall, way, walked, rng):
     assert all(tuple(p) in surest for p in sights.pixels.tolist())
 
 
-@pytest.mark.parametrize(
-    ("seed", "count", "low", "high"),
-    [
-        (0, 200, 0, 1),
-        (0, 2000, 0, 1),
-        (0, 500, -3, 4),
-        *(
-            pytest.param(seed, *case, marks=SAME)
-            for seed in (1, 2, 3)
-            for case in ((200, 0, 1), (2000, 0, 1), (500, -3, 4))
-        ),
-    ],
-)
-def test_chance_is_not_believed(room, walk, start, seed, count, low, high):
-    rng = np.random.default_rng(seed)
+@pytest.mark.parametrize(("count", "low", "high"), [(1000, 0, 1), (300, -3, 4)])
+def test_chance_is_not_believed(room, walk, start, count, low, high):
+    rng = np.random.default_rng(0)
 
     def scattered(size, views):
         both = rng.uniform(low, high, (2, views, count, 2)) * size
@@ -151,9 +143,6 @@ def test_the_same_pixels_everywhere_are_the_pose_that_was_given(room, walk, star
 
     estimate = told(room.refine(walk, start, frames=FIVE, matcher=Mine(same), options=BLIND))
     assert not estimate.refinement.accepted
-
-
-# ------------------------------------------------------------------------ depth that is hardly any
 
 
 def few(frame):
@@ -176,9 +165,7 @@ def by_images(room, walk, in_memory, exact, kit):
     return room.refine(in_memory(walk[:5], depth=lambda _: None), start)
 
 
-@pytest.mark.parametrize(
-    "depth", [few, handful, pytest.param(lambda f: np.full_like(f.depth(), np.nan), marks=SAME)]
-)
+@pytest.mark.parametrize("depth", [few, handful])
 def test_a_few_pixels_of_depth_do_not_switch_images_off(
     room, walk, start, in_memory, exact, kit, by_images, depth
 ):
@@ -191,45 +178,19 @@ def test_a_few_pixels_of_depth_do_not_switch_images_off(
     assert away < as_far + 0.05
 
 
-def test_enough_depth_is_depth(room, walk, start):
-    stats = told(room.refine(walk, start, frames=FIVE)).refinement.stats
-    assert "matches" not in stats
-    assert 0 <= stats["depth_cost"] <= 1
-
-
-# ---------------------------------------------------------------------------------------- doubt
-
-
-@pytest.mark.parametrize("doubt", ["", "the camera is a liar"])
-def test_doubts_of_the_judge_are_the_coarse_poses_too(room, walk, monkeypatch, doubt):
+def test_doubts_of_the_judge_are_the_coarse_poses_too(room, walk, monkeypatch):
     """What speaks against camera or depth speaks against the filter's pose as well."""
     before = room.localize(walk, frames=FIVE, refine=False)
     assert before.status is Status.OK
     nothing = FittedTrajectory(np.eye(4)[None], None, [], np.eye(6))
-    verdict = Confirmation(False, "Not refined: so it is.", nothing, {}, doubt)
-    monkeypatch.setattr(refinement, "confirm_fit", lambda *_: verdict)
-    after = told(room.localize(walk, frames=FIVE))
-    assert not after.refinement.accepted
-    np.testing.assert_array_equal(after.best.map_from_camera, before.best.map_from_camera)
-    if doubt:
-        assert after.status is Status.AMBIGUOUS
-        assert doubt in after.reason
-        assert after.reason.endswith(".")
-    else:
-        assert (after.status, after.reason) == (before.status, before.reason)
-
-
-# ---------------------------------------------------------------------------------------- seeds
-
-
-@pytest.mark.parametrize("call", ["refine", "localize"])
-def test_seeds_are_not_negative(room, walk, start, call):
-    given = (start,) if call == "refine" else ()
-    with pytest.raises(OptionError, match="seed is -1"):
-        getattr(room, call)(walk, *given, frames=[4], seed=-1)
-
-
-@pytest.mark.parametrize("wrong", ["yes", 1, {}, PoseSearchOptions()])
-def test_refine_is_yes_no_or_how(room, walk, wrong):
-    with pytest.raises(OptionError, match="refine is"):
-        room.localize(walk, frames=[4], refine=wrong)
+    for doubt in ("", "the camera is a liar"):
+        verdict = Confirmation(False, "Not refined: so it is.", nothing, {}, doubt)
+        monkeypatch.setattr(refinement, "confirm_fit", lambda *_, v=verdict: v)
+        after = told(room.localize(walk, frames=FIVE))
+        assert not after.refinement.accepted
+        np.testing.assert_array_equal(after.best.map_from_camera, before.best.map_from_camera)
+        if not doubt:
+            assert (after.status, after.reason) == (before.status, before.reason)
+    assert after.status is Status.AMBIGUOUS
+    assert doubt in after.reason
+    assert after.reason.endswith(".")

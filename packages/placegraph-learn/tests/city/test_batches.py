@@ -22,13 +22,6 @@ from placegraph.outdoor.network.network_kernels import (
 from placegraph_learn.city.batches import pair_batch
 
 
-def test_entries_of_graphs_and_where_they_stand():
-    nodes, at = entries(np.array([5, 0]), np.array([2, 3]), 4)
-    assert nodes.tolist() == [5, 6, 0, 1, 2]
-    assert at.tolist() == [0, 1, 4, 5, 6]
-    assert entries(np.array([5]), np.array([2]), 4, skip=1)[1].tolist() == [1, 2]
-
-
 def test_a_text_in_a_batch_is_that_text(texts):
     every = np.arange(len(texts))
     batch = text_batch(texts, every)
@@ -63,18 +56,19 @@ def test_words_of_nodes_stand_where_their_nodes_do(places):
     words = place_batch(places, rows).words
     size = place_batch(places, rows).mask.shape[1]
     bounds = [*words.starts.tolist(), len(words.words)]
+    nodes, at = entries(np.array([5, 0]), np.array([2, 3]), 4)
+    assert nodes.tolist() == [5, 6, 0, 1, 2]
+    assert at.tolist() == [0, 1, 4, 5, 6]
+    assert entries(np.array([5]), np.array([2]), 4, skip=1)[1].tolist() == [1, 2]
+    starts, tokens = np.array([0, 0, 1, 3]), np.array([0, 1, 2], np.int32)
+    weights = WordWeights(starts, tokens, np.ones(3, np.float32))
+    fits = word_fits(weights, np.array([1, 60, 40]), 100)
+    assert fits.rarity == pytest.approx([0.0, -np.log(0.01) / 10.0, 0.0])  # 0 of all who may be all
     for i, at in enumerate(words.at):
         graph, node = divmod(int(at), size)
         thing = places.starts[rows[graph]] + node - 1
         mine = slice(places.word_starts[thing], places.word_starts[thing + 1])
         assert words.words[bounds[i] : bounds[i + 1]].tolist() == places.words[mine].tolist()
-
-
-def test_how_rare_a_mention_is():
-    starts, tokens = np.array([0, 0, 1, 3]), np.array([0, 1, 2], np.int32)
-    counts = np.array([1, 60, 40])
-    fits = word_fits(WordWeights(starts, tokens, np.ones(3, np.float32)), counts, 100)
-    assert fits.rarity == pytest.approx([0.0, -np.log(0.01) / 10.0, 0.0])  # 0 of all who may be all
 
 
 @pytest.fixture(scope="module")

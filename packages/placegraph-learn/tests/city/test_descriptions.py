@@ -42,47 +42,44 @@ def test_one_tile_in_four_is_held_out():
 
 
 @pytest.mark.parametrize("held", [False, True])
-def test_speakers_stand_in_their_tiles(speakers, held):
-    for example in examples(speakers[held], 40):
-        assert held_out(*example.position) == held
-    views = speakers[held].city.views
-    assert (held_out(*views.positions[speakers[held].places].T) == held).all()
-
-
-def test_descriptions_are_seeded(speakers):
-    ours, same, other = (examples(speakers[0], 8, seed) for seed in (3, 3, 4))
+def test_speakers_stand_in_their_tiles_and_are_seeded(speakers, held):
+    speaker = speakers[held]
+    ours, same, other = (examples(speaker, 20, seed) for seed in (3, 3, 4))
+    assert all(held_out(*example.position) == held for example in (*ours, *other))
+    assert (held_out(*speaker.city.views.positions[speaker.places].T) == held).all()
     assert [e.description for e in ours] == [e.description for e in same]
     assert [tuple(e.position) for e in ours] == [tuple(e.position) for e in same]
     assert [e.description for e in ours] != [e.description for e in other]
 
 
-def honest(monkeypatch, about):
-    """Speakers that never err and use tags."""
+@pytest.fixture
+def talk(speakers, monkeypatch):
+    """Statements of speakers with habits: `talk(about, n, erring)` yields city, example, statement."""
 
-    def habits(_):
-        return sample._Habits(0.0, 0.0, "tags", "de", 0.0, about)
+    def said(about, n, erring=0.0):
+        habits = sample._Habits(erring, 0.0, "tags", "de", 0.0, about)
+        monkeypatch.setattr(sample, "draw_habits", lambda _: habits)
+        for example in examples(speakers[0], n):
+            for statement in example.description.statements:
+                yield speakers[0].city, example, statement
 
-    monkeypatch.setattr(sample, "draw_habits", habits)
+    return said
 
 
 def things(city, words):
     """Rows of the objects that a tag or name stands for."""
-    o = city.objects
-    return [
-        i
-        for i in range(len(o))
-        if words
-        in {
-            *(label.partition("=")[2] for label in labels_of(o, i)),
-            *(label.partition("=")[0] for label in labels_of(o, i)),
-            o.name(i),
-        }
-    ]
+    o, rows = city.objects, []
+    for i in range(len(o)):
+        labels = [o.labels[k] for k in o.label_values[o.label_starts[i] : o.label_starts[i + 1]]]
+        if words in {o.name(i), *(part for label in labels for part in label.split("=", 1))}:
+            rows.append(i)
+    return rows
 
 
-def labels_of(objects, i):
-    rows = objects.label_values[objects.label_starts[i] : objects.label_starts[i + 1]]
-    return [objects.labels[row] for row in rows]
+def seen_from(city, example, mention):
+    """Rows (N,) of what a mention may mean, and where they stand from the speaker (N, 2)."""
+    rows = things(city, example.description.mentions[mention].words)
+    return np.array(rows), at(city, rows, example.position) - example.position
 
 
 def at(city, rows, position):
@@ -99,85 +96,61 @@ def points_to(delta, bearing):
     return np.abs(angle_between(np.arctan2(*delta), bearing)) <= np.pi / 4 + 1e-6
 
 
-def test_directions_from_the_speaker_are_true(speakers, monkeypatch):
-    honest(monkeypatch, "me")
-    city, said = speakers[0].city, 0
-    for example in examples(speakers[0], 25):
-        for s in example.description.statements:
-            assert s.relation is Relation.DIRECTION
-            assert s.target == SPEAKER
-            rows = things(city, example.description.mentions[s.source].words)
-            delta = at(city, rows, example.position) - example.position
-            near = np.hypot(*delta.T) <= 1.2 * SIGHT
-            # of the eight winds here, each is at most a quarter turn off
-            assert any(points_to(d, s.bearing) for d in delta[near])
-            said += 1
+def test_directions_from_the_speaker_are_true(talk):
+    said = 0
+    for city, example, s in talk("me", 25):
+        assert s.relation is Relation.DIRECTION
+        assert s.target == SPEAKER
+        delta = seen_from(city, example, s.source)[1]
+        near = np.hypot(*delta.T) <= 1.2 * SIGHT
+        # of the eight winds here, each is at most a quarter turn off
+        assert any(points_to(d, s.bearing) for d in delta[near])
+        said += 1
     assert said > 75
 
 
-def test_directions_between_things_are_true(speakers, monkeypatch):
-    honest(monkeypatch, "pairs")
-    city, said = speakers[0].city, 0
-    for example in examples(speakers[0], 25):
-        mentions = example.description.mentions
-        for s in example.description.statements:
-            a, b = (
-                at(city, things(city, mentions[end].words), example.position)
-                for end in (s.source, s.target)
-            )
-            a, b = (x[np.hypot(*(x - example.position).T) <= SIGHT + 1e-6] for x in (a, b))
-            delta = (a[:, None] - b[None]).reshape(-1, 2)
-            delta = delta[np.hypot(*delta.T) >= 1.0]
-            assert any(points_to(d, s.bearing) for d in delta)
-            said += 1
+def test_directions_between_things_are_true(talk):
+    said = 0
+    for city, example, s in talk("pairs", 25):
+        a, b = (seen_from(city, example, end)[1] for end in (s.source, s.target))
+        a, b = (x[np.hypot(*x.T) <= SIGHT + 1e-6] for x in (a, b))
+        delta = (a[:, None] - b[None]).reshape(-1, 2)
+        delta = delta[np.hypot(*delta.T) >= 1.0]
+        assert any(points_to(d, s.bearing) for d in delta)
+        said += 1
     assert said > 75
 
 
-def test_places_and_absences_are_true(speakers, monkeypatch):
-    honest(monkeypatch, "mixed")
-    city, seen = speakers[0].city, set()
-    for example in examples(speakers[0], 60):
-        for s in example.description.statements:
-            other = s.target if s.source == SPEAKER else s.source
-            rows = things(city, example.description.mentions[other].words)
-            delta = at(city, rows, example.position) - example.position
-            close = np.hypot(*delta.T)
-            seen.add((s.relation, s.negated))
-            if s.negated:
-                # one of the labels that are called so is the first of nothing in sight
-                first = np.array([city.objects.label(i) for i in rows])
-                assert max(close[first == label].min() for label in set(first)) > SIGHT
-            elif s.relation is Relation.NEAR and SPEAKER in (s.source, s.target):
-                assert close.min() < 20.0
-            elif s.relation is Relation.ALONG:
-                assert close[city.objects.kind[rows] == sample.LINE].min() < 8.0
-            elif s.relation is Relation.INSIDE:
-                o, where = city.objects, (example.position,)
-                off = sample._nearest(
-                    o.kind, o.part_starts, o.point_starts, o.points,
-                    np.array(rows, np.int32), *where[0],
-                )  # fmt: skip
-                assert (np.hypot(*off.T) == 0.0).any()
+def test_with_every_direction_drawn_at_random_one_in_four_is_right(talk):
+    right = []
+    for city, example, s in talk("me", 40, erring=1.0):
+        delta = seen_from(city, example, s.source)[1]
+        right.append(bool(points_to(delta[np.argmin(np.hypot(*delta.T))], s.bearing)))
+    assert 0.1 < np.mean(right) < 0.5
+
+
+def test_places_and_absences_are_true(talk):
+    seen = set()
+    for city, example, s in talk("mixed", 60):
+        o = city.objects
+        rows, delta = seen_from(city, example, s.target if s.source == SPEAKER else s.source)
+        close = np.hypot(*delta.T)
+        seen.add((s.relation, s.negated))
+        if s.negated:
+            # one of the labels that are called so is the first of nothing in sight
+            first = np.array([o.label(i) for i in rows])
+            assert max(close[first == label].min() for label in set(first)) > SIGHT
+        elif s.relation is Relation.NEAR and SPEAKER in (s.source, s.target):
+            assert close.min() < 20.0
+        elif s.relation is Relation.ALONG:
+            assert close[o.kind[rows] == sample.LINE].min() < 8.0
+        elif s.relation is Relation.INSIDE:
+            off = sample._nearest(
+                o.kind, o.part_starts, o.point_starts, o.points, rows.astype(np.int32), *example.position
+            )  # fmt: skip
+            assert (np.hypot(*off.T) == 0.0).any()
     assert {(Relation.VISIBLE, True), (Relation.VISIBLE, False), (Relation.NEAR, False)} <= seen
     assert {(Relation.ALONG, False), (Relation.DIRECTION, False)} <= seen
-
-
-def test_erring_speakers_err(speakers, monkeypatch):
-    """With every direction drawn at random, about one in four is right."""
-
-    def habits(_):
-        return sample._Habits(1.0, 0.0, "tags", "de", 0.0, "me")
-
-    monkeypatch.setattr(sample, "draw_habits", habits)
-    right = []
-    city = speakers[0].city
-    for example in examples(speakers[0], 40):
-        for s in example.description.statements:
-            rows = things(city, example.description.mentions[s.source].words)
-            delta = at(city, rows, example.position) - example.position
-            nearest = delta[np.argmin(np.hypot(*delta.T))]
-            right.append(bool(points_to(nearest, s.bearing)))
-    assert 0.1 < np.mean(right) < 0.5
 
 
 def test_speakers_differ_in_their_words(speakers):
@@ -192,13 +165,10 @@ def test_speakers_differ_in_their_words(speakers):
     }  # fmt: skip
     assert all(3 <= len(e.description.statements) <= 10 for e in found)
     assert all(s.source != s.target for e in found for s in e.description.statements)
-    assert sum(bool(m.senses) for m in mentions) > 0.9 * len(mentions)  # the vocabulary knows them
-
-
-def test_the_same_word_is_the_same_node(speakers):
-    for example in examples(speakers[0], 30):
+    for example in found:  # the same word is the same node
         called = [m.name or m.words for m in example.description.mentions[2:]]
         assert len(set(called)) == len(called)
+    assert sum(bool(m.senses) for m in mentions) > 0.9 * len(mentions)  # the vocabulary knows them
 
 
 def test_a_city_with_nothing_to_say_is_refused(build_world, vocabulary):
@@ -216,20 +186,19 @@ def test_what_is_right_follows_from_distance(pool, harbour):
     assert (pool.right[there & (delta > AT) & (delta <= NEARBY)] == -1).all()
     assert (pool.right[there & (delta > NEARBY)] == 0).all()
     assert (pool.right[~there] == -1).all()
-
-
-def test_every_text_has_right_and_wrong_places_none_twice(pool):
     assert (pool.right == 1).any(axis=1).all()
     assert (pool.right == 0).any(axis=1).mean() > 0.75  # in a small town some have none to see
-    for row in pool.views:
-        known = row[row >= 0]
-        assert len(set(known.tolist())) == len(known)
+    assert all(len(set(row[row >= 0])) == (row >= 0).sum() for row in pool.views)
 
 
 def test_hard_candidates_are_those_of_relational_matching(speakers):
     speaker, seen = speakers[0], []
     made = make_pool(speaker, 5, np.random.default_rng(11), lambda: seen.append(1))
     assert len(seen) == 5
+    again = make_pool(speaker, 5, np.random.default_rng(11))
+    assert np.array_equal(made.positions, again.positions)
+    assert np.array_equal(made.views, again.views)
+    assert made.texts.vocabulary == again.texts.vocabulary
     told = speaker.examples(np.random.default_rng(11))
     query = compile_query(next(told).description, speaker.city)
     asked = Request(speaker.city, query)
@@ -243,13 +212,6 @@ def test_hard_candidates_are_those_of_relational_matching(speakers):
             assert value == pytest.approx(known[view])
         else:
             assert np.isnan(value)
-
-
-def test_pools_are_seeded(speakers):
-    first, second = (make_pool(speakers[0], 3, np.random.default_rng(2)) for _ in range(2))
-    assert np.array_equal(first.positions, second.positions)
-    assert np.array_equal(first.views, second.views)
-    assert first.texts.vocabulary == second.texts.vocabulary
 
 
 def test_fits_are_the_words_of_the_map(pool, harbour):

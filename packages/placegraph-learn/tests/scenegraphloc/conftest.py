@@ -2,9 +2,12 @@
 
 import numpy as np
 import pytest
+import torch
 
 from placegraph_learn.scenegraphloc.features import ColourFeatures
 from placegraph_learn.scenegraphloc.lessons import placed
+from placegraph_learn.scenegraphloc.network import SceneGraphLoc, Widths
+from placegraph_learn.scenegraphloc.weights import write_weights
 
 
 @pytest.fixture(scope="session")
@@ -16,11 +19,6 @@ def survey(walk, truth):
 @pytest.fixture(scope="session")
 def tiny_weights(tmp_path_factory):
     """Random weights of a small network on features of colour, as a file."""
-    torch = pytest.importorskip("torch", reason="PyTorch is not installed (extra learn)")
-    pytest.importorskip("safetensors", reason="safetensors is not installed (extra learn)")
-    from placegraph_learn.scenegraphloc.network import SceneGraphLoc, Widths
-    from placegraph_learn.scenegraphloc.weights import write_weights
-
     path = tmp_path_factory.mktemp("weights") / "tiny.safetensors"
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(11)

@@ -2,15 +2,15 @@
 
 import shutil
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from safetensors.torch import load_file
 
 import placegraph as pg
 from placegraph.core.geometry import Camera
-from placegraph.errors import InputError, MapError, OptionError
+from placegraph.errors import MapError, OptionError
 from placegraph.indoor.encode import Encoder, bound, encoder
 from placegraph.io.capture.frame import Frame
 from placegraph_learn.scenegraphloc import SceneGraphLocEncoder
@@ -55,46 +55,30 @@ def test_bound_to_a_map_it_compares_patches_with_objects(made, room, survey):
     assert np.abs(again.table - said.table).max() < 0.05  # 8 bits a number
 
 
-def test_a_map_of_another_encoder_is_refused(made, room):
-    other = room.with_embeddings(np.ones((len(room), 3)), encoder="labels")
-    with pytest.raises(MapError, match="labels"):
-        bound(made, other)
-
-
-def test_without_images_of_the_map_it_says_so_or_does_without(made, tiny_weights, room):
+def test_without_images_of_the_map_it_says_so_or_does_without(made, tiny_weights, room, survey):
     with pytest.raises(OptionError, match="views=False"):
         made.objects(room)
     blind = SceneGraphLocEncoder(tiny_weights, views=False)
-    assert blind.objects(room).shape == (len(room), 64)
-    assert blind.key != made.key
+    vectors = blind.objects(room)
+    assert vectors.shape == (len(room), 64)
+    assert np.abs(made.objects(room, [survey]) - vectors).max() > 1e-3
+    with pytest.raises(MapError, match="labels"):
+        bound(made, room.with_embeddings(vectors, encoder="labels"))
 
 
-def test_images_of_the_map_matter(made, tiny_weights, room, survey):
-    blind = SceneGraphLocEncoder(tiny_weights, views=False)
-    assert np.abs(made.objects(room, [survey]) - blind.objects(room)).max() > 1e-3
-
-
-@pytest.mark.parametrize("size", [(1, 1), (7, 3), (91, 157), (200, 40)])
+@pytest.mark.parametrize("size", [(1, 1), (7, 3), (91, 157), (160, 90)])
 def test_images_of_odd_size_have_patches(made, rng, size):
     height, width = size
     camera = Camera(width, height, 50.0, 50.0, width / 2, height / 2)
     frame = Frame.from_arrays(
         rng.integers(0, 256, (height, width, 3), np.uint8), camera, gravity=(0, 1, 0)
     )
-    assert made.patches(frame).shape == ((9, 16, 64) if width >= height else (16, 9, 64))
-
-
-def test_the_grid_is_in_the_images_own_orientation(made, rng):
-    camera = Camera(90, 160, 80.0, 80.0, 45.0, 80.0)
-    image = rng.integers(0, 256, (160, 90, 3), np.uint8)
-    upright = Frame.from_arrays(image, camera, gravity=(0, 1, 0))
-    lying = Frame.from_arrays(
-        np.rot90(image), Camera(160, 90, 80.0, 80.0, 80.0, 45.0), gravity=(1, 0, 0)
-    )
-    straight, turned = made.patches(upright), made.patches(lying)
-    assert straight.shape == (16, 9, 64)
-    assert turned.shape == (9, 16, 64)
-    assert np.allclose(np.rot90(straight), turned, atol=1e-6)
+    straight = made.patches(frame)
+    assert straight.shape == ((9, 16, 64) if width >= height else (16, 9, 64))
+    if size == (160, 90):  # the grid is in the image's own orientation
+        other = Camera(160, 90, 50.0, 50.0, 80.0, 45.0)
+        lying = Frame.from_arrays(np.rot90(frame.rgb()), other, gravity=(1, 0, 0))
+        assert np.allclose(np.rot90(straight), made.patches(lying), atol=1e-6)
 
 
 def test_settings_that_change_vectors_are_in_the_key(tiny_weights, tmp_path):
@@ -127,25 +111,11 @@ def test_options_that_do_not_fit_the_network_are_refused(tiny_weights, tmp_path)
     ):
         with pytest.raises(OptionError, match=message):
             encoder("scenegraphloc", **({"weights": tiny_weights} | options))
-
-
-def test_features_of_another_width_are_refused(tiny_weights):
-    weights = replace(read_weights(tiny_weights), notes={})
+    weights = read_weights(tiny_weights)
     with pytest.raises(OptionError, match="3 numbers, the network was trained on 17"):
-        SceneGraphLocEncoder(weights, features=Flat())
-
-
-def test_unknown_features_of_a_file_must_be_passed(tiny_weights):
-    weights = replace(read_weights(tiny_weights), notes={"features": "mine-3"})
+        SceneGraphLocEncoder(replace(weights, notes={}), features=Flat())
     with pytest.raises(OptionError, match="mine-3"):
-        SceneGraphLocEncoder(weights)
-
-
-def test_a_file_cut_short_is_refused(tiny_weights, tmp_path):
-    path = tmp_path / "cut.safetensors"
-    path.write_bytes(tiny_weights.read_bytes()[:5000])
-    with pytest.raises(InputError, match="cut short"):
-        encoder("scenegraphloc", weights=path)
+        SceneGraphLocEncoder(replace(weights, notes={"features": "mine-3"}))
 
 
 def test_a_scene_without_relations_is_encoded(made, room, survey):
@@ -159,66 +129,50 @@ def test_a_scene_without_relations_is_encoded(made, room, survey):
 WIDTH, BLOCKS, HIDDEN, CELLS = 1536, 40, 4096, 37
 """Of DINOv2 ViT-g/14: SwiGLU, 518 px."""
 NEEDED = 7e9
-"""Bytes of disk, and of memory, that make a file of 4.5 GB."""
+"""Bytes of disk that make a file of 4.5 GB."""
 
 
-def _dino(torch):
+def _draw_dino():
     """State dict spelled as dinov2_vitg14_pretrain.pth is."""
     drawn = torch.Generator().manual_seed(0)
-
-    def some(*shape, around=0.0):
-        return torch.randn(shape, generator=drawn) * 0.02 + around
-
-    state = {
-        "cls_token": some(1, 1, WIDTH),
-        "pos_embed": some(1, 1 + CELLS * CELLS, WIDTH),
-        "mask_token": some(1, WIDTH),
-        "patch_embed.proj.weight": some(WIDTH, 3, 14, 14),
-        "patch_embed.proj.bias": some(WIDTH),
-        "norm.weight": some(WIDTH, around=1.0),
-        "norm.bias": some(WIDTH),
-    }
+    shapes = {
+        "cls_token": (1, 1, WIDTH), "pos_embed": (1, 1 + CELLS * CELLS, WIDTH),
+        "mask_token": (1, WIDTH), "patch_embed.proj.weight": (WIDTH, 3, 14, 14),
+        "patch_embed.proj.bias": (WIDTH,), "norm.weight": (WIDTH,), "norm.bias": (WIDTH,),
+    }  # fmt: skip
+    layers = {
+        "attn.qkv": (3 * WIDTH, WIDTH), "attn.proj": (WIDTH, WIDTH),
+        "mlp.w12": (2 * HIDDEN, WIDTH), "mlp.w3": (WIDTH, HIDDEN), "norm1": (WIDTH,), "norm2": (WIDTH,),
+    }  # fmt: skip
     for i in range(BLOCKS):
-        block = f"blocks.{i}."
-        for norm in ("norm1", "norm2"):
-            state[f"{block}{norm}.weight"] = some(WIDTH, around=1.0)
-            state[f"{block}{norm}.bias"] = some(WIDTH)
-        for scale in ("ls1", "ls2"):
-            state[f"{block}{scale}.gamma"] = some(WIDTH, around=0.1)
-        for name, rows, columns in (
-            ("attn.qkv", 3 * WIDTH, WIDTH), ("attn.proj", WIDTH, WIDTH),
-            ("mlp.w12", 2 * HIDDEN, WIDTH), ("mlp.w3", WIDTH, HIDDEN),
-        ):  # fmt: skip
-            state[f"{block}{name}.weight"] = some(rows, columns)
-            state[f"{block}{name}.bias"] = some(rows)
-    return state
+        for name, shape in layers.items():
+            shapes[f"blocks.{i}.{name}.weight"] = shape
+            shapes[f"blocks.{i}.{name}.bias"] = shape[:1]
+        shapes[f"blocks.{i}.ls1.gamma"] = shapes[f"blocks.{i}.ls2.gamma"] = (WIDTH,)
+    around = {"norm.weight": 1.0, "norm1.weight": 1.0, "norm2.weight": 1.0}
+    return {
+        name: torch.randn(shape, generator=drawn) * 0.02
+        + (0.1 if "gamma" in name else around.get(".".join(name.split(".")[-2:]), 0.0))
+        for name, shape in shapes.items()
+    }
 
 
 @pytest.fixture
 def files(timm, shared, tmp_path):  # noqa: ARG001
     """Snapshot of SceneGraphLoc and weights of DINOv2, as their authors write them."""
-    import torch
-
-    free = min(shutil.disk_usage(tmp_path).free, _available())
+    free = shutil.disk_usage(tmp_path).free
     if free < NEEDED:
-        pytest.skip(f"needs {NEEDED / 1e9:.0f} GB of disk and memory, and has {free / 1e9:.1f}")
+        pytest.skip(f"needs {NEEDED / 1e9:.0f} GB of disk, and has {free / 1e9:.1f}")
     known = load_file(shared / "conformance/scenegraphloc/state_dict.safetensors")
     snapshot, dino = tmp_path / "snapshot.pth.tar", tmp_path / "dinov2_vitg14_pretrain.pth"
     torch.save({"epoch": 60, "iteration": 1, "model": known}, snapshot)
-    torch.save(_dino(torch), dino)
+    torch.save(_draw_dino(), dino)
     yield snapshot, dino
     dino.unlink()
 
 
-def _available():
-    lines = Path("/proc/meminfo").read_text("ascii").splitlines()
-    told = dict(line.split(":") for line in lines)
-    return 1024 * int(told["MemAvailable"].split()[0])
-
-
 @pytest.mark.all
 def test_from_the_authors_files_to_a_pose(files, room, walk, survey, truth, tmp_path):
-    import torch
 
     snapshot, dino = files
     torch.set_num_threads(torch.get_num_interop_threads())

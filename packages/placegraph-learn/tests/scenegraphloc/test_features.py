@@ -1,24 +1,27 @@
 """Image features: of colour, and those of a vision transformer as the published network has them."""
 
+import sys
+
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 
 from placegraph.errors import InputError, MissingExtraError, OptionError
 from placegraph_learn.scenegraphloc.features import ColourFeatures, DinoFeatures, features_named
 
-SIZES = [(90, 160), (160, 90), (91, 157), (1, 1), (3, 500), (700, 2)]
 
-
-@pytest.mark.parametrize("size", SIZES)
-def test_images_of_any_size_have_a_grid_of_unit_features(rng, size):
+@pytest.mark.parametrize("kind", ["colour", "dino"])
+@pytest.mark.parametrize("size", [(90, 160), (91, 157), (1, 1), (3, 500), (700, 2)])
+def test_images_of_any_size_have_a_grid_of_unit_features(request, rng, size, kind):
+    features = ColourFeatures() if kind == "colour" else request.getfixturevalue("dino")
+    width = 17 if kind == "colour" else 24
     image = rng.integers(0, 256, (*size, 3), np.uint8)
-    grid = ColourFeatures().grid(image)
-    assert grid.shape == ((9, 16, 17) if size[1] >= size[0] else (16, 9, 17))
+    grid, crop = features.grid(image), features.crop(image)
+    assert grid.shape == ((9, 16, width) if size[1] >= size[0] else (16, 9, width))
     assert grid.dtype == np.float32
     assert np.allclose(np.linalg.norm(grid, axis=2), 1.0, atol=1e-5)
-    crop = ColourFeatures().crop(image)
-    assert crop.shape == (17,)
+    assert crop.shape == (width,)
     assert abs(float(np.linalg.norm(crop)) - 1.0) < 1e-5
 
 
@@ -30,28 +33,12 @@ def test_colours_are_told_apart_and_each_knows_itself(picture):
     assert (red @ crop).min() > (blue @ crop).max()
 
 
-def test_features_by_name():
-    assert features_named("colour").dimension == 17
-    with pytest.raises(OptionError, match="one of dinov2, colour"):
-        features_named("sift")
-    with pytest.raises(OptionError, match="leave them out"):
-        features_named("colour", weights="a.pth")
-
-
-def test_images_without_pixels_are_refused():
-    with pytest.raises(OptionError, match="at least one pixel"):
-        ColourFeatures().grid(np.zeros((0, 5, 3), np.uint8))
-
-
-# --------------------------------------------------------------------------- vision transformer
-
 BLOCK = 2
 
 
 @pytest.fixture(scope="module")
 def transformer(timm):
     """Random weights; patches of 14 px, as DINOv2's, and positions that differ."""
-    import torch
 
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(2)
@@ -71,7 +58,6 @@ def dino(transformer):
 
 def _by_hook(model, image, stretched):
     """Values of the block as the model itself computes them, on an image already resized."""
-    import torch
 
     found = []
     hook = model.blocks[BLOCK].attn.qkv.register_forward_hook(
@@ -91,7 +77,6 @@ def _by_hook(model, image, stretched):
 
 
 def test_features_are_values_of_the_block(dino, transformer, rng, monkeypatch):
-    import torch
 
     image = rng.integers(0, 256, (126, 224, 3), np.uint8)
     transformer.patch_embed.strict_img_size = False
@@ -104,15 +89,6 @@ def test_features_are_values_of_the_block(dino, transformer, rng, monkeypatch):
     transformer.patch_embed.output_fmt = None
     expected = _by_hook(transformer, image, stretched)
     assert np.abs(dino.grid(image).reshape(144, 24) - expected[1:]).max() < 1e-5
-
-
-@pytest.mark.parametrize("size", SIZES)
-def test_any_image_has_144_patches_and_any_crop_one_feature(dino, rng, size):
-    image = rng.integers(0, 256, (*size, 3), np.uint8)
-    grid = dino.grid(image)
-    assert grid.shape == ((16, 9, 24) if size[0] > size[1] else (9, 16, 24))
-    assert np.allclose(np.linalg.norm(grid, axis=2), 1.0, atol=1e-5)
-    assert dino.crop(image).shape == (24,)
 
 
 def test_a_turned_image_is_resized_as_it_was_taken(dino, rng):
@@ -153,42 +129,33 @@ def test_positions_are_stretched_as_dinov2_does_it(dino, transformer):
     assert dino._positions(5, 5) is transformer.pos_embed
 
 
-@pytest.mark.parametrize("wrong", [{"block": 4}, {"block": -1}])
-def test_blocks_that_are_not_there_are_refused(transformer, wrong):
-    with pytest.raises(OptionError, match="block"):
-        DinoFeatures(transformer, name="tiny", **wrong)
-
-
-@pytest.mark.usefixtures("timm")
-def test_wrong_models_and_files_are_named(tmp_path):
-    import torch
-
+def test_what_is_wrong_is_named(timm, transformer, tmp_path, monkeypatch):
     name = "vit_tiny_patch16_224"
-    with pytest.raises(OptionError, match="knows no model"):
-        DinoFeatures.load(tmp_path / "a.pth", model="vit_none")
-    with pytest.raises(InputError, match=r"none\.pth"):
-        DinoFeatures.load(tmp_path / "none.pth", model=name)
     (tmp_path / "cut.pth").write_bytes(b"PK\x03\x04 and no more")
-    with pytest.raises(InputError, match="cut short"):
-        DinoFeatures.load(tmp_path / "cut.pth", model=name)
     torch.save({"norm.weight": torch.ones(3)}, tmp_path / "other.pth")
-    with pytest.raises(InputError, match="not the weights of"):
-        DinoFeatures.load(tmp_path / "other.pth", model=name)
-
-
-def test_weights_of_a_file_are_in_the_key(timm, tmp_path):
-    import torch
-
-    name = "test_vit"  # of timm, 160 px, patches of 16
-    model = timm.create_model(name, num_classes=0)
-    torch.save(model.state_dict(), tmp_path / "a.pth")
-    with pytest.raises(OptionError, match="do not fill"):  # but it was read
-        DinoFeatures.load(tmp_path / "a.pth", model=name, block=1)
-
-
-def test_without_timm_one_is_told_what_to_install(monkeypatch):
-    import sys
-
+    small = timm.create_model("test_vit", num_classes=0)
+    torch.save(small.state_dict(), tmp_path / "small.pth")
+    for file, options, error, words in (
+        ("a.pth", {"model": "vit_none"}, OptionError, "knows no model"),
+        ("none.pth", {"model": name}, InputError, r"none\.pth"),
+        ("cut.pth", {"model": name}, InputError, "cut short"),
+        ("other.pth", {"model": name}, InputError, "not the weights of"),
+        ("small.pth", {"model": "test_vit", "block": 1}, OptionError, "do not fill"),
+    ):
+        with pytest.raises(error, match=words):
+            DinoFeatures.load(tmp_path / file, **options)
+    for block in (4, -1):
+        with pytest.raises(OptionError, match="block"):
+            DinoFeatures(transformer, name="tiny", block=block)
+    for features, options, words in (
+        ("sift", {}, "one of dinov2, colour"),
+        ("colour", {"weights": "a.pth"}, "leave them out"),
+    ):
+        with pytest.raises(OptionError, match=words):
+            features_named(features, **options)
+    assert features_named("colour").dimension == 17
+    with pytest.raises(OptionError, match="at least one pixel"):
+        ColourFeatures().grid(np.zeros((0, 5, 3), np.uint8))
     monkeypatch.setitem(sys.modules, "timm", None)
     with pytest.raises(MissingExtraError, match=r"placegraph\[learn\]"):
         DinoFeatures.load()

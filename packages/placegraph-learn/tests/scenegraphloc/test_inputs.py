@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -17,11 +18,7 @@ from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
-from placegraph_learn.scenegraphloc.features import (
-    RELATIONS,
-    read_attributes,
-    relation_row,
-)
+from placegraph_learn.scenegraphloc.features import RELATIONS, read_attributes, relation_row
 from placegraph_learn.scenegraphloc.inputs import (
     Views,
     barycentre,
@@ -75,7 +72,7 @@ def _room(scene, **more):
     return room
 
 
-def test_points_lie_on_the_surface_less_the_rooms_mean(scene):
+def test_points_lie_on_the_surface_less_the_rooms_mean(scene, monkeypatch):
     room = _room(scene)
     assert room.points.shape == (3, 512, 3)
     # every point lies on a face of its box, whose size is known
@@ -86,21 +83,15 @@ def test_points_lie_on_the_surface_less_the_rooms_mean(scene):
     areas = np.array([6.0, 2 * (2 + 4 + 8), 2 * (2 + 8 + 1)])
     middles = room.points.mean(axis=1)
     assert np.abs(np.average(middles, axis=0, weights=areas)).max() < 0.05
-
-
-def test_vertices_are_taken_as_they_are_where_asked(scene):
-    room = _room(scene, source="vertices")
-    mean = np.concatenate([scene.mesh.vertices]).mean(axis=0)
-    corners = {tuple(p) for p in np.round(room.points[1] + mean, 3).tolist()}
-    assert len(corners) == 8
+    # vertices are taken as they are where asked
+    points = _room(scene, source="vertices").points[1] + scene.mesh.vertices.mean(axis=0)
+    corners = {tuple(p) for p in np.round(points, 3).tolist()}
     assert corners == {(x, y, z) for x in (2, 3) for y in (0, 2) for z in (0, 4)}
-
-
-def test_offsets_lead_to_the_object_of_most_relations(scene):
-    room = _room(scene)
-    middles = np.array([np.add(low, high) / 2 for low, high in THREE])
-    # next to, above, standing on: each object is in two pairs, the first wins
-    assert np.allclose(room.offsets, middles[0] - middles, atol=1e-3)
+    with pytest.raises(OptionError, match="'surface' or 'vertices'"):
+        _room(scene, source="edges")
+    monkeypatch.setattr("placegraph_learn.scenegraphloc.inputs._MOST", 2)
+    with pytest.raises(OptionError, match="3 objects in one room"):
+        _room(scene)
 
 
 def test_relations_are_counted_by_3dssgs_words(scene):
@@ -115,14 +106,24 @@ def test_relations_are_counted_by_3dssgs_words(scene):
     assert room.relations[1, [word["standing on"], word["higher than"]]].tolist() == [1, 1]
     assert room.relations[2, [word["close by"], word["none"]]].tolist() == [1, 1]
     assert room.relations[0, word["none"]] == 2
-
-
-def test_words_shift_where_a_pair_has_two_relations():
-    """As the published data do: the k-th edge has the word of the k-th triple."""
+    middles = np.array([np.add(low, high) / 2 for low, high in THREE])
+    # next to, above, standing on: each object is in two pairs, the first wins
+    assert np.allclose(room.offsets, middles[0] - middles, atol=1e-3)
+    # where a pair has two relations, the k-th edge has the word of the k-th triple, as published
     edges, words = complete(3, [(0, 5, 1), (0, 6, 1), (2, 7, 1)])
     assert edges[:2].tolist() == [[0, 1], [2, 1]]
     assert words.tolist() == [5, 6, 7, 0, 0, 0]
     assert len(edges) == 6
+    bare, alone = _room(_boxes(*THREE)), _room(_boxes(THREE[0]))
+    assert bare.relations[:, 0].tolist() == [2, 2, 2]
+    assert not bare.offsets[0].any()
+    assert alone.edges.shape == (0, 2)
+    assert not alone.relations.any()
+    objects = together([room, room])
+    assert objects.sizes == (3, 3)
+    assert objects.owner.tolist() == [0, 1, 2, 3, 4, 5]
+    assert objects.poses[4].tolist() == [0, 0, 0, 1, 0, 0, 0]
+    assert objects.points.dtype == torch.float32
 
 
 def test_attributes_are_counted_by_the_words_given(scene):
@@ -130,18 +131,6 @@ def test_attributes_are_counted_by_the_words_given(scene):
     assert _room(scene, count=164).attributes.shape == (3, 164)
     room = _room(scene, attributes=("white", "red", "open", "closed"))
     assert room.attributes.tolist() == [[1, 1, 1, 0], [0, 0, 0, 0], [0, 1, 0, 0]]
-
-
-def test_a_scene_without_relations_is_a_graph_all_the_same():
-    room = _room(_boxes(*THREE))
-    assert room.relations[:, 0].tolist() == [2, 2, 2]
-    assert not room.offsets[0].any()
-
-
-def test_one_object_alone_has_no_edges():
-    room = _room(_boxes(THREE[0]))
-    assert room.edges.shape == (0, 2)
-    assert not room.relations.any()
 
 
 def test_merged_scenes_are_rooms_of_their_own(scene):
@@ -157,43 +146,18 @@ def test_merged_scenes_are_rooms_of_their_own(scene):
     assert np.array_equal(merged_room.relations, alone.relations)
 
 
-def test_rooms_become_tensors_in_their_order(scene):
-    torch = pytest.importorskip("torch", reason="PyTorch is not installed (extra learn)")
-    room = _room(scene)
-    objects = together([room, room])
-    assert objects.sizes == (3, 3)
-    assert objects.owner.tolist() == [0, 1, 2, 3, 4, 5]
-    assert objects.poses[4].tolist() == [0, 0, 0, 1, 0, 0, 0]
-    assert objects.points.dtype == torch.float32
-
-
-def test_wrong_sources_and_rooms_beyond_reason_are_refused(scene, monkeypatch):
-    with pytest.raises(OptionError, match="'surface' or 'vertices'"):
-        _room(scene, source="edges")
-    monkeypatch.setattr("placegraph_learn.scenegraphloc.inputs._MOST", 2)
-    with pytest.raises(OptionError, match="3 objects in one room"):
-        _room(scene)
-
-
-# ------------------------------------------------------------------------------------ geometry
-
-
-def test_a_barycentre_is_that_of_the_hulls_corners(rng):
-    box = np.array([[x, y, z] for x in (0, 2) for y in (0, 3) for z in (0, 1)], float)
-    inside = rng.uniform((0.1, 0.1, 0.1), (1.9, 2.9, 0.9), (500, 3))
-    repeated = np.concatenate([box, box[:2], box[:1], inside])
-    assert np.allclose(barycentre(repeated), (1, 1.5, 0.5))
-    assert np.allclose(barycentre(box[:4]), box[:4].mean(axis=0))  # a plane
-    assert np.allclose(barycentre(box[:1]), box[0])
-
-
-@settings(max_examples=30)
+@settings(max_examples=15)
 @given(arrays(np.int64, (9, 3), elements=st.integers(-5, 5)))
-def test_a_barycentre_lies_among_its_points(points):
+def test_a_barycentre_is_that_of_the_hulls_corners(points):
     found = barycentre(points)
     assert (found >= points.min(axis=0) - 1e-9).all()
     assert (found <= points.max(axis=0) + 1e-9).all()
     assert np.allclose(found, barycentre(np.concatenate([points[::-1], points])))
+    box = np.array([[x, y, z] for x in (0, 2) for y in (0, 3) for z in (0, 1)], float)
+    inside = (1, 1.5, 0.5) + points * (0.19, 0.29, 0.09)
+    assert np.allclose(barycentre(np.concatenate([box, box[:2], inside])), (1, 1.5, 0.5))
+    assert np.allclose(barycentre(box[:4]), box[:4].mean(axis=0))  # a plane
+    assert np.allclose(barycentre(box[:1]), box[0])
 
 
 def test_the_farthest_points_cover_a_line(rng):
@@ -215,19 +179,11 @@ def test_distortion_is_smooth_and_of_its_size(rng):
     pulls = np.array(moved)
     apart = np.abs(pulls[:, :3000] - pulls[:, 3000:]).mean()
     assert apart < 0.1 * np.abs(pulls).mean()
-
-
-def test_some_clouds_are_left_as_they_are_and_any_shape_is_taken():
-    points = np.random.default_rng(0).uniform(size=(2, 7, 3)).astype(np.float32)
-    same = [np.array_equal(distort(points, np.random.default_rng(k)), points) for k in range(24)]
+    cloud = points[:7]  # some clouds are left as they are, and any shape is taken
+    same = [np.array_equal(distort(cloud, np.random.default_rng(k)), cloud) for k in range(24)]
     assert 0 < sum(same) < 8
-    flat = np.zeros((5, 3), np.float32)
-    assert np.isfinite(distort(flat, np.random.default_rng(0))).all()
-    wide = np.array([[0, 0, 0], [900, 900, 900]], np.float32)
-    assert np.isfinite(distort(wide, np.random.default_rng(0))).all()
-
-
-# --------------------------------------------------------------------------------------- words
+    for odd in (np.zeros((5, 3), np.float32), np.float32([[0, 0, 0], [900, 900, 900]])):
+        assert np.isfinite(distort(odd, np.random.default_rng(0))).all()
 
 
 def test_relations_have_their_rows():
@@ -239,13 +195,6 @@ def test_relations_have_their_rows():
     assert RELATIONS[40] == "more comfortable than"
 
 
-def test_attribute_words_come_as_text_or_json(tmp_path):
-    (tmp_path / "a.txt").write_text("Red\n\nwhite \nopen\n", encoding="utf-8")
-    (tmp_path / "a.json").write_text(json.dumps(["red", "white", "open"]), encoding="utf-8")
-    assert read_attributes(tmp_path / "a.txt") == ("red", "white", "open")
-    assert read_attributes(tmp_path / "a.json") == ("red", "white", "open")
-
-
 @pytest.mark.parametrize("content", [b"", b"red\nred\n", b'["red", 3]', b'["red"', b"\xff\xfe\x00"])
 def test_wrong_lists_of_attributes_are_refused(tmp_path, content):
     (tmp_path / "a.txt").write_bytes(content)
@@ -253,6 +202,10 @@ def test_wrong_lists_of_attributes_are_refused(tmp_path, content):
         read_attributes(tmp_path / "a.txt")
     with pytest.raises(InputError):
         read_attributes(tmp_path / "none.txt")
+    (tmp_path / "b.txt").write_text("Red\n\nwhite \nopen\n", encoding="utf-8")
+    (tmp_path / "b.json").write_text(json.dumps(["red", "white", "open"]), encoding="utf-8")
+    for name in ("b.txt", "b.json"):
+        assert read_attributes(tmp_path / name) == ("red", "white", "open")
 
 
 CAMERA = Camera(80, 60, 40.0, 40.0, 40.0, 30.0)
@@ -327,6 +280,9 @@ def test_an_object_has_its_views_and_what_was_never_seen_a_blank_one(scene_views
     assert poses[4].tolist() == [0, 0, 0, 1, 0, 0, 0]
     assert np.allclose(rotation_from_quaternion(poses[0, :4]), LOOKING_EAST[:3, :3], atol=1e-6)
     assert np.allclose(poses[0, 4:], [0, 0, 1.5])
+    some = views.of(np.array([2, 1]))  # views of some objects are renumbered
+    assert some.owner.tolist() == [0, 1, 1]
+    assert np.array_equal(some.features, views.features[[4, 2, 3]])
     assert (np.take_along_axis(poses, np.abs(poses[:, :4]).argmax(axis=1)[:, None], 1) > 0).all()
 
 
@@ -410,13 +366,6 @@ def test_a_patch_shows_what_most_of_its_pixels_do():
     # six things in equal parts: none covers more than a fifth
     mixed = np.repeat(np.arange(6, dtype=np.int32), 10)[None].repeat(60, axis=0)
     assert shown(mixed, (1, 1)).tolist() == [[-1]]
-
-
-def test_views_of_some_objects_are_renumbered():
-    views = Views(np.array([0, 1, 1, 2]), np.eye(4, 3, dtype=np.float32), np.stack([np.eye(4)] * 4))
-    some = views.of(np.array([2, 1]))
-    assert some.owner.tolist() == [0, 1, 1]
-    assert np.array_equal(some.features, views.features[[3, 1, 2]])
 
 
 def test_rays_see_the_things_that_a_rendered_walk_shows(room, survey):

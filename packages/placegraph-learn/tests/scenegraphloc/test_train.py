@@ -1,9 +1,11 @@
 """Training on drawn homes: it learns, goes on where it was interrupted, and says what is wrong."""
 
+import shutil
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from placegraph.core.geometry import Camera
 from placegraph.errors import InputError, OptionError
@@ -13,6 +15,8 @@ from placegraph_learn.scenegraphloc.features import ColourFeatures
 from placegraph_learn.scenegraphloc.inputs import Room
 from placegraph_learn.scenegraphloc.lessons import (
     Lesson,
+    Material,
+    Surveyed,
     Teacher,
     World,
     folder,
@@ -23,7 +27,7 @@ from placegraph_learn.scenegraphloc.lessons import (
     write_lesson,
 )
 from placegraph_learn.scenegraphloc.network import Widths
-from placegraph_learn.scenegraphloc.train import TrainOptions, train
+from placegraph_learn.scenegraphloc.train import Trainer, TrainOptions, evaluate, train
 from placegraph_learn.training import Progress, rows_of
 
 OPTIONS = TrainOptions(epochs=2, batch=3, others=1, points=16, seed=4)
@@ -32,35 +36,6 @@ TINY = Widths(
     feature=17, embedding=12, hidden=16, gate=4, modality=6, points=(6, 8, 8), graph=8, view=8,
     pose_hidden=6,
 )  # fmt: skip
-
-
-class Interrupted(Exception):  # noqa: N818  # as KeyboardInterrupt is
-    pass
-
-
-class Stop(Progress):
-    """Ends a training as Ctrl-C would."""
-
-    def __init__(self, epoch, step):
-        self.at = epoch, step
-
-    def step(self, epoch, done, total, losses):  # noqa: ARG002
-        if (epoch, done) == self.at:
-            raise Interrupted
-
-
-class Notes(Progress):
-    def __init__(self):
-        self.prepared, self.steps, self.rows = [], [], []
-
-    def preparing(self, name, done, total):
-        self.prepared.append((name, done, total))
-
-    def step(self, epoch, done, total, losses):
-        self.steps.append((epoch, done, total, losses))
-
-    def epoch(self, row):
-        self.rows.append(row)
 
 
 @pytest.fixture(scope="module")
@@ -86,8 +61,8 @@ def learn(lessons):
 
 
 @pytest.fixture(scope="module")
-def trained(learn, tmp_path_factory):
-    at, notes = tmp_path_factory.mktemp("trained"), Notes()
+def trained(learn, tmp_path_factory, make_notes):
+    at, notes = tmp_path_factory.mktemp("trained"), make_notes()
     return learn(at, progress=notes), at, notes
 
 
@@ -109,21 +84,18 @@ def test_progress_and_curves_are_told(trained):
     assert notes.rows[0].keys() == {"epoch", "loss", "patch", "room", "changed"}
 
 
-@pytest.mark.parametrize("at", [(1, 1), pytest.param((0, 2), marks=pytest.mark.all)])
-def test_an_interrupted_training_goes_on_as_if_never_interrupted(learn, trained, tmp_path, at):
-    with pytest.raises(Interrupted):
-        learn(tmp_path, progress=Stop(*at))
+@pytest.mark.parametrize("stop", [(1, 1), pytest.param((0, 2), marks=pytest.mark.all)])
+def test_an_interrupted_training_goes_on_as_if_never_interrupted(
+    learn, trained, tmp_path, make_notes, stop
+):
+    with pytest.raises(KeyboardInterrupt):
+        learn(tmp_path, progress=make_notes(stop))
     assert not (tmp_path / "a.safetensors").exists()
-    weights = learn(tmp_path)
-    assert weights.digest == trained[0].digest
+    learn(tmp_path)
     assert (tmp_path / "a.safetensors").read_bytes() == (trained[1] / "a.safetensors").read_bytes()
-
-
-def test_a_finished_training_is_only_written_again(learn, trained):
-    weights, at, _ = trained
-    notes = Notes()
-    assert learn(at, progress=notes).digest == weights.digest
-    assert not notes.steps
+    notes = make_notes()
+    assert learn(tmp_path, progress=notes).digest == trained[0].digest
+    assert not notes.steps  # it is only written again
 
 
 def test_another_seed_gives_another_network(learn, trained, tmp_path):
@@ -132,7 +104,6 @@ def test_another_seed_gives_another_network(learn, trained, tmp_path):
 
 
 def test_the_snapshot_is_laid_out_as_the_authors(trained):
-    import torch
 
     found = torch.load(trained[1] / "snapshot.pth", weights_only=True)
     assert found.keys() == {"epoch", "iteration", "model", "optimizer", "scheduler", "generator"}
@@ -165,7 +136,6 @@ def _drawn(rng, kinds, name):
 
 def test_a_short_training_tells_patches_of_rooms_never_learned(rng):
     """On rooms drawn in numbers; on rendered homes the table scene_train shows it."""
-    from placegraph_learn.scenegraphloc.train import Trainer, evaluate
 
     kinds = rng.normal(size=(9, 17))
     kinds /= np.linalg.norm(kinds, axis=1, keepdims=True)
@@ -191,23 +161,16 @@ def test_changed_homes_have_targets_by_id(lessons):
         ]
 
 
-def test_lessons_are_kept_whole(lessons, tmp_path):
-    lesson = next(iter(lessons.values()))
-    write_lesson(tmp_path / "a.lesson", lesson)
-    again = read_lesson(tmp_path / "a.lesson")
+def test_lessons_are_kept_whole_and_made_again_if_damaged(lessons, tmp_path):
+    lesson, path = next(iter(lessons.values())), tmp_path / "a.lesson"
+    write_lesson(path, lesson)
+    again, whole = read_lesson(path), path.read_bytes()
     assert again.name == lesson.name
     for name in ("points", "edges", "views", "poses", "owner", "relations"):
         assert np.array_equal(getattr(again.room, name), getattr(lesson.room, name))
     assert again.earlier.ids == lesson.earlier.ids
     assert all(np.array_equal(a, b) for a, b in zip(again.marks, lesson.marks, strict=True))
     assert all(np.array_equal(a, b) for a, b in zip(again.features, lesson.features, strict=True))
-
-
-def test_a_damaged_lesson_is_made_again(lessons, tmp_path):
-    lesson = next(iter(lessons.values()))
-    path = tmp_path / "a.lesson"
-    write_lesson(path, lesson)
-    whole = path.read_bytes()
     assert kept_lesson(path, lambda: pytest.fail("it is kept")).name == lesson.name
     path.write_bytes(whole[: len(whole) // 2])
     assert kept_lesson(path, lambda: lesson) is lesson
@@ -216,48 +179,36 @@ def test_a_damaged_lesson_is_made_again(lessons, tmp_path):
 
 @pytest.mark.parametrize("spoil", ["cut", "key", "no generator"])
 def test_a_damaged_snapshot_is_named(learn, trained, tmp_path, spoil):
-    import shutil
-
-    import torch
-
     at = shutil.copytree(trained[1], tmp_path / "copy")
     path = at / "snapshot.pth"
+    found = torch.load(path, weights_only=True)
+    if spoil == "key":
+        del found["model"]["sg_encoder.fusion.weight"]
+    elif spoil == "no generator":
+        del found["generator"]
+    torch.save(found, path)
     if spoil == "cut":
         path.write_bytes(path.read_bytes()[:2000])
-    else:
-        found = torch.load(path, weights_only=True)
-        if spoil == "key":
-            del found["model"]["sg_encoder.fusion.weight"]
-        else:
-            del found["generator"]
-        torch.save(found, path)
     with pytest.raises(InputError, match=r"snapshot\.pth"):
         learn(at)
 
 
-def test_a_folder_of_another_training_is_refused(learn, trained):
-    with pytest.raises(OptionError, match="another folder"):
-        learn(trained[1], replace(OPTIONS, rate=0.5))
-
-
-@pytest.mark.parametrize(
-    "wrong", [{"epochs": 0}, {"batch": 0}, {"rate": 0.0}, {"decay": 1.5}, {"others": -1}]
-)
-def test_options_out_of_range_are_refused(wrong):
-    with pytest.raises(OptionError, match=next(iter(wrong))):
-        replace(OPTIONS, **wrong)
-
-
-def test_what_cannot_be_trained_is_refused(tmp_path, learn):
-    worlds = homes(2)
-    with pytest.raises(OptionError, match="at least two"):
-        train(worlds, tmp_path / "a.safetensors", folder=tmp_path)
-    with pytest.raises(OptionError, match="rename"):
-        train([*worlds, worlds[0]], tmp_path / "a.safetensors", folder=tmp_path)
-    with pytest.raises(OptionError, match="safetensors"):
-        train(homes(3), tmp_path / "a.pth", folder=tmp_path)
+def test_what_cannot_be_trained_is_refused(tmp_path, learn, trained):
+    for wrong in ({"epochs": 0}, {"batch": 0}, {"rate": 0.0}, {"decay": 1.5}, {"others": -1}):
+        with pytest.raises(OptionError, match=next(iter(wrong))):
+            replace(OPTIONS, **wrong)
+    worlds, out = homes(3), tmp_path / "a.safetensors"
+    for given, path, words in (
+        (worlds[:2], out, "at least two"),
+        ([*worlds[:2], worlds[0]], out, "rename"),
+        (worlds, tmp_path / "a.pth", "safetensors"),
+    ):
+        with pytest.raises(OptionError, match=words):
+            train(given, path, folder=tmp_path)
     with pytest.raises(OptionError, match="numbers a feature"):
         learn(tmp_path, widths=Widths.small(3))
+    with pytest.raises(OptionError, match="another folder"):
+        learn(trained[1], replace(OPTIONS, rate=0.5))
     with pytest.raises(OptionError, match="homes"):
         homes(0)
 
@@ -268,32 +219,20 @@ def test_some_are_held_out_evenly():
     assert learned == [0, 1, 2, 4, 5, 7, 8, 9]
 
 
-# ------------------------------------------------------------------------- maps of one's own
-
-
 def test_maps_of_a_folder_come_with_their_captures(room, walk, tmp_path):
-    import shutil
-
-    room.save(tmp_path / "room.scene")
-    room.save(tmp_path / "bare.scene")  # without captures it is passed over
-    shutil.copytree(walk.path, tmp_path / "room" / "one")
-    shutil.copytree(walk.path, tmp_path / "room" / "two")
+    for name in ("room", "bare", "single"):  # without captures, one is passed over
+        room.save(tmp_path / f"{name}.scene")
+    for at in ("room/one", "room/two", "single"):
+        shutil.copytree(walk.path, tmp_path / at)
     (tmp_path / "room" / "notes").mkdir()
-    (world,) = folder(tmp_path)
+    world, single = folder(tmp_path)
     material = world.make()
     assert [len(c) for c in (*material.now.captures, *material.pictures)] == [10, 10]
     lesson = Teacher(ColourFeatures()).lesson(world)
     assert len(lesson.marks) == 10
     assert lesson.earlier is None
     assert (np.concatenate(lesson.marks) > 0).mean() > 0.9  # the poses are in the map
-
-
-def test_a_single_capture_serves_for_both(room, walk, tmp_path):
-    import shutil
-
-    room.save(tmp_path / "room.scene")
-    shutil.copytree(walk.path, tmp_path / "room")
-    material = folder(tmp_path)[0].make()
+    material = single.make()  # its one capture serves for both
     assert [f.index for f in material.now.captures[0]] == [0, 2, 4, 6, 8]
     assert [f.index for f in material.pictures[0]] == [1, 3, 5, 7, 9]
 
@@ -305,7 +244,6 @@ def test_folders_without_maps_and_captures_outside_are_named(room, survey, tmp_p
     far[:, :3, 3] += 500.0
 
     def lost():
-        from placegraph_learn.scenegraphloc.lessons import Material, Surveyed
 
         return Material(Surveyed(room, (survey,)), (placed(survey, far),))
 

@@ -38,6 +38,10 @@ def test_a_shift_is_found_to_a_fraction_of_a_pixel(guided, picture, dx, dy):
     assert len(found) > 60
     assert np.mean(np.abs(off).max(axis=1) < 1.0) > 0.9
     assert np.abs(np.median(off, axis=0)).max() < 0.1
+    assert (np.diff(found.confidence) <= 0).all()
+    (again,) = guided.match(shifted(picture, dx, dy), [picture])
+    np.testing.assert_array_equal(found.query, again.query)
+    np.testing.assert_array_equal(found.rendered, again.rendered)
 
 
 def test_beyond_the_radius_nothing_is_found_there(picture):
@@ -49,11 +53,17 @@ def test_beyond_the_radius_nothing_is_found_there(picture):
     assert np.abs(outside.query - outside.rendered).max(initial=0) <= 4.5
 
 
-def test_light_does_not_matter(guided, picture):
+def test_light_does_not_matter_and_what_shows_nothing_matches_nothing(guided, picture, rng):
     dim = (0.4 * picture + 20).astype(np.uint8)
     (bright,), (dark,) = guided.match(picture, [picture]), guided.match(dim, [picture])
     assert len(dark) > 0.9 * len(bright)
     assert np.abs(dark.query - dark.rendered).max() < 1.0
+    for level in (0, 255):
+        blank = np.full_like(picture, level)
+        assert len(guided.match(blank, [picture])[0]) == 0
+        assert len(guided.match(picture, [blank])[0]) == 0
+    noise = rng.integers(0, 255, picture.shape).astype(np.uint8)
+    assert len(guided.match(noise, [picture])[0]) < 5
 
 
 def test_queries_of_another_size_keep_their_own_pixels(guided, picture):
@@ -74,33 +84,12 @@ def test_each_view_by_itself_and_only_where_the_map_shows(guided, picture):
     assert len(none) == 0
 
 
-@pytest.mark.parametrize("level", [0, 255])
-def test_blank_images_match_nothing(guided, picture, level):
-    blank = np.full_like(picture, level)
-    assert len(guided.match(blank, [picture])[0]) == 0
-    assert len(guided.match(picture, [blank])[0]) == 0
-
-
 @pytest.mark.parametrize("shape", [(1, 1), (3, 200), (14, 14), (40, 9)])
 def test_tiny_images_are_no_trouble(guided, rng, shape):
     image = rng.integers(0, 255, (*shape, 3)).astype(np.uint8)
     (found,) = guided.match(image, [image])
     assert (found.query >= 0).all()
     assert (found.query <= shape[::-1]).all()
-
-
-def test_noise_hardly_matches(guided, picture, rng):
-    noise = rng.integers(0, 255, picture.shape).astype(np.uint8)
-    assert len(guided.match(noise, [picture])[0]) < 5
-
-
-def test_the_same_again_and_nothing_is_changed(guided, picture):
-    before = picture.copy()
-    a, b = (guided.match(shifted(picture, 2, 1), [picture])[0] for _ in range(2))
-    np.testing.assert_array_equal(a.query, b.query)
-    np.testing.assert_array_equal(a.rendered, b.rendered)
-    np.testing.assert_array_equal(picture, before)
-    assert (np.diff(a.confidence) <= 0).all()
 
 
 def test_a_rival_takes_the_lead_away():
@@ -112,6 +101,10 @@ def test_a_rival_takes_the_lead_away():
     any_ = GuidedMatcher(radius=12).match(image, [image])[0]
     assert len(leading) == 0
     assert len(any_) > 0
+    image = np.array([[[255, 255, 255], [0, 0, 0]], [[255, 0, 0], [0, 255, 0]]], np.uint8)
+    np.testing.assert_allclose(lightness(image), [[1, 0], [0.299, 0.587]], atol=1e-6)
+    assert resized(image, 2, 2) is image
+    np.testing.assert_array_equal(resized(image, 1, 1)[0, 0], [128, 128, 64])
 
 
 @pytest.mark.parametrize(
@@ -121,9 +114,6 @@ def test_a_rival_takes_the_lead_away():
 def test_options_out_of_range_are_refused(wrong):
     with pytest.raises(OptionError, match=next(iter(wrong))):
         GuidedMatcher(**wrong)
-
-
-# ----------------------------------------------------------------------------------- loops
 
 
 def test_corners_are_corners():
@@ -158,19 +148,6 @@ def test_scores_are_zero_mean_normalised_correlations(seed):
         window = query[row + 1 : row + 10, column - 1 : column + 8].ravel()
         assert best == pytest.approx(np.corrcoef(patch, window)[0, 1], abs=1e-3)
         assert rival < best
-
-
-def test_a_best_place_on_the_rim_is_none():
-    rng = np.random.default_rng(1)
-    view = rng.random((40, 40), np.float32)
-    query = np.zeros_like(view)
-    query[:, 5:] = view[:, :-5]  # 5 right, where the window ends
-    found = search(view, np.ones((40, 40), bool), query, np.array([[20.0, 20.0]]), 4, 5, 3)
-    assert found[0, 2] == -1.0
-
-
-def test_lightness_and_size():
-    image = np.array([[[255, 255, 255], [0, 0, 0]], [[255, 0, 0], [0, 255, 0]]], np.uint8)
-    np.testing.assert_allclose(lightness(image), [[1, 0], [0.299, 0.587]], atol=1e-6)
-    assert resized(image, 2, 2) is image
-    np.testing.assert_array_equal(resized(image, 1, 1)[0, 0], [128, 128, 64])
+    at_middle = np.array([[20.0, 20.0]])
+    query[:, 5:] = view[:, :-5]  # 5 right, where the window ends: a best place on the rim is none
+    assert search(view, np.ones((40, 40), bool), query, at_middle, 4, 5, 3)[0, 2] == -1.0

@@ -32,15 +32,11 @@ def test_pixels_come_back(height, width, x, y):
     assert np.allclose(to_normalised(pixels, (height, width)), [[x, y]], atol=1e-12)
 
 
-@given(st.integers(1, 300), st.integers(1, 300))
-def test_centres_lie_at_a_half(height, width):
-    pixels = to_pixels(grid(height, width), (height, width))
-    v, u = np.mgrid[:height, :width] + 0.5
-    assert np.allclose(pixels, np.stack([u, v], axis=-1), atol=1e-4)
-
-
 @pytest.mark.parametrize("resolution", [(112, 112), (90, 160), (37, 61)])
 def test_a_shift_is_recovered_at_any_resolution(rng, resolution):
+    pixels = to_pixels(grid(*resolution), resolution)  # centres lie at a half
+    v, u = np.mgrid[: resolution[0], : resolution[1]] + 0.5
+    assert np.allclose(pixels, np.stack([u, v], axis=-1), atol=1e-4)
     own = grid(*resolution)
     there = to_normalised(to_pixels(own, (180, 320)) + SHIFT, (200, 340))
     warp = Warp(own, there.astype(np.float32), rng.random(resolution, np.float32))
@@ -48,6 +44,12 @@ def test_a_shift_is_recovered_at_any_resolution(rng, resolution):
     assert 200 < len(found) <= 400
     assert np.allclose(found.rendered - found.query, SHIFT, atol=1e-3)
     assert (np.diff(found.confidence) <= 0).all()
+    # both directions share the count
+    own, there = shifted(64, 64, (64, 64), (5, 3))
+    forth = Warp(own, there, rng.random((64, 64), np.float32))
+    found = thinned([forth, forth], (64, 64), (64, 64), count=100, least=0.0)
+    assert 50 < len(found) <= 100
+    assert np.allclose(found.rendered - found.query, (5, 3), atol=1e-3)
 
 
 def test_the_surest_of_each_block_is_taken(rng):
@@ -59,15 +61,6 @@ def test_the_surest_of_each_block_is_taken(rng):
     assert len(cells) == 24
     best = certainty.reshape(4, 10, 6, 10).max(axis=(1, 3)).ravel()
     assert np.allclose(np.sort(found.confidence), np.sort(best))
-
-
-def test_both_directions_share_the_count(rng):
-    own, there = shifted(64, 64, (64, 64), (5, 3))
-    forth = Warp(own, there, rng.random((64, 64), np.float32))
-    back = Warp(grid(64, 64), shifted(64, 64, (64, 64), (5, 3))[1], forth.certainty)
-    found = thinned([forth, back], (64, 64), (64, 64), count=100, least=0.0)
-    assert 50 < len(found) <= 100
-    assert np.allclose(found.rendered - found.query, (5, 3), atol=1e-3)
 
 
 def test_unsure_masked_and_outside_matches_are_left_out():
@@ -96,22 +89,7 @@ def test_never_more_than_asked_for(height, width, count):
     assert 1 <= len(found) <= count
 
 
-pytestmark = pytest.mark.usefixtures("one_torch_thread")
-
-
-@pytest.fixture(scope="module")
-def one_torch_thread():
-    """So small are the networks."""
-    torch = pytest.importorskip("torch", reason="PyTorch is not installed (extra learn)")
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
-
-
-@pytest.fixture(
-    scope="module", params=["sift", "xfeat dense", pytest.param("xfeat", marks=pytest.mark.all)]
-)
+@pytest.fixture(scope="module", params=["sift", "xfeat dense"])
 def any_matcher(request):
     if request.param == "sift":
         pytest.importorskip("cv2", reason="needs OpenCV: pip install 'placegraph[sift]'")
@@ -119,11 +97,6 @@ def any_matcher(request):
     pytest.importorskip("kornia", reason="needs kornia: pip install 'placegraph[xfeat]'")
     weights = request.getfixturevalue("shared") / "weights/xfeat.pt"
     return matcher("xfeat", weights=weights, dense="dense" in request.param)
-
-
-def test_it_is_a_matcher(any_matcher):
-    assert isinstance(any_matcher, Matcher)
-    assert any_matcher.name in MATCHERS
 
 
 @pytest.mark.parametrize(("value", "size"), [(0, (33, 47)), (255, (90, 160))])
@@ -183,17 +156,6 @@ def test_the_query_is_matched_with_each_view_by_itself(any_matcher, picture, war
         assert len(found) > 100
 
 
-def test_nothing_to_match_with(any_matcher, picture):
-    assert any_matcher.match(picture, []) == []
-
-
-def test_images_are_left_as_they_were(any_matcher, picture):
-    query, view = picture.copy(), picture.copy()
-    query.flags.writeable = view.flags.writeable = False
-    any_matcher.match(query, [view], masks=[np.ones(view.shape[:2], bool)])
-    assert np.array_equal(query, picture)
-
-
 @pytest.mark.parametrize(
     ("query", "views", "masks", "named"),
     [
@@ -211,14 +173,18 @@ def test_what_is_no_image_is_refused(any_matcher, query, views, masks, named):
         any_matcher.match(query, views, masks=masks)
 
 
-def test_unknown_names_are_told_the_known_ones():
-    with pytest.raises(OptionError, match=r"'superglue'.*'sift'.*"):
-        matcher("superglue")
-
-
-def test_unknown_options_are_told_the_known_ones():
-    pytest.importorskip("cv2")
-    with pytest.raises(OptionError, match=r"'sift' has no option 'contrasts'.*contrast"):
-        matcher("sift", contrasts=0.1)
-    with pytest.raises(OptionError, match="'weights'"):
-        matcher("sift", weights="somewhere.pt")
+def test_names_and_options_that_are_none_are_told(any_matcher, picture):
+    assert isinstance(any_matcher, Matcher)
+    assert any_matcher.name in MATCHERS
+    assert any_matcher.match(picture, []) == []
+    query, view = picture.copy(), picture.copy()
+    query.flags.writeable = view.flags.writeable = False
+    any_matcher.match(query, [view], masks=[np.ones(view.shape[:2], bool)])
+    assert np.array_equal(query, picture)
+    for name, options, words in (
+        ("superglue", {}, r"'superglue'.*'sift'.*"),
+        ("sift", {"contrasts": 0.1}, r"'sift' has no option 'contrasts'.*contrast"),
+        ("sift", {"weights": "somewhere.pt"}, "'weights'"),
+    ):
+        with pytest.raises(OptionError, match=words):
+            matcher(name, **options)

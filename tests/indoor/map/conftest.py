@@ -1,0 +1,11 @@
+"""The shared house as a model."""
+
+import pytest
+
+from placegraph.io.mesh.gltf import read_glb
+
+
+@pytest.fixture(scope="session")
+def house(shared):
+    """Model of the house of the shared data."""
+    return read_glb(shared / "data/house/map/house.glb")
