@@ -132,10 +132,10 @@ class _Gltf:
                 raise InputError(f"{path} is glTF {version[:20]}; export it as glTF 2.0.")
         else:
             gltf = cls(path, *_split_chunks(path, data))
-        for name in gltf.list_of(gltf.content, "extensionsRequired"):
+        for name in map(str, gltf.list_of(gltf.content, "extensionsRequired")):
             if name in _MENDS:
                 raise gltf.error(f"it needs {name}; {_MENDS[name]}")
-            if name not in _KNOWN and not str(name).startswith(_HARMLESS):
+            if name not in _KNOWN and not name.startswith(_HARMLESS):
                 raise gltf.error(
                     f"it needs the extension {name!r}, unknown here; export without it"
                 )
