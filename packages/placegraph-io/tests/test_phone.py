@@ -6,8 +6,9 @@ import zipfile
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from tests.io.damage import DAMAGE, damaged, read_damaged, refusing
 
 from placegraph.core.geometry import Camera, quaternion_from_rotation
 from placegraph.errors import InputError, MissingExtraError, OptionError
@@ -72,20 +73,17 @@ def test_wrong_frames(change, says, recorded, save, tmp_path):
     assert "frame_00001.json" in str(caught.value)
 
 
-def test_poses_by_columns_are_noticed(recorded, save, tmp_path):
-    write_arkit_app(tmp_path, recorded(turns=1), save)
+def test_poses_by_columns_and_captures_without_depth_are_noticed(recorded, save, tmp_path):
+    world = recorded(turns=1)
+    write_arkit_app(tmp_path, world, save)
     file = tmp_path / "frame_00000.json"
     content = json.loads(file.read_text())
-    content["cameraPoseARFrame"] = recorded(turns=1).arkit(0).T.ravel().tolist()
-    file.write_text(json.dumps(content))
+    file.write_text(json.dumps(content | {"cameraPoseARFrame": world.arkit(0).T.ravel().tolist()}))
     with pytest.raises(InputError, match="written by columns"):
         open_capture(tmp_path)
-
-
-def test_nothing_but_poses(recorded, save, tmp_path):
-    write_arkit_app(tmp_path, recorded(turns=1), save)
-    for file in tmp_path.glob("depth_*"):
-        file.unlink()
+    file.write_text(json.dumps(content))
+    for depth in tmp_path.glob("depth_*"):
+        depth.unlink()
     with pytest.raises(InputError, match=r"no frame with .*depth_\*.png"):
         open_capture(tmp_path)
 
@@ -143,6 +141,13 @@ def test_wrong_files(name, text, says, recorded, tmp_path):
         open_capture(tmp_path)
 
 
+@DAMAGE
+@given(data=st.data())
+def test_damaged_files_of_ios_logger(data, recorded, tmp_path):
+    world = recorded(camera=LARGE, shrink=4)
+    read_damaged(tmp_path, data, lambda path: write_ios_logger(path, world))
+
+
 def write_polycam(path, world, save, *, kind="", without=()):
     for i in range(len(world)):
         stem = f"{int(world.stamps[i] * 1e6)}"
@@ -196,25 +201,18 @@ def test_frames_without_depth_are_counted(recorded, save, tmp_path):
     assert set(capture.left_out) <= {"no depth", "no camera"}
 
 
-def test_without_confidence_every_reading_counts(recorded, save, tmp_path):
+def test_parts_that_are_missing(recorded, save, tmp_path):
     world = recorded(turns=1)
-    world.check(
-        open_capture(write_polycam(tmp_path, world, save, without=("confidence",))), sure=False
-    )
-
-
-def test_no_depth_at_all(recorded, save, tmp_path):
-    write_polycam(tmp_path, recorded(turns=1), save, without=("depth",))
-    with pytest.raises(InputError, match=r"depth holds no image; only captures of LiDAR"):
-        open_capture(tmp_path)
-
-
-def test_no_images(recorded, save, tmp_path):
-    write_polycam(tmp_path, recorded(turns=1), save)
-    for file in (tmp_path / "keyframes/images").iterdir():
-        file.unlink()
-    with pytest.raises(InputError, match="images holds no image"):
-        open_capture(tmp_path)
+    write_polycam(tmp_path, world, save, without=("confidence",))
+    world.check(open_capture(tmp_path), sure=False)
+    for kind, says in (
+        ("depth", r"depth holds no image; only captures of LiDAR"),
+        ("images", "images holds no image"),
+    ):
+        for file in (tmp_path / "keyframes" / kind).iterdir():
+            file.unlink()
+        with pytest.raises(InputError, match=says):
+            open_capture(tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -224,23 +222,19 @@ def test_no_images(recorded, save, tmp_path):
         ({"t_12": None}, "t_12 is not a list of 1 numbers"), ({"fx": 0}, "greater than 0"),
         ({"fx": "wide"}, "fx is not"), ({"width": 0}, "greater than 0"),
         ({"height": 10**400}, "beyond all bounds"), ({"width": float("nan")}, "whole numbers"),
+        ("", r"\.json"), ("[]", r"\.json"), ("{", r"\.json"), ("{}", r"\.json"),
     ],
 )  # fmt: skip
 def test_wrong_cameras(change, says, recorded, save, tmp_path):
     write_polycam(tmp_path, recorded(turns=1), save)
     file = next((tmp_path / "keyframes/cameras").iterdir())
-    file.write_text(json.dumps(json.loads(file.read_text()) | change))
+    text = change
+    if isinstance(change, dict):
+        text = json.dumps(json.loads(file.read_text()) | change)
+    file.write_text(text)
     with pytest.raises(InputError, match=says) as caught:
         open_capture(tmp_path)
     assert file.name in str(caught.value)
-
-
-@pytest.mark.parametrize("text", ["", "[]", "{", "{}"])
-def test_what_is_no_camera(text, recorded, save, tmp_path):
-    write_polycam(tmp_path, recorded(turns=1), save)
-    next((tmp_path / "keyframes/cameras").iterdir()).write_text(text)
-    with pytest.raises(InputError, match=r"\.json"):
-        open_capture(tmp_path)
 
 
 def test_depth_of_another_size(recorded, save, tmp_path):
@@ -315,10 +309,12 @@ def test_unpacked(name, recorded, save, tmp_path):
     np.testing.assert_allclose(capture.stamps, world.stamps)
 
 
-def test_packed(recorded, save, tmp_path):
+def test_packed_and_without_confidence(recorded, save, tmp_path):
     world = recorded(turns=1)
     folder = unpacked(tmp_path / "walk", world, save)
     world.check(open_capture(packed(tmp_path / "walk.r3d", folder)))
+    world = recorded()
+    world.check(open_capture(unpacked(tmp_path / "unsure", world, save, sure=False)), sure=False)
 
 
 def test_old_recordings_say_less(recorded, save, tmp_path):
@@ -327,11 +323,6 @@ def test_old_recordings_say_less(recorded, save, tmp_path):
     capture = open_capture(folder)
     world.check(capture)
     assert capture.stamps.tolist() == [0.0]
-
-
-def test_without_confidence(recorded, save, tmp_path):
-    world = recorded()
-    world.check(open_capture(unpacked(tmp_path, world, save, sure=False)), sure=False)
 
 
 def test_the_export(recorded, save, tmp_path):
@@ -399,27 +390,19 @@ def test_what_is_no_metadata(text, recorded, save, tmp_path):
             open_capture(path)
 
 
-def test_depth_of_another_size_record3d(recorded, save, tmp_path):
-    unpacked(tmp_path, recorded(), save)
-    few = liblzfse.compress(np.zeros(100, "<f4").tobytes())
-    (tmp_path / "rgbd/0.depth").write_bytes(few)
-    with pytest.raises(InputError, match=r"0.depth has 100 pixels, but metadata says 48 x 36"):
-        open_capture(tmp_path)[0].depth()
-
-
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
-@given(cut=st.integers(0, 10**6), at=st.integers(0, 10**6), byte=st.integers(0, 255))
-def test_damaged_depth(cut, at, byte, recorded, save, tmp_path):
+@DAMAGE
+@given(data=st.data())
+def test_damaged_depth(data, recorded, save, tmp_path):
     path = tmp_path / "rgbd/0.depth"
     if not path.exists():
         unpacked(tmp_path, recorded(), save)
-    whole = bytearray(liblzfse.compress(metres(recorded(), 0).tobytes()))
-    whole[at % len(whole)] = byte
-    path.write_bytes(bytes(whole[: cut % (2 * len(whole))]))
-    try:
+    whole = liblzfse.compress(metres(recorded(), 0).tobytes())
+    path.write_bytes(data.draw(damaged(whole)))
+    with refusing("0.depth"):
         assert open_capture(tmp_path)[0].depth().shape == (36, 48)
-    except InputError as error:
-        assert "0.depth" in str(error)  # noqa: PT017  # either is right
+    path.write_bytes(liblzfse.compress(np.zeros(100, "<f4").tobytes()))
+    with pytest.raises(InputError, match=r"0.depth has 100 pixels, but metadata says 48 x 36"):
+        open_capture(tmp_path)[0].depth()
 
 
 def test_truncated_zips(recorded, save, tmp_path):
@@ -438,7 +421,6 @@ def test_truncated_zips(recorded, save, tmp_path):
         open_capture(path)[0].depth()
 
 
-LARGE = Camera(192, 144, 160.0, 161.0, 97.5, 71.0)  # a codec's blocks blur small ones
 HEADER = "timestamp, frame, x, y, z, qx, qy, qz, qw"
 
 
@@ -463,22 +445,14 @@ def write_stray(path, world, save, *, intrinsics=False):
 
 
 def test_points_and_colours_stray(recorded, save, tmp_path):
+    world = recorded(turns=1, camera=LARGE, shrink=4, refocus=0.01)
+    world.check(open_capture(write_stray(tmp_path, world, save, intrinsics=True)))
     world = recorded(turns=1, camera=LARGE, shrink=4)
     capture = open_capture(write_stray(tmp_path, world, save))
     world.check(capture)
     np.testing.assert_allclose(capture.stamps, world.stamps)
-
-
-def test_intrinsics_of_every_frame(recorded, save, tmp_path):
-    world = recorded(turns=1, camera=LARGE, shrink=4, refocus=0.01)
-    world.check(open_capture(write_stray(tmp_path, world, save, intrinsics=True)))
-
-
-def test_frames_in_any_order(recorded, save, tmp_path):
-    world = recorded(turns=1, camera=LARGE, shrink=4)
-    capture = open_capture(write_stray(tmp_path, world, save))
     straight = [f.rgb() for f in capture]
-    for i in (3, 0, 2, 2, 1, 3):
+    for i in (3, 0, 2, 2, 1, 3):  # in any order
         np.testing.assert_array_equal(capture[i].rgb(), straight[i])
 
 
@@ -493,50 +467,32 @@ def test_frames_without_depth_or_picture(recorded, save, tmp_path):
     world.check(capture, [0, 2, 3])
 
 
-@pytest.mark.parametrize(
-    ("row", "says"),
-    [
-        ("1.0, 0, 0, 0, 0, 0, 0, 0, 0.5", "length 0.5"), ("1.0, 0, nan, 0, 0, 0, 0, 0, 1", "x is no"),
-        ("1.0, 0, 1", "y is no finite"), ("1.0, a, 0, 0, 0, 0, 0, 0, 1", "line 2: could not"),
-        ("1.0, -1, 0, 0, 0, 0, 0, 0, 1", "frame is no"),
-        ("1.0, 0, inf, 0, 0, 0, 0, 0, 1", "x is no finite"),
-    ],
+BAD_ROWS = (
+    ("1.0, 0, 0, 0, 0, 0, 0, 0, 0.5", "length 0.5"), ("1.0, 0, nan, 0, 0, 0, 0, 0, 1", "x is no"),
+    ("1.0, 0, 1", "y is no finite"), ("1.0, a, 0, 0, 0, 0, 0, 0, 1", "could not"),
+    ("1.0, -1, 0, 0, 0, 0, 0, 0, 1", "frame is no"),
+    ("1.0, 0, inf, 0, 0, 0, 0, 0, 1", "x is no finite"),
 )  # fmt: skip
-def test_wrong_rows(row, says, recorded, save, tmp_path):
+NO_ODOMETRY = ("", "x, y\n1, 2\n", "\0", HEADER.replace("qw", "qq"))
+NO_MATRIX = ("", "1,2,3", "a", "1,0,0,0,-1,0,0,0,1")
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "says"),
+    [
+        *(("odometry.csv", f"{HEADER}\n{row}\n", f"csv, line 2.*{says}") for row, says in BAD_ROWS),
+        *(("odometry.csv", text, r"odometry.csv") for text in NO_ODOMETRY),
+        *(("camera_matrix.csv", text, r"camera_matrix.csv") for text in NO_MATRIX),
+    ],
+)
+def test_wrong_files_stray(name, text, says, recorded, save, tmp_path):
     write_stray(tmp_path, recorded(turns=1, camera=LARGE, shrink=4), save)
-    (tmp_path / "odometry.csv").write_text(f"{HEADER}\n{row}\n")
-    with pytest.raises(InputError, match=says) as caught:
-        open_capture(tmp_path)
-    assert "odometry.csv, line 2" in str(caught.value)
-
-
-@pytest.mark.parametrize("text", ["", "x, y\n1, 2\n", "\0", HEADER.replace("qw", "qq")])
-def test_what_is_no_odometry(text, recorded, save, tmp_path):
-    write_stray(tmp_path, recorded(turns=1, camera=LARGE, shrink=4), save)
-    (tmp_path / "odometry.csv").write_text(text)
-    with pytest.raises(InputError, match=r"odometry.csv"):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(InputError, match=says):
         open_capture(tmp_path)
 
 
-@pytest.mark.parametrize("text", ["", "1,2,3", "a", "1,0,0,0,-1,0,0,0,1"])
-def test_wrong_matrices(text, recorded, save, tmp_path):
-    write_stray(tmp_path, recorded(turns=1, camera=LARGE, shrink=4), save)
-    (tmp_path / "camera_matrix.csv").write_text(text)
-    with pytest.raises(InputError, match=r"camera_matrix.csv"):
-        open_capture(tmp_path)
-
-
-def test_missing_parts(recorded, save, tmp_path):
-    write_stray(tmp_path, recorded(turns=1, camera=LARGE, shrink=4), save)
-    (tmp_path / "depth").rename(tmp_path / "elsewhere")
-    with pytest.raises(InputError, match="depth holds no image"):
-        open_capture(tmp_path)
-    (tmp_path / "rgb.mp4").unlink()
-    with pytest.raises(InputError, match=r"rgb.mp4 does not exist"):
-        open_capture(tmp_path)
-
-
-def test_damaged_videos(recorded, save, tmp_path, capfd):
+def test_missing_parts_and_damaged_videos(recorded, save, tmp_path, capfd):
     write_stray(tmp_path, recorded(turns=1, camera=LARGE, shrink=4), save)
     data = (tmp_path / "rgb.mp4").read_bytes()
     for part in (b"", data[: len(data) // 2], bytes(1000)):
@@ -544,6 +500,13 @@ def test_damaged_videos(recorded, save, tmp_path, capfd):
         with pytest.raises(InputError, match=r"rgb.mp4 cannot be read as a video"):
             open_capture(tmp_path)
     capfd.readouterr()
+    (tmp_path / "rgb.mp4").write_bytes(data)
+    (tmp_path / "depth").rename(tmp_path / "elsewhere")
+    with pytest.raises(InputError, match="depth holds no image"):
+        open_capture(tmp_path)
+    (tmp_path / "rgb.mp4").unlink()
+    with pytest.raises(InputError, match=r"rgb.mp4 does not exist"):
+        open_capture(tmp_path)
 
 
 def test_a_frame_beyond_the_end(tmp_path):

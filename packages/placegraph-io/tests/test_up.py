@@ -32,12 +32,6 @@ def test_cameras_that_look_several_ways(vector):
     assert "x axes" in how
 
 
-def test_cameras_that_look_one_way():
-    up, how = estimated_up(cameras([0.0, 0.05]), NONE)
-    assert degrees(up, np.eye(3)) == pytest.approx(np.degrees(0.3), abs=0.5)
-    assert "on average" in how
-
-
 @given(VECTORS, st.integers(0, 99))
 def test_level_surfaces_say_it_exactly(vector, seed):
     rng = np.random.default_rng(seed)
@@ -119,16 +113,19 @@ def test_walls_alone_tell_it_but_not_one():
     up, how = estimated_up(turns, walls)
     assert degrees(up, np.eye(3)) < 0.3
     assert "surfaces" in how
-    assert "on average" in estimated_up(turns, walls[:100])[1]
 
 
-def test_without_agreement_the_cameras_word_stands():
+def test_where_surfaces_tell_nothing_the_cameras_word_stands():
     rng = np.random.default_rng(3)
     normals = rng.standard_normal((5000, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     up, how = estimated_up(cameras([0.0, 0.4, 1.2, 1.9]), normals)
     assert degrees(up, np.eye(3)) < 1e-4
     assert "x axes" in how
+    for wall in (NONE, np.tile([1.0, 0, 0], (100, 1))):
+        up, how = estimated_up(cameras([0.0, 0.05]), wall)
+        assert degrees(up, np.eye(3)) == pytest.approx(np.degrees(0.3), abs=0.5)
+        assert "on average" in how
 
 
 def test_edges_and_holes_are_no_surfaces():
@@ -139,7 +136,7 @@ def test_edges_and_holes_are_no_surfaces():
     assert not len(surface_normals(np.zeros((180, 320), "f4"), CAMERA))
 
 
-@pytest.mark.parametrize("row", range(8))
+@pytest.mark.parametrize("row", [0, 3, 6])
 def test_the_house(shared, row):
     capture = open_capture(shared / f"data/house/seq0{row}", poses="trajectory")
     check(capture.frames, 0.2)

@@ -63,13 +63,7 @@ class Node:
     def resolved(self, topic):
         return topic if topic.startswith("/") else f"/{topic}"
 
-    def declare_parameter(
-        self,
-        name,
-        value=None,
-        descriptor=None,
-        ignore_override=False,
-    ):
+    def declare_parameter(self, name, value=None, descriptor=None, ignore_override=False):
         given = self.world.parameters.get(name, value)
         if type(given) is not type(value) and not descriptor.dynamic_typing:
             raise TypeError(f"Trying to set parameter {name!r} to {given!r}, expecting {value!r}")
@@ -91,17 +85,10 @@ class Node:
         return made
 
     def create_service(
-        self,
-        srv_type,
-        srv_name,
-        callback,
-        *,
-        qos_profile=None,
-        callback_group=None,
+        self, srv_type, srv_name, callback, *, qos_profile=None, callback_group=None
     ):
-        self.services[srv_name] = SimpleNamespace(
-            type=srv_type, callback=callback, group=callback_group
-        )
+        service = SimpleNamespace(type=srv_type, callback=callback, group=callback_group)
+        self.services[srv_name] = service
 
     def create_timer(self, timer_period_sec, callback, callback_group=None, clock=None):
         self.timers.append(callback)

@@ -73,10 +73,8 @@ def test_ros_order_of_a_robot_that_looks_along_y():
     expected[x, yaw] = expected[yaw, x] = 0.01 * 0.5
     np.testing.assert_allclose(covariance, expected.ravel(), atol=1e-15)
     assert ridden.fields["pose"] == told.fields["pose"]
-    assert (ridden.fields["header"]["frame_id"], ridden.fields["child_frame_id"]) == (
-        "map",
-        "base_link",
-    )
+    frames = (ridden.fields["header"]["frame_id"], ridden.fields["child_frame_id"])
+    assert frames == ("map", "base_link")
     (tf,) = moving.fields["transforms"]
     assert (moving.topic, tf["header"]["frame_id"], tf["child_frame_id"]) == ("tf", "map", "odom")
     turned = rotation_from_quaternion([*tf["transform"]["rotation"].values()])
@@ -135,9 +133,8 @@ def test_particles_have_the_modes_means_and_covariances(estimate):
     given = estimate()
     cloud, weights = particles(given, UPRIGHT_BASE)
     assert weights.sum() == pytest.approx(1.0)
-    for mode, mine, heavy in zip(
-        given.modes, np.split(cloud, 2), np.split(weights, 2), strict=True
-    ):
+    halves = (given.modes, np.split(cloud, 2), np.split(weights, 2))
+    for mode, mine, heavy in zip(*halves, strict=True):
         assert heavy.sum() == pytest.approx(mode.probability)
         center, covariance = base_pose(mode.map_from_camera, mode.covariance, UPRIGHT_BASE)
         turns = vector_from_rotation(mine[:, :3, :3] @ center[:3, :3].T)

@@ -195,13 +195,6 @@ def test_a_map_of_it_renders_the_field(room, colour_of):
     assert np.mean(off.max(axis=1) > 45) < 0.05
 
 
-def test_one_colour_costs_a_few_texels_and_no_vertex(ball):
-    after = bake(ball, white)
-    assert [t.shape for t in after.textures] == [(16, 16, 3)]
-    assert len(after.vertices) == len(ball.vertices)
-    assert (middles(after) == 250).all()
-
-
 def test_one_spot_of_colour_keeps_its_surrounding_small():
     mesh = Mesh.plain(*grid(40, 40))
 
@@ -220,9 +213,8 @@ def test_the_unseen_looks_like_its_neighbours():
 
     def half(points, *_):
         right = points[:, 0] > 0.2
-        return np.array([colours[int(r)] for r in right], np.uint8), np.abs(
-            points[:, 0] - 0.2
-        ) > 0.1
+        inside = np.abs(points[:, 0] - 0.2) > 0.1
+        return np.array([colours[int(r)] for r in right], np.uint8), inside
 
     after = bake(mesh, half, texel=0.01)
     got = middles(after)
@@ -239,16 +231,19 @@ def test_faces_never_seen_take_over_colours(boxes):
     mesh = Mesh.plain(model.vertices, model.triangles, model.thing_of)
 
     def top(points, normals, _):
-        return np.full(points.shape, (90, 60, 30), np.uint8), (normals[:, 2] > 0.5) & (
-            points[:, 0] < 2
-        )
+        known = (normals[:, 2] > 0.5) & (points[:, 0] < 2)
+        return np.full(points.shape, (90, 60, 30), np.uint8), known
 
     after = bake(mesh, top)
     got = middles(after)
     assert (got == (90, 60, 30)).all()  # also an object that nobody saw
 
 
-def test_nothing_known_at_all_is_grey(ball):
+def test_of_one_colour_or_none_known_a_few_texels_are_made(ball):
+    after = bake(ball, white)
+    assert [t.shape for t in after.textures] == [(16, 16, 3)]
+    assert len(after.vertices) == len(ball.vertices)
+    assert (middles(after) == 250).all()
     after = bake(ball, lambda p, *_: (np.zeros(p.shape, np.uint8), np.zeros(len(p), bool)))
     assert {tuple(c) for t in after.textures for c in t.reshape(-1, 3)} == {(128, 128, 128)}
 
@@ -279,14 +274,10 @@ def test_any_soup_is_laid_flat(seed, count, texel):
 
 def test_a_surface_that_winds_over_itself(colour_of):
     turn = np.linspace(0, 6 * np.pi, 160)  # a spiral stair: all normals nearly up
-    inner, outer = (
-        np.stack([r * np.cos(turn), r * np.sin(turn), 0.03 * turn], axis=1) for r in (0.3, 1.0)
-    )
+    rim = [np.stack([r * np.cos(turn), r * np.sin(turn), 0.03 * turn], axis=1) for r in (0.3, 1.0)]
     a = np.arange(159)
-    rows = np.concatenate(
-        [np.stack([a, a + 160, a + 161], axis=1), np.stack([a, a + 161, a + 1], axis=1)]
-    )
-    mesh = Mesh.plain(np.concatenate([inner, outer]), rows)
+    steps = [np.stack(corners, axis=1) for corners in ((a, a + 160, a + 161), (a, a + 161, a + 1))]
+    mesh = Mesh.plain(np.concatenate(rim), np.concatenate(steps))
     area = sound(mesh, bake(mesh, colour_of, texel=0.02, tolerance=0))
     assert (area < 0).all()
 
@@ -315,9 +306,6 @@ def test_the_same_again_on_any_number_of_threads(ball, colour_of):
 def test_options_out_of_range(ball, colour_of, options):
     with pytest.raises(OptionError, match=next(iter(options))):
         bake(ball, colour_of, **options)
-
-
-def test_colours_of_another_kind_are_refused(ball):
     with pytest.raises(OptionError, match="colour_of returned float64"):
         bake(ball, lambda p, *_: np.zeros(p.shape))
 
@@ -352,9 +340,6 @@ def test_what_lies_between_is_smooth():
     assert (out.min(axis=(0, 1)) >= (100, 100, 0)).all()
     assert (out.max(axis=(0, 1)) <= (200, 200, 50)).all()
     assert np.abs(out[10, 4:9].astype(int) - (200, 100, 0)).max() < 20  # right beside it
-
-
-def test_a_page_of_which_nothing_is_known_is_one_colour():
     out = fill_unknown(np.full((5, 8, 3), 9, np.uint8), np.zeros((5, 8), bool))
     assert len(np.unique(out.reshape(-1, 3), axis=0)) == 1
 
@@ -560,11 +545,8 @@ def test_a_sheet_has_two_sides():
     points, rows = grid(4, 4)
     below = points - (0, 0, 0.01)
     colours = np.repeat([[200, 0, 0], [0, 0, 200]], len(points), axis=0)
-    colour_of = surface_colours(
-        np.concatenate([points, below]),
-        np.concatenate([rows, rows[:, ::-1] + len(points)]),
-        colours,
-    )
+    both, sides = np.concatenate([points, below]), [rows, rows[:, ::-1] + len(points)]
+    colour_of = surface_colours(both, np.concatenate(sides), colours)
     for height in (0.02, 0.0, -0.002, -0.008, -0.01, -0.03):
         at = np.array([[0.21, 0.13, height]])
         assert colour_of(at, UPWARD, NONE)[0].tolist() == [[200, 0, 0]]
@@ -589,9 +571,6 @@ def test_textures_are_carried_over(room, rng):
     off = np.abs(after.colour_at(row, u, v).astype(int) - room.mesh.colour_at(row, u, v))
     assert np.median(off.max(axis=1)) <= 8
     assert np.mean(off.max(axis=1) > 60) < 0.05
-
-
-def test_options(room):
     with pytest.raises(OptionError, match="reach is 0"):
         mesh_colours(room.mesh, reach=0)
     with pytest.raises(OptionError, match="triangle"):

@@ -63,13 +63,17 @@ def test_rays_of_several_frames_are_truer_than_their_depth(mapped):
     assert np.median(np.abs(mapped.points[:, 1] - AWAY)) < 0.004
 
 
+def place(mapped, wall, *, lying=False):
+    """The pose that the landmarks give an image of a wall, and the true one."""
+    frame, pose = shown(wall, 0.17, 0.12, lying=lying)
+    found = detect_features(make_detector(FEATURES), frame, frame.rgb())
+    seen = match_features(mapped, found, frame)
+    return agree_on_pose([seen], np.eye(4)[None], RefineOptions()), pose
+
+
 @pytest.mark.parametrize("lying", [False, True])
 def test_an_image_beside_them_is_placed_to_millimetres(wall, mapped, lying):
-    frame, pose = shown(wall, 0.17, 0.12, lying=lying)
-    seen = match_features(
-        mapped, detect_features(make_detector(FEATURES), frame, frame.rgb()), frame
-    )
-    found = agree_on_pose([seen], np.eye(4)[None], RefineOptions())
+    found, pose = place(mapped, wall, lying=lying)
     assert found.count > 50
     assert np.linalg.norm(found.pose[:3, 3] - pose[:3, 3]) < 0.008
 
@@ -77,11 +81,7 @@ def test_an_image_beside_them_is_placed_to_millimetres(wall, mapped, lying):
 def test_an_image_of_another_place_is_not(mapped):
     noise = np.random.default_rng(4).integers(0, 256, (80, 80), np.uint8)
     other = np.asarray(Image.fromarray(noise).resize((1000, 1000), Image.Resampling.BICUBIC))
-    frame, _ = shown(other, 0.17, 0.12)
-    seen = match_features(
-        mapped, detect_features(make_detector(FEATURES), frame, frame.rgb()), frame
-    )
-    assert agree_on_pose([seen], np.eye(4)[None], RefineOptions()) is None
+    assert place(mapped, other)[0] is None
 
 
 def test_features_beyond_a_fisheyes_rim_have_no_depth(wall):

@@ -43,10 +43,8 @@ def test_a_level_becomes_a_map(hall, tmp_path):
     scene = pg.build_scene(hall, tmp_path / "hall.scene", reader={"level": "0"})
     rooms = {a["room"] for a in scene.attributes if "room" in a}
     assert rooms == {"Library", "kitchen", "corridor", "office 1", "office 2"}
-    labels = list(scene.graph.labels)
-    assert {w: labels.count(w) for w in ("floor", "ceiling", "door")} == {
-        "floor": 5, "ceiling": 5, "door": 2,
-    }  # fmt: skip
+    counts = [scene.graph.labels.count(word) for word in ("floor", "ceiling", "door")]
+    assert counts == [5, 5, 2]
     assert scene.floors[0] == 0.0
     tall = scene.graph.positions[:, 2][[a.get("room") == "kitchen" for a in scene.attributes]]
     assert sorted(tall.round(2).tolist()) == [0.0, 3.2]
@@ -97,7 +95,7 @@ def test_without_levels_and_from_afar(tmp_path):
         pg.build_scene(path, None)
 
 
-@pytest.mark.parametrize("ending", ["osm", "osmag", "osmag.xml"])
+@pytest.mark.parametrize("ending", ["osm", "osmag.xml"])
 def test_rooms_come_back_to_the_centimetre(hall, tmp_path, ending):
     """Read, built, exported and read again: the same rooms, in the same places, on their level."""
     scene = pg.build_scene(hall, None, reader={"level": "0"})
@@ -142,14 +140,5 @@ def test_rooms_of_a_furnished_map(demo_world, tmp_path):
 
 def test_lengths():
     said = ["2.8", "2.8 m", "90 cm", "0,9", "3 ft", "", "-1", "high", "0"]
-    assert [parse_length(text) for text in said] == [
-        2.8,
-        2.8,
-        0.9,
-        0.9,
-        None,
-        None,
-        None,
-        None,
-        None,
-    ]
+    lengths = [parse_length(text) for text in said]
+    assert lengths == [2.8, 2.8, 0.9, 0.9, None, None, None, None, None]

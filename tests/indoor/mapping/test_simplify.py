@@ -54,20 +54,16 @@ def outline(mesh):
     """Edges that belong to one triangle, in places."""
     place = {tuple(p): i for i, p in enumerate(np.round(mesh.vertices, 4).tolist())}
     rows = [place[tuple(p)] for p in np.round(mesh.vertices, 4).tolist()]
-    edges = Counter(
-        tuple(sorted((rows[t[k]], rows[t[k - 1]])))
-        for t in mesh.triangles.tolist()
-        for k in range(3)
-    )
+    triangles = np.array(rows)[mesh.triangles]
+    edges = Counter(map(tuple, np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)).tolist()))
     return [e for e, n in edges.items() if n == 1]
 
 
 def test_a_flat_sheet_becomes_two_triangles_with_the_same_outline():
     mesh = simplify(plain(*sheet(12)), error=0.0)
     assert len(mesh) == 2
-    assert sorted(map(tuple, mesh.vertices.round(4).tolist())) == [
-        (0, 0, 0), (0, 2, 0), (2, 0, 0), (2, 2, 0),
-    ]  # fmt: skip
+    corners = sorted(map(tuple, mesh.vertices.round(4).tolist()))
+    assert corners == [(0, 0, 0), (0, 2, 0), (2, 0, 0), (2, 2, 0)]
     assert area(mesh.vertices, mesh.triangles) == pytest.approx(4.0, abs=1e-5)
 
 
@@ -227,10 +223,6 @@ def test_a_soup_of_any_triangles_is_survived(rng):
     assert -0.2 < reach[0] <= reach[1] < 0.95
 
 
-def test_an_empty_mesh_stays_empty():
-    assert len(simplify(plain(np.zeros((0, 3)), np.zeros((0, 3), int)), error=0.1)) == 0
-
-
 @pytest.mark.parametrize("bad", [{"error": -1.0}, {"error": np.nan}, {"error": 0, "target": -1}])
 def test_bad_options(bad):
     with pytest.raises(OptionError, match="less than 0"):
@@ -275,6 +267,7 @@ def test_every_triangle_is_in_one_batch(objects):
     assert sorted(rows.tolist()) == list(range(len(objects)))
 
 
-def test_what_is_nothing_but_lines_stays_as_it_is():
+def test_nothing_and_lines_stay_as_they_are():
+    assert len(simplify(plain(np.zeros((0, 3)), np.zeros((0, 3), int)), error=0.1)) == 0
     points = np.array([[0, 0, 0], [1, 0, 0]])
     assert len(simplify(plain(points, [[0, 1, 1], [0, 0, 1]]), error=0.01)) == 2

@@ -53,12 +53,10 @@ def test_a_table_goes_before_exif(folder):
 @pytest.mark.parametrize(
     ("row", "named"),
     [
-        ("100 43 170 0 1", "line 1: longitude is"),
-        ("100 nan 43 0 1", "longitude is nan"),
-        ("100 7 43 0 0", "accuracy above 0"),
-        ("100 7 43", "3 columns where 5 belong"),
+        ("100 43 170 0 1", "line 1: longitude is"), ("100 nan 43 0 1", "longitude is nan"),
+        ("100 7 43 0 0", "accuracy above 0"), ("100 7 43", "3 columns where 5 belong"),
     ],
-)
+)  # fmt: skip
 def test_bad_tables_are_named(folder, row, named):
     (folder / "fixes.txt").write_text(row)
     with pytest.raises(InputError, match=named):
@@ -68,13 +66,10 @@ def test_bad_tables_are_named(folder, row, named):
 @pytest.mark.parametrize(
     "gps",
     [
-        {**GPS, 2: (0.0, 0.0, 0.0), 4: (0.0, 0.0, 0.0)},
-        {**GPS, 2: (float("nan"), 0.0, 0.0)},
-        {**GPS, 4: ("x", "y")},
-        {**GPS, 2: (99.0, 0.0, 0.0)},
-        {1: "N"},
+        {**GPS, 2: (0.0, 0.0, 0.0), 4: (0.0, 0.0, 0.0)}, {**GPS, 2: (float("nan"), 0.0, 0.0)},
+        {**GPS, 4: ("x", "y")}, {**GPS, 2: (99.0, 0.0, 0.0)}, {1: "N"},
     ],
-)
+)  # fmt: skip
 def test_a_fix_that_is_none_is_none(gps):
     exif = Image.Exif()
     exif.get_ifd(0x8825).update(gps)

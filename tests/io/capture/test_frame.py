@@ -58,7 +58,10 @@ def test_frames_stand_upright(turns, vector, roll):
     assert frame.camera == turned_camera(CAMERA, turns)
 
 
-def test_confidence_of_another_size(save, tmp_path):
+def test_confidence_and_images_of_another_size(save, tmp_path):
+    check_shape(np.zeros((6, 8)), CAMERA, "it")
+    with pytest.raises(InputError, match="it has 6 x 8 pixels, but its camera says 8 x 6"):
+        check_shape(np.zeros((8, 6)), CAMERA, "it")
     save(tmp_path / "d.png", np.full((6, 8), 1500, np.uint16))
     save(tmp_path / "c.png", np.zeros((3, 4), np.uint8))
     with pytest.raises(InputError, match=r"c.png has 4 x 3"):
@@ -66,12 +69,6 @@ def test_confidence_of_another_size(save, tmp_path):
     save(tmp_path / "c.png", np.eye(6, 8, dtype=np.uint8))
     depth = depth_file(tmp_path / "d.png", CAMERA, 1000.0, confidence=tmp_path / "c.png")()
     np.testing.assert_array_equal(depth, np.where(np.eye(6, 8), np.float32(1.5), np.nan))
-
-
-def test_shapes():
-    check_shape(np.zeros((6, 8)), CAMERA, "it")
-    with pytest.raises(InputError, match="it has 6 x 8 pixels, but its camera says 8 x 6"):
-        check_shape(np.zeros((8, 6)), CAMERA, "it")
 
 
 @given(

@@ -4,6 +4,9 @@ import json
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from tests.io.damage import DAMAGE, read_damaged
 
 from placegraph.core.geometry import Camera, quaternion_from_rotation
 from placegraph.errors import InputError
@@ -47,10 +50,8 @@ def test_rows_of_another_rate_by_their_stamps(recorded, tmp_path):
     write(tmp_path, world, start=1000.0)
     moments = 1000.0 + np.arange(len(world)) / 2
     wild = np.broadcast_to(np.eye(4), world.poses.shape)
-    stamps, poses = (
-        np.concatenate([moments + 0.01, moments + 0.26]),
-        np.concatenate([world.poses, wild]),
-    )
+    stamps = np.concatenate([moments + 0.01, moments + 0.26])
+    poses = np.concatenate([world.poses, wild])
     order = np.argsort(stamps)[:-2]
     write_tum(tmp_path / "odometry.tum", stamps[order], poses[order])
     capture = open_capture(tmp_path)
@@ -94,3 +95,16 @@ def test_nothing_but_a_video(recorded, tmp_path):
     (tmp_path / "again.mp4").write_bytes(b"")
     with pytest.raises(InputError, match=r"again.mp4, walk.mov; leave one"):
         open_capture(tmp_path)
+
+
+@DAMAGE
+@given(data=st.data())
+def test_damaged_files(data, recorded, tmp_path):
+    world = recorded(camera=LARGE, shrink=4)
+    body = np.eye(4).tolist()
+
+    def both(path):
+        write(path, world, start=0.5, body_from_camera=body)
+        write_tum(path / "odometry.tum", world.stamps, world.poses)
+
+    read_damaged(tmp_path, data, both)

@@ -50,10 +50,8 @@ def test_parts_are_nodes_and_things(read):
         Part("table", [surface, surface], {"label": "table", "id": "x"}),
     ]
     model = read(parts, [Material()])
-    assert [(t.id, t.label, t.name) for t in model.things] == [
-        ("7", "chair", "Stuhl Nr. 1"),
-        ("x", "table", "table"),
-    ]
+    found = [(t.id, t.label, t.name) for t in model.things]
+    assert found == [("7", "chair", "Stuhl Nr. 1"), ("x", "table", "table")]
     assert model.things[0].attributes == {"room": "Küche"}
     assert model.thing_of.tolist() == [0, 0, 1, 1, 1, 1]
     assert model.vertices[:4] == pytest.approx(CORNERS)
@@ -68,11 +66,8 @@ def test_images_are_written_as_they_are_and_once():
     content = content_of(data)
     assert data.count(PNG) == 1
     assert [image["mimeType"] for image in content["images"]] == ["image/png"]
-    assert [m["pbrMetallicRoughness"].get("baseColorFactor") for m in content["materials"]] == [
-        None,
-        [0.5, 1.0, 0.0, 1.0],
-        None,
-    ]
+    factors = [m["pbrMetallicRoughness"].get("baseColorFactor") for m in content["materials"]]
+    assert factors == [None, [0.5, 1.0, 0.0, 1.0], None]
 
 
 def test_pictures_and_factors_read_back(read):
@@ -114,18 +109,19 @@ def test_positions_are_exact_in_either_frame(tmp_path_factory, points, turned):
 
 
 def test_lines_are_drawn_but_are_no_things(read):
-    model = read(
-        [Part("walk", lines=np.zeros((3, 2, 3))), Part("a", [Surface(CORNERS, FACES, 0)])],
-        [Material()],
-    )
+    parts = [Part("walk", lines=np.zeros((3, 2, 3))), Part("a", [Surface(CORNERS, FACES, 0)])]
+    model = read(parts, [Material()])
     assert model.left_out == {"primitives that are no triangles": 1}
     assert len(model.triangles) == 2
 
 
-def test_an_empty_file_is_sound(read):
+def test_an_empty_file_is_sound_and_a_huge_one_is_refused(read, monkeypatch):
     content = content_of(encode_glb([], []))
     assert "buffers" not in content
     assert read([], []).things == ()
+    monkeypatch.setattr(glb_write, "_LARGEST", 500)
+    with pytest.raises(OptionError, match="4 GiB"):
+        encode_glb([Part("a", [Surface(CORNERS, FACES, 0)])], [Material()])
 
 
 def test_the_scene_tells_relations_and_floor(read):
@@ -139,9 +135,3 @@ def test_the_scene_tells_relations_and_floor(read):
     assert (model.relations, model.floor) == ((), None)
     two = [{"name": "s", "floor": 0}, {"name": "t", "floor": 1}]
     assert read(parts, [Material()], extras={"scenes": two}).floor is None
-
-
-def test_too_large_is_refused(monkeypatch):
-    monkeypatch.setattr(glb_write, "_LARGEST", 500)
-    with pytest.raises(OptionError, match="4 GiB"):
-        encode_glb([Part("a", [Surface(CORNERS, FACES, 0)])], [Material()])

@@ -23,11 +23,8 @@ def test_as_by_all_distances(seed, count, queries, reach):
     assert rows.tolist() == expected.tolist()
 
 
-def test_damage_is_near_to_nothing():
+def test_damage_is_near_to_nothing_and_the_edge_of_reach_counts():
     among = np.array([[np.nan, 0, 0], [0, 0, 0], [1e300, 0, 0]])
     points = np.array([[0, 0, 0.01], [np.inf, 0, 0], [1e300, 0, 0], [0, 0.2, 0]])
     assert nearest(points, among, 0.1).tolist() == [1, -1, -1, -1]
-
-
-def test_what_lies_on_the_edge_of_reach_counts():
     assert nearest(np.array([[0.5, 0, 0]]), np.zeros((1, 3)), 0.5).tolist() == [0]

@@ -1,6 +1,5 @@
 """OBJ meshes: objects, groups and materials, polygons, textures, and files that are spoilt."""
 
-import contextlib
 import io
 from unittest.mock import patch
 
@@ -9,6 +8,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from PIL import Image
+from tests.io.damage import DAMAGE, damaged, refusing
 
 from placegraph.errors import InputError, OptionError
 from placegraph.io.capture.json_files import LabelEntry
@@ -73,10 +73,8 @@ def written(tmp_path, text, name="a.obj"):
 
 def test_objects_are_things(room):
     model = read_obj(room)
-    assert [(t.id, t.label, t.name) for t in model.things] == [
-        ("floor.001", "floor", "floor.001"),
-        ("chair", "chair", "chair"),
-    ]
+    found = [(t.id, t.label, t.name) for t in model.things]
+    assert found == [("floor.001", "floor", "floor.001"), ("chair", "chair", "chair")]
     assert model.thing_of.tolist() == [0, 0, 1, 1]
     corners = model.vertices[model.triangles]
     assert corners[1].tolist() == [[0, 0, 0], [2, 2, 0], [0, 2, 0]]  # the rest of the fan
@@ -137,11 +135,6 @@ def test_a_table_names_things(room):
     assert chair.attributes == {"colour": "red"}
 
 
-def test_y_up(tmp_path):
-    model = read_obj(written(tmp_path, "v 1 2 3\nv 0 0 0\nv 1 0 0\nf 1 2 3\n"), up="y")
-    assert model.vertices[0].tolist() == [1, -3, 2]
-
-
 def test_a_vertex_of_two_texture_coordinates_is_two(tmp_path):
     text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt .5 .25\nf 1/1 2/1 3/1\nf 1/2 3 2/1\n"
     model = read_obj(written(tmp_path, text))
@@ -151,17 +144,16 @@ def test_a_vertex_of_two_texture_coordinates_is_two(tmp_path):
 
 
 def test_odd_but_sound_text(tmp_path):
+    sized = "v 1 2 3 255 0 7\nv 1 0 0 1 2 3\nv 0 1 0 4 5 6\nf 1 2 3\n"
+    model = read_obj(written(tmp_path, sized), up="y")
+    assert model.vertices[0].tolist() == [1, -3, 2]
+    assert model.colours[0].tolist() == [255, 0, 7]
     text = b"\xef\xbb\xbfv 0 0 0 # origin\r\n  \tv\t1e0 0 0 1.0\r\nv 0 1\\\r\n 0\r\n"
     text += b"l 1 2\r\nf 1 2 \\\r\n3"
     model = read_obj(written(tmp_path, text))
     assert model.vertices.tolist() == [[0, 0, 0], [1, 0, 0], [0, 1, 0]]
     assert model.triangles.tolist() == [[0, 1, 2]]
     assert model.left_out == {"lines and points, which have no surface": 1}
-
-
-def test_bytes_for_colours(tmp_path):
-    text = "v 0 0 0 255 0 7\nv 1 0 0 1 2 3\nv 0 1 0 4 5 6\nf 1 2 3\n"
-    assert read_obj(written(tmp_path, text)).colours[0].tolist() == [255, 0, 7]
 
 
 def test_what_is_missing_is_counted(tmp_path):
@@ -188,18 +180,15 @@ def test_black_beside_a_texture_means_nothing(room):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "holds no vertex"),
+        ("", "holds no vertex"), ("v 0 0 0\nv 1 0\n", "line 2: it is cut off"),
         ("v 0 0 0\nv 1 nonsense 0\n", r"a.obj, line 2: 'nonsense' is no number"),
-        ("v 0 0 0\nv 1 0\n", "line 2: it is cut off"),
         ("v 0 0 0\nvt\nvt 1x\n", "line 3: '1x' is no number"),
-        ("v 0 0 0\nf 1 2 3\n", "vertices 3 of 1"),
+        ("v 0 0 0\nf 1 2 3\n", "vertices 3 of 1"), ("v 0 0 0\nf 1/2 1 1\n", "uv 2 of 0"),
         ("v 0 0 0\nf 1 1 -2\n", "line 2: a face names a vertex that is not there"),
-        ("v 0 0 0\nf 1/2 1 1\n", "uv 2 of 0"),
-        ("v 0 0 0\nf 1/ 1 1\n", "line 2"),
-        ("v 0 0 0\nf 0 1 1\n", "line 2"),
+        ("v 0 0 0\nf 1/ 1 1\n", "line 2"), ("v 0 0 0\nf 0 1 1\n", "line 2"),
         ("v 0 0 0\nf 1.5 1 1\n", "line 2: '1.5' is no number"),
     ],
-)
+)  # fmt: skip
 def test_nonsense_is_named(tmp_path, text, message):
     with pytest.raises(InputError, match=message):
         read_obj(written(tmp_path, text))
@@ -230,25 +219,13 @@ def test_blocks_change_nothing(room, size):
     assert whole.things == parts.things
 
 
-@given(cut=st.integers(0, len(ROOM)), data=st.data())
-@settings(max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_only_input_errors_of_spoilt_files(tmp_path, cut, data):
-    spoilt = bytearray(ROOM.encode()[:cut])
-    if spoilt and data.draw(st.booleans()):
-        spoilt[data.draw(st.integers(0, len(spoilt) - 1))] = data.draw(st.integers(0, 255))
-    try:
-        model = read_obj(written(tmp_path, bytes(spoilt)))
-    except InputError:
-        return
-    assert model.triangles.max(initial=0) < len(model.vertices)
-    assert len(model.thing_of) == len(model.picture_of) == len(model.triangles)
-
-
-@given(junk=st.binary(max_size=200))
-@settings(max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_only_input_errors_of_junk(tmp_path, junk):
-    with contextlib.suppress(InputError):
-        read_obj(written(tmp_path, b"v 0 0 0\nf " + junk))
+@given(text=damaged(ROOM.encode()) | st.binary(max_size=200).map(b"v 0 0 0\nf ".__add__))
+@DAMAGE
+def test_only_input_errors_of_spoilt_files(tmp_path, text):
+    with refusing():
+        model = read_obj(written(tmp_path, text))
+        assert model.triangles.max(initial=0) < len(model.vertices)
+        assert len(model.thing_of) == len(model.picture_of) == len(model.triangles)
 
 
 @given(st.lists(st.integers(0, 7), max_size=20))

@@ -13,6 +13,7 @@ import osmium
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.io.damage import damaged
 
 from placegraph.errors import InputError
 from placegraph.io.osm import osm_process
@@ -93,6 +94,14 @@ def tag(key, value):
     return f'<tag k="{key}" v="{value}"/>'
 
 
+SQUARE = ((0, 0), (0.1, 0), (0.1, 0.1), (0, 0.1))
+
+
+def corners(*offsets):
+    """Nodes 1, 2, ... at these offsets [degree]."""
+    return "".join(node(i, 10 + x, 50 + y) for i, (x, y) in enumerate(offsets, 1))
+
+
 def read(path, keys=KEYS):
     """Elements by type and id, and what was left out."""
     left_out = LeftOut()
@@ -105,34 +114,17 @@ def world(request, tmp_path_factory):
     return write(tmp_path_factory.mktemp("osm") / f"world{request.param}")
 
 
-# --- what is in a file ---
-
-
 def test_every_ending_gives_the_same_elements(world):
     found, left_out = read(world)
     assert not left_out
     assert {key: e.kind for key, e in found.items()} == {
-        (NODE, 9): POINT,
-        (WAY, 11): LINE,
-        (WAY, 14): AREA,
-        (WAY, 15): LINE,
-        (RELATION, 16): AREA,
-    }
+        (NODE, 9): POINT, (WAY, 11): LINE, (WAY, 14): AREA, (WAY, 15): LINE, (RELATION, 16): AREA,
+    }  # fmt: skip
     assert found[NODE, 9].tags == {"amenity": "bench", "name": "Bänkle & Söhne"}
     np.testing.assert_allclose(found[NODE, 9].parts, [[[10.0005, 50.0005]]], atol=1e-9)
     np.testing.assert_allclose(
         found[WAY, 11].parts[0], [[10.0, 50.0], [10.001, 50.0], [10.001, 50.001]], atol=1e-9
     )
-
-
-def test_xml_that_ends_osmium_ends_a_process_of_its_own(tmp_path, monkeypatch):
-    dies = tmp_path / "dies.py"
-    dies.write_text("import os, signal\nos.kill(os.getpid(), signal.SIGSEGV)\n")
-    monkeypatch.setattr(osm_process, "__file__", str(dies))
-    path = tmp_path / "some.osm"
-    path.write_text('<osm version="0.6"/>')
-    with pytest.raises(InputError, match=r"some\.osm is damaged: .* by Segmentation fault"):
-        list(read_osm(path, ["shop"]))
 
 
 def test_where_no_process_can_be_had_xml_is_read_all_the_same(world, monkeypatch):
@@ -144,16 +136,12 @@ def test_where_no_process_can_be_had_xml_is_read_all_the_same(world, monkeypatch
     assert list(read_osm(world, ["shop", "building", "highway"]))
 
 
-def test_closed_ways_are_areas_or_loops_by_their_tags(world):
+def test_rings_are_closed_and_only_wanted_keys_are_read(world):
     found, _ = read(world)
     for key in ((WAY, 14), (WAY, 15)):
         [ring] = found[key].parts
         assert ring.shape == (4, 2)
         np.testing.assert_array_equal(ring[0], ring[-1])
-
-
-def test_multipolygon_has_its_hole(world):
-    found, _ = read(world)
     outer, inner = sorted(found[RELATION, 16].parts, key=lambda ring: ring[:, 0].min())
     assert outer.shape == inner.shape == (5, 2)
     for ring in (outer, inner):
@@ -161,42 +149,26 @@ def test_multipolygon_has_its_hole(world):
     np.testing.assert_allclose(np.ptp(outer, axis=0), 1e-3, atol=1e-9)
     np.testing.assert_allclose(np.ptp(inner, axis=0), 2e-4, atol=1e-9)
     assert found[RELATION, 16].tags["natural"] == "water"
-
-
-def test_only_wanted_keys_are_read(world):
     found, _ = read(world, ["highway"])
     assert set(found) == {(WAY, 11), (WAY, 15)}
     assert read(world, ["nothing"]) == ({}, Counter())
 
 
 def test_two_outer_rings(tmp_path):
-    nodes = "".join(
-        node(10 * k + i, 10 + k + dx, 50 + dy)
-        for k in range(2)
-        for i, (dx, dy) in enumerate([(0, 0), (0.1, 0), (0.1, 0.1)], 1)
-    )
-    ways = "".join(way(k + 1, [10 * k + i for i in (1, 2, 3, 1)]) for k in range(2))
-    path = raw(
-        tmp_path / "two.osm",
-        nodes + ways + relation(1, [(1, "outer"), (2, "outer")], tag("natural", "wood")),
-    )
+    triangle = ((0, 0), (0.1, 0), (0.1, 0.1))
+    nodes = corners(*triangle, *((x + 1, y) for x, y in triangle))
+    ways = way(1, [1, 2, 3, 1]) + way(2, [4, 5, 6, 4])
+    woods = relation(1, [(1, "outer"), (2, "outer")], tag("natural", "wood"))
+    path = raw(tmp_path / "two.osm", nodes + ways + woods)
     found, left_out = read(path)
     assert not left_out
     assert [len(ring) for ring in found[RELATION, 1].parts] == [4, 4]
 
 
 def test_a_ring_may_be_made_of_several_ways(tmp_path):
-    nodes = "".join(
-        node(i, 10 + x, 50 + y)
-        for i, (x, y) in enumerate([(0, 0), (0.1, 0), (0.1, 0.1), (0, 0.1)], 1)
-    )
-    path = raw(
-        tmp_path / "parts.osm",
-        nodes
-        + way(1, [1, 2, 3])
-        + way(2, [3, 4, 1])
-        + relation(1, [(1, "outer"), (2, "outer")], tag("landuse", "forest")),
-    )
+    ways = way(1, [1, 2, 3]) + way(2, [3, 4, 1])
+    forest = relation(1, [(1, "outer"), (2, "outer")], tag("landuse", "forest"))
+    path = raw(tmp_path / "parts.osm", corners(*SQUARE) + ways + forest)
     found, left_out = read(path)
     assert not left_out
     [ring] = found[RELATION, 1].parts
@@ -206,38 +178,24 @@ def test_a_ring_may_be_made_of_several_ways(tmp_path):
 @pytest.mark.parametrize(
     ("tags", "expected"),
     [
-        ({"building": "yes"}, True),
-        ({"amenity": "parking"}, True),
-        ({"highway": "residential"}, False),
-        ({"highway": "pedestrian", "area": "yes"}, True),
-        ({"landuse": "grass", "area": "no"}, False),
-        ({"highway": "platform"}, True),
-        ({"railway": "station"}, True),
-        ({"barrier": "fence"}, False),
-        ({"barrier": "fence", "landuse": "garden"}, True),
-        ({"leisure": "track"}, True),
-        ({"leisure": "track", "highway": "path"}, False),
-        ({"waterway": "riverbank"}, True),
+        ({"building": "yes"}, True), ({"amenity": "parking"}, True),
+        ({"highway": "residential"}, False), ({"highway": "pedestrian", "area": "yes"}, True),
+        ({"landuse": "grass", "area": "no"}, False), ({"highway": "platform"}, True),
+        ({"railway": "station"}, True), ({"barrier": "fence"}, False),
+        ({"barrier": "fence", "landuse": "garden"}, True), ({"leisure": "track"}, True),
+        ({"leisure": "track", "highway": "path"}, False), ({"waterway": "riverbank"}, True),
         ({}, True),
     ],
-)
+)  # fmt: skip
 def test_is_area(tags, expected):
     assert is_area(tags) is expected
 
 
-# --- clipped extracts ---
-
-
 def test_ways_are_cut_where_nodes_are_missing(tmp_path):
-    path = raw(
-        tmp_path / "clipped.osm",
-        node(1, 10, 50)
-        + node(2, 10.1, 50)
-        + way(1, [1, 2, 99], tag("highway", "residential"))
-        + way(2, [98, 1, 99], tag("highway", "residential"))
-        + way(3, [97, 98, 99], tag("highway", "residential"))
-        + way(4, [1, 1], tag("highway", "residential")),
-    )
+    lines = ([1, 2, 99], [98, 1, 99], [97, 98, 99], [1, 1])
+    road = tag("highway", "residential")
+    ways = "".join(way(i, refs, road) for i, refs in enumerate(lines, 1))
+    path = raw(tmp_path / "clipped.osm", corners(*SQUARE[:2]) + ways)
     found, left_out = read(path)
     assert set(found) >= {(WAY, 1)}
     np.testing.assert_allclose(found[WAY, 1].parts[0], [[10, 50], [10.1, 50]])
@@ -248,16 +206,9 @@ def test_ways_are_cut_where_nodes_are_missing(tmp_path):
 
 
 def test_a_building_that_lost_its_corner_node_stays_closed_only_if_it_is(tmp_path):
-    nodes = "".join(
-        node(i, 10 + x, 50 + y)
-        for i, (x, y) in enumerate([(0, 0), (0.1, 0), (0.1, 0.1), (0, 0.1)], 1)
-    )
-    path = raw(
-        tmp_path / "building.osm",
-        nodes
-        + way(1, [1, 2, 99, 3, 1], tag("building", "yes"))
-        + way(2, [99, 1, 2, 3, 99], tag("building", "yes")),
-    )
+    house = tag("building", "yes")
+    ways = way(1, [1, 2, 99, 3, 1], house) + way(2, [99, 1, 2, 3, 99], house)
+    path = raw(tmp_path / "building.osm", corners(*SQUARE) + ways)
     found, left_out = read(path)
     assert found[WAY, 1].kind == AREA
     assert found[WAY, 2].kind == LINE
@@ -265,10 +216,7 @@ def test_a_building_that_lost_its_corner_node_stays_closed_only_if_it_is(tmp_pat
 
 
 def test_multipolygons_with_missing_or_crossing_members_are_counted(tmp_path):
-    nodes = "".join(
-        node(i, 10 + x, 50 + y)
-        for i, (x, y) in enumerate([(0, 0), (0.1, 0.1), (0.1, 0), (0, 0.1)], 1)
-    )
+    nodes = corners((0, 0), (0.1, 0.1), (0.1, 0), (0, 0.1))
     path = raw(
         tmp_path / "clipped.osm",
         nodes
@@ -281,6 +229,7 @@ def test_multipolygons_with_missing_or_crossing_members_are_counted(tmp_path):
     assert not found
     assert left_out == {"multipolygons with missing or crossing members": 2}
     assert "2 multipolygons" in str(LeftOut(left_out))
+    assert str(LeftOut()) == "nothing"
 
 
 def test_nodes_without_a_position_are_counted(tmp_path):
@@ -301,13 +250,6 @@ def test_clipped_real_extract(shared):
     assert all(0 <= n < 100 for n in left_out.values())
     assert {e.kind for e in elements.values()} == {POINT, LINE, AREA}
     assert any(e.osm_type == RELATION and len(e.parts) > 1 for e in elements.values())
-
-
-def test_left_out_says_nothing_where_nothing_is():
-    assert str(LeftOut()) == "nothing"
-
-
-# --- what cannot be read ---
 
 
 @pytest.fixture
@@ -352,29 +294,20 @@ def test_truncated_anywhere(ending, tmp_path):
     assert refusals == len(ends), "nothing short of the last line may pass"
 
 
-@pytest.mark.parametrize("ending", [".osm.gz", ".osm.pbf"])
+@pytest.mark.parametrize("ending", [".osm.gz", ".osm.bz2", ".osm.pbf"])
 @settings(max_examples=10)
 @given(data=st.data())
-def test_flipped_bytes(ending, tmp_path_factory, data):
+def test_damage_and_noise(ending, tmp_path_factory, data):
     folder = tmp_path_factory.getbasetemp() / "flipped"
     folder.mkdir(exist_ok=True)
-    whole = folder / f"whole{ending}"
-    content = bytearray((whole if whole.exists() else write(whole)).read_bytes())
-    for _ in range(data.draw(st.integers(1, 4))):
-        content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
-    path = folder / f"part{ending}"
-    path.write_bytes(content)
+    whole, path = folder / f"whole{ending}", folder / f"part{ending}"
+    content = (whole if whole.exists() else write(whole)).read_bytes()
+    path.write_bytes(data.draw(damaged(content)))
     for element in read_or_refused(path) or ():
         assert isinstance(element, OsmElement)
         assert all(np.isfinite(part).all() for part in element.parts)
-
-
-@pytest.mark.parametrize("ending", [".osm.bz2", ".osm.pbf"])
-@settings(max_examples=10)
-@given(content=st.binary(max_size=300))
-def test_any_bytes_are_refused(ending, tmp_path_factory, content):
-    path = tmp_path_factory.getbasetemp() / f"any{ending}"
-    path.write_bytes(content)
+    path.write_bytes(data.draw(st.binary(max_size=300)))
+    assert not read_or_refused(path)
     assert not read_or_refused(path)
 
 
@@ -389,11 +322,8 @@ def test_much_garbage(ending, filler, tmp_path, rng):
 @pytest.mark.parametrize(
     "text",
     [
-        "hello",
-        "<html><body>429 Too Many Requests</body></html>",
-        "<osm></osm>",
-        '<osm version="0.5"></osm>',
-        '<osm version="0.6"><node id="x" lat="1" lon="2"/></osm>',
+        "hello", "<html><body>429 Too Many Requests</body></html>", "<osm></osm>",
+        '<osm version="0.5"></osm>', '<osm version="0.6"><node id="x" lat="1" lon="2"/></osm>',
         '<osm version="0.6"><node id="99999999999999999999" lat="1" lon="2"/></osm>',
         '<osm version="0.6"><node id="1" lat="abc" lon="2"/></osm>',
         '<osm version="0.6"><node id="1" lat="1e3" lon="2"/></osm>',
@@ -403,7 +333,7 @@ def test_much_garbage(ending, filler, tmp_path, rng):
         '{"version": 0.6, "elements": []}',
         '<!DOCTYPE a [<!ENTITY b "c">]><osm version="0.6"><node id="1" lat="&b;" lon="2"/></osm>',
     ],
-)
+)  # fmt: skip
 def test_other_texts_are_refused(text, tmp_path):
     path = tmp_path / "other.osm"
     path.write_text(text, encoding="utf-8")
@@ -431,10 +361,7 @@ def test_wrong_ending_folder_missing_and_empty(tmp_path):
     assert "does not exist" in refused(tmp_path / "missing.osm.pbf")
     (tmp_path / "empty.osm.pbf").touch()
     assert "empty" in refused(tmp_path / "empty.osm.pbf")
-
-
-def test_a_pipe_does_not_make_it_wait(tmp_path):
-    os.mkfifo(tmp_path / "pipe.osm")
+    os.mkfifo(tmp_path / "pipe.osm")  # reading it would wait
     refused(tmp_path / "pipe.osm")
 
 
@@ -456,32 +383,28 @@ def test_endings_in_any_case(name, tmp_path):
     assert len(read(path)[0]) == 5
 
 
-def test_a_reader_may_be_left_early(tmp_path):
-    elements = read_osm(write(tmp_path / "world.osm"), KEYS)
+def test_a_reader_may_be_left_early_and_takes_strings(tmp_path):
+    path = write(tmp_path / "wörld with blanks.osm")
+    elements = read_osm(path, KEYS)
     assert next(elements).osm_id == 9
     elements.close()
+    assert len(list(read_osm(str(path), KEYS))) == 5
 
 
-def test_names_of_strings_and_paths_alike(tmp_path):
-    path = write(tmp_path / "wörld with blanks.osm")
-    assert len(list(read_osm(str(path), KEYS))) == len(list(read_osm(path, KEYS))) == 5
-
-
-@pytest.mark.parametrize("signal", ["SIGSEGV", "SIGABRT"])
-def test_a_file_that_ends_its_reader_is_refused(tmp_path, monkeypatch, signal):
-    """Some damaged files end the process inside osmium, where areas are assembled."""
+@pytest.mark.parametrize(
+    ("name", "signal", "says"),
+    [
+        ("bad.osm.pbf", "SIGSEGV", "fault.*again"), ("bad.osm.pbf", "SIGABRT", "Abort.*again"),
+        ("bad.osm", "SIGSEGV", "by Segmentation fault"),
+    ],
+)  # fmt: skip
+def test_a_file_that_ends_its_reader_is_refused(tmp_path, monkeypatch, name, signal, says):
     dying = tmp_path / "dying.py"
     dying.write_text(f"import os, signal; os.kill(os.getpid(), signal.{signal})")
-    path = write(tmp_path / "bad.osm.pbf")
+    path = write(tmp_path / name)
     monkeypatch.setattr(osm_process, "__file__", str(dying))
-    with pytest.raises(InputError, match=r"bad\.osm\.pbf is damaged.*(fault|Abort).*again"):
+    with pytest.raises(InputError, match=rf"bad\.osm.* is damaged.*{says}"):
         list(read_osm(path, KEYS))
-
-
-def test_where_no_process_can_be_started_files_are_read_as_they_are(tmp_path, monkeypatch):
-    (tmp_path / "good.osm").write_text(WORLD)
-    monkeypatch.setattr("sys.executable", str(tmp_path / "none"))
-    assert list(read_osm(tmp_path / "good.osm", KEYS))
 
 
 def test_the_file_that_ended_osmium_does_no_harm(shared):

@@ -254,14 +254,8 @@ def test_progress_is_told(servers, out):
                      ("downloading", 0), ("downloading", len(TOWN)), ("writing", 0)]  # fmt: skip
 
 
-@pytest.mark.usefixtures("servers")
-def test_old_file_is_replaced(out):
-    out.write_bytes(b"old")
-    fetch_osm("Mühlenend", out)
-    assert len(raw(out)) == 31
-
-
 def test_a_busy_server_is_asked_again(servers, out):
+    out.write_bytes(b"old")
     servers.answers = [(429, HTML), (504, HTML), (200, TOWN)]
     fetch_osm("Mühlenend", out)
     assert [p for p in servers.pauses if p in overpass.PAUSES] == list(overpass.PAUSES)
@@ -278,39 +272,31 @@ def test_a_server_that_stays_busy(servers, out):
     assert len(servers.asked) == 2 + len(overpass.PAUSES)
 
 
+ELSE = "something else than was asked for"
+
+
 @pytest.mark.parametrize(
     ("answer", "message"),
     [
         ((500, b""), r"Overpass answered 500 Internal Server Error\. Try again"),
         ((400, HTML), r"Overpass answered 400 Bad Request \(.*runtime error"),
-        ((200, HTML), r"something else than was asked for: .*runtime error: open64"),
-        ((200, b""), "something else than was asked for: nothing"),
-        (
-            (200, b'{"version": 0.6, "elements": []}'),
-            "something else than was asked for: .*elements",
-        ),
-        ((200, TOWN[:2000]), "something else than was asked for"),
-        ((200, b"\x00\xff\xfe" * 100), "something else than was asked for"),
-        ((200, TOWN.replace(b'lat="', b'lat="x')), "something else than was asked for"),
-        (
-            (200, HEAD + GAVE_UP + b"\n</osm>\n"),
-            r"gave up: runtime error: Query timed out.* smaller",
-        ),
+        ((200, HTML), rf"{ELSE}: .*runtime error: open64"), ((200, b""), f"{ELSE}: nothing"),
+        ((200, b'{"version": 0.6, "elements": []}'), f"{ELSE}: .*elements"),
+        ((200, TOWN[:2000]), ELSE), ((200, b"\x00\xff\xfe" * 100), ELSE),
+        ((200, TOWN.replace(b'lat="', b'lat="x')), ELSE),
+        ((200, HEAD + GAVE_UP + b"\n</osm>\n"), r"gave up: runtime error: Query timed out.* smaller"),
         ((200, TOWN.replace(b"</osm>", GAVE_UP + b"</osm>")), "gave up: runtime error"),
     ],
-)
+)  # fmt: skip
 def test_overpass_fails(servers, out, answer, message):
     servers.answers = [answer]
     assert re.search(message, failure(ServiceError, out))
 
 
-def test_download_breaks_off(servers, out):
+def test_a_download_that_breaks_off_or_holds_nothing(servers, out):
     servers.extra_length = 1000
     assert "Overpass cannot be reached, or broke off" in failure(ServiceError, out)
-
-
-def test_place_holds_nothing(servers, out):
-    servers.answers = [(200, HEAD + b"</osm>\n")]
+    servers.extra_length, servers.answers = 0, [(200, HEAD + b"</osm>\n")]
     said = failure(InputError, out, keys=["shop"])
     assert "knows nothing in 'Mühlenend, Bezirk Unterland" in said
 
@@ -375,29 +361,23 @@ def test_nominatim_refuses(servers, out, status):
     assert len(servers.asked) == 1
 
 
+def spoilt(**changes):
+    """Nominatim's answer with other fields."""
+    return json.dumps([PLACES[1] | changes]).encode()
+
+
 @pytest.mark.parametrize(
     "places",
     [
-        HTML,
-        b"",
-        b'{"error": "unable"}',
-        b"[{}]",
-        b"[1]",
-        b"null",
-        b"[" * 9000,
-        json.dumps([PLACES[1] | {"geojson": {"type": "Polygon", "coordinates": []}}]).encode(),
-        json.dumps([PLACES[1] | {"boundingbox": ["x"]}]).encode(),
-        json.dumps([PLACES[1] | {"lat": "north"}]).encode(),
-        json.dumps([PLACES[1] | {"geojson": {"type": ["Polygon"], "coordinates": []}}]).encode(),
-        json.dumps(
-            [PLACES[1] | {"geojson": {"type": "Polygon", "coordinates": [[[10**400, 1]] * 4]}}]
-        ).encode(),
-        json.dumps(
-            [PLACES[1] | {"geojson": {"type": "Polygon", "coordinates": [[[1, 2]]]}}]
-        ).encode(),
+        HTML, b"", b'{"error": "unable"}', b"[{}]", b"[1]", b"null", b"[" * 9000,
+        spoilt(boundingbox=["x"]), spoilt(lat="north"),
+        spoilt(geojson={"type": "Polygon", "coordinates": []}),
+        spoilt(geojson={"type": ["Polygon"], "coordinates": []}),
+        spoilt(geojson={"type": "Polygon", "coordinates": [[[10**400, 1]] * 4]}),
+        spoilt(geojson={"type": "Polygon", "coordinates": [[[1, 2]]]}),
         json.dumps([{k: v for k, v in PLACES[1].items() if k != "display_name"}]).encode(),
     ],
-)
+)  # fmt: skip
 def test_nominatim_answers_nonsense(servers, out, places):
     servers.places = places
     said = failure(ServiceError, out)
@@ -437,15 +417,16 @@ def test_disk_is_full(monkeypatch, tmp_path, suffix):
     assert "cannot be written: No space left on device; choose another folder or make room" in said
 
 
-@pytest.mark.parametrize("place", ["", " \n"])
-def test_place_without_a_name(servers, out, place):
-    assert "no name" in failure(InputError, out, place=place)
-    assert not servers.asked
-
-
-@pytest.mark.parametrize("keys", [[], [""], ['a"]; out;'], ["with space"], ["a|b"]])
-def test_keys_that_are_none(servers, out, keys):
-    assert "keys" in failure(OptionError, out, keys=keys)
+@pytest.mark.parametrize(
+    ("given_", "error", "says"),
+    [
+        *(({"place": place}, InputError, "no name") for place in ("", " \n")),
+        *(({"keys": keys}, OptionError, "keys") for keys in ([], [""], ['a"]; out;'], ["a|b"])),
+        ({"keys": ["with space"]}, OptionError, "keys"),
+    ],
+)
+def test_places_and_keys_that_are_none(servers, out, given_, error, says):
+    assert says in failure(error, out, **given_)
     assert not servers.asked
 
 

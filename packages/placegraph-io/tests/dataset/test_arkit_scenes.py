@@ -56,35 +56,31 @@ def test_frames_that_lack_something_are_counted(recorded, save, tmp_path):
     world.check(capture, [3])
 
 
-@pytest.mark.parametrize("kind", ["lowres_wide", "lowres_depth", "lowres_wide_intrinsics"])
-def test_what_was_not_downloaded(kind, recorded, save, tmp_path):
-    write(tmp_path, recorded(turns=1), save)
-    (tmp_path / kind).rename(tmp_path / "elsewhere")
-    with pytest.raises(InputError, match=rf"{kind} holds no file; download"):
-        open_capture(tmp_path)
+BAD_CAMERAS = ("", "96 72 80", "96 72 80 80 48 nan", "a b c d e f", "0 72 1 1 1 1")
+BAD_POSES = ("", "1 2 3", "1 nan 0 0 0 0 0")
 
 
 @pytest.mark.parametrize(
-    "text", ["", "96 72 80", "96 72 80 80 48 nan", "a b c d e f", "0 72 1 1 1 1"]
+    ("pattern", "text"),
+    [
+        *(("lowres_wide_intrinsics/*", text) for text in BAD_CAMERAS),
+        *(("lowres_wide.traj", text) for text in BAD_POSES),
+    ],
 )
-def test_wrong_intrinsics(text, recorded, save, tmp_path):
-    write(tmp_path, recorded(turns=1), save)
-    file = next((tmp_path / "lowres_wide_intrinsics").iterdir())
+def test_a_wrong_file_is_named(pattern, text, recorded, save, tmp_path):
+    file = next(write(tmp_path, recorded(turns=1), save).glob(pattern))
     file.write_text(text)
     with pytest.raises(InputError, match=file.name):
         open_capture(tmp_path)
 
 
-@pytest.mark.parametrize("text", ["", "1 2 3", "1 nan 0 0 0 0 0"])
-def test_wrong_trajectories(text, recorded, save, tmp_path):
+def test_what_was_not_downloaded_and_names_without_stamps(recorded, save, tmp_path):
     write(tmp_path, recorded(turns=1), save)
-    (tmp_path / "lowres_wide.traj").write_text(text)
-    with pytest.raises(InputError, match=r"lowres_wide.traj"):
-        open_capture(tmp_path)
-
-
-def test_names_without_stamps(recorded, save, tmp_path):
-    write(tmp_path, recorded(turns=1), save)
+    for kind in ("lowres_wide", "lowres_depth", "lowres_wide_intrinsics"):
+        (tmp_path / kind).rename(tmp_path / "elsewhere")
+        with pytest.raises(InputError, match=rf"{kind} holds no file; download"):
+            open_capture(tmp_path)
+        (tmp_path / "elsewhere").rename(tmp_path / kind)
     save(tmp_path / "lowres_wide" / "thumbnail.png", recorded(turns=1).rgb[0])
     with pytest.raises(InputError, match=r"thumbnail.png: the name ends in no stamp"):
         open_capture(tmp_path)

@@ -7,6 +7,9 @@ import zlib
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from tests.io.damage import DAMAGE, read_damaged
 
 from placegraph.core.geometry import Camera
 from placegraph.errors import InputError
@@ -60,6 +63,8 @@ def test_points_and_colours(unit, sure, turns, recorded, tmp_path):
     straight = [f.depth() for f in capture]
     for i in (3, 0, 2, 2, 1, 3):
         np.testing.assert_array_equal(capture[i].depth(), straight[i])
+    next(tmp_path.glob("*.depth.zlib")).unlink()
+    assert open_capture(tmp_path)[0].depth() is None
 
 
 def test_a_pipe_is_no_stream_of_depth(tmp_path):
@@ -67,12 +72,6 @@ def test_a_pipe_is_no_stream_of_depth(tmp_path):
     os.mkfifo(tmp_path / "a.depth.zlib")
     with pytest.raises(InputError, match="not a plain file"):
         Deflated(tmp_path / "a.depth.zlib", 4).read(0)
-
-
-def test_without_depth(recorded, tmp_path):
-    write(tmp_path, recorded(camera=LARGE, shrink=4))
-    next(tmp_path.glob("*.depth.zlib")).unlink()
-    assert open_capture(tmp_path)[0].depth() is None
 
 
 @pytest.mark.parametrize(
@@ -115,3 +114,10 @@ def test_damaged_streams(tmp_path):
         for i in (3, 1):
             with contextlib.suppress(InputError):
                 assert len(stream.read(i)) == 6400
+
+
+@DAMAGE
+@given(data=st.data())
+def test_damaged_files(data, recorded, tmp_path):
+    world = recorded(camera=LARGE, shrink=4)
+    read_damaged(tmp_path, data, lambda path: write(path, world))

@@ -5,9 +5,11 @@ import json
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
+from tests.io.damage import DAMAGE, any_json, damaged, refusing
+from tests.io.writers import ply
 
 from placegraph.errors import InputError, OptionError
 from placegraph_io.dataset.scan3r import is_scan3r, read_rooms, read_scan3r
@@ -15,25 +17,9 @@ from placegraph_io.dataset.scan3r import is_scan3r, read_rooms, read_scan3r
 REFERENCE = "0cac7578-8d6f-2d13-8c2d-bfa7a04f8af3"
 RESCAN = "ddc73793-765b-241a-9f9e-e1d7f4d1c1fe"
 HIDDEN = "6bde60cb-9162-246f-8cf5-d04f7426e56f"
-HEADER = """\
-ply
-format ascii 1.0
-element vertex {}
-property float x
-property float y
-property float z
-property uchar red
-property uchar green
-property uchar blue
-property ushort objectId
-property ushort globalId
-property uchar NYU40
-property uchar Eigen13
-property uchar RIO27
-element face {}
-property list uchar int vertex_indices
-end_header
-"""
+LABELLED = dict.fromkeys("xyz", "float") | dict.fromkeys(("red", "green", "blue"), "uchar")
+LABELLED |= dict.fromkeys(("objectId", "globalId"), "ushort")
+LABELLED |= dict.fromkeys(("NYU40", "Eigen13", "RIO27"), "uchar")
 # a floor of 4 x 4 m, a box of 0.5 m on it, and a lamp at its side that nobody named
 PATCHES = {
     1: [(0, 0, 0), (4, 0, 0), (4, 4, 0), (0, 4, 0)],
@@ -50,28 +36,13 @@ def columns(matrix):
 
 
 def rooms_content():
+    move = {"instance_reference": 2, "instance_rescan": 2, "symmetry": 1}
+    rescan = {
+        "reference": RESCAN, "transform": columns(ALIGN), "nonrigid": [5], "removed": [7, 8],
+        "rigid": [move | {"transform": columns(MOVED)}],
+    }  # fmt: skip
     return [
-        {
-            "reference": REFERENCE,
-            "type": "validation",
-            "ambiguity": [],
-            "scans": [
-                {
-                    "reference": RESCAN,
-                    "transform": columns(ALIGN),
-                    "rigid": [
-                        {
-                            "instance_reference": 2,
-                            "instance_rescan": 2,
-                            "symmetry": 1,
-                            "transform": columns(MOVED),
-                        }
-                    ],
-                    "nonrigid": [5],
-                    "removed": [7, 8],
-                }
-            ],
-        },
+        {"reference": REFERENCE, "type": "validation", "ambiguity": [], "scans": [rescan]},
         {"reference": "other", "type": "test", "scans": [{"reference": HIDDEN}]},
     ]
 
@@ -95,72 +66,27 @@ class ScanFolder:
     def write(self):
         self.write_mesh()
         self.write_labels()
-        self.write_json(
-            self.path / "semseg.v2.json",
-            {
-                "scan_id": self.scan,
-                "segGroups": [
-                    {
-                        "id": i,
-                        "objectId": i,
-                        "label": label,
-                        "segments": [10 * i],
-                        "obb": {"centroid": [0, 0, 0]},
-                    }
-                    for i, label in ((1, "floor"), (2, "box"))
-                ],
-            },
-        )
-        other = {"scan": "someone else", "objects": [], "relationships": []}
-        self.write_json(
-            self.root / "3DSSG" / "objects.json",
-            {
-                "scans": [
-                    other,
-                    {
-                        "objects": [
-                            {
-                                "global_id": "6",
-                                "label": "floor",
-                                "ply_color": "#aec7e8",
-                                "id": "1",
-                                "attributes": {},
-                            },
-                            {
-                                "global_id": "36",
-                                "label": "crate",
-                                "id": "2",
-                                "attributes": {
-                                    "color": ["dark", "gray"],
-                                    "shape": ["square"],
-                                    "state": [],
-                                },
-                                "affordances": ["placing items on"],
-                            },
-                        ],
-                        "scan": self.scan,
-                    },
-                ]
-            },
-        )
-        self.write_json(
-            self.root / "3DSSG" / "relationships.json",
-            {
-                "scans": [
-                    other,
-                    {
-                        "relationships": [[2, 1, 14, "standing on"], [2, 1, 0, "none"]],
-                        "scan": self.scan,
-                    },
-                    {
-                        "relationships": [[2, 77, 4, "left"], [2, 1, 14, "standing on"]],
-                        "scan": self.scan,
-                    },
-                ]
-            },
-        )
+        groups = [
+            {"id": i, "objectId": i, "label": label, "segments": [10 * i], "obb": {}}
+            for i, label in ((1, "floor"), (2, "box"))
+        ]
+        content = {"scan_id": self.scan, "segGroups": groups}
+        self.write_json(self.path / "semseg.v2.json", content)
+        floor = {"global_id": "6", "label": "floor", "ply_color": "#aec7e8", "id": "1"}
+        seen = {"color": ["dark", "gray"], "shape": ["square"], "state": []}
+        crate = {"label": "crate", "id": "2", "attributes": seen}
+        crate["affordances"] = ["placing items on"]
+        self.annotate("objects", [floor | {"attributes": {}}, crate])
+        on = [2, 1, 14, "standing on"]
+        self.annotate("relationships", [on, [2, 1, 0, "none"]], [[2, 77, 4, "left"], on])
         self.write_json(self.root / "3RScan.json", rooms_content())
         return self.path
+
+    def annotate(self, name, *parts):
+        """3DSSG's file of this name: this scan's parts after another scan."""
+        other = {"scan": "someone else", "objects": [], "relationships": []}
+        scans = [other, *({name: part, "scan": self.scan} for part in parts)]
+        self.write_json(self.root / "3DSSG" / f"{name}.json", {"scans": scans})
 
     def write_mesh(self, points=None, name="mesh.refined.v2.obj"):
         points = self.points if points is None else points
@@ -179,12 +105,9 @@ class ScanFolder:
 
     def write_labels(self, order=None, name="labels.instances.annotated.v2.ply"):
         order = range(len(self.points)) if order is None else order
-        rows = [
-            f"{' '.join(map(str, self.points[i]))} 174 199 232 {self.ids[i]} 6 2 5 4" for i in order
-        ]
-        faces = [f"3 {a} {b} {c}" for a, b, c in self.faces]
-        text = HEADER.format(len(rows), len(faces)) + "\n".join(rows + faces) + "\n"
-        (self.path / name).write_text(text)
+        rows = [(*self.points[i], 174, 199, 232, self.ids[i], 6, 2, 5, 4) for i in order]
+        faces = ("face", {"vertex_indices": "uchar int"}, [(face,) for face in self.faces])
+        (self.path / name).write_bytes(ply("ascii", ("vertex", LABELLED, rows), faces))
 
     @staticmethod
     def write_json(path, content):
@@ -209,11 +132,8 @@ def test_labels_texture_attributes_relations(scan):
     assert labels_of(model) == ["floor"] * 2 + ["box"] * 2 + ["unknown"] * 2
     assert [t.id for t in model.things] == ["1", "2", "unknown"]
     box = model.things[1]
-    assert box.attributes == {
-        "color": "dark, gray",
-        "shape": "square",
-        "affordances": "placing items on",
-    }
+    seen = {"color": "dark, gray", "shape": "square", "affordances": "placing items on"}
+    assert box.attributes == seen
     assert model.relations == ((1, "standing on", 0),)
     assert Image.open(io.BytesIO(model.pictures[model.picture_of[0]].data)).size == (4, 4)
     corner = model.triangles[2, 1]  # (1.5, 1) of the box
@@ -221,14 +141,6 @@ def test_labels_texture_attributes_relations(scan):
     assert (model.colours == 255).all()  # the colours of labels are none
     assert model.left_out == {"relations of objects that are not there": 1}
     assert np.allclose(model.vertices, scan.points)
-
-
-def test_it_makes_a_map(scan):
-    from placegraph.indoor.build import scene_of_model
-
-    scene = scene_of_model(read_scan3r(scan.path))
-    assert scene.floors.tolist() == pytest.approx([0.0], abs=1e-3)
-    assert list(scene.graph.labels) == ["floor", "box", "unknown"]
 
 
 def test_another_order_takes_the_nearest_labels(scan):
@@ -247,16 +159,13 @@ def test_the_same_order_tells_coincident_vertices_apart(scan):
     assert labels_of(read_scan3r(scan.path))[:4] == ["floor"] * 2 + ["box"] * 2
 
 
-def test_what_no_label_is_near_is_unknown(scan):
+def test_what_no_label_is_near_is_unknown_and_all_of_it_refused(scan):
     points = scan.points.copy()
     points[4:8, 2] += 0.2
     scan.write_mesh(points)
     model = read_scan3r(scan.path)
     assert labels_of(model)[2:4] == ["unknown"] * 2
     assert model.left_out["vertices without a label within 0.05 m"] == 4
-
-
-def test_meshes_of_two_frames_are_refused(scan):
     scan.write_mesh(scan.points + np.array([0, 0, 1]))
     with pytest.raises(InputError, match="do not lie over each other: 100%"):
         read_scan3r(scan.path)
@@ -306,13 +215,19 @@ def test_braces_in_names_mislead_nobody(scan):
     path.write_text(path.read_text()[:-2])
     with pytest.raises(InputError, match=r"objects\.json is not JSON"):
         read_scan3r(scan.path)
+    scan.write()
+    scan.annotate("relationships", 3)
+    with pytest.raises(InputError, match=r"`relationships` of .* is no list"):
+        read_scan3r(scan.path)
 
 
-def test_without_3dssg(scan, tmp_path):
+def test_without_3dssg_and_in_the_reference_frame(scan, tmp_path):
     model = read_scan3r(scan.path, annotations=tmp_path)
     assert labels_of(model)[2] == "box"
     assert not model.relations
     assert len(model.left_out) == 2
+    expected = scan.points @ ALIGN[:3, :3].T + ALIGN[:3, 3]
+    assert np.allclose(read_scan3r(scan.path, reference_frame=True).vertices, expected)
 
 
 def test_the_first_version(tmp_path):
@@ -322,12 +237,6 @@ def test_the_first_version(tmp_path):
     groups = [{"objectId": 1, "id": 1, "label": "floor", "segments": []}]
     folder.write_json(folder.path / "semseg.json", {"segGroups": groups})
     assert labels_of(read_scan3r(folder.path)) == ["floor"] * 2 + ["unknown"] * 4
-
-
-def test_in_the_reference_frame(scan):
-    model = read_scan3r(scan.path, reference_frame=True)
-    expected = scan.points @ ALIGN[:3, :3].T + ALIGN[:3, 3]
-    assert np.allclose(model.vertices, expected)
 
 
 def test_moves_undone(scan):
@@ -351,11 +260,8 @@ def test_moves_undone(scan):
 def test_rooms(scan):
     rooms = read_rooms(scan.root / "3RScan.json")
     room = rooms.room_of(RESCAN)
-    assert (room.reference, room.kind, [s.id for s in room.scans]) == (
-        REFERENCE,
-        "validation",
-        [REFERENCE, RESCAN],
-    )
+    assert (room.reference, room.kind) == (REFERENCE, "validation")
+    assert [s.id for s in room.scans] == [REFERENCE, RESCAN]
     assert np.array_equal(rooms.reference_from(REFERENCE), np.eye(4))
     rescan = rooms.scan(RESCAN)
     assert (rescan.nonrigid, rescan.removed) == (("5",), ("7", "8"))
@@ -371,12 +277,10 @@ def test_rooms(scan):
 @pytest.mark.parametrize(
     ("matrix", "message"),
     [
-        (ALIGN.T, "no rigid one"),
-        (ALIGN + np.eye(4, k=3) * 2000, "in millimetres"),
-        (np.full((4, 4), np.inf), "no rigid one"),
-        (ALIGN[:3], "not 16 numbers"),
+        (ALIGN.T, "no rigid one"), (ALIGN + np.eye(4, k=3) * 2000, "in millimetres"),
+        (np.full((4, 4), np.inf), "no rigid one"), (ALIGN[:3], "not 16 numbers"),
     ],
-)
+)  # fmt: skip
 def test_matrices_that_cannot_be(scan, matrix, message):
     content = rooms_content()
     content[0]["scans"][0]["transform"] = columns(matrix)
@@ -395,58 +299,27 @@ def test_rooms_are_looked_for(scan):
 
 
 FILES = (
-    "labels.instances.annotated.v2.ply",
-    "semseg.v2.json",
-    "mesh.refined.v2.obj",
-    "mesh.refined.mtl",
-    "../3DSSG/objects.json",
-    "../3DSSG/relationships.json",
-    "../3RScan.json",
-)
+    "labels.instances.annotated.v2.ply", "semseg.v2.json", "mesh.refined.v2.obj", "mesh.refined.mtl",
+    "../3DSSG/objects.json", "../3DSSG/relationships.json", "../3RScan.json",
+)  # fmt: skip
 
 
 @given(name=st.sampled_from(FILES), data=st.data())
-@settings(max_examples=80, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@DAMAGE
 def test_only_input_errors_of_spoilt_files(tmp_path, name, data):
     folder = ScanFolder(tmp_path / "data")
     folder.write()
     path = folder.path / name
-    content = bytearray(path.read_bytes())
-    cut = data.draw(st.integers(0, len(content)))
-    spoilt = content[:cut]
-    if data.draw(st.booleans()):
-        spoilt = content
-        spoilt[min(cut, len(content) - 1)] = data.draw(st.sampled_from(b'\x00\xff9-.[{"n '))
-    path.write_bytes(spoilt)
-    try:
+    path.write_bytes(data.draw(damaged(path.read_bytes())))
+    with refusing():
         model = read_scan3r(folder.path, reference_frame=True, undo_moves=True)
-    except InputError:
-        return
-    assert len(model.thing_of) == len(model.triangles)
+        assert len(model.thing_of) == len(model.triangles)
 
 
-@given(
-    content=st.recursive(
-        st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=3),
-        lambda c: (
-            st.lists(c, max_size=4)
-            | st.dictionaries(
-                st.sampled_from(
-                    ["reference", "scans", "transform", "rigid", "type", "removed", "symmetry"]
-                ),
-                c,
-                max_size=4,
-            )
-        ),
-        max_leaves=12,
-    )
-)
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(any_json("reference", "scans", "transform", "rigid", "type", "removed", "symmetry"))
+@DAMAGE
 def test_rooms_of_any_json(tmp_path, content):
     path = tmp_path / "3RScan.json"
     path.write_text(json.dumps(content))
-    try:
-        rooms = read_rooms(path)
-    except InputError:
-        return
-    assert all(room.scans[0].id == room.reference for room in rooms.rooms)
+    with refusing():
+        assert all(room.scans[0].id == room.reference for room in read_rooms(path).rooms)

@@ -4,11 +4,11 @@ import json
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from tests.io.damage import DAMAGE, any_json, damaged, refusing
 
 from placegraph.errors import InputError, OptionError
-from placegraph.indoor.build import scene_of_model
 from placegraph_io.dataset.scannet import (
     axis_alignment,
     is_scannet,
@@ -44,15 +44,6 @@ def test_objects_are_those_of_the_annotation_in_the_map_s_axes(scan):
     assert model.path == scan.folder
 
 
-def test_a_scan_becomes_a_map(scan):
-    scene = scene_of_model(read_scannet(scan.folder))
-    assert scene.scenes == (scan.name,)
-    assert scene.floors[0] == pytest.approx(0.0, abs=1e-3)
-    at = dict(zip(scene.graph.labels, scene.graph.positions.tolist(), strict=True))
-    np.testing.assert_allclose(at["dining table"], [1.75, 1.0, 0.7], atol=1e-3)
-    np.testing.assert_allclose(at["office chair"], [3.25, 1.25, 0.45], atol=1e-3)
-
-
 def test_alignment_is_an_option_and_absent_in_test_scans(scan):
     np.testing.assert_allclose(
         read_scannet(scan.folder, align=False).vertices, scan.points, atol=1e-6
@@ -81,14 +72,6 @@ def test_the_hi_res_mesh_serves_where_the_decimated_one_is_missing(scan):
     scan.file("_vh_clean_2.ply").unlink()
     for model in (given_, read_scannet(scan.folder)):
         assert ("dining table", "t") in letters(model, scan)
-
-
-def test_the_mesh_itself_may_be_named(scan):
-    assert is_scannet(scan.file("_vh_clean_2.ply"))
-    assert len(read_scannet(scan.file("_vh_clean_2.ply")).things) == 4
-
-
-# ------------------------------------------------------------------------------------------ labels
 
 
 def test_labels_come_from_a_column_of_the_table(scan):
@@ -126,9 +109,6 @@ def test_short_rows_of_the_table_are_empty_cells(scan):
     assert labels.of_id == {7: "lamp", 8: "bed"}
 
 
-# ------------------------------------------------------------------------------ files that do not fit
-
-
 @pytest.mark.parametrize(
     ("gone", "message"),
     [
@@ -148,17 +128,14 @@ def test_a_missing_file_is_named_with_a_mend(scan, gone, message):
         read_scannet(scan.folder)
 
 
-def test_segments_of_another_mesh_are_refused(scan):
-    scan.write_segments(SEGMENTS, scan.mesh.segments[:-1])
-    count = len(scan.mesh.segments)
-    with pytest.raises(InputError, match=f"segments of {count - 1} vertices, but .* has {count};"):
-        read_scannet(scan.folder)
-
-
 @pytest.mark.parametrize(
     "segments", [None, "1 2", [1.5] * 9, ["a"], [[1], [2, 3]], [1e400], [None]]
 )
-def test_segments_that_are_no_numbers_are_refused(scan, segments):
+def test_segments_that_do_not_fit_are_refused(scan, segments):
+    count = len(scan.mesh.segments)
+    scan.write_segments(SEGMENTS, scan.mesh.segments[:-1])
+    with pytest.raises(InputError, match=f"segments of {count - 1} vertices, but .* has {count};"):
+        read_scannet(scan.folder)
     scan.json(SEGMENTS, {"segIndices": segments})
     with pytest.raises(InputError, match=r"has no list `segIndices` of numbers"):
         read_scannet(scan.folder)
@@ -187,6 +164,10 @@ def test_absent_segments_are_counted_and_all_absent_refused(scan):
     scan.write_groups(".aggregation.json", [g | {"segments": [7]} for g in scan.groups[:1]])
     with pytest.raises(InputError, match="names no segment that"):
         read_scannet(scan.folder)
+    scan.write_groups(".aggregation.json", [])
+    model = read_scannet(scan.folder)
+    assert [t.label for t in model.things] == ["unknown"]
+    assert not model.thing_of.any()
 
 
 def test_a_segment_of_two_objects_is_the_last_one_s(scan):
@@ -198,13 +179,6 @@ def test_a_segment_of_two_objects_is_the_last_one_s(scan):
     assert ("office chair", "t") in letters(model, scan)
     count = len(table["segments"])
     assert model.left_out["segments that several objects name"] == count
-
-
-def test_a_scan_without_objects_is_one_unknown(scan):
-    scan.write_groups(".aggregation.json", [])
-    model = read_scannet(scan.folder)
-    assert [t.label for t in model.things] == ["unknown"]
-    assert not model.thing_of.any()
 
 
 def test_a_folder_of_several_scans_is_refused(scannet_world, tmp_path):
@@ -223,8 +197,6 @@ def test_what_is_no_scan_is_told(tmp_path):
         with pytest.raises(InputError, match="folder of a ScanNet scan"):
             read_scannet(path)
 
-
-# ------------------------------------------------------------------------------------- classes alone
 
 WIDE = """
 wwwwwwwwwwww
@@ -259,14 +231,11 @@ def test_without_objects_connected_patches_of_a_class_are_objects(wide):
     np.testing.assert_allclose(model.vertices, wide.mesh.points, atol=5e-6)
 
 
-def test_colours_of_a_legend_are_none(wide):
+def test_colours_of_a_legend_are_none_and_labels_are_needed(wide):
     wide.file("_vh_clean_2.ply").unlink()
     model = read_scannet(wide.folder)
     assert (model.colours == 255).all()
     assert model.left_out["colours that tell classes"] == len(model.vertices)
-
-
-def test_a_labels_mesh_without_labels_is_refused(wide):
     wide.write_mesh("_vh_clean_2.labels.ply")
     with pytest.raises(InputError, match=r"labels\.ply has no vertices with a `label`"):
         read_scannet(wide.folder)
@@ -290,52 +259,25 @@ def test_patches_are_what_walking_finds(data):
     np.testing.assert_array_equal(patches(triangles, label), expected)
 
 
-# ------------------------------------------------------------------------------------------- damage
-
-
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
+@DAMAGE
 @given(st.data())
 def test_damage_is_an_input_error(scan, data):
     ending = data.draw(st.sampled_from(["_vh_clean_2.ply", SEGMENTS, ".aggregation.json", ".txt"]))
     whole = scan.file(ending).read_bytes()
-    at = data.draw(st.integers(0, len(whole) - 1))
-    broken = (
-        whole[:at]
-        + data.draw(st.binary(max_size=8))
-        + data.draw(st.sampled_from([b"", whole[at + 1 :]]))
-    )
-    scan.file(ending).write_bytes(broken)
-    try:
+    scan.file(ending).write_bytes(data.draw(damaged(whole)))
+    with refusing(scan.folder):
         model = read_scannet(scan.folder)
-    except InputError as error:
-        assert str(scan.folder) in str(error)  # noqa: PT017
-    else:
         assert len(model.thing_of) == len(model.triangles)
         assert not len(model.thing_of) or model.thing_of.max() < len(model.things)
-    finally:
-        scan.file(ending).write_bytes(whole)
+    scan.file(ending).write_bytes(whole)
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
-@given(
-    st.recursive(
-        st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=4),
-        lambda inner: (
-            st.lists(inner, max_size=3)
-            | st.dictionaries(
-                st.sampled_from(["segGroups", "segIndices", "objectId", "label"]), inner
-            )
-        ),
-        max_leaves=8,
-    )
-)
+@DAMAGE
+@given(any_json("segGroups", "segIndices", "objectId", "label"))
 def test_json_of_any_kind_is_read_or_refused(scan, content):
     for ending in (SEGMENTS, ".aggregation.json"):
         whole = scan.file(ending).read_text()
         scan.text(ending, json.dumps(content))
-        try:
+        with refusing(scan.name):
             read_scannet(scan.folder)
-        except InputError as error:
-            assert scan.name in str(error)  # noqa: PT017
-        finally:
-            scan.text(ending, whole)
+        scan.text(ending, whole)

@@ -5,8 +5,9 @@ import json
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from tests.io.damage import DAMAGE
 
 from placegraph.errors import InputError, OptionError, PlacegraphError
 from placegraph.io.capture.capture import open_capture
@@ -27,50 +28,46 @@ def nerfcapture(path, world, save):
     for i in range(len(world)):
         save(path / "images" / f"{i}.png", world.rgb[i])
         save(path / "images" / f"{i}.depth.png", np.rint(world.metres[i] / step).astype(np.uint16))
-        frames.append({"transform_matrix": world.arkit(i).tolist(), "file_path": f"images/{i}",
-                       "depth_path": f"images/{i}.depth.png"} | of_camera(world.cameras[i]))  # fmt: skip
+        said = {"file_path": f"images/{i}", "depth_path": f"images/{i}.depth.png"}
+        said |= {"transform_matrix": world.arkit(i).tolist()}
+        frames.append(said | of_camera(world.cameras[i]))
     return of_camera(world.cameras[0]) | {"integer_depth_scale": step, "frames": frames}
+
+
+def frames_of(path, world, save, *, rgb, depth, poses):
+    """Entries of frames with depth in millimetres, and their files."""
+    frames = []
+    for i in range(len(world)):
+        save(path / rgb.format(i), world.rgb[i], **({"quality": 97} if rgb.endswith("jpg") else {}))
+        frame = {"file_path": f"./{rgb.format(i)}", "transform_matrix": poses[i].tolist()}
+        if depth:
+            save(path / depth.format(i), world.units(i))
+            frame["depth_file_path"] = f"./{depth.format(i)}"
+        frames.append(frame)
+    return frames
 
 
 def polycam(path, world, save):
     """By nerfstudio's `polycam_to_json`: z up, millimetres."""
-    frames = []
-    for i in range(len(world)):
-        save(path / "images" / f"frame_{i + 1:05d}.jpg", world.rgb[i], quality=97)
-        save(path / "depth" / f"frame_{i + 1:05d}.png", world.units(i))
-        pose = Z_UP @ world.arkit(i)
-        said = {
-            "file_path": f"./images/frame_{i + 1:05d}.jpg",
-            "depth_file_path": f"./depth/frame_{i + 1:05d}.png",
-            "transform_matrix": pose.tolist(),
-        }
-        frames.append(said | of_camera(world.cameras[i]))
+    poses = [Z_UP @ world.arkit(i) for i in range(len(world))]
+    names = {"rgb": "images/frame_{:05d}.jpg", "depth": "depth/frame_{:05d}.png"}
+    frames = frames_of(path, world, save, **names, poses=poses)
+    for frame, camera in zip(frames, world.cameras, strict=True):
+        frame.update(of_camera(camera))
     return {"camera_model": "OPENCV", "orientation_override": "none", "frames": frames}
 
 
 def spectacular(path, world, save):
     """By `replay_to_nerf.py`: z up, undistorted, one camera."""
     said = {"k1": 0, "k2": 0, "p1": 0, "p2": 0, "aabb_scale": 16} | of_camera(world.cameras[0])
-    frames = []
-    for i in range(len(world)):
-        save(path / "images" / f"frame_{i:05}.png", world.rgb[i])
-        save(path / "images" / f"depth_{i:05}.png", world.units(i))
-        pose = world.poses[i] @ OPENGL
-        frames.append({
-            "file_path": f"./images/frame_{i:05}.png",
-            "depth_file_path": f"./images/depth_{i:05}.png",
-            "transform_matrix": pose.tolist(),
-        })  # fmt: skip
-    return said | {"frames": frames}
+    names = {"rgb": "images/frame_{:05}.png", "depth": "images/depth_{:05}.png"}
+    return said | {"frames": frames_of(path, world, save, **names, poses=world.poses @ OPENGL)}
 
 
 def record3d(path, world, save):
     """By nerfstudio's `record3d_to_json`: ARKit's world, no depth."""
-    frames = []
-    for i in range(len(world)):
-        save(path / "images" / f"frame_{i + 1:05d}.png", world.rgb[i])
-        frames.append({"file_path": f"images/frame_{i + 1:05d}.png",
-                       "transform_matrix": world.arkit(i).tolist()})  # fmt: skip
+    poses = [world.arkit(i) for i in range(len(world))]
+    frames = frames_of(path, world, save, rgb="images/frame_{:05d}.png", depth=None, poses=poses)
     return of_camera(world.cameras[0]) | {"camera_model": "OPENCV", "frames": frames}
 
 
@@ -146,9 +143,7 @@ def test_wrong_files(changes, says, recorded, save, tmp_path):
         open_capture(tmp_path)
 
 
-@settings(
-    max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@DAMAGE
 @given(
     field=st.sampled_from(
         ["fl_x", "cx", "w", "h", "k1", "camera_model", "timestamp", "file_path", "depth_path"]

@@ -6,8 +6,9 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from tests.io.damage import DAMAGE, any_json
 
 from placegraph.core.geometry import rotation_z
 from placegraph.errors import InputError, PlacegraphError
@@ -171,6 +172,9 @@ def test_wrong_objects(change, says, tmp_path):
     file.write_text(json.dumps(content))
     with pytest.raises(InputError, match=says):
         read_conceptgraphs(tmp_path / "run")
+    file.write_text('{"object_1": 3}')
+    with pytest.raises(InputError, match="must be a JSON object with id"):
+        read_conceptgraphs(tmp_path / "run")
 
 
 def test_a_mesh_of_elsewhere(tmp_path):
@@ -181,32 +185,17 @@ def test_a_mesh_of_elsewhere(tmp_path):
         read_conceptgraphs(tmp_path / "run", mesh=tmp_path / "far.ply")
 
 
-ANYTHING = st.recursive(
-    st.none() | st.booleans() | st.floats() | st.integers() | st.text(max_size=5),
-    lambda inner: (
-        st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=3), inner, max_size=3)
-    ),
-    max_leaves=6,
-)
+FILES = ("obj_json_run1.json", "edge_json_run1.json", "config_params.json")
+FIELDS = (
+    "id", "object_tag", "object_caption", "bbox_extent", "bbox_center", "object_1_id", "relationship",
+)  # fmt: skip
 
 
-@settings(
-    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@DAMAGE
 @given(
-    name=st.sampled_from(["obj_json_run1.json", "edge_json_run1.json", "config_params.json"]),
-    field=st.sampled_from(
-        [
-            "id",
-            "object_tag",
-            "object_caption",
-            "bbox_extent",
-            "bbox_center",
-            "object_1_id",
-            "relationship",
-        ]
-    ),
-    value=ANYTHING,
+    name=st.sampled_from(FILES),
+    field=st.sampled_from(FIELDS),
+    value=any_json(),
     whole=st.booleans(),
 )
 def test_whatever_stands_in_it(tmp_path, name, field, value, whole):

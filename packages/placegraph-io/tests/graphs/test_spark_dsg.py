@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.io.damage import any_json, damaged
 
 from placegraph.core.geometry import rotation_z
 from placegraph.errors import InputError
@@ -23,16 +24,8 @@ NO_BOX = {
     "world_R_center": IDENTITY,
 }  # fmt: skip
 POINTS = [
-    [0, 0, 0],
-    [1, 0, 0],
-    [0, 1, 0],
-    [5, 5, 0],
-    [6, 5, 0],
-    [5, 6, 0],
-    [9, 9, 9],
-    [8, 9, 9],
-    [9, 8, 9],
-]
+    [0, 0, 0], [1, 0, 0], [0, 1, 0], [5, 5, 0], [6, 5, 0], [5, 6, 0], [9, 9, 9], [8, 9, 9], [9, 8, 9],
+]  # fmt: skip
 FACES = [[0, 1, 2], [3, 4, 5], [6, 7, 8]]
 
 
@@ -105,17 +98,11 @@ def corners_of(model, row):
     return model.vertices[model.triangles[model.thing_of == row]].reshape(-1, 3)
 
 
-# --- what is read ---
-
-
 def test_objects_own_the_vertices_they_are_connected_with(read):
     nodes = [thing(0, 3, mesh_connections=[3, 4, 5]), thing(1, 4, mesh_connections=[6, 7, 8])]
     model = read(graph(nodes, mesh=mesh([7] * 9)))
-    assert [(t.id, t.label) for t in model.things] == [
-        ("O0", "chair"),
-        ("O1", "cup"),
-        ("mesh 7", "floor"),
-    ]
+    found = [(t.id, t.label) for t in model.things]
+    assert found == [("O0", "chair"), ("O1", "cup"), ("mesh 7", "floor")]
     for row, first in ((0, 3), (1, 6), (2, 0)):
         assert corners_of(model, row).tolist() == POINTS[first : first + 3]
     assert model.colours[model.triangles[model.thing_of == 1], 0].tolist() == [[60, 70, 80]]
@@ -224,23 +211,18 @@ def test_version_1_0_as_hydra_saved_it(read):
     assert corners_of(read(content), 0).max(axis=0).tolist() == [2, 2, 2]
 
 
-# --- what is refused ---
-
-
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
         ({"SPARK_DSG_header": header(2, 0, 0)}, "2.0.0; versions 1.x"),
-        ({"SPARK_DSG_header": {}}, "not a sound"),
-        ({"nodes": {}}, "no nodes"),
-        ({"nodes": [3]}, "not a sound"),
-        ({"nodes": [{"id": 1, "layer": 2}]}, "not a sound"),
+        ({"SPARK_DSG_header": {}}, "not a sound"), ({"nodes": {}}, "no nodes"),
+        ({"nodes": [3]}, "not a sound"), ({"nodes": [{"id": 1, "layer": 2}]}, "not a sound"),
         ({"edges": [{"source": 1}]}, "not a sound"),
         ({"metadata": {"labelspaces": {"_l2p0": [3]}}}, "not a sound"),
         ({"mesh": mesh([7] * 9) | {"faces": [[0, 1, 9]]}}, "outside 0 to 8"),
         ({"mesh": mesh([7] * 9) | {"points": [[1, 2]]}}, "not a sound"),
     ],
-)
+)  # fmt: skip
 def test_nonsense_is_refused(read, change, sentence):
     nodes = [thing(0, 3, bounds=box([0, 0, 0], [1, 1, 1]))]
     with pytest.raises(InputError, match=sentence):
@@ -278,9 +260,6 @@ def test_a_huge_file_is_refused_before_it_is_read(tmp_path, monkeypatch):
     path.write_text(json.dumps(graph([])))
     with pytest.raises(InputError, match="include_mesh=False"):
         read_spark_dsg(path)
-
-
-# --- our own ---
 
 
 def drawn(things=3):
@@ -363,26 +342,21 @@ def test_a_thing_without_triangles_is_written_without_a_box(tmp_path):
     assert back.left_out == {"objects with neither mesh nor box": 1}
 
 
-@given(st.integers(0, 4000), st.binary(max_size=4))
-def test_truncated_and_damaged_files_end_in_an_input_error(tmp_path_factory, at, patch):
+@given(st.integers(0, 4000), st.data())
+def test_truncated_and_damaged_files_end_in_an_input_error(tmp_path_factory, at, data):
     whole = encode_spark_dsg(drawn(), ["hall"] * 3)
     path = tmp_path_factory.mktemp("dsg") / "a.json"
-    at = min(at, len(whole) - 1)
-    path.write_bytes(whole[:at])
+    path.write_bytes(whole[: min(at, len(whole) - 1)])
     with pytest.raises(InputError, match=r"a\.json"):
         read_spark_dsg(path)
-    path.write_bytes(whole[:at] + patch + whole[at + len(patch) :])
+    path.write_bytes(data.draw(damaged(whole)))
     with suppress(InputError):
         read_spark_dsg(path)
 
 
-@given(st.recursive(
-    st.none() | st.booleans() | st.floats() | st.integers() | st.text(max_size=3),
-    lambda inner: st.lists(inner, max_size=3)
-    | st.dictionaries(st.sampled_from(
-        ["nodes", "edges", "id", "layer", "attributes", "bounding_box", "mesh", "faces", "points",
-         "metadata", "source", "target", "info", "type", "semantic_label"]), inner, max_size=6),
-    max_leaves=20,
+@given(any_json(
+    "nodes", "edges", "id", "layer", "attributes", "bounding_box", "mesh", "faces", "points",
+    "metadata", "source", "target", "info", "type", "semantic_label",
 ))  # fmt: skip
 def test_any_json_ends_in_a_model_or_an_input_error(tmp_path_factory, value):
     path = tmp_path_factory.mktemp("dsg") / "a.json"

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.io.damage import DAMAGE, damaged
 
 import placegraph as pg
 from placegraph.core.geometry import Camera
@@ -35,9 +36,6 @@ def read(path, **options):
     for frame in pg.open_capture(path, **options):
         frame.rgb()
         frame.depth()
-
-
-# ------------------------------------------------------------------------------------ cut, damaged
 
 
 @pytest.mark.parametrize("packed", [False, True])
@@ -88,13 +86,8 @@ def test_files_that_are_no_bag(container, bag, tmp_path):
     if container == "rosbag1":
         (tmp_path / "half.bag").write_bytes(data[: len(data) // 2])
         fails(tmp_path / "half.bag", "rosbag reindex")
-
-
-@pytest.mark.parametrize("ending", [".mcap", ".db3", ".bag"])
-def test_a_pipe_is_no_bag(ending, tmp_path):
-    """Reading it would wait for who writes: nobody."""
-    os.mkfifo(tmp_path / f"a{ending}")
-    fails(tmp_path / f"a{ending}", "not a plain file")
+    os.mkfifo(tmp_path / f"pipe{file.suffix}")  # reading it would wait for a writer
+    fails(tmp_path / f"pipe{file.suffix}", "not a plain file")
 
 
 def test_a_folder_that_is_not_whole(bag):
@@ -128,18 +121,14 @@ def test_a_database_without_definitions_or_with_a_lost_row(bag, clip):
         pickle.loads(pickle.dumps(capture[0])).rgb()  # noqa: S301  # opened anew
 
 
+@DAMAGE
 @given(data=st.data())
 def test_flipped_bytes_raise_nothing_else(data, tmp_path_factory):
-    """Whatever a byte becomes, it is read or refused."""
     folder = tmp_path_factory.getbasetemp() / "flipped"
     folder.mkdir(exist_ok=True)
-    container = data.draw(st.sampled_from(["mcap", "sqlite3", "rosbag1"]))
-    whole = _small(folder, container)
-    content = bytearray(whole.read_bytes())
-    for _ in range(data.draw(st.integers(1, 12))):
-        content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
+    whole = _small(folder, data.draw(st.sampled_from(["mcap", "sqlite3", "rosbag1"])))
     bad = folder / f"bad{whole.suffix}"
-    bad.write_bytes(content)
+    bad.write_bytes(data.draw(damaged(whole.read_bytes())))
     with suppress(PlacegraphError):
         read(bad)
 
@@ -157,9 +146,6 @@ def _small(folder, container):
             write_capture(writer, clip)
             writer.transform("odom", "base_link", np.diag([-1.0, -1, 1, 1]), START + 0.3)
     return path if path.is_file() else next(p for p in path.iterdir() if p.suffix != ".yaml")
-
-
-# ------------------------------------------------------------------------------------ transforms
 
 
 def test_gaps_and_two_parents(bag, clip):
@@ -227,9 +213,6 @@ def test_depth_that_nothing_joins(bag, clip):
     assert pg.open_capture(path, topics={"depth": None}).depth_camera is None
 
 
-# ------------------------------------------------------------------------------------ clocks
-
-
 def test_clocks_that_jump(bag, clip, tmp_path):
     """Back: the longest run counts. Images and transforms of two clocks: the recording's stands."""
     with BagWriter(tmp_path / "back") as writer:
@@ -255,16 +238,11 @@ def test_clocks_that_jump(bag, clip, tmp_path):
     np.testing.assert_allclose(capture.odometry, clip.odometry, atol=1e-6)
     assert any("different clocks; the times of recording" in note for note in capture.notes)
 
-
-def test_stamps_that_repeat_or_are_missing(bag, clip):
     def again(writer):
         writer.image(COLOUR, START + clip.stamps[0], np.zeros((72, 96, 3), np.uint8), "rgb8")
 
-    capture = pg.open_capture(bag(more=again))
+    capture = pg.open_capture(bag(more=again, name="twice"))
     assert (len(capture), capture.left_out) == (4, {"its stamp twice": 1})
-
-
-# ------------------------------------------------------------------------------------ cameras, images
 
 
 @pytest.mark.parametrize(
@@ -338,11 +316,7 @@ def test_topics_of_another_type(bag):
     assert len(capture) == 4
     assert any("holds messages of sensor_msgs/msg/Image and" in note for note in capture.notes)
     fails(path, "/junk: a message is no sensor_msgs/Image", topics={"colour": "/junk"})
-    fails(
-        path,
-        "/tf is tf2_msgs/TFMessage with 4 messages; image topics are",
-        topics={"colour": "/tf"},
-    )
+    fails(path, "/tf is tf2_msgs/TFMessage with 4 messages; image", topics={"colour": "/tf"})
     fails(path, "/no is not there", topics={"depth": "/no"})
     fails(path, "shows depth", topics={"colour": DEPTH})
 

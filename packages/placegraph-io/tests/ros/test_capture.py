@@ -199,9 +199,6 @@ def test_an_imu_stands_a_leaning_odometry_upright(tmp_path, clip):
         assert any("leans by 12." in note for note in capture.notes) is how
 
 
-# ------------------------------------------------------------------------------------ transforms
-
-
 def test_transforms_are_found_between_any_two_frames(rng):
     """Up, down, through a common ancestor, between samples; not in gaps."""
     poses = np.tile(np.eye(4), (4, 1, 1))

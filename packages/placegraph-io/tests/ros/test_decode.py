@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from tests.io.rvl import rvl
+from tests.io.writers import rvl
 
 from placegraph.errors import InputError
 from placegraph_io.ros.decode import colours, depths, size_of
@@ -35,21 +35,18 @@ def packed(data, said):
 @pytest.mark.parametrize(
     ("encoding", "pixels"),
     [
-        ("rgb8", SMOOTH),
-        ("bgr8", SMOOTH[..., ::-1]),
-        ("8UC3", SMOOTH[..., ::-1]),
+        ("rgb8", SMOOTH), ("bgr8", SMOOTH[..., ::-1]), ("8UC3", SMOOTH[..., ::-1]),
         ("rgba8", np.dstack([SMOOTH, SMOOTH[..., :1]])),
         ("bgra8", np.dstack([SMOOTH[..., ::-1], SMOOTH[..., :1]])),
         ("rgb16", SMOOTH.astype("<u2") * 256 + 9),
     ],
-)
+)  # fmt: skip
 def test_plain_colours(encoding, pixels):
     for pad in (0, 5):
         np.testing.assert_array_equal(colours(image(pixels, encoding, pad=pad), "x"), SMOOTH)
     if encoding == "rgb16":
-        np.testing.assert_array_equal(
-            colours(image(pixels.astype(">u2"), encoding, big=1), "x"), SMOOTH
-        )
+        turned = colours(image(pixels.astype(">u2"), encoding, big=1), "x")
+        np.testing.assert_array_equal(turned, SMOOTH)
 
 
 def test_greys():

@@ -46,12 +46,7 @@ def said(world):
         "frame": "upright",
         "imu": None,
         "transforms": [
-            {
-                "parent": "upright",
-                "child": "odom_frame",
-                "xyz": [0, 0, 0],
-                "xyzw": [half, 0, 0, half],
-            },
+            {"parent": "upright", "child": "odom_frame"} | still | {"xyzw": [half, 0, 0, half]},
             {"parent": "base_link", "child": "camera_rgb_frame"} | still,
             {"parent": "base_link", "child": "camera_depth_frame"} | still,
         ],

@@ -32,11 +32,12 @@ START = Layout().start
 
 def assembled(assembly, packets):
     """Frames and moves of the packets."""
-    out = []
-    for packet in packets:
-        if not isinstance(packet, Fault):
-            out += assembly.take(packet)
-    return out + list(assembly.finish())
+    taken = [assembly.take(packet) for packet in packets if not isinstance(packet, Fault)]
+    return [*itertools.chain(*taken), *assembly.finish()]
+
+
+def frames_of(assembly, packets):
+    return [f for f in assembled(assembly, packets) if isinstance(f, Frame)]
 
 
 def of_bag(path):
@@ -69,8 +70,7 @@ def same(frames, capture):
 def test_frames_of_a_stream_are_those_of_its_capture(container, layout, bag):
     path = bag(container, layout)
     assembly, packets = of_bag(path)
-    said = assembled(assembly, packets)
-    same([f for f in said if isinstance(f, Frame)], pg.open_capture(path))
+    same(frames_of(assembly, packets), pg.open_capture(path))
     assert (assembly.odometry, assembly.base, assembly.camera) == ("odom", "base_link", OPTICAL)
     np.testing.assert_allclose(assembly.base_from_camera(), BASE_FROM_CAMERA, atol=1e-9)
     assert not assembly.left_out
@@ -85,8 +85,7 @@ def test_a_pipe_is_heard_until_it_is_known_what_comes(bag):
     assert not any(isinstance(p, Fault) for p in packets)
     coming = iter(packets)
     plan = next(filter(None, map(listening.take, coming)), None) or listening.find_plan()
-    said = assembled(FrameAssembly(plan), [*listening.packets(), *coming])
-    same([f for f in said if isinstance(f, Frame)], pg.open_capture(path))
+    same(frames_of(FrameAssembly(plan), [*listening.packets(), *coming]), pg.open_capture(path))
 
 
 @pytest.mark.parametrize("packed", [False, True])
@@ -108,10 +107,8 @@ def test_a_damaged_chunk_of_a_pipe_is_named(bag):
     data = bytearray(next(bag(packed=True).glob("*.mcap")).read_bytes())
     chunk = data.index(b"\x04\x00\x00\x00zstd")
     data[chunk + 40 : chunk + 60] = bytes(20)
-    faults = [
-        p for p in mcap_packets(io.BytesIO(bytes(data)).read, "stdin") if isinstance(p, Fault)
-    ]
-    assert "stdin, a chunk" in faults[0].reason
+    packets = mcap_packets(io.BytesIO(bytes(data)).read, "stdin")
+    assert "stdin, a chunk" in next(p for p in packets if isinstance(p, Fault)).reason
 
 
 @pytest.mark.parametrize(
@@ -129,8 +126,7 @@ def test_what_lacks_is_named_until_it_comes(layout, words, bag):
     assert not any(listening.take(p) for p in lacking)
     assert listening.find_plan() is None
     assert words in listening.lacks[0]
-    whole = mcap_packets(bytes_of(bag(name="whole")), "robot")
-    for packet in whole:
+    for packet in mcap_packets(bytes_of(bag(name="whole")), "robot"):
         listening.take(packet)
     assert listening.find_plan() is not None
     assert not listening.lacks
@@ -196,10 +192,9 @@ def test_clocks_that_jump_and_gaps(clip, bag):
 
     assembly, packets = of_bag(bag(more=alone))
     _, again = of_bag(bag("mcap", Layout(start=START - 100.0), name="again"))
-    said = assembled(assembly, [*packets, *(p._replace(time=p.time + 300.0) for p in again)])
+    later = [p._replace(time=p.time + 300.0) for p in again]
+    assert len(frames_of(assembly, [*packets, *later])) == 2 * len(clip)
     assert assembly.jumps == 1
-    frames = [f for f in said if isinstance(f, Frame)]
-    assert len(frames) == 2 * len(clip)
     assert dict(assembly.left_out) == {f"no transform from {OPTICAL} to odom": 2}
 
 
@@ -213,7 +208,7 @@ def test_where_depth_falls_silent_colours_go_on(clip, bag):
             writer.image("/camera/color/image_raw", stamp, clip[0].rgb(), "rgb8")
 
     assembly, packets = of_bag(bag(more=more))
-    frames = [f for f in assembled(assembly, packets) if isinstance(f, Frame)]
+    frames = frames_of(assembly, packets)
     assert [f.depth() is not None for f in frames[: len(clip)]] == [True] * len(clip)
     late = [f.stamp - START - clip.stamps[-1] for f in frames[len(clip) :]]
     assert min(late) == pytest.approx(SILENT, abs=0.11)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.io.damage import any_json, refusing
 
 from placegraph.core.geometry import rotation_z
 from placegraph.errors import InputError, OptionError
@@ -70,13 +71,6 @@ def test_files_that_are_no_diffs_end_in_one_error(tmp_path):
         read_diff(tmp_path / "none.json")
 
 
-JUNK = st.recursive(
-    st.none() | st.booleans() | st.floats(allow_nan=True) | st.text(max_size=5),
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner),
-    max_leaves=8,
-)
-
-
 @given(data=st.data())
 def test_a_damaged_diff_is_read_or_refused(data, tmp_path_factory):
     box = np.array([[0.0, 0.0, 0.0], [1.0, 2.0, 0.5]])
@@ -85,10 +79,8 @@ def test_a_damaged_diff_is_read_or_refused(data, tmp_path_factory):
         (Change("appeared", "x", 0.7, "", box=box, piece=piece),), (), (), np.eye(4), "", "", ""
     ).to_dict()
     where = data.draw(st.sampled_from([told, told["changes"][0], told["changes"][0]["piece"]]))
-    where[data.draw(st.sampled_from(sorted(where)))] = data.draw(JUNK)
+    where[data.draw(st.sampled_from(sorted(where)))] = data.draw(any_json())
     path = tmp_path_factory.mktemp("junk") / "d.json"
     path.write_text(json.dumps(told))
-    try:
+    with refusing("d.json"):
         read_diff(path)
-    except InputError as error:
-        assert "d.json" in str(error)  # noqa: PT017

@@ -5,10 +5,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from tests.indoor.mapping.parts import only
 
 from placegraph.core.geometry import rotation_z
 from placegraph.errors import OptionError
-from placegraph.indoor.build import build_scene
+from placegraph.indoor.build import build_scene, scene_of_model
 from placegraph.indoor.map.floor import structure
 from placegraph.indoor.mapping.change.align import make_rigid, transform_points
 from placegraph.indoor.mapping.change.changes import DiffOptions
@@ -25,38 +26,12 @@ def built(interior, folder, name):
 
 def with_mesh(scene, mesh, *, ids=None, labels=None, floor=None):
     """The same objects with another mesh, other ids, other labels."""
-    return SceneMap.create(
-        mesh,
-        scene.graph.ids if ids is None else ids,
-        scene.graph.labels if labels is None else labels,
-        names=scene.graph.names,
-        floor=float(scene.floors[0]) if floor is None else floor,
-        encoded=scene.encoded,
-        source="later",
-    )
-
-
-def only(scene, keep):
-    """The part of a map whose triangles are kept (T,), with the objects that have any."""
-    mesh = scene.mesh
-    rows = np.unique(mesh.object_of[keep])
-    place = np.full(len(scene), -1)
-    place[rows] = np.arange(len(rows))
-    mesh = replace(
-        mesh,
-        triangles=mesh.triangles[keep],
-        object_of=place[mesh.object_of[keep]].astype(np.int32),
-        texture_of=mesh.texture_of[keep],
-    )
     graph = scene.graph
     return SceneMap.create(
-        mesh,
-        [graph.ids[i] for i in rows],
-        [graph.labels[i] for i in rows],
-        names=[graph.names[i] for i in rows],
-        floor=float(scene.floors[0]),
-        encoded=scene.encoded,
-    )
+        mesh, ids or graph.ids, labels or graph.labels, names=graph.names,
+        floor=float(scene.floors[0]) if floor is None else floor,
+        encoded=scene.encoded, source="later",
+    )  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -89,10 +64,10 @@ def test_what_moved_and_what_vanished_is_named(later):
     assert set(by_name(found, "vanished")) == {"lamp"}
     assert len(found) == 2
     chair = by_name(found, "moved")["chair"]
-    off = transform_points(chair.after_from_before, later.middle[None]) - transform_points(
-        later.motion, later.middle[None]
+    moved = (
+        transform_points(m, later.middle[None]) for m in (chair.after_from_before, later.motion)
     )
-    assert np.linalg.norm(off) < 0.03
+    assert np.linalg.norm(np.subtract(*moved)) < 0.03
     assert chair.turn_deg == pytest.approx(np.degrees(0.6), abs=3.0)
     assert chair.shift_m == pytest.approx(np.hypot(0.5, 0.6), abs=0.05)
     assert 0.5 < chair.confidence < 1.0
@@ -168,9 +143,8 @@ def test_what_has_its_id_near_by_is_not_gone(room):
         mesh, vertices=vertices.astype(np.float32), triangles=mesh.triangles[keep],
         object_of=used, texture_of=texture_of,
     )  # fmt: skip
-    labels = [
-        label if b else "unknown" for label, b in zip(room.graph.labels, built_in, strict=True)
-    ]
+    told = zip(room.graph.labels, built_in, strict=True)
+    labels = [label if b else "unknown" for label, b in told]
     assert not diff(room, with_mesh(room, part, labels=labels)).of("vanished")
 
 
@@ -199,16 +173,6 @@ def test_what_the_other_map_does_not_cover_is_unseen_not_vanished(room):
     far = {id_ for id_, at in zip(room.graph.ids, room.graph.positions, strict=True) if at[0] < 2}
     assert far <= set(found.unseen)
     assert not {c.id for c in found} & far
-
-
-def test_two_places_are_not_laid_on_each_other(room, boxes):
-    from placegraph.indoor.build import scene_of_model
-
-    elsewhere = scene_of_model(
-        boxes({"floor": ((0, 0, -0.1), (30, 2, 0)), "wall": ((0, 2, 0), (30, 2.1, 5))})
-    )
-    with pytest.raises(OptionError, match="no way is found"):
-        diff(room, elsewhere)
 
 
 HALL = """
@@ -250,8 +214,11 @@ def test_a_room_that_shares_three_walls_with_another_is_doubtful(room, tmp_path)
         assert update(one, found).graph.ids == one.graph.ids
 
 
-def test_a_room_that_shares_a_corner_with_another_is_refused(room, tmp_path):
-    """Floors and ceilings agree, of any two rooms."""
+def test_two_places_are_not_laid_on_each_other(room, boxes, tmp_path):
+    long = {"floor": ((0, 0, -0.1), (30, 2, 0)), "wall": ((0, 2, 0), (30, 2.1, 5))}
+    with pytest.raises(OptionError, match="no way is found"):
+        diff(room, scene_of_model(boxes(long)))
+    # floors and ceilings agree, of any two rooms, and here a corner too
     with pytest.raises(OptionError, match=r"no way is found.*4\d% of their walls"):
         diff(room, hall(tmp_path, 22))
 

@@ -103,7 +103,10 @@ def same_partition(a, b):
 
 def test_study():
     vertices, triangles, colours, truth = study()
-    found = segment(vertices, triangles, colours)
+    told = []
+    found = segment(vertices, triangles, colours, progress=lambda *state: told.append(state))
+    assert [stage for stage, _, _ in told] == ["faces", "planes", "patches", "objects"]
+    assert all(0 <= done < whole for _, done, whole in told)
     check(found, len(triangles))
     assert found.labels[:4] == ("floor", "ceiling", "wall", "wall")
     assert found.names[:4] == ("floor", "ceiling", "wall 1", "wall 2")
@@ -151,21 +154,13 @@ def test_noisy_scan():
     assert min(overlap.values()) > 0.8, overlap
 
 
-def test_inside_out():
-    """A mesh that faces away from free space is cut as its twin that faces it."""
+def test_neither_sides_nor_order_of_triangles_matter(rng):
     vertices, triangles, colours, _ = study()
     one = segment(vertices, triangles, colours)
-    two = segment(vertices, triangles[:, ::-1], colours)
-    assert same_partition(one.object_of, two.object_of)
-    assert one.labels == two.labels
-
-
-@settings(max_examples=2, deadline=None)
-@given(seed=st.integers(0, 2**32 - 1))
-def test_order_of_triangles_does_not_matter(seed):
-    vertices, triangles, colours, _ = study()
-    order = np.random.default_rng(seed).permutation(len(triangles))
-    one = segment(vertices, triangles, colours)
+    out = segment(vertices, triangles[:, ::-1], colours)
+    assert same_partition(one.object_of, out.object_of)
+    assert one.labels == out.labels
+    order = rng.permutation(len(triangles))
     two = segment(vertices, triangles[order], colours)
     np.testing.assert_array_equal(one.object_of[order], two.object_of)
     assert one.names == two.names
@@ -173,12 +168,9 @@ def test_order_of_triangles_does_not_matter(seed):
 
 @settings(max_examples=2, deadline=None)
 @given(
-    seed=st.integers(0, 2**32 - 1),
-    points=st.integers(3, 40),
-    count=st.integers(0, 60),
-    spread=st.sampled_from([1e-5, 0.3, 1.0]),
-    bad=st.integers(0, 4),
-)
+    seed=st.integers(0, 2**32 - 1), points=st.integers(3, 40), count=st.integers(0, 60),
+    spread=st.sampled_from([1e-5, 0.3, 1.0]), bad=st.integers(0, 4),
+)  # fmt: skip
 def test_soup(seed, points, count, spread, bad):
     """Triangles at random, corners shared, repeated, not finite: every one gets its object."""
     rng = np.random.default_rng(seed)
@@ -202,11 +194,15 @@ def test_soup_of_kilometres(monkeypatch):
     check(segment(vertices, triangles), 30)
 
 
-def test_empty_mesh():
+def test_an_empty_mesh_and_one_giant_plane():
     found = segment(np.zeros((0, 3)), np.zeros((0, 3), int), np.zeros((0, 3), np.uint8))
     check(found, 0)
     assert found.labels == ()
     assert found.floor is None
+    vertices, triangles, colours, _ = world([sheet((0, 0, 2), (400, 0, 0), (0, 300, 0), 5.0)])
+    found = segment(vertices, triangles, colours)
+    assert found.labels == ("floor",)
+    assert found.floor == pytest.approx(2.0)
 
 
 @pytest.mark.parametrize("flatten", [False, True])
@@ -219,13 +215,6 @@ def test_one_triangle(flatten):
     check(found, 1)
     assert found.labels == ("unknown",)
     assert left_out["triangles without area"] == int(flatten)
-
-
-def test_one_giant_plane():
-    vertices, triangles, colours, _ = world([sheet((0, 0, 2), (400, 0, 0), (0, 300, 0), 5.0)])
-    found = segment(vertices, triangles, colours)
-    assert found.labels == ("floor",)
-    assert found.floor == pytest.approx(2.0)
 
 
 def test_picture_and_carpet_by_colour_alone():
@@ -255,14 +244,6 @@ def test_a_carpet_is_apart_and_another_colour_of_floor_is_not(wide, count):
     colours = np.where(((x < wide) & (y < 0.5 * wide + 0.1))[:, None], RED, GREY).astype(np.uint8)
     found = segment(vertices, triangles, colours)
     assert found.labels == ("floor",) * count
-
-
-def test_progress_names_every_stage():
-    vertices, triangles, colours, _ = study()
-    told = []
-    segment(vertices, triangles, colours, progress=lambda *state: told.append(state))
-    assert [stage for stage, _, _ in told] == ["faces", "planes", "patches", "objects"]
-    assert all(0 <= done < whole for _, done, whole in told)
 
 
 @pytest.mark.parametrize(

@@ -83,18 +83,13 @@ def views(room, meaning, *, noise=0.0, count=12, depth=True, kind="labels", name
         labels = np.where(part >= 0, np.array(meaning)[part], -1).reshape(v.shape)
         wrong = np.kron(rng.random((12, 16)) < noise, np.ones((10, 10), bool))
         other = np.kron(rng.integers(0, 5, (12, 16)), np.ones((10, 10), int))
-        frames.append(
-            Frame.from_arrays(
-                np.zeros((*v.shape, 3), np.uint8),
-                CAMERA,
-                depth=hits.distance.reshape(v.shape) if depth else None,
-                labels=np.where(wrong & (labels >= 0), other, labels),
-                label_kind=kind,
-                label_names=names,
-                odometry=pose,
-                stamp=float(i),
-            )
-        )
+        frame = Frame.from_arrays(
+            np.zeros((*v.shape, 3), np.uint8), CAMERA, odometry=pose, stamp=float(i),
+            depth=hits.distance.reshape(v.shape) if depth else None,
+            labels=np.where(wrong & (labels >= 0), other, labels),
+            label_kind=kind, label_names=names,
+        )  # fmt: skip
+        frames.append(frame)
     return frames
 
 
@@ -227,7 +222,7 @@ def test_poses_stand_in_for_odometry(room):
     assert "chair" not in far.labels
 
 
-def test_order_of_triangles_does_not_matter(room):
+def test_order_of_triangles_and_frames_without_labels_do_not_matter(room):
     vertices, triangles, _ = room
     frames = views(room, [0, -1, 2, 1, 1], noise=0.3)
     order = np.random.default_rng(1).permutation(len(triangles))
@@ -235,14 +230,9 @@ def test_order_of_triangles_does_not_matter(room):
     two = segment(vertices, triangles[order], frames=frames)
     np.testing.assert_array_equal(one.object_of[order], two.object_of)
     assert one.names == two.names
-
-
-def test_frames_without_labels_change_nothing(room):
-    vertices, triangles, _ = room
-    frames = [Frame.from_arrays(np.zeros((120, 160, 3), np.uint8), CAMERA)]
-    one = segment(vertices, triangles)
-    two = segment(vertices, triangles, frames=frames)
-    np.testing.assert_array_equal(one.object_of, two.object_of)
+    blind = [Frame.from_arrays(np.zeros((120, 160, 3), np.uint8), CAMERA)]
+    bare, unlabelled = (segment(vertices, triangles, frames=f) for f in ((), blind))
+    np.testing.assert_array_equal(bare.object_of, unlabelled.object_of)
 
 
 def test_what_is_passed_over_is_counted(room):

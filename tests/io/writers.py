@@ -1,0 +1,66 @@
+"""Writers of small files: PLY meshes, depth packed by RVL."""
+
+import struct
+
+CODES = {
+    "float": "f", "double": "d", "uchar": "B", "int": "i", "uint": "I", "short": "h", "ushort": "H",
+}  # fmt: skip
+
+
+def ply(form, *elements):
+    """Bytes of a file; an element is a name, its properties as {name: type} and its rows.
+
+    A type such as "uchar int" makes a list.
+    """
+    lines = ["ply", f"format {form} 1.0", "comment made by hand"]
+    body = b""
+    order = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}[form]
+    for name, properties, rows in elements:
+        lines.append(f"element {name} {len(rows)}")
+        for key, kind in properties.items():
+            lines.append(f"property {'list ' if ' ' in kind else ''}{kind} {key}")
+        for row in rows:
+            values = []
+            for kind, value in zip(properties.values(), row, strict=True):
+                if " " in kind:
+                    length, entry = kind.split()
+                    values += [(length, len(value)), *((entry, v) for v in value)]
+                else:
+                    values.append((kind, value))
+            if order:
+                body += b"".join(struct.pack(order + CODES[k], v) for k, v in values)
+            else:
+                body += " ".join(str(v) for _, v in values).encode() + b"\n"
+    return "\n".join([*lines, "end_header"]).encode() + b"\n" + body
+
+
+def rvl(image):
+    """Return width, height and the stream of an image (h, w) uint16, as `rvl_codec.cpp` packs depth."""
+    values, previous = [], 0
+    flat = image.ravel().tolist()
+    at = 0
+    while at < len(flat):
+        start = at
+        while at < len(flat) and flat[at] == 0:
+            at += 1
+        values.append(at - start)
+        start = at
+        while at < len(flat) and flat[at] != 0:
+            at += 1
+        values.append(at - start)
+        for current in flat[start:at]:
+            delta = current - previous
+            values.append((delta << 1) ^ (delta >> 31))
+            previous = current
+    nibbles = []
+    for value in values:
+        left = value
+        while left > 7:
+            nibbles.append(left & 7 | 8)
+            left >>= 3
+        nibbles.append(left)
+    nibbles += [0] * (-len(nibbles) % 8)
+    words = [
+        int("".join(f"{n:x}" for n in nibbles[i : i + 8]), 16) for i in range(0, len(nibbles), 8)
+    ]
+    return struct.pack(f"<II{len(words)}I", image.shape[1], image.shape[0], *words)
