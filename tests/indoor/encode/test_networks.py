@@ -21,7 +21,6 @@ from placegraph.indoor.encode.networks import (
     measured,
     segmenter,
 )
-from placegraph.indoor.mapping.segment import segment
 from placegraph.indoor.options import Likelihood, PoseSearchOptions
 from placegraph.indoor.refine import RefineOptions
 from placegraph.io.capture.capture import Capture, open_capture
@@ -145,23 +144,6 @@ def test_labelled_is_lazy_and_remembers(capture):
     assert halves.asked == 2
     np.testing.assert_array_equal(seen[0].depth(), capture[0].depth())
     assert capture[0].labels() is None
-
-
-def test_labelled_frames_vote(capture):
-    """A wall before the camera: its left half becomes a chair."""
-    z, x = np.mgrid[0:40, 0:60]
-    spots = np.stack([(x - 30) * 0.05, (z - 20) * 0.05, np.full(x.shape, 2.0)], axis=-1)
-    first = (z * 60 + x)[:-1, :-1].ravel()
-    triangles = np.concatenate(
-        [np.stack([first, first + 61, first + 1], 1), np.stack([first, first + 60, first + 61], 1)]
-    )
-    seen = labelled(capture, Halves())
-    found = segment(spots.reshape(-1, 3), triangles, frames=seen.frames)
-    middle = spots.reshape(-1, 3)[triangles].mean(axis=1)
-    visible = (np.abs(middle[:, 0]) < 1.2) & (np.abs(middle[:, 1]) < 0.9)
-    chair = np.array(found.labels)[found.object_of] == "chair"
-    assert chair[visible & (middle[:, 0] < -0.1)].all()
-    assert not chair[visible & (middle[:, 0] > 0.1)].any()
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,5 @@
 """Maps of a few triangles, and captures of them that are exact."""
 
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -162,12 +161,3 @@ def refiner(room, walk):
         return Refiner(scene, chosen, depths, queries, RefineOptions(**options), matcher)
 
     return made
-
-
-@pytest.fixture(scope="session")
-def weights() -> Path:
-    """XFeat's weights of the shared folder; skipped without them."""
-    path = Path(__file__).resolve().parents[4] / "shared/weights/xfeat.pt"
-    if not path.is_file():
-        pytest.skip(f"needs {path}")
-    return path

@@ -12,7 +12,6 @@ from placegraph.errors import InputError, OptionError
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.options import PoseSearchOptions
 from placegraph.indoor.refine import RefineOptions
-from placegraph.indoor.refine.matching import matcher
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture, open_capture
 
@@ -204,12 +203,3 @@ def test_what_contradicts_the_odometry_is_not_ok(room, walk, located, monkeypatc
     assert after.status is Status.AMBIGUOUS
     assert "odometry" in after.reason
     assert not after.refinement.accepted
-
-
-@pytest.mark.parametrize("content", [b"", b"no weights", b"PK\x03\x04" + bytes(200)])
-def test_damaged_weights_are_named(tmp_path, room, walk, exact, content):
-    pytest.importorskip("kornia", reason="needs kornia: pip install 'placegraph[xfeat]'")
-    file = tmp_path / "xfeat.pt"
-    file.write_bytes(content)
-    with pytest.raises(InputError, match=r"xfeat\.pt"):
-        room.refine(walk, exact.poses[0], frames=[0], matcher=matcher("xfeat", weights=file))

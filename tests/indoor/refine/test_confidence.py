@@ -265,20 +265,6 @@ def test_a_bent_way_is_refused(refiner, exact, kit):
     assert (found.stats["motion"], found.accepted) == (0.0, True)
 
 
-def test_without_depth_a_few_matches_are_nothing(refiner, exact, kit):
-    off = kit.moved(exact.poses, (0.03, 0.03, 0))
-    blind = refiner(depth=False)
-    for matches, says in ((0, NOTHING), (5, "only 5 matches")):
-        found = confirm_fit(blind, off, fitted(exact.poses, matches))
-        assert not found.accepted
-        assert says in found.reason
-    found = confirm_fit(blind, off, FittedTrajectory(off, None, [], np.full((6, 6), np.nan)))
-    assert NOTHING in found.reason
-    found = confirm_fit(refiner(depth=False, colour=False), off, fitted(exact.poses, 40))
-    assert not found.accepted
-    assert "no held-back pixel" in found.reason
-
-
 def test_images_alone_must_convince_more(refiner, exact, kit):
     off = kit.moved(exact.poses, (0.05, 0.05, 0.0), (0, 0, 6.0))
     found = confirm_fit(refiner(depth=False), off, fitted(exact.poses, 40))
@@ -287,6 +273,16 @@ def test_images_alone_must_convince_more(refiner, exact, kit):
     assert set(found.stats["held_back"]) == {"images"}
     refused = confirm_fit(refiner(depth=False), exact.poses, fitted(off, 40))
     assert not refused.accepted
+    nothing = FittedTrajectory(off, None, [], np.full((6, 6), np.nan))
+    for few, colour, says in (
+        (fitted(exact.poses, 0), True, NOTHING),
+        (fitted(exact.poses, 5), True, "only 5 matches"),
+        (nothing, True, NOTHING),
+        (fitted(exact.poses, 40), False, "no held-back pixel"),
+    ):
+        found = confirm_fit(refiner(depth=False, colour=colour), off, few)
+        assert not found.accepted
+        assert says in found.reason
 
 
 @pytest.mark.parametrize("degrees", [0.0, 1.0, 90.0, 179.0])

@@ -43,17 +43,13 @@ def test_refined_is_nearer_the_truth(refined, coarse, exact, kit):
     assert after[0] < before[0]
     assert after[0] < 0.01
     assert after[1] < 0.3
-
-
-def test_what_it_was_before_is_told(refined, coarse):
-    """The same seed, refined or not: the filter's own answer stands in `coarse`."""
+    # the same seed, refined or not: the filter's own answer stands in `coarse`
     told = refined.refinement
     np.testing.assert_array_equal(told.coarse.map_from_camera, coarse.best.map_from_camera)
     np.testing.assert_array_equal(told.coarse_trajectory, coarse.trajectory)
     np.testing.assert_array_equal(told.coarse.covariance, coarse.best.covariance)
     assert coarse.refinement is None
-    assert refined.status is coarse.status
-    assert refined.reason == coarse.reason
+    assert (refined.status, refined.reason) == (coarse.status, coarse.reason)
 
 
 def test_pose_trajectory_and_scene_say_the_same(refined, kit, exact):
@@ -69,15 +65,11 @@ def test_pose_trajectory_and_scene_say_the_same(refined, kit, exact):
     assert np.linalg.eigvalsh(covariance).min() > 0
     error = best.map_from_camera[:3, 3] - exact.poses[-1][:3, 3]
     assert error @ np.linalg.solve(covariance[:3, :3], error) < 25.0
-
-
-def test_stats_and_json(refined):
-    stats = refined.refinement.stats
+    stats, told = refined.refinement.stats, refined.to_dict()["refinement"]
     assert {"inliers", "shift_m", "turn_deg", "motion", "held_back", "seconds"} <= set(stats)
     assert stats["matcher"] == "guided"
     assert all(v >= 0 for v in stats["seconds"].values())
     assert "candidate" not in stats
-    told = refined.to_dict()["refinement"]
     assert told["accepted"] is True
     assert told["coarse"]["map_from_camera"]
 
@@ -258,27 +250,21 @@ def test_what_cannot_be_asked_is_refused_before_any_work(room, walk, exact):
         room.localize(walk, frames=slice(0, 1), matcher=name, refine=False)
 
 
-def test_without_poselib_depth_still_refines(room, walk, exact, kit, monkeypatch):
+def test_without_poselib_depth_refines_and_colours_alone_say_so(
+    room, walk, exact, kit, monkeypatch
+):
+    pytest.importorskip("cv2", reason="needs OpenCV: pip install 'placegraph[sift]'")
     monkeypatch.setitem(sys.modules, "poselib", None)
     start = kit.moved(exact.poses[4], (0.05, -0.05, 0), (0, 0, 2.0))
-    options = RefineOptions(images=True)
-    estimate = room.refine(walk, start, frames=FIVE, options=options)
+    estimate = room.refine(walk, start, frames=FIVE, options=RefineOptions(images=True))
     assert estimate.refinement.accepted
     assert estimate.refinement.reason == "Refined by depth."
     assert kit.off(estimate.best.map_from_camera, exact.poses[4])[0] < 0.02
-
-
-def test_without_poselib_colours_alone_say_so(room, walk, monkeypatch):
-    monkeypatch.setitem(sys.modules, "poselib", None)
-    estimate = room.localize(walk, frames=FIVE, options=WITHOUT_DEPTH)
+    estimate = room.refine(walk, start, frames=FIVE, options=RefineOptions(depth=False))
     assert not estimate.refinement.accepted
     assert "PoseLib" in estimate.refinement.reason
     assert "pip install poselib" in estimate.refinement.reason
-
-
-def test_a_matcher_that_was_asked_for_is_not_passed_over(room, walk, exact, monkeypatch):
-    pytest.importorskip("cv2", reason="needs OpenCV: pip install 'placegraph[sift]'")
-    monkeypatch.setitem(sys.modules, "poselib", None)
+    # a matcher that was asked for is not passed over
     options = RefineOptions(images=True, views=1)
     with pytest.raises(MissingExtraError, match="PoseLib"):
         room.refine(walk, exact.poses[1], frames=slice(0, 2), matcher="sift", options=options)

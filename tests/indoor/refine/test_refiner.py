@@ -84,6 +84,18 @@ def test_where_depth_is_sure_no_image_is_matched(refiner, exact):
     assert nowhere.views == []
 
 
+def test_where_nothing_matches_depth_decides(refiner, exact, kit):
+    start, told = kit.moved(exact.poses, (0.05, 0.05, 0), (0, 0, 2.0)), []
+    fitted = refiner(matcher=Nowhere(), images=True, views=1).fitted(start)
+    assert kit.off(fitted.poses[-1], exact.poses[-1])[0] < 0.01
+    blind = refiner(matcher=Nowhere(), depth=False, views=1)
+    fitted = blind.fitted(start, lambda *a: told.append(a))
+    assert sum(map(len, fitted.sights)) == 0
+    assert kit.off(fitted.poses[-1], start[-1])[0] < 0.01
+    assert {"matching images", "checking"} <= {what for what, _, _ in told}
+    assert all(0 <= done <= total for _, done, total in told)
+
+
 def test_a_white_map_is_not_matched(refiner, exact, room, kit):
     white = kit.white(room)
     nowhere = Nowhere()
@@ -92,15 +104,6 @@ def test_a_white_map_is_not_matched(refiner, exact, room, kit):
     assert fitted.solution is None
     np.testing.assert_array_equal(fitted.poses, exact.poses)
     assert refiner(white, nowhere, images=True).fitted(exact.poses).solution is not None
-
-
-def test_where_nothing_matches_depth_decides(refiner, exact, kit):
-    start = kit.moved(exact.poses, (0.05, 0.05, 0), (0, 0, 2.0))
-    fitted = refiner(matcher=Nowhere(), images=True, views=1).fitted(start)
-    assert kit.off(fitted.poses[-1], exact.poses[-1])[0] < 0.01
-    blind = refiner(matcher=Nowhere(), depth=False, views=1).fitted(start)
-    assert sum(map(len, blind.sights)) == 0
-    assert kit.off(blind.poses[-1], start[-1])[0] < 0.01
 
 
 @pytest.mark.parametrize(("count", "asked"), [(3, None), (10, 4), (10, 1), (10, 100)])
@@ -127,10 +130,3 @@ def test_the_guided_matcher_comes_from_wide_to_narrow():
         matching_stages(mine, near=True)
     )
     assert matching_stages(mine, near=True)[0].turned
-
-
-def test_progress_is_told(refiner, exact):
-    told = []
-    refiner(depth=False, frames=slice(0, 2)).fitted(exact.poses[:2], lambda *a: told.append(a))
-    assert {"matching images", "checking"} <= {what for what, _, _ in told}
-    assert all(0 <= done <= total for _, done, total in told)

@@ -57,6 +57,13 @@ def test_written_weights_are_read_again(network, tmp_path):
     assert weights.network.widths == TINY
     assert weights.digest == digest_of(network)
     assert not weights.network.training
+    for missing in ("none.pth", "."):
+        with pytest.raises(InputError):
+            read_weights(tmp_path / missing)
+    with pytest.raises(OptionError, match="safetensors"):
+        write_weights(tmp_path / "a.pth", network, {})
+    with pytest.raises(MapError):
+        write_weights(tmp_path / "nowhere" / "a.safetensors", network, {})
     for key, value in network.state_dict().items():
         assert torch.equal(weights.network.state_dict()[key], value), key
 
@@ -157,14 +164,3 @@ def test_a_pickle_is_never_run(tmp_path, capsys):
         with pytest.raises(InputError, match=words):
             read_weights(path)
     assert capsys.readouterr().out == ""
-
-
-def test_missing_files_and_folders_are_named(network, tmp_path):
-    with pytest.raises(InputError, match=r"none\.pth"):
-        read_weights(tmp_path / "none.pth")
-    with pytest.raises(InputError):
-        read_weights(tmp_path)
-    with pytest.raises(OptionError, match="safetensors"):
-        write_weights(tmp_path / "a.pth", network, {})
-    with pytest.raises(MapError):
-        write_weights(tmp_path / "nowhere" / "a.safetensors", network, {})
