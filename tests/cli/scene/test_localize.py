@@ -444,16 +444,6 @@ def test_bad_options(options, word, run, room):
     fails(run("scene", "localize", room.map, room.walk, *options, "--quiet"), 7, word)
 
 
-def test_what_is_no_map_or_no_capture(run, room, tmp_path):
-    fails(run("scene", "localize", tmp_path / "no.scene", room.walk), 3, "no.scene")
-    fails(run("scene", "localize", room.walk / "odometry.tum", room.walk), 4, "odometry.tum")
-    fails(run("scene", "localize", room.map, tmp_path / "nowhere"), 3, "nowhere")
-    fails(run("scene", "localize", room.map, tmp_path), 3, tmp_path.name)
-    damaged = tmp_path / "damaged.scene"
-    damaged.write_bytes(room.map.read_bytes()[:-50])
-    fails(run("scene", "localize", damaged, room.walk), 4, "damaged.scene")
-
-
 def test_pictures_that_cannot_be_written(run, room, tmp_path):
     for option in ("--png", "--gif", "--tum", "--overlay"):
         out = tmp_path / "no" / "a"

@@ -178,9 +178,3 @@ def test_an_estimate_of_another_capture(run, world, tmp_path):
     longer.write_text("{}", encoding="utf-8")
     fails(run(*ask, longer), 3, "longer.json")
     fails(run(*ask, tmp_path / "none.json"), 3, "none.json")
-
-
-def test_what_is_no_map_or_no_capture(run, world, tmp_path):
-    pose = ("--pose", "1,2,1.5,0")
-    fails(run("scene", "refine", tmp_path / "no.scene", world.walk, *pose), 3, "no.scene")
-    fails(run("scene", "refine", world.map, tmp_path, *pose), 3, tmp_path.name)
