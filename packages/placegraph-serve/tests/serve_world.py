@@ -7,7 +7,6 @@ import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
-from dataclasses import replace
 
 import httpx
 import numpy as np
@@ -16,8 +15,6 @@ from starlette.testclient import TestClient
 
 from placegraph.core.geo import Anchor
 from placegraph.demo.world import FLAT, TOWN
-from placegraph.indoor.map.mesh import Mesh
-from placegraph.indoor.map.textures import encode_arrays
 from placegraph.maps import open_map
 from placegraph.outdoor.city import build_city
 from placegraph_lab.worlds.town.town import Town
@@ -154,13 +151,6 @@ class Running:
         return self.process.returncode, said
 
 
-def without_colours(scene):
-    """Map of labels alone, which is compared with others in no time."""
-    mesh = scene.mesh
-    bare = Mesh.plain(mesh.vertices, mesh.triangles, mesh.object_of)
-    return replace(scene, mesh=bare, encoded=encode_arrays(bare.textures))
-
-
 @pytest.fixture(scope="session")
 def running(maps, demo_world, tmp_path_factory):
     """A server: a town with a flat in its hotel, a hostile one with a home, a home of no town."""
@@ -170,10 +160,9 @@ def running(maps, demo_world, tmp_path_factory):
     hotel = (9.99884, 53.55015, 6.4, 0.3, np.diag([1.0, 1, 1, 1e-4]), "Hotel Hansa")
     flat = open_map(demo_world / f"{FLAT}.scene").anchored(Anchor(*hotel, level="2"))
     flat.save(folder / f"{FLAT}.scene")
-    home1, home2 = (without_colours(open_map(maps / f"home{k}.scene")) for k in (1, 2))
-    home1.save(folder / "home1.scene")
+    shutil.copy(maps / "home1.scene", folder)
     there = Anchor(7.42, 43.73, 0.0, 0.4, building=HOUSE, level="<i>0")
-    home2.anchored(there).save(folder / f"{HOUSE}.scene")
+    open_map(maps / "home2.scene").anchored(there).save(folder / f"{HOUSE}.scene")
     server = Running(folder, "--port", "0")
     server.folder = folder
     yield server
