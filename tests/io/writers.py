@@ -13,7 +13,7 @@ def ply(form, *elements):
     A type such as "uchar int" makes a list.
     """
     lines = ["ply", f"format {form} 1.0", "comment made by hand"]
-    body = b""
+    body = []
     order = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}[form]
     for name, properties, rows in elements:
         lines.append(f"element {name} {len(rows)}")
@@ -27,11 +27,12 @@ def ply(form, *elements):
                     values += [(length, len(value)), *((entry, v) for v in value)]
                 else:
                     values.append((kind, value))
+            kinds, numbers = zip(*values, strict=True)
             if order:
-                body += b"".join(struct.pack(order + CODES[k], v) for k, v in values)
+                body.append(struct.pack(order + "".join(CODES[k] for k in kinds), *numbers))
             else:
-                body += " ".join(str(v) for _, v in values).encode() + b"\n"
-    return "\n".join([*lines, "end_header"]).encode() + b"\n" + body
+                body.append(" ".join(map(str, numbers)).encode() + b"\n")
+    return "\n".join([*lines, "end_header"]).encode() + b"\n" + b"".join(body)
 
 
 def rvl(image):

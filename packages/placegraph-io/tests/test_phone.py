@@ -372,22 +372,18 @@ def test_without_what_unpacks(recorded, save, tmp_path, monkeypatch):
         ({"dw": 0}, "sizes in pixels"), ({"dw": 40}, "not the view"),
         ({"perFrameIntrinsicCoeffs": None, "K": None}, "K"),
         ({"perFrameIntrinsicCoeffs": [[0, 0, 0, 0]] * 4}, "greater than 0"),
+        ("", "metadata"), ("[]", "metadata"), ("{", "metadata"),
     ],
 )  # fmt: skip
 def test_wrong_metadata(change, says, recorded, save, tmp_path):
-    unpacked(tmp_path, recorded(), save, **change)
-    with pytest.raises(InputError, match=says) as caught:
-        open_capture(tmp_path)
-    assert "metadata" in str(caught.value)
-
-
-@pytest.mark.parametrize("text", ["", "[]", "{"])
-def test_what_is_no_metadata(text, recorded, save, tmp_path):
-    folder = unpacked(tmp_path / "walk", recorded(), save)
-    (folder / "metadata").write_text(text)
+    spoilt = change if isinstance(change, dict) else {}
+    folder = unpacked(tmp_path / "walk", recorded(), save, **spoilt)
+    if isinstance(change, str):
+        (folder / "metadata").write_text(change)
     for path in (folder, packed(tmp_path / "a.r3d", folder)):
-        with pytest.raises(InputError, match="metadata"):
+        with pytest.raises(InputError, match=says) as caught:
             open_capture(path)
+        assert "metadata" in str(caught.value)
 
 
 @DAMAGE

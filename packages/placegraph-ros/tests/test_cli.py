@@ -108,7 +108,6 @@ def test_what_lacks_is_named_with_the_mend(layout, words, run, room, tmp_path):
 
 
 def test_a_pipe_that_lacks_something_ends_with_what(room, tmp_path, monkeypatch):
-    """No bag of nothing is written."""
     with BagWriter(tmp_path / "walk") as writer:
         write_capture(writer, room.clip, Layout(infos=False))
     with next((tmp_path / "walk").glob("*.mcap")).open("rb") as pipe:
@@ -119,7 +118,6 @@ def test_a_pipe_that_lacks_something_ends_with_what(room, tmp_path, monkeypatch)
 
 
 def test_keys_of_a_terminal(monkeypatch):
-    """It is as it was afterwards."""
     master, slave = os.openpty()
     stdin = SimpleNamespace(isatty=lambda: True, fileno=lambda: slave)
     monkeypatch.setattr(sys, "stdin", stdin)

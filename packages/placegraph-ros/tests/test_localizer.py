@@ -199,7 +199,6 @@ def test_a_pose_that_was_told(room):
 
 
 def test_another_map(room, scene):
-    """Nothing is known in it; it is shown."""
     plan, first, second = halves(room)
     localizer = Localizer(room.scene, ONE_BY_ONE, plan=plan)
     taken(localizer, first)

@@ -268,17 +268,13 @@ def test_the_package():
 
 
 def test_the_launch_file(monkeypatch):
-    """It starts the node under nav2's names."""
     made = SimpleNamespace(nodes=[])
 
     def module(name, **content):
         monkeypatch.setitem(__import__("sys").modules, name, SimpleNamespace(**content))
 
     module("launch", LaunchDescription=list)
-    module(
-        "launch.actions",
-        DeclareLaunchArgument=lambda name, default_value=None, description="": name,  # noqa: ARG005
-    )
+    module("launch.actions", DeclareLaunchArgument=lambda name, **_: name)
     module("launch.substitutions", LaunchConfiguration=lambda name: f"${name}")
     module("launch_ros.actions", Node=lambda **given: made.nodes.append(given) or given)
     module("launch_ros")

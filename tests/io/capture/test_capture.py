@@ -34,9 +34,6 @@ def test_odometry_unless_the_truth_is_asked_for(walk, recorded):
         own = open_capture(walk, poses=poses).odometry
         np.testing.assert_allclose(own[3, :3, 3] - recorded().poses[3, :3, 3], 3.0, atol=1e-6)
     recorded().check(open_capture(walk, poses="trajectory"), sure=False)
-
-
-def test_the_truth_may_be_missing(walk):
     (walk / "trajectory.tum").unlink()
     open_capture(walk)
     with pytest.raises(InputError, match=r"trajectory.tum does not exist"):
@@ -65,6 +62,9 @@ def test_gravity_comes_with_the_poses(walk):
     np.testing.assert_allclose(open_capture(walk).gravity, [[0, 0.6, 0.8]] * 4)
     capture = open_capture(walk, poses="trajectory")
     np.testing.assert_allclose(capture.gravity, -capture.odometry[:, 2, :3], atol=1e-9)
+    for options in ({"scale": 2.0}, {"up": [0, 0, 1]}):
+        with pytest.raises(OptionError, match="not an option of capture folder"):
+            open_capture(walk, **options)
 
 
 def test_poses_of_images_as_they_are_stored(recorded, save, tmp_path):
@@ -113,12 +113,6 @@ def test_formats_are_told_by_what_lies_there(walk, tmp_path):
         assert format_of(tmp_path / name).name == name
         with pytest.raises(InputError, match=str(tmp_path / name)):  # empty files, all of them
             open_capture(tmp_path / name)
-
-
-def test_options_that_mean_nothing(walk):
-    for options in ({"scale": 2.0}, {"up": [0, 0, 1]}):
-        with pytest.raises(OptionError, match="not an option of capture folder"):
-            open_capture(walk, **options)
 
 
 @pytest.fixture

@@ -203,11 +203,8 @@ def test_depth_of_the_colour_images_size_needs_no_entry(folder):
     assert capture.depth_camera == capture.camera
     assert (capture[0].depth() == 1.5).all()
     assert capture.label_camera == Camera(4, 3, 5.0, 5.5, 2.0, 1.5)
-
-
-def test_labels_of_a_size_nobody_knows(folder):
-    for i in range(3):
-        folder.image(f"instances/{i:06d}.png", np.zeros((5, 5), np.uint8))
+    folder.json("camera.json", camera)
+    folder.image("instances/000000.png", np.zeros((5, 5), np.uint8))
     with pytest.raises(InputError, match=r"no entry 'instances'.*5 x 5"):
         open_capture(folder.path)
 
@@ -372,12 +369,9 @@ def test_frames_of_arrays():
     bare = frame()
     assert (bare.depth(), bare.labels(), bare.label_kind) == (None, None, None)
     np.testing.assert_array_equal(bare.gravity, [0, 0, -1])
-
-
-def test_arrays_are_not_locked_for_their_owner():
     rgb = np.zeros((6, 8, 3), np.uint8)
     got = Frame.from_arrays(rgb, CAMERA)
-    rgb[0, 0, 0] = 5
+    rgb[0, 0, 0] = 5  # arrays are not locked for their owner
     assert got.rgb()[0, 0, 0] == 5
     assert not got.rgb().flags.writeable
 
@@ -397,9 +391,6 @@ def test_arrays_are_not_locked_for_their_owner():
 def test_arrays_that_do_not_fit(options, says):
     with pytest.raises(OptionError, match=says):
         frame(**options)
-
-
-def test_colours_that_do_not_fit():
     with pytest.raises(OptionError, match=r"rgb: shape \(8, 6, 3\)"):
         Frame.from_arrays(np.zeros((8, 6, 3), np.uint8), CAMERA)
     with pytest.raises(OptionError, match="colours are uint8"):

@@ -163,7 +163,6 @@ def test_colours_of_faces_belong_to_their_corners(write):
 
 
 def test_many_vertices_come_back_exactly(tmp_path, rng):
-    """A million numbers, both ways of writing them; nothing is lost on the way."""
     points = rng.normal(size=(5000, 3)).astype(np.float32)
     rows = rng.integers(0, 5000, (8000, 3))
     triples = [tuple(float(v) for v in p) for p in points]

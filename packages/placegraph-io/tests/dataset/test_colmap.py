@@ -253,7 +253,7 @@ def test_truncated_models(name, form, recorded, tmp_path):
     getattr(Model(recorded()), form)(tmp_path)
     path = tmp_path / f"{name}.{'bin' if form == 'binary' else 'txt'}"
     whole = path.read_bytes()
-    cuts = [*range(min(len(whole), 120)), *range(120, len(whole), 1201), len(whole) - 1]
+    cuts = [*range(0, min(len(whole), 120), 3), *range(120, len(whole), 1201), len(whole) - 1]
     for size in cuts:
         path.write_bytes(whole[:size])
         if form == "binary":

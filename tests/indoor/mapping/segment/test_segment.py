@@ -143,7 +143,6 @@ def test_flat_without_its_ids(flat):
 
 
 def test_noisy_scan():
-    """Noise of a scan, 4 mm, changes little."""
     vertices, triangles, colours, truth = study()
     rng = np.random.default_rng(3)
     shared, back = np.unique(vertices.round(4), axis=0, return_inverse=True)
