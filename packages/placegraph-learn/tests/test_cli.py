@@ -90,9 +90,10 @@ def test_the_papers_network_is_trained_and_locates(run, city, pools, tmp_path):
     made = run(
         "city", "train", city, "-o", out, "--work", tmp_path / "work", "--pools", pools, *TINY,
         "--losses", "eq17,eq18", "--no-statements", "--layers", 1, "--crossings", 1, "--heads", 2,
+        "--json",
     )  # fmt: skip
     assert (made.code, made.err) == (0, "")
-    assert made.out.split()[:3] == ["epoch", "eq17", "eq18"]
+    assert [*made.json["curves"][0]][:3] == ["epoch", "eq17", "eq18"]
     shape = read_weights(out).shape
     assert (shape.layers, shape.crossings, shape.heads, shape.statements) == (1, 1, 2, False)
     found = run("city", "locate", city, TEXT, "--preset", "paper", "--weights", out, "--json")

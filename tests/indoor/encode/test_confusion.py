@@ -5,7 +5,7 @@ import json
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.errors import InputError, OptionError
@@ -81,7 +81,6 @@ def test_files_that_are_none(tmp_path, name, content, says):
     assert str(path) in str(caught.value)
 
 
-@settings(max_examples=60)
 @given(st.text(max_size=80), st.sampled_from(["csv", "json"]))
 def test_any_text_is_a_table_or_an_error(tmp_path_factory, text, kind):
     path = tmp_path_factory.getbasetemp() / f"any.{kind}"

@@ -216,6 +216,7 @@ def test_sentences_and_mended_frames(exact):
         assert after.depth_camera.fx == pytest.approx(before.depth_camera.fx * np.exp(-0.1))
         np.testing.assert_allclose(after.depth(), before.depth() * np.exp(0.1), rtol=1e-5)
         np.testing.assert_array_equal(after.rgb(), before.rgb())
+        assert after.images.labels() is None
     assert CameraCorrection.nothing().frames(frames)[0].images is frames[0].images
     assert share_view(frame.camera, frame.camera.resized(80, 60))
     assert not share_view(frame.camera, replace(frame.camera, fx=125.0))

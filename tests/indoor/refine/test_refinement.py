@@ -169,9 +169,7 @@ def test_several_views_are_for_a_matcher_that_knows_no_neighbourhood(monkeypatch
     assert RefineSetup.of(paper, "auto", "cuda:0").matcher.radius == 9
 
 
-@pytest.mark.parametrize(
-    ("shift", "degrees"), [((0.16, 0.12, 0), 10.0), ((-0.2, 0, 0), -10.0), ((0, 0, 0), 0.0)]
-)
+@pytest.mark.parametrize(("shift", "degrees"), [((0.16, 0.12, 0), 10.0), ((0, 0, 0), 0.0)])
 def test_from_two_decimetres_and_ten_degrees(room, walk, exact, kit, shift, degrees):
     start = kit.moved(exact.poses[-1], shift, (0, 0, degrees))
     before = start.copy()

@@ -92,11 +92,15 @@ def test_never_more_than_asked_for(height, width, count):
 @pytest.fixture(scope="module", params=["sift", "xfeat dense"])
 def any_matcher(request):
     if request.param == "sift":
-        pytest.importorskip("cv2", reason="needs OpenCV: pip install 'placegraph[sift]'")
-        return matcher("sift")
+        yield matcher("sift")
+        return
     pytest.importorskip("kornia", reason="needs kornia: pip install 'placegraph[xfeat]'")
+    torch = pytest.importorskip("torch", reason="PyTorch is not installed (extra learn)")
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)  # so small is the network
     weights = request.getfixturevalue("shared") / "weights/xfeat.pt"
-    return matcher("xfeat", weights=weights, dense="dense" in request.param)
+    yield matcher("xfeat", weights=weights, dense=True)
+    torch.set_num_threads(before)
 
 
 @pytest.mark.parametrize(("value", "size"), [(0, (33, 47)), (255, (90, 160))])
