@@ -16,12 +16,7 @@ from placegraph_io.ros.containers import open_bag
 from placegraph_lab.worlds.bags import BagWriter, Layout, write_capture
 from placegraph_ros.cli import listen_to_keys, live, stop_on_interrupt
 from placegraph_ros.sources import PlaybackClock, WaitPolicy
-from ros_world import FRAMES, START, made
-
-
-@pytest.fixture(scope="module")
-def room(tmp_path_factory, study):
-    return made(tmp_path_factory.mktemp("room"), study)
+from ros_world import FRAMES, START
 
 
 def test_a_bag_of_poses(run, room, tmp_path):

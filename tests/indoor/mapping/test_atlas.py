@@ -478,7 +478,7 @@ def test_keyframes_are_few_enough_and_in_order():
 
 def test_lenses_and_sizes(floor, rng):
     bent = replace(PHONE, distortion=(-0.2, 0.05, 0.001, -0.001))
-    large = Camera(1200, 900, 1000.0, 1000.0, 600.0, 450.0)
+    large = Camera(480, 360, 400.0, 400.0, 240.0, 180.0)
     frames = [photograph(floor, soft, p, (bent, large)[i % 2]) for i, p in enumerate(POSES[2:6])]
     colour_of = frame_colours(frames, POSES[2:6], floor.vertices, floor.triangles, texel=0.02)
     points = inner(rng, low=0.8, high=1.2)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from placegraph.core.geometry import rotation_from_vector, rotation_z
@@ -29,6 +29,7 @@ def tent():
     return sample_surface(Mesh.plain(CORNERS, FACES), np.arange(6), 3000, np.random.default_rng(0))
 
 
+@settings(max_examples=15)
 @given(st.floats(-0.12, 0.12), SHIFT)
 def test_an_upright_motion_is_found_again(tent, yaw, shift):
     truth = turn_about(tent.points.mean(axis=0), yaw, tent.points.mean(axis=0) + shift)

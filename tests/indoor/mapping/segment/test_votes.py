@@ -1,6 +1,7 @@
 """Label images say what the faces are that they show, though a third of them errs."""
 
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -212,7 +213,7 @@ def test_poses_stand_in_for_odometry(room):
     vertices, triangles, _ = room
     frames = views(room, [0, -1, 2, 1, 1])
     poses = np.array([f.odometry for f in frames])
-    blind = views(room, [0, -1, 2, 1, 1])
+    blind = [replace(f, odometry=np.eye(4)) for f in frames]
     one = segment(vertices, triangles, frames=frames)
     two = segment(vertices, triangles, frames=blind, poses=poses)
     np.testing.assert_array_equal(one.object_of, two.object_of)
