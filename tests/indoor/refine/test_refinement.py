@@ -258,7 +258,7 @@ def test_without_poselib_depth_refines_and_colours_alone_say_so(
     assert estimate.refinement.accepted
     assert estimate.refinement.reason == "Refined by depth."
     assert kit.off(estimate.best.map_from_camera, exact.poses[4])[0] < 0.02
-    estimate = room.refine(walk, start, frames=FIVE, options=RefineOptions(depth=False))
+    estimate = room.localize(walk, frames=FIVE, options=WITHOUT_DEPTH)
     assert not estimate.refinement.accepted
     assert "PoseLib" in estimate.refinement.reason
     assert "pip install poselib" in estimate.refinement.reason
