@@ -9,7 +9,7 @@ from placegraph.errors import InputError, PlacegraphError
 from placegraph.io.capture.capture import open_capture
 
 DAMAGE = settings(
-    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 TOKENS = (b"nan", b"1e999", b"-", b"[", b"null", b",", b"9" * 400)
 
