@@ -38,6 +38,8 @@ class Compiling:
         self._busy = True  # what is imported here may itself be compiled
         try:
             lacking = missing(calls_with(name, self._words))
+            if self._words[:1] == ["demo"] and lacking and not sys.stderr.isatty():
+                click.echo(f"{_line(0, len(lacking))} ...", err=True)  # a terminal shows a bar
             with suppress(OSError, BrokenExecutor):  # no process can be started: one by one, here
                 compile_all(lacking, hidden="--quiet" in self._words)
         finally:
@@ -51,8 +53,6 @@ def compile_all(calls: list[str], *, hidden: bool) -> list[str]:
     if not calls:
         return []
     done = 0
-    if not (hidden or sys.stderr.isatty()) and len(calls) > 1:  # a bar would show it in a terminal
-        click.echo(f"{_line(0, len(calls))} ...", err=True)
     with progress_of(hidden=hidden) as tell:
         tell(_line(done, len(calls)), done, len(calls))
 
