@@ -38,7 +38,7 @@ class Compiling:
         self._busy = True  # what is imported here may itself be compiled
         try:
             lacking = missing(calls_with(name, self._words))
-            if self._words[:1] == ["demo"] and lacking and not sys.stderr.isatty():
+            if "demo" in self._words and lacking and not sys.stderr.isatty():
                 click.echo(f"{_line(0, len(lacking))} ...", err=True)  # a terminal shows a bar
             with suppress(OSError, BrokenExecutor):  # no process can be started: one by one, here
                 compile_all(lacking, hidden="--quiet" in self._words)

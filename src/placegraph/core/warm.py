@@ -46,11 +46,14 @@ def commands() -> dict[str, list[str]]:
 
 
 def calls_with(kernel: str, words: Collection[str]) -> list[str]:
-    """Calls of the simplest kind of a command, of `words`, that needs a kernel; none where unlisted."""
+    """Return the calls of the simplest kind of a command, of `words`, that needs a kernel.
+
+    The demo runs commands of all kinds. Empty where the kernel is not listed.
+    """
     kinds = [
         calls
         for command, calls in commands().items()
-        if set(command.partition(",")[0].split()) <= set(words)
+        if "demo" in words or set(command.partition(",")[0].split()) <= set(words)
         and any(call.startswith(f"{kernel.removeprefix(_ROOT)}(") for call in calls)
     ]
     return min(kinds, key=len, default=[])
