@@ -53,7 +53,7 @@ def calls_with(kernel: str, words: Collection[str]) -> list[str]:
     kinds = [
         calls
         for command, calls in commands().items()
-        if "demo" in words or set(command.partition(",")[0].split()) <= set(words)
+        if ("demo" in words or set(command.partition(",")[0].split()) <= set(words))
         and any(call.startswith(f"{kernel.removeprefix(_ROOT)}(") for call in calls)
     ]
     return min(kinds, key=len, default=[])
