@@ -18,7 +18,7 @@ from placegraph.view.draw.canvas import (
     Dot,
     Face,
     Frame,
-    Glow,
+    HeatLayer,
     Line,
     Stroke,
     Text,
@@ -27,7 +27,7 @@ from placegraph.view.draw.canvas import (
     dashes,
     face_for,
 )
-from placegraph.view.draw.lettering import REPEAT, Taken, covering, letter
+from placegraph.view.draw.lettering import REPEAT, OccupiedPlaces, covering, letter
 from placegraph.view.draw.painter import Sheet, heat, paint_picture, write_image
 from placegraph.view.draw.style import AREA, LINE, PAINTS, PALETTE, POINT, RULES, paint_of
 
@@ -145,7 +145,7 @@ places = st.lists(st.tuples(st.integers(0, 300), st.integers(0, 300)), min_size=
 def test_names_of_points_never_overlap(at):
     names = Names(*(f"Name {k}" for k in range(len(at))))
     items = [Dot(np.array(point, float), "food", k) for k, point in enumerate(at)]
-    placed = letter(names, items, 1.0, BUILT_IN, Taken())
+    placed = letter(names, items, 1.0, BUILT_IN, OccupiedPlaces())
     discs = [covering(t, BUILT_IN.width(t.text, t.size), 1.0) for t in placed]
     for k, one in enumerate(discs):
         for other in discs[k + 1 :]:
@@ -155,13 +155,15 @@ def test_names_of_points_never_overlap(at):
 
 
 def test_a_lone_name_is_placed_beside_its_point():
-    [text] = letter(Names("Café"), [Dot(np.zeros(2), "food", 0)], 1.0, face_for(["Café"]), Taken())
+    [text] = letter(
+        Names("Café"), [Dot(np.zeros(2), "food", 0)], 1.0, face_for(["Café"]), OccupiedPlaces()
+    )
     assert (text.text, text.anchor, text.row) == ("Café", "l", 0)
     assert text.shift[0] > 4.0
 
 
 def test_a_name_gives_way_to_what_is_taken():
-    taken = Taken()
+    taken = OccupiedPlaces()
     taken.claim([(30.0, 0.0, 16.0)], force=True)
     [text] = letter(Names("Cafe"), [Dot(np.zeros(2), "food", 0)], 1.0, BUILT_IN, taken)
     assert text.anchor == "r"
@@ -170,14 +172,18 @@ def test_a_name_gives_way_to_what_is_taken():
 def test_a_street_is_named_along_it_and_reads_from_the_left():
     for angle in np.linspace(0.0, 2.0 * np.pi, 13):
         line = np.array([(0.0, 0.0), (400.0 * np.cos(angle), 400.0 * np.sin(angle))])
-        [text] = letter(Names("Long Street"), [Line([line], "street", 0)], 1.0, BUILT_IN, Taken())
+        [text] = letter(
+            Names("Long Street"), [Line([line], "street", 0)], 1.0, BUILT_IN, OccupiedPlaces()
+        )
         assert -np.pi / 2 - 1e-9 <= text.angle <= np.pi / 2 + 1e-9
         assert abs(np.sin(text.angle - angle)) < 1e-6
 
 
 def test_a_long_street_is_named_again():
     line = np.array([(0.0, 0.0), (3000.0, 0.0)])
-    texts = letter(Names("Long Street"), [Line([line], "street", 0)], 1.0, BUILT_IN, Taken())
+    texts = letter(
+        Names("Long Street"), [Line([line], "street", 0)], 1.0, BUILT_IN, OccupiedPlaces()
+    )
     x = sorted(text.at[0] for text in texts)
     assert len(x) >= 3
     assert np.diff(x).min() >= REPEAT
@@ -188,21 +194,21 @@ def test_a_short_or_winding_street_is_not_named():
     zigzag = np.array([(10.0 * k, 30.0 * (k % 2)) for k in range(40)])
     names = Names("A name too long", "A name too long")
     items = [Line([short], "street", 0), Line([zigzag], "street", 1)]
-    assert letter(names, items, 1.0, BUILT_IN, Taken()) == []
+    assert letter(names, items, 1.0, BUILT_IN, OccupiedPlaces()) == []
 
 
 def test_an_area_too_small_for_its_name_is_not_named():
     ring = np.array([(0.0, 0.0), (200.0, 0.0), (200.0, 100.0), (0.0, 100.0), (0.0, 0.0)])
     item = [Area([ring], "park", 0)]
-    [text] = letter(Names("Park"), item, 1.0, BUILT_IN, Taken())
+    [text] = letter(Names("Park"), item, 1.0, BUILT_IN, OccupiedPlaces())
     assert np.allclose(text.at, (100.0, 50.0))
-    assert letter(Names("Park"), item, 0.05, BUILT_IN, Taken()) == []
+    assert letter(Names("Park"), item, 0.05, BUILT_IN, OccupiedPlaces()) == []
 
 
 def test_small_things_are_named_only_on_large_maps():
     item = [Dot(np.zeros(2), "food", 0)]
-    assert letter(Names("Cafe"), item, 0.2, BUILT_IN, Taken()) == []
-    assert letter(Names("Cafe"), item, 2.0, BUILT_IN, Taken())
+    assert letter(Names("Cafe"), item, 0.2, BUILT_IN, OccupiedPlaces()) == []
+    assert letter(Names("Cafe"), item, 2.0, BUILT_IN, OccupiedPlaces())
 
 
 def test_faces_draw_what_they_can():
@@ -279,7 +285,7 @@ def test_heat_grows_with_density():
     assert opacity[0] == 0
     assert (np.diff(opacity) >= 0).all()
     assert opacity[-1] > 120
-    glow = Glow(np.ones((4, 4)), (-10.0, -10.0, 10.0, 10.0))
+    glow = HeatLayer(np.ones((4, 4)), (-10.0, -10.0, 10.0, 10.0))
     image = paint_picture([glow], FRAME)
     assert at(image, 0.0, 0.0) != color("land") == at(image, 30.0, 0.0)
 

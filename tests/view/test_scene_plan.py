@@ -15,7 +15,7 @@ from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.view import draw_scene, write_plan, write_plan_animation
 from placegraph.view.draw.canvas import Frame, face_for
-from placegraph.view.draw.lettering import Taken, covering
+from placegraph.view.draw.lettering import OccupiedPlaces, covering
 from placegraph.view.draw.painter import SUPERSAMPLE, paint_picture
 from placegraph.view.draw.style import PALETTE
 from placegraph.view.scene.plan import (
@@ -147,7 +147,7 @@ def named(plan, count, **options):
     """Names on a plan 1200 px wide, and the discs that cover each."""
     face = face_for(["chair", "mug"])
     frame = Frame.around(plan.bounds, 1200, 800)
-    texts = plan.names(frame, face, Taken(), **options)
+    texts = plan.names(frame, face, OccupiedPlaces(), **options)
     assert len(texts) <= count
     wide = [face.width(text.text, text.size) for text in texts]
     discs = [

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from placegraph.core.geo import EarthPose
 from placegraph.core.geojson import OnEarth
-from placegraph.core.pickling import Shown
+from placegraph.core.pickling import HtmlRepr
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,7 +253,7 @@ Mode = TypeVar("Mode", bound=Explained)
 
 
 @dataclass(frozen=True, repr=False)
-class Estimate(OnEarth, Shown, Generic[Mode]):
+class Estimate(OnEarth, HtmlRepr, Generic[Mode]):
     """Answer to "where am I?"."""
 
     status: Status

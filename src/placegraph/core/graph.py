@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from placegraph.core.pickling import Portable
+from placegraph.core.pickling import PickleFields
 from placegraph.errors import MissingExtraError, OptionError
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ Rows = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class SceneGraph(Portable):
+class SceneGraph(PickleFields):
     """A scene graph of N nodes in D = 2 or 3 dimensions and M edges.
 
     Row i of every node column is one thing; row j of every edge column reads

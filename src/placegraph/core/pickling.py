@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 
-class Portable:
+class PickleFields:
     """A dataclass that `pickle` takes by its fields alone.
 
     Tables, compiled casters and locks stay behind and are made again where they are needed. Arrays
@@ -34,7 +34,7 @@ def locked(values: dict[str, Any]) -> tuple[str, ...]:
 
 
 def made_again(cls: type[Any], values: dict[str, Any], kept: tuple[str, ...]) -> Any:  # noqa: ANN401
-    """What `Portable` took apart; nothing is checked twice."""
+    """What `PickleFields` took apart; nothing is checked twice."""
     made = object.__new__(cls)
     for name, value in values.items():
         if name in kept:
@@ -43,7 +43,7 @@ def made_again(cls: type[Any], values: dict[str, Any], kept: tuple[str, ...]) ->
     return made
 
 
-class Shown:
+class HtmlRepr:
     """What Jupyter shows as a picture.
 
     The one place below the faces that names one. It does so by text, as `placegraph` itself names

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
-from placegraph.core.pickling import Shown
+from placegraph.core.pickling import HtmlRepr
 from placegraph.errors import OptionError
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.map.scene_file import open_scene, save_scene
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SceneMap(Shown, Scene):
+class SceneMap(HtmlRepr, Scene):
     """A scene and what can be done with it.
 
     Made by `build_scene`, `SceneMap.create` or `merge_scenes`, opened by `open_map`; never changed

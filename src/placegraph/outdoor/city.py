@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, Unpack
 from numpy.typing import NDArray
 
 from placegraph.core.files import real_path
-from placegraph.core.pickling import Shown
+from placegraph.core.pickling import HtmlRepr
 from placegraph.errors import OptionError
 from placegraph.io.osm.urls import is_url, name_of, on_disk
 from placegraph.outdoor.map.cells import LARGEST, SMALLEST
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from placegraph.outdoor.track.tracker import CityTracker
 
 
-class CityMap(Shown, City):
+class CityMap(HtmlRepr, City):
     """A city that can be asked.
 
     Made by `build_city`, opened by `open_map`; never changed by localizing in it.

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from placegraph.core.files import real_path, regular
 from placegraph.core.geo import EarthPose
 from placegraph.core.mapfile import MapFile, pack_strings, read_map, sound, write_map
-from placegraph.core.pickling import Shown
+from placegraph.core.pickling import HtmlRepr
 from placegraph.errors import InputError, MapError, MissingExtraError, OptionError
 from placegraph.indoor.encode import ENCODERS, Encoder, encoder
 from placegraph.indoor.language import Sentence, TextIndex, score
@@ -72,7 +72,7 @@ class Entry:
     """Where its map stands on Earth: one a candidate, likeliest first, for somebody anywhere in it."""
 
 
-class SceneLibrary(SceneCollection, Shown):
+class SceneLibrary(SceneCollection, HtmlRepr):
     """Scenes by name, each with a signature of kilobytes; maps are opened when they are needed.
 
     Made empty, opened from a file that `save` wrote, or from a folder of scene maps.

@@ -15,7 +15,7 @@ from placegraph.core.geo import Anchor, ranked, unplaced
 from placegraph.core.geojson import areas, collection, feature
 from placegraph.core.graph import SceneGraph
 from placegraph.core.mapfile import MapFile
-from placegraph.core.pickling import Portable, made_again
+from placegraph.core.pickling import PickleFields, made_again
 from placegraph.errors import OptionError
 from placegraph.indoor.map import textures
 from placegraph.indoor.map.mesh import WHITE, Mesh, Surface, ordered
@@ -53,7 +53,7 @@ _CELL = 0.5  # neighbours in the file are neighbours in space [m]: differences c
 
 
 @dataclass(frozen=True, eq=False)
-class Landmarks(Portable):
+class Landmarks(PickleFields):
     """L points with compact descriptors, as `placegraph.indoor.refine.landmarks` makes them."""
 
     points: NDArray[np.float32]
@@ -120,7 +120,7 @@ S = TypeVar("S", bound="Scene")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Scene(Portable):
+class Scene(PickleFields):
     """Objects with a coarse mesh, in map axes: z up, gravity -z, metres; what a `SceneMap` holds.
 
     All stages take it, and none changes it. Row i of `graph`, `attributes` and `scene_of` is one

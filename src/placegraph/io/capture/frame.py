@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from placegraph.core.geometry import Camera
-from placegraph.core.pickling import Portable
+from placegraph.core.pickling import PickleFields
 from placegraph.errors import InputError, OptionError
 from placegraph.io.capture.images import WHOLE_MODES, read_rgb, read_whole
 
@@ -51,7 +51,7 @@ class Images(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Frame(Portable):
+class Frame(PickleFields):
     """One moment of a capture. Images are read, and checked, each time they are asked for."""
 
     index: int

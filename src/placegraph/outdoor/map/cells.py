@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from placegraph.core.geometry import LocalPlane
 from placegraph.core.graph import SceneGraph
-from placegraph.core.pickling import Portable
+from placegraph.core.pickling import PickleFields
 from placegraph.errors import MapError, OptionError
 from placegraph.outdoor.map.directions_kernels import name_direction
 from placegraph.outdoor.map.geometry_kernels import _collect, nearest_on_parts
@@ -137,7 +137,7 @@ class Cell:
 
 
 @dataclass(frozen=True, eq=False)
-class Cells(Portable, Mapping[str, Cell]):
+class Cells(PickleFields, Mapping[str, Cell]):
     """Cells of a city by id (``c<column>r<row>``), the keys of Eq. 8; only those with two objects exist."""
 
     plane: LocalPlane

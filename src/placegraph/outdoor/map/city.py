@@ -13,7 +13,7 @@ import numpy as np
 from placegraph.core.geojson import areas, collection, feature, lines, point
 from placegraph.core.geometry import LocalPlane
 from placegraph.core.mapfile import pack_strings, read_map, sound, starts, write_map
-from placegraph.core.pickling import Portable
+from placegraph.core.pickling import PickleFields
 from placegraph.errors import OptionError
 from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.map.cells import Cells, Grid, VisibleObjects, cell_graph, find_occupied
@@ -55,7 +55,7 @@ VERSION = 2
 
 
 @dataclass(frozen=True, eq=False)
-class City(Portable):
+class City(PickleFields):
     """A city: its objects, its cells, and what is derived from them to be searched.
 
     Every stage takes one; `CityMap` adds what a user asks of it. Nothing changes it.

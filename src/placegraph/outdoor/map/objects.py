@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.pickling import Portable
+from placegraph.core.pickling import PickleFields
 from placegraph.outdoor.map.geometry_kernels import _boxes, _centers, _keep
 
 POINT, LINE, AREA = 0, 1, 2
@@ -21,7 +21,7 @@ FARTHEST = 2.1e7
 
 
 @dataclass(frozen=True)
-class CityObjects(Portable):
+class CityObjects(PickleFields):
     """Columns of the objects of a city; row i of every column is one object.
 
     CSR columns come as pairs: the entries of row i are ``values[starts[i]:starts[i + 1]]``.

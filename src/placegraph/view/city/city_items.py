@@ -17,7 +17,7 @@ from placegraph.view.draw.canvas import (
     Bounds,
     Disc,
     Dot,
-    Glow,
+    HeatLayer,
     Line,
     MapItem,
     Mark,
@@ -347,7 +347,9 @@ def witnesses(city: CityMap, mode: Place) -> list[Witness]:
     return list(found.values())
 
 
-def heat_of(city: CityMap, estimate: CityEstimate, bounds: Bounds, pixel: float) -> Glow | None:
+def heat_of(
+    city: CityMap, estimate: CityEstimate, bounds: Bounds, pixel: float
+) -> HeatLayer | None:
     """Posterior in a rectangle on a grid of `pixel` [m]; None where there is nothing of it."""
     support = estimate.support
     if not len(support):
@@ -373,7 +375,7 @@ def heat_of(city: CityMap, estimate: CityEstimate, bounds: Bounds, pixel: float)
     heaviest = np.argsort(-weight, kind="stable")[:256]
     apart = ((at[heaviest, None] - at[None]) ** 2).sum(axis=2)
     peak = float((np.exp(-0.5 * apart / BANDWIDTH**2) @ weight).max())
-    return Glow(density / max(peak, FAINT), bounds)
+    return HeatLayer(density / max(peak, FAINT), bounds)
 
 
 def rivals(estimate: CityEstimate, most: int) -> tuple[Place, ...]:

@@ -23,7 +23,7 @@ from placegraph.view.city.city_items import (
     witnesses,
 )
 from placegraph.view.draw.canvas import Disc, Face, Frame, Item, Stroke, Text, face_for
-from placegraph.view.draw.lettering import Taken, covering, letter
+from placegraph.view.draw.lettering import OccupiedPlaces, covering, letter
 from placegraph.view.draw.painter import Sheet, paint_picture
 
 if TYPE_CHECKING:
@@ -117,12 +117,15 @@ def _checked(size: tuple[int, int]) -> tuple[int, int]:
 
 
 def _map(
-    city: CityMap, frame: Frame, taken: Taken | None = None, skip: frozenset[int] = frozenset()
+    city: CityMap,
+    frame: Frame,
+    taken: OccupiedPlaces | None = None,
+    skip: frozenset[int] = frozenset(),
 ) -> list[Item]:
     """Map and its lettering."""
     items = map_items(city, frame.bounds, frame.scale)
     face = face_for(city.objects.name(item.row) for item in items if item.row >= 0)
-    names = letter(city.objects, items, frame.scale, face, taken or Taken(), skip=skip)
+    names = letter(city.objects, items, frame.scale, face, taken or OccupiedPlaces(), skip=skip)
     return [*items, *names]
 
 
@@ -154,9 +157,9 @@ def _panel(
 
 def _marks(
     city: CityMap, estimate: CityEstimate, mode: Place | None, frame: Frame
-) -> tuple[list[Item], Taken]:
+) -> tuple[list[Item], OccupiedPlaces]:
     """Evidence of a mode, all modes, and the places these take."""
-    taken = Taken()
+    taken = OccupiedPlaces()
     marks: list[Item] = [*evidence_marks(city, mode)] if mode else []
     pins: list[Item] = []
     for number, other in enumerate(estimate.modes, 1):
@@ -169,7 +172,7 @@ def _marks(
     return [*marks, *pins, *(_witness_names(city, mode, frame, taken) if mode else [])], taken
 
 
-def _witness_names(city: CityMap, mode: Place, frame: Frame, taken: Taken) -> list[Text]:
+def _witness_names(city: CityMap, mode: Place, frame: Frame, taken: OccupiedPlaces) -> list[Text]:
     """Name what the evidence is, beside it."""
     seen = witnesses(city, mode)
     face = face_for(w.words for w in seen)
@@ -193,7 +196,7 @@ def _beside(
     ink: str,
     frame: Frame,
     face: Face,
-    taken: Taken,
+    taken: OccupiedPlaces,
 ) -> Text | None:
     size = 14.0
     width = face.width(words, size)

@@ -1,7 +1,7 @@
 """The drawing model: a display list in metres, clipping, and typefaces.
 
 Map items (`Area`, `Line`, `Dot`) name a paint of `style.PAINTS`; marks that stand on the map
-(`Stroke`, `Disc`, `Text`, `Glow`) name colours of `style.PALETTE` and have sizes in pixels.
+(`Stroke`, `Disc`, `Text`, `HeatLayer`) name colours of `style.PALETTE` and have sizes in pixels.
 Positions are east, north [m].
 """
 
@@ -130,7 +130,7 @@ class Text:
 
 
 @dataclass(frozen=True, slots=True)
-class Glow:
+class HeatLayer:
     """Density on a grid, painted as heat."""
 
     density: NDArray[np.float64]
@@ -150,7 +150,7 @@ class Picture:
 
 
 @dataclass(frozen=True, slots=True)
-class Swarm:
+class ParticleMarks:
     """Many small marks that look somewhere: the particles of a filter."""
 
     at: Points
@@ -166,8 +166,8 @@ class Swarm:
 
 
 MapItem = Area | Line | Dot
-Mark = Stroke | Disc | Text | Glow
-Item = MapItem | Mark | Picture | Swarm
+Mark = Stroke | Disc | Text | HeatLayer
+Item = MapItem | Mark | Picture | ParticleMarks
 
 
 def in_painters_order(items: Iterable[Item]) -> list[tuple[str, list[MapItem]]]:

@@ -27,7 +27,7 @@ REPEAT = 420.0
 """One street is lettered again after this distance [px]."""
 
 
-class Taken:
+class OccupiedPlaces:
     """Where lettering or a mark stands already: discs (x, y, radius) that cover it [px]."""
 
     SIDE = 32.0
@@ -72,7 +72,7 @@ def letter(
     items: Iterable[MapItem],
     scale: float,
     face: Face,
-    taken: Taken,
+    taken: OccupiedPlaces,
     *,
     skip: frozenset[int] = frozenset(),
     already: Iterable[Text] = (),

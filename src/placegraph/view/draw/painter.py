@@ -20,14 +20,14 @@ from placegraph.view.draw.canvas import (
     Disc,
     Dot,
     Frame,
-    Glow,
+    HeatLayer,
     Item,
     Line,
     MapItem,
+    ParticleMarks,
     Picture,
     Points,
     Stroke,
-    Swarm,
     Text,
     clip_line,
     dashes,
@@ -111,9 +111,9 @@ class _Painter:
         match item:
             case Picture():
                 self.picture(item)
-            case Glow():
+            case HeatLayer():
                 self.glow(item)
-            case Swarm():
+            case ParticleMarks():
                 self.swarm(item)
             case Stroke():
                 self.stroke(item)
@@ -218,7 +218,7 @@ class _Painter:
         else:
             self.circle(at, radius, color)
 
-    def glow(self, item: Glow) -> None:
+    def glow(self, item: HeatLayer) -> None:
         west, south, east, north = item.bounds
         corners = self.frame.to_px(np.array([(west, north), (east, south)])).round().astype(int)
         size = corners[1] - corners[0]
@@ -238,7 +238,7 @@ class _Painter:
             image = image.resize(tuple(size.tolist()), Image.Resampling.BOX)
         self.image.paste(image, tuple(corners[0].tolist()))
 
-    def swarm(self, item: Swarm) -> None:
+    def swarm(self, item: ParticleMarks) -> None:
         """Stamp every mark into a picture of levels, where the highest wins, then colour it."""
         at = self.frame.to_px(item.at)
         radius, tick = item.radius * SUPERSAMPLE, item.tick * SUPERSAMPLE

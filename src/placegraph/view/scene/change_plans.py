@@ -14,7 +14,7 @@ import numpy as np
 from placegraph.core.geo import Anchor, unplaced
 from placegraph.core.geometry import Floats
 from placegraph.view.draw.canvas import Bounds, Disc, Frame, Item, Mark, Stroke, Text
-from placegraph.view.draw.lettering import Taken
+from placegraph.view.draw.lettering import OccupiedPlaces
 from placegraph.view.draw.painter import Sheet, paint_picture
 from placegraph.view.scene.plan import FOOT, HEAD, Layout, measures, names, scale_bar
 from placegraph.view.scene.room_plan import MARGIN, RoomPlan, paint_room, plain_words
@@ -67,7 +67,7 @@ def draw_anchors(
     layout = Layout.of(bounds, [], width=width)
     frame = Frame.around(bounds, *layout.large)
     sheet = Sheet(layout.width, layout.height)
-    room: list[Item] = [paint_room(plan, frame), *names(plan, frame, Taken())]
+    room: list[Item] = [paint_room(plan, frame), *names(plan, frame, OccupiedPlaces())]
     sheet.paste(paint_picture([*room, *marks], frame, reduce=False), (0, HEAD))
     _told(sheet, scene.anchors)
     sheet.north((layout.width - 26.0, HEAD + 28.0))
@@ -187,7 +187,7 @@ def write_diff(
     marks = [mark for change in reversed(diff.changes) for mark in marks_of(plan, change, rows)]
     items: list[Item] = [
         paint_room(plan, frame),
-        *names(plan, frame, Taken(), marked),
+        *names(plan, frame, OccupiedPlaces(), marked),
         *marks,
     ]
     sheet.paste(paint_picture(items, frame, reduce=False), layout.large_corner)

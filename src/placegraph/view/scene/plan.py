@@ -24,13 +24,13 @@ from placegraph.view.draw.canvas import (
     Frame,
     Item,
     Mark,
+    ParticleMarks,
     Picture,
     Stroke,
-    Swarm,
     Text,
     face_for,
 )
-from placegraph.view.draw.lettering import Taken
+from placegraph.view.draw.lettering import OccupiedPlaces
 from placegraph.view.draw.painter import SUPERSAMPLE, Sheet, likely, paint_picture, write_image
 from placegraph.view.draw.style import PALETTE
 from placegraph.view.scene.room_plan import RoomPlan, paint_room, plain_words
@@ -88,12 +88,12 @@ def levels(poses: Floats, weights: Floats) -> Floats:
     return clipped
 
 
-def swarm(poses: Floats, weights: Floats) -> Swarm:
+def swarm(poses: Floats, weights: Floats) -> ParticleMarks:
     """Particles (N, 4) with weights (N,) as marks, the smaller the more there are."""
     poses, weights = np.asarray(poses, np.float64), np.asarray(weights, np.float64)
     radius = float(np.interp(len(poses), [200, 1000, 5000], [2.0, 1.5, 0.7]))
     tick = 4.0 if len(poses) < 2500 else 0.0
-    return Swarm(poses[:, :2], poses[:, 3], levels(poses, weights), radius, tick)
+    return ParticleMarks(poses[:, :2], poses[:, 3], levels(poses, weights), radius, tick)
 
 
 def core(poses: Floats, weights: Floats) -> Bounds:
@@ -376,7 +376,7 @@ class Drawing:
 
     def result(self, frame: Frame) -> Image.Image:
         """Modes, the objects that spoke for or against the best one, and the way that was gone."""
-        estimate, taken = self.estimate, Taken()
+        estimate, taken = self.estimate, OccupiedPlaces()
         color = POSE_COLOR[estimate.status]
         marks: list[Item] = []
         shown = [
@@ -475,7 +475,7 @@ class Drawing:
 def names(
     plan: RoomPlan,
     frame: Frame,
-    taken: Taken,
+    taken: OccupiedPlaces,
     marked: dict[int, str] | None = None,
     *,
     small: bool = False,
@@ -602,7 +602,7 @@ def draw_scene(scene: SceneMap, path: str | Path, *, width: int = 1200) -> Path:
     frame = Frame.around(plan.bounds, *layout.large)
     items: list[Item] = [
         paint_room(plan, frame),
-        *names(plan, frame, Taken(), small=True),
+        *names(plan, frame, OccupiedPlaces(), small=True),
     ]
     sheet.paste(paint_picture(items, frame, reduce=False), (0, 0))
     measures(sheet, frame)

@@ -15,7 +15,7 @@ from PIL import Image, ImageColor, ImageDraw, ImageFilter
 from placegraph.core.geometry import Floats
 from placegraph.indoor.map.floor import is_floor
 from placegraph.view.draw.canvas import Bounds, Face, Frame, Picture, Text
-from placegraph.view.draw.lettering import Taken, covering
+from placegraph.view.draw.lettering import OccupiedPlaces, covering
 from placegraph.view.draw.painter import SUPERSAMPLE
 from placegraph.view.draw.style import PALETTE
 from placegraph.view.scene.top_view import look_down, section, solid
@@ -264,7 +264,7 @@ class RoomPlan:
         self,
         frame: Frame,
         face: Face,
-        taken: Taken,
+        taken: OccupiedPlaces,
         marked: Mapping[int, str] | None = None,
         *,
         small: bool = False,
@@ -302,7 +302,7 @@ class RoomPlan:
                     break
         return texts
 
-    def _rooms(self, frame: Frame, face: Face, taken: Taken) -> list[Text]:
+    def _rooms(self, frame: Frame, face: Face, taken: OccupiedPlaces) -> list[Text]:
         """Names of the rooms whose floors bear one, each in the middle of its floor."""
         texts = []
         for row in self.rows:
