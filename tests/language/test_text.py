@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 
 from placegraph.errors import DescriptionError
 from placegraph.language.grammar import Chunk, IslandParser
-from placegraph.language.measures import metres
-from placegraph.language.text import Phrases, Terminal, check_text, scan_text
+from placegraph.language.text import Phrases, Terminal, check_text, metres, scan_text
 
 GRAMMAR = """
 pair: A B

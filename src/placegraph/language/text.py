@@ -1,14 +1,130 @@
-"""Text as both wings read it: what can be read at all, sentences of words, and phrases of a language."""
+"""Text as both wings read it: distances, sentences of words, and phrases of a language."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 from placegraph.errors import DescriptionError
-from placegraph.language.measures import MEASURE, may_measure, metres
+
+_UNITS = {
+    name: metres
+    for names, metres in {
+        "m meter meters metre metres": 1.0,
+        "cm centimeter centimeters centimetre centimetres": 0.01,
+        "km kilometer kilometers kilometre kilometres": 1000.0,
+        "ft foot feet": 0.3048,
+        "yd yds yard yards": 0.9144,
+        "mi mile miles": 1609.344,
+        "block blocks": 100.0,
+        "pace paces step steps": 0.75,
+        "door doors": 8.0,  # along a street of shops
+        "walk walking distance min mins minute minutes": 80.0,  # a minute's walk
+    }.items()
+    for name in names.split()
+}
+"""Metres in a unit, by the last word of its name."""
+
+
+class Measure(float):
+    """A distance as said [m], a block being 100 m."""
+
+    blocks: float = 0.0
+    """How many blocks, where it is told in blocks: the map at hand may know their length."""
+    unit: float = 1.0
+    """Metres of the unit it was told in."""
+    at_most: bool = False
+    """Whether it is that or less: "within 50 m"."""
+
+    def again(self, count: float) -> Self:
+        """Return as many of the same unit: "9 blocks west, then 4 north"."""
+        measure = type(self)(self.unit * count)
+        measure.unit, measure.blocks = self.unit, count if self.blocks else 0.0
+        return measure
+
+    @classmethod
+    def within(cls, metres: float, *, blocks: float = 0.0) -> Self:
+        """Return a distance that is this or less, or that many blocks or less."""
+        measure = cls(metres or blocks * _UNITS["block"])
+        measure.blocks, measure.at_most = blocks, True
+        return measure
+
+
+_NUMBERS = {
+    "one": 1.0, "two": 2.0, "three": 3.0, "four": 4.0, "five": 5.0, "six": 6.0, "seven": 7.0,
+    "eight": 8.0, "nine": 9.0, "ten": 10.0, "eleven": 11.0, "twelve": 12.0, "thirteen": 13.0,
+    "fourteen": 14.0, "fifteen": 15.0, "sixteen": 16.0, "twenty": 20.0,
+    "thirty": 30.0, "fifty": 50.0, "hundred": 100.0,
+    "couple": 2.0, "few": 3.0, "several": 3.0, "quarter": 0.25,
+}  # fmt: skip
+COUNTS = {word: int(n) for word, n in _NUMBERS.items() if n >= 1 and word != "hundred"}
+"""How many, in words: "two", "several"."""
+
+_NUMBER = r"""(?:
+    \d+\s*(?:[-–]|to\b|or\b)\s*\d+ | \d+\s+1/2 | \d+(?:[.,]\d+)?\s*½? | ½
+  | (?:one|two|three|four|five|six|seven|eight|nine|ten|eleven|twelve|thirteen|fourteen|fifteen
+      |sixteen|twenty|thirty|fifty)(?:\s+(?:or|to)\s+(?:two|three|four|five|six))?(?:\s+hundred)?
+  | (?:an?\s+)?(?:couple(?:\s+of)?|few|hundred|quarter(?:\s+of\s+an?)?) | several | an?(?:\s+single)?
+)"""
+_UNIT = r"""(?:
+    m | met(?:er|re)s? | cm | centimet(?:er|re)s? | km | kilomet(?:er|re)s?
+  | ft | feet | foot | yds? | yards? | miles? | mi
+  | (?:city\s+|long\s+|short\s+|more\s+)?blocks? | paces?
+  | (?:steps?|doors?)(?=\s+(?:of|from|away|down|up|along|further)\b)
+  | min(?:ute)?s?(?=\s+(?:away|from|on\s+foot)\b) | min(?:ute)?s?['’]?[\s-]+walk(?:ing)?(?:\s+distance)?
+)"""
+_HALF = r"(?:\s*(?:&|\band\b)\s*(?:an?\s+|one\s+)?half)?"
+# "a block" is a distance only before a direction: otherwise it is what stands between streets
+_A_BLOCK = r"""(?:(?<!\ba\sblock)(?<!\bone\sblock)|(?=\s+(?:and\s+an?\s+half\s+)?
+    (?:(?:to|on)\s+the\s+)?(?:just\s+|directly\s+|due\s+)?
+    (?:(?:north|south|east|west)\w*|[nesw]{1,2}|away|from|past|after|before|up|down|further
+       |beyond|walk|over|off)\b))"""
+MEASURE = rf"""\b(?=[\d½acefhjlnoqrstw])(?:(?:about|around|roughly|approximately|some|within|almost
+        |nearly|only|just|less\s+than|over|for)\s+)?
+    (?: (?P<number>{_NUMBER})(?:[\s-]plus|\+)?{_HALF}(?:(?<=[\d½])\s*|[\s-]+){_UNIT}{_HALF}(?![\w']){_A_BLOCK}
+      | (?:an?\s+)?half(?:\s+of)?(?:\s+an?)?\s+{_UNIT}(?![\w']))"""
+"""Pattern of a distance (verbose, case ignored), with a group ``number``."""
+
+_AT_MOST = ("within", "less than")
+_NUMERAL = re.compile(r"\d+(?:[.,]\d+)?|[a-z]+")
+_LAST_UNIT = re.compile(rf"\b(?:{'|'.join(_UNITS)})\b")
+_LETTERS = re.compile(r"[a-z]+")
+
+
+def whole(digits: str, most: int) -> int:
+    """Return the whole number of decimal digits, `most` at most: Python reads no more than 4,300 of them."""
+    return most if len(digits) > 300 else min(int(digits), most)
+
+
+def may_measure(text: str) -> bool:
+    """Tell whether there may be a distance in a text: it has the word of a unit (quick to see)."""
+    return not _UNITS.keys().isdisjoint(_LETTERS.findall(text.casefold()))
+
+
+def metres(text: str, number: str | None) -> Measure:
+    """Return the length [m] of a distance matched by `MEASURE`, and of its group ``number``."""
+    text = text.lower()
+    unit = _LAST_UNIT.findall(re.sub(r"(?<=[\d½])(?=[a-z])", " ", text))[-1]
+    half = 0.5 if re.search(r"half|½|1/2", text) else 0.0
+    words = _NUMERAL.findall((number or "").lower().replace("1/2", ""))
+    values = [_NUMBERS.get(w) or float(w.replace(",", ".")) for w in words if _is_number(w)]
+    if len(values) == 2 and words[-1] == "hundred":
+        values = [100.0 * values[0]]
+    if not values:  # "a block", "half a mile"
+        values = [0.0 if number is None else 1.0]
+    count = sum(values) / len(values) + half
+    measure = Measure(_UNITS[unit] * count)
+    measure.blocks = count if unit.startswith("block") else 0.0
+    measure.unit = _UNITS[unit]
+    measure.at_most = text.startswith(_AT_MOST)
+    return measure
+
+
+def _is_number(word: str) -> bool:
+    return word in _NUMBERS or word[0].isdigit()
+
 
 LONGEST_TEXT = 20_000
 """Characters."""

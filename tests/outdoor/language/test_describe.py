@@ -9,7 +9,7 @@ import pytest
 from rapidfuzz import fuzz
 
 from placegraph.errors import DescriptionError
-from placegraph.language.measures import metres
+from placegraph.language.text import metres
 from placegraph.outdoor.language import describe, normalise, tokens
 from placegraph.outdoor.language.description import SPEAKER
 from placegraph.outdoor.language.languages import english

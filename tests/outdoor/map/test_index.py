@@ -13,9 +13,19 @@ from hypothesis import strategies as st
 from placegraph.errors import MapError
 from placegraph.outdoor.map.city import City
 from placegraph.outdoor.map.geometry_kernels import nearest_on_parts
-from placegraph.outdoor.map.index import FADE, REACH, SIGHT, ViewIndex
+from placegraph.outdoor.map.index import (
+    FADE,
+    LEVELS,
+    REACH,
+    SECOND_LABEL,
+    SIGHT,
+    STRIDE,
+    Core,
+    ViewIndex,
+    build,
+    fade,
+)
 from placegraph.outdoor.map.index_kernels import EDGE, WIDE, below, grade_of, pack, slot_of, unpack
-from placegraph.outdoor.map.index_write import LEVELS, SECOND_LABEL, STRIDE, Core, build, fade
 
 ANY = st.floats(-REACH, REACH, width=32)
 

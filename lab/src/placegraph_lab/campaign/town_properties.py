@@ -23,8 +23,7 @@ from placegraph.outdoor.language.description import (
     Statement,
 )
 from placegraph.outdoor.likelihood.match_kernels import SLACK, score_views
-from placegraph.outdoor.map.index import REACH
-from placegraph.outdoor.map.index_write import STRIDE
+from placegraph.outdoor.map.index import REACH, STRIDE
 from placegraph.outdoor.search.candidates import Candidates
 from placegraph.outdoor.search.posterior import TOGETHER
 from placegraph.outdoor.search.request import Hints, Matching, make_request

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from placegraph.core.geo import bounds, held, key_of, tile_of, tiles
 from placegraph.core.geometry import LocalPlane
 from placegraph.outdoor.city import CityMap
-from placegraph.outdoor.map.index import REACH
-from placegraph.outdoor.map.index_write import STRIDE
+from placegraph.outdoor.map.index import REACH, STRIDE
 from placegraph.outdoor.map.objects import POINT, CityObjects
 from placegraph_scale.shards import WorldFile, finish
 from placegraph_scale.shards.words import WordCounts

@@ -23,8 +23,7 @@ from placegraph.language.grammar import (
     build_with,
     negate,
 )
-from placegraph.language.measures import COUNTS, whole
-from placegraph.language.text import Phrases, Terminal, Word
+from placegraph.language.text import COUNTS, Phrases, Terminal, Word, whole
 
 VERBS = frozenset(("BE", "EXISTS", "SEE", "HAVE"))
 _DETERMINERS = frozenset(("DET", "A", "NUM", "NO", "SOME"))

@@ -9,18 +9,24 @@ from placegraph.language.grammar import Chunk
 from placegraph.language.text import Ignored, check_text
 from placegraph.outdoor.language.build import GraphBuilder
 from placegraph.outdoor.language.chunks import Chunker
-from placegraph.outdoor.language.clauses import cut_clauses
 from placegraph.outdoor.language.description import Description, find_conflicts
-from placegraph.outdoor.language.grammar import parse
+from placegraph.outdoor.language.grammar import cut_clauses, parse
 from placegraph.outdoor.language.language_model import LanguageModelDescriber
-from placegraph.outdoor.language.languages.recognise import UNKNOWN, Stretch, find_stretches
-from placegraph.outdoor.language.relations import NO_PLACE
-from placegraph.outdoor.language.scan import clean, find_labels, scan_any, scan_english
+from placegraph.outdoor.language.scan import (
+    UNKNOWN,
+    Stretch,
+    clean,
+    find_labels,
+    find_stretches,
+    scan_any,
+    scan_english,
+)
+from placegraph.outdoor.language.statements import NO_PLACE
 from placegraph.outdoor.language.words import NameFinder, Words, normalise, tokens
 
 if TYPE_CHECKING:
     from placegraph.outdoor.language.languages import Language
-    from placegraph.outdoor.language.relations import BlockLength
+    from placegraph.outdoor.language.statements import BlockLength
 
 __all__ = [
     "Describer",

@@ -11,8 +11,7 @@ from placegraph.language.grammar import Clause, PlacePhrase
 from placegraph.language.text import Ignored
 from placegraph.outdoor.language.description import LISTENER, SPEAKER, Direction, Relation
 from placegraph.outdoor.language.grammar import Item, Items, NounPhrase, Place
-from placegraph.outdoor.language.references import References
-from placegraph.outdoor.language.relations import (
+from placegraph.outdoor.language.statements import (
     LEGS,
     NO_MAP,
     NO_PLACE,
@@ -22,6 +21,7 @@ from placegraph.outdoor.language.relations import (
     BlockLength,
     ClauseContext,
     PlaceReader,
+    References,
 )
 from placegraph.outdoor.language.words import Words
 

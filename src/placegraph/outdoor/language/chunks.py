@@ -6,8 +6,7 @@ import re
 from dataclasses import replace
 
 from placegraph.language.grammar import Chunk
-from placegraph.language.measures import whole
-from placegraph.language.text import Terminal, Word
+from placegraph.language.text import Terminal, Word, whole
 from placegraph.outdoor.language.description import Sense
 from placegraph.outdoor.language.grammar import NounMeaning
 from placegraph.outdoor.language.languages import Language

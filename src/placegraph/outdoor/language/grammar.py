@@ -1,14 +1,17 @@
-"""The grammar at work: chunks of a clause become a `Clause`, or what of them can be understood (Eq. 3)."""
+"""Clauses: chunks with a settled meaning, cut at joints between finite verbs and parsed (Eq. 3)."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.resources import files
-from typing import Any, TypeAlias
+from math import pi
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 from placegraph.language.grammar import (
+    LONGEST_CLAUSE,
+    UNSURE,
     Chunk,
     Clause,
     IslandParser,
@@ -18,7 +21,326 @@ from placegraph.language.grammar import (
     build_with,
     negate,
 )
-from placegraph.outdoor.language.description import Sense
+from placegraph.language.text import Measure
+from placegraph.outdoor.language.description import LOOSE_SIGMA, SHARP_SIGMA, Direction, Sense
+
+if TYPE_CHECKING:
+    from placegraph.outdoor.language.languages import Language
+
+VERBS = frozenset(
+    ("BE", "EXISTS", "SEE", "HAVE", "MEET", "GO", "PASS", "CROSS", "FOLLOW", "REACH", "TOOFAR")
+)
+JOINTS = frozenset(("AND", "CUT", "COND"))
+NEXT_BLOCK = Measure.within(0.0, blocks=1.5)
+"""Greatest distance of things on "the next block"."""
+LOOSE = 0.8
+"""Certainty of a direction that is "mostly" so."""
+LEADS = frozenset(("ON", "IN", "AT", "TO", "FROM", "OF", "PREP"))
+_BEFORE_DIRECTION = ("DET", "MY", "YOUR", "ITS", "GO")
+_BEFORE_THING = frozenset(("DET", "THIS", "NAME", "MY", "YOUR", "A"))
+_DETERMINERS = frozenset(("DET", "THIS", "A", "ANOTHER", "NO", "NUM", "MY", "YOUR", "ITS"))
+_IN_THING = frozenset(("DET", "THIS", "A", "ANOTHER", "NUM", "WORD", "ADVERB"))
+_ENDS = frozenset(("NOUN", "NAME", "ME", "DIR", "HERE", "NEARBY"))
+"""What a place may end with: a thing that follows without a joint is what is there."""
+_OWNED = frozenset(("NOUN", "NAME", "WORD", "DIR", "PART", "NUM", ""))
+_RIGHT = Direction(pi / 2, facing=True)
+
+_STARTS = VERBS - {"BE", "SEE", "HAVE"}
+"""Verbs that open a clause of their own even without a joint before them."""
+_BEFORE_TARGET = frozenset(("AND", "COND", "PREP", "OF", "FROM", "BETWEEN"))
+"""What a person after them is no subject of, or joined to already: "next to it is a bank"."""
+_SUBJECTS = frozenset(("ME", "YOU", "IT", "SPOT", "THIS"))
+_GOVERNS = frozenset(("PREP", "OF", "FROM", "BETWEEN", "ACROSS", "IN", "ON", "AT", "TO", "WITH"))
+"""What makes a pronoun no subject of the verb behind it: "next to it is a bakery"."""
+
+
+class Part(NamedTuple):
+    """The chunks of one clause."""
+
+    chunks: list[Chunk]
+    certainty: float
+    opens: bool
+    """Whether it opens its sentence."""
+
+
+def cut_clauses(sentence: list[Chunk], language: Language) -> list[Part]:
+    """Cut the chunks of a sentence into clauses."""
+    chunks = list(settle_chunks(sentence, language))
+    verb_ahead, ahead = [False] * len(chunks), False
+    for i in range(len(chunks) - 1, -1, -1):  # a verb before the next joint
+        verb_ahead[i] = ahead
+        ahead = chunks[i].type in VERBS or (ahead and chunks[i].type not in JOINTS)
+    cutter = _Cutter()
+    for chunk, ahead in zip(chunks, verb_ahead, strict=True):
+        cutter.take(chunk, verb_ahead=ahead)
+    cutter.cut()
+    return cutter.parts
+
+
+class _Cutter:
+    """Collects the chunks of a clause until the next one begins."""
+
+    def __init__(self) -> None:
+        self.parts: list[Part] = []
+        self.current: list[Chunk] = []
+        self.certainty, self.has_verb = 1.0, False
+
+    def take(self, chunk: Chunk, *, verb_ahead: bool) -> None:
+        """Add the next chunk, or end the clause before it."""
+        kind = chunk.type
+        if kind == "UNSURE":
+            self.certainty = UNSURE
+        elif kind == "CUT" or (kind == "AND" and self.has_verb and verb_ahead):
+            self.cut()
+        elif kind == "AND":
+            if self.current and self.current[-1].type != "AND":
+                gives = chunk.words == ":" and not self.has_verb and not verb_ahead
+                self.current.append(replace(chunk, type="BE") if gives else chunk)
+                self.has_verb = self.has_verb or gives  # "north of me: a church"
+        else:
+            if kind == "COND" or len(self.current) >= LONGEST_CLAUSE:
+                self.cut()
+            crossing = kind == "CROSS" and any(c.type == "WHERE" for c in self.current[-6:])
+            if kind in VERBS and not crossing:
+                self._begin_verb(kind)
+            self.current.append(chunk)
+
+    def cut(self) -> None:
+        """End the clause."""
+        self._drop_joints()
+        if self.current:
+            self.parts.append(Part(self.current, self.certainty, not self.parts))
+        self.current, self.certainty, self.has_verb = [], 1.0, False
+
+    def _begin_verb(self, kind: str) -> None:
+        """Cut before a second verb, and separate its subject from the place before it."""
+        subject = None
+        before = self.current[-2].type if len(self.current) > 1 else ""
+        if self.current and self.current[-1].type in _SUBJECTS and before not in _GOVERNS:
+            subject = self.current.pop()
+        if self.has_verb and (subject is not None or kind in _STARTS):
+            self.cut()  # "head south | meet me at the park"
+        if kind in _STARTS or (kind == "BE" and subject is None):
+            self._drop_joints()  # "to the north, there is"
+        if subject is not None:
+            if self.current and self.current[-1].type not in _BEFORE_TARGET:
+                self.current.append(Chunk("AND", subject.start, subject.start))
+            self.current.append(subject)  # "north of here you see"
+        self.has_verb = True
+
+    def _drop_joints(self) -> None:
+        while self.current and self.current[-1].type == "AND":
+            self.current.pop()
+
+
+def settle_chunks(chunks: Sequence[Chunk], language: Language) -> Iterator[Chunk]:
+    """Decide what the ambiguous chunks of a sentence are; drop those that say nothing."""
+    before, hedge, hedged_at = "", "", 0
+    measured: Measure | None = None
+    for i, chunk in enumerate(chunks):
+        if chunk.type == "ADVERB":
+            if chunk.value in ("sharp", "loose"):
+                hedge, hedged_at = chunk.value, i
+            elif chunk.value == "unsure":
+                yield replace(chunk, type="UNSURE")
+            continue
+        if chunk.type == "DIST":
+            measured = chunk.value
+        counted = chunk.type == "NUM" and measured is not None and chunk.value
+        if measured and counted and _is_distance(before, chunks[i + 1 : i + 5]):
+            chunk.type, chunk.value = "DIST", measured.again(chunk.value)
+        ambiguous = chunk.type in _TYPES or chunk.type in _BY_REST
+        for settled in _settle(chunk, before, chunks[i + 1 :], language) if ambiguous else (chunk,):
+            if settled.type == "DIR" and hedge and i - hedged_at <= 2:
+                said: Direction = settled.value
+                settled.value = (
+                    said._replace(sigma=SHARP_SIGMA)
+                    if hedge == "sharp"
+                    else said._replace(sigma=LOOSE_SIGMA, certainty=LOOSE)
+                )
+                hedge = ""
+            before = settled.type
+            yield settled
+
+
+def _next_types(rest: Sequence[Chunk]) -> list[str]:
+    """Return the types of at most two next chunks that are no adverbs."""
+    return [chunk.type for chunk in rest[:4] if chunk.type != "ADVERB"][:2]
+
+
+def _is_distance(before: str, rest: Sequence[Chunk]) -> bool:
+    """Tell whether a number is a distance whose unit was said before: "then 4 north"."""
+    after = _next_types(rest)
+    if before == "DIR":
+        return not after or after[0] in JOINTS
+    return after[:1] == ["DIR"] and after[1:] not in (["OF"], ["PART"])
+
+
+_TYPES: dict[str, Callable[[Chunk, str, str], str | None]] = {
+    # "my right", "right of", "turn right", and the adverb of "right next to"
+    "RIGHT": lambda _, before, after: (
+        "DIR" if before in _BEFORE_DIRECTION or after in ("OF", "PART") else ""
+    ),
+    # "N" is north where it is a capital or stands before "of"
+    "SHORT": lambda chunk, _, after: "DIR" if chunk.capital or after == "OF" else "WORD",
+    # "the opposite"
+    "PREP": lambda chunk, before, _: (
+        "WORD" if chunk.value == "opposite" and before in ("DET", "A") else None
+    ),
+    # "over the road" is across the road, "head over to" is not
+    "ACROSS": lambda chunk, _, after: (
+        "" if chunk.words == "over" and after not in _BEFORE_THING else None
+    ),
+    # opens a sentence, or relates to the thing before
+    "THAT_IS": lambda _, before, __: "" if before else "THIS BE",
+    # "a garden that borders the lot"
+    "THIS": lambda chunk, before, _: (
+        "" if chunk.words == "that" and before in ("NOUN", "NAME") else None
+    ),
+    # ", with a bakery to my east" says that there is one
+    "WITH": lambda _, before, __: "EXISTS" if before in ("", *JOINTS) else None,
+    # "have gone too far", "we're having coffee at"
+    "HAVE": lambda _, before, after: "" if before == "BE" or after == "TOOFAR" else None,
+    # "I am walking along" says where one is, "I am walking north" which way one faces
+    "GO": lambda _, before, after: None if before != "BE" else "FACE" if after == "DIR" else "",
+    # "at it's end"
+    "IT": lambda chunk, before, _: "ITS" if chunk.words == "it's" and before in LEADS else None,
+    # "its next to a school"
+    "ITS": lambda chunk, before, after: (
+        "IT BE"
+        if chunk.words == "its" and before in ("", *JOINTS) and after not in _OWNED
+        else None
+    ),
+    # "at it's end", "you are too far", "I'm looking at", "where the bank is"
+    "BE": lambda chunk, before, after: (
+        ""
+        if (chunk.words == "it's" and before == "ITS") or after in ("TOOFAR", "SEE", "")
+        else None
+    ),
+}
+"""Types that an ambiguous chunk takes between its neighbours; none: it is dropped, None: it stays."""
+
+
+_BY_REST = frozenset(
+    ("WORD", "A", "ANOTHER", "OF", "ON", "IN", "AT", "TO", "WHERE", "NOT", "CALLED", "LETS")
+)
+"""Types of other chunks that are settled by what follows them."""
+
+
+def _settle(
+    chunk: Chunk, before: str, rest: Sequence[Chunk], language: Language
+) -> tuple[Chunk, ...]:
+    """Return what a chunk is between the type before and the chunks behind it."""
+    following = _next_types(rest)
+    after = following[0] if following else ""
+    if chunk.type == "PREP" and chunk.value == "particle":  # "down the street", "head down south"
+        return (replace(chunk, value="along"),) if after in _BEFORE_THING else ()
+    if chunk.type in _TYPES:
+        types = _TYPES[chunk.type](chunk, before, after)
+        if types is None:
+            return (chunk,)
+        value = _RIGHT if chunk.type == "RIGHT" else chunk.value
+        return tuple([replace(chunk, type=kind, value=value) for kind in types.split()])
+    match chunk.type:
+        case "WORD":
+            return (_settle_word(chunk, before, after, language),)
+        case "A" | "ANOTHER" | "OF":
+            return _settle_article(chunk, before, following)
+        case "ON" | "IN" | "AT":
+            return (_settle_block(chunk, rest),)
+        case "TO" if rest and rest[0].type in VERBS and before:
+            return (replace(chunk, type="CUT"),)  # "to meet me"
+        case "WHERE" | "NOT" | "CALLED" | "LETS":
+            return _settle_by_rest(chunk, rest, after)
+    return (chunk,)
+
+
+def _settle_word(chunk: Chunk, before: str, after: str, language: Language) -> Chunk:
+    """Mend a misspelt direction where only one can stand; set aside an unknown verb."""
+    if after in ("OF", "PART") or before in _BEFORE_DIRECTION:
+        direction = mend_direction(chunk.words, language, certain=after == "OF")
+        if direction is not None:
+            return replace(chunk, type="DIR", value=direction)
+    unknown_verb = after in _DETERMINERS and before not in _DETERMINERS
+    return replace(chunk, type="JUNK") if unknown_verb else chunk
+
+
+def _settle_article(chunk: Chunk, before: str, after: list[str]) -> tuple[Chunk, ...]:
+    """Drop what stands before a measure: "a 2 minute walk", "for another 5 m", "a bit south of"."""
+    if chunk.type == "A" and before in _ENDS and after[:1] in (["NOUN"], ["NAME"], ["WORD"]):
+        return (replace(chunk, type="EXISTS"), chunk)  # "next to me a bank, to the north a park"
+    measured = after[:1] == ["DIST"] or (chunk.type == "OF" and after == ["ANOTHER", "DIST"])
+    return () if measured or (chunk.type == "A" and after == ["DIR", "OF"]) else (chunk,)
+
+
+def _settle_block(chunk: Chunk, rest: Sequence[Chunk]) -> Chunk:
+    """Take "on the next block north" as that far to the north: no map draws a block."""
+    for i, other in enumerate(rest[:-1]):
+        if other.type == "PART" and other.value == "block" and rest[i + 1].type == "DIR":
+            _skip(rest[: i + 1])
+            return replace(chunk, type="DIST", value=NEXT_BLOCK)
+        if other.type not in _IN_THING:
+            break
+    return chunk
+
+
+def _settle_by_rest(chunk: Chunk, rest: Sequence[Chunk], after: str) -> tuple[Chunk, ...]:
+    """Settle "where", "not", "called" and "let's" by what follows them."""
+    if chunk.type == "WHERE":  # "where A meets B" is a place, any other "where" opens a clause
+        kinds = [other.type for other in rest[:6]]
+        end = next((i for i, kind in enumerate(kinds) if kind in JOINTS), len(kinds))
+        return (chunk,) if "CROSS" in kinds[:end] else (replace(chunk, type="CUT"),)
+    if chunk.type == "NOT":  # the verb of "do not see" is negated
+        verb = next((other for other in rest[:3] if other.type != "ADVERB"), None)
+        if verb is None or verb.type not in ("SEE", "HAVE"):
+            return (chunk,)
+        verb.value = "NOT"
+        return ()
+    if chunk.type == "CALLED":  # "a bar called The Fox": the name follows its noun
+        if [other.type for other in rest[:2]] == ["DET", "NAME"]:
+            _skip(rest[:1])
+        return ()
+    if not rest or after in VERBS - {"HAVE"}:  # "let's have a drink at the bar"
+        return ()
+    place = _find_place(rest)
+    if place == len(rest):
+        return ()
+    _skip(rest[:place])  # "let's get some paint at the store" is meeting at the store
+    return (replace(chunk, type="MEET"),)
+
+
+def _find_place(rest: Sequence[Chunk]) -> int:
+    """Return where the place of "let's ..." begins; the number of chunks if there is none."""
+    place = len(rest)
+    for i, other in enumerate(rest):
+        if other.type in JOINTS:
+            break
+        leads = other.type in ("AT", "IN", "ON", "DET", "THIS")  # "let's visit the museum"
+        if leads or (other.type == "PREP" and other.value == "near"):
+            return i
+        if other.type in _DETERMINERS and place == len(rest):
+            place = i
+    return place
+
+
+def _skip(chunks: Sequence[Chunk]) -> None:
+    for chunk in chunks:
+        chunk.type, chunk.value = "ADVERB", "skip"
+
+
+@lru_cache(maxsize=4096)
+def mend_direction(word: str, language: Language, *, certain: bool) -> Direction | None:
+    """Return the direction that a misspelt word means, or None; short words need to be `certain`."""
+    from rapidfuzz import process
+    from rapidfuzz.distance import OSA
+
+    compass = language.compass
+    if len(word) < 4 or word in language.lists["no_compass"]:
+        return None
+    found = process.extractOne(word, compass.keys(), scorer=OSA.distance, score_cutoff=1)
+    if found is None or (len(word) < 5 and not certain and sorted(word) != sorted(found[0])):
+        return None
+    return compass[found[0]]
 
 
 @dataclass(slots=True)
@@ -57,7 +379,6 @@ class NounPhrase:
 Place: TypeAlias = PlacePhrase[NounPhrase]
 Item: TypeAlias = NounPhrase | Place
 Items: TypeAlias = tuple[Item, ...]
-_DETERMINERS = ("DET", "THIS", "A", "ANOTHER", "NO", "NUM", "MY", "YOUR", "ITS")
 _SKIPPED = ("WORD", "JUNK", "AND", "TO", "NOT")
 """Chunks that may be left out where the grammar expects something else."""
 

@@ -13,8 +13,8 @@ from itertools import pairwise
 from math import pi
 
 from placegraph.language.grammar import Chunk
-from placegraph.outdoor.language.clauses import JOINTS, VERBS
 from placegraph.outdoor.language.description import Direction
+from placegraph.outdoor.language.grammar import JOINTS, VERBS
 from placegraph.outdoor.language.languages import Language
 from placegraph.outdoor.language.words import tokens
 

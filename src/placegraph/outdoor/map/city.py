@@ -17,17 +17,18 @@ from placegraph.core.pickling import PickleFields
 from placegraph.errors import OptionError
 from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.map.cells import Cells, Grid, VisibleObjects, cell_graph, find_occupied
-from placegraph.outdoor.map.index import ViewIndex, index_in
-from placegraph.outdoor.map.index_kernels import looks
-from placegraph.outdoor.map.index_write import (
+from placegraph.outdoor.map.index import (
     LARGE,
     MAPPED,
     WORTH,
     Core,
     SightTotals,
+    ViewIndex,
+    index_in,
     name_columns,
     tokens_of,
 )
+from placegraph.outdoor.map.index_kernels import looks
 from placegraph.outdoor.map.names import NameIndex
 from placegraph.outdoor.map.objects import (
     AREA,

@@ -25,7 +25,7 @@ from placegraph.io.osm.osm import LINE, POINT, LeftOut, OsmColumns, OsmElement, 
 from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.map.cells import EACH, MOST
 from placegraph.outdoor.map.geometry_kernels import along_curve
-from placegraph.outdoor.map.index_write import STRIDE
+from placegraph.outdoor.map.index import STRIDE
 from placegraph.outdoor.map.objects import AREA, GRAIN, CityObjects, centers, simplify
 
 if TYPE_CHECKING:

@@ -21,8 +21,7 @@ from placegraph.outdoor.language.description import LISTENER, Description, Relat
 from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.likelihood.query import Query, Words, compile_query, ends, standing_at
 from placegraph.outdoor.map.city import City
-from placegraph.outdoor.map.index import REACH, ViewIndex
-from placegraph.outdoor.map.index_write import STRIDE
+from placegraph.outdoor.map.index import REACH, STRIDE, ViewIndex
 from placegraph.outdoor.map.names import NameIndex
 from placegraph.outdoor.network.network import EncodedCity, EncodedText
 from placegraph.outdoor.search.ask import Answer

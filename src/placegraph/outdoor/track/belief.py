@@ -25,8 +25,7 @@ from placegraph.outdoor.likelihood.bound_kernels import promising_views
 from placegraph.outdoor.likelihood.match_kernels import HOPELESS, distant, score_views
 from placegraph.outdoor.likelihood.query import Query
 from placegraph.outdoor.map.city import City
-from placegraph.outdoor.map.index import ViewIndex
-from placegraph.outdoor.map.index_write import STRIDE
+from placegraph.outdoor.map.index import STRIDE, ViewIndex
 from placegraph.outdoor.search.answer import find_evidence
 from placegraph.outdoor.search.candidates import FAR_CANDIDATES, find_around_far
 from placegraph.outdoor.search.posterior import (

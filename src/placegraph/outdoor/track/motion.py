@@ -11,8 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from math import pi, radians
 
-from placegraph.language.measures import MEASURE, metres
-from placegraph.language.text import Word
+from placegraph.language.text import MEASURE, Word, metres
 from placegraph.outdoor.language.description import LOOSE_SIGMA, SHARP_SIGMA
 from placegraph.outdoor.language.languages import english
 from placegraph.outdoor.language.scan import scan_english

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from placegraph.core.geo import bounds, held
 from placegraph.core.geometry import LocalPlane
 from placegraph.outdoor.likelihood.query import Far, MentionTokens
-from placegraph.outdoor.map.index import REACH
-from placegraph.outdoor.map.index_write import STRIDE
+from placegraph.outdoor.map.index import REACH, STRIDE
 from placegraph.outdoor.map.objects import Blocks, CityObjects, columns_of, index_of
 from placegraph.outdoor.search.answer import find_evidence
 from placegraph.outdoor.search.candidates import MOST_CANDIDATES, Candidates, find_candidates

@@ -40,7 +40,7 @@ from placegraph.core.mapfile import (
     write_map,
 )
 from placegraph.errors import InputError, MapError, OptionError, PlacegraphError
-from placegraph.outdoor.map.index_write import Core
+from placegraph.outdoor.map.index import Core
 from placegraph.outdoor.map.names import CROWDED, LONGEST, NameIndex, is_alphabetic, spoken, stems
 from placegraph_scale.folder import SHARDS, WORDS, ShardFile, WorldFile, digest_of
 

@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from placegraph.errors import InputError, OptionError
-from placegraph.language.measures import COUNTS
-from placegraph.language.text import Phrases, Terminal, fold_case
+from placegraph.language.text import COUNTS, Phrases, Terminal, fold_case
 from placegraph.outdoor.language.description import CARDINAL_SIGMA, DIAGONAL_SIGMA, Direction
 from placegraph.outdoor.language.words import folded
 
