@@ -88,7 +88,6 @@ class Journal:
         return len(self._rows)
 
     def missing(self, keys: Iterable[str]) -> list[int]:
-        """Places of the keys of which there is no row yet."""
         return [i for i, key in enumerate(keys) if key not in self]
 
     def filled(
@@ -112,7 +111,6 @@ class Journal:
         return [self[key] for key in keys]
 
     def put(self, key: str, row: Any) -> None:  # noqa: ANN401  # anything JSON holds
-        """Write a row down, now."""
         line = json.dumps({"key": key, "row": row}, allow_nan=False)
         with self.path.open("a", encoding="utf-8") as file:
             file.write(line + "\n")
@@ -236,7 +234,6 @@ LAB = Path(__file__).parents[3]  # folder of the lab in the repository
 
 
 def option(text: str, *flags: str) -> Any:  # noqa: ANN401
-    """Describe an option of a table."""
     return typer.Option(*flags, help=text)
 
 
@@ -260,35 +257,28 @@ class Run:
 
     @property
     def data(self) -> Path:
-        """House, office, `osm` and `text`."""
         return self.shared / "data"
 
     @property
     def osm(self) -> Path:
-        """Extracts of OpenStreetMap."""
         return self.data / "osm"
 
     @cached_property
     def console(self) -> Console:
-        """Of the person who waits: stderr."""
         return Console(file=bare(sys.stderr))
 
     def say(self, text: str) -> None:
-        """Tell the person who waits."""
         typer.echo(text, err=True)
 
     def progress(self) -> Progress:
-        """Bars that vanish when they are full."""
         return Progress(console=self.console, transient=True)
 
     def track(
         self, items: Iterable[Item], title: str = "", total: float | None = None
     ) -> Iterable[Item]:
-        """Items, with a bar."""
         return track(items, title, total=total, console=self.console, transient=True)
 
     def one_core(self) -> None:
-        """Use one core from here on, where the system can say so."""
         if hasattr(os, "sched_setaffinity"):
             os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
 
@@ -325,12 +315,10 @@ class Table:
 
     @property
     def name(self) -> str:
-        """As on the command line."""
         return self.measure.__name__
 
     @property
     def asks(self) -> str:
-        """What it measures, in a sentence."""
         return (inspect.getdoc(self.measure) or "").partition("\n")[0]
 
     def app(self) -> typer.Typer:
@@ -359,7 +347,6 @@ def table(paper: str = "") -> Callable[[Callable[..., None]], Table]:
 
 
 def names() -> list[str]:
-    """Names of all tables: of their modules, and those that a module numbers."""
     modules = sorted(m.name for m in pkgutil.iter_modules(named.__path__))
     counts = {m: named.NUMBERED.get(m, 0) for m in modules}
     return [name for m, n in counts.items() for name in ([f"{m}-{i + 1}" for i in range(n)] or [m])]
@@ -375,7 +362,6 @@ def load(name: str) -> Table:
 
 
 def parts(text: str, mark: str = ",") -> list[str]:
-    """What stands between marks."""
     return [part.strip() for part in text.split(mark) if part.strip()]
 
 
@@ -399,7 +385,6 @@ def _shared(
 
 
 def _commit() -> str:
-    """Commit of the code; empty outside a repository."""
     command = ["git", "-C", str(LAB), "describe", "--always", "--dirty", "--abbrev=12"]
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=True)  # noqa: S603

@@ -71,7 +71,6 @@ class Reliability:
 
     @property
     def error(self) -> float:
-        """Expected calibration error: mean of |accuracy - confidence|, weighted by count."""
         gap = np.abs(self.accuracy - self.confidence)
         return float(np.average(gap, weights=self.count))
 

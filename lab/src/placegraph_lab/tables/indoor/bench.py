@@ -138,7 +138,6 @@ class NoisyLabels:
         return np.where(wrong[:, None], other, flat).reshape(clean.shape)
 
     def camera(self, image: Frame) -> Camera:
-        """Camera whose image the grid divides."""
         return self.encoder.camera(image)
 
     def objects(self, scene: Scene, captures: Sequence[Capture] = ()) -> NDArray[np.float32]:
@@ -188,21 +187,17 @@ class Job:
 
     @property
     def name(self) -> str:
-        """`instances: semantic + depth`."""
         return f"{self.table}: {self.row}"
 
     @property
     def place(self) -> str:
-        """Whose windows are asked."""
         return self.table
 
     def key(self, window: Window, seed: int, code: str) -> str:
-        """Name all that an answer depends on."""
         options = hashlib.sha256(repr(self.options).encode()).hexdigest()[:12]
         return f"{code} {self.map} {self.labels} {options} seed {seed} {window.name}"
 
     def fields(self) -> dict[str, Any]:
-        """Return what is written of the row beside its score."""
         told = {k: getattr(self, k) for k in ("table", "row", "map", "labels")}
         return told | {"options": repr(self.options)}
 
@@ -225,7 +220,6 @@ def house_jobs() -> list[Job]:
 
 
 def office_jobs() -> list[Job]:
-    """Return rows without labels: depth and colour, and each alone."""
     return [
         Job(half, row, PoseSearchOptions().only(**terms), half, "none")
         for half in HALVES
@@ -270,7 +264,6 @@ def encoder_of(job: Job, scene: SceneMap, window: Window, seed: int) -> MapEncod
 def ask(
     job: Job, scene: SceneMap, window: Window, *, seed: int = 0, device: str = "auto"
 ) -> Answer:
-    """Localize a window, without refining, and measure the answer."""
     encoder = encoder_of(job, scene, window, seed)
     return answered(scene, window, encoder, job.options, seed=seed, device=device)
 

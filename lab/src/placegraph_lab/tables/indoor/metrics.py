@@ -104,15 +104,12 @@ class Answer:
 
     @property
     def answered(self) -> bool:
-        """Whether there is a pose."""
         return math.isfinite(self.position)
 
     def within(self, metres: float, degrees: float) -> bool:
-        """Whether the best pose is that near to the truth."""
         return self.position <= metres and self.rotation <= degrees
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers, ready for `json.dumps`; infinity and nan become None."""
         row = asdict(self) | {"whitened": [rounded(w, 3) for w in self.whitened]}
         digits = {"coverage": 3, "position": 4, "rotation": 3, "probability": 4, "seconds": 4}
         for name, places in (digits | {"particles": 0}).items():
@@ -121,7 +118,6 @@ class Answer:
 
     @classmethod
     def from_dict(cls, row: dict[str, Any]) -> Answer:
-        """What `to_dict` wrote."""
         lost = row["position"] is None
         return cls(
             **row
@@ -197,7 +193,6 @@ class Score:
     """Windows whose answers are wrong, farthest first: `seq01 13:18 OK 14.1 m 179 deg`."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and strings, ready for `json.dumps`; infinity and nan become None."""
         return {
             "windows": self.windows,
             "mean_position_m": rounded(self.mean[0], 4),
@@ -255,7 +250,6 @@ def score(answers: Sequence[Answer]) -> Score:
 
 
 def is_honest(answer: Answer) -> bool:
-    """Whether the status says what the answer is worth."""
     right = answer.within(*NEAR)
     if answer.status == "OK":
         return right
@@ -263,7 +257,6 @@ def is_honest(answer: Answer) -> bool:
 
 
 def wrong_ones(answers: Iterable[Answer]) -> list[str]:
-    """One line for every answer with a pose that is not near the truth, farthest first."""
     wrong = [a for a in answers if a.answered and not a.within(*NEAR)]
     return [
         f"{a.window} {a.status} {a.position:.2f} m {a.rotation:.0f} deg"

@@ -60,7 +60,6 @@ class Shot:
 
     @property
     def name(self) -> str:
-        """`seq01 5:15`."""
         step = f":{self.rows[1] - self.rows[0]}" if len(self.rows) > 1 else ""
         whole = "" if step == ":1" else step
         return f"{self.recording.name} {self.rows[0]}:{self.rows[-1] + 1}{whole}"

@@ -155,22 +155,18 @@ class Refined:
 
     @property
     def harmful(self) -> bool:
-        """Whether the pose is worse than it was, by more than `WORSE` in either error."""
         return worse((self.after.position, self.after.rotation), self.before)
 
     @property
     def wrongly_refused(self) -> bool:
-        """Whether the refused pose was better, in one error by more than `WORSE`, in none worse."""
         if self.accepted is not False or self.candidate is None:
             return False
         return worse(self.before, self.candidate) and not worse(self.candidate, self.before)
 
     def within(self, metres: float, degrees: float) -> bool:
-        """Whether the pose before was that near to the truth."""
         return self.before[0] <= metres and self.before[1] <= degrees
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain numbers, ready for `json.dumps`; infinity and nan become None."""
         both = {"before": self.before, "candidate": self.candidate}
         row = {
             name: None if pair is None else [rounded(pair[0], 4), rounded(pair[1], 3)]
@@ -186,7 +182,6 @@ class Refined:
 
     @classmethod
     def from_dict(cls, row: dict[str, Any]) -> Refined:
-        """Read what `to_dict` wrote."""
         both = {
             k: None if row[k] is None else (math.inf if row[k][0] is None else row[k][0],
                                             180.0 if row[k][1] is None else row[k][1])
@@ -197,7 +192,6 @@ class Refined:
 
 
 def worse(one: Errors, other: Errors) -> bool:
-    """Whether errors are larger than others by more than `WORSE`, in position or rotation."""
     return one[0] > other[0] + WORSE[0] or one[1] > other[1] + WORSE[1]
 
 
@@ -263,7 +257,6 @@ class Side:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain numbers, ready for `json.dumps`."""
         return {
             "mean_position_m": rounded(self.mean[0], 4),
             "mean_rotation_deg": rounded(self.mean[1], 3),
@@ -292,7 +285,6 @@ class RefineScore:
     worst: tuple[str, ...]  # harmful ones, farthest first
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain numbers and strings, ready for `json.dumps`; infinity and nan become None."""
         shares = ("accepted", "harmful", "wrongly_refused", "seconds", "refine_seconds")
         return {
             "windows": self.windows,
@@ -399,38 +391,31 @@ class RefineJob:
 
     @property
     def name(self) -> str:
-        """`house found: all, sift`."""
         return f"{self.place} {self.start}: {self.row}"
 
     @property
     def row(self) -> str:
-        """`all, sift`."""
         return f"{self.seen}, {self.by}"
 
     @property
     def depth(self) -> bool:
-        """Whether the capture has depth."""
         return self.coarse.options.depth if self.coarse else self.seen == "depth"
 
     @property
     def matcher(self) -> str:
-        """Word for the matcher."""
         return "auto" if self.by == "none" else self.by.removesuffix(PAPER)
 
     @property
     def options(self) -> RefineOptions:
-        """How to refine: a matcher that is named takes part even where depth would do."""
         if self.by.endswith(PAPER):
             return RefineOptions.paper()
         return RefineOptions(images="auto" if self.by == "auto" else self.by != "none")
 
     def key(self, window: Window, seed: int, code: str) -> str:
-        """Name all that an answer depends on."""
         coarse = self.coarse.key(window, seed, code) if self.coarse else f"{code} {window.name}"
         return f"{coarse} seed {seed} {self.name} depth {self.depth} {self.options}"
 
     def fields(self) -> dict[str, Any]:
-        """Return what is written of the row beside its score."""
         return {k: getattr(self, k) for k in ("place", "start", "row", "depth", "by")}
 
 

@@ -15,7 +15,6 @@ from placegraph_lab.tables.runner import INDOOR, Run, code_key, markdown, number
 
 
 def is_covered(answer: Answer) -> bool:
-    """Whether the map holds enough of the window's last frame."""
     return answer.coverage is not None and answer.coverage >= COVERED
 
 
@@ -39,7 +38,6 @@ class Row:
 
     @cached_property
     def score(self) -> Any:  # noqa: ANN401  # what `summarize` returns
-        """Summary of all results."""
         return self.summarize(self.results)
 
     def part(self, keep: Callable[[Answer], object]) -> Any:  # noqa: ANN401
@@ -49,15 +47,12 @@ class Row:
 
     @property
     def places(self) -> list[str]:
-        """Sequences and halves of the results."""
         return sorted({getattr(r, "after", r).place for r in self.results})
 
     def at(self, place: str) -> Any:  # noqa: ANN401
-        """Summarize the results of one place."""
         return self.part(lambda a: a.place == place)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain numbers and strings, ready for `json.dumps`."""
         parts = {name: self.part(keep) for name, keep in PARTS.items()}
         if len(self.places) > 1:
             parts |= {place: self.at(place) for place in self.places}
@@ -113,7 +108,6 @@ def errors(pair: Sequence[float | None] | None) -> str:
 
 
 def by_job(rows: Iterable[Row]) -> list[tuple[Any, dict[int, Row]]]:
-    """Group rows by job and length, in order."""
     found: dict[Any, dict[int, Row]] = {}
     for row in rows:
         found.setdefault(row.job, {})[row.length] = row

@@ -64,21 +64,17 @@ class Told:
 
     @property
     def right(self) -> bool:
-        """Whether the pose is what `OK` promises."""
         return self.within(*NEAR)
 
     def within(self, metres: float, degrees: float) -> bool:
-        """Whether the best pose is that near to the truth."""
         return self.position <= metres and self.rotation <= degrees
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers, ready for `json.dumps`; infinity and nan become None."""
         digits = {"position": 4, "rotation": 3, "milliseconds": 2}
         return asdict(self) | {k: rounded(getattr(self, k), n) for k, n in digits.items()}
 
     @classmethod
     def from_dict(cls, row: dict[str, Any]) -> Told:
-        """What `to_dict` wrote."""
         empty = {"position": math.inf, "rotation": math.inf, "milliseconds": math.nan}
         return cls(**row | {k: v for k, v in empty.items() if row[k] is None})
 
@@ -92,7 +88,6 @@ class Places:
         self._maps: dict[str, SceneMap] = {}
 
     def scene(self, name: str) -> SceneMap:
-        """Map of the house, or of a part of a recording: `house`, `office 0:186`."""
         if name not in self._maps:
             if len(self._maps) > 2:
                 self._maps.pop(next(iter(self._maps)))
@@ -112,7 +107,6 @@ class Places:
         return SceneMap.open(path)
 
     def recordings(self, name: str) -> dict[str, list[Recording]]:
-        """What is asked of a set, by the map that it is asked in."""
         if name == "house":
             world = cache(partial(self._made, "house", "full"))
             folders = sorted((self.data / "house").glob("seq[0-9]*"))
@@ -138,7 +132,6 @@ class Places:
         return found
 
     def _turning(self) -> dict[str, list[Recording]]:
-        """freiburg1_rpy has no odometry: it is made of the truth, in a frame of its own, and drifts."""
         capture = open_capture(self.data / "freiburg1_rpy")
         rng = np.random.default_rng(_RPY_SEED)
         found = {}
@@ -256,7 +249,6 @@ class Case:
 
     @property
     def name(self) -> str:
-        """`house: drift 1° a frame`."""
         return f"{self.set}: {self.family} {self.told}".rstrip()
 
 
@@ -271,7 +263,6 @@ class Family:
     sets: tuple[str, ...] = SETS
 
     def cases(self) -> list[Case]:
-        """Rows of all sets."""
         return [
             Case(of, self.name, strength, f"{strength:+g}{self.unit}".lstrip("+"), self.make)
             for of in self.sets

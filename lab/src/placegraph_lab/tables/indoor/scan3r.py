@@ -54,7 +54,6 @@ class ScanPair:
 
     @property
     def name(self) -> str:
-        """`ddc73793 in 0cac7578`."""
         return f"{self.query.partition('-')[0]} in {self.map.partition('-')[0]}"
 
 
@@ -208,7 +207,6 @@ def candidates(pair: ScanPair, rooms: Sequence[Room], count: int, rng: Generator
 
 
 def scan_folder(root: Path, scan: str) -> Path:
-    """Folder of a scan: `root/<scan>`, or `root/scenes/<scan>` as SceneGraphLoc has it."""
     found = next((p for p in (root / scan, root / "scenes" / scan) if p.is_dir()), None)
     if found is None:
         raise InputError(f"{root} holds no scan {scan}; download it there.")

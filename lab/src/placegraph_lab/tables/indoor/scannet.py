@@ -102,7 +102,6 @@ class ScanPair:
 
     @property
     def name(self) -> str:
-        """`scene0011_01 in scene0011_00`."""
         return f"{self.query} in {self.map}"
 
 

@@ -85,7 +85,6 @@ class Set:
 
     @cached_property
     def longest(self) -> int:
-        """Frames of the longest walk."""
         return self.frames or max((len(walk.open()[0]) for walk in self.walks), default=0)
 
     def windows(
@@ -106,14 +105,12 @@ class Set:
 def _thinned(
     pairs: list[tuple[Walk, Window]], frames: int, length: int
 ) -> list[tuple[Walk, Window]]:
-    """As many windows as are asked for, drawn; those of fewer are among those of more."""
     most = max(1, frames // length) if frames else len(pairs)
     drawn = np.random.default_rng(0).permutation(len(pairs))[:most]
     return [pairs[i] for i in sorted(drawn.tolist())]
 
 
 def kept(scene: Callable[[str], SceneMap]) -> Callable[[str], SceneMap]:
-    """The same, the last dozen maps kept in memory."""
     return lru_cache(maxsize=12)(scene)
 
 
@@ -163,8 +160,6 @@ def of_freiburg(data: Path, cache: Path) -> Set:
 def _halves(
     folder: Path, cache: Path, spans: dict[str, slice], floor: float | None = None
 ) -> Callable[[str], SceneMap]:
-    """Maps of parts of a capture, cut into objects, as users make them."""
-
     def scene(half: str) -> SceneMap:
         span = spans[half]
         path = place(cache, f"{folder.name}_objects_{span.start}_{span.stop}")
@@ -205,7 +200,6 @@ def of_homes(cache: Path, walked: int = WALKED, frames: int = FRAMES) -> Set:
 
 
 def _recorded(path: Path, rows: slice = slice(None)) -> tuple[Capture, Floats]:
-    """Frames of a capture's folder, and the truth that lies there, or is its odometry."""
     capture = open_capture(path)
     truth = true_poses(path) if (path / "trajectory.tum").exists() else capture.odometry
     return capture[rows], truth[rows]
@@ -340,8 +334,6 @@ def recipes() -> dict[str, Recipe]:
 
 @dataclass(frozen=True)
 class Reply:
-    """What a recipe answered about a window."""
-
     filter: Answer  # of the filter alone; its seconds are the filter's
     whole: Answer  # after refinement, where there is any
     refining: float  # [s]
@@ -349,15 +341,12 @@ class Reply:
 
     @classmethod
     def from_dict(cls, row: dict[str, Any]) -> Reply:
-        """What `Asking.ask` wrote."""
         both = {name: Answer.from_dict(row[name]) for name in ("filter", "whole")}
         return cls(**row | both)
 
 
 @dataclass(frozen=True)
 class How:
-    """What is the same in all rows of a table."""
-
     frames: int  # most frames asked of a set, a state and a length; 0: all
     encoder: str
     matcher: str
@@ -407,7 +396,6 @@ class Asking:
         return [Reply.from_dict(row) for row in self.journal.filled(keys, ask)]
 
     def _placed(self, of: Set, walk: Walk, window: Window, merged: int) -> tuple[SceneMap, Window]:
-        """A window's map, and the window; or that map beside others in one, and the window there."""
         if merged == 1:
             return of.scene(walk.map), window
         names = group(of, walk.map, merged)
@@ -450,7 +438,6 @@ class Asking:
         return self.encoder(of, scene, window)
 
     def encoder(self, of: Set, scene: SceneMap, window: Window) -> MapEncoder:
-        """What patches show of a map: 30 % wrong where frames bring labels, or said of images."""
         if of.own_ids and not self.how.encoder:
             return NoisyEncoder(InstancesEncoder(scene), seed=self.how.seed, name=window.place)
         its = self.unbound(window)
@@ -458,7 +445,6 @@ class Asking:
         return BoundEncoder(its, known)
 
     def unbound(self, window: Window) -> Encoder:
-        """The same of any map, but where images bring ids of a map's own objects."""
         if self.how.encoder or window.capture.label_kind != "labels":
             return encoder(self.how.encoder or IMAGES)
         words = window.capture.label_names.values()
@@ -473,12 +459,10 @@ def _measured(estimate: PoseEstimate, window: Window, seconds: float) -> dict[st
 
 
 def _keyframes(window: Window, step: int) -> Window:
-    """The same window of every `step`-th frame, the last one among them."""
     return replace(window, capture=window.capture[(len(window.capture) - 1) % step :: step])
 
 
 def merged_scenes(of: Set, names: tuple[str, ...]) -> SceneMap:
-    """One map of several of a set."""
     return merge_scenes({name: of.scene(name) for name in names})
 
 

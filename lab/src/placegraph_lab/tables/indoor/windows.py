@@ -56,20 +56,17 @@ class Window:
 
     @property
     def name(self) -> str:
-        """`seq01 5:10`: the sequence and the rows of its frames."""
         rows = [frame.index for frame in self.capture]
         step = f":{rows[1] - rows[0]}" if len(rows) > 1 and rows[1] - rows[0] > 1 else ""
         return f"{self.place} {rows[0]}:{rows[-1] + 1}{step}"
 
     @property
     def told(self) -> dict[str, Any]:
-        """What an `Answer` says of the window."""
         found = {k: getattr(self, k) for k in ("place", "changed", "coverage")}
         return found | {"window": self.name, "frames": len(self.capture)}
 
 
 def starts(count: int, length: int, every: int = EVERY, more: Sequence[int] = ()) -> list[int]:
-    """First frames of windows of `length` among `count` frames, ascending."""
     last = count - length
     return sorted({s for s in (*range(0, last + 1, every), *more) if 0 <= s <= last})
 
@@ -185,7 +182,6 @@ def drifting_windows(
 def _drifting(
     capture: Capture, truth: Floats, drift: tuple[float, float], rng: np.random.Generator
 ) -> Capture:
-    """Capture whose odometry leads nowhere near the map's axes, and drifts."""
     odometry = drifted(truth, rng, drift=drift[0], yaw_drift=drift[1])
     gravity = capture.gravity + TILT * rng.standard_normal(capture.gravity.shape)
     gravity /= np.linalg.norm(gravity, axis=1, keepdims=True)
@@ -238,7 +234,6 @@ def start_of(window: Window, seed: int) -> Floats:
 
 
 def without_depth(capture: Capture) -> Capture:
-    """The same frames as a camera sees them that measures no depth."""
     frames = tuple(replace(f, depth_camera=None, images=_Flat(f.images)) for f in capture)
     return replace(capture, frames=frames, depth_camera=None)
 

@@ -106,7 +106,6 @@ def scene_graph(
 
 
 def text_of(data: Kitti360Pose, pose: int) -> str:
-    """Text of a pose (row), as published: "The pose is north of a gray pole." and so on."""
     h, span = data.hints, data.poses.hints(pose)
     return " ".join(
         f"The pose is {DIRECTIONS[h.directions[i]]} of a {_thing(data, i)}."
@@ -138,7 +137,6 @@ def description_of(
 
 
 def parsed(data: Kitti360Pose, pose: int, *, names: Names | None = None) -> Description:
-    """The honest query graph, read from the text by our own parser in the data's own words."""
     from placegraph.outdoor.language import describe
 
     return describe(text_of(data, pose), vocabulary=_DataWords(names or Names(data)))
@@ -203,7 +201,6 @@ class _DataWords:
     def longest_match(
         self, tokens: Sequence[str], start: int = 0
     ) -> tuple[int, tuple[Sense, ...]] | None:
-        """Longest phrase that begins at `start`."""
         for n in range(min(self.most, len(tokens) - start), 0, -1):
             senses = self.senses(" ".join(tokens[start : start + n]))
             if senses:
@@ -211,12 +208,10 @@ class _DataWords:
         return None
 
     def closest(self, phrase: str, *, cutoff: float) -> tuple[str, float] | None:
-        """Nothing: the texts are not misspelt."""
         del phrase, cutoff
         return None
 
     def unknown(self, phrase: str) -> str:
-        """Say that a phrase is none of the data's labels."""
         return f"{phrase!r} is no label"
 
 

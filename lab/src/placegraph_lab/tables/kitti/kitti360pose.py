@@ -92,7 +92,6 @@ class Split:
         return self.data.cells.centers[self.cells]
 
     def graphs(self, names: Names) -> list[SceneGraph]:
-        """Scene graphs of the cells."""
         return [
             scene_graph(self.data, int(c), names=names, edge_distance=self.edge_distance)
             for c in self.cells
@@ -170,7 +169,6 @@ class Result:
     """Whether cells and texts were made from OpenStreetMap, not from the point cloud."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and strings, ready for `json.dumps`; infinity becomes None."""
         return {
             "split": self.split,
             "matcher": self.matcher,
@@ -246,7 +244,6 @@ def evaluate(
 
 
 def _best(scores: Floats, top: int) -> NDArray[np.int64]:
-    """Cells with the best scores, best first; those that nobody looked at are no answer."""
     order = np.argsort(-scores, kind="stable")[:top]
     return order[np.isfinite(scores[order])]
 
@@ -321,7 +318,6 @@ def size_table(data: Kitti360Pose, scene: str = "0003") -> str:
 
 
 def _grouped(results: Sequence[Result]) -> dict[str, dict[str, Result]]:
-    """Results by the title of their row, then by split."""
     grouped: dict[str, dict[str, Result]] = {}
     for r in results:
         reading = "the text" if r.reading == "honest" else "positions known"

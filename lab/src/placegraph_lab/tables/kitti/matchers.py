@@ -205,7 +205,6 @@ def _bearings(told: Sequence[Statement]) -> Floats:
 
 
 def _kind(data: Kitti360Pose, mention: Mention) -> tuple[str, str]:
-    """Label and colour that a mention's words speak of, empty where they do not."""
     words = mention.words.removeprefix("a ")
     label = max((x for x in data.labels if words.endswith(x)), key=len, default="")
     colour = words.removesuffix(label).strip()
@@ -282,7 +281,6 @@ class TripleBag:
 
 
 def _from_here(graph: SceneGraph, center: Floats) -> Iterator[Word]:
-    """Where a cell's centre lies, seen from its things; and that they are there."""
     for label, delta in zip(graph.labels, center - graph.positions[:, :2], strict=True):
         yield HERE, WINDS[int(relations(delta))], label
         yield HERE, "by", label
@@ -337,17 +335,14 @@ class Transformer:
 
     @cached_property
     def places(self) -> Any:  # noqa: ANN401  # `PlaceGraphs`
-        """The cells as the network reads them."""
         return places_of_graphs(self.graphs, self.centers)
 
     @cached_property
     def embeddings(self) -> Any:  # noqa: ANN401  # (K, D) float32
-        """Of all cells."""
         return self.network.embed_places(self.places)
 
     @cached_property
     def vectors(self) -> Any:  # noqa: ANN401  # (T, d) float32
-        """Of the cells' vocabulary."""
         return self.network.word_vectors(self.places.vocabulary)
 
     def scores(self, description: Description) -> Floats:
@@ -365,7 +360,6 @@ class Transformer:
         return total
 
     def _fits(self, texts: Any) -> Any:  # noqa: ANN401  # `TextGraphs`, `WordFits`
-        """Which of the cells' words are a text's own: here both sides call things alike."""
         from placegraph.outdoor.network.graphs import WordWeights, word_fits
 
         own = {word: row for row, word in enumerate(self.places.vocabulary)}

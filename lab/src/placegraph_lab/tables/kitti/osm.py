@@ -44,8 +44,6 @@ ON_TOP = 0.05  # nearer to a thing than this, a pose is on top of it [m]
 
 @dataclass(frozen=True)
 class Crop:
-    """How OpenStreetMap is cut."""
-
     reach: float = REACH  # things this near to a cell's centre are in it [m]
     sight: float = SIGHT  # things this near to a pose are spoken of [m]
     names: bool = True
@@ -98,7 +96,6 @@ def on_osm(data: Kitti360Pose, path: str | PathLike[str], crop: Crop | None = No
 
 
 def _framed(path: str | PathLike[str], points: Floats, reach: float) -> RawCity:
-    """What an extract holds around points (n, 2) of KITTI-360's frame, in that frame."""
     corners = np.stack([points.min(axis=0) - reach, points.max(axis=0) + reach])
     low, high = WORLD.to_lonlat(corners)
     try:
@@ -121,7 +118,6 @@ def _framed(path: str | PathLike[str], points: Floats, reach: float) -> RawCity:
 def _objects(
     data: Kitti360Pose, city: RawCity, around: Around, label: NDArray[np.int32]
 ) -> tuple[Cells, Objects]:
-    """Cells with what lies in them."""
     rows, counts = around.objects.astype(np.int64), np.diff(around.starts)
     owner = np.repeat(np.arange(len(counts)), counts)
     centers, half = data.cells.centers, 0.5 * data.cells.sizes
@@ -171,7 +167,6 @@ def _hints(
     label: NDArray[np.int32],
     best: tuple[Cells, Objects],
 ) -> tuple[Poses, Hints]:
-    """Poses that have enough in sight, and what is said of them: of the nearest things."""
     cells, objects = best
     kept, rows, closest, ids = [], [], [], []
     for pose, at in enumerate(data.poses.positions[:, :2]):

@@ -171,11 +171,9 @@ class OwnPairs:
 
     @property
     def score(self) -> Score:
-        """Recall, median error, calibration, statuses and times."""
         return score(self.answers)
 
     def to_dict(self, *, answers: bool = False) -> dict[str, Any]:
-        """Plain numbers and strings, ready for `json.dumps`; with every answer if wanted."""
         row = {"map": self.source, **self.score.to_dict(), "outside": list(self.outside)}
         del row["exact"]  # there is no grid but the map's own
         if answers:
@@ -279,7 +277,6 @@ def _ask(city: CityMap, told: Description, matcher: Matcher) -> Answer:
 
 
 def _covered(city: CityMap, told: Description) -> bool:
-    """Whether the place lies in the bounding box of the map's objects."""
     at = city.plane.to_plane((told.longitude, told.latitude))
     low, high = city.objects.points.min(axis=0), city.objects.points.max(axis=0)
     return bool(((low <= at) & (at <= high)).all())

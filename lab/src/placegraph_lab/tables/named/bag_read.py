@@ -53,7 +53,6 @@ class Row:
 
     @property
     def ratio(self) -> float:
-        """Of what is aimed at."""
         return self.messages / self.rosbags
 
 
@@ -173,7 +172,6 @@ def by_mcap(path: Path) -> int:
 
 
 def report(rows: list[Row]) -> str:
-    """Markdown: MB/s of each reader, and how many times the CPU time of `rosbags` ours takes."""
     cells = []
     for row in rows:
         speeds = [

@@ -52,7 +52,6 @@ class Guess:
 
 
 def guess(place: Floats | None, record: Record) -> Guess:
-    """Measure a baseline's place."""
     return Guess(np.inf if place is None else float(distances(place, *record.goal)[0]))
 
 
@@ -101,7 +100,6 @@ def summary(guesses: Sequence[Guess]) -> dict[str, Any]:
 
 
 def cells(row: dict[str, Any]) -> str:
-    """``.29/.47, 306 m``."""
     median = number(row["median_m"], 0, "m") if row["median_m"] is not None else "∞"
     return f"{shares([row['within_100_m'], row['within_250_m']])}, {median}"
 
@@ -149,7 +147,6 @@ def human_text(
 
 
 def line(name: str, row: dict[str, Any]) -> list[str]:
-    """Row of the table."""
     whole = row["all"]
     return [
         name,

@@ -29,21 +29,10 @@ from placegraph.indoor.refine.matching.matches import Features, mutual
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import open_capture
 from placegraph.io.capture.frame import Frame
+from placegraph_lab.tables import runner as lab
 from placegraph_lab.tables.indoor.maps import place
 from placegraph_lab.tables.indoor.metrics import NEAR, near, position_error, rotation_error
 from placegraph_lab.tables.indoor.windows import HALVES, true_poses
-from placegraph_lab.tables.runner import (
-    Quick,
-    Run,
-    Seed,
-    known,
-    markdown,
-    number,
-    option,
-    parts,
-    share,
-    table,
-)
 from placegraph_learn.xfeat import XFeatMatcher
 
 WORDS = 64  # of VLAD
@@ -76,7 +65,6 @@ class Peer:
 
     @property
     def megabytes(self) -> float:
-        """What the map's features, their points and the VLADs take, uncompressed."""
         count = sum(len(view.points) for view in self.views)
         return (count * self.bytes_a_feature + self.images.nbytes) / 1e6
 
@@ -204,7 +192,6 @@ def _triangulated(
     frames: Sequence[Frame],
     poses: Floats,
 ) -> tuple[Any, Any]:
-    """COLMAP's reconstruction of frames, and its open database."""
     names = [f"{t:06d}.png" for t in range(len(frames))]
     (folder / "images").mkdir()
     for name, frame in zip(names, frames, strict=True):
@@ -284,8 +271,6 @@ OURS = {
 
 @dataclass(frozen=True)
 class Answer:
-    """What became of one frame."""
-
     frame: int
     position: float  # error [m]; infinite of no pose
     rotation: float  # error [deg]; infinite of no pose
@@ -295,7 +280,6 @@ class Answer:
 
     @property
     def right(self) -> bool:
-        """Whether it lies within `LIMITS`."""
         return self.position <= LIMITS[0] and self.rotation <= LIMITS[1]
 
 
@@ -347,7 +331,6 @@ def rows_of(asked: Set, data: Path, cache: Path, weights: Path, count: int, seed
 
 
 def _scene(asked: Set, folder: Path, cache: Path) -> tuple[SceneMap, float, float]:
-    """Map with landmarks, its megabytes, and those of the landmarks."""
     made = asked.made
     name = f"{asked.folder}_{made.start}_{made.stop}_{made.step}_landmarks"
     path = place(cache, name)
@@ -389,8 +372,6 @@ def _answer(
 
 
 def to_dict(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """Plain numbers, ready for `json.dumps`; infinity becomes None."""
-
     def plain(answer: Answer) -> dict[str, Any]:
         values = asdict(answer)
         return {k: None if v == np.inf else v for k, v in values.items()}
@@ -406,17 +387,17 @@ def to_dict(rows: Sequence[Row]) -> list[dict[str, Any]]:
     ]
 
 
-@table()
+@lab.table()
 def indoor_colmap(
-    run: Run,
-    only: Annotated[str, option("Sets, with semicolons between.")] = "",
-    frames: Annotated[int, option("Single frames asked of each set.")] = 24,
-    seed: Seed = 0,
+    run: lab.Run,
+    only: Annotated[str, lab.option("Sets, with semicolons between.")] = "",
+    frames: Annotated[int, lab.option("Single frames asked of each set.")] = 24,
+    seed: lab.Seed = 0,
     *,
-    quick: Quick = False,
+    quick: lab.Quick = False,
 ) -> None:
     """How near do single frames come, beside COLMAP and XFeat? Centimetres, recall, MB, milliseconds."""
-    wanted = known(parts(only, ";"), [one.name for one in SETS], "set")
+    wanted = lab.known(lab.parts(only, ";"), [one.name for one in SETS], "set")
     rows: list[Row] = []
     for one in SETS:
         if one.name in wanted:
@@ -434,12 +415,12 @@ def indoor_colmap(
         middle = np.median(off, axis=0)
         lines.append([
             row.method,
-            f"{number(100 * middle[0], 1)} cm, {number(middle[1], 2)}°",
-            share(float(np.mean([a.right for a in told]))),
+            f"{lab.number(100 * middle[0], 1)} cm, {lab.number(middle[1], 2)}°",
+            lab.share(float(np.mean([a.right for a in told]))),
             f"{sum(a.sure for a in told)} of {len(told)}",
             str(sum(a.wrong for a in told)),
-            number(row.megabytes, 2),
-            number(float(np.median([a.milliseconds for a in told]))),
+            lab.number(row.megabytes, 2),
+            lab.number(float(np.median([a.milliseconds for a in told]))),
         ])  # fmt: skip
-    print(markdown(header, lines))
+    print(lab.markdown(header, lines))
     run.save({"rows": to_dict(rows)}, whole=not only)

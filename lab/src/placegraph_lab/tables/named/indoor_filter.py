@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Annotated, Any
 
+from placegraph_lab.tables import runner as lab
 from placegraph_lab.tables.indoor import bench as benches
 from placegraph_lab.tables.indoor.bench import Bench, Job, ask, chosen, house_jobs, office_jobs
 from placegraph_lab.tables.indoor.metrics import AXES, THRESHOLDS, Answer, Score, score
@@ -34,21 +35,6 @@ from placegraph_lab.tables.indoor.windows import (
     Window,
 )
 from placegraph_lab.tables.runner import Column as Col
-from placegraph_lab.tables.runner import (
-    Device,
-    Every,
-    Fresh,
-    OfficeEvery,
-    Quick,
-    Run,
-    Seed,
-    option,
-    parts,
-    render,
-    share,
-    shares,
-    table,
-)
 
 RECALL = THRESHOLDS.index((0.25, 2.0))
 RECALLS = " / ".join(
@@ -58,30 +44,29 @@ Line = tuple[str, Score]
 SCORES = (
     Col("", "0"), Col("windows", "1.windows"),
     Col("mean", "1.mean", errors), Col("median", "1.median", errors),
-    Col(RECALLS, "1.recall", shares),
-    Col("OK", lambda r: r[1].status.get("OK", 0.0), share),
-    Col("OK right", "1.right", share), Col("truth in modes", "1.held", share),
-    Col("honest", "1.honest", share), Col("particles", "1.particles", 0),
+    Col(RECALLS, "1.recall", lab.shares),
+    Col("OK", lambda r: r[1].status.get("OK", 0.0), lab.share),
+    Col("OK right", "1.right", lab.share), Col("truth in modes", "1.held", lab.share),
+    Col("honest", "1.honest", lab.share), Col("particles", "1.particles", 0),
     Col("s/frame", "1.frame_seconds", 3),
 )  # fmt: skip
 CALIBRATION = (
     Col("", "0"), Col("answers", "1.windows"),
-    Col("calibration error", "1.calibration.error", share),
-    Col("of perfect", "1.calibration.floor", share),
+    Col("calibration error", "1.calibration.error", lab.share),
+    Col("of perfect", "1.calibration.floor", lab.share),
     *(Col(f"error / sigma: {axis}" if not i else axis, f"1.spread.{i}", 2)
       for i, axis in enumerate(AXES)),
-    Col("within the 95 % ellipsoid", "1.inside", share),
+    Col("within the 95 % ellipsoid", "1.inside", lab.share),
 )  # fmt: skip
 
 
 def report(rows: Sequence[Row]) -> str:
-    """Return all tables that the rows allow."""
     text: list[str] = []
     for name, title in benches.TITLES.items():
         for length in sorted({r.length for r in rows if r.job.table == name}):
             mine = [r for r in rows if r.job.table == name and r.length == length]
             lines = [line for row in mine for line in _lines(row)]
-            text += [f"#### {title}, {length} frames", render(SCORES, lines)]
+            text += [f"#### {title}, {length} frames", lab.render(SCORES, lines)]
     house = [r for r in rows if r.job.table not in HALVES]
     if house:
         recall = lambda s: s.recall[RECALL]  # noqa: E731
@@ -92,7 +77,7 @@ def report(rows: Sequence[Row]) -> str:
         for job, of in by_job(rows)
     ]
     text += ["#### Calibration of right answers, and of the probability"]
-    text += [render(CALIBRATION, pooled)]
+    text += [lab.render(CALIBRATION, pooled)]
     wrong = [(row, [w for w in row.score.worst if " OK " in w]) for row in rows]
     listed = [f"- {r.job.name}, {r.length} frames: {'; '.join(w)}" for r, w in wrong if w]
     if listed:
@@ -113,25 +98,25 @@ def _lines(row: Row) -> list[Line]:
     return lines
 
 
-@table("SG2Loc, Tables 1, 2, 4, 7, 12, 13")
+@lab.table("SG2Loc, Tables 1, 2, 4, 7, 12, 13")
 def indoor_filter(
-    run: Run,
+    run: lab.Run,
     only: Annotated[
-        str, option("Rows, with commas or semicolons between: 'classes: all, b in a: *'.")
+        str, lab.option("Rows, with commas or semicolons between: 'classes: all, b in a: *'.")
     ] = "",
-    windows: Annotated[str, option("Lengths of the house's windows.")] = ",".join(
+    windows: Annotated[str, lab.option("Lengths of the house's windows.")] = ",".join(
         map(str, LENGTHS)
     ),
-    every: Every = EVERY,
-    office_every: OfficeEvery = OFFICE_EVERY,
-    seed: Seed = 0,
-    device: Device = "auto",
+    every: lab.Every = EVERY,
+    office_every: lab.OfficeEvery = OFFICE_EVERY,
+    seed: lab.Seed = 0,
+    device: lab.Device = "auto",
     *,
-    quick: Quick = False,
-    fresh: Fresh = False,
+    quick: lab.Quick = False,
+    fresh: lab.Fresh = False,
 ) -> None:
     """Do a few frames find their pose? Errors, recall, status, time: house and office."""
-    names = parts(only, ";" if ";" in only else ",")
+    names = lab.parts(only, ";" if ";" in only else ",")
     if quick:
         windows, every, office_every = "5,10", benches.QUICK_EVERY, 2 * OFFICE_EVERY
         names = names or list(benches.QUICK)

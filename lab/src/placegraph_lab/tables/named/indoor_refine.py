@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from typing import Annotated, Any
 
 from placegraph.indoor.refine.matching import Matcher, matcher
+from placegraph_lab.tables import runner as lab
 from placegraph_lab.tables.indoor import refine as rows_of
 from placegraph_lab.tables.indoor.bench import QUICK_EVERY, Bench, chosen
 from placegraph_lab.tables.indoor.metrics import AXES
@@ -48,21 +49,6 @@ from placegraph_lab.tables.indoor.windows import (
     Window,
 )
 from placegraph_lab.tables.runner import Column as Col
-from placegraph_lab.tables.runner import (
-    Device,
-    Every,
-    Fresh,
-    OfficeEvery,
-    Quick,
-    Run,
-    Seed,
-    option,
-    parts,
-    render,
-    share,
-    shares,
-    table,
-)
 
 ask = rows_of.ask
 NEAREST = LIMITS.index((0.10, 5.0))
@@ -73,24 +59,23 @@ SCORES = (
     Col("after", "1.after.mean", errors),
     Col("median before", "1.before.median", errors),
     Col("after", "1.after.median", errors),
-    Col(f"{RECALLS} before", "1.before.recall", shares),
-    Col("after", "1.after.recall", shares),
-    Col("accepted", "1.accepted", share), Col("harmful", "1.harmful", share),
-    Col("wrongly refused", "1.wrongly_refused", share),
+    Col(f"{RECALLS} before", "1.before.recall", lab.shares),
+    Col("after", "1.after.recall", lab.shares),
+    Col("accepted", "1.accepted", lab.share), Col("harmful", "1.harmful", lab.share),
+    Col("wrongly refused", "1.wrongly_refused", lab.share),
     Col("s refining", "1.refine_seconds", 2), Col("s in all", "1.seconds", 2),
 )  # fmt: skip
 SPREADS = (
     Col("", "0"), Col("poses", "1.count"),
     *(Col(f"rms {axis}", f"1.rms.{i}", 2) for i, axis in enumerate(AXES)),
     Col("within 1 / 2 / 3 σ",
-        lambda r: shares(sum(w) / len(w) for w in r[1]["within_sigma"].values())),
-    Col("within the 95 % ellipsoid", "1.within_95_percent", share),
+        lambda r: lab.shares(sum(w) / len(w) for w in r[1]["within_sigma"].values())),
+    Col("within the 95 % ellipsoid", "1.within_95_percent", lab.share),
 )  # fmt: skip
 NORMAL = ["*a normal distribution*", "–", *["1.00"] * len(AXES), ".68/.95/1.00", ".95"]
 
 
 def report(rows: Sequence[Row]) -> str:
-    """Return all tables that the rows allow."""
     text: list[str] = []
     for place, place_title in PLACES.items():
         for start, start_title in STARTS.items():
@@ -98,7 +83,7 @@ def report(rows: Sequence[Row]) -> str:
             for length in sorted({r.length for r in mine}):
                 lines = [line for r in mine if r.length == length for line in _lines(r)]
                 text += [f"#### {place_title}, {start_title}, {length} frames"]
-                text += [render(SCORES, lines)]
+                text += [lab.render(SCORES, lines)]
     house = [r for r in rows if r.job.place not in HALVES]
     if house:
         recall = lambda s: s.after.recall[NEAREST]  # noqa: E731
@@ -115,7 +100,7 @@ def report(rows: Sequence[Row]) -> str:
             for what, accepted in (("refined", True), ("left coarse", False)):
                 found = spread([r for r in results if r.accepted is accepted])
                 spreads += [(f"{job.name}: {what}", found)] if found["count"] else []
-        text += ["#### Errors over standard deviations", render(SPREADS, [*spreads, NORMAL])]
+        text += ["#### Errors over standard deviations", lab.render(SPREADS, [*spreads, NORMAL])]
     harmful = [
         f"- {r.job.name}, {r.length} frames: {'; '.join(r.score.worst)}"
         for r in own
@@ -127,7 +112,6 @@ def report(rows: Sequence[Row]) -> str:
 
 
 def _lines(row: Row) -> list[tuple[str, Any]]:
-    """Return a row and, in the office, the windows that the map covers."""
     inside = row.part(is_covered)
     lines = [(row.job.row, row.score)]
     if inside and inside.windows < row.score.windows:
@@ -135,28 +119,28 @@ def _lines(row: Row) -> list[tuple[str, Any]]:
     return lines
 
 
-@table("SG2Loc, Tables 1, 2, 4, 7, 9, 10")
+@lab.table("SG2Loc, Tables 1, 2, 4, 7, 9, 10")
 def indoor_refine(
-    run: Run,
+    run: lab.Run,
     only: Annotated[
-        str, option("Rows, with semicolons between: 'house found: *; b in a disturbed: *'.")
+        str, lab.option("Rows, with semicolons between: 'house found: *; b in a disturbed: *'.")
     ] = "",
-    windows: Annotated[str, option("Frames of a window.")] = ",".join(map(str, LENGTHS)),
-    matchers: Annotated[str, option("What refines, with commas.")] = ",".join(MATCHERS),
-    every: Every = EVERY,
-    office_every: OfficeEvery = OFFICE_EVERY,
-    seed: Seed = 0,
-    device: Device = "auto",
+    windows: Annotated[str, lab.option("Frames of a window.")] = ",".join(map(str, LENGTHS)),
+    matchers: Annotated[str, lab.option("What refines, with commas.")] = ",".join(MATCHERS),
+    every: lab.Every = EVERY,
+    office_every: lab.OfficeEvery = OFFICE_EVERY,
+    seed: lab.Seed = 0,
+    device: lab.Device = "auto",
     *,
-    quick: Quick = False,
-    fresh: Fresh = False,
+    quick: lab.Quick = False,
+    fresh: lab.Fresh = False,
 ) -> None:
     """Does refining bring a pose to centimetres? Errors before and after, harm, covariances, time."""
-    names = parts(only, ";")
+    names = lab.parts(only, ";")
     if quick:
         windows, every, office_every = "5,10", QUICK_EVERY, 2 * OFFICE_EVERY
         names = names or list(rows_of.QUICK)
-    jobs = chosen(refine_jobs(parts(matchers)), names)
+    jobs = chosen(refine_jobs(lab.parts(matchers)), names)
     bench = Bench(run.data, run.cache, every, office_every)
     weights = run.shared / "weights/xfeat.pt"
     made: dict[str, str | Matcher] = {word: word for word in ("auto", "guided", *GICP)}

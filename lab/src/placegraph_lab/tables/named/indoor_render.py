@@ -76,7 +76,6 @@ def measured(scene: SceneMap, cameras: tuple[Camera, ...], poses: Floats) -> lis
 
 
 def line(row: dict[str, Any]) -> list[str]:
-    """Cells of one row."""
     return [
         row["map"],
         number(row["triangles"]),
@@ -93,14 +92,12 @@ def line(row: dict[str, Any]) -> list[str]:
 
 
 def distorted(camera: Camera) -> Camera:
-    """The same camera behind a wide lens."""
     return Camera(
         camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, distortion=WIDE
     )
 
 
 def fresh_rays(camera: Camera) -> float:
-    """Seconds that the rays of a camera take that was not used before."""
     camera_rays.cache_clear()
     start = perf_counter()
     camera_rays(camera)

@@ -22,6 +22,7 @@ import numpy as np
 from placegraph.core.geometry import Floats
 from placegraph.indoor.pose.agreement import ConfidenceModel, features
 from placegraph.indoor.status import ALONE, SURE
+from placegraph_lab.tables import runner as lab
 from placegraph_lab.tables.indoor.bench import chosen
 from placegraph_lab.tables.indoor.metrics import NEAR, rounded
 from placegraph_lab.tables.indoor.robustness import (
@@ -36,22 +37,6 @@ from placegraph_lab.tables.indoor.robustness import (
     thinned,
 )
 from placegraph_lab.tables.indoor.robustness import quick as few
-from placegraph_lab.tables.runner import (
-    INDOOR,
-    Device,
-    Fresh,
-    Quick,
-    Run,
-    Seed,
-    code_key,
-    markdown,
-    option,
-    parts,
-    render,
-    share,
-    shares,
-    table,
-)
 from placegraph_lab.tables.runner import Column as Col
 
 TITLES = {
@@ -93,7 +78,6 @@ class Row:
         return float(np.median(took)) if took else math.nan
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain numbers and strings, ready for `json.dumps`."""
         fields = ("name", "set", "family", "strength", "frames", "senses", "map", "part")
         recall = zip(THRESHOLDS, self.recall, strict=True)
         return {name: getattr(self.case, name) for name in fields} | {
@@ -104,11 +88,11 @@ class Row:
         }
 
 
-OFTEN = Col("`OK`", lambda r: r.status("OK"), share)
+OFTEN = Col("`OK`", lambda r: r.status("OK"), lab.share)
 ROWS = (
     Col("", "case.name"), Col("windows", lambda r: len(r.told)),
-    Col(RECALLS, lambda r: "–" if r.case.map else shares(r.recall)), OFTEN,
-    Col("false `OK`", "false_ok", share), Col("`LOST`", lambda r: r.status("LOST"), share),
+    Col(RECALLS, lambda r: "–" if r.case.map else lab.shares(r.recall)), OFTEN,
+    Col("false `OK`", "false_ok", lab.share), Col("`LOST`", lambda r: r.status("LOST"), lab.share),
     Col("ms a frame", "milliseconds", 0),
 )  # fmt: skip
 BAD_ROWS = (
@@ -120,12 +104,11 @@ BAD_ROWS = (
 
 
 def report(rows: Sequence[Row]) -> str:
-    """Return all tables that there are rows for, and how honest all of them are."""
     text = []
     for part, title in TITLES.items():
         own = [row for row in rows if row.case.part == part]
         if own:
-            text.append(f"#### {title}\n\n{render(BAD_ROWS if part == 'bad' else ROWS, own)}")
+            text.append(f"#### {title}\n\n{lab.render(BAD_ROWS if part == 'bad' else ROWS, own)}")
     return "\n\n".join([*text, f"#### Is `OK` right?\n\n{honesty(rows)}"])
 
 
@@ -140,10 +123,10 @@ def honesty(rows: Sequence[Row]) -> str:
                 right = np.array([t.right and case.part != "bad" for t, case in pairs])
                 ok = np.array([t.status == "OK" for t, _ in pairs])
                 parts_ = (right, right & ok, ok & ~right)
-                cells = [share(float(found.mean())) for found in parts_]
+                cells = [lab.share(float(found.mean())) for found in parts_]
                 lines.append([title.partition(":")[0], half, str(len(pairs)), *cells])
     right_is = f"right ({NEAR[0]:g} m, {NEAR[1]:g}°)"
-    return markdown(["", "half", "windows", right_is, "`OK` and right", "false `OK`"], lines)
+    return lab.markdown(["", "half", "windows", right_is, "`OK` and right", "false `OK`"], lines)
 
 
 _RIDGE = 0.01
@@ -249,38 +232,38 @@ def honest(trust: ConfidenceModel, found: Sequence[tuple[Told, bool]]) -> str:
         best = np.array([_probability(t) for t in some])
         ok = (best >= ALONE) & (best / (1.0 + np.exp(-odds)) >= SURE)
         sure = float(ok[right].mean()) if right.any() else float("nan")
-        cells = [share(float(right.mean())), share(sure), f"{(ok & ~right).mean():.3f}"]
+        cells = [lab.share(float(right.mean())), lab.share(sure), f"{(ok & ~right).mean():.3f}"]
         lines.append([name, str(len(some)), *cells])
-    return markdown(["", "windows", "right", "`OK` of right", "false `OK`"], lines)
+    return lab.markdown(["", "windows", "right", "`OK` of right", "false `OK`"], lines)
 
 
 QUICK_WINDOWS = 4
 
 
-@table()
+@lab.table()
 def indoor_robustness(
-    run: Run,
+    run: lab.Run,
     only: Annotated[
-        str, option("Rows, with semicolons between: 'house: drift*; office: as recorded'.")
+        str, lab.option("Rows, with semicolons between: 'house: drift*; office: as recorded'.")
     ] = "",
-    windows: Annotated[int, option("Windows of each row, half of them even.")] = 8,
-    seed: Seed = 0,
-    device: Device = "auto",
+    windows: Annotated[int, lab.option("Windows of each row, half of them even.")] = 8,
+    seed: lab.Seed = 0,
+    device: lab.Device = "auto",
     *,
     fit: Annotated[
-        bool, option("Fit the coefficients of pose/trust.py, and print only them.")
+        bool, lab.option("Fit the coefficients of pose/trust.py, and print only them.")
     ] = False,
-    quick: Quick = False,
-    fresh: Fresh = False,
+    quick: lab.Quick = False,
+    fresh: lab.Fresh = False,
 ) -> None:
     """What goes wrong, and what becomes of the pose? Recall, `OK`, false `OK`, milliseconds."""
     cases = all_cases()
     if quick:
         cases, windows = few(cases), min(windows, QUICK_WINDOWS)
-    names = parts(only, ";")
+    names = lab.parts(only, ";")
     cases = chosen(cases, names)
     places = Places(run.data, run.cache)
-    journal, code = run.journal(fresh=fresh), code_key(INDOOR)  # what is loaded now answers
+    journal, code = run.journal(fresh=fresh), lab.code_key(lab.INDOOR)  # what is loaded now answers
     rows, known = {}, {}
     with run.progress() as bar:
         for case in sorted(cases, key=lambda c: (c.set, c.frames)):
@@ -308,7 +291,6 @@ def indoor_robustness(
 def _ask_window(
     places: Places, case: Case, windows: list[Asked], seed: int, device: str, row: int
 ) -> dict[str, Any]:
-    """Ask about one window of a case."""
     asked = windows[row]
     other = next(iter(places.recordings(case.other).values()))[0] if case.other else None
     shot = spoiled(asked, case, other, seed)

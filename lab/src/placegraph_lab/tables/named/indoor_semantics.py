@@ -20,6 +20,7 @@ from placegraph.indoor.options import PoseSearchOptions
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture
 from placegraph.io.mesh.ply import write_ply
+from placegraph_lab.tables import runner as lab
 from placegraph_lab.tables.indoor.bench import (
     BARE,
     QUICK_EVERY,
@@ -34,21 +35,6 @@ from placegraph_lab.tables.indoor.metrics import THRESHOLDS, Answer
 from placegraph_lab.tables.indoor.report import Row, ask_windows
 from placegraph_lab.tables.indoor.windows import EVERY, HALVES, OFFICE_EVERY, Window
 from placegraph_lab.tables.runner import Column as Col
-from placegraph_lab.tables.runner import (
-    Device,
-    Every,
-    Fresh,
-    OfficeEvery,
-    Quick,
-    Run,
-    Seed,
-    number,
-    option,
-    parts,
-    render,
-    share,
-    table,
-)
 
 NONE = "none"
 TABLE = "labels, 0/1 table"
@@ -94,21 +80,17 @@ class Case:
 
     @property
     def name(self) -> str:
-        """`house: labels: semantic + depth`."""
         return f"{self.place}: {self.encoder}: {self.terms}"
 
     @property
     def options(self) -> PoseSearchOptions:
-        """Of the filter."""
         return PoseSearchOptions().only(**(TERMS | BARE)[self.terms])
 
     def key(self, window: Window, seed: int, code: str) -> str:
-        """What an answer depends on."""
         options = hashlib.sha256(repr(self.options).encode()).hexdigest()[:12]
         return f"{code} {self.place} {self.encoder} {options} seed {seed} {window.name}"
 
     def fields(self) -> dict[str, Any]:
-        """Return what is written of the row beside its score."""
         return asdict(self)
 
 
@@ -167,7 +149,6 @@ def encoder_of(
 def ask(
     case: Case, scene: SceneMap, window: Window, *, seed: int = 0, device: str = "auto"
 ) -> Answer:
-    """Localize a window, without refining, and measure the answer."""
     mapped, seen = encoder_of(case, scene, window, seed)
     return answered(scene, seen, mapped, case.options, seed=seed, device=device)
 
@@ -214,12 +195,11 @@ PUBLISHED = (
 
 
 def report(rows: Sequence[Row]) -> str:
-    """Return a table for each place and length, and the paper's."""
     text = []
     for where, title in TITLES.items():
         for length in sorted({r.length for r in rows if r.job.place == where}):
             mine = [r for r in rows if r.job.place == where and r.length == length]
-            text += [f"#### {title}, {length} frames", render(COLUMNS, mine)]
+            text += [f"#### {title}, {length} frames", lab.render(COLUMNS, mine)]
     published = [
         [
             f"*{source}, 3RScan*",
@@ -227,18 +207,17 @@ def report(rows: Sequence[Row]) -> str:
             "–",
             error(mean),
             error(median),
-            *map(share, recall),
+            *map(lab.share, recall),
             *["–"] * 4,
         ]
         for source, terms, mean, median, recall in PUBLISHED
     ]
-    text += ["#### Published (SG2Loc, 5 frames)", render(COLUMNS, published)]
+    text += ["#### Published (SG2Loc, 5 frames)", lab.render(COLUMNS, published)]
     return "\n\n".join(text)
 
 
 def error(pair: tuple[float, float] | None) -> str:
-    """Write `0.066 m 8.8°`, or a dash."""
-    return f"{number(pair[0], 3, 'm')} {number(pair[1], 1)}°" if pair else "–"
+    return f"{lab.number(pair[0], 3, 'm')} {lab.number(pair[1], 1)}°" if pair else "–"
 
 
 COLUMNS = (
@@ -246,25 +225,25 @@ COLUMNS = (
     Col("terms", "job.terms"), Col("windows", "score.windows"),
     Col("mean", "score.mean", error), Col("median", "score.median", error),
     *(Col(f"R@{100 * limits[0]:.0f}cm {limits[1]:.0f}°",
-          f"score.recall.{THRESHOLDS.index(limits)}", share)
+          f"score.recall.{THRESHOLDS.index(limits)}", lab.share)
       for limits in LIMITS),
-    Col("OK", lambda r: r.score.status.get("OK", 0.0), share),
-    Col("OK right", "score.right", share), Col("s/frame", "score.frame_seconds", 3),
+    Col("OK", lambda r: r.score.status.get("OK", 0.0), lab.share),
+    Col("OK right", "score.right", lab.share), Col("s/frame", "score.frame_seconds", 3),
 )  # fmt: skip
 
 
-@table("SG2Loc, Tables 7, 8")
+@lab.table("SG2Loc, Tables 7, 8")
 def indoor_semantics(
-    run: Run,
-    only: Annotated[str, option("Rows, with semicolons between: 'house: labels: *'.")] = "",
-    windows: Annotated[str, option("Frames of a window.")] = "5",
-    every: Every = EVERY,
-    office_every: OfficeEvery = OFFICE_EVERY,
-    seed: Seed = 0,
-    device: Device = "auto",
+    run: lab.Run,
+    only: Annotated[str, lab.option("Rows, with semicolons between: 'house: labels: *'.")] = "",
+    windows: Annotated[str, lab.option("Frames of a window.")] = "5",
+    every: lab.Every = EVERY,
+    office_every: lab.OfficeEvery = OFFICE_EVERY,
+    seed: lab.Seed = 0,
+    device: lab.Device = "auto",
     *,
-    quick: Quick = False,
-    fresh: Fresh = False,
+    quick: lab.Quick = False,
+    fresh: lab.Fresh = False,
 ) -> None:
     """What is each encoder worth to the particle filter? Alone, and with depth and colour."""
     if quick:
@@ -275,7 +254,7 @@ def indoor_semantics(
         return ask(job, bench.scene(job.place), window, seed=seed, device=device).to_dict()
 
     jobs, lengths = (
-        chosen(cases(available()), parts(only, ";")),
+        chosen(cases(available()), lab.parts(only, ";")),
         [int(n) for n in windows.split(",")],
     )
     asked = ask_windows(

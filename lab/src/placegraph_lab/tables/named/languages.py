@@ -40,12 +40,10 @@ class Tongue:
 
     @cached_property
     def table(self) -> Language:
-        """The language's table."""
         return language(self.code)
 
     @cached_property
     def things(self) -> dict[str, str]:
-        """The table's own first word for a label."""
         found: dict[str, str] = {}
         for meaning, said in self.table.things.items():
             for sense in self.words.senses(meaning)[:1]:
@@ -118,7 +116,6 @@ def told(path: Path, n: int, seed: int) -> Iterator[tuple[str, list[tuple[str, Q
 
 
 def name(code: str) -> str:
-    """A language's own name."""
     return english().name if code == "en" else language(code).name
 
 

@@ -15,6 +15,7 @@ from placegraph.outdoor.likelihood.query import compile_query
 from placegraph.outdoor.network.network import EncodedCity, GraphTransformer
 from placegraph.outdoor.search.candidates import find_dense_cells
 from placegraph.outdoor.search.request import Matching, Request, parse
+from placegraph_lab.tables import runner as lab
 from placegraph_lab.tables.outdoor.extracts import (
     EXTRACTS,
     TRAINED,
@@ -26,23 +27,6 @@ from placegraph_lab.tables.outdoor.matchers import BagMatcher, matched
 from placegraph_lab.tables.outdoor.metrics import RANKS
 from placegraph_lab.tables.outdoor.nearby import Bins
 from placegraph_lab.tables.outdoor.queries import Query, load
-from placegraph_lab.tables.runner import (
-    OUTDOOR,
-    Device,
-    Journal,
-    Quick,
-    Run,
-    Seed,
-    code_key,
-    known,
-    markdown,
-    number,
-    option,
-    parts,
-    share,
-    shares,
-    table,
-)
 from placegraph_lab.tables.statistics import paired_interval
 from placegraph_learn.city.train import TrainOptions, train
 
@@ -123,7 +107,6 @@ def _best(scores: NDArray[np.float32]) -> NDArray[np.int64]:
 
 
 def recall(tables: Sequence[Hits]) -> dict[str, list[float]]:
-    """Recall@1/3/5, mean of the cities."""
     return {
         name: np.mean([table[name].mean(axis=0) for table in tables], axis=0).tolist()
         for name in tables[0]
@@ -172,17 +155,17 @@ def trained(
 class Judging:
     """What networks are asked; answers are written down as they come."""
 
-    run: Run
+    run: lab.Run
     cities: Mapping[str, CityMap]
     measured: Sequence[str]
     queries: int
     seed: int
-    journal: Journal
+    journal: lab.Journal
     tasks: dict[str, Task] = field(default_factory=dict)
 
     def hits(self, network: GraphTransformer, as_what: str = "") -> list[Hits]:
         """By city, what a network finds."""
-        found, code = [], code_key(OUTDOOR)
+        found, code = [], lab.code_key(lab.OUTDOOR)
         for city in self.measured:
             key = f"{network.fingerprint}{as_what}, {city}, {self.queries}, {self.seed}, {code}"
             if key not in self.journal:
@@ -207,7 +190,6 @@ def averaged(runs: Sequence[Sequence[Hits]], name: str) -> list[Any]:
 
 
 def printed(found: Mapping[str, Sequence[Sequence[Hits]]], seed: int) -> str:
-    """Markdown: recall where cells are given and in the pipeline, then differences to ours."""
     rows, leads = [], []
     for name, runs in found.items():
         each = [recall(run) for run in runs]
@@ -216,14 +198,14 @@ def printed(found: Mapping[str, Sequence[Sequence[Hits]]], seed: int) -> str:
         rows.append(
             [
                 name,
-                number(len(runs)),
-                shares(mean[f"{n} given"][0] for n in GIVEN),
-                f"{share(min(spread))}-{share(max(spread))}",
-                shares(mean[f"{n} given, cosine"][0] for n in GIVEN),
-                shares(mean["dense"]),
-                share(mean["among 10"][0]),
-                shares(mean["10 candidates, cosine"]),
-                shares(mean["10 candidates"]),
+                lab.number(len(runs)),
+                lab.shares(mean[f"{n} given"][0] for n in GIVEN),
+                f"{lab.share(min(spread))}-{lab.share(max(spread))}",
+                lab.shares(mean[f"{n} given, cosine"][0] for n in GIVEN),
+                lab.shares(mean["dense"]),
+                lab.share(mean["among 10"][0]),
+                lab.shares(mean["10 candidates, cosine"]),
+                lab.shares(mean["10 candidates"]),
             ]
         )
         if name != OURS and OURS in found:
@@ -236,25 +218,25 @@ def printed(found: Mapping[str, Sequence[Sequence[Hits]]], seed: int) -> str:
     header = ["", "seeds", "/".join(map(str, GIVEN)) + " given, logit @1", "seeds, 20 given"]
     header += ["the same by cosine", "dense alone @1/3/5", "true one of ten"]
     header += ["paper's pipeline: ten, cosine @1/3/5", "ten, logit @1/3/5"]
-    text = markdown(header, rows)
+    text = lab.markdown(header, rows)
     if leads:
         columns = [part for key in COMPARED for part in (f"{key} @1", "95 % interval")]
-        text += "\n\nMinus ours:\n\n" + markdown(["", *columns], leads)
+        text += "\n\nMinus ours:\n\n" + lab.markdown(["", *columns], leads)
     return text
 
 
-@table("GOTLoc, Sec. III-C")
+@lab.table("GOTLoc, Sec. III-C")
 def outdoor_ablation(
-    run: Run,
-    queries: Annotated[int, option("Queries a city.")] = 200,
-    epochs: Annotated[int, option("Epochs of a training.")] = 5,
-    only: Annotated[str, option("Variants, or VARIANT/SEED, with commas; all.")] = "",
-    seeds: Annotated[str, option("Seeds of the trainings, with commas.")] = "0,1",
-    on: Annotated[str, option("Cities to measure on, with commas; all.")] = "",
+    run: lab.Run,
+    queries: Annotated[int, lab.option("Queries a city.")] = 200,
+    epochs: Annotated[int, lab.option("Epochs of a training.")] = 5,
+    only: Annotated[str, lab.option("Variants, or VARIANT/SEED, with commas; all.")] = "",
+    seeds: Annotated[str, lab.option("Seeds of the trainings, with commas.")] = "0,1",
+    on: Annotated[str, lab.option("Cities to measure on, with commas; all.")] = "",
     *,
-    seed: Seed = 0,
-    device: Device = "auto",
-    quick: Quick = False,
+    seed: lab.Seed = 0,
+    device: lab.Device = "auto",
+    quick: lab.Quick = False,
 ) -> None:
     """What is each part of the network worth? Trainings of full length that differ in one thing."""
     names, work = list(TRAINED), run.cache / "ablation"
@@ -265,9 +247,9 @@ def outdoor_ablation(
         base = replace(base, epochs=1, examples=32, steps=4, batch=8, check=16)
         work, measured = work / "quick", names
     every = variants(base)
-    asked_for = [entry.partition("/")[::2] for entry in parts(only) or every]
-    known([name for name, _ in asked_for], every, "variant")
-    wanted = [(n, s) for n, one in asked_for for s in ([one] if one else parts(seeds))]
+    asked_for = [entry.partition("/")[::2] for entry in lab.parts(only) or every]
+    lab.known([name for name, _ in asked_for], every, "variant")
+    wanted = [(n, s) for n, one in asked_for for s in ([one] if one else lab.parts(seeds))]
     cities = {name: open_city(name, run.osm, run.cache) for name in {*names, *measured}}
     judging = Judging(run, cities, measured, queries, seed, run.journal())
     shipped = GraphTransformer.default()

@@ -17,6 +17,7 @@ import numpy as np
 
 from placegraph.core.geometry import Floats
 from placegraph.outdoor.city import CityMap
+from placegraph_lab.tables import runner as lab
 from placegraph_lab.tables.outdoor.extracts import (
     EXTRACTS,
     busiest_tile,
@@ -37,17 +38,6 @@ from placegraph_lab.tables.outdoor.matchers import (
 )
 from placegraph_lab.tables.outdoor.metrics import score
 from placegraph_lab.tables.outdoor.queries import Query, make_queries
-from placegraph_lab.tables.runner import (
-    Quick,
-    Run,
-    Seed,
-    markdown,
-    number,
-    option,
-    parts,
-    share,
-    table,
-)
 from placegraph_lab.tables.statistics import peak
 
 PAPER = {447: (1.06, 0.03), 1616: (3.34, 0.07), 3409: (6.67, 0.13), 5225: (10.71, 0.17)}
@@ -58,7 +48,6 @@ HIT = 50.0
 
 
 def sized(city: CityMap, cells: int, middle: Floats, seed: int) -> CityMap:
-    """Part of a city, or copies of it, of about so many cells."""
     if cells <= len(city.cells):
         return crop(city, cells, middle)
     copies = round(cells / len(city.cells))
@@ -114,7 +103,6 @@ def slopes(rows: Sequence[dict[str, Any]]) -> dict[str, float]:
 
 
 def printed(rows: Sequence[dict[str, Any]]) -> str:
-    """Markdown of all sizes."""
     header = ["cells", "paper: without", "with", "without candidates", "@1 50 m", "queries"]
     header += [
         "with: all",
@@ -132,40 +120,40 @@ def printed(rows: Sequence[dict[str, Any]]) -> str:
         slow, fast = row["without_s"], row["with_s"]
         lines.append(
             [
-                number(row["cells"]),
-                *(number(t, 2, "s") for t in theirs),
-                number(1e3 * slow["total"], 1, "ms") if slow else "–",
-                share(row["without_recall"]),
-                number(row["without_queries"]),
-                number(1e3 * fast["total"], 2, "ms"),
-                share(row["with_recall"]),
-                *(number(1e3 * fast[s], 2) for s in STAGES),
-                number(1e3 * row["default_p50_s"], 1, "ms"),
-                number(1e3 * row["default_p95_s"], 1, "ms"),
-                share(row["default_recall"]),
-                number(row["prepare_s"], 1, "s"),
-                number(1e-6 * row["peak_bytes"], 0, "MB"),
+                lab.number(row["cells"]),
+                *(lab.number(t, 2, "s") for t in theirs),
+                lab.number(1e3 * slow["total"], 1, "ms") if slow else "–",
+                lab.share(row["without_recall"]),
+                lab.number(row["without_queries"]),
+                lab.number(1e3 * fast["total"], 2, "ms"),
+                lab.share(row["with_recall"]),
+                *(lab.number(1e3 * fast[s], 2) for s in STAGES),
+                lab.number(1e3 * row["default_p50_s"], 1, "ms"),
+                lab.number(1e3 * row["default_p95_s"], 1, "ms"),
+                lab.share(row["default_recall"]),
+                lab.number(row["prepare_s"], 1, "s"),
+                lab.number(1e-6 * row["peak_bytes"], 0, "MB"),
             ]
         )
-    return markdown(header, lines)
+    return lab.markdown(header, lines)
 
 
-@table("GOTLoc, Table IV")
+@lab.table("GOTLoc, Table IV")
 def outdoor_candidates(
-    run: Run,
-    city: Annotated[str, option("City that is cut and copied.")] = "vancouver",
-    sizes: Annotated[str, option("Cells with commas, rising.")] = "",
-    queries: Annotated[int, option("Queries.")] = 200,
-    without: Annotated[int, option("Pairs of a size without candidates.")] = 2_000_000,
-    candidates: Annotated[int, option("Candidates.")] = 10,
-    seed: Seed = 0,
+    run: lab.Run,
+    city: Annotated[str, lab.option("City that is cut and copied.")] = "vancouver",
+    sizes: Annotated[str, lab.option("Cells with commas, rising.")] = "",
+    queries: Annotated[int, lab.option("Queries.")] = 200,
+    without: Annotated[int, lab.option("Pairs of a size without candidates.")] = 2_000_000,
+    candidates: Annotated[int, lab.option("Candidates.")] = 10,
+    seed: lab.Seed = 0,
     *,
-    quick: Quick = False,
+    quick: lab.Quick = False,
 ) -> None:
     """Does time grow with the map? 447 to 1,000,000 cells, with candidates and without."""
     if quick:
         queries, without = 10, 20_000
-    wanted = [int(n) for n in parts(sizes)] or [*PAPER, *(() if quick else LARGER)]
+    wanted = [int(n) for n in lab.parts(sizes)] or [*PAPER, *(() if quick else LARGER)]
     whole = open_city(city, run.osm, run.cache)
     middle = busiest_tile(whole, unseen=True)
     smallest = crop(whole, min(*wanted, len(whole.cells)), middle)

@@ -68,7 +68,6 @@ def run_city(name: str, data: Path, maps: Path, *, queries: int, seed: int) -> d
 
 
 def line(row: dict[str, Any], matcher: str) -> list[str]:
-    """Row of the table."""
     told, middle = row[matcher]["anywhere"], row[matcher]["near the middle"]
 
     def at(recall: dict[str, float]) -> str:

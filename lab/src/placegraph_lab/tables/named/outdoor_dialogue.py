@@ -178,6 +178,5 @@ def outdoor_dialogue(
 
 
 def line(row: dict[str, Any]) -> list[str]:
-    """Row of the table."""
     right = [share(v) for v in row["right_after"].values()]
     return [row["city"], row["asking"], *right, f"{row['questions']:.1f}"]

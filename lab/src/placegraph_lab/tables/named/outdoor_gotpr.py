@@ -133,7 +133,6 @@ class BigGNN:
         return np.asarray(x.mean(axis=0))
 
     def _layer(self, name: str, x: Floats, ends: NDArray[np.int64], e: Floats) -> Floats:
-        """A `TransformerConv`: attention of each node to those whose edges lead to it."""
         n, h, c = len(x), self.heads, self.width
         source, target = ends
         query, key, value = (

@@ -34,7 +34,6 @@ def measure(city: CityMap, folder: Path) -> dict[str, Any]:
 
 
 def line(name: str, row: dict[str, Any]) -> list[str]:
-    """Row of the table; the paper's point cloud where it has as many cells."""
     cells, size = row["cells"], row["bytes"]
     cloud, paper = POINT_CLOUD.get(cells), SCENE_GRAPH.get(cells)
     both = size + row["vector_bytes"]

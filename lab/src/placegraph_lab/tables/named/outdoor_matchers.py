@@ -13,6 +13,7 @@ import numpy as np
 from numpy.random import Generator
 
 from placegraph.outdoor.city import CityMap
+from placegraph_lab.tables import runner as lab
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, names_of, open_city, unseen_queries
 from placegraph_lab.tables.outdoor.matchers import (
     COSINE,
@@ -37,21 +38,6 @@ from placegraph_lab.tables.outdoor.metrics import (
     of_answers,
 )
 from placegraph_lab.tables.outdoor.queries import SETTINGS, load
-from placegraph_lab.tables.runner import (
-    OUTDOOR,
-    Journal,
-    Quick,
-    Run,
-    Seed,
-    code_key,
-    known,
-    markdown,
-    number,
-    option,
-    parts,
-    shares,
-    table,
-)
 from placegraph_lab.tables.statistics import Interval, paired_interval
 
 PAPER = {
@@ -68,18 +54,15 @@ MEASURES = (EXACT, *(f"{r:.0f} m" for r in RADII))
 
 
 def title(protocol: Protocol) -> str:
-    """Heading of a protocol: viewpoints lie anywhere but where that is said."""
     heading = Protocol(protocol.statements, protocol.setting).title
     return heading if protocol.anywhere else f"{heading}, near the middle of cells"
 
 
 def methods(rows: Sequence[Row]) -> list[str]:
-    """Matchers that were measured, in the order of the table."""
     return [m for m in MATCHERS if any(r.method == m for r in rows)]
 
 
 def hits(row: Row, measure: str) -> list[bool]:
-    """Whether the best place is right, query by query."""
     if measure == EXACT:
         return [any(a.exact[:1]) for a in row.answers]
     radius = float(measure.removesuffix(" m"))
@@ -139,7 +122,6 @@ def of_the_slow(rows: Sequence[Row]) -> list[Row]:
 
 
 def report(rows: Sequence[Row], table: Sequence[dict[str, Any]]) -> str:
-    """Markdown: every setting at a glance, the slow matchers' queries, differences, each city."""
     slow = of_the_slow(rows)
     quick = [r for r in rows if r.method not in SLOW]
     parts = [*_glance(quick, paper=True), *_glance(slow, paper=False)]
@@ -152,7 +134,7 @@ def report(rows: Sequence[Row], table: Sequence[dict[str, Any]]) -> str:
             lines.append([who, row["title"], row["measure"], f"{d['mean']:+.3f}", interval])
         parts += [
             "#### Differences of recall@1",
-            markdown(["", "texts", "hit", "difference", "95 % interval"], lines),
+            lab.markdown(["", "texts", "hit", "difference", "95 % interval"], lines),
         ]
     for protocol, mine in list(_by_protocol(rows).items())[:1]:
         shown = methods(mine)
@@ -167,15 +149,18 @@ def _glance(rows: Sequence[Row], *, paper: bool) -> list[str]:
     asked = sorted({len(r.answers) for r in rows})
     for measure in (EXACT, "50 m") if rows else ():
         lines = [
-            [m, *(shares(_mean(mine, m, measure)) for mine in grouped.values())]
+            [m, *(lab.shares(_mean(mine, m, measure)) for mine in grouped.values())]
             for m in methods(rows)
         ]
         if measure == EXACT and paper:
             empty = ["–"] * (len(grouped) - 1)
-            lines += [[name, shares(values), *empty] for name, values in PAPER.items()]
+            lines += [[name, lab.shares(values), *empty] for name, values in PAPER.items()]
         within = "the exact cell" if measure == EXACT else f"within {measure}"
         of = f"{'/'.join(map(str, asked))} queries a city, mean of {', '.join(cities)}"
-        parts += [f"#### Recall@1/3/5, {within}, {of}", markdown(["", *map(title, grouped)], lines)]
+        parts += [
+            f"#### Recall@1/3/5, {within}, {of}",
+            lab.markdown(["", *map(title, grouped)], lines),
+        ]
     return parts
 
 
@@ -196,23 +181,23 @@ def _detail(rows: Sequence[Row], shown: Sequence[str]) -> str:
     for city in dict.fromkeys(r.city for r in rows):
         mine = [r for r in rows if r.city == city]
         lines += [_line(f"{city}: {r.method}", [r]) for m in shown for r in mine if r.method == m]
-    return markdown(header, lines)
+    return lab.markdown(header, lines)
 
 
 def _line(head: str, rows: Sequence[Row]) -> list[str]:
     scores = [r.score for r in rows if r.score]
-    recall = [shares(np.mean([r.recall[m] for r in rows], axis=0).tolist()) for m in MEASURES]
+    recall = [lab.shares(np.mean([r.recall[m] for r in rows], axis=0).tolist()) for m in MEASURES]
 
     def mean(values: Sequence[float]) -> float:
         return float(np.mean(values))
 
     return [
         head,
-        number(sum(s.queries for s in scores)),
+        lab.number(sum(s.queries for s in scores)),
         *recall,
-        number(mean([s.median for s in scores]), 0, "m"),
-        number(1e3 * mean([s.p50 for s in scores]), 1, "ms"),
-        number(1e3 * mean([s.p95 for s in scores]), 1, "ms"),
+        lab.number(mean([s.median for s in scores]), 0, "m"),
+        lab.number(1e3 * mean([s.p50 for s in scores]), 1, "ms"),
+        lab.number(1e3 * mean([s.p95 for s in scores]), 1, "ms"),
     ]
 
 
@@ -225,11 +210,10 @@ class Asking:
     slow: int
     slow_cities: Sequence[str]
     seed: int
-    journal: Journal
+    journal: lab.Journal
     tick: Callable[[], None]
 
     def asked(self, name: str, protocol: Protocol, method: str) -> int:
-        """How many queries a matcher gets."""
         if method not in SLOW:
             return self.queries
         wanted = name in self.slow_cities and protocol == Protocol(anywhere=True)
@@ -239,7 +223,7 @@ class Asking:
         self, name: str, city: CityMap, path: Path, protocols: Sequence[Protocol]
     ) -> list[Row]:
         """All rows of a city."""
-        bins, code, rows = load(path), code_key(OUTDOOR), []
+        bins, code, rows = load(path), lab.code_key(lab.OUTDOOR), []
         for protocol in protocols:
             setting = protocol.setting
             spoken = partial(
@@ -263,29 +247,29 @@ class Asking:
         return rows
 
 
-@table("GOTLoc, Table II")
+@lab.table("GOTLoc, Table II")
 def outdoor_matchers(
-    run: Run,
-    cities: Annotated[str, option("Names with commas; all where left out.")] = "",
-    settings: Annotated[str, option("Settings with commas.")] = "none",
-    methods: Annotated[str, option("Matchers with semicolons; all.")] = "",
-    queries: Annotated[int, option("Queries a city and setting.")] = 200,
-    slow: Annotated[int, option("Of these, how many for plain edit distance.")] = 100,
+    run: lab.Run,
+    cities: Annotated[str, lab.option("Names with commas; all where left out.")] = "",
+    settings: Annotated[str, lab.option("Settings with commas.")] = "none",
+    methods: Annotated[str, lab.option("Matchers with semicolons; all.")] = "",
+    queries: Annotated[int, lab.option("Queries a city and setting.")] = 200,
+    slow: Annotated[int, lab.option("Of these, how many for plain edit distance.")] = 100,
     slow_cities: Annotated[
-        str, option("Cities that plain edit distance is asked in, without noise.")
+        str, lab.option("Cities that plain edit distance is asked in, without noise.")
     ] = "liechtenstein,monaco,toronto",
-    seed: Seed = 0,
+    seed: lab.Seed = 0,
     *,
-    quick: Quick = False,
+    quick: lab.Quick = False,
 ) -> None:
     """Which matcher finds the cell? On graphs from OpenStreetMap."""
     if quick:
         queries, slow = 40, 5
-    asked_for = known(parts(settings), SETTINGS, "setting")
+    asked_for = lab.known(lab.parts(settings), SETTINGS, "setting")
     chosen = [s for s in SETTINGS if s in asked_for]
     protocols = [Protocol(setting=s, anywhere=True) for s in chosen]
     protocols += [Protocol(setting="none")] if "none" in chosen else []
-    shown = known(parts(methods, ";"), MATCHERS, "matcher")
+    shown = lab.known(lab.parts(methods, ";"), MATCHERS, "matcher")
     names = names_of(cities)
     run.one_core()
     rows: list[Row] = []
@@ -293,7 +277,7 @@ def outdoor_matchers(
     with run.progress() as progress:
         task = progress.add_task("asking", total=len(names) * len(protocols) * len(shown))
         asking = Asking(
-            shown, queries, slow, parts(slow_cities), seed, run.journal(),
+            shown, queries, slow, lab.parts(slow_cities), seed, run.journal(),
             lambda: progress.advance(task),
         )  # fmt: skip
         for name in names:

@@ -64,7 +64,6 @@ class Pairs:
 
     @classmethod
     def of(cls, city: CityMap, queries: Sequence[Query], cells: int, rng: Generator) -> Pairs:
-        """Every query with `cells` cells."""
         return cls(
             city,
             tuple(parse(city, q.text) for q in queries),
@@ -179,7 +178,6 @@ class Pairs:
         return work
 
     def _graphs(self) -> tuple[TextGraphs, PlaceGraphs, WordFits]:
-        """Graphs of all texts and all cells, and how well the map's words fit the texts'."""
         from placegraph.outdoor.network.graphs import PlaceGraphs, TextGraphs, fits_of, word_fits
 
         texts = TextGraphs.of(self.descriptions)
@@ -202,7 +200,6 @@ WORKS = {
 
 
 def work_of(kind: str, pairs: Pairs, *, quick: bool) -> Callable[[], int]:
-    """What is timed."""
     if kind.startswith("edits"):
         texts, cells = (1, 5) if quick else (5, 20)
         return pairs.by_edits(plain=kind != "edits", texts=texts, cells=cells, timeout=0.1)
@@ -217,8 +214,6 @@ def work_of(kind: str, pairs: Pairs, *, quick: bool) -> Callable[[], int]:
 
 
 class Asked(NamedTuple):
-    """What every row is asked."""
-
     city: str
     osm: Path
     cache: Path
@@ -279,7 +274,6 @@ def outdoor_pairs(
 
 
 def line(kind: str, rows: list[dict[str, Any]]) -> list[str]:
-    """Row of the table."""
     by_cores = {r["cores"]: r["pairs_per_s"] for r in rows if r["kind"] == kind}
     theirs = PAPER["network-based, GPU" if kind == "cuda" else "network-based, CPU"]
     theirs = PAPER["rule-based"] if kind.startswith("edits") else theirs

@@ -20,6 +20,7 @@ from placegraph.core.estimate import CityEstimate
 from placegraph.core.geometry import Floats, bearing
 from placegraph.errors import OptionError
 from placegraph.outdoor.city import CityMap
+from placegraph_lab.tables import runner as lab
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, names_of, open_city
 from placegraph_lab.tables.outdoor.metrics import Answer, Score, measure, score
 from placegraph_lab.tables.outdoor.queries import (
@@ -31,17 +32,6 @@ from placegraph_lab.tables.outdoor.queries import (
     Setting,
     Teller,
     load,
-)
-from placegraph_lab.tables.runner import (
-    Quick,
-    Run,
-    Seed,
-    markdown,
-    number,
-    option,
-    share,
-    shares,
-    table,
 )
 
 Shape = Literal["straight", "bent"]
@@ -74,12 +64,10 @@ class Walk:
 
     @property
     def last(self) -> Query:
-        """What is said at the last place: the one that is sought."""
         return self.steps[-1].query
 
     @property
     def text(self) -> str:
-        """All that is said of places, as if it were said of one."""
         return " ".join(step.query.text for step in self.steps)
 
 
@@ -202,7 +190,6 @@ def ask(city: CityMap, walks: list[Walk], method: Method) -> tuple[Score, list[f
 def row_of(
     name: str, setting: Setting, method: Method, found: Score, s: list[float]
 ) -> dict[str, Any]:
-    """One row, in plain numbers."""
     told = found.to_dict()
     for key in ("exact", "own_cell", "p50_ms", "p95_ms"):
         del told[key]
@@ -211,8 +198,7 @@ def row_of(
 
 
 def printed(rows: list[dict[str, Any]]) -> str:
-    """Markdown of all rows."""
-    return markdown(
+    return lab.markdown(
         ["city", "relations", "method", "25 m", "50 m", "5 in 50 m", "median", "OK", "right of OK",
          "calibration", "of perfect", "ms a call"],
         [
@@ -220,13 +206,13 @@ def printed(rows: list[dict[str, Any]]) -> str:
                 r["city"],
                 "true" if r["setting"] == "none" else "20 % wrong",
                 r["method"],
-                *(share(r["within"][radius]["1"]) for radius in ("25 m", "50 m")),
-                share(r["within"]["50 m"]["5"]),
-                number(np.inf if r["median_m"] is None else r["median_m"], 0, "m"),
-                share(r["status"].get("OK", 0.0)),
-                share(r["right"].get("OK")),
-                shares([r["calibration_error"]]),
-                shares([r["calibration_error_of_perfect"]]),
+                *(lab.share(r["within"][radius]["1"]) for radius in ("25 m", "50 m")),
+                lab.share(r["within"]["50 m"]["5"]),
+                lab.number(np.inf if r["median_m"] is None else r["median_m"], 0, "m"),
+                lab.share(r["status"].get("OK", 0.0)),
+                lab.share(r["right"].get("OK")),
+                lab.shares([r["calibration_error"]]),
+                lab.shares([r["calibration_error_of_perfect"]]),
                 "/".join(f"{ms:.0f}" for ms in r["ms_a_call_p50_p95"]),
             ]
             for r in rows
@@ -234,15 +220,15 @@ def printed(rows: list[dict[str, Any]]) -> str:
     )  # fmt: skip
 
 
-@table()
+@lab.table()
 def outdoor_track(
-    run: Run,
-    cities: Annotated[str, option("Names with commas.")] = "monaco,toronto,vancouver,ankara",
-    walks: Annotated[int, option("Walks a city and setting.")] = 100,
-    statements: Annotated[int, option("Sentences at a place.")] = 2,
-    seed: Seed = 0,
+    run: lab.Run,
+    cities: Annotated[str, lab.option("Names with commas.")] = "monaco,toronto,vancouver,ankara",
+    walks: Annotated[int, lab.option("Walks a city and setting.")] = 100,
+    statements: Annotated[int, lab.option("Sentences at a place.")] = 2,
+    seed: lab.Seed = 0,
     *,
-    quick: Quick = False,
+    quick: lab.Quick = False,
 ) -> None:
     """What is a way worth? A few sentences along a walk, against one place at a time."""
     rows: list[dict[str, Any]] = []

@@ -156,8 +156,6 @@ def contenders(count: int, graphs: int) -> Iterator[tuple[str, Build]]:
 
 @dataclass(frozen=True)
 class Row:
-    """What one contender did on one size."""
-
     count: int
     name: str
     build_s: float
@@ -167,7 +165,6 @@ class Row:
 
 
 def printed(rows: list[Row]) -> str:
-    """Markdown of one size."""
     header = ["store", "build", "MB", "top 10", "recall", "top 50", "recall"]
     lines = []
     for row in rows:

@@ -142,7 +142,6 @@ class Accuracy:
     milliseconds: float  # to encode a frame and compare it with the objects
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers."""
         return asdict(self)
 
 
@@ -236,7 +235,6 @@ def nats(
 
 
 def report(found: Mapping[str, Mapping[str, Accuracy | None]]) -> str:
-    """Markdown table of places, and of encoders in each: `found[place][encoder]`."""
     header = (
         "place, encoder", "patches", "that tell", "best is true", "AUC", "nats a patch",
         "softmax alone", "temperature", "best of all", "ms a frame",

@@ -26,18 +26,7 @@ from typer import BadParameter
 
 from placegraph.core.files import put
 from placegraph_lab.campaign.row import FAULTS, OUTCOMES, PARTS, Effort, Row, mend, merged, total
-from placegraph_lab.tables.runner import (
-    LAB,
-    Quick,
-    Run,
-    Seed,
-    known,
-    markdown,
-    number,
-    option,
-    parts,
-    table,
-)
+from placegraph_lab.tables import runner as lab
 
 PAGE = "docs/benchmarks/reliability.md"
 TABLE = re.compile(r"(?m)^\|\s+\|\s+\| +tried \|.*(?:\n\|.*)*")
@@ -46,32 +35,37 @@ COUNTS = ("tried", *OUTCOMES, "mended")
 HEADER = ["", "", *COUNTS, "seeds", "minutes", "measured"]
 
 
-@table()
+@lab.table()
 def reliability(
-    run: Run,
-    minutes: Annotated[float, option("Of each part; 0 prints what was written down.")] = 5.0,
-    only: Annotated[str, option(f"Parts with commas: {', '.join(PARTS)}.")] = "",
-    seed: Seed = 0,
+    run: lab.Run,
+    minutes: Annotated[float, lab.option("Of each part; 0 prints what was written down.")] = 5.0,
+    only: Annotated[str, lab.option(f"Parts with commas: {', '.join(PARTS)}.")] = "",
+    seed: lab.Seed = 0,
     also: Annotated[
-        str, option("JSON files of other runs, with commas, whose rows are taken along.")
+        str, lab.option("JSON files of other runs, with commas, whose rows are taken along.")
     ] = "",
     mended: Annotated[
         str,
-        option("Rows whose faults are mended, each with a test; with semicolons: PART/WHAT/SEED."),
+        lab.option(
+            "Rows whose faults are mended, each with a test; with semicolons: PART/WHAT/SEED."
+        ),
     ] = "",
     names: Annotated[
         str,
-        option(
+        lab.option(
             "Rows of fuzz, soak and platforms that are wanted, with semicolons; all by default."
         ),
     ] = "",
     *,
-    quick: Quick = False,
-    fresh: Annotated[bool, option("Forget what was written down of these parts.")] = False,
+    quick: lab.Quick = False,
+    fresh: Annotated[bool, lab.option("Forget what was written down of these parts.")] = False,
 ) -> None:
     """What was done to break placegraph, and what became of it."""
-    wanted, path = known(parts(only), PARTS, "part"), run.out or LAB / "results/reliability.json"
-    now = [row for name in parts(also) for row in written(Path(name))]
+    wanted, path = (
+        lab.known(lab.parts(only), PARTS, "part"),
+        run.out or lab.LAB / "results/reliability.json",
+    )
+    now = [row for name in lab.parts(also) for row in written(Path(name))]
     dropped = set(wanted) if fresh else set()
     healed, asked = ({n.strip() for n in told.split(";")} - {""} for told in (mended, names))
 
@@ -101,7 +95,6 @@ def reliability(
 
 
 def shown(rows: list[Row]) -> str:
-    """Rows, those of one name and other seeds as one, and the sum of each part."""
     told = []
     for part in dict.fromkeys(row.part for row in rows):
         own = [row for row in rows if row.part == part]
@@ -109,11 +102,10 @@ def shown(rows: list[Row]) -> str:
         for row in own:
             alike.setdefault((row.what, row.said), []).append(row)
         told += [_cells(each, *key) for key, each in [*alike.items(), (("all", ""), own)]]
-    return markdown(HEADER, told)
+    return lab.markdown(HEADER, told)
 
 
-def publish(rows: list[Row], root: Path = LAB.parent) -> None:
-    """Write the table into its page, and its sum into README."""
+def publish(rows: list[Row], root: Path = lab.LAB.parent) -> None:
     for name, pattern, new in ((PAGE, TABLE, shown(rows)), ("README.md", SUM, summed(rows))):
         before, after = pattern.split((root / name).read_text("utf-8"))
         put(root / name, f"{before}{new}{after}".encode())
@@ -128,10 +120,10 @@ def summed(rows: list[Row]) -> str:
 
 def _cells(rows: list[Row], what: str, said: str) -> list[str]:
     row, seeds = total(rows), ", ".join(map(str, sorted({r.seed for r in rows})))
-    counts = [number(getattr(row, name)) for name in COUNTS]
+    counts = [lab.number(getattr(row, name)) for name in COUNTS]
     told = [f"**{c}**" if row.open and name in FAULTS and c != "0" else c
             for name, c in zip(COUNTS, counts, strict=True)]  # fmt: skip
-    return [row.part, what, *told, seeds, number(row.seconds / 60, 1), said]
+    return [row.part, what, *told, seeds, lab.number(row.seconds / 60, 1), said]
 
 
 def written(path: Path) -> list[Row]:

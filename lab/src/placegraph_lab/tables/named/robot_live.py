@@ -30,22 +30,11 @@ from placegraph.indoor.scene_map import SceneMap
 from placegraph.indoor.track.odometry import Odometry
 from placegraph.io.capture.capture import open_capture
 from placegraph.io.capture.frame import ArrayImages, Frame
+from placegraph_lab.tables import runner as lab
 from placegraph_lab.tables.indoor.metrics import NEAR, near
 from placegraph_lab.tables.indoor.perturb import Recording, Shot, drift
 from placegraph_lab.tables.indoor.robustness import Places
 from placegraph_lab.tables.named.serve_load import Served, served
-from placegraph_lab.tables.runner import (
-    Quick,
-    Run,
-    Seed,
-    known,
-    markdown,
-    number,
-    option,
-    parts,
-    share,
-    table,
-)
 from placegraph_lab.tables.statistics import apart
 from placegraph_lab.worlds.bags import BagWriter, Layout, write_capture
 
@@ -144,8 +133,6 @@ def looped(
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """What became of one frame."""
-
     status: str
     right: bool  # whether its pose is `RIGHT`
     foretold: bool  # whether the pose that odometry told just before its image was looked at is
@@ -155,7 +142,6 @@ class Seen:
 
     @property
     def sure(self) -> bool:
-        """Whether it is `OK`."""
         return self.status == Status.OK
 
 
@@ -241,12 +227,10 @@ class Row:
         )  # fmt: skip
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers."""
         return asdict(self)
 
 
 def longest(seen: Sequence[Seen], which: Callable[[Seen], bool]) -> int:
-    """Most frames of a kind in a row."""
     most = run = 0
     for one in seen:
         run = run + 1 if which(one) else 0
@@ -269,7 +253,6 @@ class Clock:
     start: float
 
     def now(self) -> float:
-        """Seconds since the start."""
         return time.perf_counter() - self.start
 
     def until(self, when: float) -> None:
@@ -295,7 +278,6 @@ def paced(data: Path, cache: Path, path: Path, rate: float, seconds: float) -> d
 
 
 def _read(frame: Frame) -> Frame:
-    """The frame with its images in memory: a camera needs no files."""
     return replace(frame, images=ArrayImages(frame.rgb(), frame.depth(), frame.labels()))
 
 
@@ -409,7 +391,6 @@ def _post(url: str, body: dict[str, Any]) -> dict[str, Any]:
 
 
 def figures(wall: list[float], cpu: list[float], sure: int) -> dict[str, Any]:
-    """Of one way in."""
     told = {"frames": len(wall), "sure": sure / len(wall), "wall_ms": quantiles(wall)}
     return told | {"cpu_ms": quantiles(cpu), "in_time": sum(s <= 0.1 for s in wall) / len(wall)}
 
@@ -428,7 +409,6 @@ class Life:
     kidnapped: int
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers."""
         own = {"wall_ms": self.wall, "memory": self.memory, "kidnapped": self.kidnapped}
         return self.row.to_dict() | own
 
@@ -475,23 +455,23 @@ WALKED = ["", "drift", "frames", "right", "OK", "right of OK", "foretold", "fals
           "found after", "most", "CPU ms", "worst"]  # fmt: skip
 
 
-@table()
+@lab.table()
 def robot_live(
-    run: Run,
-    seed: Seed = 0,
-    lifelong: Annotated[int, option("Frames of the walk without end.")] = 5000,
-    only: Annotated[str, option(f"Parts with commas: {', '.join(PARTS)}.")] = "",
+    run: lab.Run,
+    seed: lab.Seed = 0,
+    lifelong: Annotated[int, lab.option("Frames of the walk without end.")] = 5000,
+    only: Annotated[str, lab.option(f"Parts with commas: {', '.join(PARTS)}.")] = "",
     *,
-    quick: Quick = False,
+    quick: lab.Quick = False,
 ) -> None:
     """How right a robot's pose is as it goes, how soon it is found again, and how late it is told."""
-    wanted = known(parts(only) or (["walks"] if quick else []), PARTS, "part")
+    wanted = lab.known(lab.parts(only) or (["walks"] if quick else []), PARTS, "part")
     places = Places(run.data, run.cache)
     house = places.scene("house")
     record: dict[str, Any] = {"load": os.getloadavg()}
     if "walks" in wanted:
         rows = walked(run, places, seed, DRIFTS[1:2] if quick else DRIFTS)
-        print(f"{markdown(WALKED, map(cells, rows))}\n")
+        print(f"{lab.markdown(WALKED, map(cells, rows))}\n")
         record["walks"] = [row.to_dict() for row in rows]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -525,7 +505,7 @@ def robot_live(
     run.save(record, whole=not only)
 
 
-def walked(run: Run, places: Places, seed: int, drifts: tuple[float, ...]) -> list[Row]:
+def walked(run: lab.Run, places: Places, seed: int, drifts: tuple[float, ...]) -> list[Row]:
     """All walks at each drift."""
     rows = []
     for place in ("house", "office"):
@@ -540,15 +520,14 @@ def walked(run: Run, places: Places, seed: int, drifts: tuple[float, ...]) -> li
 
 
 def cells(row: Row) -> list[str]:
-    """A row of the table of walks."""
     found = [r for r in row.recovered if r is not None]
     lost = len(row.recovered) - len(found)
     most = "–" if not found else str(max(found)) + (f", {lost} never" if lost else "")
     return [
-        row.place, f"{row.degrees:g}°", str(row.frames), share(row.right), share(row.sure),
-        f"{row.tracked:.3f}", share(row.foretold), f"{row.false:.3f}", str(row.longest),
-        number(float(np.median(found)) if found else None), most, number(row.milliseconds),
-        number(row.worst),
+        row.place, f"{row.degrees:g}°", str(row.frames), lab.share(row.right), lab.share(row.sure),
+        f"{row.tracked:.3f}", lab.share(row.foretold), f"{row.false:.3f}", str(row.longest),
+        lab.number(float(np.median(found)) if found else None), most, lab.number(row.milliseconds),
+        lab.number(row.worst),
     ]  # fmt: skip
 
 
@@ -557,26 +536,26 @@ def pacing(every: list[dict[str, Any]]) -> str:
     header = ["images", "looked at", "dropped", "odometry", "ms a call", "99 %", "most",
               "age of poses, ms", "95 %", "cores"]  # fmt: skip
     rows = [
-        [f"{p['rate']:g} Hz", number((p["images"] - p["dropped"]) / p["seconds"], 1, "Hz"),
-         share(p["dropped"] / p["images"]), number(p["moves"] / p["seconds"], 0, "Hz"),
-         number(p["move_ms"]["p50"], 2), number(p["move_ms"]["p99"], 1),
-         number(p["move_ms"]["most"], 1), number(p["age_ms"].get("p50"), 0),
-         number(p["age_ms"].get("p95"), 0), number(p["cores"], 2)]
+        [f"{p['rate']:g} Hz", lab.number((p["images"] - p["dropped"]) / p["seconds"], 1, "Hz"),
+         lab.share(p["dropped"] / p["images"]), lab.number(p["moves"] / p["seconds"], 0, "Hz"),
+         lab.number(p["move_ms"]["p50"], 2), lab.number(p["move_ms"]["p99"], 1),
+         lab.number(p["move_ms"]["most"], 1), lab.number(p["age_ms"].get("p50"), 0),
+         lab.number(p["age_ms"].get("p95"), 0), lab.number(p["cores"], 2)]
         for p in every
     ]  # fmt: skip
-    return markdown(header, rows)
+    return lab.markdown(header, rows)
 
 
 def ways_table(found: dict[str, dict[str, Any]]) -> str:
     """From a frame to its pose."""
     header = ["frames by", "ms, median", "95 %", "CPU ms", "a second", "within 100 ms", "OK"]
     rows = [
-        [name, number(w["wall_ms"]["p50"]), number(w["wall_ms"]["p95"]),
-         number(w["cpu_ms"]["p50"]), number(1e3 / w["wall_ms"]["p50"], 1), share(w["in_time"]),
-         share(w["sure"])]
+        [name, lab.number(w["wall_ms"]["p50"]), lab.number(w["wall_ms"]["p95"]),
+         lab.number(w["cpu_ms"]["p50"]), lab.number(1e3 / w["wall_ms"]["p50"], 1), lab.share(w["in_time"]),
+         lab.share(w["sure"])]
         for name, w in found.items()
     ]  # fmt: skip
-    return markdown(header, rows)
+    return lab.markdown(header, rows)
 
 
 def told(life: Life) -> str:

@@ -65,7 +65,6 @@ class House:
 
     @property
     def shape(self) -> str:
-        """In the table's words."""
         return "rectangle" if len(self.whole) == 5 else "other shape"
 
 
@@ -97,7 +96,6 @@ def house(seed: int, number: int) -> House:
 
 
 def _outer(flat: Flat, cells: frozenset[tuple[int, int]]) -> bool:
-    """Whether an opening leads outside."""
     near = [(r + i, c + j) for r, c in cells for i in (-1, 0, 1) for j in (-1, 0, 1)]
     rows, columns = flat.room_of.shape
     return any(
@@ -106,7 +104,6 @@ def _outer(flat: Flat, cells: frozenset[tuple[int, int]]) -> bool:
 
 
 def _grown(mask: NDArray[np.bool_], cells: int) -> NDArray[np.bool_]:
-    """Mask with all cells at most so many rows and columns away."""
     for axis in (0, 1):
         steps = [np.roll(mask, k, axis) for k in range(-cells, cells + 1)]
         mask = np.logical_or.reduce(steps)
@@ -116,7 +113,6 @@ def _grown(mask: NDArray[np.bool_], cells: int) -> NDArray[np.bool_]:
 def _extended(
     mask: NDArray[np.bool_], origin: Floats, cell: float, openings: Sequence[Any], rng: Generator
 ) -> Floats | None:
-    """Outline of a building that goes on beyond a side of the home that has no window and no door."""
     x, y = np.nonzero(mask)
     low, high = np.array([x.min(), y.min()]), np.array([x.max(), y.max()]) + 1
     ends = origin + low * cell, origin + high * cell
@@ -215,7 +211,6 @@ def ask(home: House, row: str, folder: Path, seed: int) -> dict[str, Any] | None
 
 
 def judged(home: House, found: Fitted) -> dict[str, Any]:
-    """How far off each candidate has the middle of the map."""
     middle = home.scene.bounds.mean(axis=0) * (1, 1, 0)
     rows = np.ix_([0, 1, 3], [0, 1, 3])
     true, candidates = home.stands.shifted(-middle), []
@@ -233,12 +228,10 @@ def judged(home: House, found: Fitted) -> dict[str, Any]:
 
 
 def right(candidate: dict[str, Any]) -> bool:
-    """Whether a candidate is the right one."""
     return bool(candidate["metres"] < RIGHT and np.radians(candidate["degrees"]) < TURN)
 
 
 def report(asked: Sequence[dict[str, Any]]) -> str:
-    """Markdown table of all rows, and calibration of the first candidates' probabilities."""
     lines, sure, true = [], [], []
     for row in (*BUILDINGS, *WALKS):
         own = [a for a in asked if a["row"] == row]

@@ -29,19 +29,8 @@ from placegraph.indoor.mapping.change.observe import observe_frame
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture, open_capture
 from placegraph.io.capture.tum import read_tum
+from placegraph_lab.tables import runner as lab
 from placegraph_lab.tables.indoor.metrics import rotation_error
-from placegraph_lab.tables.runner import (
-    INDOOR,
-    Fresh,
-    Quick,
-    Run,
-    Seed,
-    code_key,
-    markdown,
-    number,
-    share,
-    table,
-)
 
 GONE = ("moved", "vanished")  # kinds that say that an object is not where the map has it
 NEAR_NEW = 0.1
@@ -75,7 +64,6 @@ class Told:
     seconds: float  # of comparing, without localizing
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and strings."""
         return asdict(self)
 
 
@@ -144,7 +132,6 @@ def ask(scene: SceneMap, folder: Path, first: int, frames: int, *, seed: int = 0
 def _verdicts(
     scene: SceneMap, reports: dict[str, Change], changed: dict[str, Floats | None], seen: set[str]
 ) -> dict[str, Any]:
-    """What became of the visible changes: fields of `Told`."""
     found = sorted(id_ for id_ in seen if id_ in reports)
     moves = [id_ for id_ in found if changed[id_] is not None]
     removed = [id_ for id_ in found if changed[id_] is None]
@@ -185,12 +172,11 @@ def _meet(box: Floats, other: Floats) -> bool:
 
 
 def report(rows: Iterable[tuple[str, Sequence[Told]]]) -> str:
-    """Markdown table, one row a way of asking."""
     header = [
         "map, frames", "windows", "recall of gone", "precision", "motions found",
         "median error", "false, unchanged", "appeared right", "seconds",
     ]  # fmt: skip
-    return markdown(header, [[name, *_cells(told)] for name, told in rows])
+    return lab.markdown(header, [[name, *_cells(told)] for name, told in rows])
 
 
 def figures(told: Sequence[Told]) -> dict[str, Any]:
@@ -228,26 +214,28 @@ def figures(told: Sequence[Told]) -> dict[str, Any]:
 
 def _cells(told: Sequence[Told]) -> list[str]:
     f = figures(told)
-    error = f"{number(f['median_m'], 3, 'm')}, {number(f['median_deg'], 1)}°"
+    error = f"{lab.number(f['median_m'], 3, 'm')}, {lab.number(f['median_deg'], 1)}°"
     return [
         f"{f['windows']}",
-        f"{share(f['recall'])} ({f['found']} of {f['visible']})",
-        f"{share(f['precision'])} ({f['right']} of {f['right'] + f['wrong']})",
+        f"{lab.share(f['recall'])} ({f['found']} of {f['visible']})",
+        f"{lab.share(f['precision'])} ({f['right']} of {f['right'] + f['wrong']})",
         f"{f['moves_found']} of {f['moves']}",
         error,
         f"{f['still_false']} in {f['still_windows']}",
         f"{f['appeared_right']} of {f['appeared_right'] + f['appeared_wrong']}",
-        number(f["seconds"], 1),
+        lab.number(f["seconds"], 1),
     ]
 
 
 STARTS = {25: (0,), 10: (0, 8, 15)}  # first frames of windows, by length
 
 
-@table()
-def scene_changes(run: Run, seed: Seed = 0, *, quick: Quick = False, fresh: Fresh = False) -> None:
+@lab.table()
+def scene_changes(
+    run: lab.Run, seed: lab.Seed = 0, *, quick: lab.Quick = False, fresh: lab.Fresh = False
+) -> None:
     """Are changes found? A map of the house, and walks after furniture was moved or taken away."""
-    journal, code = run.journal(fresh=fresh), code_key(INDOOR)
+    journal, code = run.journal(fresh=fresh), lab.code_key(lab.INDOOR)
     scene = build_scene(run.data / "house/map/house.glb", None)
     folders = sorted((run.data / "house").glob("seq[0-9]*"))
     rows: list[tuple[str, list[Told]]] = []

@@ -90,7 +90,6 @@ def open3d_volume(voxel: float = 0.03, cut: float = 4.0, reach: float = 7.5) -> 
 
 
 def at_depth(image: NDArray[np.uint8], shape: tuple[int, ...]) -> NDArray[np.uint8]:
-    """Image at the size (h, w) of the depth."""
     from PIL import Image
 
     small = Image.fromarray(image).resize((shape[1], shape[0]), Image.Resampling.BOX)
@@ -120,7 +119,6 @@ class House:
         """(N, 3) what the cameras see [m], even over the surface."""
 
     def row(self, way: Way, rng: np.random.Generator) -> dict[str, Any]:
-        """Accuracy and completeness of a mesh [m], and what it took."""
         start = perf_counter()
         mesh = way.fuser(self.frames, self.poses)
         seconds = perf_counter() - start
@@ -151,7 +149,6 @@ class Office:
         self.fused = np.setdiff1d(rows, self.asked)
 
     def row(self, way: Way) -> dict[str, Any]:
-        """How well a mesh of the others foretells the frames that were left out."""
         mesh = way.fuser([self.frames[i] for i in self.fused], self.poses[self.fused])
         caster = RayCaster(mesh.vertices, mesh.triangles)
         seen = [told(self.frames[i], self.poses[i], mesh, caster) for i in self.asked]

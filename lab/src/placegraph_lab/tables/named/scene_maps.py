@@ -14,28 +14,11 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any
 
+from placegraph_lab.tables import runner as lab
 from placegraph_lab.tables.indoor.bench import chosen
 from placegraph_lab.tables.indoor.report import errors
 from placegraph_lab.tables.indoor.windows import EVERY, OFFICE_EVERY
 from placegraph_lab.tables.runner import Column as Col
-from placegraph_lab.tables.runner import (
-    Device,
-    Every,
-    Fresh,
-    OfficeEvery,
-    Quick,
-    Run,
-    Seed,
-    known,
-    markdown,
-    number,
-    option,
-    parts,
-    render,
-    share,
-    shares,
-    table,
-)
 from placegraph_lab.tables.scene.maps import (
     FULL,
     LABELLED,
@@ -70,7 +53,7 @@ ALL = {s.name: s for s in (*NAMED, VERTICES, LABELLED)}
 def _distances(off: Apart | None) -> str:
     if off is None:
         return "–"
-    return " / ".join(number(1e3 * d, 1) for d in (off.mean, off.most, off.maximum))
+    return " / ".join(lab.number(1e3 * d, 1) for d in (off.mean, off.most, off.maximum))
 
 
 MAPS = (
@@ -84,8 +67,8 @@ MAPS = (
 REFINED = (
     Col("", "row"), Col("size", "size"), Col("windows", "windows", 0),
     Col("median", lambda r: [r["after"][f"median_{k}"] for k in ("position_m", "rotation_deg")], errors),
-    Col("10 cm, 5°", lambda r: r["after"]["recall"]["0.1 m, 5 deg"], share),
-    Col("accepted", "accepted", share), Col("s refining", "refine_seconds", 2),
+    Col("10 cm, 5°", lambda r: r["after"]["recall"]["0.1 m, 5 deg"], lab.share),
+    Col("accepted", "accepted", lab.share), Col("s refining", "refine_seconds", 2),
 )  # fmt: skip
 
 
@@ -95,10 +78,9 @@ def report(
     pairs: Sequence[Paired],
     refined: Sequence[dict[str, Any]],
 ) -> str:
-    """Return all tables that there are rows for; `apart` by the name of the map."""
-    text = ["#### What a map takes", render(MAPS, [(m, apart.get(m.name)) for m in made])]
-    paper = [[f"*{name}*", number(a, 1), number(b, 1)] for name, (a, b) in STORAGE.items()]
-    text += ["#### The paper's MB a scene", markdown(["", "3RScan", "ScanNet"], paper)]
+    text = ["#### What a map takes", lab.render(MAPS, [(m, apart.get(m.name)) for m in made])]
+    paper = [[f"*{name}*", lab.number(a, 1), lab.number(b, 1)] for name, (a, b) in STORAGE.items()]
+    text += ["#### The paper's MB a scene", lab.markdown(["", "3RScan", "ScanNet"], paper)]
     for place in PLACES:
         mine = [p for p in pairs if _place(p) == place]
         if mine:
@@ -106,7 +88,7 @@ def report(
             text += [f"#### {PLACES[place].title}: recall within {limits} (windows)"]
             text += [recall_table(mine)]
     if refined:
-        text += ["#### Refined poses", render(REFINED, refined)]
+        text += ["#### Refined poses", lab.render(REFINED, refined)]
     changed = [
         f"- {p.size}, {p.row}: {what} {'; '.join(windows)}"
         for p in pairs for what, windows in (("lost", p.lost), ("gained", p.gained)) if windows
@@ -131,50 +113,51 @@ def recall_table(pairs: Sequence[Paired]) -> str:
         points, error = difference(steps)
         told = [f"{points:+.1f} ± {error:.1f}", f"{steps.count(1)} / {steps.count(-1)}"]
         told = ["–", "–"] if size == FULL.name else told
-        lines.append([size, *(shares(at[row].recalls) for row in windows), *told])
+        lines.append([size, *(lab.shares(at[row].recalls) for row in windows), *told])
     heads = [f"{row} ({count})" for row, count in windows.items()]
-    return markdown(["", *heads, "points against full", "gained / lost"], lines)
+    return lab.markdown(["", *heads, "points against full", "gained / lost"], lines)
 
 
 def sizes_of(place: str, names: list[str]) -> list[Size]:
-    """Sizes of a place's maps, the full one first: those asked for, or all that make sense there."""
     fits = [s for s in ALL.values() if s != (LABELLED if place == "house" else VERTICES)]
     if not names and place != "house":
         names = list(OFFICE_SIZES)
     return [FULL, *(s for s in fits if s != FULL and (not names or s.name in names))]
 
 
-@table("SG2Loc, Tables 3, 4")
+@lab.table("SG2Loc, Tables 3, 4")
 def scene_maps(
-    run: Run,
-    only: Annotated[str, option("Rows, with semicolons between: 'instances: *; a in b*'.")] = "",
-    sizes: Annotated[
-        str, option(f"Sizes with commas between: {', '.join(ALL)}; full is always there.")
+    run: lab.Run,
+    only: Annotated[
+        str, lab.option("Rows, with semicolons between: 'instances: *; a in b*'.")
     ] = "",
-    every: Every = EVERY,
-    office_every: OfficeEvery = OFFICE_EVERY,
-    seed: Seed = 0,
-    device: Device = "auto",
+    sizes: Annotated[
+        str, lab.option(f"Sizes with commas between: {', '.join(ALL)}; full is always there.")
+    ] = "",
+    every: lab.Every = EVERY,
+    office_every: lab.OfficeEvery = OFFICE_EVERY,
+    seed: lab.Seed = 0,
+    device: lab.Device = "auto",
     *,
-    build_only: Annotated[bool, option("Ask about no window.")] = False,
-    fresh: Fresh = False,
-    quick: Quick = False,
+    build_only: Annotated[bool, lab.option("Ask about no window.")] = False,
+    fresh: lab.Fresh = False,
+    quick: lab.Quick = False,
     weights: Annotated[
-        Path | None, option("Of the network that labels images; those of --data if not given.")
+        Path | None, lab.option("Of the network that labels images; those of --data if not given.")
     ] = None,
 ) -> None:
     """How small may a scene map be? Bytes, seconds, memory and recall of maps of many sizes."""
     rows, refining = findings(), refinings()
     if only:
         every_row: list[Finding | Refining] = [*rows, *refining]
-        asked_for = [n if n.endswith(("*", "frames")) else f"{n}, *" for n in parts(only, ";")]
+        asked_for = [n if n.endswith(("*", "frames")) else f"{n}, *" for n in lab.parts(only, ";")]
         both = {r.name for r in chosen(every_row, asked_for)}
         rows = [r for r in rows if r.name in both]
         refining = [r for r in refining if r.name in both]
-    names = parts(sizes)
+    names = lab.parts(sizes)
     if quick:
         names, every, office_every = names or ["default", "small"], 50, 60
-    known(names, ALL, "size")
+    lab.known(names, ALL, "size")
     weights = weights or run.shared / "weights/deeplabv3_mnv2_pascal_quant.tflite"
     maps = Maps(run.data, weights, run.cache, run.journal(fresh=fresh), run.say)
     asked = {r.place for r in rows} | {r.place for r in refining}

@@ -10,20 +10,8 @@ import numpy as np
 
 from placegraph.core.estimate import Status
 from placegraph.errors import MissingExtraError
+from placegraph_lab.tables import runner as lab
 from placegraph_lab.tables.runner import Column as Col
-from placegraph_lab.tables.runner import (
-    Fresh,
-    Quick,
-    Run,
-    known,
-    markdown,
-    option,
-    parts,
-    render,
-    share,
-    shares,
-    table,
-)
 from placegraph_lab.tables.scene.places import (
     BOTH,
     FIRST,
@@ -66,12 +54,11 @@ CAPTION = (
 
 
 def report(rows: Sequence[Row], scale: Sequence[Scale] = ()) -> str:
-    """All tables as Markdown."""
     head = ["encoder, method", *(f"{n} frames" for n in LENGTHS)]
     table = [
         [
             f"{row.name}, {method}",
-            *(share(recall(row.answers.get((method, "50", n), []), 1)) for n in LENGTHS),
+            *(lab.share(recall(row.answers.get((method, "50", n), []), 1)) for n in LENGTHS),
         ]
         for row in rows
         if any(method == "without rarity" for method, _, _ in row.answers)
@@ -82,7 +69,7 @@ def report(rows: Sequence[Row], scale: Sequence[Scale] = ()) -> str:
         CAPTION,
         main_table(rows),
         "## What it takes: recall@1 among 50 scenes",
-        markdown(head, table),
+        lab.markdown(head, table),
         "## Months later: recall@1 among 50 scenes, as it was / changed",
         split_table(
             rows, [("as it was", lambda a: not a.changed), ("changed", lambda a: a.changed)]
@@ -93,7 +80,7 @@ def report(rows: Sequence[Row], scale: Sequence[Scale] = ()) -> str:
         status_table(rows),
     ]
     if scale:
-        parts += ["## Large libraries", render(SCALE, scale)]
+        parts += ["## Large libraries", lab.render(SCALE, scale)]
     return "\n\n".join(parts)
 
 
@@ -103,9 +90,9 @@ def main_table(rows: Sequence[Row]) -> str:
         [
             "the paper on 3RScan",
             str(n),
-            shares(ten),
+            lab.shares(ten),
             f"{a:.1f}",
-            shares(fifty),
+            lab.shares(fifty),
             f"{b:.1f}",
             "–",
             "–",
@@ -117,11 +104,11 @@ def main_table(rows: Sequence[Row]) -> str:
         for row in rows for method in WHOLE for n in LENGTHS
         if (fifty := row.answers.get((method, "50", n), []))
     ]  # fmt: skip
-    return render(MAIN, lines)
+    return lab.render(MAIN, lines)
 
 
 def _recalls(answers: Sequence[Answer]) -> str:
-    return shares(recall(answers, k) for k in RANKS)
+    return lab.shares(recall(answers, k) for k in RANKS)
 
 
 MAIN = (
@@ -141,10 +128,10 @@ def split_table(rows: Sequence[Row], parts: Sequence[tuple[str, Callable[[Answer
         for method in WHOLE:
             by_length = [row.answers.get((method, "50", n), []) for n in LENGTHS]
             split = [[[a for a in all_ if of(a)] for _, of in parts] for all_ in by_length]
-            cells = [shares(recall(part, 1) for part in each) for each in split]
+            cells = [lab.shares(recall(part, 1) for part in each) for each in split]
             counts = ("/".join(str(len(part)) for part in each) for each in split)
             table.append([f"{row.name}, {method}", *cells, ", ".join(counts)])
-    return markdown(head, table)
+    return lab.markdown(head, table)
 
 
 def status_table(rows: Sequence[Row]) -> str:
@@ -161,17 +148,17 @@ def status_table(rows: Sequence[Row]) -> str:
                 sure = [a for a in there if a.status == Status.OK.name]
                 told = reliability([a.probability for a in there], [hit(a, 1) for a in there], BINS)
                 found = [_part(there, s) for s in Status]
-                none = [share(_part(absent, s)) for s in Status]
+                none = [lab.share(_part(absent, s)) for s in Status]
                 error = f"{told.error:.3f} (floor {told.floor:.3f})"
                 cells = [found[0], recall(sure, 1), *found[1:]]
-                lines.append([row.name, str(n), *map(share, cells), error, *none])
-    return markdown(head, lines)
+                lines.append([row.name, str(n), *map(lab.share, cells), error, *none])
+    return lab.markdown(head, lines)
 
 
 SCALE = (
     Col("encoder", "encoder"), Col("scenes", "scenes", 0), Col("objects a scene", "objects", 0),
     Col("frames", "frames"), Col("ms", "milliseconds", 0),
-    Col("ms a frame", lambda s: s.milliseconds / s.frames, 1), Col("R@1", "recall", share),
+    Col("ms a frame", lambda s: s.milliseconds / s.frames, 1), Col("R@1", "recall", lab.share),
     Col("distinct vectors", lambda s: " + ".join(f"{n:,}" for n in s.vectors)),
 )  # fmt: skip
 
@@ -191,7 +178,6 @@ def figures(rows: Sequence[Row]) -> list[dict[str, Any]]:
 
 
 def milliseconds(answers: Sequence[Answer]) -> float:
-    """Median time of searching."""
     return float(np.median([a.milliseconds for a in answers])) if answers else float("nan")
 
 
@@ -206,7 +192,7 @@ def _of_kind(kind: str) -> Callable[[Answer], bool]:
 LARGE = BOTH  # the row that is asked in the large library, too: what a library does by default
 
 
-def asked(run: Run, first: int, *, thin: bool) -> tuple[list[Place], list[Walk]]:
+def asked(run: lab.Run, first: int, *, thin: bool) -> tuple[list[Place], list[Walk]]:
     """All scenes, and all walks through them, or of homes one each."""
     places, walks = house_rooms(run.data, run.cache)
     office, half = office_half(run.data, run.cache)
@@ -219,21 +205,21 @@ def asked(run: Run, first: int, *, thin: bool) -> tuple[list[Place], list[Walk]]
     return places, walks
 
 
-@table("SG2Loc, Table 5")
+@lab.table("SG2Loc, Table 5")
 def scene_retrieval(
-    run: Run,
-    encoders: Annotated[str, option(f"Rows, with semicolons between: {'; '.join(ROWS)}.")] = "",
-    scenes: Annotated[int, option("Scenes of the large library; 0: none.")] = 10_000,
+    run: lab.Run,
+    encoders: Annotated[str, lab.option(f"Rows, with semicolons between: {'; '.join(ROWS)}.")] = "",
+    scenes: Annotated[int, lab.option("Scenes of the large library; 0: none.")] = 10_000,
     *,
-    development: Annotated[bool, option("Homes to tune with; tables are of others.")] = False,
+    development: Annotated[bool, lab.option("Homes to tune with; tables are of others.")] = False,
     thin: Annotated[
-        bool, option("One walk a home: as it was, of every second months later.")
+        bool, lab.option("One walk a home: as it was, of every second months later.")
     ] = False,
-    fresh: Fresh = False,
-    quick: Quick = False,
+    fresh: lab.Fresh = False,
+    quick: lab.Quick = False,
 ) -> None:
     """Which scene of a library was a walk taken in? Homes, rooms of the house, the office."""
-    rows = known(parts(encoders, ";"), ROWS, "row")
+    rows = lab.known(lab.parts(encoders, ";"), ROWS, "row")
     if quick:
         rows, scenes, thin = rows[:1], 0, True
     journal = run.journal(fresh=fresh)

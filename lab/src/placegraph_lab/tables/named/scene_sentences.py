@@ -64,7 +64,6 @@ class Told:
 
 
 def told() -> list[Told]:
-    """All texts, in the order of the file: even ones tune, odd ones test."""
     lines = _data("rooms.tsv")
     return [Told(*line.split("\t")) for line in lines]
 

@@ -32,17 +32,7 @@ from placegraph.indoor.library.search import (
 )
 from placegraph.indoor.library.search_kernels import beside
 from placegraph.indoor.library.signature import BANDS, TURNS, Signature, signature_of
-from placegraph_lab.tables.runner import (
-    Fresh,
-    Quick,
-    Run,
-    Seed,
-    markdown,
-    number,
-    option,
-    share,
-    table,
-)
+from placegraph_lab.tables import runner as lab
 from placegraph_lab.tables.scene.search import Stock
 from placegraph_lab.tables.scene.sentences import Scene, describe
 from placegraph_lab.tables.statistics import apart, peak
@@ -63,7 +53,7 @@ LOOKED, WIDELY = SearchOptions().shortlist, 4_000
 READ = 5_000  # scenes of a library that is read, for comparison
 
 
-def drawn(run: Run, encoders: Sequence[Encoder], seed: int) -> list[Signature]:
+def drawn(run: lab.Run, encoders: Sequence[Encoder], seed: int) -> list[Signature]:
     """Signatures of drawn homes."""
     names, found = list(STYLES), []
     for i in run.track(range(DRAWN), "homes", total=DRAWN):
@@ -74,14 +64,12 @@ def drawn(run: Run, encoders: Sequence[Encoder], seed: int) -> list[Signature]:
 
 
 def scene(signatures: Sequence[Signature], stock: Stock, row: int, seed: int) -> Signature:
-    """Signature of a scene by its number, the same each time."""
     if row < len(signatures):
         return signatures[row]
     return stock.variation(signatures[row % len(signatures)], np.random.default_rng((seed, row)))
 
 
 def listed(signatures: Sequence[Signature], count: int, seed: int) -> Iterator[NamedEntry]:
-    """So many scenes, each made when it is asked for."""
     stock = Stock.of(signatures)
     for i in range(count):
         yield NamedEntry(f"home {i}", Entry(scene(signatures, stock, i, seed), None))
@@ -239,16 +227,16 @@ def _text(shards: SceneShards, text: str) -> Callable[[int], Any]:
     return find
 
 
-@table()
+@lab.table()
 def scene_shards(
-    run: Run,
-    scenes: Annotated[int, option("Scenes.")] = 100_000,
-    queries: Annotated[int, option("Queries of each kind.")] = 50,
-    size: Annotated[int, option("Scenes of a shard.")] = SIZE,
-    seed: Seed = 1000,
+    run: lab.Run,
+    scenes: Annotated[int, lab.option("Scenes.")] = 100_000,
+    queries: Annotated[int, lab.option("Queries of each kind.")] = 50,
+    size: Annotated[int, lab.option("Scenes of a shard.")] = SIZE,
+    seed: lab.Seed = 1000,
     *,
-    fresh: Fresh = False,
-    quick: Quick = False,
+    fresh: lab.Fresh = False,
+    quick: lab.Quick = False,
 ) -> None:
     """100,000 scenes in shards: which one it is, how fast that is told, and how often rightly."""
     scenes, queries = (2_000, 5) if quick else (scenes, queries)
@@ -284,12 +272,12 @@ def scene_shards(
         f"times {min(READ, scenes):,} read",
     ]
     lines = [
-        [r["way"], share(r["wrong"]), number(r["p50_ms"], 0, "ms"), number(r["p95_ms"], 0, "ms"),
-         number(r["cpu_ms"], 0, "ms"), share(r["recall_1"]), share(r["recall_10"]),
-         share(r["same_as_widely"]), f"{r['p50_ms'] / read_[r['way']]:.1f}"]
+        [r["way"], lab.share(r["wrong"]), lab.number(r["p50_ms"], 0, "ms"), lab.number(r["p95_ms"], 0, "ms"),
+         lab.number(r["cpu_ms"], 0, "ms"), lab.share(r["recall_1"]), lab.share(r["recall_10"]),
+         lab.share(r["same_as_widely"]), f"{r['p50_ms'] / read_[r['way']]:.1f}"]
         for r in told["rows"]
     ]  # fmt: skip
-    print(markdown(header, lines))
+    print(lab.markdown(header, lines))
     run.save(
         {"scenes": scenes, "objects": objects, "bytes": size_, "made": made, "read": read_, **told}
     )

@@ -24,11 +24,9 @@ class Told(Progress):
         self._say = say
 
     def preparing(self, name: str, done: int, total: int) -> None:
-        """As `Progress.preparing`."""
         self._say(f"looked at {name}, {done} of {total}")
 
     def epoch(self, row: Mapping[str, float]) -> None:
-        """As `Progress.epoch`."""
         self._say(", ".join(f"{name} {value:.3f}" for name, value in row.items()))
 
 

@@ -45,12 +45,10 @@ class Request:
 
     @classmethod
     def of(cls, path: str, **told: Any) -> Request:  # noqa: ANN401  # any JSON
-        """POST of JSON."""
         return cls("POST", path, json.dumps(told).encode())
 
     @property
     def bytes(self) -> bytes:
-        """As the script reads it."""
         return f"{self.method} {self.path} {self.kind} {len(self.body)}\n".encode() + self.body
 
 
@@ -97,7 +95,6 @@ class Served:
 
 
 def _stat(process: int) -> list[str]:
-    """Fields of a process after its name, from its state on; zeros where it is gone."""
     try:
         text = Path(f"/proc/{process}/stat").read_text()
     except OSError:
@@ -190,7 +187,6 @@ def serve_load(
 
 
 def sentences(extract: Path, seed: int) -> list[str]:
-    """Some hundred texts of one to three sentences about the speaker."""
     drawn = (
         make_queries(extract, statements=count, setting="speaker", n=300, seed=seed)
         for count in (1, 2, 3)
@@ -251,13 +247,11 @@ def watched(
 
 
 def line(row: dict[str, Any]) -> list[str]:
-    """A row of the table."""
     numbers = (number(row[k], 1) for k in ("per_second", "p50_ms", "p95_ms", "cpu_ms"))
     return [row["asked"], str(row["at_once"]), *numbers, str(row["failed"])]
 
 
 def told(sockets: dict[str, Any], memory: list[dict[str, Any]]) -> str:
-    """What idle WebSockets and many requests did to memory."""
     some = memory[:2] + memory[2 :: max(1, len(memory) // 5)]
     grown = ", ".join(f"{row['mb']:.0f} after {row['requests']:,}" for row in some)
     return (

@@ -18,6 +18,7 @@ import typer
 
 from placegraph.errors import InputError
 from placegraph.indoor.scene_map import SceneMap
+from placegraph_lab.tables import runner as lab
 from placegraph_lab.tables.indoor import sg2loc as at_hand
 from placegraph_lab.tables.indoor import sg2loc as brought
 from placegraph_lab.tables.indoor.metrics import rounded, score
@@ -35,74 +36,14 @@ from placegraph_lab.tables.indoor.sg2loc import (
 )
 from placegraph_lab.tables.indoor.windows import DRIFT
 from placegraph_lab.tables.named.scene_retrieval import figures, main_table
-from placegraph_lab.tables.runner import (
-    Device,
-    Fresh,
-    Quick,
-    Run,
-    Seed,
-    Table,
-    known,
-    markdown,
-    number,
-    option,
-    parts,
-    shares,
-)
 from placegraph_lab.tables.scene.places import FIRST, HOMES, NOISY, Place, Walk, homes
 from placegraph_lab.tables.scene.search import Cosines, Scenes, Study
-
-_PRINTED = """
-1; 3RScan: HLoc; 2.05e12 46.68 .18 6.32 | 5.1e10 36.85 .13 4.15 | 1030.9 22.74 .08 2.44 | 732.2 16.09 .07 2.06
-1; 3RScan: SG2Loc; 2.43 21.24 .20 3.27 | 2.30 20.50 .18 2.96 | 6.15 22.93 .14 2.73 | 9.48 27.43 .10 2.62
-1; ScanNet: HLoc; 6.16e4 14.30 .09 2.63 | 603.05 10.48 .08 2.45 | 492.00 7.27 .06 2.12 | 1348.28 7.12 .07 1.94
-1; ScanNet: SG2Loc; .53 11.55 .12 2.55 | .44 8.14 .10 2.30 | .32 4.55 .09 2.29 | 2.10 12.27 .08 1.70
-2; 3RScan: HLoc; .54 .28 .27 | .62 .32 .32 | .74 .43 .43 | .76 .50 .50
-2; 3RScan: SG2Loc; .53 .38 .32 | .55 .38 .33 | .59 .43 .39 | .65 .43 .43
-2; ScanNet: HLoc; .81 .38 .38 | .86 .41 .41 | .91 .47 .47 | .98 .52 .52
-2; ScanNet: SG2Loc; .73 .40 .36 | .80 .40 .39 | .86 .43 .42 | .90 .61 .61
-3; HLoc, 3RScan and ScanNet; 294.4 283.3
-3; SG2Loc, 3RScan and ScanNet; 9.8 28.2
-4; 3RScan: HLoc; 3520.0 .01 -
-4; 3RScan: SG2Loc; 1.6 2.90 5.5
-6; 3RScan: HLoc; .94 33.99 .27 3.67 .48 .35 .35
-6; 3RScan: SG2Loc w/ keyframing; 2.36 20.08 .18 2.75 .54 .43 .40
-7; 3RScan: Max. raycast resolution; .07 .33
-7; 3RScan: Uniform sampling; .10 .30
-7; 3RScan: w/o adaptive resampling; .11 .30
-7; 3RScan: SG2Loc w/ semantic; .11 .35
-7; 3RScan: SG2Loc w/ semantic+depth; .20 .54
-7; 3RScan: SG2Loc w/ semantic+depth+RGB; .35 .61
-7; 3RScan: SG2Loc; .50 .65
-8; 3RScan: SG2Loc w/ semantic; 1.20 21.44 .66 8.77 .08 .26
-8; 3RScan: SG2Loc w/ depth; 1.44 39.01 .96 6.42 .09 .32
-8; 3RScan: SG2Loc w/ RGB; 1.79 44.78 1.51 17.37 .14 .20
-9; ScanNet: SG2Loc w/ semantic; 1.08 21.21 .73 7.40 | 1.00 18.55 .57 6.28 | .86 15.69 .43 5.95
-9; ScanNet: SG2Loc w/ semantic+depth+RGB; .56 11.92 .15 2.45 | .54 10.23 .14 2.08 | .46 10.42 .13 1.99
-9; ScanNet: SG2Loc; .53 11.55 .12 2.55 | .44 8.14 .10 2.30 | .29 4.55 .09 2.29
-10; ScanNet: SG2Loc w/ semantic; .12 .33 | .12 .34 | .14 .40
-10; ScanNet: SG2Loc w/ semantic+depth+RGB; .26 .69 | .28 .73 | .32 .75
-10; ScanNet: SG2Loc; .41 .72 | .49 .79 | .58 .80
-11; ScanNet: SGL, one frame; .924 - - - - - -
-11; ScanNet: Seq. SGL; .951 - - - - - -
-11; ScanNet: SG2Loc; .857 .24 7.21 .16 2.25 .33 .80
-12; 3RScan: HLoc; 2.05e12 46.68 .18 6.32 | 1030.90 22.74 .08 2.44
-12; 3RScan: SG2Loc; 2.43 21.24 .20 3.27 | 6.15 22.93 .14 2.73
-12; 3RScan: SG2Loc (Coarse); 2.25 24.37 .31 5.05 | 8.08 27.10 .14 3.44
-13; 3RScan: HLoc; .54 .28 .27 | .74 .43 .43
-13; 3RScan: SG2Loc; .53 .38 .32 | .59 .43 .39
-13; 3RScan: SG2Loc (Coarse); .46 .31 .27 | .58 .38 .36
-14; ScanNet: HLoc; .09 2.63 .38
-14; ScanNet: HLoc w/ SLAM poses; .15 2.67 .34
-14; ScanNet: SG2Loc; .12 2.55 .36
-14; ScanNet: SG2Loc w/ SLAM poses; .16 2.63 .36
-"""
-"""Number of a table, row, published by sequence length; table 5 stands in `retrieval_report.PAPER`."""
 
 
 def published(table: int) -> list[tuple[str, list[list[float | None]]]]:
     """Rows of a table: name, and published by sequence length; None where there is none."""
-    lines = [line.split(";") for line in _PRINTED.strip().splitlines()]
+    text = Path(at_hand.__file__).with_suffix(".txt").read_text("utf-8")
+    lines = [line.split(";") for line in text.splitlines() if not line.startswith("#")]
     return [
         (
             row.strip(),
@@ -239,7 +180,6 @@ def retrieval(_: Spec, asking: Asking, of: Sequence[Set]) -> Made:
 
 
 def _filed(scene: SceneMap) -> tuple[SceneMap, int]:
-    """The same map, nothing derived yet, and the bytes of its file."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "one.scene"
         scene.save(path)
@@ -256,10 +196,10 @@ def _printed(table: int, heads: Sequence[str]) -> list[dict[str, Any]]:
 def _written(rows: list[dict[str, Any]]) -> str:
     heads = list(dict.fromkeys(head for row in rows for head in row if head != "row"))
     whole = {"scenes", "windows", "objects a scene", "vertices an object"}
-    return markdown(
+    return lab.markdown(
         ["", *heads],
         [
-            [row["row"], *(number(row.get(h), 0 if h in whole else 2) for h in heads)]
+            [row["row"], *(lab.number(row.get(h), 0 if h in whole else 2) for h in heads)]
             for row in rows
         ],
     )
@@ -274,7 +214,6 @@ _STATES = {False: "unchanged", True: "changed", None: ""}
 
 
 def printed(table: int, columns: Sequence[str], lengths: Sequence[int]) -> list[dict[str, Any]]:
-    """Rows of a table of the paper, one a sequence length."""
     rows: list[dict[str, Any]] = []
     for name, by_length in published(table):
         for length, part in zip(lengths, by_length, strict=False):
@@ -314,18 +253,17 @@ def measured(name: str, row: str, replies: Sequence[Reply], *, whole: bool) -> l
 
 
 def report(rows: Sequence[dict[str, Any]], columns: Sequence[str]) -> str:
-    """Markdown of rows; what a row does not know is a dash."""
     lines = []
     for row in rows:
         title = ": ".join(filter(None, [row["set"], row.get("state"), row["row"]]))
         cells = [
-            errors(row.get(c, [None] * 2)) if c in {"mean", "median"} else shares(row.get(c, [None]))
+            errors(row.get(c, [None] * 2)) if c in {"mean", "median"} else lab.shares(row.get(c, [None]))
             for c in columns
         ]  # fmt: skip
-        known = [number(row.get(k), 2 * (k == "seconds")) for k in ("seconds", "particles")]
-        windows = number(row.get("windows"))
-        lines.append([title, number(row.get("frames")), windows, *cells, *known])
-    return markdown(["", "frames", "windows", *columns, "s/frame", "particles"], lines)
+        known = [lab.number(row.get(k), 2 * (k == "seconds")) for k in ("seconds", "particles")]
+        windows = lab.number(row.get("windows"))
+        lines.append([title, lab.number(row.get("frames")), windows, *cells, *known])
+    return lab.markdown(["", "frames", "windows", *columns, "s/frame", "particles"], lines)
 
 
 ODOMETRY = {
@@ -337,7 +275,6 @@ MERGED = {"homes": (2, 5, 10), "3RScan": (3,), "ScanNet": (3,)}
 
 
 def poses(table: int, spec: Spec, asking: Asking, of: Sequence[Set]) -> tuple[str, list[Any]]:
-    """A table of poses: as Markdown, and as rows."""
     by = {6: _keyframes, 11: _merged, 14: _drifting}.get(table, _plain)
     rows = printed(table, spec.columns, SPECS[table].lengths)
     rows += [row for its in of for row in by(spec, asking, its)]
@@ -351,7 +288,6 @@ def _plain(spec: Spec, asking: Asking, of: Set) -> Iterator[dict[str, Any]]:
 
 
 def _keyframes(spec: Spec, asking: Asking, of: Set) -> Iterator[dict[str, Any]]:
-    """Of a sequence, as many frames as there is time for, at the pace of short sequences."""
     for length in spec.lengths:
         for name, recipe, whole in spec.rows:
             if length > of.longest:
@@ -363,7 +299,6 @@ def _keyframes(spec: Spec, asking: Asking, of: Set) -> Iterator[dict[str, Any]]:
 
 
 def _pace(asking: Asking, of: Set, recipe: str) -> float:
-    """Seconds that a frame takes, by sequences of five."""
     replies = asking.replies(of, recipe, 5)
     return float(np.median([r.filter.seconds / r.filter.frames for r in replies]))
 
@@ -411,7 +346,7 @@ UNUSED = {3: {*_OF_POSES, "encoder"}, 5: _OF_POSES, 6: set[str]()}
 """Options that a table does not have; of those not named here, the pace."""
 
 
-def there(run: Run, names: list[str], split: Split) -> Iterator[Set]:
+def there(run: lab.Run, names: list[str], split: Split) -> Iterator[Set]:
     """The sets named, or all whose data there are; `InputError` where they are not."""
     data, cache = run.data, run.cache
     sources: dict[str, tuple[Path, Callable[[], Set]]] = {
@@ -433,7 +368,7 @@ def there(run: Run, names: list[str], split: Split) -> Iterator[Set]:
     return (sources[name][1]() for name in found)
 
 
-def answerable(run: Run, of: Spec, sets: list[Set]) -> list[Set]:
+def answerable(run: lab.Run, of: Spec, sets: list[Set]) -> list[Set]:
     """Sets that the table can be measured in; says where it cannot, `InputError` if nowhere."""
     kept, why = [], []
     for its in sets:
@@ -455,14 +390,14 @@ def answerable(run: Run, of: Spec, sets: list[Set]) -> list[Set]:
 
 def asked(spec: Spec, lengths: str, only: str, pace: float) -> Spec:
     """The part of a table that was asked for; `typer.BadParameter` where it has no such part."""
-    words = parts(lengths)
+    words = lab.parts(lengths)
     if not all(word.isdecimal() and int(word) for word in words):
         raise typer.BadParameter(
             f"lengths are whole numbers of frames from 1 up, with commas between, not {lengths!r}."
         )
     if not 0.0 <= pace < math.inf:
         raise typer.BadParameter(f"pace is 0 or more seconds, not {pace}.")
-    rows = known(parts(only, ";"), (name for name, *_ in spec.rows), "row")
+    rows = lab.known(lab.parts(only, ";"), (name for name, *_ in spec.rows), "row")
     return spec._replace(
         lengths=tuple(map(int, words)) or spec.lengths,
         rows=tuple(row for row in spec.rows if row[0] in rows),
@@ -470,32 +405,34 @@ def asked(spec: Spec, lengths: str, only: str, pace: float) -> Spec:
     )
 
 
-def numbered(table: int) -> Table:
+def numbered(table: int) -> lab.Table:
     """Table of the paper by its number."""
     spec = SPECS[table]
 
     def measure(
-        run: Run,
+        run: lab.Run,
         *,
-        sets: Annotated[str, option("Sets, with commas between; all that there are.")] = "",
+        sets: Annotated[str, lab.option("Sets, with commas between; all that there are.")] = "",
         frames: Annotated[
             int, typer.Option(min=0, help="Most frames of a set, a state and a length; 0: all.")
         ] = 0,
-        lengths: Annotated[str, option("Sequence lengths; those of the table.")] = "",
-        only: Annotated[str, option("Rows of the table, with semicolons between.")] = "",
-        pace: Annotated[float, option("Seconds a frame (Table 6); 0: as measured.")] = 0.0,
-        encoder: Annotated[str, option(f"Of images; {IMAGES}, where they bring no labels.")] = "",
-        matcher: Annotated[str, option("Of the paper's final fit; theirs is roma.")] = "sift",
-        split: Annotated[Split, option("Of 3RScan.")] = "test",
-        seed: Seed = 0,
-        device: Device = "auto",
-        quick: Quick = False,
-        fresh: Fresh = False,
+        lengths: Annotated[str, lab.option("Sequence lengths; those of the table.")] = "",
+        only: Annotated[str, lab.option("Rows of the table, with semicolons between.")] = "",
+        pace: Annotated[float, lab.option("Seconds a frame (Table 6); 0: as measured.")] = 0.0,
+        encoder: Annotated[
+            str, lab.option(f"Of images; {IMAGES}, where they bring no labels.")
+        ] = "",
+        matcher: Annotated[str, lab.option("Of the paper's final fit; theirs is roma.")] = "sift",
+        split: Annotated[Split, lab.option("Of 3RScan.")] = "test",
+        seed: lab.Seed = 0,
+        device: lab.Device = "auto",
+        quick: lab.Quick = False,
+        fresh: lab.Fresh = False,
     ) -> None:
         of = asked(spec, lengths, only, pace)
         if quick:
             frames, of = 10, of._replace(lengths=of.lengths[:1])
-        chosen = answerable(run, of, list(there(run, parts(sets), split)))
+        chosen = answerable(run, of, list(there(run, lab.parts(sets), split)))
         asking = Asking(run, How(frames, encoder, matcher, seed, device), fresh=fresh)
         costs = {3: storage, 4: seconds, 5: retrieval}.get(table)
         text, rows = costs(of, asking, chosen) if costs else poses(table, of, asking, chosen)
@@ -507,7 +444,7 @@ def numbered(table: int) -> Table:
     measure.__signature__ = its.replace(parameters=used)  # type: ignore[attr-defined]
     measure.__name__ = f"sg2loc-{table}"
     measure.__doc__ = f"{spec.asks}\n\n{LAYOUT}"
-    return Table(measure, f"SG2Loc, Table {table}")
+    return lab.Table(measure, f"SG2Loc, Table {table}")
 
 
 TABLES = {f"sg2loc-{table}": numbered(table) for table in SPECS}

@@ -159,7 +159,6 @@ def _cycle(kind: dict[str, Any], n: int) -> list[str]:
 
 
 def _mixed(made: Sequence[Told], frames: Sequence[str]) -> tuple[Told, ...]:
-    """Two true sentences, and two that are not understood; where they are true is known."""
     mixed = []
     for i, told in enumerate(made):
         true = told.text.split(". ")[:2]
@@ -169,7 +168,6 @@ def _mixed(made: Sequence[Told], frames: Sequence[str]) -> tuple[Told, ...]:
 
 
 def _names(city: CityMap) -> list[str]:
-    """Names of a map that a text may hold: two words and more, of plain letters."""
     names = sorted(set(city.objects.names))
     return [n for n in names if re.fullmatch(r"[A-Z][A-Za-z']+( [A-Z][A-Za-z']+)+", n)]
 
@@ -295,8 +293,6 @@ KINDS = {
 
 @dataclass(frozen=True)
 class Verdict:
-    """What became of one text."""
-
     status: str  # `OK`, `AMBIGUOUS`, `LOST`, or the name of an error
     probability: float  # of the best place
     off: float  # how far the best place is from the truth [m]; infinite where there is none
@@ -323,7 +319,6 @@ class Judged:
 
     @property
     def key(self) -> tuple[str, str]:
-        """Row of the printed table: its towns stand together."""
         return self.asked.kind, self.asked.name
 
 
@@ -348,12 +343,10 @@ def rates(verdicts: Sequence[Verdict], radius: float) -> dict[str, float]:
 
 
 def calibrated(verdicts: Sequence[Verdict]) -> Reliability:
-    """Whether a place's probability is how often the truth lies within 50 m of it."""
     return reliability([v.probability for v in verdicts], [v.off <= HIT for v in verdicts])
 
 
 def merged(judged: Iterable[Judged]) -> dict[tuple[str, str], dict[str, list[Verdict]]]:
-    """Verdicts by row and half, whatever the town."""
     rows: dict[tuple[str, str], dict[str, list[Verdict]]] = {}
     for one in judged:
         halves = rows.setdefault(one.key, {})
@@ -362,14 +355,12 @@ def merged(judged: Iterable[Judged]) -> dict[tuple[str, str], dict[str, list[Ver
 
 
 def line(name: str, half: str, verdicts: Sequence[Verdict], radius: float) -> list[str]:
-    """Row of the printed table."""
     r = rates(verdicts, radius)
     wanted = ("ok", "wrong_of_ok", "ok_and_right", "right_not_ok", "lost", "calibration_error")
     return [name, half, f"{r['texts']:,.0f}", *(share(r[k]) for k in wanted)]
 
 
 def shown(judged: Sequence[Judged], kind: str) -> str:
-    """Printed table of one kind: every set, and all of them together."""
     header = ["", "", "texts", "`OK`", "of these wrong", "`OK` and right", "right, not `OK`"]
     header += ["`LOST`", "calibration error"]
     of_kind = [j for j in judged if j.asked.kind == kind]
@@ -440,13 +431,11 @@ def statuses(
 
 
 def row(judged: Judged) -> dict[str, Any]:
-    """Numbers of a set in one town."""
     asked = judged.asked
     head = {k: getattr(asked, k) for k in ("kind", "name", "city", "half")}
     return head | rates(judged.verdicts, asked.radius)
 
 
 def bins(of: Reliability) -> dict[str, list[float]]:
-    """Numbers of a diagram."""
     names = ("count", "confidence", "accuracy")
     return {name: getattr(of, name).round(4).tolist() for name in names}

@@ -32,7 +32,6 @@ AMONG = (1, 10, 50)
 
 
 def sparse_cells(city: CityMap) -> list[dict[int, float]]:
-    """Of each cell its words, the rarer the heavier, as a sparse vector of length one."""
     cells = city.encoded.cells
     heavy = _rarity(city)
     out = []
@@ -64,7 +63,6 @@ def sparse_text(city: CityMap, text: str) -> dict[int, float]:
 
 
 def _rarity(city: CityMap) -> NDArray[np.float64]:
-    """Of each word, by how many things of cells bear it."""
     cells = city.encoded.cells
     counts = np.bincount(cells.words, minlength=len(cells.vocabulary))
     return np.asarray(np.log((len(cells.offsets) + 1.0) / (counts + 0.5)))
@@ -151,8 +149,6 @@ ORIGIN = Origin("vector_scale", "clustered")
 
 @dataclass(frozen=True)
 class Row:
-    """What one store did with so many vectors."""
-
     store: str
     count: int
     rows_a_second: float  # sent, indexed and ready to be asked
@@ -182,7 +178,6 @@ def asked(
 
 
 def on_disk(folder: Path) -> int:
-    """Bytes of all files of a folder."""
     return sum(f.stat().st_size for f in folder.rglob("*") if f.is_file())
 
 
@@ -285,7 +280,6 @@ def measured(module: str, size: int, queries: int, seed: int, cache: Path) -> Ro
 
 
 def printed(rows: Sequence[Row]) -> str:
-    """Markdown of all stores."""
     header = ["store", "vectors", "rows/s", "p50", "p95", "processor", "recall of ten",
               "bytes a row", "at most"]  # fmt: skip
     lines = [

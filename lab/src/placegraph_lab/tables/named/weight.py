@@ -67,7 +67,6 @@ class Figure:
     unit: str = ""
 
     def cells(self) -> list[str]:
-        """Write the figure as a row."""
         digits = 1 if self.unit == "s" else 0
         return [
             self.name,
@@ -87,7 +86,6 @@ def weigh(name: str, files: Iterable[Path]) -> Weight:
 
 
 def _count(text: str) -> tuple[int, int, int, int, int]:
-    """Return lines, imports, docstrings, comments and blank lines of a source text."""
     lines = text.splitlines()
     imports: set[int] = set()
     docstrings: set[int] = set()
@@ -205,7 +203,6 @@ def install(root: Path) -> list[Figure]:
 
 
 def _run(command: Sequence[str], compiled: Path) -> float:
-    """Run a command of placegraph with a folder of compiled code; seconds."""
     start = perf_counter()
     environment = os.environ | {"NUMBA_CACHE_DIR": str(compiled)}
     _call([sys.executable, "-m", "placegraph", *command], environment)

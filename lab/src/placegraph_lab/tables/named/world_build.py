@@ -112,7 +112,6 @@ def build(osm: Path, world: Path, workers: int, kill_after: int = 0) -> dict[str
 
 
 def killed(osm: Path, world: Path, workers: int) -> dict[str, float]:
-    """A build that is killed after some tiles, and taken up again, as one."""
     first = build(osm, world, workers, kill_after=AFTER)
     again = build(osm, world, workers)
     summed = ("seconds", "cpu_s")
@@ -121,7 +120,6 @@ def killed(osm: Path, world: Path, workers: int) -> dict[str, float]:
 
 
 def shards(world: Path) -> dict[str, bytes]:
-    """Last bytes of each shard: the digest of all before."""
     return {path.name: path.read_bytes()[-32:] for path in sorted((world / "shards").glob("*"))}
 
 

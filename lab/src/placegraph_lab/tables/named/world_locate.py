@@ -93,7 +93,6 @@ def quarter(count: int, folder: Path, seed: int) -> tuple[World, list[Visit]]:
 
 
 def _said(scene: SceneMap, room: str, street: str, number: int, rng: Generator) -> str:
-    """Street, which one may err in the number of by a house in ten, room and two things in it."""
     labels = np.array(scene.graph.labels)
     here = np.array([a.get("room") == room for a in scene.attributes]) & ~structure(
         scene.graph.labels
@@ -106,7 +105,6 @@ def _said(scene: SceneMap, room: str, street: str, number: int, rng: Generator) 
 
 
 def _osm(spots: Sequence[tuple[str, int, tuple[float, float]]], path: Path) -> Path:
-    """Streets with houses of 12 by 10 m beside them, as OpenStreetMap XML."""
     nodes: list[str] = []
     ways: list[str] = []
 
@@ -161,7 +159,6 @@ def ask(world: World, visit_: Visit, row: str, seed: int) -> dict[str, Any]:
 
 
 def report(asked: Sequence[dict[str, Any]]) -> str:
-    """Markdown table: recall of building, room and pose, statuses, and time, by what is known."""
     rows = []
     for row in ROWS:
         own = [a for a in asked if a["row"] == row]

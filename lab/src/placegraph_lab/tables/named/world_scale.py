@@ -82,7 +82,6 @@ def _bags(o: CityObjects, rng: Generator | None) -> NDArray[np.int64]:
 def _taken(
     starts: NDArray[np.int32], values: NDArray[np.int32], rows: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-    """Counts and values of rows taken out of a CSR."""
     counts = np.diff(starts)[rows].astype(np.int64)
     ends = np.cumsum(counts)
     at = np.arange(ends[-1]) + np.repeat(starts[rows] - ends + counts, counts)
@@ -144,7 +143,6 @@ def ask(path: Path, small: Path, texts: Mapping[str, Sequence[str]]) -> dict[str
 
 
 def equal(path: Path, texts: Mapping[str, Sequence[str]], most: int) -> dict[str, dict[str, float]]:
-    """Compare answers to `most` texts of each kind with those for which every viewpoint was scored."""
     from placegraph.outdoor.city import CityMap
 
     city = CityMap.open(path)
@@ -181,7 +179,6 @@ def _compared(city: CityMap, texts: Sequence[str]) -> dict[str, float]:
 
 
 def exhaustive(asked: Request) -> Posterior:
-    """What a search finds that scores all viewpoints, and drops nothing that can matter."""
     from placegraph.outdoor.search.candidates import Candidates
     from placegraph.outdoor.search.posterior import ALL, compute_posterior, score
 
@@ -234,7 +231,6 @@ def _since(start: tuple[float, float]) -> dict[str, float]:
 
 
 def _resident() -> dict[str, int]:
-    """Resident memory of this process [bytes]: its own, and pages of files."""
     status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
     names = {"own": "RssAnon", "files": "RssFile", "all": "VmRSS"}
     return {name: 1024 * int(status[key].split()[0]) for name, key in names.items()}
@@ -281,7 +277,6 @@ def world_scale(
 
 
 def _made(run: Run, small: Path, path: Path, copies: int, seed: int) -> dict[str, Any]:
-    """What building a map of copies cost, as it was written down beside it; built where it is not there."""
     told = path.with_suffix(".json")
     if not (path.exists() and told.exists()):
         run.say(f"{copies} x: building")

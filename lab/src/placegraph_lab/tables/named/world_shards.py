@@ -11,19 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
+from placegraph_lab.tables import runner as lab
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS
 from placegraph_lab.tables.outdoor.queries import make_queries
-from placegraph_lab.tables.runner import (
-    Quick,
-    Run,
-    Seed,
-    markdown,
-    number,
-    option,
-    parts,
-    share,
-    table,
-)
 from placegraph_lab.tables.statistics import apart, peak
 from placegraph_lab.worlds.shards import copies_of, finish_copies, write_copies, write_shards
 
@@ -115,9 +105,9 @@ def worked(row: dict[str, Any]) -> list[list[str]]:
         path = of["asks_s"] + of["works_s"]
         told = (of["seconds"], of["asks_s"], of["works_s"], path)
         rows.append([
-            number(row["shards"]), by, number(of["trips"], 1),
-            *(number(1e3 * s / row["texts"], 0, "ms") for s in told),
-            number(path / alone, 2), "yes" if row["alike"] else "no",
+            lab.number(row["shards"]), by, lab.number(of["trips"], 1),
+            *(lab.number(1e3 * s / row["texts"], 0, "ms") for s in told),
+            lab.number(path / alone, 2), "yes" if row["alike"] else "no",
         ])  # fmt: skip
     return rows
 
@@ -138,7 +128,6 @@ Texts = dict[str, list["Query"]]
 
 
 def told(reason: str) -> int:
-    """Shards looked into, as a reason has it."""
     return int(reason.rpartition("Looked into ")[2].split()[0].replace(",", ""))
 
 
@@ -201,31 +190,29 @@ def asked(world: Path, texts: Texts) -> dict[str, Any]:
 
 
 def fix(kind: str, q: Query) -> dict[str, Any]:
-    """What is known beside the text."""
     return {"near": (q.longitude, q.latitude), "radius": NEAR} if kind == "with a fix" else {}
 
 
 def near(best: Any, q: Query) -> bool:  # noqa: ANN401
-    """Whether a place is within 50 m of the truth."""
     east = (best.longitude - q.longitude) * np.cos(np.radians(q.latitude))
     return bool(np.hypot(east, best.latitude - q.latitude) * 111_000.0 < 50.0)
 
 
-@table()
+@lab.table()
 def world_shards(
-    run: Run,
-    city: Annotated[str, option("City that is cut and copied.")] = "vancouver",
-    zoom: Annotated[int, option("Level of the quadtree.")] = 12,
+    run: lab.Run,
+    city: Annotated[str, lab.option("City that is cut and copied.")] = "vancouver",
+    zoom: Annotated[int, lab.option("Level of the quadtree.")] = 12,
     copies: Annotated[
-        str, option("Numbers of copies with commas; the last is predicted.")
+        str, lab.option("Numbers of copies with commas; the last is predicted.")
     ] = "2,4,8,19",
-    queries: Annotated[int, option("Queries of a kind.")] = 30,
+    queries: Annotated[int, lab.option("Queries of a kind.")] = 30,
     worlds: Annotated[
-        Path | None, option("Folder of worlds; what is there already is not built again.")
+        Path | None, lab.option("Folder of worlds; what is there already is not built again.")
     ] = None,
-    seed: Seed = 0,
+    seed: lab.Seed = 0,
     *,
-    quick: Quick = False,
+    quick: lab.Quick = False,
 ) -> None:
     """Does a world in shards answer as one map? What texts take as it grows, and with workers."""
     import placegraph as pg
@@ -234,7 +221,7 @@ def world_shards(
         copies, queries = "1,2", 6
     folder = Path(worlds or run.cache / "worlds")
     folder.mkdir(parents=True, exist_ok=True)
-    osm, map_file, numbers = run.osm / EXTRACTS[city], folder / "whole.city", parts(copies)
+    osm, map_file, numbers = run.osm / EXTRACTS[city], folder / "whole.city", lab.parts(copies)
     run.say("building")
     if not map_file.exists():
         pg.build_city(osm, map_file)
@@ -243,7 +230,7 @@ def world_shards(
     texts = {k: make_queries(osm, n=queries, seed=seed, setting=s) for k, s in KINDS.items()}  # type: ignore[arg-type]
     run.say("asking both")
     rows = apart(compared, map_file, base, texts)
-    print(markdown(EQUAL, [equal(row) for row in rows]))
+    print(lab.markdown(EQUAL, [equal(row) for row in rows]))
     kept = {
         "common words": texts["common words"],
         "a name": [q for q in texts["names"] if NAME.search(q.text)],
@@ -253,13 +240,13 @@ def world_shards(
     for n, world in zip(numbers, made, strict=True):
         run.say(f"{n} copies")
         grown.append({"copies": int(n)} | sizes(world) | apart(asked, world, kept))
-        print(markdown(GROWN, [line(grown[-1], kind) for kind in kept]))
+        print(lab.markdown(GROWN, [line(grown[-1], kind) for kind in kept]))
     run.say("workers")
     said = [q.text for q in texts["common words"][:20]]
     crews = [crew(world, said) for world in (made[1], made[-2 if len(made) > 2 else -1])]
-    print(markdown(WORKED, [row for one in crews for row in worked(one)]))
+    print(lab.markdown(WORKED, [row for one in crews for row in worked(one)]))
     capacity = model(grown)
-    print(markdown(["", "model", "measured", "planet, extrapolated"], capacity))
+    print(lab.markdown(["", "model", "measured", "planet, extrapolated"], capacity))
     run.save({
         "rows": rows, "grown": grown, "model": capacity, "crews": crews,
     })  # fmt: skip
@@ -300,15 +287,14 @@ def equal(row: dict[str, Any]) -> list[str]:
     """Row of the first table."""
     differ = np.array(row["differ"])
     return [
-        row["kind"], number(row["shards"]), share(row["same"] / row["queries"]),
-        share(float((differ <= 0.01).mean())), share(float(differ.max())),
-        number(np.median(row["ms"]), 1, "ms"), number(np.median(row["ms_shards"]), 1, "ms"),
-        number(np.median(row["touched"])),
+        row["kind"], lab.number(row["shards"]), lab.share(row["same"] / row["queries"]),
+        lab.share(float((differ <= 0.01).mean())), lab.share(float(differ.max())),
+        lab.number(np.median(row["ms"]), 1, "ms"), lab.number(np.median(row["ms_shards"]), 1, "ms"),
+        lab.number(np.median(row["touched"])),
     ]  # fmt: skip
 
 
 def sizes(folder: Path) -> dict[str, float]:
-    """What a world holds, and what it takes on disk."""
     from placegraph_scale.shards import WorldFile
 
     shards = WorldFile.read(folder).shards
@@ -321,14 +307,13 @@ def sizes(folder: Path) -> dict[str, float]:
 
 
 def line(row: dict[str, Any], kind: str) -> list[str]:
-    """Row of the second table."""
     of = row[kind]
     return [
-        f"{row['copies']} x", number(row["cells"]), number(row["shards"]),
-        number(1e-6 * row["bytes"], 0), kind, number(np.median(of["ms"]), 0, "ms"),
-        number(np.quantile(of["ms"], 0.95), 0, "ms"), number(np.median(of["touched"])),
-        number(np.quantile(of["touched"], 0.95)), share(of["right"]),
-        number(1e-6 * row["peak_bytes"], 0, "MB"), number(row["handles"]), number(row["mapped"]),
+        f"{row['copies']} x", lab.number(row["cells"]), lab.number(row["shards"]),
+        lab.number(1e-6 * row["bytes"], 0), kind, lab.number(np.median(of["ms"]), 0, "ms"),
+        lab.number(np.quantile(of["ms"], 0.95), 0, "ms"), lab.number(np.median(of["touched"])),
+        lab.number(np.quantile(of["touched"], 0.95)), lab.share(of["right"]),
+        lab.number(1e-6 * row["peak_bytes"], 0, "MB"), lab.number(row["handles"]), lab.number(row["mapped"]),
     ]  # fmt: skip
 
 

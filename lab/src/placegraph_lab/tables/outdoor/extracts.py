@@ -226,7 +226,6 @@ def _exchanged(kind: NDArray[np.uint8], rng: Generator) -> Rows:
 
 
 def _rows(starts: Starts, rows: Rows) -> tuple[NDArray[np.int32], Rows]:
-    """CSR of some rows: their starts, and which entries they have."""
     first, counts = starts[rows].astype(np.int64), np.diff(starts)[rows]
     bounds = np.concatenate(([0], np.cumsum(counts, dtype=np.int64)))
     entries = np.arange(bounds[-1]) + np.repeat(first - bounds[:-1], counts)
@@ -236,7 +235,6 @@ def _rows(starts: Starts, rows: Rows) -> tuple[NDArray[np.int32], Rows]:
 def _used(
     table: tuple[str, ...], values: NDArray[np.int32]
 ) -> tuple[tuple[str, ...], NDArray[np.int32]]:
-    """Strings that are used, and the values that point to them."""
     used, inverse = np.unique(values, return_inverse=True)
     return tuple(table[i] for i in used), inverse.astype(np.int32)
 

@@ -34,7 +34,6 @@ class Run(NamedTuple):
 
     @property
     def total(self) -> float:
-        """Seconds of all stages."""
         return sum(self.seconds.values())
 
 
@@ -83,7 +82,6 @@ def found_within(
 
 
 def slope(cells: Sequence[int], seconds: Sequence[float]) -> float:
-    """Seconds more for each cell more, by least squares."""
     return float(np.polyfit(np.asarray(cells, np.float64), np.asarray(seconds, np.float64), 1)[0])
 
 
@@ -127,7 +125,6 @@ class Matcher(Protocol):
 
 
 def places_of(city: CityMap, cells: Iterable[str]) -> Places:
-    """Places in the middle of cells."""
     named = tuple(cells)
     at = [city.cells.center(cell) for cell in named]
     return Places(city.plane.to_lonlat(np.reshape(at, (-1, 2))), named)
@@ -159,20 +156,16 @@ class BagMatcher:
         return cls(city, bag)
 
     def rank(self, query: Query, top: int) -> Places:
-        """Cells with the rarest of the query's words."""
         at = self.city.plane.to_plane(self.bag.locate(query, top))
         return places_of(self.city, (self.city.cells.nearest(p) for p in at))
 
 
 @dataclass(frozen=True)
 class LocateMatcher:
-    """What a user calls: `CityMap.locate`, with its positions finer than cells."""
-
     city: CityMap
     options: Mapping[str, Any] = field(default_factory=dict)
 
     def rank(self, query: Query, top: int) -> Places:
-        """Modes of the estimate."""
         estimate = self.city.locate(query.text, top=top, **self.options)
         return Places(positions(estimate), tuple(mode.cell for mode in estimate.modes))
 
@@ -204,7 +197,6 @@ def cell_centers(city: CityMap) -> Floats:
 def matcher(
     name: str, city: CityMap, bins: Bins, setting: Setting = "none", *, seed: int = 0
 ) -> Matcher:
-    """Matcher by its name in `MATCHERS`, ready for the queries of a setting."""
     if name in BAGS:
         return BagMatcher.of(city, bins, name, setting, seed)
     if name in PIPELINES:

@@ -93,7 +93,6 @@ class Score:
     p95: float = float("nan")  # median and 95th percentile of the time for a query [s]
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and strings, ready for `json.dumps`; infinity and nan become None."""
         bins = self.calibration
         return {
             "queries": self.queries,
@@ -179,7 +178,6 @@ class Protocol:
 
     @property
     def title(self) -> str:
-        """Heading of its table."""
         noise = {
             "none": "no noise",
             "replaced": "20 % of relations replaced",
@@ -214,14 +212,12 @@ class Row:
     answers: tuple[Answer, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and strings, ready for `json.dumps`."""
         row = {"city": self.city, "method": self.method, "title": self.protocol.title}
         row |= {"protocol": asdict(self.protocol), "recall": self.recall}  # type: ignore[dict-item]
         return row | (self.score.to_dict() if self.score else {})
 
 
 def of_answers(city: str, protocol: Protocol, method: str, answers: Sequence[Answer]) -> Row:
-    """Row of a method that ranks places."""
     s = score(answers)
     recall = {"exact": [s.exact[k] for k in RANKS]}
     recall |= {f"{r:.0f} m": [s.within[r][k] for k in RANKS] for r in RADII}
@@ -233,7 +229,6 @@ HEADER += ["OK", "OK right", "p50", "p95"]
 
 
 def line(head: str, rows: Sequence[Row]) -> list[str]:
-    """Cells of one method, averaged over rows (cities)."""
     cells = [head]
     for name in ("exact", *(f"{r:.0f} m" for r in RADII)):
         found = [r.recall[name] for r in rows if name in r.recall]
@@ -255,18 +250,15 @@ def line(head: str, rows: Sequence[Row]) -> list[str]:
 
 
 def methods(rows: Sequence[Row]) -> list[str]:
-    """Methods in the order of the issue's table."""
     return [m for m in (*BAGS, OURS, CEILING, ORACLE) if any(r.method == m for r in rows)]
 
 
 def mean_recall(rows: Sequence[Row], method: str, name: str) -> list[float]:
-    """Recall@1/3/5 of a method, averaged over cities."""
     found = np.array([r.recall[name] for r in rows if r.method == method])
     return [float(x) for x in found.mean(axis=0)]
 
 
 def report(rows: Sequence[Row], cities: Sequence[str]) -> str:
-    """Tables of a split: the mean of its cities by protocol, then every city at 6 statements."""
     by_protocol: dict[Protocol, list[Row]] = defaultdict(list)
     for row in rows:
         by_protocol[row.protocol].append(row)

@@ -97,7 +97,6 @@ class Bins:
         return Around(np.concatenate([[0], np.cumsum(counted)]), objects, points)
 
     def cells(self, points: Floats, step: float) -> Ints:
-        """Column and row (n, 2) of the squares of the grid of `centers` that hold points (n, 2)."""
         return np.floor((points - self.low) / step).astype(np.int64)
 
     def centers(self, step: float) -> Floats:
@@ -115,7 +114,6 @@ class Bins:
 
 
 def _bin(points: Floats, low: Floats, ny: int) -> Ints:
-    """Bin (n,) of points (n, 2)."""
     at = np.floor((points - low) / BIN).astype(np.int64)
     return np.asarray(at[:, 0] * ny + at[:, 1])
 

@@ -17,7 +17,6 @@ BIN = 50.0  # edge of the bins that segments are looked up by [m]
 
 @kernel
 def _rasterize(segments: Floats, low: Floats, nx: int, ny: int) -> tuple[Ints, Ints]:
-    """Bins that every segment passes: walk it in steps shorter than a bin, take their boxes."""
     bins, passing = [], []
     for s in range(len(segments)):
         ax, ay, bx, by = segments[s]
@@ -47,7 +46,6 @@ def holds(x: float, y: float, segments: Floats) -> bool:
 
 @kernel
 def _nearest_on(x: float, y: float, segments: Floats) -> tuple[float, float, float]:
-    """Nearest point to (x, y) on any of the segments, and its squared distance."""
     best, px, py = np.inf, 0.0, 0.0
     for s in range(len(segments)):
         ax, ay, bx, by = segments[s]
@@ -72,7 +70,6 @@ def _candidates(
     starts: Ints,
     members: NDArray[np.int32],
 ) -> NDArray[np.int32]:
-    """Members, rising and each once, of the bins that a disk touches."""
     low, nx, ny = grid
     i0, i1 = int((x - radius - low[0]) // BIN), int((x + radius - low[0]) // BIN)
     j0, j1 = int((y - radius - low[1]) // BIN), int((y + radius - low[1]) // BIN)
@@ -238,7 +235,6 @@ def _take_places(
     apart: float,
     by_cell: bool,
 ) -> int:
-    """Count the places whose score is `level`, and set the score of all their viewpoints to 0."""
     column, square = squares
     reach, places = int(apart), 0
     for v in rivals:
@@ -298,7 +294,6 @@ def _hear(
     once: Floats,
     gain: Floats,
 ) -> None:
-    """Add a statement's log-likelihood, above `UNSAID`, to the viewpoints that could mean it."""
     starts, at = postings
     for d in range(len(words)):
         share = 1.0 - wrong if d == 0 else wrong / (len(words) - 1)

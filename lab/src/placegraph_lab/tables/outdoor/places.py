@@ -89,7 +89,6 @@ class RawCity:
 
     @cached_property
     def rows(self) -> dict[str, int]:
-        """Row of every OpenStreetMap id."""
         return {osm: i for i, osm in enumerate(self.osm)}
 
 
@@ -184,14 +183,12 @@ class _Columns:
 
 
 def _segments(points: Floats) -> Floats:
-    """Segments (max(n - 1, 1), 4) of a line of points (n, 2)."""
     if len(points) == 1:
         return np.hstack([points, points])
     return np.hstack([points[:-1], points[1:]])
 
 
 def _center(kind: int, segments: Floats) -> Floats:
-    """Middle of a line by length, centroid of an area (holes taken out), or the point itself."""
     a, b = segments[:, :2], segments[:, 2:]
     if kind == AREA:
         origin = a[0]
@@ -322,7 +319,6 @@ def write_osm(places: Sequence[tuple[str, float, float]], path: str | Path) -> N
 
 
 def plain(text: str) -> str:
-    """Lower-case words without punctuation and without a leading "the"."""
     words = re.sub(r"[^\w\s]", " ", text.lower().replace("&", " and ").replace("'", "")).split()
     return " ".join(words[1:] if words[:1] == ["the"] else words)
 
@@ -347,7 +343,6 @@ class Baselines:
         return None if points is None else self.plane.to_lonlat(points[0])
 
     def rarest_near(self, record: Record) -> Floats | None:
-        """Of the places of the rarest landmark named, the one that is nearest to the start."""
         points = self._named(record.text)
         if points is None:
             return None
@@ -373,7 +368,6 @@ class Baselines:
 
 
 def _apart(points: Floats) -> Ints:
-    """Rows of points (n, 2) that stand for all within `APART` of them, greedily."""
     left, kept = np.ones(len(points), bool), []
     while left.any():
         i = int(np.argmax(left))

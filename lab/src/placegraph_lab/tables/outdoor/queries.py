@@ -1,10 +1,10 @@
-"""Everyday words for tag values, as the evaluation says them; made without the package's own."""
+"""Texts about places of an extract, made without the package's own reader and words."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -18,177 +18,25 @@ from placegraph_lab.tables.outdoor.nearby import DIRECTIONS, Bins, Position, Tri
 from placegraph_lab.tables.outdoor.outdoor_kernels import SHORTEST
 from placegraph_lab.tables.outdoor.places import KEYS, RawCity, read_raw
 
-EVERYDAY: dict[str, tuple[str, ...]] = {
-    "aeroway=helipad": ("helicopter pad",),
-    "amenity=atm": ("cash machine",),
-    "amenity=bench": ("park bench", "seat"),
-    "amenity=bicycle_parking": ("bike rack", "bike stand"),
-    "amenity=bicycle_rental": ("bike share station",),
-    "amenity=cafe": ("coffee shop", "coffeehouse"),
-    "amenity=car_sharing": ("car share",),
-    "amenity=charging_station": ("EV charger", "charging point"),
-    "amenity=childcare": ("daycare",),
-    "amenity=cinema": ("movie theater",),
-    "amenity=clock": ("public clock",),
-    "amenity=college": ("college building",),
-    "amenity=community_centre": ("community center",),
-    "amenity=dentist": ("dental clinic",),
-    "amenity=doctors": ("doctor's office",),
-    "amenity=drinking_water": ("water tap", "drinking fountain"),
-    "amenity=fast_food": ("fast food restaurant", "takeaway"),
-    "amenity=fire_station": ("fire house",),
-    "amenity=fuel": ("gas station", "petrol station"),
-    "amenity=kindergarten": ("nursery school", "preschool"),
-    "amenity=motorcycle_parking": ("motorbike parking",),
-    "amenity=nightclub": ("dance club",),
-    "amenity=parking": ("car park", "parking lot"),
-    "amenity=parking_entrance": ("garage entrance",),
-    "amenity=pharmacy": ("drugstore", "chemist"),
-    "amenity=place_of_worship": ("house of worship",),
-    "amenity=police": ("police station",),
-    "amenity=post_box": ("mailbox", "letter box"),
-    "amenity=pub": ("tavern",),
-    "amenity=recycling": ("recycling container", "recycling bin"),
-    "amenity=restaurant": ("diner", "place to eat"),
-    "amenity=telephone": ("phone booth", "payphone"),
-    "amenity=theatre": ("playhouse",),
-    "amenity=toilets": ("public toilet", "restroom"),
-    "amenity=townhall": ("city hall",),
-    "amenity=veterinary": ("vet",),
-    "amenity=waste_basket": ("trash can", "litter bin"),
-    "amenity=waste_disposal": ("dumpster",),
-    "barrier=kerb": ("curb",),
-    "barrier=lift_gate": ("boom barrier",),
-    "barrier=retaining_wall": ("wall",),
-    "building=apartments": ("apartment building", "block of flats"),
-    "building=commercial": ("commercial building",),
-    "building=detached": ("detached house", "house"),
-    "building=farm_auxiliary": ("barn",),
-    "building=garages": ("row of garages",),
-    "building=hospital": ("hospital building",),
-    "building=industrial": ("factory building",),
-    "building=office": ("office building",),
-    "building=residential": ("residential building",),
-    "building=retail": ("shop building",),
-    "building=roof": ("canopy",),
-    "building=school": ("school building",),
-    "building=terrace": ("row houses", "terraced house"),
-    "building=yes": ("building",),
-    "emergency=defibrillator": ("AED",),
-    "emergency=fire_hydrant": ("hydrant",),
-    "emergency=phone": ("emergency phone",),
-    "highway=bus_stop": ("bus stop",),
-    "highway=crossing": ("crosswalk", "pedestrian crossing"),
-    "highway=cycleway": ("bike path", "cycle path"),
-    "highway=elevator": ("lift",),
-    "highway=footway": ("footpath", "walkway"),
-    "highway=give_way": ("yield sign",),
-    "highway=motorway": ("freeway",),
-    "highway=path": ("trail",),
-    "highway=pedestrian": ("pedestrian street",),
-    "highway=primary": ("main road",),
-    "highway=residential": ("street", "residential street"),
-    "highway=secondary": ("main road", "road"),
-    "highway=service": ("access road", "driveway"),
-    "highway=steps": ("stairs", "staircase"),
-    "highway=stop": ("stop sign",),
-    "highway=street_lamp": ("street light", "lamp post"),
-    "highway=tertiary": ("road",),
-    "highway=track": ("dirt road", "farm track"),
-    "highway=traffic_signals": ("traffic lights", "stoplight"),
-    "highway=turning_circle": ("turnaround",),
-    "highway=unclassified": ("road", "minor road"),
-    "historic=memorial": ("memorial stone", "monument"),
-    "historic=wayside_cross": ("roadside cross",),
-    "landuse=allotments": ("community garden",),
-    "landuse=cemetery": ("graveyard",),
-    "landuse=commercial": ("business area",),
-    "landuse=construction": ("construction site",),
-    "landuse=farmland": ("field",),
-    "landuse=farmyard": ("farm",),
-    "landuse=forest": ("woods",),
-    "landuse=grass": ("lawn",),
-    "landuse=industrial": ("industrial area",),
-    "landuse=meadow": ("field", "meadow"),
-    "landuse=residential": ("residential area", "housing area"),
-    "landuse=retail": ("shopping area",),
-    "leisure=dog_park": ("dog run",),
-    "leisure=fitness_centre": ("gym",),
-    "leisure=marina": ("yacht harbour",),
-    "leisure=pitch": ("sports field", "playing field"),
-    "leisure=playground": ("play area", "kids' playground"),
-    "leisure=sports_centre": ("sports hall",),
-    "leisure=swimming_pool": ("pool",),
-    "man_made=pier": ("jetty", "dock"),
-    "man_made=surveillance": ("security camera",),
-    "natural=scrub": ("bushes", "shrubs"),
-    "natural=shingle": ("pebbles",),
-    "natural=tree_row": ("row of trees",),
-    "natural=water": ("body of water", "pond"),
-    "natural=wood": ("woods", "forest"),
-    "office=estate_agent": ("real estate office",),
-    "office=lawyer": ("law office",),
-    "power=pole": ("utility pole", "power pole"),
-    "power=tower": ("pylon", "transmission tower"),
-    "public_transport=stop_position": ("transit stop",),
-    "railway=level_crossing": ("railroad crossing",),
-    "railway=rail": ("train tracks", "railway line"),
-    "railway=station": ("train station",),
-    "railway=subway_entrance": ("metro entrance", "subway entrance"),
-    "railway=switch": ("railroad switch",),
-    "railway=tram": ("tram tracks",),
-    "shop=alcohol": ("liquor store",),
-    "shop=bakery": ("baker's",),
-    "shop=beauty": ("beauty salon",),
-    "shop=bicycle": ("bike shop",),
-    "shop=books": ("bookstore", "bookshop"),
-    "shop=butcher": ("butcher shop",),
-    "shop=car": ("car dealership",),
-    "shop=car_repair": ("auto repair shop", "mechanic"),
-    "shop=clothes": ("clothing store", "clothes shop"),
-    "shop=computer": ("computer store",),
-    "shop=convenience": ("corner shop", "convenience store"),
-    "shop=copyshop": ("copy shop",),
-    "shop=department_store": ("department store",),
-    "shop=dry_cleaning": ("dry cleaner",),
-    "shop=electronics": ("electronics store",),
-    "shop=florist": ("flower shop",),
-    "shop=furniture": ("furniture store",),
-    "shop=gift": ("gift shop", "souvenir shop"),
-    "shop=greengrocer": ("fruit and vegetable shop",),
-    "shop=hairdresser": ("hair salon", "barber"),
-    "shop=jewelry": ("jewellery shop", "jeweler"),
-    "shop=kiosk": ("newsstand",),
-    "shop=mobile_phone": ("phone shop",),
-    "shop=optician": ("eyewear store",),
-    "shop=shoes": ("shoe store",),
-    "shop=sports": ("sporting goods store",),
-    "shop=supermarket": ("grocery store",),
-    "shop=toys": ("toy store",),
-    "shop=travel_agency": ("travel agent",),
-    "tourism=artwork": ("piece of public art", "art installation"),
-    "tourism=guest_house": ("bed and breakfast",),
-    "tourism=hostel": ("backpackers' hostel",),
-    "tourism=information": ("information board", "info sign"),
-    "tourism=picnic_site": ("picnic area",),
-    "tourism=viewpoint": ("lookout",),
-    "waterway=ditch": ("trench",),
-    "waterway=stream": ("creek", "brook"),
-}
-"""What people call a ``key=value``; anything else is said by its tag value without underscores."""
-
 PLURAL = frozenset({"steps", "traffic_signals", "toilets", "allotments", "garages", "apartments"})
 """Tag values that are said in the plural: "there are steps to my north"."""
+
+
+@cache
+def everyday_words() -> dict[str, tuple[str, ...]]:
+    """Read what people call a ``key=value``."""
+    text = Path(__file__).with_name("everyday.tsv").read_text("utf-8")
+    rows = (line.split("\t") for line in text.splitlines() if not line.startswith("#"))
+    return {tag: tuple(words) for tag, *words in rows}
 
 
 def everyday(key: str, label: str) -> tuple[str, ...]:
     """Everyday words for a tag, where `label` is its value (or its key, for ``yes``)."""
     value = "yes" if label == key else label
-    return EVERYDAY.get(f"{key}={value}", (label.replace("_", " "),))
+    return everyday_words().get(f"{key}={value}", (label.replace("_", " "),))
 
 
 def with_article(label: str) -> str:
-    """Whether there *is a bench*, *is an atm* or *are steps*."""
     words = label.replace("_", " ")
     if label in PLURAL:
         return f"are {words}"
@@ -312,7 +160,6 @@ class Teller:
 
     @property
     def city(self) -> RawCity:
-        """What the extract holds."""
         return self.bins.city
 
     @property

@@ -54,8 +54,6 @@ print(json.dumps({"code": os.waitstatus_to_exitcode(status), "peak": usage.ru_ma
 
 
 class Size(NamedTuple):
-    """How much of a source a map keeps."""
-
     name: str
     options: tuple[str, ...]  # of `placegraph scene build`
 
@@ -70,8 +68,6 @@ LABELLED = Size("labelled", ())
 
 
 class Place(NamedTuple):
-    """What maps are made of."""
-
     title: str
     source: str  # below the folder of the data
     options: tuple[str, ...]
@@ -117,7 +113,6 @@ class Made:
 
     @property
     def name(self) -> str:
-        """`house, small`."""
         return f"{self.place}, {self.size}"
 
 
@@ -145,7 +140,6 @@ class Maps:
         self._warm: set[tuple[str, ...]] = set()
 
     def path(self, place: str, size: Size) -> Path:
-        """Where a map lies, or will."""
         return self.folder / f"{place} {size.name}.scene".replace(" ", "_")
 
     def made(self, place: str, size: Size) -> Made:
@@ -182,7 +176,6 @@ class Maps:
         return Made(**facts)
 
     def scene(self, place: str, size: Size) -> SceneMap:
-        """A map, made if need be."""
         path = self.path(place, size)
         if self._opened is None or self._opened[0] != path:
             self.made(place, size)
@@ -190,7 +183,6 @@ class Maps:
         return self._opened[1]
 
     def apart(self, place: str, size: Size) -> Apart:
-        """How far a map's surface lies from that of the full one."""
         codes = [self.made(place, s).digest for s in (FULL, size)]
         key = f"apart {self._code} {' '.join(codes)}"
         if key not in self.journal:
@@ -265,7 +257,6 @@ def run(arguments: Sequence[str]) -> Run:
 
 
 def embedding_bytes(scene: SceneMap, length: int = EMBEDDING) -> int:
-    """Bytes of 8-bit embeddings of random normal numbers."""
     vectors = np.random.default_rng(0).standard_normal((len(scene), length))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "embedded.scene"
@@ -274,7 +265,6 @@ def embedding_bytes(scene: SceneMap, length: int = EMBEDDING) -> int:
 
 
 def digest(path: Path) -> str:
-    """Sixteen hexadecimal digits of a file's content."""
     return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
 
 
@@ -303,12 +293,10 @@ class Finding:
 
     @property
     def name(self) -> str:
-        """`instances: semantic, 5 frames`."""
         return f"{self.job.name}, {self.length} frames"
 
     @property
     def place(self) -> str:
-        """Where it asks."""
         return self.job.map
 
 
@@ -321,17 +309,14 @@ class Refining:
 
     @property
     def name(self) -> str:
-        """`house disturbed: no depth, auto, 10 frames`."""
         return f"{self.job.name}, {self.length} frames"
 
     @property
     def place(self) -> str:
-        """Where it asks."""
         return self.job.place
 
 
 def findings() -> list[Finding]:
-    """All rows of recall."""
     jobs = [j for j in (*house_jobs(), *office_jobs()) if j.name in ROWS]
     return [
         Finding(j, n) for j in jobs for n in ((OFFICE_LENGTH,) if j.table in HALVES else LENGTHS)
@@ -339,7 +324,6 @@ def findings() -> list[Finding]:
 
 
 def refinings() -> list[Refining]:
-    """All rows of refinement."""
     return [Refining(j) for j in refine_jobs(("auto",)) if j.name in REFINED_ROWS]
 
 
@@ -450,7 +434,6 @@ class Paired:
 
     @property
     def lost(self) -> list[str]:
-        """Windows that are right on the full map only: `seq01 13:18 0.41 m 3.2 deg`."""
         return [
             f"{a.window} {a.position:.2f} m {a.rotation:.1f} deg"
             for a, step in zip(self.answers, self.steps, strict=True)
@@ -459,11 +442,9 @@ class Paired:
 
     @property
     def gained(self) -> list[str]:
-        """Windows that are right on this map only."""
         return [a.window for a, step in zip(self.answers, self.steps, strict=True) if step > 0]
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and strings, ready for `json.dumps`."""
         return {
             "row": self.row,
             "size": self.size,

@@ -126,15 +126,12 @@ class _Kept:
     ids: NDArray[np.uint8] | None
 
     def rgb(self) -> NDArray[np.uint8]:
-        """As `Frame.rgb`."""
         return np.asarray(Image.open(io.BytesIO(self.blob)))
 
     def depth(self) -> NDArray[np.float32] | None:
-        """As `Frame.depth`."""
         return None
 
     def labels(self) -> NDArray[np.int32] | None:
-        """As `Frame.labels`."""
         if self.ids is None:
             return None
         return np.where(self.ids == _NOTHING, -1, self.ids.astype(np.int32))
@@ -324,7 +321,6 @@ def _part(mesh: Mesh, kept_: NDArray[np.bool_]) -> Mesh:
 
 
 def _joined(one: Mesh, other: Mesh) -> Mesh:
-    """Both meshes, which have the same textures."""
     return replace(
         one,
         vertices=np.concatenate([one.vertices, other.vertices]),
@@ -449,8 +445,6 @@ def noisy(encoder: Encoder, part: str, vocabulary: Sequence[str], walk: Walk) ->
 
 @dataclass(frozen=True, eq=False)
 class Encoded:
-    """What an encoder said of a walk."""
-
     walk: Walk  # its frames bring the vectors that `Replay` says
     seconds: float  # of encoding a frame; the median
 
@@ -466,11 +460,9 @@ class Replay:
         self.temperature = encoder.temperature
 
     def patches(self, image: Frame) -> NDArray[np.float32] | None:
-        """Vectors (rows, columns, d) that a frame of `encoded` brings."""
         return _said_of(image, self.key)
 
     def camera(self, image: Frame) -> Camera:
-        """Camera whose image the grid divides."""
         return self.encoder.camera(image)
 
     def objects(self, scene: Scene, captures: Sequence[Capture] = ()) -> NDArray[np.float32]:
@@ -479,15 +471,11 @@ class Replay:
 
 
 class ReplayLabels(LabelsEncoder):
-    """As `Replay`, and still an encoder of labels to who asks it for the vector of a label."""
-
     def patches(self, image: Frame) -> NDArray[np.float32] | None:
-        """Vectors (rows, columns, d) that a frame of `encoded` brings."""
         return _said_of(image, self.key)
 
 
 def replay(encoder: Encoder) -> Encoder:
-    """Encoder that says what this one said before."""
     return ReplayLabels() if isinstance(encoder, LabelsEncoder) else Replay(encoder)
 
 
@@ -505,15 +493,12 @@ class _Said:
     vectors: dict[str, NDArray[np.float32]]  # by the key of the encoder
 
     def rgb(self) -> NDArray[np.uint8]:
-        """As `Frame.rgb`."""
         return self.images.rgb()
 
     def depth(self) -> NDArray[np.float32] | None:
-        """As `Frame.depth`."""
         return self.images.depth()
 
     def labels(self) -> NDArray[np.int32] | None:
-        """As `Frame.labels`."""
         return self.images.labels()
 
 

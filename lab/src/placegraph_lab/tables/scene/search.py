@@ -67,7 +67,6 @@ class Answer:
     milliseconds: float  # of searching, all frames encoded
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and strings."""
         return asdict(self)
 
 
@@ -144,7 +143,6 @@ METHODS: dict[str, SearchOptions] = {
 
 
 def searcher(library: SceneLibrary, method: str) -> Searcher:
-    """Method that searches a library, warm: its columns are made."""
     if METHODS[method].method == "cosines":
         return Cosines(library)
     _ = library.index
@@ -160,7 +158,6 @@ class Scenes:
 
     @property
     def names(self) -> list[str]:
-        """Names of all places."""
         return [place.name for place in self._places]
 
     def know(self, encoder: Encoder) -> None:
@@ -174,12 +171,10 @@ class Scenes:
                 self.signatures[place.name] = replace(known, vectors=vectors)
 
     def library(self, names: Iterable[str], encoders: Sequence[Encoder]) -> SceneLibrary:
-        """Library of some scenes."""
         return library_of({name: self.signatures[name] for name in names}, encoders)
 
 
 def library_of(signatures: Mapping[str, Signature], encoders: Sequence[Encoder]) -> SceneLibrary:
-    """Library of scenes whose maps are not there: it can be searched and saved."""
     made = SceneLibrary(encoders)
     for name, signature in signatures.items():
         vectors = {e.key: signature.vectors[e.key] for e in encoders}
@@ -188,7 +183,6 @@ def library_of(signatures: Mapping[str, Signature], encoders: Sequence[Encoder])
 
 
 def kilobytes(library: SceneLibrary) -> float:
-    """Size of a library's file, by scene."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "all.library"
         library.save(path)
@@ -210,7 +204,6 @@ def pool(place: str, names: Sequence[str], kind: str) -> list[str]:
 
 
 def queries(walk: Walk, length: int) -> Iterator[tuple[str, Capture]]:
-    """Name and frames of the queries of a walk."""
     for first in range(0, len(walk.capture) - length + 1, EVERY[length]):
         yield f"{walk.name} {first}:{first + length}", walk.capture[first : first + length]
 
@@ -242,7 +235,6 @@ def ask(searcher: Searcher, walk: Walk, query: str, capture: Capture) -> Answer:
 
 
 def hit(answer: Answer, k: int) -> float:
-    """Chance that the right scene is among the first k, those as good as it being in any order."""
     if not answer.rank:
         return 0.0
     return min(1.0, max(0.0, (k - answer.rank + 1) / answer.tied))
@@ -260,8 +252,6 @@ ABLATED = (NOISY,)  # rows that are asked without parts of the method, too
 
 @dataclass(frozen=True)
 class Row:
-    """What one encoder came to."""
-
     name: str
     answers: dict[tuple[str, str, int], list[Answer]]  # by method, pool and length
     encoding: float  # milliseconds of a frame; the median
@@ -292,7 +282,6 @@ class Study:
         self._scenes = Scenes(places)
 
     def row(self, name: str) -> Row:
-        """Ask about every walk with one encoder; raises as `encoder_of` does."""
         encoders, walks = self._known(name)
         code = code_key((*INDOOR, *WORLDS, "placegraph_lab/tables/scene"))
         base = f"{code} {' '.join(e.key for e in encoders)} {name} {len(self.places)}"
@@ -317,13 +306,11 @@ class Study:
         )
 
     def scale(self, name: str, rng: np.random.Generator, scenes: int) -> list[Scale]:
-        """Search a library of so many scenes with one encoder."""
         encoders, walks = self._known(name)
         self.tell(f"{name}: {scenes:,} scenes")
         return measure(name, self._scenes.signatures, encoders, walks, rng, scenes=scenes)
 
     def _known(self, name: str) -> tuple[list[Encoder], list[Encoded]]:
-        """Encoders of a row, known to all scenes, and what they say of the walks."""
         encoders = [encoder_of(part) for part in ROWS[name]]
         self.tell(f"{name}: {len(self.places)} scenes, {len(self.walks)} walks")
         for encoder in encoders:
@@ -335,14 +322,12 @@ class Study:
         return [replay(e) for e in encoders], [known for known in found if known is not None]
 
     def _rivals(self, place: str) -> list[str]:
-        """A place and all of other rooms."""
         room = next(p.room for p in self.places if p.name == place)
         return [p.name for p in self.places if p.name == place or not room or p.room != room]
 
     def _of(
         self, walks: Sequence[Encoded], library: SceneLibrary, base: str, method: str
     ) -> Iterable[Answer]:
-        """Answers to all queries of one place."""
         asked = None
         for walk in (known.walk for known in walks):
             for length in LENGTHS:
@@ -357,7 +342,6 @@ class Study:
 
 
 def _asked(row: str) -> dict[str, tuple[str, ...]]:
-    """Pools, and the methods that are asked in each."""
     found: dict[str, tuple[str, ...]] = dict.fromkeys(POOLS, WHOLE)
     if row in ABLATED:
         found["50"] = tuple(METHODS)
@@ -407,7 +391,6 @@ class Stock:
 
     @classmethod
     def of(cls, signatures: Sequence[Signature]) -> Stock:
-        """Objects of these."""
         keys = signatures[0].vectors
         return cls(
             tuple(label for s in signatures for label in s.graph.labels),

@@ -68,12 +68,10 @@ class Asked:
 
 
 def scenes_of(scene: SceneMap, name: str) -> Scene:
-    """A scene map as a scene to be asked about."""
     return Scene(name, scene.graph, tuple(a.get("room", "") for a in scene.attributes))
 
 
 def rooms_of(scene: Scene) -> list[Scene]:
-    """The rooms of a scene as scenes of their own."""
     out = []
     for room in dict.fromkeys(r for r in scene.rooms if r):
         rows = np.flatnonzero(np.array(scene.rooms) == room)
@@ -133,7 +131,6 @@ def describe(scenes: Sequence[Scene], row: int, rng: Generator, *, facts: int, w
 
 
 def _room(scene: Scene, rng: Generator) -> tuple[str, list[int]]:
-    """A room of a scene drawn at random, and the rows of what it holds."""
     rooms = [r for r in dict.fromkeys(scene.rooms) if r and len(_things(scene, r)) > 1]
     if not rooms:
         return "", [i for i, label in enumerate(scene.graph.labels) if _telling(label)]
@@ -147,13 +144,11 @@ def _things(scene: Scene, room: str) -> list[int]:
 
 
 def _telling(label: str) -> bool:
-    """Whether people speak of such a thing: not of walls and floors."""
     words = label_words(label)
     return not nameless(label) and words[-1] not in WORDS
 
 
 def _facts(graph: SceneGraph, rows: list[int], rng: Generator) -> list[str]:
-    """What may be said of things, in random order: their numbers, and how they lie."""
     labels = graph.labels
     counts = Counter(labels[i] for i in rows)
     out = [_numbered(label, count, rng) for label, count in counts.items()]
@@ -183,7 +178,6 @@ def _numbered(label: str, count: int, rng: Generator) -> str:
 
 
 def report(asked: Sequence[Asked]) -> str:
-    """Markdown table: recall@1/3/5 by facts, share of wrong ones, and number of scenes."""
     header = ["facts", *[f"{among}, {wrong:.0%} wrong" for among in AMONG for wrong in WRONG]]
     rows = []
     for facts in dict.fromkeys(a.facts for a in asked):

@@ -63,7 +63,6 @@ def _squared_in(point: Floats, grid: Grid, x: int, y: int, z: int) -> float:
 
 @kernel
 def _squared(point: Floats, corners: Floats) -> float:
-    """Squared distance of a point from a triangle: from its plane if above it, else its edges."""
     ax, ay, az = corners[1] - corners[0]
     bx, by, bz = corners[2] - corners[0]
     nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
