@@ -115,7 +115,7 @@ def _holds(folder: str | os.PathLike[str], name: str) -> bool:
         return False
 
 
-def open_rooms(path: str | os.PathLike[str]) -> SceneMap | SceneLibrary:
+def open_scenes(path: str | os.PathLike[str]) -> SceneMap | SceneLibrary:
     """Open a scene map or a library; raises as `open_map`, and `MapError` where it is a city's."""
     from placegraph.indoor.library import SceneLibrary
     from placegraph.indoor.scene_map import SceneMap
@@ -150,7 +150,7 @@ def _is_scene_graph(path: Path) -> bool:
 
 
 @dataclass(frozen=True)
-class Found:
+class MapFiles:
     """Files of a world, by name; none was opened."""
 
     paths: dict[str, dict[str, Path]]
@@ -178,7 +178,7 @@ class Found:
             raise MapError(" ".join(bad))
 
 
-def find(places: Sequence[Path]) -> Found:
+def find_map_files(places: Sequence[Path]) -> MapFiles:
     """Find map files among places and in their folders, by name."""
     paths: dict[str, dict[str, Path]] = {k: {} for k in (*KINDS.values(), "shards", "world")}
     ignored, twins = [], []
@@ -195,11 +195,11 @@ def find(places: Sequence[Path]) -> Found:
         f"{paths['world'][n]} and {paths['city'][n]} have one name; rename one of them."
         for n in towns
     ]
-    return Found(paths, tuple(ignored), tuple(twins))
+    return MapFiles(paths, tuple(ignored), tuple(twins))
 
 
-def checked(places: Sequence[Path]) -> Found:
-    """Find map files as `find` does, and check the heads of files.
+def check_map_files(places: Sequence[Path]) -> MapFiles:
+    """Find map files as `find_map_files` does, and check the heads of files.
 
     Raises
     ------
@@ -212,7 +212,7 @@ def checked(places: Sequence[Path]) -> Found:
     for place in places:
         if not place.exists():
             raise InputError(f"{place} does not exist; name a folder with maps, or map files.")
-    found = find(places)
+    found = find_map_files(places)
     found.check()
     if not any(found.paths.values()):
         said = ", ".join(map(str, places)) or "nothing"

@@ -14,7 +14,7 @@ from tests.cli.failing import fails
 
 from placegraph import __version__, open_map
 from placegraph.cli import APP
-from placegraph.core.mapfile import writing
+from placegraph.core.mapfile import map_writer
 
 LINES = "I am on Speicherweg. The museum is south of me.\n\nI walked 60 m east.\nThe bank is north of me.\n"
 CLEAR = "I am on Speicherweg. The museum is south of me."
@@ -162,7 +162,7 @@ def test_build_refuses(run, osm, city, tmp_path):
     fails(run("city", "build", tmp_path / "empty.osm.pbf", "-o", out), 3, "empty.osm.pbf")
     (tmp_path / "bad.osm.bz2").write_bytes(b"BZh9garbage")
     fails(run("city", "build", tmp_path / "bad.osm.bz2", "-o", out), 3, "bad.osm.bz2")
-    with writing(out):
+    with map_writer(out):
         fails(run("city", "build", osm, "-o", out), 5, "a.city")
     assert not out.exists()
 

@@ -12,10 +12,10 @@ import placegraph as pg
 from placegraph.core import files
 from placegraph.core import files as locks
 from placegraph.core.estimate import Evidence, Explained, Place, Status
-from placegraph.core.files import put, regular, write_file
+from placegraph.core.files import check_regular, write_file, write_output
 from placegraph.core.geometry import Camera
 from placegraph.core.jit import kernel
-from placegraph.core.threads import limited, processors, share
+from placegraph.core.threads import count_processors, limit_threads, run_parallel
 from placegraph.errors import InputError, MapError, MapLockedError, OptionError
 from placegraph.indoor.encode.confusion import Confusion
 from placegraph.indoor.encode.networks import ImageNetwork
@@ -67,7 +67,7 @@ def test_what_cannot_be_written_is_said(tmp_path):
         write_file(tmp_path / "no" / "a.bin", [b""])
     with pytest.raises(MapError, match="not a file name"):
         write_file("a\0b", [b""])
-    with locks.exclusive(tmp_path / "a.bin"), pytest.raises(MapLockedError, match=r"a\.bin"):
+    with locks.lock_file(tmp_path / "a.bin"), pytest.raises(MapLockedError, match=r"a\.bin"):
         write_file(tmp_path / "a.bin", [b""])
 
 
@@ -87,32 +87,32 @@ def test_what_may_never_end_is_not_read(tmp_path):
     (tmp_path / "link").symlink_to("/dev/zero")
     for name in ("pipe", "link"):
         with pytest.raises(InputError, match=f"{name} is not a plain file"):
-            regular(tmp_path / name)
-    assert regular(tmp_path) == tmp_path
-    assert regular(tmp_path / "none") == tmp_path / "none"
+            check_regular(tmp_path / name)
+    assert check_regular(tmp_path) == tmp_path
+    assert check_regular(tmp_path / "none") == tmp_path / "none"
 
 
 def test_what_is_put_is_whole_or_not_there(tmp_path, monkeypatch):
     path = tmp_path / "a.png"
-    assert put(path, b"old") == path
+    assert write_output(path, b"old") == path
     monkeypatch.setattr(os, "fsync", lambda _: Path("/does/not/exist").stat())
     with pytest.raises(InputError, match=r"a\.png cannot be written: No such file"):
-        put(path, b"new")
+        write_output(path, b"new")
     assert path.read_bytes() == b"old"
     assert [p.name for p in tmp_path.iterdir()] == ["a.png"]
     for wrong in (tmp_path / "no" / "a.png", tmp_path, "a\0b"):
         with pytest.raises(InputError, match="cannot be written"):
-            put(wrong, b"new")
+            write_output(wrong, b"new")
 
 
 def test_what_is_no_file_is_written_straight(tmp_path):
     read, write = os.pipe()
-    put(f"/dev/fd/{write}", b"through a pipe")
+    write_output(f"/dev/fd/{write}", b"through a pipe")
     assert os.read(read, 100) == b"through a pipe"
     os.close(read)
     os.close(write)
     with (tmp_path / "open").open("w") as file:
-        put(f"/proc/self/fd/{file.fileno()}", b"into an open file")
+        write_output(f"/proc/self/fd/{file.fileno()}", b"into an open file")
     assert (tmp_path / "open").read_bytes() == b"into an open file"
 
 
@@ -162,17 +162,18 @@ def _count(amount, out, first, last):
 def test_every_row_once(count, most):
     out = np.zeros(count, np.int64)
     if most is None:
-        share(_count, count, 3, out)
+        run_parallel(_count, count, 3, out)
     else:
-        with limited(most):
-            share(_count, count, 3, out)
+        with limit_threads(most):
+            run_parallel(_count, count, 3, out)
     assert (out == 3).all()
 
 
 def test_many_ask_at_once():
     outs = [np.zeros(5000, np.int64) for _ in range(6)]
     asked = [
-        threading.Thread(target=share, args=(_count, 5000, i, out)) for i, out in enumerate(outs)
+        threading.Thread(target=run_parallel, args=(_count, 5000, i, out))
+        for i, out in enumerate(outs)
     ]
     for thread in asked:
         thread.start()
@@ -183,19 +184,19 @@ def test_many_ask_at_once():
 
 def _sees_every_row():
     out = np.zeros(1000, np.int64)
-    share(_count, 1000, 3, out)
+    run_parallel(_count, 1000, 3, out)
     return (out == 3).all()
 
 
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
-@pytest.mark.skipif(processors() < 2, reason="one processor has no helpers")
+@pytest.mark.skipif(count_processors() < 2, reason="one processor has no helpers")
 def test_helpers_are_kept_and_a_fork_has_its_own():
     def helpers():
         return {t.ident for t in threading.enumerate() if t.name.startswith("placegraph")}
 
     assert _sees_every_row()
     before = helpers()
-    assert 0 < len(before) < processors()
+    assert 0 < len(before) < count_processors()
     assert _sees_every_row()
     assert before <= helpers()
     child = os.fork()
@@ -206,10 +207,10 @@ def test_helpers_are_kept_and_a_fork_has_its_own():
 
 def test_one_thread_is_the_caller():
     seen = []
-    with limited(1):
-        share(lambda first, last: seen.append((threading.get_ident(), first, last)), 100)
+    with limit_threads(1):
+        run_parallel(lambda first, last: seen.append((threading.get_ident(), first, last)), 100)
     assert seen == [(threading.get_ident(), 0, 100)]
-    with pytest.raises(OptionError, match="at least 1"), limited(0):
+    with pytest.raises(OptionError, match="at least 1"), limit_threads(0):
         pass
 
 
@@ -218,8 +219,8 @@ def test_what_a_part_raises_is_raised():
         raise ValueError(f"{first} to {last}")
 
     with pytest.raises(ValueError, match="to"):
-        share(fail, 100)
-    assert processors() >= 1
+        run_parallel(fail, 100)
+    assert count_processors() >= 1
 
 
 # --- what is sent to other processes: small, without what was derived, and the same there ---

@@ -23,20 +23,20 @@ from placegraph.core.estimate import (
 from placegraph.core.geo import (
     CAMERA_FROM_BODY,
     Anchor,
-    bounds,
+    are_in_tile,
     check_zoom,
     ecef_from_enu,
     ecef_from_geodetic,
     geodetic_from_ecef,
-    held,
     key_at,
-    key_of,
-    ranked,
-    reached,
-    tile_of,
-    tiles,
+    parse_tile_key,
+    sort_anchors,
+    tile_bounds,
+    tile_key,
+    tile_ranges,
+    tiles_at,
 )
-from placegraph.core.geojson import SHARE
+from placegraph.core.geojson import ELLIPSE_PROBABILITY
 from placegraph.core.geometry import (
     WGS84_A,
     LocalPlane,
@@ -167,11 +167,11 @@ def test_bad_numbers_are_named(changes, named):
 
 def test_candidates_are_ranked_and_add_up_to_one():
     likely, other = Anchor(1, 2, 3, 0.1, probability=0.6), Anchor(1, 2, 3, 3.2, probability=0.4)
-    assert ranked([other, likely], ["flat"]) == (likely, other)
+    assert sort_anchors([other, likely], ["flat"]) == (likely, other)
     with pytest.raises(OptionError, match=r"add up to 1\.20"):
-        ranked([likely, likely], ["flat"])
+        sort_anchors([likely, likely], ["flat"])
     with pytest.raises(OptionError, match="'attic' is no scene"):
-        ranked([Anchor(1, 2, 3, 0, scene="attic")], ["flat"])
+        sort_anchors([Anchor(1, 2, 3, 0, scene="attic")], ["flat"])
 
 
 def test_an_anchor_as_json_and_back():
@@ -326,7 +326,9 @@ def test_an_ellipse_holds_its_share(longitude):
     assert np.ptp(ring[:, 0]) < 1  # it does not run around the world
     plane = LocalPlane(longitude, 47.1)
     axes = np.abs(plane.to_plane(ring)).max(axis=0)
-    assert np.allclose(axes, np.sqrt(-2 * math.log(1 - SHARE)) * np.array([20, 10]), rtol=0.01)
+    assert np.allclose(
+        axes, np.sqrt(-2 * math.log(1 - ELLIPSE_PROBABILITY)) * np.array([20, 10]), rtol=0.01
+    )
     x, y = ring[:-1].T
     assert (x * np.roll(y, -1) - y * np.roll(x, -1)).sum() > 0  # counter-clockwise
 
@@ -340,18 +342,18 @@ spots = st.tuples(st.floats(-180.0, 179.999), st.floats(-89.9, 89.9))
 @given(spots, st.integers(1, 16))
 def test_a_place_lies_in_the_tile_of_its_key(place, zoom):
     key = key_at(*place, zoom)
-    box = bounds(key)
+    box = tile_bounds(key)
     assert box.west - 1e-9 <= place[0] <= box.east + 1e-9
     assert box.south - 1e-9 <= place[1] <= box.north + 1e-9
-    assert key_of(*tile_of(key)) == key
+    assert tile_key(*parse_tile_key(key)) == key
     assert key.startswith(key_at(*place, zoom - 1))
-    assert held(np.array([place]), key).all()
+    assert are_in_tile(np.array([place]), key).all()
 
 
 @pytest.mark.parametrize("key", ["4", "01x", "0" * 17, "٣"])
 def test_what_is_no_key(key):
     with pytest.raises(OptionError, match="is no tile"):
-        tile_of(key)
+        parse_tile_key(key)
 
 
 @pytest.mark.parametrize("zoom", [0, 17, -1, 1.5, True, "3"])
@@ -361,8 +363,8 @@ def test_what_is_no_zoom(zoom):
 
 
 def test_children_make_up_their_parent():
-    parent = bounds("120")
-    children = [bounds("120" + digit) for digit in "0123"]
+    parent = tile_bounds("120")
+    children = [tile_bounds("120" + digit) for digit in "0123"]
     assert {c.west for c in children} == {parent.west, parent.center[0]}
     assert max(c.north for c in children) == parent.north
     assert children[0].south == children[2].north
@@ -370,21 +372,21 @@ def test_children_make_up_their_parent():
 
 def test_keys_are_those_of_web_maps():
     """As Bing's quadkeys of tile 3, 5 of level 3."""
-    assert key_of(3, 5, 3) == "213"
-    assert key_of(3 + 8, 5, 3) == "213"  # once around the Earth
+    assert tile_key(3, 5, 3) == "213"
+    assert tile_key(3 + 8, 5, 3) == "213"  # once around the Earth
     assert key_at(-123.1, 49.25, 3) == "021"
     assert key_at(180.0, 10.0, 3) == key_at(-180.0, 10.0, 3)
-    assert tiles(np.array([(0.1, 0.1), (-0.1, -0.1)]), 1).tolist() == [[1, 0], [0, 1]]
-    assert not held(np.array([(0.1, 0.1)]), "2").any()
+    assert tiles_at(np.array([(0.1, 0.1), (-0.1, -0.1)]), 1).tolist() == [[1, 0], [0, 1]]
+    assert not are_in_tile(np.array([(0.1, 0.1)]), "2").any()
 
 
 @given(spots.filter(lambda p: abs(p[1]) < 80), st.integers(8, 15), st.floats(0.0, 3000.0))
 def test_a_margin_reaches_every_tile_within_it(place, zoom, margin):
     lonlat = np.array([place])
-    west, north, east, south = reached(lonlat, lonlat, zoom, margin)[0]
+    west, north, east, south = tile_ranges(lonlat, lonlat, zoom, margin)[0]
     plane = LocalPlane(*place)
     for angle in np.linspace(0.0, 2.0 * np.pi, 9):
         there = plane.to_lonlat(margin * np.array([np.sin(angle), np.cos(angle)]))
-        column, row, _ = tile_of(key_at(*there, zoom))
+        column, row, _ = parse_tile_key(key_at(*there, zoom))
         assert north <= row <= south
         assert any(west <= column + turn <= east for turn in (-(1 << zoom), 0, 1 << zoom))

@@ -23,7 +23,7 @@ from placegraph.core.geometry import (
     rotation_z,
     split_pose,
     vector_from_rotation,
-    wrap,
+    wrap_angle,
 )
 from placegraph.errors import OptionError
 
@@ -168,20 +168,20 @@ def is_rotation(matrices):
 
 def same_pose(a, b):
     np.testing.assert_allclose(a[..., :3], b[..., :3], atol=1e-8)
-    np.testing.assert_allclose(wrap(a[..., 3] - b[..., 3]), 0.0, atol=1e-8)
+    np.testing.assert_allclose(wrap_angle(a[..., 3] - b[..., 3]), 0.0, atol=1e-8)
 
 
 @given(st.floats(-1000, 1000))
 def test_wrapped_angles_point_the_same_way(angle):
-    wrapped = float(wrap(angle))
+    wrapped = float(wrap_angle(angle))
     assert -math.pi <= wrapped < math.pi
     assert math.isclose(math.cos(wrapped), math.cos(angle), abs_tol=1e-9)
     assert math.isclose(math.sin(wrapped), math.sin(angle), abs_tol=1e-9)
 
 
 def test_half_a_turn_has_one_name():
-    assert wrap(math.pi) == wrap(-math.pi) == -math.pi
-    assert wrap([0.0, 3 * math.pi]).tolist() == [0.0, -math.pi]
+    assert wrap_angle(math.pi) == wrap_angle(-math.pi) == -math.pi
+    assert wrap_angle([0.0, 3 * math.pi]).tolist() == [0.0, -math.pi]
 
 
 def test_a_camera_held_upright_looks_along_x():

@@ -23,7 +23,7 @@ from numba.core import config, types
 from placegraph import cli
 from placegraph.cli.compiling import Compiling
 from placegraph.core import cache, warm
-from placegraph.core.jit import Kernel, fingerprint, kernel, uninterrupted
+from placegraph.core.jit import Kernel, cache_key, defer_signals, kernel
 from placegraph.errors import OptionError
 
 # --- compiled kernels are found again by what they are made of, and kept where they can be ---
@@ -72,7 +72,7 @@ def total(monkeypatch, tmp_path):
             monkeypatch.setitem(sys.modules, path.stem, module)
             exec(compile(text, path, "exec"), module.__dict__)  # noqa: S102  # never from a .pyc
         told = []
-        with cache.listening(lambda name, done: told.append((name, done))):
+        with cache.listen_to_compilation(lambda name, done: told.append((name, done))):
             answer = module.total(values)
         begun = [name for name, done in told if not done]
         assert sorted(begun) == sorted(name for name, done in told if done)
@@ -145,16 +145,16 @@ def test_constants_of_every_kind_are_told_apart():
         1, 1.0, True, "1", None, (1, 2), (2, 1), [1, 2], {"a": 1}, {"b": 1}, np.float32(1), np.int64(1),
         np.array([1.0, 2.0]), np.array([1.0, 3.0]), np.array([[1.0, 2.0]]), np.sqrt, np.sin, np, abs,
     ]  # fmt: skip
-    assert len({fingerprint(value) for value in values}) == len(values)
-    assert fingerprint({"a", "b", "c"}) == fingerprint({"c", "b", "a"})
+    assert len({cache_key(value) for value in values}) == len(values)
+    assert cache_key({"a", "b", "c"}) == cache_key({"c", "b", "a"})
     with pytest.raises(TypeError, match="of which compiled code cannot tell a change"):
-        fingerprint(object())
+        cache_key(object())
 
 
 def test_named_tuples_are_told_apart_by_home_and_fields():
     kinds = [("x y", "here"), ("y x", "here"), ("x y", "there")]
     points = [namedtuple("Point", fields, module=home)(1, 2) for fields, home in kinds]  # noqa: PYI024
-    assert len({fingerprint(typeof(point)) for point in points}) == 3
+    assert len({cache_key(typeof(point)) for point in points}) == 3
 
 
 def _full(*_):
@@ -175,7 +175,7 @@ def test_where_nothing_can_be_written_code_is_compiled_all_the_same(
     with warnings.catch_warnings(record=True, action="always") as said:
         assert total(np.arange(4.0)) == (18.0, BOTH)
         assert total(np.arange(4.0)) == (18.0, BOTH)
-        assert cache.cached("grammar", lambda: b"made", bytes.decode) == "made"
+        assert cache.load_or_make("grammar", lambda: b"made", bytes.decode) == "made"
     told = [str(each.message) for each in said]
     assert len(told) == 1
     assert "each process compiles anew. Choose a folder" in told[0]
@@ -225,7 +225,7 @@ def test_two_processes_compile_nothing_twice(total, tmp_path):
         "import numpy as np; from placegraph.core import cache; from compiled_caller import total\n"
         "cache.FOLDERS.choose(sys.argv[2])\n"
         "print('ready', flush=True); input()\n"
-        "with cache.listening(lambda name, done: print(name) if done else None):\n"
+        "with cache.listen_to_compilation(lambda name, done: print(name) if done else None):\n"
         "    total(np.arange(3.0))\n"
     )
     processes = [
@@ -279,29 +279,29 @@ def test_signals_wait_and_none_is_lost(monkeypatch):
     before = signal.signal(signal.SIGUSR1, lambda number, _: told.append(number))
     monkeypatch.setattr("placegraph.core.jit._SIGNALS", ("SIGUSR1", "SIGUSR2", "SIGNONE"))
     try:
-        with uninterrupted():
-            with uninterrupted():
+        with defer_signals():
+            with defer_signals():
                 signal.raise_signal(signal.SIGUSR1)
             signal.raise_signal(signal.SIGUSR1)
             assert told == []
         assert told == 2 * [signal.SIGUSR1]
         signal.raise_signal(signal.SIGUSR1)
         assert len(told) == 3
-        with ThreadPoolExecutor(1) as pool, uninterrupted():
+        with ThreadPoolExecutor(1) as pool, defer_signals():
             assert pool.submit(_uninterrupted_elsewhere).result() == "done"
     finally:
         signal.signal(signal.SIGUSR1, before)
 
 
 def _uninterrupted_elsewhere():
-    with uninterrupted():
+    with defer_signals():
         return "done"
 
 
 # --- the list of what commands compile holds, and what it lists is compiled before it is called ---
 
 
-CALLS = list(dict.fromkeys(call for calls in warm.commands().values() for call in calls))
+CALLS = list(dict.fromkeys(call for calls in warm.list_calls().values() for call in calls))
 SMALL = next(call for call in CALLS if ".code(" in call)
 
 
@@ -315,7 +315,7 @@ def test_calls_are_kernels_and_types_of_today(call):
     assert len(args) == len(inspect.signature(kernel.py_func).parameters)
     definitions = (line.split(" = ") for line in warm._lines() if " = " in line)
     names = {text: name for name, text in definitions}
-    assert warm.spelled(kernel, args, names) == call
+    assert warm.spell_call(kernel, args, names) == call
 
 
 def test_types_are_read_as_they_are_spelled():
@@ -327,13 +327,13 @@ def test_types_are_read_as_they_are_spelled():
         words["Surfaces"], types.Omitted(1), types.none,
     )  # fmt: skip
     kernel = warm._found(SMALL)
-    assert warm._types_of(warm.spelled(kernel, args, {
+    assert warm._types_of(warm.spell_call(kernel, args, {
         line.split(" = ")[1]: line.split(" = ")[0] for line in warm._lines() if " = " in line
     }), words) == args  # fmt: skip
 
 
 def test_the_simplest_kind_of_a_command():
-    build = warm.commands()["scene build"]
+    build = warm.list_calls()["scene build"]
     flood, fused = (
         _name(next(call for call in CALLS if end in call)) for end in (".flood(", ".integrate(")
     )
@@ -344,16 +344,16 @@ def test_the_simplest_kind_of_a_command():
 
 def test_compiled_before_it_is_called():
     told = []
-    assert warm.missing([SMALL, SMALL]) == [SMALL]
+    assert warm.missing_calls([SMALL, SMALL]) == [SMALL]
     bad = SMALL.replace("int32[::1])", "float64)")
-    failed = warm.warm([SMALL, bad], told.append)
+    failed = warm.compile_calls([SMALL, bad], told.append)
     assert sorted(told) == sorted([SMALL, bad])
     assert [reason.split(":")[0] for reason in failed] == [bad.split(":")[0]]
-    assert warm.missing([SMALL]) == []
+    assert warm.missing_calls([SMALL]) == []
 
 
 def test_the_command_compiles_what_is_missing(monkeypatch, capsys, tmp_path):
-    monkeypatch.setattr(warm, "commands", lambda: {"scene build": [SMALL]})
+    monkeypatch.setattr(warm, "list_calls", lambda: {"scene build": [SMALL]})
     monkeypatch.setattr("sys.argv", ["placegraph", "--compiled", str(tmp_path / "mine"), "warm"])
     for said in ("1 of 1 functions compiled in", "0 of 1 functions compiled in"):
         with pytest.raises(SystemExit) as end:
@@ -368,7 +368,7 @@ def test_the_command_compiles_what_is_missing(monkeypatch, capsys, tmp_path):
 def test_the_command_makes_what_sentences_are_read_by(tmp_path):
     """For a server that can write nowhere; in a process that has read nothing yet."""
     mine = tmp_path / "mine"
-    code = "from placegraph import cli; from placegraph.core import warm; warm.commands = dict; cli.main()"
+    code = "from placegraph import cli; from placegraph.core import warm; warm.list_calls = dict; cli.main()"
     subprocess.run([sys.executable, "-c", code, "--compiled", mine, "warm"], check=True)  # noqa: S603
     made = {path.name.partition("-")[0] for path in mine.iterdir()}
     assert made >= {"grammar", "languages", "table"}
@@ -377,10 +377,10 @@ def test_the_command_makes_what_sentences_are_read_by(tmp_path):
 def test_a_kernel_not_found_has_all_of_its_command_compiled(monkeypatch):
     asked = []
     monkeypatch.setattr(
-        warm, "warm", lambda calls, told: (asked.append(calls), told(calls[0]), [])[-1]
+        warm, "compile_calls", lambda calls, told: (asked.append(calls), told(calls[0]), [])[-1]
     )
     listener = Compiling(["scene", "build", "house.glb"])
-    build = warm.commands()["scene build"]
+    build = warm.list_calls()["scene build"]
     listener(_name(build[0]), done=True)
     listener("placegraph.no.such.kernel", done=False)
     assert asked == []
@@ -395,15 +395,15 @@ def test_where_no_process_can_be_started_kernels_are_compiled_where_they_are_cal
     def refused(_calls, _told):
         raise error
 
-    monkeypatch.setattr(warm, "warm", refused)
-    build = warm.commands()["scene build"]
+    monkeypatch.setattr(warm, "compile_calls", refused)
+    build = warm.list_calls()["scene build"]
     Compiling(["scene", "build", "house.glb"])(_name(build[0]), done=False)
 
 
 def test_nothing_is_compiled_elsewhere_where_nothing_can_be_kept(monkeypatch, capsys):
     monkeypatch.setattr(cache, "_is_writable", lambda _: False)
-    monkeypatch.setattr(warm, "warm", None)
-    build = warm.commands()["scene build"]
+    monkeypatch.setattr(warm, "compile_calls", None)
+    build = warm.list_calls()["scene build"]
     with pytest.warns(UserWarning, match="each process compiles anew"):
         Compiling(["scene", "build", "house.glb"])(_name(build[0]), done=False)
     monkeypatch.setattr("sys.argv", ["placegraph", "warm"])

@@ -4,18 +4,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from placegraph.core.mapfile import (
+    OFFSETS,
     PAGE,
-    STARTS,
-    SUMS,
-    Texts,
+    PAGE_CHECKSUMS,
+    PagedTexts,
+    add_page_checksums,
     open_pages,
-    packed,
-    with_sums,
+    pack_texts,
     write_map,
 )
 from placegraph.errors import InputError, MapError
 
-TYPES = {"numbers": "<u8", "short": "<i4", "text": "|u1", "text_starts": STARTS}
+TYPES = {"numbers": "<u8", "short": "<i4", "text": "|u1", "text_starts": OFFSETS}
 NAMES = tuple(f"name {i}" for i in range(9_000))
 NUMBERS = np.sort(np.random.default_rng(0).integers(0, 1 << 60, 20_000)).astype(np.uint64)
 
@@ -23,11 +23,11 @@ NUMBERS = np.sort(np.random.default_rng(0).integers(0, 1 << 60, 20_000)).astype(
 @pytest.fixture(scope="module")
 def file(tmp_path_factory):
     path = tmp_path_factory.mktemp("pages") / "a.table"
-    starts, text = packed(NAMES)
+    starts, text = pack_texts(NAMES)
     paged = {"numbers": NUMBERS, "short": np.arange(5, dtype=np.int32)}
     paged |= {"text": text, "text_starts": starts}
-    arrays = with_sums({"other": np.ones(3), **paged}, paged)
-    write_map(path, "words", 3, {}, arrays, mapped=(*paged, SUMS))
+    arrays = add_page_checksums({"other": np.ones(3), **paged}, paged)
+    write_map(path, "words", 3, {}, arrays, mapped=(*paged, PAGE_CHECKSUMS))
     return path
 
 
@@ -40,7 +40,7 @@ def test_what_is_sliced_is_what_was_written(file):
     assert made.array("other", "<f8").tolist() == [1.0, 1.0, 1.0]
     assert np.array_equal(columns["numbers"][700:1900], NUMBERS[700:1900])
     assert columns["short"][1:9].tolist() == [1, 2, 3, 4]
-    texts = Texts(columns["text_starts"], columns["text"])
+    texts = PagedTexts(columns["text_starts"], columns["text"])
     assert (len(texts), texts[8_999], texts[17:19]) == (9_000, NAMES[8_999], list(NAMES[17:19]))
     assert list(texts) == list(NAMES)
 
@@ -73,12 +73,14 @@ def test_files_of_another_kind_or_version_and_none_are_refused(file, tmp_path):
         read(file, version=2)
     with pytest.raises(InputError, match="does not exist"):
         read(tmp_path / "none")
-    write_map(tmp_path / "c.table", "words", 3, {}, {SUMS: np.zeros(1, np.uint32)})
+    write_map(tmp_path / "c.table", "words", 3, {}, {PAGE_CHECKSUMS: np.zeros(1, np.uint32)})
     with pytest.raises(MapError, match="'numbers' is missing"):
         read(tmp_path / "c.table")
     columns = {"numbers": NUMBERS[:0], "short": NUMBERS[:0].astype(np.int32)}
     columns |= {"text": np.zeros(0, np.uint8), "text_starts": np.zeros(1, np.uint32)}
-    write_map(tmp_path / "c.table", "words", 3, {}, columns | {SUMS: np.zeros(7, np.uint32)})
+    write_map(
+        tmp_path / "c.table", "words", 3, {}, columns | {PAGE_CHECKSUMS: np.zeros(7, np.uint32)}
+    )
     with pytest.raises(MapError, match="7 checksums of 1 pages"):
         read(tmp_path / "c.table")
 
@@ -89,7 +91,7 @@ def test_texts_that_point_nowhere_or_are_none_are_told(tmp_path):
             "numbers": NUMBERS[:1], "short": np.zeros(1, np.int32),
             "text": np.frombuffer(text, np.uint8), "text_starts": np.array(starts, np.uint64),
         }  # fmt: skip
-        write_map(tmp_path / "d.table", "words", 3, {}, with_sums(paged, paged))
+        write_map(tmp_path / "d.table", "words", 3, {}, add_page_checksums(paged, paged))
         _, columns = read(tmp_path / "d.table")
         with pytest.raises(MapError, match=r"d\.table"):
-            Texts(columns["text_starts"], columns["text"])[0]
+            PagedTexts(columns["text_starts"], columns["text"])[0]

@@ -20,7 +20,7 @@ from hypothesis.extra import numpy as stnp
 from placegraph import open_map
 from placegraph.core import mapfile as columns
 from placegraph.core import mapfile as store
-from placegraph.core.mapfile import read_header, read_map, write_map, writing
+from placegraph.core.mapfile import map_writer, read_header, read_map, write_map
 from placegraph.errors import InputError, MapError, MapLockedError, OptionError
 
 REFUSALS = (InputError, MapError)
@@ -91,8 +91,8 @@ def test_a_map_comes_back_bit_by_bit(written, rng):
 
 @given(array=arrays)
 def test_every_array_comes_back_through_every_filter(array):
-    codec, filter_, block = columns.pack(columns.plain("a", array))
-    back = columns.unpack(codec, filter_, memoryview(block), array.dtype.str, array.shape)
+    codec, filter_, block = columns.compress_array(columns.to_plain_array("a", array))
+    back = columns.decompress_array(codec, filter_, memoryview(block), array.dtype.str, array.shape)
     assert identical(back, array)
 
 
@@ -259,7 +259,7 @@ def test_a_link_to_a_map_stays_a_link(written):
 
 
 def test_a_second_writer_is_refused_at_once(written):
-    with writing(written) as write:
+    with map_writer(written) as write:
         with pytest.raises(MapLockedError, match="being written by someone else"):
             write_map(written, "city", 1, {}, {})
         assert read_header(written).version == 1, "reading goes on"
@@ -485,7 +485,7 @@ def test_any_bytes_behind_the_magic(tmp_path_factory, junk):
 )
 def test_any_block_is_an_array_or_refused(codec, filter_, block, dtype, shape):
     try:
-        array = columns.unpack(codec, filter_, memoryview(block), dtype, shape)
+        array = columns.decompress_array(codec, filter_, memoryview(block), dtype, shape)
     except ValueError:
         return
     assert array.shape == shape

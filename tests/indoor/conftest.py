@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from placegraph.core.geometry import Camera
-from placegraph.core.threads import limited
+from placegraph.core.threads import limit_threads
 from placegraph.indoor.build import build_scene
 from placegraph.io.capture.capture import open_capture
 from placegraph.io.capture.tum import read_tum
@@ -116,7 +116,7 @@ def flat_walk(flat_world):
 @pytest.fixture(scope="module")
 def one_thread():
     """Compiled code on one thread: on busy cores threads mostly wait for each other."""
-    with limited(1):
+    with limit_threads(1):
         yield
 
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 import placegraph as pg
-from placegraph.core.mapfile import writing
+from placegraph.core.mapfile import map_writer
 from placegraph.errors import InputError, MapLockedError, OptionError, PlacegraphError
 from placegraph.indoor.build import build_scene, scene_of_model
 from placegraph.indoor.map.textures import Detail, linear_from_srgb, srgb_from_linear
@@ -123,7 +123,7 @@ def test_files_that_cannot_be_read_or_written(ply, tmp_path):
     with pytest.raises(OptionError, match="would be overwritten"):
         build_scene(ply, ply)
     out = tmp_path / "a.scene"
-    with writing(out), pytest.raises(MapLockedError):
+    with map_writer(out), pytest.raises(MapLockedError):
         build_scene(ply, out)
 
 

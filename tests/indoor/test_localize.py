@@ -16,7 +16,7 @@ from placegraph.core.geometry import (
     split_pose,
     vector_from_rotation,
 )
-from placegraph.core.threads import limited
+from placegraph.core.threads import limit_threads
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.encode import Patches
@@ -218,7 +218,7 @@ def test_the_same_seed_gives_the_same_answer(room, walk, answer):
 
 def test_the_number_of_threads_does_not_matter(room, walk):
     alone = room.localize(walk, frames=TWO)
-    with limited(2):
+    with limit_threads(2):
         same(alone, room.localize(walk, frames=TWO))
 
 

@@ -16,7 +16,7 @@ from placegraph.core.geometry import (
     pose_matrix,
     rotation_from_quaternion,
 )
-from placegraph.core.threads import limited
+from placegraph.core.threads import limit_threads
 from placegraph.errors import OptionError
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.rays import RayCaster
@@ -320,7 +320,7 @@ def test_threads_draw_the_same(room, walk, truth):
     pose, renderer = truth(walk)[4], Renderer(room)
     drawn = []
     for threads in (1, 2):
-        with limited(threads):
+        with limit_threads(threads):
             drawn.append(renderer.render(pose, WIDE))
     asked = [threading.Thread(target=lambda: drawn.append(renderer.render(pose, WIDE)))
              for _ in range(3)]  # fmt: skip

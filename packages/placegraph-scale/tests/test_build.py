@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import killers
-from placegraph.core.geo import held
+from placegraph.core.geo import are_in_tile
 from placegraph.errors import InputError, MapError, MissingExtraError, OptionError
 from placegraph.outdoor.city import CityMap
 from placegraph_scale import build as module
@@ -290,7 +290,7 @@ def test_city_build_of_a_large_extract_is_a_world_of_the_same_things(
     for shard in world.shards:
         city = CityMap.open(world.path(shard))
         at = city.plane.to_lonlat(city.objects.center.astype(np.float64))
-        for i in np.flatnonzero(held(at, shard.key)).tolist():
+        for i in np.flatnonzero(are_in_tile(at, shard.key)).tolist():
             o = city.objects
             seen[o.osm(i)] = (o.label(i), o.name(i), [len(p) for p in o.parts(i)], at[i])
     places = one.plane.to_lonlat(one.objects.center.astype(np.float64))

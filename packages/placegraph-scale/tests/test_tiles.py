@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph.core.geo import bounds, key_at
+from placegraph.core.geo import key_at, tile_bounds
 from placegraph.errors import InputError, MapError
 from placegraph.io.osm import urls
 from placegraph.outdoor.city import CityMap
@@ -57,7 +57,7 @@ def city_of(folder, found, key, tmp_path):
 
 
 def test_things_near_a_border_are_in_both_tiles(write_world, tmp_path):
-    east = bounds(key_at(10.0, 50.0, ZOOM)).east
+    east = tile_bounds(key_at(10.0, 50.0, ZOOM)).east
     steps = (-500.0, -80.0, 80.0, 500.0)
     at = (east - 10.0) * 71_700
     path = write_world([(at + step, 0.0, BENCH) for step in steps])

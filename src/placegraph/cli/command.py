@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, get_args, get_origin, get_type_hints
 
 import click
 
-from placegraph.core.plugins import COMMANDS, missing, plugins
+from placegraph.core.plugins import COMMANDS, missing_extra, plugins
 from placegraph.errors import MissingExtraError
 
 if TYPE_CHECKING:
@@ -214,6 +214,6 @@ def _refuse(name: str, extra: str) -> Callable[[], None]:
                 f"{command} is part of placegraph-lab, which is not installed; "
                 "`pip install placegraph-lab` brings it."
             )
-        raise missing(command, extra)
+        raise missing_extra(command, extra)
 
     return refuse

@@ -28,16 +28,16 @@ class Compiling:
         self._busy = False
 
     def __call__(self, name: str, done: bool) -> None:
-        """Take part: `cache.listening`."""
+        """Take part: `cache.listen_to_compilation`."""
         if done or self._busy or cache.FOLDERS.write is None:  # what others compile would be lost
             return
         from concurrent.futures import BrokenExecutor
 
-        from placegraph.core.warm import calls_with, missing
+        from placegraph.core.warm import calls_with, missing_calls
 
         self._busy = True  # what is imported here may itself be compiled
         try:
-            lacking = missing(calls_with(name, self._words))
+            lacking = missing_calls(calls_with(name, self._words))
             if "demo" in self._words and lacking and not sys.stderr.isatty():
                 click.echo(f"{_line(0, len(lacking))} ...", err=True)  # a terminal shows a bar
             with suppress(OSError, BrokenExecutor):  # no process can be started: one by one, here
@@ -47,8 +47,8 @@ class Compiling:
 
 
 def compile_all(calls: list[str], *, hidden: bool) -> list[str]:
-    """Compile on all processors, and say how far it is; returns what failed, as of `warm.warm`."""
-    from placegraph.core.warm import warm
+    """Compile on all processors, and say how far it is; returns what failed, as of `warm.compile_calls`."""
+    from placegraph.core.warm import compile_calls
 
     if not calls:
         return []
@@ -61,7 +61,7 @@ def compile_all(calls: list[str], *, hidden: bool) -> list[str]:
             done += 1
             tell(_line(done, len(calls)), done, len(calls))
 
-        return warm(calls, told)
+        return compile_calls(calls, told)
 
 
 def warm_up(quiet: Quiet = False) -> None:
@@ -70,14 +70,14 @@ def warm_up(quiet: Quiet = False) -> None:
     Code is kept beside the package or in your cache folder, or in `placegraph --compiled FOLDER`,
     and is valid for this processor, this Python and this version of numba.
     """
-    from placegraph.core.warm import commands, missing
+    from placegraph.core.warm import list_calls, missing_calls
 
     if cache.FOLDERS.write is None:
         raise OptionError("--compiled: name a folder that can be written; nothing is kept else.")
     start = perf_counter()
     _read_once()
-    calls = list(dict.fromkeys(call for its in commands().values() for call in its))
-    lacking = missing(calls)
+    calls = list(dict.fromkeys(call for its in list_calls().values() for call in its))
+    lacking = missing_calls(calls)
     failed = compile_all(lacking, hidden=quiet)
     for reason in failed:
         click.echo(f"placegraph: cannot compile {reason}", err=True)

@@ -88,11 +88,11 @@ def build(
     Example: placegraph library build encoded/ -o homes.library --encoder scenegraphloc
     --weights mine.safetensors
     """
-    from placegraph.core.mapfile import writing
+    from placegraph.core.mapfile import map_writer
     from placegraph.indoor.library import SceneLibrary
 
     paths = _named([path for given in maps for path in _maps(given)])
-    with writing(out):
+    with map_writer(out):
         pass  # a place that cannot be written to is refused now, not when all is read
     made = encoders_of(encoder or [], weights)
     library = SceneLibrary(made, height=height) if made else SceneLibrary(height=height)

@@ -398,12 +398,12 @@ def encode(
     """
     from time import perf_counter
 
-    from placegraph.core.mapfile import writing
+    from placegraph.core.mapfile import map_writer
     from placegraph.indoor.encode import vectors_of
     from placegraph.indoor.scene_map import SceneMap
 
     shown = _given(encoder, captures or [], poses, frames)
-    with writing(out):
+    with map_writer(out):
         pass  # a place that cannot be written to is refused now, not when all is encoded
     start = perf_counter()
     with progress_of(hidden=quiet or as_json) as tell:

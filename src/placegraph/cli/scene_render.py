@@ -25,7 +25,7 @@ from placegraph.cli.scene_options import (
     pose_of_estimate,
     read_estimate,
 )
-from placegraph.core.files import put
+from placegraph.core.files import write_output
 from placegraph.errors import InputError, OptionError
 
 if TYPE_CHECKING:
@@ -237,7 +237,9 @@ def _write(
         if name == "objects":
             files.append(out / "objects.json")
             named = {str(o["value"]): o for o in _objects(scene, drawn)}
-            put(files[-1], (json.dumps(named, ensure_ascii=False, indent=1) + "\n").encode())
+            write_output(
+                files[-1], (json.dumps(named, ensure_ascii=False, indent=1) + "\n").encode()
+            )
     return files
 
 

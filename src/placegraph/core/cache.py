@@ -75,7 +75,7 @@ FOLDERS = CacheFolders()
 _LISTENERS: list[Callable[[str, bool], None]] = []
 
 
-def cached(name: str, make: Callable[[], bytes], read: Callable[[bytes], T]) -> T:
+def load_or_make(name: str, make: Callable[[], bytes], read: Callable[[bytes], T]) -> T:
     """Return `read` of the bytes of a file of the cache, which `make` returns where there is none.
 
     `name` tells all that goes into the bytes. Where `read` raises `ValueError` the file is damaged,
@@ -90,7 +90,7 @@ def cached(name: str, make: Callable[[], bytes], read: Callable[[bytes], T]) -> 
 
 
 @contextmanager
-def listening(listener: Callable[[str, bool], None]) -> Iterator[None]:
+def listen_to_compilation(listener: Callable[[str, bool], None]) -> Iterator[None]:
     """Call ``listener(name, done)`` before a kernel is compiled and after; in any thread.
 
     A listener that has it compiled elsewhere, before it returns, spares this process the work.
@@ -102,7 +102,7 @@ def listening(listener: Callable[[str, bool], None]) -> Iterator[None]:
         _LISTENERS.remove(listener)
 
 
-def notify(name: str, *, done: bool) -> None:
+def notify_listeners(name: str, *, done: bool) -> None:
     """Call the listeners."""
     for listener in _LISTENERS:
         listener(name, done)

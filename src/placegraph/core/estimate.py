@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.geo import EarthPose
-from placegraph.core.geojson import OnEarth
+from placegraph.core.geojson import GeoExport
 from placegraph.core.pickling import HtmlRepr
 
 
@@ -253,7 +253,7 @@ Mode = TypeVar("Mode", bound=Explained)
 
 
 @dataclass(frozen=True, repr=False)
-class Estimate(OnEarth, HtmlRepr, Generic[Mode]):
+class Estimate(GeoExport, HtmlRepr, Generic[Mode]):
     """Answer to "where am I?"."""
 
     status: Status

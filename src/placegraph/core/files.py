@@ -31,17 +31,17 @@ def write_file(path: str | os.PathLike[str], chunks: Chunks) -> Path:
         It cannot be written; what was there before is untouched.
 
     """
-    target = real_path(path)
-    check_plain(target)
+    target = resolve_path(path)
+    check_target(target)
     try:
-        with exclusive(target):
+        with lock_file(target):
             replace_file(target, chunks)
     except OSError as error:
-        raise cannot_write(target, error) from error
+        raise write_error(target, error) from error
     return Path(path)
 
 
-def put(path: str | os.PathLike[str], content: bytes) -> Path:
+def write_output(path: str | os.PathLike[str], content: bytes) -> Path:
     """Write a picture or a text as `write_file` does; what is no file, as /dev/stdout, straight.
 
     Raises `MapLockedError` as `write_file` does, and `InputError` where it cannot be written.
@@ -52,7 +52,7 @@ def put(path: str | os.PathLike[str], content: bytes) -> Path:
             given.write_bytes(content)
         else:
             target = Path(os.path.realpath(given))
-            with exclusive(target):
+            with lock_file(target):
                 replace_file(target, [content])
     except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or error
@@ -82,7 +82,7 @@ def replace_file(target: Path, chunks: Chunks) -> None:
             temporary.unlink()
 
 
-def regular(path: Path) -> Path:
+def check_regular(path: Path) -> Path:
     """Path of a file to read; `InputError` where it is a pipe or a device, which may never end."""
     with suppress(OSError, ValueError):  # for the reader to say
         if not stat.S_ISREG(mode := path.stat().st_mode) and not stat.S_ISDIR(mode):
@@ -90,7 +90,7 @@ def regular(path: Path) -> Path:
     return path
 
 
-def real_path(path: str | os.PathLike[str]) -> Path:
+def resolve_path(path: str | os.PathLike[str]) -> Path:
     """Where a file really lies: links are followed. `MapError` where it is no file name."""
     try:
         return Path(os.path.realpath(path))
@@ -98,16 +98,16 @@ def real_path(path: str | os.PathLike[str]) -> Path:
         raise MapError(f"{path!r} is not a file name: {error}.") from error
 
 
-def check_plain(target: Path) -> None:
+def check_target(target: Path) -> None:
     """Raise `MapError` where something is there that is no file, or nothing can be."""
     try:
         if target.exists() and not target.is_file():
             raise MapError(f"{target} is not a plain file; name a file to write to.")
     except OSError as error:  # as of a name that is too long
-        raise cannot_write(target, error) from error
+        raise write_error(target, error) from error
 
 
-def cannot_write(target: Path, error: OSError) -> MapError:
+def write_error(target: Path, error: OSError) -> MapError:
     """Error that says why a file cannot be written."""
     return MapError(f"{target} cannot be written: {error.strerror or error}. Choose another place.")
 
@@ -120,7 +120,7 @@ def _sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-class Watch:
+class FileWatch:
     """A file that columns are windows on: whether it is as it was when it was opened."""
 
     def __init__(self, file: BinaryIO, path: str | os.PathLike[str]) -> None:
@@ -145,7 +145,7 @@ class Watch:
 
 
 @contextmanager
-def exclusive(target: Path) -> Iterator[None]:
+def lock_file(target: Path) -> Iterator[None]:
     """Hold ``.NAME.lock`` next to `target`, and remove it afterwards.
 
     Raises `MapLockedError` at once where another holds it, and `OSError` where it cannot be had.

@@ -180,7 +180,7 @@ def ecef_from_enu(longitude: float, latitude: float) -> Floats:
     return np.array([[-sl, -sp * cl, cp * cl], [cl, -sp * sl, cp * sl], [0.0, cp, sp]])
 
 
-HIGHEST = 1e5
+MAX_HEIGHT = 1e5
 """Of a map above or below the ellipsoid [m]."""
 
 
@@ -217,7 +217,7 @@ class Anchor:
     """Which of the merged scenes of a map it is of; empty: of the whole map."""
 
     def __post_init__(self) -> None:
-        for name, most in (("longitude", 180.0), ("latitude", 90.0), ("height", HIGHEST)):
+        for name, most in (("longitude", 180.0), ("latitude", 90.0), ("height", MAX_HEIGHT)):
             value = float(getattr(self, name))
             if not abs(value) <= most:
                 raise OptionError(
@@ -366,7 +366,7 @@ class Anchor:
         return cls(**given)
 
 
-def unplaced(scene: str) -> GeoPoseError:
+def no_anchor_error(scene: str) -> GeoPoseError:
     """What is raised where a scene map is asked for its place, and nobody has said it."""
     return GeoPoseError(
         f"The scene map {scene!r} has no place on Earth; give it one with `placegraph scene anchor`."
@@ -382,7 +382,7 @@ def _raised(level: str, storeys: int) -> str:
     return f"{number + storeys:g}" if storeys and np.isfinite(number) else level
 
 
-def ranked(anchors: Iterable[Anchor], scenes: Sequence[str]) -> tuple[Anchor, ...]:
+def sort_anchors(anchors: Iterable[Anchor], scenes: Sequence[str]) -> tuple[Anchor, ...]:
     """Anchors of a map of these merged scenes, best first; raises `OptionError` where they are none."""
     found = tuple(sorted(anchors, key=lambda anchor: -anchor.probability))
     for scene in scenes:
@@ -397,11 +397,11 @@ def ranked(anchors: Iterable[Anchor], scenes: Sequence[str]) -> tuple[Anchor, ..
     return found
 
 
-DEEPEST = 16
+MAX_ZOOM = 16
 """Levels at most: tiles of 600 m at the equator."""
-NORTHMOST = 85.0511287
+MAX_LATITUDE = 85.0511287
 """The projection ends here [deg]; the last rows reach to the poles."""
-EQUATOR = 40_075_016.7
+EQUATOR_LENGTH = 40_075_016.7
 """Once around the Earth [m]."""
 
 
@@ -425,15 +425,15 @@ class Box(NamedTuple):
         return Box(self.west - across, self.south - along, self.east + across, self.north + along)
 
 
-def columns_rows(lonlat: NDArray[np.float64], zoom: int) -> NDArray[np.float64]:
+def tile_coordinates(lonlat: NDArray[np.float64], zoom: int) -> NDArray[np.float64]:
     """Where positions (N, 2) [deg] lie, in columns and rows (N, 2) with fractions."""
-    sine = np.sin(np.radians(np.clip(lonlat[:, 1], -NORTHMOST, NORTHMOST)))
+    sine = np.sin(np.radians(np.clip(lonlat[:, 1], -MAX_LATITUDE, MAX_LATITUDE)))
     rows = 0.5 - np.arctanh(sine) / (2.0 * np.pi)
     found: NDArray[np.float64] = np.stack([lonlat[:, 0] / 360.0 + 0.5, rows], 1) * 2.0**zoom
     return found
 
 
-def reached(
+def tile_ranges(
     low: NDArray[np.float64], high: NDArray[np.float64], zoom: int, margin: float
 ) -> NDArray[np.int64]:
     """First column, first row, last column and last row (N, 4) that boxes and a margin [m] touch.
@@ -441,31 +441,31 @@ def reached(
     `low` and `high` are their south-western and north-eastern corners (N, 2) [deg]. Columns go
     beyond the grid at the date line: take them modulo 2^zoom.
     """
-    farthest = np.minimum(np.maximum(np.abs(low[:, 1]), np.abs(high[:, 1])), NORTHMOST)
-    wide = margin * 1.01 * 2.0**zoom / (EQUATOR * np.cos(np.radians(farthest)))
-    west, east = columns_rows(low, zoom), columns_rows(high, zoom)
+    farthest = np.minimum(np.maximum(np.abs(low[:, 1]), np.abs(high[:, 1])), MAX_LATITUDE)
+    wide = margin * 1.01 * 2.0**zoom / (EQUATOR_LENGTH * np.cos(np.radians(farthest)))
+    west, east = tile_coordinates(low, zoom), tile_coordinates(high, zoom)
     ends = np.stack([west[:, 0] - wide, east[:, 1] - wide, east[:, 0] + wide, west[:, 1] + wide], 1)
     found = np.floor(ends).astype(np.int64)
     found[:, 1::2] = np.clip(found[:, 1::2], 0, 2**zoom - 1)
     return found
 
 
-def tiles(lonlat: NDArray[np.float64], zoom: int) -> NDArray[np.int64]:
+def tiles_at(lonlat: NDArray[np.float64], zoom: int) -> NDArray[np.int64]:
     """Column and row (N, 2) of the tiles that hold positions (N, 2) [deg]."""
-    found = np.floor(columns_rows(lonlat, zoom)).astype(np.int64)
+    found = np.floor(tile_coordinates(lonlat, zoom)).astype(np.int64)
     found[:, 0] %= 1 << zoom
     found[:, 1] = np.clip(found[:, 1], 0, (1 << zoom) - 1)
     return found
 
 
-def held(lonlat: NDArray[np.float64], key: str) -> NDArray[np.bool_]:
+def are_in_tile(lonlat: NDArray[np.float64], key: str) -> NDArray[np.bool_]:
     """Which positions (N, 2) [deg] lie in a tile: each in one tile of a zoom."""
-    column, row, zoom = tile_of(key)
-    found: NDArray[np.bool_] = (tiles(lonlat, zoom) == (column, row)).all(axis=1)
+    column, row, zoom = parse_tile_key(key)
+    found: NDArray[np.bool_] = (tiles_at(lonlat, zoom) == (column, row)).all(axis=1)
     return found
 
 
-def key_of(column: int, row: int, zoom: int) -> str:
+def tile_key(column: int, row: int, zoom: int) -> str:
     """Key of a tile; the column may lie around the Earth."""
     column %= 1 << zoom
     bits = range(zoom - 1, -1, -1)
@@ -474,23 +474,23 @@ def key_of(column: int, row: int, zoom: int) -> str:
 
 def key_at(longitude: float, latitude: float, zoom: int) -> str:
     """Key of the tile at a position [deg]."""
-    column, row = tiles(np.array([[longitude, latitude]]), zoom)[0].tolist()
-    return key_of(column, row, zoom)
+    column, row = tiles_at(np.array([[longitude, latitude]]), zoom)[0].tolist()
+    return tile_key(column, row, zoom)
 
 
-def tile_of(key: str) -> tuple[int, int, int]:
+def parse_tile_key(key: str) -> tuple[int, int, int]:
     """Column, row and zoom of a key; raises `OptionError` where it is none."""
-    if not set(key) <= set("0123") or len(key) > DEEPEST:
-        raise OptionError(f"{key!r} is no tile; its key has up to {DEEPEST} digits of 0 to 3.")
+    if not set(key) <= set("0123") or len(key) > MAX_ZOOM:
+        raise OptionError(f"{key!r} is no tile; its key has up to {MAX_ZOOM} digits of 0 to 3.")
     digits = [int(digit) for digit in key]
     column = sum((digit & 1) << bit for bit, digit in enumerate(reversed(digits)))
     row = sum((digit >> 1) << bit for bit, digit in enumerate(reversed(digits)))
     return column, row, len(key)
 
 
-def bounds(key: str) -> Box:
+def tile_bounds(key: str) -> Box:
     """Longitudes and latitudes of a tile [deg]: the core of a shard of this key."""
-    column, row, zoom = tile_of(key)
+    column, row, zoom = parse_tile_key(key)
     n = 1 << zoom
     edges = np.array([row + 1, row]) / n
     south, north = np.degrees(np.arctan(np.sinh(np.pi * (1.0 - 2.0 * edges)))).tolist()
@@ -501,5 +501,5 @@ def bounds(key: str) -> Box:
 
 def check_zoom(zoom: int) -> None:
     """Raise `OptionError` where tiles of a zoom are none."""
-    if isinstance(zoom, bool) or not isinstance(zoom, int) or not 1 <= zoom <= DEEPEST:
-        raise OptionError(f"zoom is {zoom!r}; choose a whole number from 1 to {DEEPEST}.")
+    if isinstance(zoom, bool) or not isinstance(zoom, int) or not 1 <= zoom <= MAX_ZOOM:
+        raise OptionError(f"zoom is {zoom!r}; choose a whole number from 1 to {MAX_ZOOM}.")

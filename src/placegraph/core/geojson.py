@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.geo import EarthPose, unplaced
+from placegraph.core.geo import EarthPose, no_anchor_error
 from placegraph.core.geometry import LocalPlane
 from placegraph.errors import GeoPoseError, MissingExtraError
 
@@ -18,48 +18,50 @@ if TYPE_CHECKING:
 
     from placegraph.core.geometry import Floats
 
-DIGITS = 7
+DECIMALS = 7
 """Decimals of a degree: a centimetre."""
 
 
-def feature(geometry: Mapping[str, Any] | None, properties: Mapping[str, Any]) -> dict[str, Any]:
+def make_feature(
+    geometry: Mapping[str, Any] | None, properties: Mapping[str, Any]
+) -> dict[str, Any]:
     """One feature; None: it has no place."""
     shape = dict(geometry) if geometry else None
     return {"type": "Feature", "geometry": shape, "properties": dict(properties)}
 
 
-def collection(features: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
+def make_collection(features: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
     """A FeatureCollection."""
     return {"type": "FeatureCollection", "features": list(features)}
 
 
-def point(lonlat: Floats) -> dict[str, Any]:
+def point_geometry(lonlat: Floats) -> dict[str, Any]:
     """Geometry of a position (2,) [deg]."""
     return {"type": "Point", "coordinates": _rounded(lonlat)}
 
 
-def lines(parts: Sequence[Floats]) -> dict[str, Any]:
+def line_geometry(parts: Sequence[Floats]) -> dict[str, Any]:
     """Geometry of one line, or of several, each (n, 2) [deg]."""
     if len(parts) == 1:
         return {"type": "LineString", "coordinates": _rounded(parts[0])}
     return {"type": "MultiLineString", "coordinates": [_rounded(part) for part in parts]}
 
 
-def areas(rings: Sequence[Floats]) -> dict[str, Any]:
+def polygon_geometry(rings: Sequence[Floats]) -> dict[str, Any]:
     """Geometry of rings, each (n, 2) [deg] and closed, whose insides and holes are told by nesting."""
     shapes = [
-        [_rounded(wound(rings[k], 1.0 if k == polygon[0] else -1.0)) for k in polygon]
-        for polygon in nested(rings)
+        [_rounded(orient_ring(rings[k], 1.0 if k == polygon[0] else -1.0)) for k in polygon]
+        for polygon in nest_rings(rings)
     ]
     if len(shapes) == 1:
         return {"type": "Polygon", "coordinates": shapes[0]}
     return {"type": "MultiPolygon", "coordinates": shapes}
 
 
-def nested(rings: Sequence[Floats]) -> list[list[int]]:
+def nest_rings(rings: Sequence[Floats]) -> list[list[int]]:
     """Polygons that closed rings, each (n, 2), make: rows of the outer ring and of its holes."""
     within = [
-        {k for k, other in enumerate(rings) if k != i and inside(ring[0], other)}
+        {k for k, other in enumerate(rings) if k != i and is_inside(ring[0], other)}
         for i, ring in enumerate(rings)
     ]
     polygons = {i: [i] for i, around in enumerate(within) if not len(around) % 2}
@@ -70,14 +72,14 @@ def nested(rings: Sequence[Floats]) -> list[list[int]]:
     return list(polygons.values())
 
 
-def wound(ring: Floats, sense: float) -> Floats:
+def orient_ring(ring: Floats, sense: float) -> Floats:
     """A closed ring (n, 2) counter-clockwise (1) or clockwise (-1), as RFC 7946 has rings and holes."""
     x, y = (np.asarray(ring, np.float64) - ring[0]).T
     doubled = float((x[:-1] * y[1:] - x[1:] * y[:-1]).sum())
     return ring if doubled * sense >= 0 else ring[::-1]
 
 
-def inside(at: NDArray[Any], ring: Floats) -> bool:
+def is_inside(at: NDArray[Any], ring: Floats) -> bool:
     """Whether a position (2,) lies in a closed ring (n, 2), by the crossings of a ray to the east."""
     (x, y), (start, end) = at, (ring[:-1], ring[1:])
     spans = (start[:, 1] > y) != (end[:, 1] > y)
@@ -86,7 +88,7 @@ def inside(at: NDArray[Any], ring: Floats) -> bool:
     return bool(np.count_nonzero(crossing > x) % 2)
 
 
-def geopandas_of(features: Mapping[str, Any]) -> gpd.GeoDataFrame:
+def to_geopandas(features: Mapping[str, Any]) -> gpd.GeoDataFrame:
     """Table of a FeatureCollection, WGS84; `MissingExtraError` without GeoPandas."""
     try:
         import geopandas as gpd
@@ -98,18 +100,18 @@ def geopandas_of(features: Mapping[str, Any]) -> gpd.GeoDataFrame:
 
 
 def _rounded(lonlat: Floats) -> list[Any]:
-    rounded: list[Any] = np.round(np.asarray(lonlat, np.float64), DIGITS).tolist()
+    rounded: list[Any] = np.round(np.asarray(lonlat, np.float64), DECIMALS).tolist()
     return rounded
 
 
-SHARE = 0.95
+ELLIPSE_PROBABILITY = 0.95
 """Probability that an ellipse holds, were its mode the right one."""
 _TURN = np.linspace(0.0, 2.0 * np.pi, 49)
 _CIRCLE = np.stack([np.cos(_TURN), np.sin(_TURN)], axis=1)
-_SCALE = float(np.sqrt(-2.0 * np.log(1.0 - SHARE)))  # of a Gaussian in the plane
+_SCALE = float(np.sqrt(-2.0 * np.log(1.0 - ELLIPSE_PROBABILITY)))  # of a Gaussian in the plane
 
 
-class OnEarth:
+class GeoExport:
     """What an estimate says in the words of geography; mixed into `Estimate`."""
 
     status: Any
@@ -133,9 +135,9 @@ class OnEarth:
         """
         if not self.modes:
             raise GeoPoseError(f"There is no pose: {self.reason}")
-        poses = poses_of(self.modes[0])
+        poses = earth_poses(self.modes[0])
         if not poses:
-            raise unplaced(getattr(self.modes[0], "scene", ""))
+            raise no_anchor_error(getattr(self.modes[0], "scene", ""))
         return poses[0].geopose() | {"status": self.status.name, "reason": self.reason}
 
     def geojson(self) -> dict[str, Any]:
@@ -152,13 +154,13 @@ class OnEarth:
             All was found in scene maps that nobody has placed on Earth.
 
         """
-        features = list(_features(self.modes))
+        features = list(_mode_features(self.modes))
         if self.modes and not features:
-            raise unplaced(getattr(self.modes[0], "scene", ""))
-        return collection(features) | {"status": self.status.name, "reason": self.reason}
+            raise no_anchor_error(getattr(self.modes[0], "scene", ""))
+        return make_collection(features) | {"status": self.status.name, "reason": self.reason}
 
 
-def poses_of(mode: Any) -> tuple[EarthPose, ...]:  # noqa: ANN401  # of any wing
+def earth_poses(mode: Any) -> tuple[EarthPose, ...]:  # noqa: ANN401  # of any wing
     """Where a mode is on Earth, the likeliest first; empty where its map is not placed there.
 
     A mode says so in `earth`, or by its longitude, latitude and covariance (2, 2).
@@ -172,20 +174,20 @@ def poses_of(mode: Any) -> tuple[EarthPose, ...]:  # noqa: ANN401  # of any wing
     return ()
 
 
-def _features(modes: Sequence[Any]) -> Iterator[dict[str, Any]]:
+def _mode_features(modes: Sequence[Any]) -> Iterator[dict[str, Any]]:
     for rank, mode in enumerate(modes, 1):
-        poses = poses_of(mode)
+        poses = earth_poses(mode)
         for candidate, pose in enumerate(poses, 1):
             known = {"mode": rank, "candidate": candidate} | _properties(mode, pose)
             place = [pose.longitude, pose.latitude]
             where = [*place, pose.height] if isfinite(pose.height) else place
-            yield feature({"type": "Point", "coordinates": where}, {"kind": "mode"} | known)
+            yield make_feature({"type": "Point", "coordinates": where}, {"kind": "mode"} | known)
             ring = _ellipse(pose)
             if ring:
-                held = {"kind": "ellipse", "share": SHARE} | known
-                yield feature({"type": "Polygon", "coordinates": [ring]}, held)
+                held = {"kind": "ellipse", "share": ELLIPSE_PROBABILITY} | known
+                yield make_feature({"type": "Polygon", "coordinates": [ring]}, held)
         if poses:
-            yield from _told(rank, mode.evidence)
+            yield from _evidence_features(rank, mode.evidence)
 
 
 def _properties(mode: Any, pose: EarthPose) -> dict[str, Any]:  # noqa: ANN401
@@ -201,7 +203,7 @@ def _properties(mode: Any, pose: EarthPose) -> dict[str, Any]:  # noqa: ANN401
 
 
 def _ellipse(pose: EarthPose) -> list[list[float]]:
-    """Ring of corners [deg] that holds the pose with `SHARE`; empty where it is a point."""
+    """Ring of corners [deg] that holds the pose with `ELLIPSE_PROBABILITY`; empty where it is a point."""
     values, axes = np.linalg.eigh(pose.covariance[:2, :2])
     if not values[-1] > 0:
         return []
@@ -211,11 +213,11 @@ def _ellipse(pose: EarthPose) -> list[list[float]]:
     ring = LocalPlane(pose.longitude, pose.latitude).to_lonlat(corners)
     ring[:, 0] += 360.0 * np.round((pose.longitude - ring[:, 0]) / 360.0)  # across the date line
     ring[-1] = ring[0]
-    corners_deg: list[list[float]] = np.round(ring, DIGITS).tolist()
+    corners_deg: list[list[float]] = np.round(ring, DECIMALS).tolist()
     return corners_deg
 
 
-def _told(rank: int, evidence: Sequence[Any]) -> Iterator[dict[str, Any]]:
+def _evidence_features(rank: int, evidence: Sequence[Any]) -> Iterator[dict[str, Any]]:
     for said in evidence:
         plain = said.to_dict()
         known = {"kind": "evidence", "mode": rank}
@@ -223,4 +225,4 @@ def _told(rank: int, evidence: Sequence[Any]) -> Iterator[dict[str, Any]]:
         for thing in plain["objects"] or [{}]:
             at = [thing[k] for k in ("longitude", "latitude") if k in thing]
             names = {name: thing[name] for name in ("id", "label", "name") if name in thing}
-            yield feature({"type": "Point", "coordinates": at} if at else None, known | names)
+            yield make_feature({"type": "Point", "coordinates": at} if at else None, known | names)

@@ -87,7 +87,7 @@ _HALF_TURN = np.diag([-1.0, -1.0, 1.0])
 """Of a camera about its optical axis."""
 
 
-def wrap(angle: ArrayLike) -> Floats:
+def wrap_angle(angle: ArrayLike) -> Floats:
     """Angles (...) [rad] to the same directions in [-pi, pi)."""
     return (np.asarray(angle, np.float64) + np.pi) % (2.0 * np.pi) - np.pi
 
@@ -157,7 +157,7 @@ def compose(pose: ArrayLike, step: ArrayLike) -> Floats:
             pose[..., 0] + c * step[..., 0] - s * step[..., 1],
             pose[..., 1] + s * step[..., 0] + c * step[..., 1],
             pose[..., 2] + step[..., 2],
-            wrap(pose[..., 3] + step[..., 3]),
+            wrap_angle(pose[..., 3] + step[..., 3]),
         ],
         axis=-1,
     )
@@ -173,7 +173,7 @@ def between(pose: ArrayLike, other: ArrayLike) -> Floats:
             c * d[..., 0] + s * d[..., 1],
             c * d[..., 1] - s * d[..., 0],
             d[..., 2],
-            wrap(d[..., 3]),
+            wrap_angle(d[..., 3]),
         ],
         axis=-1,
     )
@@ -248,9 +248,9 @@ def cross_matrix(vector: ArrayLike) -> Floats:
 
 
 MODELS = ("opencv", "fisheye")
-COEFFICIENTS = {"opencv": (0, 4, 5, 8), "fisheye": (0, 4)}
+COEFFICIENT_COUNTS = {"opencv": (0, 4, 5, 8), "fisheye": (0, 4)}
 """How many a model may have; 0: an ideal one."""
-WIDEST = radians(85.0)
+MAX_FISHEYE_ANGLE = radians(85.0)
 """Angle off a fisheye's axis beyond which it is not asked: rays with z = 1 grow without end."""
 _ROUNDS = 100
 _NEWTON = 12
@@ -281,7 +281,7 @@ class Camera:
             raise OptionError("camera: cx, cy or the distortion is not a number.")
         if self.model not in MODELS:
             raise OptionError(f"camera: model is {self.model!r}; it is one of {', '.join(MODELS)}.")
-        if len(self.distortion) not in COEFFICIENTS[self.model]:
+        if len(self.distortion) not in COEFFICIENT_COUNTS[self.model]:
             raise OptionError(
                 f"camera: {len(self.distortion)} distortion coefficients; OpenCV's "
                 "k1, k2, p1, p2[, k3[, k4, k5, k6]] are 4, 5 or 8, those of its fisheye 4."
@@ -301,20 +301,20 @@ class Camera:
     def directions(self, uv: ArrayLike) -> Floats:
         """Rays (..., 3) in the camera with z = 1 through image points (..., 2) [px].
 
-        x and y are NaN where a fisheye's image shows nothing, or what is beyond `WIDEST`.
+        x and y are NaN where a fisheye's image shows nothing, or what is beyond `MAX_FISHEYE_ANGLE`.
         """
         places = (np.asarray(uv, np.float64) - (self.cx, self.cy)) / (self.fx, self.fy)
-        xy = unbent(self.model, self.distortion, places)
+        xy = undistort(self.model, self.distortion, places)
         return np.concatenate([xy, np.ones((*xy.shape[:-1], 1))], axis=-1)
 
     def project(self, points: ArrayLike) -> Floats:
         """Image points (..., 2) [px] of points (..., 3) [m] in the camera; NaN where it sees none.
 
-        It sees none behind it, and a fisheye none beyond `WIDEST`.
+        It sees none behind it, and a fisheye none beyond `MAX_FISHEYE_ANGLE`.
         """
         points = np.asarray(points, np.float64)
         depth = np.where(points[..., 2:] > 0, points[..., 2:], np.nan)
-        places = bent(self.model, self.distortion, points[..., :2] / depth)
+        places = distort(self.model, self.distortion, points[..., :2] / depth)
         uv: Floats = places * (self.fx, self.fy) + (self.cx, self.cy)
         return uv
 
@@ -327,7 +327,7 @@ class Camera:
         return out | ({} if self.model == "opencv" else {"model": self.model})
 
 
-def bent(model: str, distortion: tuple[float, ...], rays: Floats) -> Floats:
+def distort(model: str, distortion: tuple[float, ...], rays: Floats) -> Floats:
     """Places (..., 2) of rays (..., 2); NaN where a fisheye shows none."""
     if model == "fisheye":
         return _fisheye_places(rays, distortion)
@@ -337,7 +337,7 @@ def bent(model: str, distortion: tuple[float, ...], rays: Floats) -> Floats:
     return places
 
 
-def unbent(model: str, distortion: tuple[float, ...], places: Floats) -> Floats:
+def undistort(model: str, distortion: tuple[float, ...], places: Floats) -> Floats:
     """Rays (..., 2) of places (..., 2); NaN where a fisheye shows nothing."""
     if model == "fisheye":
         return _fisheye_rays(places, distortion)
@@ -402,10 +402,10 @@ def _spread(angle: Floats, distortion: tuple[float, ...]) -> tuple[Floats, Float
 
 @lru_cache(maxsize=16)
 def _reach(distortion: tuple[float, ...]) -> float:
-    """Angle up to which what is farther off the axis is shown farther out, `WIDEST` at most."""
-    angles = np.linspace(0.0, WIDEST, 500)
+    """Angle up to which what is farther off the axis is shown farther out, `MAX_FISHEYE_ANGLE` at most."""
+    angles = np.linspace(0.0, MAX_FISHEYE_ANGLE, 500)
     folded = np.flatnonzero(_spread(angles, distortion)[1] <= 0)
-    return float(angles[max(0, folded[0] - 1)]) if len(folded) else WIDEST
+    return float(angles[max(0, folded[0] - 1)]) if len(folded) else MAX_FISHEYE_ANGLE
 
 
 def _is_number(value: float) -> bool:

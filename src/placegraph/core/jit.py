@@ -74,7 +74,7 @@ def kernel(function: Callable[..., Any] | None = None, /, **options: Any) -> Any
 
 
 @contextmanager
-def uninterrupted() -> Iterator[None]:
+def defer_signals() -> Iterator[None]:
     """Let handlers of signals wait until the end of it; on the main thread, where alone they run."""
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -106,7 +106,7 @@ class _UninterruptedCompiler(Compiler):
     """Numba's compiler, with nothing of LLVM's left half owned by an exception out of the blue."""
 
     def compile_extra(self, func: Callable[..., Any]) -> Any:  # noqa: ANN401  # numba's
-        with uninterrupted():
+        with defer_signals():
             return super().compile_extra(func)
 
 
@@ -186,7 +186,7 @@ class _Cache:
     def _folder(self) -> str:
         processor = self._of.targetctx.codegen().magic_tuple()
         versions = (sys.version, numba.__version__, llvmlite.__version__)
-        return f"{self.name}-{fingerprint(versions, processor, self._of)}"
+        return f"{self.name}-{cache_key(versions, processor, self._of)}"
 
     @property
     def cache_path(self) -> str:
@@ -194,11 +194,11 @@ class _Cache:
 
     def load_overload(self, sig: Any, target_context: Any) -> CompileResult | None:  # noqa: ANN401
         """Code that was kept; None where there is none, and then others wait until it is made."""
-        with uninterrupted():
+        with defer_signals():
             rtsys.initialize(target_context)
         found = self._load(sig, target_context)
         if found is None:
-            cache.notify(self.name, done=False)
+            cache.notify_listeners(self.name, done=False)
             self._acquire_lock()
             found = self._load(sig, target_context)  # by whom was told, or whom we waited for
         return found
@@ -210,7 +210,7 @@ class _Cache:
         if not data.library.has_dynamic_globals:
             code = dumps(_stripped(data._reduce(), linked=not isinstance(self._of, Kernel)))  # noqa: SLF001
             cache.FOLDERS.store(f"{self._folder}/{_file(sig)}", code)
-        cache.notify(self.name, done=True)
+        cache.notify_listeners(self.name, done=True)
 
     def release_lock(self) -> None:
         if self._lock is not None:
@@ -223,7 +223,7 @@ class _Cache:
             with suppress(OSError, EOFError, pickle.UnpicklingError, AttributeError, ImportError):
                 # numba's own form of compiled code, which is run: no more is trusted than that
                 code = pickle.loads(file.read_bytes())  # noqa: S301
-                with uninterrupted():
+                with defer_signals():
                     return CompileResult._rebuild(target_context, *code)  # noqa: SLF001
         return None
 
@@ -267,10 +267,10 @@ def _stripped(reduced: tuple[Any, ...], *, linked: bool) -> tuple[Any, ...]:
 
 def _file(sig: Any) -> str:  # noqa: ANN401  # numba's
     args, _ = sigutils.normalize_signature(sig)
-    return f"{fingerprint(*args)}.nbc"
+    return f"{cache_key(*args)}.nbc"
 
 
-def fingerprint(*values: object) -> str:
+def cache_key(*values: object) -> str:
     """Return a short digest of kernels, functions and constants, equal between processes.
 
     Numba compiles constants in: whatever a kernel names is part of its code. Comments, docstrings

@@ -38,9 +38,9 @@ CONTAINER_VERSION = 1
 
 PREFIX = struct.Struct("<8sIII")
 """Magic, container version, header length, header crc32."""
-DIGEST = hashlib.sha256().digest_size
+DIGEST_SIZE = hashlib.sha256().digest_size
 """Bytes of the checksum at the end."""
-MOST = 1 << 24
+MAX_HEADER = 1 << 24
 """Bytes of a header."""
 
 Path_ = str | os.PathLike[str]
@@ -91,7 +91,7 @@ def read_header(path: Path_) -> Header:
 
     Raises `InputError` and `MapError` as `read_map` does.
     """
-    with opened(path) as file:
+    with open_file(path) as file:
         return read_head(file, Path(path))
 
 
@@ -107,31 +107,31 @@ def read_head(file: BinaryIO, path: Path) -> Header:
             "`placegraph scene build` one from a 3D file."
         )
     if len(prefix) < PREFIX.size:
-        raise damaged(path, "it ends within the header")
+        raise damage_error(path, "it ends within the header")
     _, container, length, crc = PREFIX.unpack(prefix)
     if container > CONTAINER_VERSION:
         raise MapError(
             f"{path} has file layout {container}, this placegraph reads up to {CONTAINER_VERSION}; "
             "update placegraph, or build the map again with this one."
         )
-    if length > min(MOST, size):
-        raise damaged(path, "it ends within the header")
+    if length > min(MAX_HEADER, size):
+        raise damage_error(path, "it ends within the header")
     text = file.read(length)
     if len(text) != length or zlib.crc32(text) != crc:
-        raise damaged(path, "its header does not fit its checksum")
+        raise damage_error(path, "its header does not fit its checksum")
     try:
-        header = _parsed(json.loads(text), path, size)
+        header = _parse_header(json.loads(text), path, size)
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
-        raise damaged(path, f"its header is not understood ({error!r})") from error
+        raise damage_error(path, f"its header is not understood ({error!r})") from error
     stored = sum(b.length for b in header.blocks)
-    if PREFIX.size + length + stored + DIGEST != size:
-        raise damaged(path, f"it has {size} bytes, which is not what its header announces")
-    if not plausible(sum(b.nbytes for b in header.blocks), stored):
-        raise damaged(path, "its header announces more data than so short a file can hold")
+    if PREFIX.size + length + stored + DIGEST_SIZE != size:
+        raise damage_error(path, f"it has {size} bytes, which is not what its header announces")
+    if not is_plausible_size(sum(b.nbytes for b in header.blocks), stored):
+        raise damage_error(path, "its header announces more data than so short a file can hold")
     return header
 
 
-def _parsed(content: dict[str, Any], path: Path, size: int) -> Header:
+def _parse_header(content: dict[str, Any], path: Path, size: int) -> Header:
     """Raise any of KeyError, TypeError, ValueError where the header is not what it should be."""
     kind, version, meta = content["kind"], content["version"], content["meta"]
     table = content["arrays"]
@@ -159,17 +159,17 @@ def _parsed(content: dict[str, Any], path: Path, size: int) -> Header:
     return Header(path, kind, version, meta, tuple(blocks), size)
 
 
-def plausible(nbytes: int, stored: int) -> bool:
+def is_plausible_size(nbytes: int, stored: int) -> bool:
     """Guard against decompression bombs: real maps stay below 20 : 1."""
     return nbytes <= (1 << 25) + (stored << 8)
 
 
-def damaged(path: Path_, how: str) -> MapError:
+def damage_error(path: Path_, how: str) -> MapError:
     """What is raised where a file is not as it was written."""
     return MapError(f"{path} is damaged: {how}. Copy it again, or build the map again.")
 
 
-def opened(path: Path_) -> BinaryIO:
+def open_file(path: Path_) -> BinaryIO:
     """Map file, open for reading; `InputError` where there is none, or it is no plain file."""
     try:
         # Without O_NONBLOCK, opening a pipe would wait for its other end.
@@ -208,7 +208,7 @@ _SAMPLE = 1 << 16
 """Bytes of a column by which a filter is chosen where time is short."""
 
 
-def plain(name: str, array: NDArray[Any]) -> NDArray[Any]:
+def to_plain_array(name: str, array: NDArray[Any]) -> NDArray[Any]:
     """Array in C order and little-endian; `OptionError` where it is not plain numbers."""
     array = np.asarray(array)
     dtype = array.dtype.newbyteorder("<")
@@ -220,7 +220,7 @@ def plain(name: str, array: NDArray[Any]) -> NDArray[Any]:
     return np.ascontiguousarray(array, dtype)
 
 
-def pack(
+def compress_array(
     array: NDArray[Any], *, as_it_is: bool = False, quick: bool = False
 ) -> tuple[str, str, bytes | memoryview]:
     """Codec, filter and block of a plain array. Spends its time outside the interpreter's lock.
@@ -251,10 +251,10 @@ def _filtered(name: str, array: NDArray[Any]) -> bytes:
     return _shuffle(_delta(words) if name == "delta" else words)
 
 
-def unpack(
+def decompress_array(
     codec: str, filter_: str, block: memoryview, dtype: str, shape: tuple[int, ...]
 ) -> NDArray[Any]:
-    """Undo `pack`; the array is read-only.
+    """Undo `compress_array`; the array is read-only.
 
     Raises `ValueError` where the block does not hold exactly such an array; memory stays within
     twice the array's size whatever the block would like to become.
@@ -341,21 +341,28 @@ def _decompress(codec: str, block: memoryview, nbytes: int) -> bytes | memoryvie
     return block
 
 
-def starts(lengths: Sequence[int] | NDArray[np.integer]) -> NDArray[np.int64]:
+def offsets_of(lengths: Sequence[int] | NDArray[np.integer]) -> NDArray[np.int64]:
     """Bounds (N + 1,) of entries of these lengths (N,)."""
     return np.concatenate(([0], np.cumsum(lengths, dtype=np.int64)))
 
 
-def spans(
+def gather_spans(
     bounds: NDArray[np.int64], rows: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Bounds (K + 1,) of the entries of `rows` (K,) set side by side, and which entries they are."""
     lengths = bounds[rows + 1] - bounds[rows]
-    made = starts(lengths)
+    made = offsets_of(lengths)
     return made, np.repeat(bounds[rows] - made[:-1], lengths) + np.arange(made[-1])
 
 
-SENSELESS = (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError)
+CONTENT_ERRORS = (
+    LookupError,
+    TypeError,
+    ValueError,
+    ArithmeticError,
+    AttributeError,
+    RecursionError,
+)
 """What is raised where checksums fit and contents do not, as in a forged file."""
 
 Write = Callable[..., None]
@@ -372,7 +379,7 @@ class MapFile:
 
     header: Header
     arrays: dict[str, NDArray[Any]]
-    watch: files.Watch | None = None  # of a file that arrays are windows on
+    watch: files.FileWatch | None = None  # of a file that arrays are windows on
 
     @property
     def meta(self) -> dict[str, Any]:
@@ -409,17 +416,17 @@ def write_map(
     *,
     quick: bool = False,
 ) -> None:
-    """Write a map file in one go; see `writing`."""
-    with writing(path) as write:
+    """Write a map file in one go; see `map_writer`."""
+    with map_writer(path) as write:
         write(kind, version, meta, arrays, mapped, quick)
 
 
 @contextmanager
-def writing(path: Path_) -> Iterator[Write]:
+def map_writer(path: Path_) -> Iterator[Write]:
     """Lock `path` and hand out the function that writes it, once.
 
     Its last arguments name the columns that are to be read where they lie (`read_map`), stored as they
-    are at the head of the file, each at a multiple of its word; and spare time, not bytes (`pack`).
+    are at the head of the file, each at a multiple of its word; and spare time, not bytes (`compress_array`).
 
     Take it before a long build: an unwritable folder or a second writer is then refused at once.
     The old file stays untouched until the new one is complete on disk.
@@ -434,8 +441,8 @@ def writing(path: Path_) -> Iterator[Write]:
         Metadata are not JSON, or an array is not plain numbers.
 
     """
-    target = files.real_path(path)
-    files.check_plain(target)
+    target = files.resolve_path(path)
+    files.check_target(target)
 
     def write(
         kind: str,
@@ -452,13 +459,13 @@ def writing(path: Path_) -> Iterator[Write]:
         try:
             files.replace_file(target, (head, *blocks, digest.digest()))
         except OSError as error:
-            raise files.cannot_write(target, error) from error
+            raise files.write_error(target, error) from error
 
     with ExitStack() as stack:
         try:
-            stack.enter_context(locks.exclusive(target))
+            stack.enter_context(locks.lock_file(target))
         except OSError as error:
-            raise files.cannot_write(target, error) from error
+            raise files.write_error(target, error) from error
         yield write
 
 
@@ -479,7 +486,7 @@ def read_map(
         It is foreign, truncated, damaged, of another kind, or of a newer version.
 
     """
-    with opened(path) as file:
+    with open_file(path) as file:
         header = read_head(file, Path(path))
         if header.kind != kind:
             raise MapError(
@@ -490,30 +497,30 @@ def read_map(
                 f"{path} is a {kind} map of version {header.version}, this placegraph reads up to "
                 f"{max_version}; update placegraph, or build the map again with this one."
             )
-        start, watch = file.tell(), files.Watch(file, path) if mapped else None
-        lying = [b for b in header.blocks if b.name in mapped and lies_there(b, start)]
+        start, watch = file.tell(), files.FileWatch(file, path) if mapped else None
+        lying = [b for b in header.blocks if b.name in mapped and is_mappable(b, start)]
         lying = lying if sum(b.length for b in lying) >= least else []
         plain = sorted((b for b in header.blocks if b not in lying), key=lambda b: -b.length)
         with ThreadPoolExecutor(2) as pool:
-            hashed = pool.submit(_intact, file, header.file_size)
+            hashed = pool.submit(_has_valid_digest, file, header.file_size)
             # The blocks' own checksums come first: they name the damaged column.
             decoded = pool.map(partial(read_block, file, start, path), plain)
             found = dict(zip(plain, decoded, strict=True))
             intact = hashed.result()
-        found |= windows(file, lying, start) if lying else {}
+        found |= map_blocks(file, lying, start) if lying else {}
         if not intact:
             for b in lying:
                 read_block(file, start, path, b)
-            raise damaged(path, "its checksum does not fit its contents")
+            raise damage_error(path, "its checksum does not fit its contents")
     return MapFile(header, {b.name: found[b] for b in header.blocks}, watch if lying else None)
 
 
 @contextmanager
-def sound(path: Path_, mend: str) -> Iterator[None]:
+def check_contents(path: Path_, mend: str) -> Iterator[None]:
     """Within it, columns are put together: `MapError` where they contradict each other."""
     try:
         yield
-    except SENSELESS as error:
+    except CONTENT_ERRORS as error:
         why = f"{type(error).__name__}: {error}" if isinstance(error, LookupError) else error
         raise MapError(f"{path}: its columns contradict each other ({why}). {mend}") from error
 
@@ -526,12 +533,12 @@ def _encode(
     mapped: Collection[str], quick: bool,
 ) -> tuple[bytes, list[bytes | memoryview]]:  # fmt: skip
     """Prefix and header, and the blocks. zlib and lzma work outside the interpreter's lock."""
-    columns = {name: plain(name, a) for name, a in arrays.items()}
+    columns = {name: to_plain_array(name, a) for name, a in arrays.items()}
     large = {name for name, a in columns.items() if name in mapped and a.nbytes >= ALIGNMENT}
     # the widest words first: none then begins within a word
     columns = dict(sorted(columns.items(), key=lambda c: -c[1].itemsize if c[0] in large else 0))
     with ThreadPoolExecutor(2) as pool:
-        compress = partial(pack, quick=quick)
+        compress = partial(compress_array, quick=quick)
         packed = list(pool.map(lambda c: compress(c[1], as_it_is=c[0] in large), columns.items()))
     table, offset = [], 0
     for (name, array), (codec, filter_, block) in zip(columns.items(), packed, strict=True):
@@ -549,7 +556,9 @@ def _encode(
     text += b" " * (-(PREFIX.size + len(text)) % _WORD if large else 0)
     prefix = PREFIX.pack(MAGIC, CONTAINER_VERSION, len(text), zlib.crc32(text))
     blocks = [block for _, _, block in packed]
-    if len(text) > MOST or not plausible(sum(a.nbytes for a in columns.values()), offset):
+    if len(text) > MAX_HEADER or not is_plausible_size(
+        sum(a.nbytes for a in columns.values()), offset
+    ):
         raise OptionError("A map's metadata, or its arrays, are larger than a reader accepts.")
     return prefix + text, blocks
 
@@ -557,12 +566,12 @@ def _encode(
 # --- reading ---
 
 
-def _intact(file: BinaryIO, size: int) -> bool:
+def _has_valid_digest(file: BinaryIO, size: int) -> bool:
     """Whether the file ends with the checksum of what stands before it."""
-    digest, end = hashlib.sha256(), size - DIGEST
+    digest, end = hashlib.sha256(), size - DIGEST_SIZE
     for at in range(0, end, CHUNK):
         digest.update(_bytes(file, at, min(CHUNK, end - at)))
-    return _bytes(file, end, DIGEST + 1) == digest.digest()
+    return _bytes(file, end, DIGEST_SIZE + 1) == digest.digest()
 
 
 def _bytes(file: BinaryIO, at: int, length: int) -> memoryview:
@@ -577,14 +586,14 @@ def _bytes(file: BinaryIO, at: int, length: int) -> memoryview:
     return memoryview(found)
 
 
-def lies_there(block: Block, start: int) -> bool:
+def is_mappable(block: Block, start: int) -> bool:
     """Whether a block can be read where it lies: stored as it is, and not beginning within a word."""
     aligned = (start + block.offset) % np.dtype(block.dtype).itemsize == 0
     whole = block.length == block.nbytes > 0
     return block.codec == "raw" and block.filter == "none" and aligned and whole
 
 
-def windows(file: BinaryIO, blocks: Iterable[Block], start: int) -> dict[Block, NDArray[Any]]:
+def map_blocks(file: BinaryIO, blocks: Iterable[Block], start: int) -> dict[Block, NDArray[Any]]:
     """Arrays of blocks, as windows on one map of the file: each map holds a descriptor."""
     view = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
     return {b: np.ndarray(b.shape, np.dtype(b.dtype), view, start + b.offset) for b in blocks}
@@ -594,37 +603,37 @@ def read_block(file: BinaryIO, start: int, path: Path_, block: Block) -> NDArray
     """Array of a block of a file whose blocks begin at `start`."""
     stored = _bytes(file, start + block.offset, block.length)
     if zlib.crc32(stored) != block.crc32:
-        raise damaged(path, f"column {block.name!r} does not fit its checksum")
+        raise damage_error(path, f"column {block.name!r} does not fit its checksum")
     try:
-        return unpack(block.codec, block.filter, stored, block.dtype, block.shape)
+        return decompress_array(block.codec, block.filter, stored, block.dtype, block.shape)
     except ValueError as error:
-        raise damaged(path, f"column {block.name!r} {error}") from error
+        raise damage_error(path, f"column {block.name!r} {error}") from error
 
 
 PAGE = 4096
 """Bytes that have a checksum of their own."""
-STARTS = "starts"
-"""Type of columns that `starts_of` makes: of 32 or 64 bits."""
-SUMS = "pages"
+OFFSETS = "starts"
+"""Type of columns that `narrow_offsets` makes: of 32 or 64 bits."""
+PAGE_CHECKSUMS = "pages"
 """Column of these checksums: of all that are read in pages, in the order of their names."""
 
 
-def with_sums(
+def add_page_checksums(
     arrays: Mapping[str, NDArray[Any]], paged: Collection[str]
 ) -> dict[str, NDArray[Any]]:
     """Arrays of a map file, with the checksums of those that are to be read in pages."""
-    columns = {name: plain(name, a) for name, a in arrays.items()}
+    columns = {name: to_plain_array(name, a) for name, a in arrays.items()}
     sums = [
         crc32(block[at : at + PAGE])
         for name in sorted(paged)
         for block in (columns[name].reshape(-1).view(np.uint8).data,)
         for at in range(0, len(block), PAGE)
     ]
-    return {**columns, SUMS: np.array(sums, np.uint32)}
+    return {**columns, PAGE_CHECKSUMS: np.array(sums, np.uint32)}
 
 
 @dataclass(frozen=True, eq=False)
-class Column:
+class PagedColumn:
     """A column (N,) of a file; what is sliced out of it is checked."""
 
     path: Path
@@ -650,7 +659,7 @@ class Column:
     def _check(self, page: int) -> None:
         block = self.values.view(np.uint8)[page * PAGE : (page + 1) * PAGE]
         if crc32(block.data) != self.sums[page]:
-            raise damaged(self.path, f"column {self.name!r} does not fit its checksum")
+            raise damage_error(self.path, f"column {self.name!r} does not fit its checksum")
         self.good[page] = True
 
     def find(self, value: int) -> int:
@@ -668,12 +677,12 @@ class Column:
 
 
 @dataclass(frozen=True, eq=False)
-class Texts(Sequence[str]):
+class PagedTexts(Sequence[str]):
     """Strings of a file: where each begins, and the bytes of all."""
 
-    starts: Column
+    starts: PagedColumn
     """(N + 1,)"""
-    text: Column
+    text: PagedColumn
 
     def __len__(self) -> int:
         return max(0, len(self.starts) - 1)
@@ -693,32 +702,32 @@ class Texts(Sequence[str]):
         first, last, _ = row.indices(len(self))
         if first >= last:
             return []
-        ends = stretches(self.starts, first, last, len(self.text))
+        ends = read_offsets(self.starts, first, last, len(self.text))
         blob = self.text[ends[0] : ends[-1]].tobytes()
         cuts = [end - ends[0] for end in ends]
         try:
             return [blob[a:b].decode() for a, b in itertools.pairwise(cuts)]
         except UnicodeDecodeError as error:
-            raise damaged(
+            raise damage_error(
                 self.text.path, f"column {self.text.name!r} is no text: {error.reason}"
             ) from error
 
 
-def stretches(starts: Column, first: int, last: int, size: int) -> list[int]:
+def read_offsets(starts: PagedColumn, first: int, last: int, size: int) -> list[int]:
     """Where stretches of a column of this size begin, and the last ends; `MapError` where they cannot."""
     ends: list[int] = starts[first : last + 1].tolist()
     if any(a > b for a, b in itertools.pairwise(ends)) or ends[-1] > size:
-        raise damaged(starts.path, f"column {starts.name!r} points beyond what it is of")
+        raise damage_error(starts.path, f"column {starts.name!r} points beyond what it is of")
     return ends
 
 
-def packed(texts: Sequence[str]) -> tuple[NDArray[np.unsignedinteger[Any]], NDArray[np.uint8]]:
-    """Columns of `Texts`."""
+def pack_texts(texts: Sequence[str]) -> tuple[NDArray[np.unsignedinteger[Any]], NDArray[np.uint8]]:
+    """Columns of `PagedTexts`."""
     parts = [text.encode() for text in texts]
-    return starts_of([len(part) for part in parts]), np.frombuffer(b"".join(parts), np.uint8)
+    return narrow_offsets([len(part) for part in parts]), np.frombuffer(b"".join(parts), np.uint8)
 
 
-def starts_of(
+def narrow_offsets(
     sizes: Sequence[int] | NDArray[np.integer[Any]],
 ) -> NDArray[np.unsignedinteger[Any]]:
     """Where stretches begin, and the last ends (N + 1,); in 32 bits where these do."""
@@ -728,7 +737,7 @@ def starts_of(
 
 def open_pages(
     path: Path, kind: str, version: int, paged: Mapping[str, str], mend: str
-) -> tuple[MapFile, dict[str, Column]]:
+) -> tuple[MapFile, dict[str, PagedColumn]]:
     """A map file with its other columns, and those of `paged` (names and types) to be read in pages.
 
     Raises
@@ -739,33 +748,35 @@ def open_pages(
         Its head or another column is damaged; it is of another kind or version.
 
     """
-    with opened(path) as file:
+    with open_file(path) as file:
         header, start = read_head(file, path), file.tell()
         if (header.kind, header.version) != (kind, version):
             raise MapError(
                 f"{path} is a {header.kind} map of version {header.version}, and not a {kind} map of "
                 f"version {version}. {mend}"
             )
-        lie = [b for b in header.blocks if b.name in (*paged, SUMS) and lies_there(b, start)]
-        watch = files.Watch(file, path)
+        lie = [
+            b for b in header.blocks if b.name in (*paged, PAGE_CHECKSUMS) and is_mappable(b, start)
+        ]
+        watch = files.FileWatch(file, path)
         arrays = {b.name: read_block(file, start, path, b) for b in header.blocks if b not in lie}
-        arrays |= {b.name: a for b, a in windows(file, lie, start).items()} if lie else {}
+        arrays |= {b.name: a for b, a in map_blocks(file, lie, start).items()} if lie else {}
     made = MapFile(header, arrays, watch)
-    sums, found, at = made.array(SUMS, "<u4"), {}, 0
+    sums, found, at = made.array(PAGE_CHECKSUMS, "<u4"), {}, 0
     mapped = {b.name for b in lie}
     for name in sorted(paged):
         values = _column(made, name, paged[name])
         n = -(-values.nbytes // PAGE)
         good = bytearray(n) if name in mapped else bytearray(b"\1" * n)
-        found[name] = Column(path, name, values, sums[at : at + n], good)
+        found[name] = PagedColumn(path, name, values, sums[at : at + n], good)
         at += n
     if at != len(sums):
-        raise damaged(path, f"it has {len(sums)} checksums of {at} pages")
+        raise damage_error(path, f"it has {len(sums)} checksums of {at} pages")
     return made, found
 
 
 def _column(file: MapFile, name: str, dtype: str) -> NDArray[Any]:
     """Column of a type."""
     held = file.arrays.get(name)
-    short = dtype == STARTS and held is not None and held.dtype == np.uint32
-    return file.array(name, "<u4" if short else "<u8" if dtype == STARTS else dtype)
+    short = dtype == OFFSETS and held is not None and held.dtype == np.uint32
+    return file.array(name, "<u4" if short else "<u8" if dtype == OFFSETS else dtype)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.files import regular
+from placegraph.core.files import check_regular
 from placegraph.errors import InputError, MissingExtraError, OptionError
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ def torch_for(name: str, extra: str) -> Any:  # noqa: ANN401  # the module
     return torch
 
 
-def device_for(torch: Any, device: str) -> Any:  # noqa: ANN401  # torch and torch.device
+def select_device(torch: Any, device: str) -> Any:  # noqa: ANN401  # torch and torch.device
     """Device of this name; `auto` is a GPU where there is one.
 
     Raises `OptionError` where there is no such device: none is taken instead.
@@ -45,13 +45,13 @@ def device_for(torch: Any, device: str) -> Any:  # noqa: ANN401  # torch and tor
     return found
 
 
-def load_file(torch: Any, path: Path) -> Any:  # noqa: ANN401
+def load_torch_file(torch: Any, path: Path) -> Any:  # noqa: ANN401
     """What a file of PyTorch holds, tensors and plain values only; nothing in it is run.
 
     All of it is read, and nothing mapped: another process that cuts the file short would end this one.
     Raises whatever PyTorch's parsers do.
     """
-    return torch.load(regular(path), map_location="cpu", weights_only=True)
+    return torch.load(check_regular(path), map_location="cpu", weights_only=True)
 
 
 def read_state(torch: Any, path: Path, name: str) -> dict[str, Any]:  # noqa: ANN401
@@ -60,7 +60,7 @@ def read_state(torch: Any, path: Path, name: str) -> dict[str, Any]:  # noqa: AN
     Raises `InputError` where the file is missing, no file of weights, or holds anything else.
     """
     try:
-        state = load_file(torch, path)
+        state = load_torch_file(torch, path)
     except FileNotFoundError as error:
         raise InputError(
             f"{path} does not exist; weights= names the file with the weights of {name!r}."
@@ -76,7 +76,7 @@ def read_state(torch: Any, path: Path, name: str) -> dict[str, Any]:  # noqa: AN
 
 
 @contextmanager
-def fitting(path: Path | str | None, name: str) -> Iterator[None]:
+def check_weights(path: Path | str | None, name: str) -> Iterator[None]:
     """Where weights are put into a network: `InputError` where they are another network's."""
     try:
         yield
@@ -89,19 +89,19 @@ def fitting(path: Path | str | None, name: str) -> Iterator[None]:
         ) from error
 
 
-def halves(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[np.float16]]:
+def to_float16(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[np.float16]]:
     """Arrays as the file holds them."""
     return {name: np.ascontiguousarray(array, np.float16) for name, array in arrays.items()}
 
 
-def rounded(
+def round_to_float16(
     names: Iterable[str], state: Mapping[str, NDArray[Any]]
 ) -> dict[str, NDArray[np.float32]]:
     """Arrays of these names as they will be read again."""
-    return {n: a.astype(np.float32) for n, a in halves({n: state[n] for n in names}).items()}
+    return {n: a.astype(np.float32) for n, a in to_float16({n: state[n] for n in names}).items()}
 
 
-def arrays_of(
+def read_arrays(
     file: MapFile, sizes: Mapping[str, tuple[int, ...]]
 ) -> dict[str, NDArray[np.float32]]:
     """Arrays of a file by name, with as many axes as their sizes, finite.
@@ -117,9 +117,9 @@ def arrays_of(
     return found
 
 
-def digest(shape: object, arrays: Mapping[str, NDArray[Any]]) -> str:
+def hash_weights(shape: object, arrays: Mapping[str, NDArray[Any]]) -> str:
     """SHA-256 of a network's shape, by what it prints as, and of its weights as the file has them."""
     told = hashlib.sha256(repr(shape).encode())
-    for name, array in sorted(halves(arrays).items()):
+    for name, array in sorted(to_float16(arrays).items()):
         told.update(name.encode() + array.tobytes())
     return told.hexdigest()

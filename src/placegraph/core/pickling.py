@@ -24,16 +24,16 @@ class PickleFields:
 
     def __reduce__(self) -> tuple[Any, ...]:
         values = {f.name: getattr(self, f.name) for f in fields(self)}  # type: ignore[arg-type]
-        return made_again, (type(self), values, locked(values))
+        return rebuild, (type(self), values, readonly_names(values))
 
 
-def locked(values: dict[str, Any]) -> tuple[str, ...]:
+def readonly_names(values: dict[str, Any]) -> tuple[str, ...]:
     """Names of the arrays that nobody may write."""
     arrays = {name: array for name, array in values.items() if isinstance(array, np.ndarray)}
     return tuple(name for name, array in arrays.items() if not array.flags.writeable)
 
 
-def made_again(cls: type[Any], values: dict[str, Any], kept: tuple[str, ...]) -> Any:  # noqa: ANN401
+def rebuild(cls: type[Any], values: dict[str, Any], kept: tuple[str, ...]) -> Any:  # noqa: ANN401
     """What `PickleFields` took apart; nothing is checked twice."""
     made = object.__new__(cls)
     for name, value in values.items():

@@ -39,7 +39,7 @@ def load_plugin(group: str, name: str, extra: str) -> Any:  # noqa: ANN401  # wh
     """
     point = plugins(group).get(name)
     if point is None:
-        raise missing(name, extra)
+        raise missing_extra(name, extra)
     return point.load()
 
 
@@ -49,11 +49,11 @@ def load_module(name: str, extra: str) -> Any:  # noqa: ANN401  # a module
         return import_module(name)
     except ModuleNotFoundError as error:
         if error.name is not None and error.name.partition(".")[0] == name.partition(".")[0]:
-            raise missing(name, extra) from error
+            raise missing_extra(name, extra) from error
         raise
 
 
-def missing(what: str, extra: str) -> MissingExtraError:
+def missing_extra(what: str, extra: str) -> MissingExtraError:
     """Return the error that names the extra which brings something."""
     return MissingExtraError(
         f"{what} is part of placegraph-{extra}, which is not installed; "

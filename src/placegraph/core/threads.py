@@ -28,14 +28,14 @@ if TYPE_CHECKING:
     from multiprocessing.process import BaseProcess
 
 
-ALONE = 1 << 18
+SINGLE_THREAD_TERMS = 1 << 18
 """Terms of a matrix product that OpenBLAS reckons on one thread."""
-MANY = 1 << 26
+PARALLEL_TERMS = 1 << 26
 """Terms from which threads of OpenBLAS are worth waking: they wait busily for each other."""
 _MOST: ContextVar[int | None] = ContextVar("most", default=None)
 
 
-def processors() -> int:
+def count_processors() -> int:
     """Processors this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
@@ -54,8 +54,8 @@ def end_with_parent() -> None:
 
 
 @contextmanager
-def limited(most: int) -> Iterator[None]:
-    """Within it, `share` takes at most so many threads; it takes all processors otherwise."""
+def limit_threads(most: int) -> Iterator[None]:
+    """Within it, `run_parallel` takes at most so many threads; it takes all processors otherwise."""
     if most < 1:
         raise OptionError(f"most is {most}; give at least 1 thread.")
     token = _MOST.set(most)
@@ -65,12 +65,12 @@ def limited(most: int) -> Iterator[None]:
         _MOST.reset(token)
 
 
-def share(work: Callable[..., None], count: int, *inputs: object) -> None:
+def run_parallel(work: Callable[..., None], count: int, *inputs: object) -> None:
     """Call `work(*inputs, first, last)` for parts of 0 to `count`, on several threads.
 
     `work` is compiled, lets go of the interpreter's lock, and writes to what is its own.
     """
-    threads = min(_MOST.get() or processors(), processors(), max(count, 1))
+    threads = min(_MOST.get() or count_processors(), count_processors(), max(count, 1))
     if threads == 1:
         work(*inputs, 0, count)
         return
@@ -90,10 +90,10 @@ def share(work: Callable[..., None], count: int, *inputs: object) -> None:
             helper.result()
 
 
-def product(x: NDArray[Any], y: NDArray[Any]) -> NDArray[Any]:
+def multiply_matrices(x: NDArray[Any], y: NDArray[Any]) -> NDArray[Any]:
     """Matrix product (N, M) of x (N, K) and y (K, M), on one thread unless it is a large one."""
-    rows = max(1, ALONE // max(1, y.size))
-    if len(x) <= rows or len(x) * y.size >= MANY:
+    rows = max(1, SINGLE_THREAD_TERMS // max(1, y.size))
+    if len(x) <= rows or len(x) * y.size >= PARALLEL_TERMS:
         return np.asarray(x @ y)
     out = np.empty((len(x), y.shape[1]), np.result_type(x, y))
     for first in range(0, len(x), rows):
@@ -104,4 +104,4 @@ def product(x: NDArray[Any], y: NDArray[Any]) -> NDArray[Any]:
 @cache
 def _helpers(_process: int) -> ThreadPoolExecutor:
     """Threads of this process, kept: starting one takes as long as a small loop."""
-    return ThreadPoolExecutor(max(processors() - 1, 1), thread_name_prefix="placegraph")
+    return ThreadPoolExecutor(max(count_processors() - 1, 1), thread_name_prefix="placegraph")

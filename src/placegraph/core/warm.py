@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 from numba.core import types
 
 from placegraph.core import cache
-from placegraph.core.threads import end_with_parent, processors
+from placegraph.core.threads import count_processors, end_with_parent
 
 if TYPE_CHECKING:
     from placegraph.core.jit import Kernel
@@ -34,7 +34,7 @@ _STALE = AttributeError, ImportError, NameError
 """What names of the list raise that stand for nothing any more."""
 
 
-def commands() -> dict[str, list[str]]:
+def list_calls() -> dict[str, list[str]]:
     """Calls ``KERNEL(TYPE, ...)`` by command and kind, in the order to compile them in."""
     found: dict[str, list[str]] = {}
     for line in _lines():
@@ -52,14 +52,14 @@ def calls_with(kernel: str, words: Collection[str]) -> list[str]:
     """
     kinds = [
         calls
-        for command, calls in commands().items()
+        for command, calls in list_calls().items()
         if ("demo" in words or set(command.partition(",")[0].split()) <= set(words))
         and any(call.startswith(f"{kernel.removeprefix(_ROOT)}(") for call in calls)
     ]
     return min(kinds, key=len, default=[])
 
 
-def missing(calls: Iterable[str]) -> list[str]:
+def missing_calls(calls: Iterable[str]) -> list[str]:
     """Those of the calls whose code is not kept yet."""
     lacking = []
     for call in dict.fromkeys(calls):
@@ -69,13 +69,13 @@ def missing(calls: Iterable[str]) -> list[str]:
     return lacking
 
 
-def warm(calls: list[str], told: Callable[[str], None]) -> list[str]:
+def compile_calls(calls: list[str], told: Callable[[str], None]) -> list[str]:
     """Compile calls in as many processes as there are processors; says each when it is done.
 
     Returns what could not be compiled, with the reason.
     """
     failed = []
-    workers = max(1, min(processors(), len(calls)))
+    workers = max(1, min(count_processors(), len(calls)))
     with ProcessPoolExecutor(
         workers, get_context("spawn"), _begin, (cache.FOLDERS.chosen,)
     ) as pool:
@@ -91,7 +91,7 @@ def warm(calls: list[str], told: Callable[[str], None]) -> list[str]:
     return failed
 
 
-def spelled(kernel: Kernel, args: tuple[types.Type, ...], names: dict[str, str]) -> str:
+def spell_call(kernel: Kernel, args: tuple[types.Type, ...], names: dict[str, str]) -> str:
     """A call as `kernels.txt` has it; `names` collects the named tuples, by their definition."""
     function = kernel.py_func
     where = f"{function.__module__}.{function.__qualname__}".removeprefix(_ROOT)

@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.files import real_path
+from placegraph.core.files import resolve_path
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.map.floor import floor_height, is_floor
 from placegraph.indoor.map.mesh import Mesh
@@ -117,14 +117,14 @@ def build_scene(
 
     if out_path is None:
         return made()
-    target = real_path(out_path)
+    target = resolve_path(out_path)
     for given in (source, labels):
         if isinstance(given, str | os.PathLike) and os.path.realpath(given) == str(target):
             raise OptionError(f"{given} would be overwritten by its map; name another file.")
-    from placegraph.core.mapfile import writing
+    from placegraph.core.mapfile import map_writer
     from placegraph.indoor.map.scene_file import KIND, VERSION, columns
 
-    with writing(out_path) as write:
+    with map_writer(out_path) as write:
         scene = made()
         write(KIND, VERSION, *columns(scene), ())
     return scene

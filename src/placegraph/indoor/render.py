@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from placegraph.core.geometry import Camera, Floats
-from placegraph.core.threads import share
+from placegraph.core.threads import run_parallel
 from placegraph.errors import OptionError
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.scene import Scene
@@ -122,7 +122,7 @@ def render(
 class Renderer:
     """Renders one map again and again.
 
-    It takes as many threads as `threads.limited` lets it, and may be asked by any number of
+    It takes as many threads as `threads.limit_threads` lets it, and may be asked by any number of
     threads. Parameters and errors: `render`; `caster` is the map's own where none is given.
     """
 
@@ -162,11 +162,11 @@ class Renderer:
     def _draw(self, eye: Eye, drawn: Rendering, offsets: NDArray[np.float32]) -> Rendering:
         rows = len(drawn.depth)
         picture = Picture(drawn.colour, drawn.depth, drawn.objects, drawn.triangles, drawn.points)
-        share(draw, -(-rows // TILE), self._world, eye, picture)
+        run_parallel(draw, -(-rows // TILE), self._world, eye, picture)
         if len(offsets) == 1:
             return drawn
         colour = drawn.colour.copy()
-        share(smooth, rows, self._world, eye, picture, colour, offsets)
+        run_parallel(smooth, rows, self._world, eye, picture, colour, offsets)
         return Rendering(colour, drawn.depth, drawn.objects, drawn.triangles, drawn.points)
 
 

@@ -250,9 +250,9 @@ class SceneMap(HtmlRepr, Scene):
 
     def to_geopandas(self) -> gpd.GeoDataFrame:
         """`to_geojson` as a table in WGS84; raises `MissingExtraError` without GeoPandas."""
-        from placegraph.core.geojson import geopandas_of
+        from placegraph.core.geojson import to_geopandas
 
-        return geopandas_of(self.to_geojson())
+        return to_geopandas(self.to_geojson())
 
     def tracker(self, camera: Camera, *, seed: int = 0, **known: Any) -> Tracker:  # noqa: ANN401
         """Localizer for one frame at a time (`track.tracker.Tracker`), for frames of a camera.

@@ -12,7 +12,7 @@ from functools import partial
 from hashlib import sha256
 from typing import Any, Generic, NamedTuple, TypeVar
 
-from placegraph.core.cache import cached
+from placegraph.core.cache import load_or_make
 
 LONGEST_CLAUSE = 60
 """Chunks of a clause at most; nobody speaks in longer ones."""
@@ -250,7 +250,7 @@ class Grammar:
 
     def __init__(self, text: str, start: str, build: Builders) -> None:
         digest = sha256(f"1 {start} {text}".encode()).hexdigest()[:16]
-        table = cached(f"grammar-{digest}.json", lambda: _table(text, start), json.loads)
+        table = load_or_make(f"grammar-{digest}.json", lambda: _table(text, start), json.loads)
         self._states: list[dict[str, int]] = table["states"]
         self._first: int = table["start"]
         self._last: int = table["end"]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, Unpack
 
 from numpy.typing import NDArray
 
-from placegraph.core.files import real_path
+from placegraph.core.files import resolve_path
 from placegraph.core.pickling import HtmlRepr
 from placegraph.errors import OptionError
 from placegraph.io.osm.urls import is_url, name_of, on_disk
@@ -137,9 +137,9 @@ class CityMap(HtmlRepr, City):
 
     def to_geopandas(self, what: Literal["objects", "cells"] = "objects") -> gpd.GeoDataFrame:
         """`to_geojson` as a table in WGS84; raises `MissingExtraError` without GeoPandas."""
-        from placegraph.core.geojson import geopandas_of
+        from placegraph.core.geojson import to_geopandas
 
-        return geopandas_of(self.to_geojson(what))
+        return to_geopandas(self.to_geojson(what))
 
     def ask(self, estimate: CityEstimate) -> Question | None:
         """Question whose answer is expected to tell the modes apart best; None where none would."""
@@ -200,7 +200,7 @@ def build_city(
         raise OptionError(f"{out_path} is a URL; name a file of this machine.")
     paths = (osm_path,) if isinstance(osm_path, str | PathLike) else osm_path.paths
     for path in paths:
-        if real_path(path) == real_path(out_path):
+        if resolve_path(path) == resolve_path(out_path):
             raise OptionError(f"{path} would be overwritten by its map; name another file.")
     stride = cell_size if stride is None else stride
     edge_distance = cell_size if edge_distance is None else edge_distance

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, Protocol, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from placegraph.core.mapfile import MapFile, read_map, sound, write_map
+from placegraph.core.mapfile import MapFile, check_contents, read_map, write_map
 from placegraph.core.plugins import load_module
 from placegraph.errors import OptionError, StoreError
 from placegraph.vectors.scan_kernels import search_all
@@ -348,7 +348,7 @@ class EmbeddedStore:
 
         """
         file = read_map(path, KIND, VERSION)
-        with sound(path, "Make it again with `placegraph city embed`."):
+        with check_contents(path, "Make it again with `placegraph city embed`."):
             store = cls._read(file)
         refuse_other(str(path), store.origin, origin)
         return store

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.geo import Anchor
-from placegraph.core.geometry import Floats, rotation_z, wrap
+from placegraph.core.geometry import Floats, rotation_z, wrap_angle
 from placegraph.errors import OptionError
 from placegraph.indoor.map.map_kernels import nearest
 from placegraph.indoor.map.scene import Scene
@@ -393,7 +393,7 @@ def _apply_prior(
         place = there.enu_from_map[:3, :3] @ there.to_map(
             (here.longitude, here.latitude, there.height)
         )
-        off = np.array([*place[:2], wrap(here.heading - there.heading)])
+        off = np.array([*place[:2], wrap_angle(here.heading - there.heading)])
         own = here.covariance[rows]
         gain = np.linalg.solve(own + there.covariance[rows], own).T
         squares.append(float(off @ np.linalg.solve(own + there.covariance[rows], off)))

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.geo import Anchor
-from placegraph.core.geojson import nested
+from placegraph.core.geojson import nest_rings
 from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
 from placegraph.indoor.map.floor import label_words
@@ -285,7 +285,7 @@ def outer_walls(scene: Scene) -> OuterWalls:
     grown = nearest(inside, reach)[1] >= 0
     inside |= nearest(~grown, reach)[1] < 0
     rings = trace_cells(inside, rooms.origin - (reach + 1) * rooms.cell, rooms.cell)
-    outer = [rings[first] for first, *_ in nested(rings)] if rings else []
+    outer = [rings[first] for first, *_ in nest_rings(rings)] if rings else []
     if not outer:
         raise OptionError("The map has no room, so it has no outer walls; give --pair or --pose.")
     length = sum(float(np.linalg.norm(np.diff(r, axis=0), axis=1).sum()) for r in outer)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.geojson import inside
+from placegraph.core.geojson import is_inside
 from placegraph.outdoor.language.description import SPEAKER, WITHIN, Relation
 from placegraph.outdoor.language.words import tokens
 from placegraph.outdoor.locate import search
@@ -292,7 +292,7 @@ class BuildingScorer:
             away = float(np.hypot(*nearest_on_parts(*part, *middle)[:2]))
             if o.kind[r] == AREA:
                 labels = o.label_values[o.label_starts[r] : o.label_starts[r + 1]].tolist()
-                is_central = inside(o.center[r], ring)
+                is_central = is_inside(o.center[r], ring)
                 this = away == 0.0 or is_central
                 is_building = is_central or any(o.labels[k].startswith("building") for k in labels)
             else:

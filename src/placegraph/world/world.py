@@ -8,13 +8,13 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
-from placegraph.core.files import real_path
+from placegraph.core.files import resolve_path
 from placegraph.core.plugins import load_module
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.library import SceneLibrary
 from placegraph.indoor.library.library import digest_of
 from placegraph.io.osm.urls import is_url
-from placegraph.maps import checked, is_world, open_folder, open_map
+from placegraph.maps import check_map_files, is_world, open_folder, open_map
 from placegraph.world.outside import CityTown, Town
 
 if TYPE_CHECKING:
@@ -137,7 +137,7 @@ class World:
         library = SceneLibrary()
         keys = [e.key for e in library.encoders]
         known = {
-            real_path(entry.path): entry
+            resolve_path(entry.path): entry
             for made in self.libraries.values()
             if [e.key for e in made.encoders] == keys
             for entry in map(made.entry, made)
@@ -146,7 +146,7 @@ class World:
         paths = self.scenes.paths if isinstance(self.scenes, Maps) else {}
         for name in self.scenes:
             path = paths.get(name)
-            entry = None if path is None else known.get(real_path(path))
+            entry = None if path is None else known.get(resolve_path(path))
             if path is not None and entry is not None and entry.digest == digest_of(path):
                 library.insert(name, entry)
             else:
@@ -268,7 +268,7 @@ def open_world(
         raise InputError("There is no place to look for maps; name a folder, or map files.")
     if keep is not None or any(map(is_url, given)):
         given = load_module("placegraph_scale.folder", "scale").fetch_places(given, keep)
-    found = checked([Path(place) for place in given])
+    found = check_map_files([Path(place) for place in given])
     if scheduler is not None and not found.paths["world"]:
         raise OptionError(
             f"scheduler: its workers search worlds in shards, and {given[0]} holds none; leave it out, "
@@ -278,10 +278,10 @@ def open_world(
     libraries: Maps[SceneLibrary] = Maps(found.paths["library"], opener)
     scenes, ignored = dict(found.paths["scene"]), list(found.ignored)
     for library in libraries.values():
-        here = {real_path(path) for path in scenes.values()}
+        here = {resolve_path(path) for path in scenes.values()}
         for name in library:
             path = library.entry(name).path
-            if path is None or real_path(path) in here:
+            if path is None or resolve_path(path) in here:
                 continue
             if not path.exists():
                 ignored.append((path, f"the map of {name!r} is not there; bring it back"))
@@ -297,5 +297,5 @@ def open_world(
 
 
 def opened(path: Path, scheduler: str | None = None) -> Any:  # noqa: ANN401  # any map, or a planet
-    """Open a file or folder of `maps.find`; raises as `open_map` and `open_world`."""
+    """Open a file or folder of `maps.find_map_files`; raises as `open_map` and `open_world`."""
     return open_folder(path, scheduler=scheduler) if is_world(path) else open_map(path)

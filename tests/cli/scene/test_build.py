@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.cli.failing import fails
 
-from placegraph.core.mapfile import writing
+from placegraph.core.mapfile import map_writer
 from placegraph.io.mesh.ply import write_ply
 
 PLY = """ply
@@ -216,7 +216,7 @@ def test_outputs_that_cannot_be(run, mesh, tmp_path):
     fails(run("scene", "build", source, "-o", tmp_path), 4, "not a plain file")
     fails(run("scene", "build", source, "-o", tmp_path / "no" / "a"), 4, "No such file")
     fails(run("scene", "build", source, "-o", tmp_path / ("x" * 300)), 4, "File name too long")
-    with writing(tmp_path / "a.scene"):
+    with map_writer(tmp_path / "a.scene"):
         fails(run("scene", "build", source, "-o", tmp_path / "a.scene"), 5, "a.scene")
     assert (source.read_bytes(), table.read_bytes()) == before
 

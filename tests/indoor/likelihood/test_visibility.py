@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from placegraph.core.geometry import between, compose, level_from_camera, split_pose, wrap
+from placegraph.core.geometry import between, compose, level_from_camera, split_pose, wrap_angle
 from placegraph.indoor.build import scene_of_model
 from placegraph.indoor.likelihood.observe import View, sight, views
 from placegraph.indoor.likelihood.score import TEMPERATURE, model_of
@@ -469,7 +469,7 @@ def sighted(scene, capture, truth, cues):
 def off(poses, truth):
     """Distances (N,) on the floor [m] and turns (N,) [rad]."""
     distance = np.linalg.norm(poses[:, :2] - truth[:2], axis=1)
-    return distance, np.abs(wrap(poses[:, 3] - truth[3]))
+    return distance, np.abs(wrap_angle(poses[:, 3] - truth[3]))
 
 
 @pytest.mark.parametrize("cues", CUES)

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from placegraph.core.mapfile import pack
+from placegraph.core.mapfile import compress_array
 from placegraph.errors import OptionError
 from placegraph.indoor.map.map_kernels import colour_at, opponent
 from placegraph.indoor.map.mesh import (
@@ -210,7 +210,7 @@ def test_order_makes_files_smaller(rng):
     points = np.stack([x, y, 0 * x], axis=1)[np.argsort(shuffled)]
     triangles = shuffled[triangles][rng.permutation(len(triangles))].astype(np.int32)
     codes = high_water(ordered(Mesh.plain(points, triangles)).triangles)
-    assert len(pack(codes)[2]) < len(pack(triangles)[2]) / 3
+    assert len(compress_array(codes)[2]) < len(compress_array(triangles)[2]) / 3
     rim = np.arange(1, 40_001, dtype=np.int32)  # a fan of many triangles takes no time
     triangles = np.stack([0 * rim, rim, np.roll(rim, -1)], axis=1)
     points = rng.normal(size=(40_001, 3))

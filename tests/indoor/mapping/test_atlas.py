@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from placegraph.core.geometry import Camera
-from placegraph.core.threads import limited
+from placegraph.core.threads import limit_threads
 from placegraph.errors import OptionError
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.mapping.atlas.bake import bake, fill_unknown, pack
@@ -294,7 +294,7 @@ def test_fifty_thousand_triangles(rng):
 def test_the_same_again_on_any_number_of_threads(ball, colour_of):
     made = []
     for threads in (1, 2):
-        with limited(threads):
+        with limit_threads(threads):
             made.append(bake(ball, colour_of))
     assert (made[0].uv == made[1].uv).all()
     assert all((a == b).all() for a, b in zip(made[0].textures, made[1].textures, strict=True))

@@ -174,7 +174,7 @@ def test_where_it_cannot_be_written(tmp_path):
     (tmp_path / "b.glb").mkdir()
     with pytest.raises(MapError, match="not a plain file"):
         export(scene, tmp_path / "b.glb")
-    with locks.exclusive(tmp_path / "a.glb"), pytest.raises(MapLockedError):
+    with locks.lock_file(tmp_path / "a.glb"), pytest.raises(MapLockedError):
         export(scene, tmp_path / "a.glb")
 
 

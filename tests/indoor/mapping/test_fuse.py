@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from placegraph.core.geometry import Camera, level_from_camera, pose_matrix, rotation_z
-from placegraph.core.threads import limited
+from placegraph.core.threads import limit_threads
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.mapping import fuse_kernels as kernels
 from placegraph.indoor.mapping.fuse import (
@@ -172,9 +172,9 @@ def test_the_order_of_frames_changes_little(fused, views):
 
 def test_threads_change_nothing(views):
     frames, poses = views[0][:4], views[1][:4]
-    with limited(1):
+    with limit_threads(1):
         one = fuse(frames, poses, voxel=0.08)
-    with limited(2):
+    with limit_threads(2):
         two = fuse(frames, poses, voxel=0.08)
     for name in ("vertices", "triangles", "colours"):
         assert np.array_equal(getattr(one, name), getattr(two, name)), name

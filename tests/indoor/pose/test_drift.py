@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from placegraph.core.geometry import between, compose, wrap
+from placegraph.core.geometry import between, compose, wrap_angle
 from placegraph.indoor.options import MotionNoise
 from placegraph.indoor.pose.drift import (
     USUAL,
@@ -53,7 +53,7 @@ def settled(chain, told, start, steps=12):
 
 def errors_of(course, truth):
     error = course.poses - truth
-    error[:, 3] = wrap(error[:, 3])
+    error[:, 3] = wrap_angle(error[:, 3])
     return error
 
 

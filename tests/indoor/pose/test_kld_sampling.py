@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph.core.geometry import wrap
+from placegraph.core.geometry import wrap_angle
 from placegraph.indoor.likelihood.score import log_sum
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.pose.kld_sampling import (
@@ -224,7 +224,7 @@ def test_modes_are_apart_and_cover_what_they_left_out(seed, size, most):
 
     def near(a, b):
         close = np.linalg.norm(poses[a, :3] - poses[b, :3]) <= 0.7
-        return close and abs(float(wrap(poses[a, 3] - poses[b, 3]))) <= 0.6
+        return close and abs(float(wrap_angle(poses[a, 3] - poses[b, 3]))) <= 0.6
 
     for i, a in enumerate(rows):
         assert not any(near(a, b) for b in rows[:i])
@@ -240,10 +240,10 @@ def test_moments_of_a_gaussian(rng):
     mean = np.array([1.0, -2.0, 1.6, 3.1])  # yaws lie on both sides of the half turn
     root = np.array([[0.3, 0, 0, 0], [0.1, 0.2, 0, 0], [0, 0, 0.05, 0], [0.05, 0, 0, 0.1]])
     poses = mean + rng.normal(size=(50_000, 4)) @ root.T
-    poses[:, 3] = wrap(poses[:, 3])
+    poses[:, 3] = wrap_angle(poses[:, 3])
     got, covariance = moments(poses, np.ones(len(poses)))
     assert np.abs(got[:3] - mean[:3]).max() < 0.01
-    assert abs(float(wrap(got[3] - mean[3]))) < 0.005
+    assert abs(float(wrap_angle(got[3] - mean[3]))) < 0.005
     np.testing.assert_allclose(covariance, root @ root.T, atol=0.003)
 
 
@@ -262,6 +262,6 @@ def test_turning_all_turns_the_mean(seed, turn):
     mean, covariance = moments(poses, weights)
     turned = poses + np.array([0, 0, 0, turn])
     turned_mean, turned_covariance = moments(turned, weights)
-    assert abs(float(wrap(turned_mean[3] - mean[3] - turn))) < 1e-9
+    assert abs(float(wrap_angle(turned_mean[3] - mean[3] - turn))) < 1e-9
     np.testing.assert_allclose(turned_covariance, covariance, atol=1e-9)
     assert np.linalg.eigvalsh(covariance).min() > -1e-12

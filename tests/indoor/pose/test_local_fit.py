@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from placegraph.core.geometry import compose, split_pose, wrap
+from placegraph.core.geometry import compose, split_pose, wrap_angle
 from placegraph.indoor.encode.labels import InstancesEncoder
 from placegraph.indoor.likelihood.observe import sight, views
 from placegraph.indoor.likelihood.score import Scorer, model_of
@@ -39,7 +39,7 @@ class Hills:
         values = []
         for pose, height, spread in self.hills:
             error = poses - pose
-            error[:, 3] = wrap(error[:, 3])
+            error[:, 3] = wrap_angle(error[:, 3])
             values.append(height - 0.5 * np.sum((error / spread) ** 2, axis=1))
         return np.max(values, axis=0)
 
@@ -58,7 +58,7 @@ NARROW = np.array([0.02, 0.03, 0.02, 0.01])
 
 def error_of(fit, peak=PEAK):
     error = fit.pose - peak
-    return np.append(error[:3], wrap(error[3]))
+    return np.append(error[:3], wrap_angle(error[3]))
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.3, 4))
@@ -120,7 +120,7 @@ def test_places_on_opposite_headings_are_two(rng):
     hills = Hills((PEAK, 50.0, NARROW), (turned, 49.0, NARROW))
     fits = fit_modes(hills, np.stack([turned, PEAK]), [level()], rng)
     assert len(fits) == 2
-    assert abs(wrap(fits[0].pose[3] - fits[1].pose[3])) > 3
+    assert abs(wrap_angle(fits[0].pose[3] - fits[1].pose[3])) > 3
 
 
 def test_hopeless_modes_are_left_but_not_forgotten(rng):
@@ -222,7 +222,7 @@ def test_the_heaviest_particle_is_the_estimate(rng):
     np.testing.assert_array_equal(fit.pose, poses[best])
     assert np.exp(fit.log_likelihood) == pytest.approx(particles.weights[:300].sum())
     away = poses[:300] - poses[best]
-    away[:, 3] = wrap(away[:, 3])
+    away[:, 3] = wrap_angle(away[:, 3])
     share = particles.weights[:300] / particles.weights[:300].sum()
     expected = (away * share[:, None]).T @ away + np.diag(NARROWEST**2)
     np.testing.assert_allclose(fit.covariance, expected, rtol=1e-9)

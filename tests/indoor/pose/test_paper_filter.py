@@ -10,7 +10,7 @@ import pytest
 from scipy.stats import ks_2samp, kstest
 from tests.indoor.pose import paper_filter as theirs
 
-from placegraph.core.geometry import Camera, between, compose, pose_matrix, wrap
+from placegraph.core.geometry import Camera, between, compose, pose_matrix, wrap_angle
 from placegraph.indoor.encode import Patches
 from placegraph.indoor.likelihood.observe import sight, views
 from placegraph.indoor.likelihood.score import Scorer, model_of
@@ -156,7 +156,7 @@ def test_equation_1(rng):
     ours = propagate(poses, step, PAPER.motion, np.random.default_rng(3))
     noise = np.random.default_rng(3).normal(size=poses.shape) * theirs.NOISE
     away = ours - theirs.predict(poses, step, noise)
-    away[:, 3] = wrap(away[:, 3])
+    away[:, 3] = wrap_angle(away[:, 3])
     np.testing.assert_allclose(away, 0.0, atol=1e-12)
 
 
@@ -188,7 +188,7 @@ def test_scores_of_semantics_depth_and_colour(stride, scene, world, images, fram
 def test_weights_bins_and_resampling(rng):
     """Sec. 3.3 and 3.5, from the same random numbers."""
     poses = np.concatenate([scattered(rng, 150), TRUE[0] + 0.1 * rng.normal(size=(250, 4))])
-    poses[:, 3] = wrap(poses[:, 3])
+    poses[:, 3] = wrap_angle(poses[:, 3])
     weights, logs = np.full(400, 1 / 400), -rng.exponential(3.0, 400)
     ours, _ = Particles.even(poses).reweighted(logs)
     other = theirs.update(weights, logs)
@@ -211,7 +211,7 @@ def test_an_estimate_is_carried_back(rng):
     for pose in scattered(rng, 20):
         first = compose(pose, between(TRUE[-1], TRUE[0]))
         away = theirs.back(pose, STEPS) - first
-        away[3] = wrap(away[3])
+        away[3] = wrap_angle(away[3])
         np.testing.assert_allclose(away, 0.0, atol=1e-9)
         there = first[None]
         for step in STEPS[1:]:
@@ -282,7 +282,7 @@ def test_whole_runs_err_alike(terms, scene, world, images, frames):
 
     def errors(poses):
         away = np.array(poses) - TRUE[-1]
-        return np.linalg.norm(away[:, :3], axis=1), np.abs(wrap(away[:, 3]))
+        return np.linalg.norm(away[:, :3], axis=1), np.abs(wrap_angle(away[:, 3]))
 
     for a, b in zip(errors(ours), errors(other), strict=True):
         assert ks_2samp(a, b).pvalue > 0.01, (np.median(a), np.median(b))

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from placegraph.core.geometry import between, compose, wrap
+from placegraph.core.geometry import between, compose, wrap_angle
 from placegraph.indoor.options import FilterOptions, Likelihood, MotionNoise
 from placegraph.indoor.pose.kld_sampling import Particles, kld_count
 from placegraph.indoor.pose.particle_filter import ParticleFilter, run_pass
@@ -22,7 +22,7 @@ seeds = st.integers(0, 2**32 - 1)
 def near(poses, target, spread=SPREAD):
     """A Gaussian log-likelihood (N,) around a pose: a scorer whose views are poses."""
     error = poses - target
-    error[:, 3] = wrap(error[:, 3])
+    error[:, 3] = wrap_angle(error[:, 3])
     return -0.5 * np.sum((error / spread) ** 2, axis=1)
 
 
@@ -203,7 +203,7 @@ def test_a_pass_follows_the_camera(rng):
     run = run_pass(filter_, true, steps, range(12))
     error = run.modes[0] - true[-1]
     assert np.linalg.norm(error[:3]) < 0.12
-    assert abs(float(wrap(error[3]))) < 0.1
+    assert abs(float(wrap_angle(error[3]))) < 0.1
     assert run.counts[0] == 3000
     assert run.counts[-1] < 150
     assert run.counts[-1] >= FEWEST

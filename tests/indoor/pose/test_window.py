@@ -17,7 +17,7 @@ from placegraph.core.geometry import (
     pose_matrix,
     rotation_from_quaternion,
     split_pose,
-    wrap,
+    wrap_angle,
 )
 from placegraph.errors import OptionError
 from placegraph.indoor.options import MotionNoise, PoseSearchOptions
@@ -47,7 +47,7 @@ def same_steps(got, expected):
     """The same way, seen from frames that may differ by a shift and a turn about the vertical."""
     steps, wanted = between(got[:-1], got[1:]), between(expected[:-1], expected[1:])
     np.testing.assert_allclose(steps[:, :3], wanted[:, :3], atol=1e-7)
-    np.testing.assert_allclose(wrap(steps[:, 3] - wanted[:, 3]), 0.0, atol=1e-7)
+    np.testing.assert_allclose(wrap_angle(steps[:, 3] - wanted[:, 3]), 0.0, atol=1e-7)
 
 
 @given(seeds)
@@ -127,9 +127,9 @@ def test_noise_is_a_floor_and_a_share_of_the_step(step, rng):
     poses = np.tile([3.0, 1.0, 1.6, 2.5], (40_000, 1))
     moved = propagate(poses, step, noise, rng)
     errors = between(poses, moved) - step
-    errors[:, 3] = wrap(errors[:, 3])
+    errors[:, 3] = wrap_angle(errors[:, 3])
     way = 0.02 + 0.1 * np.linalg.norm(step[:3])
-    turn = 0.01 + 0.2 * abs(float(wrap(step[3])))  # the short way round
+    turn = 0.01 + 0.2 * abs(float(wrap_angle(step[3])))  # the short way round
     sd = np.array([way, way, way, turn])
     assert (np.abs(errors.mean(axis=0)) < 5 * sd / math.sqrt(len(errors))).all()
     np.testing.assert_allclose(errors.std(axis=0), sd, rtol=0.03)

@@ -5,7 +5,7 @@ import json
 import pytest
 
 import placegraph as pg
-from placegraph.core.geojson import areas
+from placegraph.core.geojson import polygon_geometry
 from placegraph.errors import OptionError
 from placegraph.outdoor.map.city import find_oddities
 
@@ -108,7 +108,7 @@ def test_rings_are_told_apart_by_nesting():
     import numpy as np
 
     rings = [np.array(ring(k, 9.0 - k)) for k in (2.0, 0.0, 1.0)]
-    shape = areas(rings)
+    shape = polygon_geometry(rings)
     assert shape["type"] == "MultiPolygon"
     assert sorted(len(polygon) for polygon in shape["coordinates"]) == [1, 2]
     outer, hole = max(shape["coordinates"], key=len)

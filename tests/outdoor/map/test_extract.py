@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from placegraph.core.geo import Box
-from placegraph.core.mapfile import read_header, writing
+from placegraph.core.mapfile import map_writer, read_header
 from placegraph.errors import InputError, MapError, MapLockedError, OptionError, PlacegraphError
 from placegraph.maps import open_map
 from placegraph.outdoor.city import build_city
@@ -357,7 +357,7 @@ def test_the_extract_is_not_overwritten(hafenstadt, tmp_path):
 
 def test_a_map_cannot_be_written_where_somebody_else_writes(hafenstadt, tmp_path):
     osm, out = hafenstadt.write_osm(tmp_path / "town.osm"), tmp_path / "a.city"
-    with writing(out), pytest.raises(MapLockedError, match=r"a\.city"):
+    with map_writer(out), pytest.raises(MapLockedError, match=r"a\.city"):
         build_city(osm, out)
     assert not out.exists()
 

@@ -23,8 +23,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.random import Generator
 
-from placegraph.core.files import regular
-from placegraph.core.mapfile import DIGEST, MAGIC, PREFIX, read_map
+from placegraph.core.files import check_regular
+from placegraph.core.mapfile import DIGEST_SIZE, MAGIC, PREFIX, read_map
 from placegraph.errors import InputError
 
 NUMBER = re.compile(rb"[-+]?\d+\.?\d*(?:[eE][-+]?\d+)?")
@@ -243,7 +243,7 @@ def restored(data: bytes, rng: Generator) -> bytes:
     if rng.random() < 0.15:
         _, layout, length, _ = PREFIX.unpack_from(data)
         text = changed(data[PREFIX.size : PREFIX.size + length], rng)
-        return _sealed(text, data[PREFIX.size + length : -DIGEST], layout)
+        return _sealed(text, data[PREFIX.size + length : -DIGEST_SIZE], layout)
     with tempfile.NamedTemporaryFile() as file:
         file.write(data)
         file.flush()
@@ -337,9 +337,11 @@ def spoil_world(folder: Path, rng: Generator) -> None:
     spoil(folder, rng)
     senseless = OSError, RecursionError, LookupError, TypeError, ValueError, AttributeError
     with suppress(InputError, *senseless):
-        told = json.loads(regular(folder / "world.json").read_bytes())
+        told = json.loads(check_regular(folder / "world.json").read_bytes())
         for entry in (told["words"], *told["shards"]):
-            entry["digest"] = regular(folder / entry["file"]).read_bytes()[-DIGEST:].hex()
+            entry["digest"] = (
+                check_regular(folder / entry["file"]).read_bytes()[-DIGEST_SIZE:].hex()
+            )
         (folder / "world.json").write_text(json.dumps(told), "utf-8")
 
 

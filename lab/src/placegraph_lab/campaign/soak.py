@@ -19,7 +19,7 @@ from time import perf_counter, process_time
 
 import numpy as np
 
-from placegraph.core.threads import processors
+from placegraph.core.threads import count_processors
 from placegraph_lab.campaign.outages import Server
 from placegraph_lab.campaign.row import Effort, Row
 from placegraph_lab.campaign.trial import prepare
@@ -94,7 +94,7 @@ def rows(effort: Effort) -> Iterator[Row]:
     """Rows of this part."""
     prepare(effort.folder / "inputs")
     loads = [load for load in LOADS if effort.wants(load)]
-    at_once = min(processors(), max(1, len(loads)))
+    at_once = min(count_processors(), max(1, len(loads)))
     share = effort.seconds * at_once / max(1, len(loads))
     with ProcessPoolExecutor(at_once, get_context("spawn"), max_tasks_per_child=1) as pool:
         started = {

@@ -59,11 +59,11 @@ def without_times(told: Any) -> Any:  # noqa: ANN401  # JSON
 def answers(folder: Path, *, threads: int | None, frames: int) -> dict[str, Any]:
     """Maps built of the demo's files, and what they answer."""
     import placegraph as pg
-    from placegraph.core.threads import limited, processors
+    from placegraph.core.threads import count_processors, limit_threads
     from placegraph.demo.world import FLAT, TOWN, unpack
 
     world = unpack(folder)
-    with limited(threads or processors()):
+    with limit_threads(threads or count_processors()):
         city = pg.build_city(world / f"{TOWN}.osm", world / "town.city")
         found: dict[str, Any] = {
             "city": _digest(world / "town.city"),

@@ -14,7 +14,7 @@ from unittest.mock import patch
 
 from numpy.random import Generator
 
-from placegraph.core.files import regular
+from placegraph.core.files import check_regular
 from placegraph.errors import GeoPoseError, InputError, OptionError, PlacegraphError
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.library import SceneLibrary
@@ -202,7 +202,7 @@ def stream(_bench: Bench, path: Path, _rng: Generator) -> None:
 
     file = next(iter(sorted(path.glob("*.mcap"))), path)
     try:
-        with regular(file).open("rb") as data:
+        with check_regular(file).open("rb") as data:
             for _ in mcap_packets(data.read, "stdin"):
                 pass
     except OSError as error:  # of opening it, which the shell does for a pipe

@@ -27,7 +27,7 @@ from time import perf_counter
 import numpy as np
 from numpy.random import Generator
 
-from placegraph.core.cache import listening
+from placegraph.core.cache import listen_to_compilation
 from placegraph.errors import PlacegraphError
 from placegraph_lab.campaign.targets import TARGETS, Target
 from placegraph_lab.campaign.uses import Bench
@@ -116,7 +116,7 @@ class Trials:
         said, outcome = "", "accepted"
         signal.setitimer(signal.ITIMER_PROF, SECONDS)
         try:
-            with listening(_pause):
+            with listen_to_compilation(_pause):
                 self.target.use(self.bench, place, rng)
         except PlacegraphError as error:
             outcome, said = "typed", type(error).__name__

@@ -20,7 +20,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from placegraph.core.geometry import Floats
-from placegraph.core.mapfile import MapFile, Write, pack, pack_strings, read_map, writing
+from placegraph.core.mapfile import (
+    MapFile,
+    Write,
+    compress_array,
+    map_writer,
+    pack_strings,
+    read_map,
+)
 from placegraph.errors import InputError, MapError, OptionError
 from placegraph_lab.datasets.pickles import Record, Release, finished, read_pickle
 
@@ -148,10 +155,10 @@ class Kitti360Pose:
     def graph_bytes(self, cells: NDArray[np.int64]) -> int:
         """Bytes that these cells (rows) and their objects take in a file."""
         rows = np.concatenate([np.r_[self.cells.objects(int(c))] for c in cells])
-        return sum(len(pack(a)[2]) for a in _map_columns(self, cells, rows).values())
+        return sum(len(compress_array(a)[2]) for a in _map_columns(self, cells, rows).values())
 
     def save(self, write: Write) -> None:
-        """Write through `placegraph.core.mapfile.writing`; raises `OptionError` where it is made of OSM."""
+        """Write a store through `map_writer`; raises `OptionError` if it is made from OSM."""
         if self.tags:
             raise OptionError(
                 f"{self.source} is made from its extract when it is needed; save the data without it."
@@ -404,7 +411,7 @@ def convert_kitti360pose(
     """
     scenes = _scenes(Path(folder))
     told = progress or (lambda _scene, _n: None)
-    with writing(out) as write:
+    with map_writer(out) as write:
         gather = _Gather()
         for drive, cells, poses in scenes:
             gather.scene(drive, cells, poses, told)

@@ -26,7 +26,7 @@ from rich.progress import Progress, track
 import placegraph
 import placegraph_lab
 from placegraph.cli.common import bare
-from placegraph.core.files import put
+from placegraph.core.files import write_output
 from placegraph_lab.tables import named
 
 SOURCES = tuple(Path(str(p.__file__)).parent for p in (placegraph, placegraph_lab))
@@ -303,7 +303,7 @@ class Run:
         head = {"table": self.name, "machine": machine(), "commit": _commit()}
         text = json.dumps(head | self.options | record, indent=1, allow_nan=False, default=str)
         out.parent.mkdir(parents=True, exist_ok=True)
-        put(out, f"{text}\n".encode())  # in one step: a run may be cut short
+        write_output(out, f"{text}\n".encode())  # in one step: a run may be cut short
 
 
 @dataclass(frozen=True)

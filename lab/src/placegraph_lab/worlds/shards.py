@@ -10,7 +10,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from placegraph.core.geo import bounds, held, key_of, tile_of, tiles
+from placegraph.core.geo import are_in_tile, parse_tile_key, tile_bounds, tile_key, tiles_at
 from placegraph.core.geometry import LocalPlane
 from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.map.index import REACH, STRIDE
@@ -42,16 +42,16 @@ def split_city(city: CityMap, zoom: int, overlap: float) -> Iterator[tuple[str, 
         cut.reduceat(objects.points, ends).astype(float) for cut in (np.minimum, np.maximum)
     )
     places = city.plane.to_lonlat(city.views.positions.astype(np.float64))
-    for tile in np.unique(tiles(places, zoom), axis=0):
+    for tile in np.unique(tiles_at(places, zoom), axis=0):
         column, row = tile.tolist()
-        key = key_of(column, row, zoom)
-        core = bounds(key)
+        key = tile_key(column, row, zoom)
+        core = tile_bounds(key)
         corners = city.plane.to_plane([[core.west, core.south], [core.east, core.north]])
         box = np.add(corners, [[-overlap], [overlap]])
         rows = np.flatnonzero((high >= box[0]).all(axis=1) & (low <= box[1]).all(axis=1))
         part = part_of(objects, rows, hut(objects, low[rows], box[0]))
         centers = city.plane.to_lonlat(city.cells.centers(np.arange(len(city.cells))))
-        cells = replace(city.cells, points=city.cells.points[held(centers, key)])
+        cells = replace(city.cells, points=city.cells.points[are_in_tile(centers, key)])
         yield key, CityMap(city.plane, part, cells, f"{city.source} {key}", {})
 
 
@@ -134,7 +134,7 @@ def write_copies(source: Path, folder: Path, copies: int, seed: int = 0) -> None
             path = folder / "shards" / f"{key}.city"
             if path.exists():
                 continue
-            turn = 360.0 * (tile_of(key)[0] - tile_of(shard.key)[0]) / (1 << old.zoom)
+            turn = 360.0 * (parse_tile_key(key)[0] - parse_tile_key(shard.key)[0]) / (1 << old.zoom)
             east = (city.plane.longitude + turn + 180.0) % 360.0 - 180.0
             plane = LocalPlane(east, city.plane.latitude)
             cells = replace(city.cells, plane=plane)
@@ -182,10 +182,10 @@ def finish_copies(source: Path, world: Path, copies: int) -> WorldFile:
 
 def keys_of_copies(world: WorldFile, shard: int, copies: int) -> list[str]:
     """Keys of the copies of a shard: as many columns apart as the world is wide."""
-    columns = [tile_of(s.key)[0] for s in world.shards]
+    columns = [parse_tile_key(s.key)[0] for s in world.shards]
     wide = max(columns) - min(columns) + 1
-    column, row, zoom = tile_of(world.shards[shard].key)
-    return [key_of((column + k * wide) % (1 << zoom), row, zoom) for k in range(copies)]
+    column, row, zoom = parse_tile_key(world.shards[shard].key)
+    return [tile_key((column + k * wide) % (1 << zoom), row, zoom) for k in range(copies)]
 
 
 def copies_of(source: Path, large: Path, folder: Path, copies: int) -> None:

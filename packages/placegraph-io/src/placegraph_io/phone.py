@@ -41,7 +41,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.files import regular
+from placegraph.core.files import check_regular
 from placegraph.core.geometry import Camera
 from placegraph.errors import InputError, MissingExtraError
 from placegraph.io.capture.frame import (
@@ -87,7 +87,7 @@ class Folder:
     def open(self, name: str) -> IO[bytes]:
         """Return the file for reading."""
         try:
-            return regular(self.path / name).open("rb")
+            return check_regular(self.path / name).open("rb")
         except OSError as error:
             raise InputError(f"{self.path / name} cannot be read: {error.strerror}.") from error
 

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.files import regular
+from placegraph.core.files import check_regular
 from placegraph.errors import InputError
 
 LARGEST_VALUE = 1 << 28
@@ -33,7 +33,7 @@ class Database:
     """
 
     def __init__(self, path: Path) -> None:
-        self.path = regular(path)
+        self.path = check_regular(path)
         self._lock = Lock()
         wal = path.with_name(path.name + "-wal")
         alone = not (wal.exists() and wal.stat().st_size)
@@ -88,7 +88,7 @@ class Archive:
         """Read the directory; `flat`: names are without folders."""
         self.path = path
         try:
-            with zipfile.ZipFile(regular(path)) as archive:
+            with zipfile.ZipFile(check_regular(path)) as archive:
                 held = [entry for entry in archive.infolist() if not entry.is_dir()]
         except (zipfile.BadZipFile, OSError, ValueError, LookupError, RuntimeError) as error:
             raise InputError(f"{path} is no readable ZIP ({error}); copy it again.") from error

@@ -94,7 +94,7 @@ def train_city(  # options of a command
 
     Example: placegraph city train ulm.city bern.city -o mine.weights --work training/
     """
-    from placegraph.core.mapfile import writing
+    from placegraph.core.mapfile import map_writer
     from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.network.network import Shape
     from placegraph_learn.city.train import TrainOptions, train
@@ -117,7 +117,7 @@ def train_city(  # options of a command
         raise OptionError(
             f"Several maps are called {min(twice)}; rename one, examples are kept by name."
         )
-    with writing(out):
+    with map_writer(out):
         pass  # a folder that cannot be written to is refused now, not after hours
     cities = {name: CityMap.open(path) for name, path in zip(names, maps, strict=True)}
     start = perf_counter()

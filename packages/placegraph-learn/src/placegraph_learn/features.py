@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 
 from placegraph.core.geometry import Camera
-from placegraph.core.networks import device_for, read_state
+from placegraph.core.networks import read_state, select_device
 from placegraph.errors import InputError, MissingExtraError, OptionError, ServiceError
 from placegraph.indoor.map.scene import Scene
 from placegraph.io.capture.capture import Capture
@@ -66,7 +66,7 @@ class Backbone:
         timm = import_timm()
         if not timm.is_model(model):
             raise OptionError(f"timm knows no model {model!r}; timm.list_models() has their names.")
-        self._device = device_for(torch, device)
+        self._device = select_device(torch, device)
         self.name, self._layer = model, layer
         network = _made(timm, model, pretrained=pretrained and weights is None)
         if weights is not None:

@@ -22,7 +22,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from placegraph.core.networks import device_for, fitting, read_state
+from placegraph.core.networks import check_weights, read_state, select_device
 from placegraph.errors import MissingExtraError, OptionError, ServiceError
 from placegraph.indoor.refine.matching.matches import (
     Matches,
@@ -71,7 +71,7 @@ class _DenseMatcher(ViewByView):
     def __post_init__(self) -> None:
         check_range(count=(self.count, 1, 1e6), least=(self.least, 0, 1))
         check_range(margin=(self.margin, 0, 1e4))
-        self._network = self._made(device_for(torch, self.device))
+        self._network = self._made(select_device(torch, self.device))
         self._network.eval()
 
     def _made(self, device: Any) -> Any:  # noqa: ANN401
@@ -128,12 +128,12 @@ class RomaMatcher(_DenseMatcher):
         if self.kind == "tiny":
             xfeat = _imported("kornia.feature", self.name).XFeat()
             state = _state(weights, urls["tiny_roma_v1"]["outdoor"], self.name)
-            with fitting(weights, self.name):
+            with check_weights(weights, self.name):
                 return zoo.tiny_roma_v1_model(weights=state, xfeat=xfeat.net).to(device)
         state = _state(weights, urls["romatch"][self.kind], self.name)
         under = _state(self.backbone, urls["dinov2"], "DINOv2")
         make = zoo.roma_indoor if self.kind == "indoor" else zoo.roma_outdoor
-        with fitting(weights or self.backbone, self.name):
+        with check_weights(weights or self.backbone, self.name):
             return make(
                 device=device,
                 weights=state,
@@ -192,7 +192,7 @@ class RomaV2Matcher(_DenseMatcher):
                 f"device is {self.device!r}, but romav2 runs on {taken.type!r} here and lets nobody "
                 "choose; hide the GPU from PyTorch, or take device='auto'."
             )
-        with fitting(self.weights, self.name), _weights_from(self.weights):
+        with check_weights(self.weights, self.name), _weights_from(self.weights):
             return romav2.RoMaV2()
 
     def _warps(self, ours: NDArray[np.uint8], view: NDArray[np.uint8]) -> list[Warp]:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from placegraph.core.files import put
+from placegraph.core.files import write_output
 from placegraph.core.geometry import Floats
 from placegraph.errors import InputError, OptionError
 
@@ -51,7 +51,7 @@ def open_folder(folder: str | PathLike[str], plan: Mapping[str, Any]) -> dict[st
         path.mkdir(parents=True, exist_ok=True)
         if not (path / PLAN).exists():
             # written whole: half of a plan would end all trainings here
-            put(path / PLAN, json.dumps(plan, indent=1).encode())
+            write_output(path / PLAN, json.dumps(plan, indent=1).encode())
         known: dict[str, Any] = json.loads((path / PLAN).read_text(encoding="utf-8"))
     except (OSError, ValueError, InputError) as error:
         raise InputError(f"{path}: no folder to train in ({error}); name another.") from error

@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 
 from placegraph.core.geometry import Floats
-from placegraph.core.networks import device_for, fitting, read_state
+from placegraph.core.networks import check_weights, read_state, select_device
 from placegraph.errors import MissingExtraError, ServiceError
 from placegraph.indoor.refine.matching.matches import (
     Features,
@@ -94,7 +94,7 @@ class XFeatMatcher(ViewByView):
         check_range(features=(self.features, 1, 1e6), threshold=(self.threshold, 0, 1))
         check_range(least=(self.least, -1, 1), ratio=(self.ratio, 0, 1), sure=(self.sure, 0, 1))
         check_range(scale=(self.scale, 0.1, 8), margin=(self.margin, 0, 1e4))
-        self._device = device_for(torch, self.device)
+        self._device = select_device(torch, self.device)
         self._xfeat = _network(self.weights).to(self._device).eval()
 
     def prepared(self, query: NDArray[np.uint8]) -> Any:  # noqa: ANN401  # points, or cells
@@ -193,7 +193,7 @@ def _network(weights: Path | str | None) -> Any:  # noqa: ANN401
     if weights is not None:
         xfeat = XFeat()
         state = read_state(torch, Path(weights), "xfeat")
-        with fitting(weights, "xfeat"):
+        with check_weights(weights, "xfeat"):
             xfeat.net.load_state_dict(state)
         return xfeat
     try:

@@ -11,7 +11,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, Literal, Self
 
-from placegraph.core.files import cannot_write, exclusive
+from placegraph.core.files import lock_file, write_error
 from placegraph.errors import OptionError
 from placegraph_ros.message import Message, encode, load_types, nanoseconds, type_name
 
@@ -28,9 +28,9 @@ def report_disk_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise cannot_write(path, error) from error
+        raise write_error(path, error) from error
     except sqlite3.Error as error:  # of databases
-        raise cannot_write(path, OSError(str(error))) from error
+        raise write_error(path, OSError(str(error))) from error
 
 
 class UnfinishedFile:
@@ -45,7 +45,7 @@ class UnfinishedFile:
         self.path = path
         with report_disk_errors(path), ExitStack() as stack:
             path.parent.mkdir(parents=True, exist_ok=True)
-            stack.enter_context(exclusive(path))
+            stack.enter_context(lock_file(path))
             self.folder = path.parent / tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent)
             self._locked = stack.pop_all()
 

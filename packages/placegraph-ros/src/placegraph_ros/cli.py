@@ -114,7 +114,7 @@ def live(
 
     Example: placegraph live house.scene walk.mcap --foxglove ws://127.0.0.1:8765
     """
-    from placegraph.maps import open_rooms
+    from placegraph.maps import open_scenes
     from placegraph_ros.localizer import Localizer, run
     from placegraph_ros.options import LiveOptions, mode_of
     from placegraph_ros.sources import PlaybackClock, WaitPolicy, open_source, time_of
@@ -131,7 +131,7 @@ def live(
             click.echo(f"Foxglove: open a connection to {server.address}", err=True)
         options = LiveOptions(mode=mode_of(mode), whole=bool(sinks), seed=seed)
         localizer = Localizer(
-            open_rooms(map_file), options, plan=stream.plan, name=str(stream.path),
+            open_scenes(map_file), options, plan=stream.plan, name=str(stream.path),
             choice=stream.choice, device=device,
         )  # fmt: skip
         stack.enter_context(listen_to_keys(clock, wait_policy))
@@ -274,7 +274,7 @@ def localize(
 
     Example: placegraph bag localize walk.mcap house.scene -o out.mcap
     """
-    from placegraph.maps import open_rooms
+    from placegraph.maps import open_scenes
     from placegraph_ros.localizer import Localizer, run
     from placegraph_ros.options import LiveOptions
     from placegraph_ros.sources import bag_source
@@ -283,7 +283,7 @@ def localize(
     options = LiveOptions(background=False, seed=seed)
     with ExitStack() as stack:
         sinks = open_sinks(stack, out, rerun)
-        localizer = Localizer(open_rooms(map_file), options, plan=source.plan, device=device)
+        localizer = Localizer(open_scenes(map_file), options, plan=source.plan, device=device)
         tell = stack.enter_context(progress_of(hidden=quiet or as_json))
 
         def told(localizer: Localizer) -> None:

@@ -21,7 +21,7 @@ import numpy as np
 from placegraph.core.geometry import Floats
 from placegraph.errors import InputError, MissingExtraError, OptionError, PlacegraphError
 from placegraph.io.capture.posed import pose_of
-from placegraph.maps import open_rooms
+from placegraph.maps import open_scenes
 from placegraph_io.ros.decode import frame_of
 from placegraph_io.ros.poses import is_static
 from placegraph_io.ros.stream import WANTED, Packet
@@ -156,7 +156,7 @@ class Services:
         address = urlsplit(request.map_url)
         path = Path(unquote(address.path) if address.scheme == "file" else request.map_url)
         try:
-            maps = open_rooms(path)
+            maps = open_scenes(path)
         except PlacegraphError as error:
             self._node.get_logger().error(f"load_map: {error}")
             response.result = _INVALID if path.exists() else _MISSING
@@ -237,7 +237,7 @@ class LocalizerNode:
         self.publish_tf = bool(given["publish_tf"])
         self.inbox = Inbox()
         self.localizer = Localizer(
-            open_rooms(given["map"]), LiveOptions.from_parameters(given), name=str(stream_name(given, NAME)),
+            open_scenes(given["map"]), LiveOptions.from_parameters(given), name=str(stream_name(given, NAME)),
             choice=choice_of_parameters(given, NAME), device=given["device"],
         )  # fmt: skip
         self._subscribed: dict[tuple[str, str], Any] = {}

@@ -26,9 +26,9 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, TypeVar
 
-from placegraph.core.files import cannot_write, exclusive, write_file
+from placegraph.core.files import lock_file, write_error, write_file
 from placegraph.core.geo import check_zoom
-from placegraph.core.threads import end_with_parent, processors
+from placegraph.core.threads import count_processors, end_with_parent
 from placegraph.errors import InputError, MapError, OptionError, ServiceError
 from placegraph.io.osm.osm import checked_osm
 from placegraph.io.osm.urls import all_on_disk, is_url, size_of
@@ -161,7 +161,7 @@ def build_world(
     try:
         (target / SHARDS).mkdir(parents=True, exist_ok=True)
         work.mkdir(exist_ok=True)
-        with exclusive(work / "journal.jsonl"):
+        with lock_file(work / "journal.jsonl"):
             build = _Build(target, options, tell)
             build.begin(all_on_disk(extracts, work / EXTRACTS, tell))
             build.split()
@@ -170,7 +170,7 @@ def build_world(
             made = finish(target, options.zoom, options.overlap, build.count)
             build.clear()
     except OSError as error:
-        raise cannot_write(Path(error.filename or work), error) from error
+        raise write_error(Path(error.filename or work), error) from error
     return made
 
 
@@ -181,7 +181,7 @@ class _Build:
         self.target, self.options, self.tell = target, options, tell
         self.work, self.extracts = target / WORK, [Path()]
         self.journal = Journal(self.work / "journal.jsonl")
-        self.workers = options.workers or processors()
+        self.workers = options.workers or count_processors()
 
     def begin(self, extracts: list[Path]) -> None:
         """Resume the build that was begun here, if it is the same."""

@@ -14,7 +14,7 @@ from placegraph.cli.command import Argument, Option
 from placegraph.cli.common import AsJson, Quiet, echo_json, progress_of
 from placegraph.cli.library import ItsEncoders, opened
 from placegraph.cli.scene_options import NoProgress, WeightsFile
-from placegraph.core.files import real_path
+from placegraph.core.files import resolve_path
 from placegraph.errors import MapError
 
 if TYPE_CHECKING:
@@ -147,6 +147,6 @@ def _listed(
             )
         for name in library:
             entry = library.entry(name)
-            at = entry.path and real_path(entry.path)
-            place = os.path.relpath(at, real_path(out)) if at else ""
+            at = entry.path and resolve_path(entry.path)
+            place = os.path.relpath(at, resolve_path(out)) if at else ""
             yield NamedEntry(name if len(paths) == 1 else f"{path.stem}: {name}", entry, place)

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from placegraph.core import files
-from placegraph.core.geo import DEEPEST, bounds
-from placegraph.core.mapfile import DIGEST
+from placegraph.core.geo import MAX_ZOOM, tile_bounds
+from placegraph.core.mapfile import DIGEST_SIZE
 from placegraph.errors import InputError, MapError, OptionError, PlacegraphError
 from placegraph.io.osm.osm import one_line
 from placegraph.io.osm.urls import is_missing, is_url, system_of
@@ -47,7 +47,7 @@ class ShardFile:
     @property
     def core(self) -> Box:
         """Ground that it answers for."""
-        return bounds(self.key)
+        return tile_bounds(self.key)
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class WorldFile:
         """Read it; `InputError` where it is missing, `MapError` where it is none, or of a newer version."""
         path = Path(folder) / NAME
         try:
-            told = json.loads(files.regular(path).read_bytes())
+            told = json.loads(files.check_regular(path).read_bytes())
         except OSError as error:
             raise InputError(
                 f"{path} cannot be read: {error.strerror}. Name a folder that `placegraph world "
@@ -96,13 +96,13 @@ class WorldFile:
                       *(int(s[name]) for name in ("bytes", "objects", "cells", "viewpoints")))
             for s in told["shards"]
         )  # fmt: skip
-        if not (1 <= zoom <= DEEPEST and overlap >= 0.0 and shards):
+        if not (1 <= zoom <= MAX_ZOOM and overlap >= 0.0 and shards):
             raise ValueError(f"zoom {zoom}, overlap {overlap} m, {len(shards)} shards")
         keys = [s.key for s in shards]
         if keys != sorted(set(keys)) or any(len(key) != zoom for key in keys):
             raise ValueError("keys are not in order, or of another zoom")
         for s in shards:
-            bounds(s.key)
+            tile_bounds(s.key)
             if s.file != f"{SHARDS}/{s.key}.city" or min(s.bytes, s.objects, s.viewpoints) < 0:
                 raise ValueError(f"shard {s.key} is {s}")
         return cls(folder, zoom, overlap, str(told["words"]["digest"]), shards)
@@ -125,9 +125,9 @@ class WorldFile:
 def digest_of(path: Path) -> str:
     """Return the digest that a map file ends with; `InputError` where it cannot be read."""
     try:
-        with files.regular(path).open("rb") as file:
-            file.seek(-DIGEST, 2)
-            return file.read(DIGEST).hex()
+        with files.check_regular(path).open("rb") as file:
+            file.seek(-DIGEST_SIZE, 2)
+            return file.read(DIGEST_SIZE).hex()
     except OSError as error:
         raise InputError(
             f"{path} cannot be read: {error.strerror or error}. Bring it back, or build it again."

@@ -28,9 +28,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.files import write_file
-from placegraph.core.geo import bounds, key_of, reached
+from placegraph.core.geo import tile_bounds, tile_key, tile_ranges
 from placegraph.core.geometry import LocalPlane
-from placegraph.core.mapfile import starts
+from placegraph.core.mapfile import offsets_of
 from placegraph.errors import InputError, MapError, PlacegraphError
 from placegraph.io.osm.osm import LeftOut, read_columns
 from placegraph.io.osm.urls import is_large
@@ -96,7 +96,13 @@ def _unpack_frame(data: bytes, n: int, parts: int, points: int) -> Things:
     osm_type, kind, osm_id, n_parts, n_points, steps = columns
     texts = str(data[at:], "utf-8").split(THING)
     return Things(
-        osm_type, osm_id, kind, starts(n_parts), starts(n_points), steps.reshape(-1, 2), texts
+        osm_type,
+        osm_id,
+        kind,
+        offsets_of(n_parts),
+        offsets_of(n_points),
+        steps.reshape(-1, 2),
+        texts,
     )
 
 
@@ -298,30 +304,30 @@ def _spread(
     low, high = things.ends()
     if (around := high[:, 0] - low[:, 0] > 180.0).any():
         left_out["things across the date line"] += int(around.sum())
-    wide = reached(low, high, zoom, margin)
+    wide = tile_ranges(low, high, zoom, margin)
     many = (wide[:, 2] - wide[:, 0] + 1) * (wide[:, 3] - wide[:, 1] + 1) > MANY
     if (large := np.flatnonzero(many & ~around)).size:
         files.add(LARGE, things.take(large))
     small = np.flatnonzero(~many & ~around)
-    tiles, _ = _touched_tiles(reached(low[small], high[small], zoom, BORDER), zoom)
-    populated |= {key_of(t >> zoom, t % (1 << zoom), zoom) for t in np.unique(tiles).tolist()}
+    tiles, _ = _touched_tiles(tile_ranges(low[small], high[small], zoom, BORDER), zoom)
+    populated |= {tile_key(t >> zoom, t % (1 << zoom), zoom) for t in np.unique(tiles).tolist()}
     tiles, rows = _touched_tiles(wide[small], zoom)
     order = np.argsort(tiles, kind="stable")
     tiles, rows = tiles[order], small[rows[order]]
     ends = np.append(np.flatnonzero(np.diff(tiles, prepend=-1)), len(tiles)).tolist()
     for first, last in pairwise(ends):
         tile = int(tiles[first])
-        key = key_of(tile >> zoom, tile % (1 << zoom), zoom)
+        key = tile_key(tile >> zoom, tile % (1 << zoom), zoom)
         files.add(key, things.take(rows[first:last]))
 
 
 def _touched_tiles(
     ends: NDArray[np.int64], zoom: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return tiles, ``column * 2^zoom + row``, within ends (N, 4) as of `reached`, and the row of each."""
+    """Return tiles, ``column * 2^zoom + row``, within `tile_ranges` (N, 4), and the row of each."""
     wide, high = (ends[:, 2:] - ends[:, :2] + 1).T
     owner = np.repeat(np.arange(len(ends)), wide * high)
-    nth = np.arange(len(owner)) - np.repeat(starts(wide * high)[:-1], wide * high)
+    nth = np.arange(len(owner)) - np.repeat(offsets_of(wide * high)[:-1], wide * high)
     column = (ends[owner, 0] + nth // high[owner]) % (1 << zoom)
     return (column << zoom) + ends[owner, 1] + nth % high[owner], owner
 
@@ -350,7 +356,7 @@ def _descend(
 ) -> Iterator[tuple[str, Thing]]:
     """Yield the tiles of a subtree that hold something, and what of an object lies in each."""
     if key:
-        parts = clip(thing.kind, thing.parts, bounds(key).widened(margin))
+        parts = clip(thing.kind, thing.parts, tile_bounds(key).widened(margin))
         if not parts:
             return
         thing = thing._replace(parts=parts)
@@ -416,7 +422,7 @@ def build_tile(job: TileJob) -> TileDone:
     Raises `MapError` where objects are damaged, or the city cannot be written.
     """
     tables = [table for path, size in job.things for table in read_frames(Path(path), size)]
-    core = bounds(job.key)
+    core = tile_bounds(job.key)
     plane = LocalPlane(*(round(x, 4) for x in core.center))
     left_out, things = LeftOut(), None
     if tables:

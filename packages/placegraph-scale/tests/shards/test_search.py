@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import placegraph as pg
-from placegraph.core.geo import bounds
+from placegraph.core.geo import tile_bounds
 from placegraph.outdoor.city import CityMap
 from placegraph_scale.shards import search
 from placegraph_scale.shards.search import CandidatePool
@@ -67,7 +67,7 @@ def thing_at(longitude, latitude, osm_id):
 def test_how_many_things_there_are_does_not_depend_on_the_shard(shard):
     # which of two mentions is looked for from the other is decided by how many things each may be
     key, city = shard
-    core = bounds(key)
+    core = tile_bounds(key)
     near = thing_at(core.west, core.north, -1)
     far = [thing_at(core.west + k, core.north, -1 - k) for k in (1, 2, 3)]
     made, rows = add_objects(city, [near, *far], key, 300.0)

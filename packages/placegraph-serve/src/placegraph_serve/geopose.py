@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from placegraph.core.estimate import Status
 from placegraph.core.geo import EarthPose
-from placegraph.core.geojson import poses_of
+from placegraph.core.geojson import earth_poses
 from placegraph.core.geometry import Camera
 from placegraph.errors import InputError, RequestError
 from placegraph.io.capture.frame import Frame
@@ -220,7 +220,7 @@ def geopose(desk: Dispatcher, asked: dict[str, Any]) -> dict[str, Any]:
     frame, leveled = frame_of(colour[-1], depth, request.accelerometer, desk.options)
     images = Images((frame,), moved=True, leveled=leveled)
     estimate, _ = found(desk.places, images, hints)
-    poses = [pose for mode in estimate.modes for pose in poses_of(mode)]
+    poses = [pose for mode in estimate.modes for pose in earth_poses(mode)]
     if estimate.modes and not poses:
         estimate.geopose()  # raises: nobody has placed that map on Earth
     told = _answer(request, poses, estimate.status.name, estimate.reason)

@@ -15,7 +15,7 @@ from placegraph.core.geometry import LocalPlane
 from placegraph.errors import OptionError, PlacegraphError, RequestError
 from placegraph.indoor.library import SceneLibrary
 from placegraph.indoor.scene_map import SceneMap
-from placegraph.maps import SHARDS, WORLD, checked, find, folder_kind, is_world
+from placegraph.maps import SHARDS, WORLD, check_map_files, find_map_files, folder_kind, is_world
 from placegraph.world import World, open_world
 from placegraph.world.world import opened
 from placegraph_serve.options import ServeOptions
@@ -67,7 +67,7 @@ class Places:
         self.scheduler = scheduler
         self._held: dict[Path, tuple[State, Any]] = {}
         self._worlds: dict[str | None, tuple[dict[Path, State], World]] = {}
-        if not checked(self.paths).paths["world"] and scheduler is not None:
+        if not check_map_files(self.paths).paths["world"] and scheduler is not None:
             raise OptionError(
                 "scheduler: its workers search worlds in shards, and here is none; leave it out, or name "
                 "one that `placegraph world build` wrote."
@@ -142,7 +142,7 @@ class Places:
         A world in shards is it with what else lies in its folder.
         """
         entries = self.entries() if name is None else (self.entry(name),)
-        kinds = find([entry.path for entry in entries]).paths.values()
+        kinds = find_map_files([entry.path for entry in entries]).paths.values()
         states = {path: state_of(path) for paths in kinds for path in paths.values()}
         held = self._worlds.get(name)
         if held is None or held[0] != states:
@@ -184,7 +184,7 @@ class Places:
 
     def _found(self) -> dict[str, Entry]:
         """Entries by name, which is the stem of the file, or all of its name where two share one."""
-        found = find(self.paths).paths
+        found = find_map_files(self.paths).paths
         stems = Counter(itertools.chain.from_iterable(found.values()))
         named = (
             Entry(name if stems[name] == 1 else path.resolve().name, kind, path)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from placegraph.core.files import put, regular
+from placegraph.core.files import check_regular, write_output
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.encode.words import spelled
 from placegraph.indoor.map.scene import Scene
@@ -107,7 +107,7 @@ class Confusion:
             writer.writerow(["", *self.names])
             writer.writerows([name, *row] for name, row in zip(self.names, rows, strict=True))
             text = lines.getvalue()
-        put(path, text.encode())
+        write_output(path, text.encode())
 
     @classmethod
     def estimate(
@@ -197,7 +197,7 @@ def _from_json(path: Path) -> tuple[tuple[str, ...], ArrayLike]:
 
 def _from_csv(path: Path) -> tuple[tuple[str, ...], ArrayLike]:
     try:
-        text = regular(path).read_text(encoding="utf-8-sig")
+        text = check_regular(path).read_text(encoding="utf-8-sig")
         rows = [row for row in csv.reader(text.splitlines()) if row]
     except FileNotFoundError as error:
         raise InputError(f"{path} does not exist; name a .csv or .json file.") from error

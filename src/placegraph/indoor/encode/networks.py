@@ -13,7 +13,7 @@ from typing import Any, Literal, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.files import regular
+from placegraph.core.files import check_regular
 from placegraph.errors import InputError, MissingExtraError, OptionError
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Images
@@ -156,7 +156,7 @@ class ImageNetwork:
 
 def _loaded(path: Path, threads: int) -> Any:  # noqa: ANN401  # an interpreter
     try:
-        content = regular(path).read_bytes()
+        content = check_regular(path).read_bytes()
     except FileNotFoundError as error:
         raise InputError(f"{path} does not exist; name a .tflite file.") from error
     except OSError as error:

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.files import real_path, regular
+from placegraph.core.files import check_regular, resolve_path
 from placegraph.core.geo import EarthPose
-from placegraph.core.mapfile import MapFile, pack_strings, read_map, sound, write_map
+from placegraph.core.mapfile import MapFile, check_contents, pack_strings, read_map, write_map
 from placegraph.core.pickling import HtmlRepr
 from placegraph.errors import InputError, MapError, MissingExtraError, OptionError
 from placegraph.indoor.encode import ENCODERS, Encoder, encoder
@@ -316,14 +316,14 @@ class SceneLibrary(SceneCollection, HtmlRepr):
         """
         if not len(self):
             raise OptionError("The library is empty: add a scene before you save it.")
-        folder, places = real_path(path).parent, []
+        folder, places = resolve_path(path).parent, []
         entries = list(self._entries.values())
         for name, entry in self._entries.items():
             if entry.path is None:
                 raise OptionError(
                     f"{name!r} is a map in memory; save it, and add it to the library by its file."
                 )
-            places.append(os.path.relpath(real_path(entry.path), folder))
+            places.append(os.path.relpath(resolve_path(entry.path), folder))
         meta = {
             "encoders": [{"name": e.name, "key": e.key} for e in self.encoders],
             "digests": [e.digest for e in entries],
@@ -379,7 +379,7 @@ class SceneLibrary(SceneCollection, HtmlRepr):
     def _of_file(cls, path: str | os.PathLike[str], encoders: Encoders | None) -> SceneLibrary:
         file = read_map(path, KIND, VERSION)
         made = match_encoders(file, encoders)
-        with sound(path, "Make the library again."):
+        with check_contents(path, "Make the library again."):
             library = cls(made, height=file.meta["height"])
             names, places = file.strings("names"), file.strings("paths")
             digests = [str(digest) for digest in file.meta["digests"]]
@@ -388,7 +388,7 @@ class SceneLibrary(SceneCollection, HtmlRepr):
                 for found in file.meta.get("earth", [[]] * len(names))
             ]
             signatures = read_signatures(file, [e.key for e in library.encoders])
-            folder = real_path(path).parent
+            folder = resolve_path(path).parent
             for name, place, signature, digest, earth in zip(
                 names, places, signatures, digests, poses, strict=True
             ):
@@ -436,7 +436,7 @@ def match_encoders(file: MapFile, given: Encoders | None) -> list[Encoder]:
 def digest_of(path: Path) -> str:
     """Return the SHA-256 of a file's bytes, in hexadecimal; `InputError` where they cannot be read."""
     try:
-        return hashlib.sha256(regular(path).read_bytes()).hexdigest()
+        return hashlib.sha256(check_regular(path).read_bytes()).hexdigest()
     except OSError as error:
         raise InputError(
             f"{path} cannot be read any more ({error.strerror}); bring it back."

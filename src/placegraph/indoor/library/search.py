@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from placegraph.core.estimate import Evidence, ObjectRef, PoseEstimate, SceneEstimate, SceneMode
 from placegraph.core.geo import EarthPose
 from placegraph.core.geometry import Camera, Floats, between, level_from_camera
-from placegraph.core.threads import product
+from placegraph.core.threads import multiply_matrices
 from placegraph.errors import OptionError
 from placegraph.indoor.encode import Encoder, patches_of
 from placegraph.indoor.language import Sentence, read
@@ -151,7 +151,7 @@ class PatchWords:
         (U, W): exp(cosine / temperature) over its mean over what is usually seen. Of what nothing is
         known, nothing follows: 1.
         """
-        cosines = product(vocabulary.vectors, self.words.T)
+        cosines = multiply_matrices(vocabulary.vectors, self.words.T)
         belief = np.exp((cosines - np.float32(1.0)) * np.float32(1.0 / self.temperature))
         seen = belief[vocabulary.usual]
         usual = vocabulary.common @ seen if options.rarity else seen.mean(axis=0)
@@ -259,7 +259,7 @@ def cluster_vectors(
     if len(first) <= most:
         return vectors[first], word.astype(np.int32)
     centre = vectors[np.linspace(0, len(vectors) - 1, most).astype(np.int64)]
-    nearest = product(vectors, centre.T).argmax(axis=1)
+    nearest = multiply_matrices(vectors, centre.T).argmax(axis=1)
     sums = sums_of(vectors, nearest, most)
     lengths = np.linalg.norm(sums, axis=1, keepdims=True)
     return sums / np.maximum(lengths, 1e-9), nearest.astype(np.int32)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from placegraph.core.jit import kernel
-from placegraph.core.threads import share as in_threads
+from placegraph.core.threads import run_parallel as in_threads
 
 NEIGHBOURS = 4
 """Places that a camera near one of them may be nearer to, in what it sees: behind a wall is another
@@ -48,7 +48,7 @@ def _best_cosines(cosines, code, starts, weight, out, first, last):
 def held(ratio, code, share, starts, weight, wrong):
     """Log-likelihood (S,) of words with weights (W,) in each scene, a mixture of its objects.
 
-    `ratio`: (U, W) how much likelier a word is of an object than of anything; `share`: (M,).
+    `ratio`: (U, W) how much likelier a word is of an object than of anything; `run_parallel`: (M,).
     """
     out = np.empty(len(starts) - 1, np.float64)
     in_threads(_held, len(out), ratio, code, share, starts, weight, wrong, out)

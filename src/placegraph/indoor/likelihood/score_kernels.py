@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from placegraph.core.jit import kernel
-from placegraph.core.threads import share
+from placegraph.core.threads import run_parallel
 from placegraph.indoor.map.map_kernels import colour_at, opponent
 from placegraph.indoor.rays.trace_kernels import (
     DIRECTION,
@@ -44,7 +44,7 @@ def score_poses(tracer, surface, poses, view, noise):
     if len(poses) <= _FEW:
         _score(tracer, surface, poses, view, noise, scores, 0, len(poses))
     else:
-        share(_score, len(poses), tracer, surface, poses, view, noise, scores)
+        run_parallel(_score, len(poses), tracer, surface, poses, view, noise, scores)
     return scores
 
 

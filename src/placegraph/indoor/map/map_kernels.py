@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.jit import kernel
-from placegraph.core.threads import share
+from placegraph.core.threads import run_parallel
 from placegraph.indoor.rays.trace_kernels import (
     DIRECTION,
     FAR,
@@ -230,7 +230,9 @@ def look_around(tracer, surface, points, directions, objects):
     seen = np.full(shape, objects, np.uint16)
     ranges = np.full(shape, NOTHING, np.uint8)
     colours = np.zeros((len(points), ELEVATIONS, 3, AZIMUTHS), np.uint8)
-    share(_look_around, len(points), tracer, surface, points, directions, seen, ranges, colours)
+    run_parallel(
+        _look_around, len(points), tracer, surface, points, directions, seen, ranges, colours
+    )
     return Panoramas(seen, ranges, colours)
 
 
@@ -291,7 +293,7 @@ class Samples(NamedTuple):
 def scan_headings(panoramas, mapped, samples, colour_weight):
     """Return log-likelihood (T, K, HEADINGS): for each sample, its column turned through all headings."""
     out = np.empty((len(samples.ends), len(panoramas.objects), HEADINGS), np.float32)
-    share(_scan_headings, out.shape[1], panoramas, mapped, samples, colour_weight, out)
+    run_parallel(_scan_headings, out.shape[1], panoramas, mapped, samples, colour_weight, out)
     return out
 
 
@@ -418,7 +420,7 @@ def _add_correlation(total, hits, m, weight):
 def add_moved(total, scan, unknown, positions, layer_of, index, origin, spacing, step):
     """Add to each pose of the reference frame what `scan` says of it moved by `step` (3,) [m]."""
     grid = positions, layer_of, index, origin, spacing, step
-    share(_add_moved, len(positions), total, scan, unknown, *grid)
+    run_parallel(_add_moved, len(positions), total, scan, unknown, *grid)
 
 
 @kernel

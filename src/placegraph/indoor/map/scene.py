@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from placegraph.core.estimate import ObjectRef
-from placegraph.core.geo import Anchor, ranked, unplaced
-from placegraph.core.geojson import areas, collection, feature
+from placegraph.core.geo import Anchor, no_anchor_error, sort_anchors
+from placegraph.core.geojson import make_collection, make_feature, polygon_geometry
 from placegraph.core.graph import SceneGraph
 from placegraph.core.mapfile import MapFile
-from placegraph.core.pickling import PickleFields, made_again
+from placegraph.core.pickling import PickleFields, rebuild
 from placegraph.errors import OptionError
 from placegraph.indoor.map import textures
 from placegraph.indoor.map.mesh import WHITE, Mesh, Surface, ordered
@@ -236,7 +236,7 @@ class Scene(PickleFields):
             raise OptionError("mesh: a triangle belongs to no object.")
         if not 0 <= int(self.scene_of.min()) <= int(self.scene_of.max()) < s:
             raise OptionError("scene_of: a row lies outside the scenes.")
-        object.__setattr__(self, "anchors", ranked(self.anchors, self.scenes))
+        object.__setattr__(self, "anchors", sort_anchors(self.anchors, self.scenes))
 
     def __len__(self) -> int:
         return len(self.graph)
@@ -351,7 +351,7 @@ class Scene(PickleFields):
 def _with_textures(cls: type[S], values: dict[str, Any], kept: tuple[str, ...]) -> S:
     """Rebuild a scene from `Scene.__reduce__`."""
     mesh = replace(values["mesh"], textures=textures.decode(values["encoded"], values["source"]))
-    scene: S = made_again(cls, values | {"mesh": mesh}, kept)
+    scene: S = rebuild(cls, values | {"mesh": mesh}, kept)
     return scene
 
 
@@ -387,7 +387,7 @@ _RING = np.array([(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)])
 
 def features(scene: Scene) -> dict[str, Any]:
     """Return FeatureCollection of a map's objects: `SceneMap.to_geojson` says more."""
-    return collection(_objects(scene))
+    return make_collection(_objects(scene))
 
 
 def _objects(scene: Scene) -> Iterator[dict[str, Any]]:
@@ -397,7 +397,7 @@ def _objects(scene: Scene) -> Iterator[dict[str, Any]]:
         name = scene.scenes[scene.scene_of[row]]
         anchors = scene.anchors_of(name)
         if not anchors:
-            raise unplaced(name)
+            raise no_anchor_error(name)
         corners = np.where(_RING, high[:2], low[:2])
         there = anchors[0].to_earth(np.column_stack([corners, np.full(len(_RING), low[2])]))
         said = {
@@ -406,4 +406,4 @@ def _objects(scene: Scene) -> Iterator[dict[str, Any]]:
             "level": anchors[0].level, "building": anchors[0].building,
             "height": round(float(there[0, 2]), 3), "tall": round(float(high[2] - low[2]), 3),
         }  # fmt: skip
-        yield feature(areas([there[:, :2]]), said)
+        yield make_feature(polygon_geometry([there[:, :2]]), said)

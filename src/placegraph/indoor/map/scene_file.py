@@ -12,7 +12,14 @@ from numpy.typing import NDArray
 
 from placegraph.core.geo import Anchor
 from placegraph.core.graph import SceneGraph
-from placegraph.core.mapfile import MapFile, pack_strings, read_header, read_map, sound, write_map
+from placegraph.core.mapfile import (
+    MapFile,
+    check_contents,
+    pack_strings,
+    read_header,
+    read_map,
+    write_map,
+)
 from placegraph.indoor.map import textures
 from placegraph.indoor.map.mesh import Mesh, from_high_water, high_water
 from placegraph.indoor.map.scene import MOST_LANDMARKS, Landmarks, S, Scene, from_8_bits, in_8_bits
@@ -43,7 +50,7 @@ def save_scene(scene: Scene, path: str | PathLike[str]) -> None:
 def open_scene(path: str | PathLike[str], kind: type[S]) -> S:
     """Open a map file; raises `InputError` or `MapError` where it is not a sound scene map."""
     file = read_map(path, KIND, VERSION)
-    with sound(path, "Build it again."):
+    with check_contents(path, "Build it again."):
         scene = kind(**_fields(file))
         scenes = len(scene.scenes)
         if len(scene.viewpoints) > VIEWPOINTS * scenes:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from placegraph.core.geometry import Camera, Floats
-from placegraph.core.threads import share
+from placegraph.core.threads import run_parallel
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.mapping import fuse_kernels as kernels
 from placegraph.indoor.mapping.fuse_kernels import SIDE, SIZE, facets_of, farthest, visible
@@ -84,7 +84,7 @@ def read_view(frame: Frame, row: int, map_from_camera: Floats) -> View | None:
 def undistort(camera: Camera) -> tuple[Camera, NDArray[np.int64]]:
     """The same camera without distortion, and where its pixels (h, w) stand in the flat image.
 
-    Its images are as large as it takes to show all that the camera sees, up to `WIDEST` times;
+    Its images are as large as it takes to show all that the camera sees, up to `MAX_FISHEYE_ANGLE` times;
     -1: outside of the image.
     """
     w, h = camera.width, camera.height
@@ -236,7 +236,7 @@ class Volume:
             back,
             self.truncation,
         )
-        share(
+        run_parallel(
             kernels.integrate, len(chosen), self.distance, self.weight, self.colour, self.paint,
             self.places, chosen, self.voxel, self.truncation, facets, view.image, gain, view.eyes,
             back, BAND * self.voxel,

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from placegraph.core.jit import kernel
-from placegraph.core.threads import share
+from placegraph.core.threads import run_parallel
 
 SIDE = 8  # Voxels along the edge of a block
 SIZE = SIDE**3
@@ -247,7 +247,7 @@ def facets_of(depth, eye, reach, edges):
     readings that are near in depth, every second of 5 x 5.
     """
     out = np.zeros((*depth.shape, 6), np.float32)
-    share(_facets_of, len(out), depth, eye, reach, edges, out)
+    run_parallel(_facets_of, len(out), depth, eye, reach, edges, out)
     return out
 
 
@@ -408,7 +408,7 @@ _WIDE = SIDE + 1
 def neighbours(keys, rows, places, count):
     """Rows (B, 27) of the blocks around each, -1 where there is none; column 13 is the block."""
     out = np.empty((count, 27), np.int32)
-    share(_neighbours, count, keys, rows, places, out)
+    run_parallel(_neighbours, count, keys, rows, places, out)
     return out
 
 
@@ -444,7 +444,7 @@ def cells_of(around, distance, weight, least, steepest, loops):
     crossed = np.zeros((count, SIZE), np.uint16)
     sizes = np.zeros(count, np.int64)
     given = around, distance, weight, least, steepest, loops
-    share(_cells_of, count, *given, cases, crossed, sizes)
+    run_parallel(_cells_of, count, *given, cases, crossed, sizes)
     return cases, crossed, sizes
 
 
@@ -500,7 +500,7 @@ def vertices_of(
     vertex = np.zeros((len(around), SIZE), np.int32)
     volume = around, places, distance, colour, paint
     cells = cases, crossed, starts, loop_of, loops, voxel
-    share(_vertices_of, len(around), *volume, *cells, points, paints, vertex)
+    run_parallel(_vertices_of, len(around), *volume, *cells, points, paints, vertex)
     return points, paints, vertex
 
 
@@ -579,7 +579,7 @@ def quads_of(around, distance, cases, crossed, vertex, loop_of, starts, quads):
     """
     sizes = np.zeros(len(around), np.int64)
     grid = around, distance, cases, crossed, vertex, loop_of
-    share(_quads_of, len(around), *grid, starts, quads, sizes)
+    run_parallel(_quads_of, len(around), *grid, starts, quads, sizes)
     return sizes
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.geometry import Floats
-from placegraph.core.threads import processors
+from placegraph.core.threads import count_processors
 from placegraph.indoor.likelihood.observe import spread
 from placegraph.indoor.map.scene import MOST_LANDMARKS, WIDTH, Landmarks
 from placegraph.indoor.refine.landmarks import LARGEST, detect_features, make_detector
@@ -63,7 +63,7 @@ def map_landmarks(
     points, vectors = np.zeros((0, 3)), np.zeros((0, WIDTH), np.float32)
     counts = np.zeros(0, np.int64)
     tracks = []
-    with ThreadPoolExecutor(processors()) as pool:
+    with ThreadPoolExecutor(count_processors()) as pool:
         looks = pool.map(_find_features, (frames[row] for row in chosen))
         for done, (row, look) in enumerate(zip(chosen.tolist(), looks, strict=True)):
             if progress is not None:

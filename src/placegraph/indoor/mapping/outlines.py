@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.geojson import nested, wound
+from placegraph.core.geojson import nest_rings, orient_ring
 from placegraph.core.geometry import Floats
 
 LEAST_AREA = 0.05  # Of a ring that is kept [m2]
@@ -31,13 +31,13 @@ def make_polygons(rings: Sequence[Floats]) -> list[list[Floats]]:
     smaller than `LEAST_AREA` is dropped.
     """
     found = []
-    for outer, *holes in nested(rings):
+    for outer, *holes in nest_rings(rings):
         loops = untangle(rings[outer])
         if len(loops) == 1:
             inner = [loop for k in holes for loop in untangle(rings[k])]
-            found.append([wound(loops[0], 1.0), *(wound(loop, -1.0) for loop in inner)])
+            found.append([orient_ring(loops[0], 1.0), *(orient_ring(loop, -1.0) for loop in inner)])
         else:
-            found.extend([wound(loop, 1.0)] for loop in loops)
+            found.extend([orient_ring(loop, 1.0)] for loop in loops)
     return found
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from placegraph.core.geometry import Floats, between, compose, wrap
+from placegraph.core.geometry import Floats, between, compose, wrap_angle
 from placegraph.indoor.likelihood.observe import FINE, View
 from placegraph.indoor.likelihood.score import Scorer
 from placegraph.indoor.pose.local_fit import (
@@ -54,7 +54,7 @@ class QuadraticFactors:
     def gain(self, poses: Floats) -> float:
         """What poses (T, 4) gain by it."""
         off = poses - self.at
-        off[:, 3] = wrap(off[:, 3])
+        off[:, 3] = wrap_angle(off[:, 3])
         pulled = self.gradient - 0.5 * np.einsum("tij,tj->ti", self.information, off)
         return float(np.sum(off * pulled))
 
@@ -99,7 +99,7 @@ def solve_trajectory(chain: Chain, course: Trajectory, told: QuadraticFactors) -
     """The course that frames and odometry agree on best: one step of Gauss-Newton, and of EM."""
     count = len(course.poses)
     off = course.poses - told.at
-    off[:, 3] = wrap(off[:, 3])
+    off[:, 3] = wrap_angle(off[:, 3])
     g = np.einsum("tij,tj->ti", told.information, off) - told.gradient
     h = np.zeros((count, 4, count, 4))
     t = np.arange(count)
@@ -117,7 +117,7 @@ def solve_trajectory(chain: Chain, course: Trajectory, told: QuadraticFactors) -
     whole = np.linalg.inv(h.reshape(4 * count, 4 * count)).reshape(count, 4, count, 4)
     moved = -np.tensordot(whole, g, axes=2)
     poses = course.poses + moved
-    poses[:, 3] = wrap(poses[:, 3])
+    poses[:, 3] = wrap_angle(poses[:, 3])
     scales = course.scales
     if count > 1:
         left = errors + np.einsum("tij,tj->ti", swung, moved[:-1]) + moved[1:]
@@ -137,7 +137,7 @@ def _errors(chain: Chain, poses: Floats) -> tuple[Floats, Floats]:
     """Errors (T - 1, 4) of the steps in map axes, and their derivatives by the pose before."""
     led = compose(poses[:-1], chain.steps)
     errors = poses[1:] - led
-    errors[:, 3] = wrap(errors[:, 3])
+    errors[:, 3] = wrap_angle(errors[:, 3])
     swung = np.tile(-np.eye(4), (len(errors), 1, 1))
     # a turn of frame t swings the step from it
     swung[:, 0, 3] = led[:, 1] - poses[:-1, 1]

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from placegraph.core.geometry import Floats, between, level_from_camera, split_pose, wrap
+from placegraph.core.geometry import Floats, between, level_from_camera, split_pose, wrap_angle
 from placegraph.indoor.likelihood.observe import (
     FINE,
     Sighting,
@@ -142,7 +142,7 @@ def _same(one: Sighting, other: Sighting) -> bool:
 
 def _moved(poses: Floats, first: int, last: int) -> bool:
     way = np.linalg.norm(poses[last, :3] - poses[first, :3])
-    turn = np.abs(wrap(poses[first : last + 1, 3] - poses[first, 3])).max()
+    turn = np.abs(wrap_angle(poses[first : last + 1, 3] - poses[first, 3])).max()
     return bool(way > _MOVED or turn > _TURNED)
 
 

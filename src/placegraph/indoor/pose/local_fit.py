@@ -16,7 +16,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from placegraph.core.geometry import Floats, between, compose, wrap
+from placegraph.core.geometry import Floats, between, compose, wrap_angle
 from placegraph.indoor.likelihood.observe import COARSE, FINE, View, recent
 from placegraph.indoor.likelihood.score import Scorer, log_sum
 from placegraph.indoor.likelihood.score_kernels import DEPTH
@@ -221,7 +221,7 @@ def moments(poses: Floats, weights: Floats) -> tuple[Floats, Floats]:
     yaw = np.arctan2(weights @ np.sin(poses[:, 3]), weights @ np.cos(poses[:, 3]))
     mean = np.append(weights @ poses[:, :3], yaw)
     errors = poses - mean
-    errors[:, 3] = wrap(errors[:, 3])
+    errors[:, 3] = wrap_angle(errors[:, 3])
     return mean, np.einsum("n,ni,nj->ij", weights, errors, errors)
 
 

@@ -11,7 +11,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from placegraph.core.estimate import PassRecord
-from placegraph.core.geometry import Floats, between, compose, wrap
+from placegraph.core.geometry import Floats, between, compose, wrap_angle
 from placegraph.indoor.likelihood.observe import COARSE, View
 from placegraph.indoor.likelihood.score import log_sum
 from placegraph.indoor.options import STANDING, FilterOptions, MotionNoise, Pass
@@ -309,7 +309,7 @@ def heaviest_modes(chain: Chain, particles: Particles, most: int) -> list[Fit]:
     for mode, mass in zip(modes, masses(particles, modes), strict=True):
         own = near(poses, mode)
         errors = poses[own] - mode
-        errors[:, 3] = wrap(errors[:, 3])
+        errors[:, 3] = wrap_angle(errors[:, 3])
         covariance = np.einsum("n,ni,nj->ij", weights[own] / weights[own].sum(), errors, errors)
         known = covariance + FINEST
         fits.append(Fit(chain.rigid(mode), float(np.log(mass)), known, known))

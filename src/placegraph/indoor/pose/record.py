@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from placegraph.core.estimate import PassRecord, PoseEstimate, PoseMode, Status
 from placegraph.core.geometry import Floats
-from placegraph.core.mapfile import MapFile, read_map, sound, write_map
+from placegraph.core.mapfile import MapFile, check_contents, read_map, write_map
 
 KIND = "run"
 VERSION = 1
@@ -81,7 +81,7 @@ def read_run(path: str | PathLike[str]) -> PoseEstimate:
 
     """
     file = read_map(path, KIND, VERSION)
-    with sound(path, "Record it again."):
+    with check_contents(path, "Record it again."):
         frames = file.array("frames", "<i8")
         return PoseEstimate(
             status=Status[file.meta["status"]],

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from placegraph.core.geometry import Floats, between, compose, wrap
+from placegraph.core.geometry import Floats, between, compose, wrap_angle
 from placegraph.errors import OptionError
 from placegraph.indoor.likelihood.observe import COARSE, Noise, View, spread
 from placegraph.indoor.likelihood.visibility import VisibilityTable, floor_under
@@ -214,4 +214,4 @@ def near(
 ) -> NDArray[np.bool_]:
     """Which of poses (N, 4) belong to the mode at a pose (4,)."""
     close = np.linalg.norm(poses[:, :3] - pose[:3], axis=1) <= apart
-    return np.asarray(close & (np.abs(wrap(poses[:, 3] - pose[3])) <= turned))
+    return np.asarray(close & (np.abs(wrap_angle(poses[:, 3] - pose[3])) <= turned))

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from placegraph.core.geometry import Floats, between, compose, level_from_camera, wrap
+from placegraph.core.geometry import Floats, between, compose, level_from_camera, wrap_angle
 from placegraph.errors import OptionError
 from placegraph.indoor.encode import Encoder, MapEncoder, bound, for_map
 from placegraph.indoor.encode.labels import InstancesEncoder, LabelsEncoder
@@ -52,7 +52,7 @@ _Z_FROM_Y_DOWN = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 
 def deviations(steps: NDArray[np.float64], noise: MotionNoise) -> NDArray[np.float64]:
     """Standard deviations (..., 4) [m, rad] of steps (..., 4)."""
-    length, turned = np.linalg.norm(steps[..., :3], axis=-1), np.abs(wrap(steps[..., 3]))
+    length, turned = np.linalg.norm(steps[..., :3], axis=-1), np.abs(wrap_angle(steps[..., 3]))
     way = noise.translation + noise.translation_per_metre * length
     turn = noise.rotation + noise.rotation_per_radian * turned
     return np.stack([way, way, way, turn], axis=-1)
@@ -70,7 +70,7 @@ def keyframes(
     kept = [0]
     for i in range(1, len(stamps)):
         moved = np.linalg.norm(poses[i, :3] - poses[kept[-1], :3]) >= metres > 0
-        turned = metres > 0 and abs(float(wrap(poses[i, 3] - poses[kept[-1], 3]))) >= 0.2
+        turned = metres > 0 and abs(float(wrap_angle(poses[i, 3] - poses[kept[-1], 3]))) >= 0.2
         waited = stamps[i] - stamps[kept[-1]] >= seconds > 0
         if moved or turned or waited or i == len(stamps) - 1:
             kept.append(i)

@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from placegraph.core.threads import processors
+from placegraph.core.threads import count_processors
 from placegraph.errors import OptionError
 from placegraph.indoor.rays import embree
 from placegraph.indoor.rays.trace_kernels import (
@@ -134,7 +134,7 @@ class RayCaster:
         start, along = checked_rays(origins, directions)
         hits = Hits.empty(len(along))
         columns = hits.triangle, hits.distance, hits.u, hits.v
-        threads = processors() if len(along) > _FEW else 1
+        threads = count_processors() if len(along) > _FEW else 1
         if threads == 1:
             cast_rays(self.tracer, start, along, (0, len(along)), columns)
             return hits

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.threads import processors
+from placegraph.core.threads import count_processors
 from placegraph.errors import MissingExtraError, PlacegraphError
 from placegraph.indoor.rays.trace_kernels import (
     DIRECTION,
@@ -122,7 +122,7 @@ def _scene(
     arguments = np.zeros(16, np.int32)
     arguments[:2] = _COHERENT, -1  # flags, and every feature
 
-    device = library.rtcNewDevice(f"threads={processors()}".encode())
+    device = library.rtcNewDevice(f"threads={count_processors()}".encode())
     if not device:
         raise PlacegraphError(f"Embree gives error {library.rtcGetDeviceError(None)}")
     version = library.rtcGetDeviceProperty(device, _VERSION)

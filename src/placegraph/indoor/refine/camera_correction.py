@@ -28,7 +28,7 @@ from placegraph.core.geometry import (
     pose_matrix,
     rotation_from_vector,
 )
-from placegraph.core.threads import product
+from placegraph.core.threads import multiply_matrices
 from placegraph.indoor.likelihood.observe import spread
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.pose.window import PoseQuery, Window
@@ -113,7 +113,7 @@ def calibrate_camera(
             at = np.r_[6 * t : 6 * t + 6, size : size + COUNT]
             for rows in _seen(scene, problem, t, pose, ways[t], values, width):
                 weighted = rows.derivatives.T * rows.weights
-                h[np.ix_(at, at)] += product(weighted, rows.derivatives)
+                h[np.ix_(at, at)] += multiply_matrices(weighted, rows.derivatives)
                 g[at] += weighted @ rows.residuals
                 costs.append(rows.cost)
         upright = replace(problem, gravity=turn_gravity(problem.gravity, values))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from placegraph.core.estimate import PoseEstimate, PoseMode, Refinement, Status
-from placegraph.core.geometry import Floats, between, compose, pose_matrix, split_pose, wrap
+from placegraph.core.geometry import Floats, between, compose, pose_matrix, split_pose, wrap_angle
 from placegraph.errors import MissingExtraError, OptionError, ServiceError
 from placegraph.indoor.likelihood.observe import COARSE, FINE
 from placegraph.indoor.pose import local_fit
@@ -215,7 +215,7 @@ def _searched(window: Window, given: Floats, options: RefineOptions) -> Floats:
     fit = local_fit.fit_pose(window.scorer, fit.pose, spread, narrow, rng)
     # what no reading holds, such as the height between bare walls, wanders off
     off = fit.pose - pose
-    off[3] = wrap(off[3])
+    off[3] = wrap_angle(off[3])
     found = pose + np.clip(off, -3.0 * reach, 3.0 * reach)
     return pose_matrix(compose(found, between(fit.pose, fit.poses)), window.levels)
 

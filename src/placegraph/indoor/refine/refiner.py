@@ -13,7 +13,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from placegraph.core.geometry import Floats
-from placegraph.core.threads import processors
+from placegraph.core.threads import count_processors
 from placegraph.indoor.likelihood.observe import spread
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.pose.window import Progress, Window, timed
@@ -344,4 +344,4 @@ class Refiner:
 
 def _threads(matcher: Matcher) -> int:
     """Return frames matched at once: networks have threads of their own."""
-    return processors() if matcher.name == GuidedMatcher.name else 1
+    return count_processors() if matcher.name == GuidedMatcher.name else 1

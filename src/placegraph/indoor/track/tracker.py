@@ -19,7 +19,7 @@ from placegraph.core.geometry import (
     pose_matrix,
     split_pose,
     vector_from_rotation,
-    wrap,
+    wrap_angle,
 )
 from placegraph.errors import OptionError
 from placegraph.indoor.likelihood.observe import FINE, Cut, Sighting, sight
@@ -296,7 +296,7 @@ class Tracker:
 def apart(frame: Frame, later: Frame) -> bool:
     """Whether a frame is far enough from another to be a keyframe beside it."""
     step = _steps([frame, later])[1]
-    return bool(np.linalg.norm(step[:3]) >= APART or abs(wrap(step[3])) >= TURNED)
+    return bool(np.linalg.norm(step[:3]) >= APART or abs(wrap_angle(step[3])) >= TURNED)
 
 
 def _steps(frames: Sequence[Frame]) -> Floats:

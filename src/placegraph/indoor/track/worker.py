@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from placegraph.core.threads import limited, processors
+from placegraph.core.threads import count_processors, limit_threads
 from placegraph.errors import OptionError
 from placegraph.indoor.track.odometry import JUMP
 from placegraph.io.capture.frame import Frame
@@ -151,7 +151,9 @@ class Worker:
 
     def _search(self, epoch: int, question: Relocalization) -> None:
         try:
-            with limited(max(1, processors() - 1)):  # a core is left to those that follow
+            with limit_threads(
+                max(1, count_processors() - 1)
+            ):  # a core is left to those that follow
                 found = question.asked(self._follower.finder)
         except BaseException as error:  # noqa: BLE001  # told to who calls next
             self._fail(error)

@@ -19,7 +19,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from placegraph.core.plugins import CAPTURES, missing, plugins
+from placegraph.core.plugins import CAPTURES, missing_extra, plugins
 from placegraph.errors import InputError, OptionError
 from placegraph.io.capture.frame import (
     ArrayImages,
@@ -187,7 +187,7 @@ class AbsentFormat(NamedTuple):
 
     def open(self, path: Path, options: dict[str, Any]) -> Capture:  # noqa: ARG002  # as `Format.open`
         """Raise `MissingExtraError`, which names the extra."""
-        raise missing(f"A reader of {path}", "io")
+        raise missing_extra(f"A reader of {path}", "io")
 
 
 @cache

@@ -14,7 +14,7 @@ from typing import IO, TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.files import regular
+from placegraph.core.files import check_regular
 from placegraph.errors import InputError
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ def opened(source: Path | IO[bytes], name: object, *, bounded: bool = False) -> 
     from PIL import Image, UnidentifiedImageError
 
     try:
-        with Image.open(regular(source) if isinstance(source, Path) else source) as image:
+        with Image.open(check_regular(source) if isinstance(source, Path) else source) as image:
             if not bounded and image.width * image.height > FREE_PIXELS:
                 _check_bytes(image, source, name)
             yield image

@@ -9,7 +9,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from placegraph.core.files import regular
+from placegraph.core.files import check_regular
 from placegraph.core.geometry import MODELS, Camera
 from placegraph.errors import InputError, OptionError
 
@@ -87,7 +87,7 @@ def read_camera(path: Path, *, depth_scale: float = 1000.0) -> CameraFile:
 def read_json(path: Path) -> Any:  # noqa: ANN401  # whatever the file holds
     """Return the content of a JSON file; `InputError` where it is missing or not JSON."""
     try:
-        return json.loads(regular(path).read_text(encoding="utf-8-sig"))
+        return json.loads(check_regular(path).read_text(encoding="utf-8-sig"))
     except FileNotFoundError as error:
         raise InputError(f"{path} does not exist.") from error
     except (ValueError, RecursionError) as error:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from placegraph.core.files import regular
+from placegraph.core.files import check_regular
 from placegraph.core.geometry import Camera, rotation_from_quaternion
 from placegraph.errors import InputError, OptionError
 from placegraph.io.capture.frame import Capture, LazyImages, posed_frame, upright_turns
@@ -193,7 +193,7 @@ def smaller_view(camera: Camera, size: tuple[int, int], name: object) -> Camera:
 def read_text(path: Path) -> str:
     """Return the text of a file; `InputError` where it is missing, unreadable or not text."""
     try:
-        return regular(path).read_text(encoding="utf-8-sig")
+        return check_regular(path).read_text(encoding="utf-8-sig")
     except FileNotFoundError as error:
         raise InputError(f"{path} does not exist.") from error
     except (OSError, ValueError) as error:

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from placegraph.core.files import put, regular
+from placegraph.core.files import check_regular, write_output
 from placegraph.core.geometry import quaternion_from_rotation, rotation_from_quaternion
 from placegraph.errors import InputError, OptionError
 from placegraph.io.capture.json_files import read_json
@@ -132,7 +132,7 @@ def write_tum(
     rows = [f"# {line}" for line in comment.splitlines()]
     for stamp, row in zip(times.tolist(), columns.tolist(), strict=True):
         rows.append(" ".join([repr(stamp).removesuffix(".0"), *(f"{v:.9f}" for v in row)]))
-    put(path, ("\n".join(rows) + "\n").encode())
+    write_output(path, ("\n".join(rows) + "\n").encode())
 
 
 def read_table(
@@ -185,7 +185,7 @@ def _check(table: Table, columns: tuple[str, ...], unknown: tuple[str, ...]) -> 
 
 def _text(path: Path) -> str:
     try:
-        return regular(path).read_text(encoding="utf-8-sig")
+        return check_regular(path).read_text(encoding="utf-8-sig")
     except FileNotFoundError as error:
         raise InputError(f"{path} does not exist.") from error
     except UnicodeDecodeError as error:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.files import regular
+from placegraph.core.files import check_regular
 from placegraph.errors import InputError
 
 Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
@@ -76,7 +76,7 @@ class Model:
 def read_bytes(path: Path) -> bytes:
     """Read a file; raises `InputError` where it cannot be read."""
     try:
-        return regular(path).read_bytes()
+        return check_regular(path).read_bytes()
     except FileNotFoundError as error:
         raise InputError(f"{path} does not exist.") from error
     except (OSError, ValueError) as error:

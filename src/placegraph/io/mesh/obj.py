@@ -18,7 +18,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.files import regular
+from placegraph.core.files import check_regular
 from placegraph.core.geometry import Floats
 from placegraph.errors import InputError, OptionError
 from placegraph.io.capture.json_files import LabelEntry
@@ -183,7 +183,7 @@ class _Lines(NamedTuple):
 def _read_blocks(path: Path) -> Iterator[bytes]:
     """Whole lines, some megabytes at a time; a line that ends with a backslash goes on."""
     try:
-        with regular(path).open("rb") as file:
+        with check_regular(path).open("rb") as file:
             rest = file.read(3).removeprefix(b"\xef\xbb\xbf")
             while block := file.read(BLOCK):
                 rest += block
@@ -497,7 +497,7 @@ def _make_picture(material: _Material, left_out: Counter[str]) -> Picture:
     data = None
     if material.picture is not None:
         try:
-            data = regular(material.picture).read_bytes()
+            data = check_regular(material.picture).read_bytes()
         except (OSError, ValueError):
             left_out["textures that are missing"] += 1
     if data is None:

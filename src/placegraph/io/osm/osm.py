@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.files import cannot_write
+from placegraph.core.files import write_error
 from placegraph.errors import InputError
 from placegraph.io.osm import osm_process
 
@@ -157,7 +157,7 @@ def _as_pbf(path: Path) -> Iterator[Path]:
             _convert(path, made)
         except RuntimeError as error:
             if _FULL.search(str(error)):
-                raise cannot_write(made, OSError(errno.ENOSPC, one_line(error))) from error
+                raise write_error(made, OSError(errno.ENOSPC, one_line(error))) from error
             raise
         yield made
 

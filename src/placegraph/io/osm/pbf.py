@@ -18,8 +18,8 @@ from typing import BinaryIO, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.files import cannot_write
-from placegraph.core.mapfile import starts
+from placegraph.core.files import write_error
+from placegraph.core.mapfile import offsets_of
 from placegraph.io.osm import osm_kernels as kernels
 
 Numbers = NDArray[np.int64]
@@ -53,7 +53,7 @@ class Blob(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """Nodes, ways or relations of a block; `starts` (N + 1,) bound what each has of a list."""
+    """Nodes, ways or relations of a block; `offsets_of` (N + 1,) bound what each has of a list."""
 
     ids: Numbers
     versions: Numbers
@@ -188,14 +188,14 @@ class Block:
             at = self._steps(kernels.signed_of(lon), kernels.signed_of(lat))
             made.append(rows._replace(ids=ids, steps=at))
         if len(made) < 2:
-            return made[0] if made else Rows(NONE, NONE, starts([]), NONE)
+            return made[0] if made else Rows(NONE, NONE, offsets_of([]), NONE)
         ids, versions, steps = (
             np.concatenate([getattr(rows, name) for rows in made])
             for name in ("ids", "versions", "steps")
         )
         counts = np.concatenate([np.diff(rows.tag_starts) for rows in made])
         tags = np.concatenate([rows.tags for rows in made])
-        return Rows(ids, versions, starts(counts), tags, steps=steps)
+        return Rows(ids, versions, offsets_of(counts), tags, steps=steps)
 
     def ways(self) -> Rows:
         """Return its ways, with the ids of their nodes."""
@@ -394,7 +394,7 @@ class NodeIndex:
                 self.file = self.index.open("xb+")
             self.file.write(words.data)
         except OSError as error:
-            raise cannot_write(self.index, error) from error
+            raise write_error(self.index, error) from error
 
     def _settled(self) -> tuple[Numbers, Numbers, Steps]:
         self._end_run()
@@ -410,7 +410,7 @@ class NodeIndex:
             try:
                 self.file.flush()
             except OSError as error:
-                raise cannot_write(self.index, error) from error
+                raise write_error(self.index, error) from error
             self._map = mmap.mmap(self.file.fileno(), 0, access=mmap.ACCESS_READ)
             return np.frombuffer(self._map, np.int32)
         self.words = [np.concatenate(self.words)] if self.words else []

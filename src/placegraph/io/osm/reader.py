@@ -13,8 +13,8 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.mapfile import spans
-from placegraph.core.mapfile import starts as starts_of
+from placegraph.core.mapfile import gather_spans
+from placegraph.core.mapfile import offsets_of as starts_of
 from placegraph.errors import InputError
 from placegraph.io.osm import pbf
 from placegraph.io.osm.osm import (
@@ -129,17 +129,17 @@ class Reader:
         self._one_time(pbf.WAYS, rows)
         hits, ((bounds, refs),) = self._wanted(block, rows), rows.lists
         if len(mine := np.flatnonzero(_among(rows.ids, self.members))):
-            starts, at = spans(bounds, mine)
+            starts, at = gather_spans(bounds, mine)
             steps, known = nodes.find(refs[at])
             steps[~known, 0] = LOST
             self.ways.append((rows.ids[mine], starts, steps))
-        starts, at = spans(bounds, hits)
+        starts, at = gather_spans(bounds, hits)
         starts, steps, lacks = lines(starts, *nodes.find(refs[at]))
         counts = np.diff(starts)
         self._count(POSITIONLESS, int((counts < 2).sum()))
         self._count("ways cut where members are missing", int((lacks & (counts >= 2)).sum()))
         there = np.flatnonzero(counts >= 2)
-        hits, (starts, at) = hits[there], spans(starts, there)
+        hits, (starts, at) = hits[there], gather_spans(starts, there)
         steps, tags = steps[at], _tags(block, rows, hits)
         closed = (steps[starts[:-1]] == steps[starts[1:] - 1]).all(axis=1) & (np.diff(starts) >= 4)
         areas = {i: is_area(t) for i, t in {id(t): t for t in tags}.items()}
@@ -180,7 +180,7 @@ class Reader:
         needed = np.unique(np.concatenate([_members(rows, row) for row in hits]))
         needed = needed[_among(needed, ids)]
         mine = order[np.searchsorted(ids, needed)]
-        bounds, at = spans(starts, mine)
+        bounds, at = gather_spans(starts, mine)
         known = steps[at, 0] != LOST
         return pbf.written(needed, bounds, steps[at], known, block, rows.messages[hits])
 
@@ -254,7 +254,7 @@ def _members(rows: Rows, row: int) -> Numbers:
 
 def _tags(block: Block, rows: Rows, hits: Numbers) -> list[dict[str, str]]:
     """Return the tags of some rows; those of the same ones share them."""
-    starts, at = spans(rows.tag_starts, hits)
+    starts, at = gather_spans(rows.tag_starts, hits)
     pairs = rows.tags[at].astype("<i4")
     data, strings = pairs.tobytes(), block.strings
     texts: dict[int, str] = {i: str(strings[i], "utf-8") for i in np.unique(pairs).tolist()}

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 from placegraph.core import files as locks
-from placegraph.core.files import cannot_write, write_file
+from placegraph.core.files import write_error, write_file
 from placegraph.errors import (
     InputError,
     MissingExtraError,
@@ -160,7 +160,7 @@ def fetch_file(url: str, folder: Path, progress: Progress | None = None) -> Path
             raise InputError(f"{url} changed while it was fetched; run the same command again.")
         part.rename(path)
     except OSError as error:
-        raise cannot_write(Path(error.filename or part), error) from error
+        raise write_error(Path(error.filename or part), error) from error
     return path
 
 
@@ -191,9 +191,9 @@ def on_disk(path: Any, out: Path, progress: Progress | None = None) -> Iterator[
     room = out.parent / f".{out.name}.fetched"
     with ExitStack() as stack:
         try:
-            stack.enter_context(locks.exclusive(room))
+            stack.enter_context(locks.lock_file(room))
         except OSError as error:
-            raise cannot_write(out.parent, error) from error
+            raise write_error(out.parent, error) from error
         found = fetch_file(path, room, progress)
         stack.callback(shutil.rmtree, room, ignore_errors=True)
         try:

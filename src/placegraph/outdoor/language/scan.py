@@ -11,7 +11,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import NamedTuple
 
-from placegraph.core.cache import cached
+from placegraph.core.cache import load_or_make
 from placegraph.language.text import Word, fold_case, scan_text
 from placegraph.outdoor.language.languages import Language, english, language, tables
 from placegraph.outdoor.language.words import NameFinder, Words, singular, tokens
@@ -90,7 +90,7 @@ def _signs(folder: Path | None) -> _Signs:
     """Return words of all languages: found without parsing the tables, which takes longer, and kept."""
     texts = {code: table.read_text("utf-8") for code, table in tables(folder).items()}
     digest = sha256("\0".join((VERSION, *texts, *texts.values())).encode()).hexdigest()[:16]
-    listed = cached(f"languages-{digest}.json", lambda: _list_signs(texts), json.loads)
+    listed = load_or_make(f"languages-{digest}.json", lambda: _list_signs(texts), json.loads)
     words, scripts, things, letters = (
         {word: tuple(codes) for word, codes in part.items()} for part in listed
     )

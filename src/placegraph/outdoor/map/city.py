@@ -10,9 +10,15 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
 
-from placegraph.core.geojson import areas, collection, feature, lines, point
+from placegraph.core.geojson import (
+    line_geometry,
+    make_collection,
+    make_feature,
+    point_geometry,
+    polygon_geometry,
+)
 from placegraph.core.geometry import LocalPlane
-from placegraph.core.mapfile import pack_strings, read_map, sound, starts, write_map
+from placegraph.core.mapfile import check_contents, offsets_of, pack_strings, read_map, write_map
 from placegraph.core.pickling import PickleFields
 from placegraph.errors import OptionError
 from placegraph.outdoor.language.vocabulary import Vocabulary
@@ -138,7 +144,7 @@ class City(PickleFields):
         The index of a large one is read where it lies, and so is that of a `shard`, one of many.
         """
         file = read_map(path, KIND, VERSION, MAPPED, least=0 if shard else LARGE)
-        with sound(path, "Build it again."):
+        with check_contents(path, "Build it again."):
             meta = file.meta
             (longitude, latitude), grain = map(float, meta["origin"]), float(meta["grain"])
             plane = LocalPlane(longitude, latitude)
@@ -256,7 +262,7 @@ class City(PickleFields):
         token_starts, values, _ = self.tokens
         owner = np.repeat(np.arange(len(self.objects), dtype=np.int32), np.diff(token_starts))
         order = np.argsort(values, kind="stable")
-        return starts(np.bincount(values, minlength=len(self.words))), owner[order]
+        return offsets_of(np.bincount(values, minlength=len(self.words))), owner[order]
 
     def frequency(self, tokens: NDArray[np.int32], weights: NDArray[np.float32]) -> float:
         """Share of all things in sight, over all viewpoints, that tokens stand for."""
@@ -303,7 +309,7 @@ class City(PickleFields):
 
 def _starts(counts: NDArray[Any]) -> NDArray[np.int32]:
     """Bounds of counted entries; `ValueError` where they do not fit, which compiled code believes."""
-    bounds = starts(counts)
+    bounds = offsets_of(counts)
     if bounds[-1] > np.iinfo(np.int32).max:
         raise ValueError("counts are too large")
     return bounds.astype(np.int32)
@@ -313,7 +319,7 @@ def make_geojson(city: City, what: Literal["objects", "cells"]) -> dict[str, Any
     """FeatureCollection of a city: `CityMap.to_geojson` says more."""
     if what not in ("objects", "cells"):
         raise OptionError(f"what is {what!r}; it is 'objects' or 'cells'.")
-    return collection(_objects(city) if what == "objects" else _cells(city))
+    return make_collection(_objects(city) if what == "objects" else _cells(city))
 
 
 def _objects(city: City) -> Iterator[dict[str, Any]]:
@@ -331,19 +337,19 @@ def _objects(city: City) -> Iterator[dict[str, Any]]:
         kind = objects.kind[row]
         if kind == AREA:
             parts = [part for part in parts if len(part) > 3] or parts
-        shape = point(parts[0][0])
+        shape = point_geometry(parts[0][0])
         if kind == AREA and len(parts[0]) > 3:
-            shape = areas(parts)
+            shape = polygon_geometry(parts)
         elif kind in (LINE, AREA) and len(parts[0]) > 1:
-            shape = lines(parts)
-        yield feature(shape, said)
+            shape = line_geometry(parts)
+        yield make_feature(shape, said)
 
 
 def _cells(city: City) -> Iterator[dict[str, Any]]:
     for cell in city.cells:
         west, south, east, north = city.cells.bounds(cell)
         corners = [(west, south), (east, south), (east, north), (west, north), (west, south)]
-        yield feature(areas([city.plane.to_lonlat(corners)]), {"cell": cell})
+        yield make_feature(polygon_geometry([city.plane.to_lonlat(corners)]), {"cell": cell})
 
 
 WIDEST = 60_000.0

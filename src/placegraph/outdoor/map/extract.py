@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from placegraph.core.geo import Box
 from placegraph.core.geometry import LocalPlane
-from placegraph.core.mapfile import spans, starts
+from placegraph.core.mapfile import gather_spans, offsets_of
 from placegraph.core.plugins import load_module
 from placegraph.errors import InputError
 from placegraph.io.osm.osm import LINE, POINT, LeftOut, OsmColumns, OsmElement, read_columns
@@ -89,8 +89,8 @@ class Things:
             np.array([thing.osm_type for thing in things], np.uint8),
             np.array([thing.osm_id for thing in things], np.int64),
             np.array([thing.kind for thing in things], np.uint8),
-            starts([len(thing.parts) for thing in things]),
-            starts([len(part) for part in flat]),
+            offsets_of([len(thing.parts) for thing in things]),
+            offsets_of([len(part) for part in flat]),
             np.rint(np.concatenate(flat) * STEPS).astype(np.int32),
             [thing.text for thing in things],
         )
@@ -102,16 +102,16 @@ class Things:
             np.concatenate([t.osm_type for t in tables]),
             np.concatenate([t.osm_id for t in tables]),
             np.concatenate([t.kind for t in tables]),
-            starts(np.concatenate([np.diff(t.part_starts) for t in tables])),
-            starts(np.concatenate([np.diff(t.point_starts) for t in tables])),
+            offsets_of(np.concatenate([np.diff(t.part_starts) for t in tables])),
+            offsets_of(np.concatenate([np.diff(t.point_starts) for t in tables])),
             np.concatenate([t.steps for t in tables]),
             [text for t in tables for text in t.texts],
         )
 
     def take(self, rows: NDArray[np.int64]) -> Self:
         """The things in these rows, in their order."""
-        part_starts, parts = spans(self.part_starts, rows)
-        point_starts, points = spans(self.point_starts, parts)
+        part_starts, parts = gather_spans(self.part_starts, rows)
+        point_starts, points = gather_spans(self.point_starts, parts)
         texts = self.texts
         return type(self)(
             self.osm_type[rows], self.osm_id[rows], self.kind[rows], part_starts, point_starts,
@@ -389,8 +389,8 @@ def make_objects(things: Things, plane: LocalPlane) -> CityObjects:
     steps = np.round(simple / GRAIN).astype(np.int64)
     first = steps[point_starts[things.part_starts[:-1]]]
     order = np.lexsort((things.osm_id, things.osm_type, along_curve(first - first.min(axis=0))))
-    part_ends, part_rows = spans(things.part_starts, order)
-    point_ends, point_rows = spans(point_starts, part_rows)
+    part_ends, part_rows = gather_spans(things.part_starts, order)
+    point_ends, point_rows = gather_spans(point_starts, part_rows)
     parts, ends = part_ends.astype(np.int32), point_ends.astype(np.int32)
     points = (steps[point_rows] * GRAIN).astype(np.float32)
     kind = things.kind[order]
@@ -424,5 +424,5 @@ def _table(
     table = tuple(sorted(set(flat)))
     index = {word: i for i, word in enumerate(table)}
     values = np.fromiter(map(index.__getitem__, flat), np.int32, len(flat))
-    bounds, at = spans(starts(list(map(len, texts))), which)
+    bounds, at = gather_spans(offsets_of(list(map(len, texts))), which)
     return bounds.astype(np.int32), table, values[at]

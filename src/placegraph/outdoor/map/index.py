@@ -36,7 +36,7 @@ from placegraph.outdoor.map.objects import ends_of
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from placegraph.core.files import Watch
+    from placegraph.core.files import FileWatch
     from placegraph.outdoor.map.objects import CityObjects
 
 STRIDE = 20.0
@@ -336,7 +336,7 @@ class ViewColumns(NamedTuple):
     run_total: NDArray[np.uint8]
     """(R,) grade of the largest mass over total."""
     postings: NDArray[np.uint32]
-    """(P,) `unpack`: grade of the mass of a viewpoint's objects of the token (the sum of `sight`
+    """(P,) `decompress_array`: grade of the mass of a viewpoint's objects of the token (the sum of `sight`
     times the token's weight), and the box that they lie in."""
     levels: NDArray[np.float32]
     """(GRADES,) mass of a grade."""
@@ -349,7 +349,7 @@ class ViewIndex:
     columns: ViewColumns
     share: NDArray[np.float64]
     """(tokens,) share of each in all that is in sight of all viewpoints."""
-    watch: Watch | None = None
+    watch: FileWatch | None = None
     """Of the map file that columns are windows on."""
 
     @classmethod

@@ -19,15 +19,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.mapfile import (
-    SENSELESS,
+    CONTENT_ERRORS,
     MapFile,
     pack_strings,
     read_header,
     read_map,
     write_map,
 )
-from placegraph.core.networks import arrays_of, digest, halves, rounded
-from placegraph.core.threads import product
+from placegraph.core.networks import hash_weights, read_arrays, round_to_float16, to_float16
+from placegraph.core.threads import multiply_matrices
 from placegraph.errors import InputError, MapError
 from placegraph.outdoor.likelihood.query import Query
 from placegraph.outdoor.map.city import City
@@ -180,9 +180,9 @@ class Weights:
     def fingerprint(self) -> str:
         """Digest of shape, weights and word vectors: sixteen hexadecimal digits."""
         if self.words is None:
-            return digest(self.shape, self.arrays)[:16]
+            return hash_weights(self.shape, self.arrays)[:16]
         arrays = self.arrays | {VECTORS: self.words.vectors}
-        return digest((self.shape, self.words.words), arrays)[:16]
+        return hash_weights((self.shape, self.words.words), arrays)[:16]
 
 
 def sizes(shape: Shape, words: WordVectors | None) -> dict[str, tuple[int, ...]]:
@@ -203,9 +203,9 @@ def write_weights(path: str | PathLike[str], weights: Weights) -> None:
         "graphs": GRAPHS,
         "training": weights.training,
     }
-    arrays: dict[str, NDArray[Any]] = {**halves(weights.arrays)}
+    arrays: dict[str, NDArray[Any]] = {**to_float16(weights.arrays)}
     if weights.words is not None:
-        arrays |= halves({VECTORS: weights.words.vectors})
+        arrays |= to_float16({VECTORS: weights.words.vectors})
         arrays[WORDS] = pack_strings(weights.words.words)
     write_map(path, KIND, VERSION, meta, arrays)
 
@@ -232,19 +232,19 @@ def read_weights(path: str | PathLike[str]) -> Weights:
     try:
         shape = Shape.from_dict(file.meta["shape"])
         words = _word_vectors(file, known) if known else None
-        arrays = arrays_of(file, sizes(shape, words))
+        arrays = read_arrays(file, sizes(shape, words))
         return Weights(shape, arrays, dict(file.meta["training"]), words)
     except MapError as error:
         why = str(error).removeprefix(f"{path}: ").partition("; ")[0]
         raise MapError(f"{path}: {why}; train or install the weights again.") from error
-    except SENSELESS as error:
+    except CONTENT_ERRORS as error:
         raise MapError(
             f"{path}: its weights do not fit together ({error}). Train or install them again."
         ) from error
 
 
 def _word_vectors(file: MapFile, known: tuple[str, ...]) -> WordVectors:
-    vectors = arrays_of(file, {VECTORS: (0, 0)})[VECTORS]
+    vectors = read_arrays(file, {VECTORS: (0, 0)})[VECTORS]
     if len(vectors) != len(known):
         raise ValueError(f"{len(known)} words with {len(vectors)} vectors")
     return WordVectors(known, vectors)
@@ -287,7 +287,7 @@ def trained(
     words: WordVectors | None = None,
 ) -> Weights:
     """Weights as they will be read again: rounded to 16 bits."""
-    return Weights(shape, rounded(sizes(shape, words), state), training, words)
+    return Weights(shape, round_to_float16(sizes(shape, words), state), training, words)
 
 
 BLOCK = 1024
@@ -532,7 +532,7 @@ class GraphTransformer:
         return States(x, starts, pooled / length, batch.relations)
 
     def _linear(self, name: str, x: NDArray[np.floating[Any]]) -> Floats:
-        y = product(x, self.arrays[f"{name}.weight"].T)
+        y = multiply_matrices(x, self.arrays[f"{name}.weight"].T)
         if f"{name}.bias" in self.arrays:
             y += self.arrays[f"{name}.bias"]
         return np.asarray(y, np.float32)

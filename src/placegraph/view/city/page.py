@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.estimate import CityEstimate
-from placegraph.core.files import put
+from placegraph.core.files import write_output
 from placegraph.core.geometry import Floats
 from placegraph.outdoor.language.vocabulary import Vocabulary
 from placegraph.outdoor.map.objects import POINT, simplify
@@ -351,7 +351,7 @@ def write_page(
     page = pieces[0] + "".join(
         slots[slot] + rest for slot, rest in (piece.split("}}", 1) for piece in pieces[1:])
     )
-    return put(path, page.encode())
+    return write_output(path, page.encode())
 
 
 def told(estimate: CityEstimate) -> dict[str, Any]:

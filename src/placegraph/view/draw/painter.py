@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageChops, ImageColor, ImageDraw
 
-from placegraph.core.files import put
+from placegraph.core.files import write_output
 from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
 from placegraph.view.draw.canvas import (
@@ -484,7 +484,7 @@ def write_image(image: Image.Image, path: str | Path, form: str, **options: Any)
         raise OptionError(f"{path} would hold a {form}; let its name end in {own}.")
     written = BytesIO()
     image.save(written, form, **options)
-    return put(path, written.getvalue())
+    return write_output(path, written.getvalue())
 
 
 def _up(at: XY) -> XY:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from placegraph.core.geo import Anchor, unplaced
+from placegraph.core.geo import Anchor, no_anchor_error
 from placegraph.core.geometry import Floats
 from placegraph.view.draw.canvas import Bounds, Disc, Frame, Item, Mark, Stroke, Text
 from placegraph.view.draw.lettering import OccupiedPlaces
@@ -53,7 +53,7 @@ def draw_anchors(
 
     """
     if not scene.anchors:
-        raise unplaced(scene.source)
+        raise no_anchor_error(scene.source)
     best = scene.anchors[0]
     plan = RoomPlan(_turned(scene, best))
     origin = {k: _there(best, a, np.zeros(2)) for k, a in enumerate(scene.anchors, 1)}

@@ -10,7 +10,7 @@ from placegraph.core.geometry import (
     level_from_camera,
     pose_matrix,
     split_pose,
-    wrap,
+    wrap_angle,
 )
 from placegraph.io.capture.capture import open_capture
 from placegraph_lab.worlds.flat.flat import Flat
@@ -151,7 +151,7 @@ def test_odometry_begins_at_home_and_drifts_a_little(flat):
     lengths = np.linalg.norm(steps[:, :3], axis=1)
     error = (ours - steps)[:, :3] / lengths[:, None]
     assert np.std(error) == pytest.approx(0.01, rel=0.1)
-    assert np.std(np.degrees(wrap(ours - steps)[:, 3])) == pytest.approx(0.1, rel=0.15)
+    assert np.std(np.degrees(wrap_angle(ours - steps)[:, 3])) == pytest.approx(0.1, rel=0.15)
 
 
 def test_a_changed_flat_is_seen_as_it_is_now(interior, tmp_path):

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from placegraph.core.files import regular
+from placegraph.core.files import check_regular
 from placegraph.errors import DescriptionError, InputError
 from placegraph.io.osm.osm import SUFFIXES
 from placegraph_lab.tables.outdoor.metrics import RADII, RANKS, Answer, Score, measure, score
@@ -59,7 +59,7 @@ def read_descriptions(path: str | PathLike[str]) -> tuple[Description, ...]:
     """
     path = Path(path)
     try:
-        text = regular(path).read_text(encoding="utf-8-sig")
+        text = check_regular(path).read_text(encoding="utf-8-sig")
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}.") from error
     except UnicodeDecodeError as error:

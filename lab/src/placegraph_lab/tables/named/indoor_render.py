@@ -17,7 +17,7 @@ import numba
 import numpy as np
 
 from placegraph.core.geometry import Camera, Floats
-from placegraph.core.threads import processors
+from placegraph.core.threads import count_processors
 from placegraph.indoor.rays import RayCaster
 from placegraph.indoor.rays.caster import Backend
 from placegraph.indoor.render import Renderer, camera_rays
@@ -43,7 +43,7 @@ def measured(scene: SceneMap, cameras: tuple[Camera, ...], poses: Floats) -> lis
     for name, renderer in engines.items():
         for camera in cameras:
             for samples in (1, 4):
-                for threads in range(1, min(processors(), 2) + 1):
+                for threads in range(1, min(count_processors(), 2) + 1):
                     print(f"{name}, {camera.width}, {samples}, {threads}", file=sys.stderr)
                     before = numba.get_num_threads()
                     numba.set_num_threads(max(threads, 1))

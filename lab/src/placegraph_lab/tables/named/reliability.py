@@ -24,7 +24,7 @@ from typing import Annotated
 
 from typer import BadParameter
 
-from placegraph.core.files import put
+from placegraph.core.files import write_output
 from placegraph_lab.campaign.row import FAULTS, OUTCOMES, PARTS, Effort, Row, mend, merged, total
 from placegraph_lab.tables import runner as lab
 
@@ -108,7 +108,7 @@ def shown(rows: list[Row]) -> str:
 def publish(rows: list[Row], root: Path = lab.LAB.parent) -> None:
     for name, pattern, new in ((PAGE, TABLE, shown(rows)), ("README.md", SUM, summed(rows))):
         before, after = pattern.split((root / name).read_text("utf-8"))
-        put(root / name, f"{before}{new}{after}".encode())
+        write_output(root / name, f"{before}{new}{after}".encode())
 
 
 def summed(rows: list[Row]) -> str:

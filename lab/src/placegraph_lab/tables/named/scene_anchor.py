@@ -14,7 +14,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from placegraph.core.geo import Anchor
-from placegraph.core.geometry import Camera, Floats, wrap
+from placegraph.core.geometry import Camera, Floats, wrap_angle
 from placegraph.errors import PlacegraphError
 from placegraph.indoor.mapping.outlines import trace_cells
 from placegraph.indoor.scene_map import SceneMap
@@ -217,7 +217,7 @@ def judged(home: House, found: Fitted) -> dict[str, Any]:
     for anchor in found.anchors:
         here = anchor.shifted(-middle)
         at = true.enu_from_map[:3, :3] @ true.to_map((here.longitude, here.latitude, true.height))
-        off = np.array([*at[:2], float(wrap(here.heading - true.heading))])
+        off = np.array([*at[:2], float(wrap_angle(here.heading - true.heading))])
         told = {
             "probability": anchor.probability, "metres": np.hypot(*off[:2]),
             "degrees": np.degrees(abs(off[2])),

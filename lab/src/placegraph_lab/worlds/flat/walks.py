@@ -20,7 +20,7 @@ from placegraph.core.geometry import (
     level_from_camera,
     pose_matrix,
     split_pose,
-    wrap,
+    wrap_angle,
 )
 from placegraph.errors import OptionError
 from placegraph.io.capture.tum import write_tum
@@ -236,7 +236,7 @@ def _hold(
         np.interp(ahead, arc, line[:, 0]) - np.interp(behind, arc, line[:, 0]),
     )
     for i in range(1, len(heading)):  # who turns back needs a while
-        turn = float(wrap(heading[i] - heading[i - 1]))
+        turn = float(wrap_angle(heading[i] - heading[i - 1]))
         heading[i] = heading[i - 1] + np.clip(turn, -TURN / rate, TURN / rate)
     stamps = np.arange(len(at)) / rate
 

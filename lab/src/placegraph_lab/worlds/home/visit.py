@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.geometry import Camera, level_from_camera, pose_matrix, split_pose, wrap
+from placegraph.core.geometry import Camera, level_from_camera, pose_matrix, split_pose, wrap_angle
 from placegraph.errors import OptionError
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame, LabelKind
@@ -208,7 +208,7 @@ def _looks(
             wish = float(np.arctan2(away[1], away[0]))
             dip = float(np.arctan2(-away[2], np.hypot(*away[:2])))
         ease, most = min(1.0, 5.0 * _EASE / rate), TURN / rate
-        at += float(np.clip(ease * float(wrap(wish - at)), -most, most)) if i else 0.0
+        at += float(np.clip(ease * float(wrap_angle(wish - at)), -most, most)) if i else 0.0
         low += ease * (float(np.clip(dip, -0.05, LOWEST)) - low)
         yaw[i], down[i] = at, low
     return yaw, down
@@ -223,7 +223,7 @@ def _target(
     things, away = things[far > 0.6], away[far > 0.6]
     if not len(things):
         return None
-    turn = np.abs(wrap(np.arctan2(away[:, 1], away[:, 0]) - yaw))
+    turn = np.abs(wrap_angle(np.arctan2(away[:, 1], away[:, 0]) - yaw))
     weights = np.exp(-turn)
     found: NDArray[np.float64] = things[rng.choice(len(things), p=weights / weights.sum())]
     return found

@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from placegraph.core.files import regular
+from placegraph.core.files import check_regular
 from placegraph.core.geometry import Camera
 from placegraph.errors import InputError, OptionError
 from placegraph.io.capture.frame import (
@@ -292,7 +292,7 @@ def _floats(where: str, words: list[str]) -> NDArray[np.float64]:
 
 def _bytes(path: Path) -> bytes:
     try:
-        return regular(path).read_bytes()
+        return check_regular(path).read_bytes()
     except FileNotFoundError as error:
         raise InputError(f"{path} does not exist.") from error
     except OSError as error:

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.files import regular
+from placegraph.core.files import check_regular
 from placegraph.core.geometry import Camera
 from placegraph.errors import InputError
 from placegraph.io.capture.frame import Capture, DepthUnit, LazyImages
@@ -204,7 +204,7 @@ class Deflated:
             if not nearest <= self._number <= number:
                 self._at, self._number = self._marks[nearest], nearest
             try:
-                with regular(self.path).open("rb") as file:
+                with check_regular(self.path).open("rb") as file:
                     return self._forward(file, number)
             except (OSError, zlib.error) as error:
                 raise InputError(f"{self.path} cannot be read ({error}); copy it again.") from error

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.files import regular
+from placegraph.core.files import check_regular
 from placegraph.errors import InputError, OptionError
 from placegraph.io.capture.json_files import LabelEntry, label_table, read_json
 from placegraph.io.mesh.model import Model
@@ -163,7 +163,7 @@ def _relations(path: Path, scan: str) -> set[tuple[str, str, str]]:
 def _of_scan(path: Path, scan: str) -> list[dict[str, Any]]:
     """Return the entries of a scan in a file on all of them: cut out, as the whole would take seconds."""
     try:
-        text = regular(path).read_bytes()
+        text = check_regular(path).read_bytes()
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}.") from error
     found, at = [], -1

@@ -20,7 +20,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.files import regular
+from placegraph.core.files import check_regular
 from placegraph.core.geometry import Camera
 from placegraph.errors import InputError
 from placegraph.io.capture.frame import (
@@ -281,6 +281,6 @@ class _Folder:
 
     def read(self, name: str) -> bytes:
         try:
-            return regular(self.folder / name).read_bytes()
+            return check_regular(self.folder / name).read_bytes()
         except OSError as error:
             raise InputError(f"{self.where(name)} cannot be read: {error.strerror}.") from error

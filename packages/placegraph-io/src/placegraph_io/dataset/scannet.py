@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.files import regular
+from placegraph.core.files import check_regular
 from placegraph.core.geometry import Camera
 from placegraph.errors import InputError, OptionError
 from placegraph.io.capture.frame import LabelKind, LabelMeanings, label_file
@@ -240,7 +240,7 @@ def _group(path: Path, row: int, entry: object) -> Group:
 def read_text(path: Path) -> str:
     """Return the text of a file in any encoding; `InputError` where it cannot be read."""
     try:
-        return regular(path).read_bytes().decode("utf-8-sig", errors="replace")
+        return check_regular(path).read_bytes().decode("utf-8-sig", errors="replace")
     except FileNotFoundError as error:
         raise InputError(f"{path} does not exist.") from error
     except (OSError, ValueError) as error:

@@ -30,7 +30,7 @@ from typing import BinaryIO, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.files import regular
+from placegraph.core.files import check_regular
 from placegraph.core.geometry import Camera
 from placegraph.errors import InputError
 from placegraph.io.capture.frame import (
@@ -263,7 +263,7 @@ def _exactly(file: BinaryIO, path: Path, length: int, what: str) -> bytes:
 
 def _file(path: Path) -> BinaryIO:
     try:
-        return regular(path).open("rb")
+        return check_regular(path).open("rb")
     except FileNotFoundError as error:
         raise InputError(f"{path} does not exist.") from error
     except (OSError, ValueError) as error:

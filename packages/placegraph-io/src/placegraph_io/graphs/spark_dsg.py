@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.files import regular
+from placegraph.core.files import check_regular
 from placegraph.core.geometry import rotation_from_quaternion
 from placegraph.errors import InputError
 from placegraph.io.capture.json_files import read_json
@@ -290,7 +290,7 @@ def is_spark_dsg(path: str | PathLike[str]) -> bool:
     try:
         if file_of.suffix.lower() != ".json" or not file_of.is_file():
             return False
-        with regular(file_of).open("rb") as file:
+        with check_regular(file_of).open("rb") as file:
             head = file.read(1 << 16)
     except (OSError, ValueError):
         return False

@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.files import regular
+from placegraph.core.files import check_regular
 from placegraph.errors import InputError, MissingExtraError
 from placegraph_io.storage import LARGEST_MESSAGE, CompressedBytes, Database
 
@@ -74,7 +74,7 @@ class File:
                 if self._handle is None:
                     try:
                         handle = os.open(
-                            regular(self.path), os.O_RDONLY | getattr(os, "O_CLOEXEC", 0)
+                            check_regular(self.path), os.O_RDONLY | getattr(os, "O_CLOEXEC", 0)
                         )
                     except OSError as error:
                         raise InputError(
@@ -640,7 +640,7 @@ def read_rosbag1(path: Path) -> list[TopicPart]:
     """Return the messages of a bag by topic; `InputError` where it is damaged, or was not closed."""
     from rosbags.rosbag1 import Reader
 
-    regular(path)
+    check_regular(path)
     try:
         with Reader(path) as reader:
             parts = _parts(path, reader)

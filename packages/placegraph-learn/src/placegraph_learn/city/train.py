@@ -15,7 +15,7 @@ from torch import Tensor
 from torch.nn import functional as F  # noqa: N812
 
 from placegraph.core.mapfile import pack_strings, read_map, write_map
-from placegraph.core.networks import device_for, digest
+from placegraph.core.networks import hash_weights, select_device
 from placegraph.errors import InputError, OptionError
 from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.language.vocabulary import Vocabulary
@@ -376,7 +376,7 @@ def train(
     options, progress = options or TrainOptions(), progress or Progress()
     if not cities:
         raise OptionError("There is no city to train on; name at least one map.")
-    device = str(device_for(torch, device))
+    device = str(select_device(torch, device))
     vocabulary = vocabulary or Vocabulary.default()
     known = None
     if options.word_vectors is not None:
@@ -388,7 +388,7 @@ def train(
         "options": asdict(options),
     }
     if known is not None:  # another file of the same name is another training
-        plan["words"] = digest(known.words, {"vectors": known.vectors})[:16]
+        plan["words"] = hash_weights(known.words, {"vectors": known.vectors})[:16]
     at = Path(folder)
     plan = open_folder(at, plan)
     trainer = Trainer(options, device, progress, known.vectors.shape[1] if known else 0)

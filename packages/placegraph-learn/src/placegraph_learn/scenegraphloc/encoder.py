@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from placegraph.core.geometry import Camera
-from placegraph.core.networks import device_for
+from placegraph.core.networks import select_device
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.map.scene import Scene
 from placegraph.io.capture.capture import Capture
@@ -98,7 +98,7 @@ class SceneGraphLocEncoder:
                 "weights: none given; name a snapshot of SceneGraphLoc, or train one with "
                 "`placegraph scene train`."
             )
-        self._device = device_for(torch, device)
+        self._device = select_device(torch, device)
         held = read_weights(weights) if isinstance(weights, str | Path) else weights
         self.network = held.network.to(self._device).eval()
         self.features = _features(features, feature_weights, held.notes, device)

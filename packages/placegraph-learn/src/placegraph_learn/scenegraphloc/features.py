@@ -17,8 +17,8 @@ import torch
 from numpy.typing import NDArray
 from PIL import Image
 
-from placegraph.core.files import regular
-from placegraph.core.networks import device_for
+from placegraph.core.files import check_regular
+from placegraph.core.networks import select_device
 from placegraph.errors import InputError, OptionError, ServiceError
 from placegraph.indoor.map.relations import ABOVE, NEXT_TO
 from placegraph_learn.features import import_timm, why
@@ -166,7 +166,7 @@ def read_attributes(path: str | PathLike[str]) -> tuple[str, ...]:
     or names a word twice.
     """
     try:
-        text = regular(Path(path)).read_text(encoding="utf-8")
+        text = check_regular(Path(path)).read_text(encoding="utf-8")
         listed = json.loads(text) if text.lstrip().startswith("[") else text.splitlines()
     except (OSError, ValueError, RecursionError) as error:
         raise InputError(
@@ -249,7 +249,7 @@ class DinoFeatures:
         made = _created(import_timm(), model, weights)
 
         name = f"{model}:{_digest(made)}"
-        return cls(made, name=name, block=block, device=device_for(torch, device))
+        return cls(made, name=name, block=block, device=select_device(torch, device))
 
     def grid(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Return features (9, 16, f), or (16, 9, f) of an upright image; as `ImageFeatures.grid`."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from placegraph.core.files import write_file
-from placegraph.core.networks import device_for
+from placegraph.core.networks import select_device
 from placegraph.errors import InputError, OptionError
 from placegraph_learn.scenegraphloc.features import ColourFeatures
 from placegraph_learn.scenegraphloc.inputs import POINTS, Room, together
@@ -463,7 +463,7 @@ def train(
     options, progress = options or TrainOptions(), progress or Progress()
     teacher = teacher or Teacher(ColourFeatures())
     widths = widths or Widths.small(teacher.features.dimension, teacher.attribute_count)
-    device = str(device_for(torch, device))
+    device = str(select_device(torch, device))
     _check(worlds, Path(out), held, teacher, widths)
     at = Path(folder)
     plan = {

@@ -19,8 +19,8 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
-from placegraph.core.files import regular, write_file
-from placegraph.core.networks import load_file
+from placegraph.core.files import check_regular, write_file
+from placegraph.core.networks import load_torch_file
 from placegraph.errors import InputError, OptionError
 from placegraph_learn.scenegraphloc.network import SceneGraphLoc, Widths
 
@@ -65,7 +65,7 @@ def read_weights(path: str | PathLike[str]) -> Weights:
 def read_state(path: Path, mend: str = _MEND) -> tuple[dict[str, Tensor], dict[str, str]]:
     """Return tensors by key and notes of a file; raises as `read_weights` does, with the mend given."""
     try:
-        regular(path).open("rb").close()
+        check_regular(path).open("rb").close()
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}; {mend}.") from error
     if path.suffix == ".safetensors":
@@ -83,7 +83,7 @@ def read_state(path: Path, mend: str = _MEND) -> tuple[dict[str, Tensor], dict[s
 def read_snapshot(path: Path, mend: str = _MEND) -> dict[str, Any]:
     """Return the dict of a snapshot; `InputError` where the file is cut short or anything else."""
     try:
-        found = load_file(torch, path)
+        found = load_torch_file(torch, path)
     except Exception as error:  # torch.load raises whatever its parsers do
         why = (str(error).strip() or type(error).__name__).splitlines()[0]
         raise InputError(

@@ -22,9 +22,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.files import Watch, real_path
+from placegraph.core.files import FileWatch, resolve_path
 from placegraph.core.geo import EarthPose
-from placegraph.core.mapfile import read_header, read_map, sound
+from placegraph.core.mapfile import check_contents, read_header, read_map
 from placegraph.errors import InputError, MapError, OptionError, PlacegraphError
 from placegraph.indoor.encode import Encoder
 from placegraph.indoor.language import Sentence, score
@@ -117,7 +117,7 @@ class Shard:
     usual: Background
     folder: Path = Path()
     """To which paths of maps are relative."""
-    watch: Watch | None = None
+    watch: FileWatch | None = None
     """Of the file that columns are windows on."""
     _vocabularies: dict[int, Vocabulary] = field(default_factory=dict)
     """Of encoders with few vectors, unpacked."""
@@ -129,7 +129,7 @@ class Shard:
         Raises `InputError` where it is not there, `MapError` where it is damaged, newer or none.
         """
         file = read_map(path, KIND, VERSION, [b.name for b in read_header(path).blocks])
-        with sound(path, MEND):
+        with check_contents(path, MEND):
             # compiled code takes what is written to as any array; these are small
             own = ("share", "starts", *(f"code_{i}" for i in range(len(usual.keys))))
             arrays = file.arrays | {n: np.array(file.arrays[n]) for n in own}
@@ -402,7 +402,7 @@ class SceneShards(SceneCollection):
             raise InputError(f"{folder} holds no shards of a library: it has no {HEAD}. {MEND}")
         head = read_map(folder / HEAD, KIND, VERSION)
         made = tuple(match_encoders(head, encoders))
-        with sound(folder / HEAD, MEND):
+        with check_contents(folder / HEAD, MEND):
             usual = Background(head.meta, head.arrays, [e.key for e in made])
             usual.check()
             listed = [(str(s["file"]), int(s["scenes"])) for s in head.meta["shards"]]
@@ -455,11 +455,11 @@ class SceneShards(SceneCollection):
     def path(self, row: int) -> Path | None:
         """Return the map file of a scene, None where there is none."""
         place, (shard, _) = self._string(row, "paths"), self._find(row)
-        return real_path(shard.folder / place) if place else None
+        return resolve_path(shard.folder / place) if place else None
 
     def earth(self, row: int) -> tuple[EarthPose, ...]:
         """Return where a scene stands on Earth: one a candidate, likeliest first."""
-        with sound(self._find(row)[0].folder, MEND):
+        with check_contents(self._find(row)[0].folder, MEND):
             poses = json.loads(self._string(row, "earth") or "[]")
             return tuple(EarthPose.from_dict(p) for p in poses)
 

@@ -11,7 +11,7 @@ from uuid import uuid4
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.geo import bounds, held
+from placegraph.core.geo import are_in_tile, tile_bounds
 from placegraph.core.geometry import LocalPlane
 from placegraph.outdoor.likelihood.query import Far, MentionTokens
 from placegraph.outdoor.map.index import REACH, STRIDE
@@ -257,7 +257,7 @@ class Shard:
     def inside(self) -> NDArray[np.bool_]:
         """Which viewpoints (W,) lie in the core."""
         places = self.city.plane.to_lonlat(self.city.views.positions.astype(np.float64))
-        return held(places, self.key)
+        return are_in_tile(places, self.key)
 
     @cached_property
     def texts(self) -> list[str]:
@@ -305,7 +305,7 @@ class _GivenPrior(LocationPrior):
 
 
 def _holds(plane: LocalPlane, key: str, positions: Floats) -> NDArray[np.bool_]:
-    return held(plane.to_lonlat(positions), key)
+    return are_in_tile(plane.to_lonlat(positions), key)
 
 
 def _log_prior(shard: Shard, fix: Fix) -> Floats:
@@ -357,7 +357,7 @@ def add_objects(
         if k is not None and rows[k] < 0:
             rows[k] = row
     lacks = np.flatnonzero(rows < 0)
-    core = np.array([bounds(key)])
+    core = np.array([tile_bounds(key)])
     near = any(
         float(distance(t.center[None], core)[0]) <= reach + t.extent
         for t in (things[k] for k in lacks.tolist())
@@ -430,7 +430,7 @@ def gather(shard: Shard, words: tuple[str, ...]) -> list[RareObject]:
             min(1000.0, float(np.hypot(*(np.concatenate(o.parts(i)) - o.center[i]).T).max())),
         )
         for i, center in zip(rows.tolist(), centers, strict=True)
-        if held(center[None], shard.key)[0]
+        if are_in_tile(center[None], shard.key)[0]
     ]  # fmt: skip
 
 

@@ -23,20 +23,20 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self, TypeVar
 
 import numpy as np
 
-from placegraph.core.files import cannot_write
-from placegraph.core.geo import bounds, check_zoom, held, tile_of
+from placegraph.core.files import write_error
+from placegraph.core.geo import are_in_tile, check_zoom, parse_tile_key, tile_bounds
 from placegraph.core.mapfile import (
-    STARTS,
-    SUMS,
-    Column,
-    Texts,
-    damaged,
+    OFFSETS,
+    PAGE_CHECKSUMS,
+    PagedColumn,
+    PagedTexts,
+    add_page_checksums,
+    check_contents,
+    damage_error,
     open_pages,
     pack_strings,
     read_map,
-    sound,
-    stretches,
-    with_sums,
+    read_offsets,
     write_map,
 )
 from placegraph.errors import InputError, MapError, OptionError, PlacegraphError
@@ -47,7 +47,7 @@ from placegraph_scale.folder import SHARDS, WORDS, ShardFile, WorldFile, digest_
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from placegraph.core.files import Watch
+    from placegraph.core.files import FileWatch
     from placegraph.core.mapfile import MapFile
     from placegraph.outdoor.map.city import City
 
@@ -70,14 +70,14 @@ REMEMBERED = 1 << 16
 """Words whose place is cached."""
 COUNTS = ("objects", "mass", "shares", "peak")
 """Columns of `WordCounts` with a row a word."""
-ENTRIES = {"starts": STARTS, "shards": "<i4", "objects": "<i4"} | dict.fromkeys(COUNTS[1:], "<f4")
+ENTRIES = {"starts": OFFSETS, "shards": "<i4", "objects": "<i4"} | dict.fromkeys(COUNTS[1:], "<f4")
 """Columns of the shards that hold each word."""
 OF_SHARDS = {"viewpoints": "<i8", "sight": "<f8", "spread": "<f8", "pull": "<f8"}
 """Columns with a row a shard."""
 OF_NAMES = {
-    "name_starts": STARTS, "name_text": "|u1", "said": "<u8", "said_rows": "<u4",
-    "first": "<u8", "first_longest": "|u1", "stem_starts": STARTS, "stem_text": "|u1",
-    "posting_starts": STARTS, "postings": "<u4",
+    "name_starts": OFFSETS, "name_text": "|u1", "said": "<u8", "said_rows": "<u4",
+    "first": "<u8", "first_longest": "|u1", "stem_starts": OFFSETS, "stem_text": "|u1",
+    "posting_starts": OFFSETS, "postings": "<u4",
 }  # fmt: skip
 """Columns of names."""
 
@@ -214,7 +214,7 @@ def write_names(
         made.add("posting_sizes", "<i8", len(kept).to_bytes(8, "little"))
         made.add("postings", "<u4", kept)
     return {"spoken": ways, "alphabetic": alphabetic}, {
-        name: made.open(name, dtype) if dtype != STARTS
+        name: made.open(name, dtype) if dtype != OFFSETS
         else made.starts(name, made.open(name.replace("starts", "sizes"), "<i8"))
         for name, dtype in OF_NAMES.items()
     }  # fmt: skip
@@ -253,13 +253,13 @@ class _Lookup(Mapping[str, Found]):
 class _FirstTexts(Sequence[str]):
     """The first of many texts."""
 
-    every: Texts
+    every: PagedTexts
     size: int
 
     def __len__(self) -> int:
         return self.size
 
-    def __getitem__(self, row: Any) -> Any:  # noqa: ANN401  # as of `Texts`
+    def __getitem__(self, row: Any) -> Any:  # noqa: ANN401  # as of `PagedTexts`
         return self.every[slice(*row.indices(self.size)) if isinstance(row, slice) else row]
 
 
@@ -270,19 +270,19 @@ class WorldNames(NameIndex):
     But a misspelt name is only compared with those that share a word with it, or one much like it.
     """
 
-    names: Texts
-    words: Texts
+    names: PagedTexts
+    words: PagedTexts
     """Stems of the words of names: those that may be misspelt come first, both sorted."""
     alphabetic: int
     """Number of stems that may be misspelt."""
-    columns: Mapping[str, Column]
+    columns: Mapping[str, PagedColumn]
 
     @classmethod
-    def of_file(cls, file: MapFile, columns: Mapping[str, Column]) -> WorldNames:
+    def of_file(cls, file: MapFile, columns: Mapping[str, PagedColumn]) -> WorldNames:
         """Open names as `write_names` made them; raises `ValueError` where columns do not fit."""
         size = {name: len(column) for name, column in columns.items()}
-        names = Texts(columns["name_starts"], columns["name_text"])
-        words = Texts(columns["stem_starts"], columns["stem_text"])
+        names = PagedTexts(columns["name_starts"], columns["name_text"])
+        words = PagedTexts(columns["stem_starts"], columns["stem_text"])
         ways, alphabetic = int(file.meta["spoken"]), int(file.meta["alphabetic"])
         if not 0 <= alphabetic <= len(words) == max(0, size["posting_starts"] - 1):
             raise ValueError("words and where they occur are of different lengths")
@@ -324,7 +324,7 @@ class WorldNames(NameIndex):
                 ways = spoken(_find_name(self.names, by, entry // 2))
                 if entry % 2 >= len(ways):
                     where = f"column {by.name!r} points to a way in which no name is called"
-                    raise damaged(by.path, where)
+                    raise damage_error(by.path, where)
                 called.append(" ".join(ways[entry % 2]))
             return called
 
@@ -340,12 +340,14 @@ class WorldNames(NameIndex):
             row = bisect_left(self.words, word, *part)
             if row == part[1] or self.words[row] != word:
                 return None
-            return stretches(c["posting_starts"], row, row + 1, len(c["postings"]))
+            return read_offsets(c["posting_starts"], row, row + 1, len(c["postings"]))
 
         return lru_cache(REMEMBERED)(find)
 
 
-def _find_called(names: Texts, columns: Mapping[str, Column], words: str) -> list[int] | None:
+def _find_called(
+    names: PagedTexts, columns: Mapping[str, PagedColumn], words: str
+) -> list[int] | None:
     """Return the rows of names that are called so."""
     key, by = _hash(words), columns["said_rows"]
     first, last = (columns["said"].find(k) for k in (key, key + 1))
@@ -356,14 +358,14 @@ def _find_called(names: Texts, columns: Mapping[str, Column], words: str) -> lis
     return found or None
 
 
-def _find_name(names: Texts, by: Column, row: int) -> str:
+def _find_name(names: PagedTexts, by: PagedColumn, row: int) -> str:
     """Return a name; raises `MapError` where a column points to none."""
     if row >= len(names):
-        raise damaged(by.path, f"column {by.name!r} points to a name that is not there")
+        raise damage_error(by.path, f"column {by.name!r} points to a name that is not there")
     return names[row]
 
 
-def _find_longest(columns: Mapping[str, Column], word: str) -> int | None:
+def _find_longest(columns: Mapping[str, PagedColumn], word: str) -> int | None:
     """Return the number of words of the longest name that begins with a word."""
     key = _hash(word)
     row = columns["first"].find(key)
@@ -419,10 +421,12 @@ class WordCounts(NamedTuple):
 
 def count_words(city: City, key: str) -> WordCounts:
     """Count the words of a shard in its core; `City.views` are those about the core afterwards."""
-    objects, plane, box = city.objects, city.plane, bounds(key).widened(AROUND)
+    objects, plane, box = city.objects, city.plane, tile_bounds(key).widened(AROUND)
     low, high = plane.to_plane(np.array([box[:2], box[2:]]))
-    seen = city.look_around(Core(low, high, lambda places: held(plane.to_lonlat(places), key)))
-    own = held(plane.to_lonlat(objects.center.astype(np.float64)), key)
+    seen = city.look_around(
+        Core(low, high, lambda places: are_in_tile(plane.to_lonlat(places), key))
+    )
+    own = are_in_tile(plane.to_lonlat(objects.center.astype(np.float64)), key)
     starts, values, _ = city.tokens
     owner = np.repeat(np.arange(len(objects)), np.diff(starts))
     middles = plane.to_lonlat(city.cells.centers(np.arange(len(city.cells))))
@@ -431,7 +435,7 @@ def count_words(city: City, key: str) -> WordCounts:
         np.bincount(values[own[owner]], minlength=len(seen.mass)).astype(np.int32),
         seen.mass.astype(np.float32), seen.shares.astype(np.float32), seen.peak,
         seen.sight, seen.spread, seen.pull,
-        int(own.sum()), int(held(middles, key).sum()), seen.viewpoints,
+        int(own.sum()), int(are_in_tile(middles, key).sum()), seen.viewpoints,
     )  # fmt: skip
 
 
@@ -466,19 +470,19 @@ class WordTable:
     """Sorted."""
     names: WorldNames
     """Sorted."""
-    columns: Mapping[str, Column]
+    columns: Mapping[str, PagedColumn]
     viewpoints: NDArray[np.int64]
     """(N,) of each shard, and so are ..."""
     sight: NDArray[np.float64]
     spread: NDArray[np.float64]
     pull: NDArray[np.float64]
-    watch: Watch
+    watch: FileWatch
 
     @classmethod
     def open(cls, path: Path) -> Self:
         """Open a table; `InputError` or `MapError` where it is missing, damaged or of another version."""
         file, columns = open_pages(path, KIND, VERSION, ENTRIES | OF_NAMES, MEND)
-        with sound(path, MEND):
+        with check_contents(path, MEND):
             of_shards = {name: file.array(name, dtype) for name, dtype in OF_SHARDS.items()}
             names = WorldNames.of_file(file, columns)
             labels = file.strings("labels", most=len(columns["starts"]))
@@ -502,11 +506,13 @@ class WordTable:
     def entries(self, word: int) -> Entries:
         """Read the shards that hold a word."""
         starts = self.columns["starts"]
-        part = slice(*stretches(starts, word, word + 1, len(self.columns["shards"])))
+        part = slice(*read_offsets(starts, word, word + 1, len(self.columns["shards"])))
         found = Entries(*(self.columns[name][part] for name in Entries._fields))
         wrong = len(found.shards) and not 0 <= found.shards.min() <= found.shards.max() < len(self)
         if wrong or not all((np.isfinite(x) & (x >= 0)).all() for x in found[1:]):
-            raise damaged(starts.path, f"entries of {self.text(word)!r} are none of its shards")
+            raise damage_error(
+                starts.path, f"entries of {self.text(word)!r} are none of its shards"
+            )
         return found
 
     def __len__(self) -> int:
@@ -538,7 +544,7 @@ def write_table(
         scratch.mkdir()
         _write_table(path, found, scratch, at_once)
     except OSError as error:
-        raise cannot_write(scratch, error) from error
+        raise write_error(scratch, error) from error
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
 
@@ -579,8 +585,8 @@ def _write_table(path: Path, found: Iterable[WordCounts], scratch: Path, at_once
     }
     paged |= of_names | {"starts": made.starts("starts", made.open("sizes", "<i8"))}
     known = {name: np.array(of_shards[name], dtype) for name, dtype in OF_SHARDS.items()}
-    arrays = with_sums({"labels": pack_strings(labels), **known, **paged}, paged)
-    write_map(path, KIND, VERSION, meta, arrays, mapped=(*paged, SUMS))
+    arrays = add_page_checksums({"labels": pack_strings(labels), **known, **paged}, paged)
+    write_map(path, KIND, VERSION, meta, arrays, mapped=(*paged, PAGE_CHECKSUMS))
 
 
 Each = Callable[[Callable[[Path], WordCounts], "list[Path]"], Iterable[WordCounts]]
@@ -624,7 +630,7 @@ def finish(
         )
     for path in paths:
         try:
-            tile_of(path.stem)
+            parse_tile_key(path.stem)
             is_key = len(path.stem) == zoom
         except ValueError:
             is_key = False

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.geometry import Floats
-from placegraph.core.threads import share
+from placegraph.core.threads import run_parallel
 from placegraph.errors import OptionError
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.mapping.atlas.bake_kernels import (
@@ -82,7 +82,7 @@ def cut_charts(mesh: Mesh, neighbours: Ints, texel: float, longest: int) -> Char
         grids = np.maximum(np.ceil(extents - 1e-6), 1.0)
         corners = laid.corners(points, of) / texel + (0.5 * (grids - extents))[of][:, None]
         twice = np.zeros(len(of), bool)  # lies over a larger one of its chart, at texels' centres
-        share(overlapping, len(grids), corners, rows, starts, grids, twice)
+        run_parallel(overlapping, len(grids), corners, rows, starts, grids, twice)
         bad = (of >= first) & ((steep & (areas > 0)) | twice)
         if not bad.any():
             break
@@ -513,7 +513,7 @@ def _paint_charts(
         firsts = ends[part] - grids[part].prod(axis=1) - done
         total = int(ends[last - 1]) - done
         owner, shares = np.full(total, -1, np.int32), np.zeros((total, 2), np.float32)
-        share(
+        run_parallel(
             cover, last - first, corners, rows, starts[first : last + 1], grids[part],
             extents[part], firsts, margin, owner, shares,
         )  # fmt: skip
@@ -554,7 +554,7 @@ def _coarsen_charts(
     """Take over a batch of charts at the coarsest levels that will do."""
     extents, margin = grids[3], grids[5]
     levels, means = sheets.levels[part], sheets.means[part]  # views
-    share(choose, len(levels), *grids, tolerance, levels, means)
+    run_parallel(choose, len(levels), *grids, tolerance, levels, means)
     scale = np.exp2(np.maximum(levels, 0))[:, None]
     sizes = np.maximum(np.ceil(extents / scale - 1e-6), 1).astype(np.int64) + 2 * margin
     sizes[levels < 0] = 0
@@ -562,6 +562,6 @@ def _coarsen_charts(
     counts = sizes.prod(axis=1)
     texels = np.zeros((int(counts.sum()), 3), np.uint8)
     known = np.zeros(len(texels), bool)
-    share(draw, len(levels), *grids, levels, np.cumsum(counts) - counts, texels, known)
+    run_parallel(draw, len(levels), *grids, levels, np.cumsum(counts) - counts, texels, known)
     sheets.texels.append(texels)
     sheets.known.append(known)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from placegraph.core.geometry import Camera, Floats
-from placegraph.core.threads import processors, share
+from placegraph.core.threads import count_processors, run_parallel
 from placegraph.errors import OptionError
 from placegraph.indoor.map.mesh import Mesh, Surface
 from placegraph.indoor.mapping.atlas.colour_kernels import (
@@ -89,7 +89,7 @@ def build_keyframes(
         return row, _undistort_image(colours[best], frame.camera, first), around(depth), sure
 
     found = []
-    with ThreadPoolExecutor(processors()) as pool:  # Pillow and kernels work outside the lock
+    with ThreadPoolExecutor(count_processors()) as pool:  # Pillow and kernels work outside the lock
         for group, one in zip(groups, pool.map(view, groups), strict=True):
             found.append(one)
             done += len(group)
@@ -277,7 +277,7 @@ def frame_colours(
 
     def colour_of(points: Floats, normals: Floats, _: Any) -> tuple[Bytes, Any]:  # noqa: ANN401
         out, known = np.zeros((len(points), 3), np.uint8), np.zeros(len(points), bool)
-        share(mixed, len(points), seen, points, normals, texel, out, known)
+        run_parallel(mixed, len(points), seen, points, normals, texel, out, known)
         return out, known
 
     return colour_of
@@ -300,7 +300,7 @@ def _solve_gains(
     points, normals = _spread_points(vertices, triangles, _POINTS)
     rows = np.full((len(points), OBSERVED), -1, np.int64)
     colours = np.zeros((len(points), OBSERVED, 3))
-    share(observe, len(points), views, points, normals, 0.04, rows, colours)
+    run_parallel(observe, len(points), views, points, normals, 0.04, rows, colours)
     count = len(views.centres)
     fair = (rows >= 0) & (colours.min(axis=2) > 12) & (colours.max(axis=2) < 245)
     fair &= (fair.sum(axis=1) > 1)[:, None]
@@ -363,7 +363,7 @@ def mesh_colours(mesh: Mesh, *, texel: float = 0.01, reach: float = REACH) -> Co
             met = bare[rows >= 0]
             triangle[met], u[met], v[met] = place // 3, place % 3 == 1, place % 3 == 2
         out = np.zeros((len(points), 3), np.uint8)
-        share(colours_of, len(points), surface, triangle, u, v, np.float32(texel), out)
+        run_parallel(colours_of, len(points), surface, triangle, u, v, np.float32(texel), out)
         return out, triangle >= 0
 
     return colour_of

@@ -13,7 +13,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core.files import put
+from placegraph.core.files import write_output
 from placegraph.core.geometry import Floats, vector_from_rotation
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.options import check_numbers, check_positive, check_whole
@@ -265,7 +265,7 @@ class SceneDiff:
     def save(self, path: str | PathLike[str]) -> None:
         """Write the diff as JSON, for `read_diff` and `placegraph scene update`."""
         text = json.dumps(self.to_dict(), ensure_ascii=False)
-        put(path, f"{text}\n".encode())
+        write_output(path, f"{text}\n".encode())
 
 
 def read_diff(path: str | PathLike[str]) -> SceneDiff:

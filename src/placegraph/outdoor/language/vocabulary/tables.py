@@ -14,7 +14,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
-from placegraph.core.cache import cached
+from placegraph.core.cache import load_or_make
 from placegraph.errors import InputError
 from placegraph.outdoor.language.description import Sense
 from placegraph.outdoor.language.words import beginnings, folded, normal, singular
@@ -101,7 +101,7 @@ def read_text(table: Traversable | Path) -> str:
         if unpack is None:
             return data.decode("utf-8-sig")
         key = f"table-{sha256(data).hexdigest()[:16]}"
-        return cached(key, lambda: unpack(data), lambda text: text.decode("utf-8-sig"))
+        return load_or_make(key, lambda: unpack(data), lambda text: text.decode("utf-8-sig"))
     except (OSError, EOFError, lzma.LZMAError) as error:
         raise InputError(f"{table}: cannot be read ({error}). Restore or delete it.") from error
     except UnicodeDecodeError as error:
