@@ -52,7 +52,6 @@ SMALL = Camera(160, 90, 115.0, 115.0, 80.0, 45.0)
 
 
 def _world(folder, drawing, seed):
-    """A drawn flat, furnished, and its scene map."""
     interior = drawing.furnish(np.random.default_rng(seed))
     interior.write_glb(folder / "flat.glb")
     # as it was drawn: these tests are of localizing, not of what a smaller map loses
@@ -63,7 +62,6 @@ def _world(folder, drawing, seed):
 def _render(
     world, name, seed, *, through="", frames=10, height=1.6, interior=None, camera=SMALL, **options
 ):
-    """Capture of a walk through a drawn world; `interior` is how it is by now."""
     rng = np.random.default_rng(seed)
     walk = stroll(world.drawing, rng, frames=frames, through=through, height=height)
     folder = world.folder / name
@@ -73,57 +71,47 @@ def _render(
 
 @pytest.fixture(scope="session")
 def room_world(tmp_path_factory):
-    """Drawing, interior, scene and folder of one furnished room, 4.5 x 3 m."""
     return _world(tmp_path_factory.mktemp("room"), Flat.parse(ROOM), 1)
 
 
 @pytest.fixture(scope="session")
 def flat_world(tmp_path_factory):
-    """Drawing, interior, scene and folder of the flat that ships: five rooms, 110 objects."""
     return _world(tmp_path_factory.mktemp("flat"), Flat.load("altbau"), 1)
 
 
 @pytest.fixture(scope="session")
 def room(room_world):
-    """Scene map of the room."""
     return room_world.scene
 
 
 @pytest.fixture(scope="session")
 def flat(flat_world):
-    """Scene map of the flat."""
     return flat_world.scene
 
 
 @pytest.fixture(scope="session")
 def render():
-    """Render a walk: `render(world, name, seed, through=, frames=, interior=, camera=, ...)`."""
     return _render
 
 
 @pytest.fixture(scope="session")
 def walk(room_world):
-    """Capture in the room: 10 frames with depth and instances, drifting odometry."""
     return _render(room_world, "walk", 2, through="123")
 
 
 @pytest.fixture(scope="session")
 def flat_walk(flat_world):
-    """Capture in the flat, from the living room to the kitchen: 10 frames."""
     return _render(flat_world, "walk", 2, through="12")
 
 
 @pytest.fixture(scope="module")
 def one_thread():
-    """Compiled code on one thread: on busy cores threads mostly wait for each other."""
     with limit_threads(1):
         yield
 
 
 @pytest.fixture(scope="session")
 def truth():
-    """True poses (T, 4, 4) map_from_camera of the frames of a rendered capture."""
-
     def read(capture):
         poses = read_tum(capture.path / "trajectory.tum").poses
         return poses[[frame.index for frame in capture]]
@@ -135,14 +123,12 @@ FACES = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [
 
 
 def _box(low, high):
-    """Corners (8, 3) and triangles (12, 3), wound outwards, of a box."""
     low, high = np.array(low, float), np.array(high, float)
     corners = [np.where([i >> 2 & 1, i >> 1 & 1, i & 1], high, low) for i in range(8)]
     return np.array(corners), np.array([f for a, b, c, d in FACES for f in ((a, c, b), (a, d, c))])
 
 
 def _model(boxes, **columns):
-    """Model of boxes {label: (low, high)}; `columns` replace its own."""
     parts = [_box(*box) for box in boxes.values()]
     things = tuple(Thing(str(i), label, f"{label}_{i}") for i, label in enumerate(boxes))
     model = Model(
@@ -163,5 +149,4 @@ def _model(boxes, **columns):
 
 @pytest.fixture(scope="session")
 def boxes():
-    """Model of boxes in memory: `boxes({"floor": (low, high), ...}, **columns)`."""
     return _model

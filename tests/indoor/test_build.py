@@ -301,7 +301,6 @@ def encoded(array, form="PNG", **options):
 
 
 def look(boxes, picture, **options):
-    """Texture of a room with this picture."""
     scene = scene_of_model(boxes(ROOM, pictures=(picture,)), **options)
     return scene.mesh.textures[0], scene.encoded[0]
 
@@ -409,7 +408,6 @@ def test_the_shared_house(house):
 
 
 def test_the_house_looks_as_in_its_pictures(house, shared):
-    """Objects and colours cast from the true pose agree with the first image of a sequence."""
     from placegraph.io.capture.capture import open_capture
     from placegraph.io.capture.tum import read_tum
 
@@ -435,7 +433,6 @@ def test_the_house_looks_as_in_its_pictures(house, shared):
 
 
 def test_what_may_lie_on_its_side_is_told(boxes):
-    """A room of 7 x 5 x 2.6 m whose labels say nothing, as a y-up exporter would write it."""
     model = boxes({"a": ((0, 0, 0), (7, 2.6, 5)), "b": ((1, 0, 1), (2, 0.7, 2))})
     notes = []
     scene_of_model(model, up="auto", floor=0.0, notes=notes)

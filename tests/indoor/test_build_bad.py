@@ -22,7 +22,6 @@ IDS = np.repeat([0, 1, 2], 12)
 
 @pytest.fixture
 def room(boxes):
-    """Model of a floor, a wall and a table."""
     return boxes(
         {
             "floor": ((0, 0, -0.1), (5, 4, 0)),
@@ -34,8 +33,6 @@ def room(boxes):
 
 @pytest.fixture
 def ply(room, tmp_path):
-    """Write the room as PLY: `ply(vertices=, objects=)`."""
-
     def write(vertices=room.vertices, triangles=room.triangles, objects=IDS):
         return write_ply(tmp_path / "room.ply", vertices, triangles, objects=objects)
 
@@ -43,7 +40,6 @@ def ply(room, tmp_path):
 
 
 def hall(boxes):
-    """Model of one nameless mesh of 1400 triangles that shows a floor, walls and a box."""
     sheets = []
     n = 16
     i, j = np.meshgrid(np.arange(n), np.arange(n), indexing="ij")
@@ -168,7 +164,6 @@ def test_an_id_for_every_triangle_is_told(boxes):
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=20)
 @given(seed=st.integers(0, 2**32 - 1), detail=st.sampled_from(["default", "tiny", "full"]))
 def test_any_soup_of_triangles_is_built_or_refused(seed, detail, boxes):
-    """Edges of many triangles, twins, needles, textures that run anywhere: inside its bounds."""
     rng = np.random.default_rng(seed)
     n, t = int(rng.integers(3, 40)), int(rng.integers(1, 200))
     size = 10.0 ** rng.integers(-3, 0)
@@ -310,7 +305,6 @@ def test_captures_that_show_too_little(walk):
 
 @pytest.fixture
 def copied(walk, tmp_path):
-    """Folder of the walk, to be damaged."""
     folder = tmp_path / "walk"
     for part in ("rgb", "depth"):
         (folder / part).mkdir(parents=True)

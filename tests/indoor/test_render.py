@@ -37,12 +37,10 @@ UPRIGHT = level_from_camera((0.0, 1.0, 0.0))
 
 
 def looking(x=0.0, y=0.0, z=1.0, yaw_deg=0.0):
-    """Pose of an upright camera."""
     return pose_matrix([x, y, z, np.radians(yaw_deg)], UPRIGHT)
 
 
 def scene_of(*sheets, texture=None):
-    """Map of parallelograms, each an object: (corner, side, other side, colour)."""
     vertices, colours, uv = [], [], []
     for corner, side, other, colour in sheets:
         c, s, o = (np.array(v, float) for v in (corner, side, other))
@@ -73,7 +71,6 @@ WALL = ((3, 9, -9), (0, -18, 0), (0, 0, 18), WHITE)
 
 
 def same(one, other):
-    """Whether two renderings are alike to the last bit."""
     return all(
         np.array_equal(a, b, equal_nan=a.dtype.kind == "f")
         for a, b in zip(vars(one).values(), vars(other).values(), strict=True)
@@ -86,7 +83,6 @@ def same(one, other):
 @pytest.mark.parametrize("yaw_deg", [0.0, 33.0, -50.0])
 @pytest.mark.parametrize("camera", [CAMERA, WIDE])
 def test_depth_of_a_wall(yaw_deg, camera):
-    """On the ray (x, y, 1) the plane n . p = c lies at the depth c / n . (x, y, 1)."""
     scene, pose = scene_of(WALL), looking(0.5, 0.2, 1.0, yaw_deg)
     drawn = render(scene, pose, camera)
     v, u = np.mgrid[: camera.height, : camera.width] + 0.5
@@ -113,7 +109,6 @@ def test_depth_of_a_wall(yaw_deg, camera):
 
 @pytest.mark.usefixtures("one_thread")
 def test_a_walk_sees_what_its_capture_saw(room, walk, truth):
-    """Depth and objects of frames that another renderer made, from the true poses."""
     camera, ids = walk.depth_camera, np.array([int(i) for i in room.graph.ids])
     for frame, pose in zip(walk, truth(walk), strict=True):
         drawn, depth, labels = render(room, pose, camera), frame.depth(), frame.labels()
@@ -135,7 +130,6 @@ poses = st.builds(
 @settings(max_examples=25)
 @given(poses, st.sampled_from([CAMERA, WIDE]))
 def test_points_project_to_their_pixels(room, where, camera):
-    """A pixel's point lies at its depth, on its ray, on its triangle, whatever the pose."""
     share, rotation = where
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation, room.bounds[0] + np.array(share) * np.ptp(room.bounds, 0)
@@ -158,7 +152,6 @@ def test_points_project_to_their_pixels(room, where, camera):
 
 
 def test_nothing_to_see(room):
-    """From outside, looking away; from far away; and from within, but into a hole."""
     low, high = room.bounds
     away = looking(high[0] + 2.0, 0.0, 1.0, 0.0)
     far = looking(9e5, 0.0, 1.0, 90.0)
@@ -211,7 +204,6 @@ def test_colours_of_corners_are_blended():
 
 
 def test_texels_are_blended():
-    """Close by, a row of texels is a ramp between their centres, and repeats at its ends."""
     texels = np.zeros((1, 8, 3), np.uint8)
     texels[0, :, 0] = [0, 32, 64, 96, 128, 160, 192, 224]
     wall = ((3, 2, 0), (0, -4, 0), (0, 0, 2), WHITE)
@@ -227,7 +219,6 @@ def test_texels_are_blended():
 
 @pytest.mark.parametrize("yaw_deg", [0.0, 60.0])
 def test_fine_textures_become_their_mean(yaw_deg):
-    """Far away, and along the wall, a chequered texture is grey, not another pattern."""
     row, column = np.mgrid[:512, :512]
     texture = np.repeat(((row + column) % 2 * 255).astype(np.uint8)[..., None], 3, axis=2)
     scene = scene_of(((3, 9, -9), (0, -18, 0), (0, 0, 18), WHITE), texture=texture)
@@ -241,7 +232,6 @@ def test_fine_textures_become_their_mean(yaw_deg):
 
 
 def test_stripes_stay_on_a_slope():
-    """Along the longer axis alone is a texture blurred: stripes that run away stay sharp."""
     stripes = np.zeros((1280, 256, 3), np.uint8)
     stripes[:, 128:] = 255
     floor = ((0, 4, 0), (0, -8, 0), (40, 0, 0), WHITE)
@@ -257,7 +247,6 @@ def test_stripes_stay_on_a_slope():
 
 
 def _before_a_wall():
-    """A black sheet with slanted borders in front of a white wall, and the share it covers."""
     tilt = 0.2
     scene = scene_of(WALL, ((2, -1.5, -8), (0, -9, 0), (0, 16 * tilt, 16), BLACK))
     pose = looking(0.0, 0.0, 0.0)
@@ -316,7 +305,6 @@ def test_patterns():
 
 
 def test_threads_draw_the_same(room, walk, truth):
-    """However many threads draw, and however many ask at once."""
     pose, renderer = truth(walk)[4], Renderer(room)
     drawn = []
     for threads in (1, 2):

@@ -168,8 +168,6 @@ HALVES = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6]])
 
 @pytest.fixture
 def mesh(tmp_path):
-    """Write a floor and a table as PLY: `mesh(factor, ids=)`."""
-
     def write(factor=1.0, ids=(0, 0, 1)):
         return write_ply(
             tmp_path / "room.ply", CORNERS * factor, HALVES, objects=np.array(ids, np.int32)

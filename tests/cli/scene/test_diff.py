@@ -12,7 +12,6 @@ from placegraph_lab.worlds.flat.walks import Walk, write_walk
 
 @pytest.fixture(scope="module")
 def place(study, tmp_path_factory):
-    """Folder with room.scene, later.scene (the chair moved, the lamp gone), and a look round."""
     folder = tmp_path_factory.mktemp("place")
     interior = study.furnish(np.random.default_rng(1))
     later = interior.moved("chair", (0.4, -0.3), 0.4).without("lamp")

@@ -83,8 +83,6 @@ def test_an_encoder_that_knows_nothing_of_it_writes_nothing(run, tmp_path):
 
 
 class Pooled:
-    """Objects by the mean colour of the images; as `features`, it needs some."""
-
     name = key = "pooled"
     dimension, temperature = 3, 0.1
 
@@ -101,7 +99,6 @@ class Pooled:
 
 @pytest.fixture
 def pooled(monkeypatch):
-    """Stands in for a network, whose loading is tested elsewhere."""
     from placegraph.indoor import encode
 
     monkeypatch.setattr(
@@ -112,7 +109,6 @@ def pooled(monkeypatch):
 
 @pytest.fixture(scope="module")
 def walked(scene, tmp_path_factory):
-    """The home, and a walk through it in files, with its true poses."""
     from placegraph_lab.worlds.flat.walks import write_walk
 
     rng = np.random.default_rng(0)

@@ -17,7 +17,6 @@ from placegraph.io.capture.tum import write_tum
 
 @pytest.fixture
 def two(tmp_path):
-    """Map file of two objects."""
     corners = [(0, 0, 0), (4, 0, 0), (4, 4, 0), (0, 4, 0), (1, 1, 0), (2, 1, 0), (1, 2, 1)]
     mesh = Mesh.plain(corners, [(0, 1, 2), (0, 2, 3), (4, 5, 6)], [0, 0, 1])
     scene = SceneMap.create(mesh, ["1", "2"], ["floor", "table"], floor=0.0, source="room.ply")
@@ -82,7 +81,6 @@ def test_export_refuses(run, two, way, tmp_path):
 
 @pytest.fixture
 def served(monkeypatch):
-    """Let `scene view` end at once; what was served at the address meanwhile."""
     pytest.importorskip("viser", reason="needs viser: pip install 'placegraph[view]'")
     pages = []
     monkeypatch.setattr(scene_view, "wait", lambda: None)

@@ -20,7 +20,6 @@ FILES = ["colour.png", "depth.png", "objects.png", "objects.json", "objects_prev
 
 @pytest.fixture(scope="module")
 def world(room, tmp_path_factory):
-    """An estimate of the walk, beside the room."""
     folder, frames = tmp_path_factory.mktemp("render"), [1, 5]
     told = {
         "status": "OK", "reason": "Drawn.", "frames": frames,
@@ -40,7 +39,6 @@ def read(path):
 
 
 def at(pose):
-    """--pose of a matrix."""
     (x, y, z, yaw), _ = split_pose(pose)
     forward, right = pose[:3, 2], pose[:3, 0]
     pitch = np.arcsin(forward[2])
@@ -82,8 +80,6 @@ def test_pictures_from_a_pose(run, world, tmp_path):
 
 
 def test_a_pose_is_laid_over_its_frame(run, world, tmp_path):
-    """The estimate's last frame without a word; another one, or another mode, if asked for."""
-
     def told(*options):
         result = run("scene", "render", world.map, "-o", tmp_path, "--capture", world.walk,
                      "--json", *options)  # fmt: skip
@@ -116,7 +112,6 @@ def test_a_pose_is_laid_over_its_frame(run, world, tmp_path):
 
 
 def test_poses_of_a_tum_file(run, world, tmp_path):
-    """The row with the frame's stamp; any row; the last."""
     tum = tmp_path / "walk.tum"
     stamps = [frame.stamp for frame in open_capture(world.walk)]
     write_tum(tum, stamps[1:], world.truth[1:])

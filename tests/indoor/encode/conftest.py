@@ -9,11 +9,6 @@ OPERATORS = "(Tensor dets, Tensor scores, float iou_threshold) -> Tensor"
 
 @pytest.fixture(scope="session")
 def timm():
-    """Module timm; tests that ask for it are skipped where it or PyTorch is absent.
-
-    A torchvision built for another PyTorch brings no operators of its own, and then refuses to be
-    imported. No backbone uses them; declared, they let timm be imported.
-    """
     torch = pytest.importorskip("torch", reason="needs PyTorch: pip install 'placegraph[learn]'")
     library = None
     try:

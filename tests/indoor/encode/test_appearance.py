@@ -34,7 +34,6 @@ def frame_of(rgb):
 
 
 def lit(rgb, gains):
-    """The same place under another light, or exposed otherwise."""
     linear = linear_from_srgb(rgb / 255.0) * gains
     return np.rint(255 * np.clip(srgb_from_linear(linear), 0, 1)).astype(np.uint8)
 
@@ -64,7 +63,6 @@ def test_images_of_any_size_have_patches(shape, grid, rng):
 
 @given(st.tuples(*[st.integers(0, 255)] * 3), st.sampled_from([(1, 1), (36, 64), (300, 200)]))
 def test_an_image_of_one_colour_says_nothing(colour, shape):
-    """As behind a lid, or of a camera that is off: whatever it is like, it is of no surface."""
     patches = APPEARANCE.patches(frame_of(np.full((*shape, 3), colour, np.uint8)))
     assert patches.shape == (*((16, 9) if shape[0] > shape[1] else (9, 16)), DIMENSION)
     assert not patches.any()
@@ -81,7 +79,6 @@ def test_patches_lie_where_the_image_has_them():
 
 
 def test_an_upright_image_is_read_upright(pictures):
-    """What is turned to its side has the same patches, turned: nothing depends on directions."""
     rgb = pictures[0]
     turned = APPEARANCE.patches(frame_of(np.ascontiguousarray(np.rot90(rgb))))
     lying = APPEARANCE.patches(frame_of(rgb))
@@ -123,7 +120,6 @@ def test_every_object_that_can_be_seen_has_a_unit_vector(room, vectors, walk):
 
 
 def test_patches_know_their_objects(room, vectors, walk):
-    """Objects of other colours are told apart, in another light than the map's: none."""
     ranks = []
     for frame in walk:
         ids = np.asarray(Image.fromarray(frame.labels()).resize((16, 9), Image.Resampling.NEAREST))

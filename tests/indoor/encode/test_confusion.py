@@ -102,7 +102,6 @@ def test_truths_are_probabilities(rows):
 
 
 def confused(capture, room, truth, said):
-    """The walk, its poses being true ones, by labels; some objects go by another label."""
     names = {
         int(id_): said.get(label, label)
         for id_, label in zip(room.graph.ids, room.graph.labels, strict=True)

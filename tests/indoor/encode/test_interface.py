@@ -51,8 +51,6 @@ def test_options_are_said_with_the_name():
 
 
 class Fixed:
-    """Encoder whose answers are given."""
-
     name, key, dimension, temperature = "fixed", "fixed 1", 3, 0.1
 
     def __init__(self, image=None, vectors=None):

@@ -31,13 +31,11 @@ FOUR = (4, 8)
 
 @pytest.fixture(scope="module")
 def scene(boxes):
-    """Floor, chair, desk, chair, and something unknown."""
     model = boxes({"floor": UNIT, "Chair": UNIT, "desk": UNIT, "chair ": UNIT, "object": UNIT})
     return scene_of_model(model)
 
 
 def frame(names, row, kind="labels", camera=EIGHT):
-    """Frame of 4 x 8 patches of 10 px, all lines of them like `row`; or of a whole label image."""
     ids = np.asarray(row)
     if ids.ndim == 1:
         ids = np.kron(np.array([row] * 4), np.ones((10, 10), int))
@@ -48,7 +46,6 @@ def frame(names, row, kind="labels", camera=EIGHT):
 
 
 def cosines(encoder, scene, image):
-    """(8, N) of the patches of the first line; NaN where a patch says nothing."""
     patches = bound(encoder, scene).encode(image)
     rows = patches.rows[:8]
     return np.where(rows[:, None] >= 0, patches.table[rows], np.nan)
@@ -117,7 +114,6 @@ def test_vectors_that_the_map_holds_are_used(scene):
 
 
 def probable(**share):
-    """A segmenter that gives every pixel these probabilities."""
     values = np.array(list(share.values()), np.float32)
     return {
         "segmenter": lambda image: np.broadcast_to(values, (12, 24, len(values))),  # noqa: ARG005
@@ -139,7 +135,6 @@ def test_probabilities_are_mixtures(scene):
 
 
 def test_probabilities_are_averaged_over_patches(scene):
-    """Left chair, right desk; in the middle column of three, half and half."""
     shares = np.zeros((6, 12, 2))
     shares[:, :6, 0] = shares[:, 6:, 1] = 1.0
     encoder = LabelsEncoder((1, 3), segmenter=lambda _: shares, names=["chair", "desk"])
@@ -159,8 +154,6 @@ def test_probabilities_that_say_nothing():
 
 
 class Halves:
-    """A segmenter of colour images: the left half is a sofa, the right is nothing."""
-
     names = {7: "sofa"}  # noqa: RUF012
 
     def size(self, width, height):
@@ -214,7 +207,6 @@ def test_options_that_are_none(scene):
 
 
 def test_a_said_label_stands_for_what_it_may_be(scene):
-    """Four of five tables that this segmentation sees are desks, and all its desks are floor."""
     known = Confusion(
         ("table", "desk", "floor"), [[0.1, 0.0, 0.9], [0.4, 0.6, 0.0], [0.0, 0.9, 0.1]]
     )
@@ -235,7 +227,6 @@ def test_a_said_label_stands_for_what_it_may_be(scene):
 
 
 def test_accuracy_rises_with_a_known_confusion(boxes, rng):
-    """A segmentation that takes desks for tables and half the sofas for beds, in a room with both."""
     truth = ["desk", "table", "sofa", "bed", "chair", "floor"]
     scene = scene_of_model(boxes(dict.fromkeys(truth, UNIT)))
     matrix = np.eye(6) * 0.9 + 0.02
@@ -251,7 +242,6 @@ def test_accuracy_rises_with_a_known_confusion(boxes, rng):
     )  # fmt: skip
 
     def believed(encoder):
-        """Mean probability given to the truth, and how often that is the largest."""
         patches = bound(encoder, scene).encode(image)
         share = np.exp(patches.table[patches.rows] / patches.temperature)
         share /= share.sum(axis=1, keepdims=True)
@@ -287,7 +277,6 @@ INSTANCES = frame(None, [0, 1, 2, 3, -1, 7, 1, 1], "instances")
 
 
 def objects_of(patches):
-    """Objects that each patch of the first line agrees with; None where it says nothing."""
     agreed = [set(np.flatnonzero(row == 1).tolist()) for row in patches.table]
     return [agreed[r] if r >= 0 else None for r in patches.rows[:8]]
 
@@ -330,7 +319,6 @@ def test_instances_read_as_labels(scene, boxes):
     ],
 )  # fmt: skip
 def test_the_majority_of_pixels_speaks(scene, counts, winner):
-    """Two patches of 1600 pixels, of which the first shows so many of each object."""
     ids = np.repeat([*counts, -1], [*counts.values(), 1600 - sum(counts.values())])
     image = np.hstack([ids.reshape(40, 40), np.full((40, 40), -1)])
     rows = InstancesEncoder(scene, (1, 2)).encode(frame(None, image, "instances")).rows
@@ -340,7 +328,6 @@ def test_the_majority_of_pixels_speaks(scene, counts, winner):
 @pytest.mark.parametrize("shape", [(45, 80), (31, 53), (9, 16)])
 @pytest.mark.parametrize("grid", [GRID, (14, 14), (4, 3), (1, 1)])
 def test_any_image_has_the_encoders_grid(scene, shape, grid):
-    """Patches that no pixel lies in say nothing."""
     image = np.zeros(shape, int)
     image[:, shape[1] // 2 :] = 2
     camera = CAMERA.resized(shape[1], shape[0])

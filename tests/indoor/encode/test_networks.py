@@ -39,8 +39,6 @@ def network():
 
 
 class Halves:
-    """Says that the left half of an image is a chair; counts how often it is asked."""
-
     def __init__(self, shape=(12, 16)):
         self.names = {3: "chair"}
         self.asked = 0
@@ -67,7 +65,6 @@ def capture():
 
 
 def test_office_has_a_plant_and_a_sofa(network):
-    """Real images: what the network sees in the office is furniture, and there is some."""
     folder = SHARED / "data/office"
     if not folder.exists():
         pytest.skip(f"{folder} is not there")
@@ -148,7 +145,6 @@ def test_labelled_is_lazy_and_remembers(capture):
 
 @pytest.fixture(scope="module")
 def weights(tmp_path_factory):
-    """A model (1, 8, 12, 3) to (1, 8, 12, 1): the mean of what it is given of a pixel."""
     s = pytest.importorskip("ai_edge_litert.schema_py_generated")
     flatbuffers = pytest.importorskip("flatbuffers")
 
@@ -188,7 +184,6 @@ def form(tmp_path, **content):
 
 @pytest.mark.parametrize(("gives", "depth"), [("metres", 2.0), ("log metres", np.exp(2.0))])
 def test_a_model_tells_metres(gives, depth, weights, tmp_path):
-    """Colours come as they were trained with, and what is not above 0 m is not known."""
     told = form(tmp_path, gives=gives, mean=[0.1, 0.2, 0.3], deviation=[0.2, 0.1, 0.05])
     network = depth_network(weights, told, threads=1)
     assert isinstance(network, DepthEstimator)
@@ -219,8 +214,6 @@ def test_bad_forms(content, words, tmp_path):
 
 
 class Rule:
-    """Depth by a rule of one's own; counts how often it is asked."""
-
     metric = True
 
     def __init__(self, rule, size=(16, 12)):
@@ -277,7 +270,6 @@ def test_what_is_refused(colours, capture, weights):
 
 
 def test_a_pose_by_a_network(room, walk, truth):
-    """Depth that errs as networks do places images that alone are not believed."""
     walk = walk[:5]
     known = {frame.rgb().tobytes(): frame.depth() for frame in walk}
     rng = np.random.default_rng(4)

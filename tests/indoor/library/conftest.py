@@ -70,8 +70,6 @@ SMALL = Camera(96, 72, 70.0, 70.0, 48.0, 36.0)
 
 @dataclass(frozen=True)
 class Room:
-    """A room as it was drawn, furnished and mapped."""
-
     flat: Flat
     interior: Interior
     scene: SceneMap
@@ -81,7 +79,6 @@ class Room:
         return stroll(self.flat, np.random.default_rng(seed), frames=frames, rate=2.0, **options)
 
     def film(self, seed: int, frames: int = 6, **options) -> Capture:
-        """Capture of a walk."""
         options.setdefault("camera", SMALL)
         key = (seed, frames, repr(sorted(options.items())))
         if key not in self.films:
@@ -92,7 +89,6 @@ class Room:
 
 @cache
 def make_rooms():
-    """Rooms by name."""
     made = {}
     for i, (name, drawing) in enumerate(DRAWINGS.items()):
         legend = LEGEND.format(room=name, walls=WALLS[name])
@@ -104,13 +100,11 @@ def make_rooms():
 
 @pytest.fixture(scope="session")
 def rooms():
-    """Rooms by name."""
     return make_rooms()
 
 
 @pytest.fixture(scope="session", autouse=True)
 def signatures_once():
-    """Compute the signature of each map once."""
     known, real = {}, library.signature_of
 
     def signature_of(scene, encoders, captures=(), height=None):
@@ -136,5 +130,4 @@ def maps(rooms):
 
 @pytest.fixture(scope="session")
 def by_labels(maps):
-    """Library that is only asked."""
     return library_of(maps, encoders="labels")

@@ -22,7 +22,6 @@ from placegraph.indoor.status import Diagnostics, choose_scene
 
 @pytest.fixture(scope="session")
 def folder(maps, tmp_path_factory):
-    """Folder with the three maps and the file of their library."""
     folder = tmp_path_factory.mktemp("homes")
     library = SceneLibrary("labels")
     for name, scene in maps.items():
@@ -69,7 +68,6 @@ def test_a_file_holds_what_was_saved(folder, by_labels, rooms):
 
 
 def test_scenes_that_stand_on_earth_are_found_there(maps, tmp_path):
-    """By a text: somebody is anywhere in the map, at its level, and looks anywhere."""
     anchor = Anchor(9.99, 53.55, 6.0, 0.4, np.eye(4) * 0.01, "Haus", "way/7", "1", 0.75)
     turned = replace(anchor, heading=3.5, probability=0.25)
     maps["study"].anchored(anchor, turned).save(tmp_path / "study.scene")
@@ -168,7 +166,6 @@ def test_a_text_that_says_nothing(by_labels, text):
 
 
 def off(estimate, walk):
-    """How far the last pose is from the true one [m]."""
     return np.linalg.norm((estimate.best.map_from_camera - walk.map_from_camera[-1])[:3, 3])
 
 
@@ -193,7 +190,6 @@ LABELS = Agreement(1.0, 0.9, math.nan, math.nan, np.zeros(1), np.zeros(1))
 
 
 def fitting(odds):
-    """Agreement by depth alone with these log odds that frames fit."""
     sharp = replace(LABELS, semantic=math.nan, depth=0.99, held=0.99)  # log(held + .01) is 0
     top = CONFIDENCE.odds(sharp)
     return replace(sharp, held=math.exp((odds - top) / CONFIDENCE.depth[2]) - 0.01)
@@ -208,7 +204,6 @@ def fitting(odds):
     ],
 )
 def test_a_pose_that_is_not_sure_in_another_scene(agreements, scene, status):
-    """Scene a was looked into first, and its pose was AMBIGUOUS; that in b is OK."""
     stati, names = (Status.AMBIGUOUS, Status.OK), ("a", "b")
     eye, covariance = np.eye(4), np.eye(6)
     answers = [
@@ -224,8 +219,6 @@ def test_a_pose_that_is_not_sure_in_another_scene(agreements, scene, status):
 
 @pytest.mark.parametrize("status", [Status.OK, Status.LOST])
 def test_poses_decide_where_the_search_is_wrong(maps, rooms, monkeypatch, status):
-    """The search is sure of another room, or that it is none: the room that depth fits is named."""
-
     def misled(*_, most, **__):
         known = 1.0 if status is Status.OK else 0.01
         told = (("bedroom", 0.998), ("parlour", 0.001), ("study", 0.001))
@@ -249,7 +242,6 @@ def test_a_building_of_merged_rooms_is_a_scene_as_well(maps, rooms):
 
 
 def test_a_building_is_searched_by_its_parts(maps, rooms):
-    """A scene is no less likely for having others beside it."""
     merged = merge_scenes({name: maps[name] for name in ("parlour", "study")})
     library = library_of({"house": merged, "bedroom": maps["bedroom"]}, encoders="labels")
     single = library_of(maps, encoders="labels")
@@ -287,7 +279,6 @@ def test_localizing_in_no_scene(by_labels, rooms):
 
 
 def test_maps_localized_in_are_kept_until_a_scene_goes(maps, rooms, monkeypatch):
-    """The second query finds the table of the first."""
     merged = []
 
     def counted(scenes):
@@ -305,7 +296,6 @@ def test_maps_localized_in_are_kept_until_a_scene_goes(maps, rooms, monkeypatch)
 
 
 def test_one_of_two_identical_flats_is_never_sure(maps, rooms):
-    """The second is looked into though the first is certain."""
     film = rooms["study"].film(21, 8, depth=True)
     twins = library_of({"here": maps["study"], "there": maps["study"]}, encoders="labels")
     assert library_of({"here": maps["study"]}, encoders="labels").localize(film).status is Status.OK

@@ -74,7 +74,6 @@ def test_a_room_that_is_not_there_is_not_found(maps, rooms, missing, seed):
 
 
 def test_blank_images_are_of_nowhere(maps, rooms):
-    """Black, white and noise: nothing, or nothing sure."""
     library = library_of(maps, encoders="appearance")
     rng = np.random.default_rng(0)
     frame = rooms["study"].film(3, frames=1, labels=None)[0]
@@ -98,7 +97,6 @@ def test_evidence_names_what_was_seen(by_labels, rooms):
 
 
 def test_a_thing_taken_for_another_in_every_frame_is_one_witness(by_labels, rooms):
-    """Walls that are all called what only another room has outshout no thing that is told right."""
     film = rooms["study"].film(3, frames=8)
     wrong = next(i for i, n in film.label_names.items() if n == "wall")
     called = [replace(f, label_names=f.label_names | {wrong: "bathtub"}) for f in film]
@@ -165,7 +163,6 @@ def test_options_out_of_range(wrong):
 
 @pytest.mark.parametrize("name", ["labels", "appearance"])
 def test_the_papers_sum_is_the_papers_sum(maps, rooms, name):
-    """Sec. 4, of vectors as they are: more patches than a query is told apart by."""
     library = library_of(maps, encoders=name)
     (encoder,), film = library.encoders, list(rooms["parlour"].film(6, frames=10))
     wanted = np.zeros(3)
@@ -231,7 +228,6 @@ def test_words_stand_for_their_vectors(count, kinds, seed):
 
 
 def test_where_things_stand_tells_rooms_of_the_same_things_apart(rooms):
-    """The study, and the study seen in a mirror, hold the same; panoramas know which it is."""
     study = rooms["study"]
     flat = replace(study.flat, rows=tuple(row[::-1] for row in study.flat.rows))
     interior = flat.furnish(np.random.default_rng(1))
@@ -251,7 +247,6 @@ def test_where_things_stand_tells_rooms_of_the_same_things_apart(rooms):
 
 
 def test_a_large_library_is_shortlisted(by_labels, rooms):
-    """Scenes with vectors of their own are first looked for by their mean."""
     index = by_labels.index
     rows = np.array([0, 2])
     part = index.subset(rows)

@@ -114,7 +114,6 @@ def test_vectors_of_a_wrong_shape_are_refused(maps):
 
 @pytest.mark.parametrize("name", ["labels", "appearance"])
 def test_homes_have_vectors_of_the_encoders_as_they_are(name):
-    """Where this fails, an encoder has changed: run `placegraph-lab decoys` again."""
     made = encoder(name)
     homes = decoys([made])
     assert len(homes) >= 24

@@ -7,5 +7,4 @@ from placegraph.io.mesh.gltf import read_glb
 
 @pytest.fixture(scope="session")
 def house(shared):
-    """Model of the house of the shared data."""
     return read_glb(shared / "data/house/map/house.glb")

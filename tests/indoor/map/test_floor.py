@@ -36,7 +36,6 @@ def test_the_upper_side_of_the_slab(label, boxes):
 
 
 def test_a_floor_that_looks_down():
-    """A mesh turned inside out: one sheet of floor, seen from below, and a ceiling above it."""
     square = np.array([[0, 0, 0.5], [5, 0, 0.5], [5, 4, 0.5], [0, 4, 0.5]])
     points = np.concatenate([square, square + np.array([0, 0, 2.5])])
     down = np.array([[0, 2, 1], [0, 3, 2], [4, 6, 5], [4, 7, 6]])
@@ -52,7 +51,6 @@ def test_a_label_wins_over_a_larger_surface(boxes):
 
 
 def test_a_floor_that_stands_upright_tells_no_height(boxes):
-    """Its narrow upper edge is level, and as high as the room is long."""
     standing = {"floor": ((0, 0, 0), (0.1, 4, 5)), "slab": ((0, 0, -0.2), (5, 4, 0.1))}
     assert height(boxes(standing)) == pytest.approx(0.1, abs=1e-6)
     assert height(boxes({"floor": standing["floor"]})) is None
@@ -70,7 +68,6 @@ def test_furniture_alone_is_no_floor(boxes):
 
 
 def test_scans_are_noisy_and_reach_below_the_floor(rng):
-    """A floor of 8 x 6 m with 2 cm of noise, a table, walls, and reflections a metre below."""
     x, y = np.meshgrid(np.arange(0, 8, 0.1), np.arange(0, 6, 0.1), indexing="ij")
     z = rng.normal(1.0, 0.02, x.shape)
     z[30:50, 20:30] = 1.75

@@ -36,7 +36,6 @@ SHIFT = np.array([0.4, -0.3, 3.0])
 
 @pytest.fixture(scope="module")
 def stacked(room, flat):
-    """The flat as the upper storey of the room."""
     both = merge_scenes({"down": room, "up": flat})
     shifts = np.stack([np.zeros(3), SHIFT]) + both.scene_from_map[:, :3, 3]
     part = np.zeros(len(both.mesh.vertices), np.int64)
@@ -91,7 +90,6 @@ def test_either_storey_is_found(stacked, walk, flat_walk, truth):
 
 @pytest.mark.parametrize("closed", [False, True])
 def test_places_beside_an_open_side_look_in(closed, boxes, monkeypatch):
-    """A scan may look in from outside its box; through a wall nobody does."""
     scene = scene_of_model(boxes(STAGE | (CLOSED if closed else {})))
     at = scene.visibility(FilterOptions()).positions
     beside = at[at[:, 0] > 5.3]

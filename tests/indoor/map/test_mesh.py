@@ -112,7 +112,6 @@ def colour(mesh, triangle, u, v):
 
 
 def test_a_hit_has_the_colour_of_its_texel():
-    """Texture coordinates run with x and against y: v is down, as rows of the image are."""
     mesh = square(uv=np.array([[0, 1], [1, 1], [1, 0], [0, 0]], np.float32), textures=(CHESS,))
     assert colour(mesh, 1, 0.1, 0.8) == [255, 0, 0]  # near (0, 1): the first row, the first column
     assert colour(mesh, 0, 0.1, 0.85) == [0, 255, 0]  # near (2, 1)
@@ -218,7 +217,6 @@ def test_order_makes_files_smaller(rng):
 
 
 def quad(texture, width=2.0, height=1.0, uv=1.0):
-    """Wall width x height [m] with `uv` repeats of a texture along each side."""
     corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], float)
     vertices = np.column_stack([corners * (width, height), np.zeros(4)]).astype(np.float32)
     texture = np.asarray(texture, np.uint8)
@@ -226,13 +224,11 @@ def quad(texture, width=2.0, height=1.0, uv=1.0):
 
 
 def looked_at(surface, triangle, u, v, footprint=0.0):
-    """Colours (N, 3) of hits."""
     hits = zip(triangle, u.astype(np.float32), v.astype(np.float32), strict=True)
     return np.array([colour_at(surface, *hit, np.float32(footprint)) for hit in hits])
 
 
 def hits_on(mesh, rng, count=300):
-    """Random triangles and barycentrics well within them."""
     u, v = rng.random((2, count))
     over = u + v > 1
     u, v = np.where(over, 1 - u, u), np.where(over, 1 - v, v)
@@ -263,7 +259,6 @@ def test_corner_colours_tint_the_texture(rng):
 
 
 def test_a_texture_repeats_even_at_its_seams():
-    """Coordinates a hair below a whole number lie on the last texel, not beyond it."""
     texture = np.arange(4 * 3).reshape(1, 4, 3) * 20
     mesh = quad(texture, uv=1.0)
     for shift in (0.0, -1e-9, 1.0 - 2**-24, -3.0, 1e4):
@@ -315,7 +310,6 @@ def test_texels_per_metre_of_the_denser_side(rng):
 
 
 def test_what_stands_for_more_sees_more():
-    """A checkerboard is black and white near by, and grey where a ray stands for many squares."""
     board = np.zeros((64, 64, 3))
     board[np.add.outer(np.arange(64), np.arange(64)) % 2 == 0] = 255
     surface = Surface.of(quad(board, 1.0, 1.0))  # 64 texels a metre
@@ -332,7 +326,6 @@ def test_what_stands_for_more_sees_more():
 
 
 def test_charts_of_an_atlas_are_not_mixed_from_afar(monkeypatch):
-    """Two quads share a texture, one its red corner, one its blue: a far ray sees no violet."""
     monkeypatch.setattr("placegraph.indoor.map.mesh.MANY", 4)
     texture = np.zeros((64, 64, 3), np.uint8)
     texture[:, :32], texture[:, 32:] = (250, 0, 0), (0, 0, 250)

@@ -31,13 +31,11 @@ HALL = {"hall": ((-20, -20, -3), (20, 20, -2.9))}
 
 
 def mesh_of(model, rows=None):
-    """Mesh of boxes; `rows` are the objects that the boxes are parts of."""
     owner = model.thing_of if rows is None else np.asarray(rows)[model.thing_of]
     return Mesh.plain(model.vertices, model.triangles, owner)
 
 
 def told(model, rows=None, rooms=None):
-    """Relations in words; an object of several boxes has the name of its first."""
     labels = [t.label for t in model.things]
     if rows is not None:
         labels = [labels[rows.index(i)] for i in range(max(rows) + 1)]
@@ -102,7 +100,6 @@ def test_relations_of_boxes(parts, rows, expected, boxes):
 
 
 def test_a_lamp_hangs_above_what_lies_under_its_middle(boxes):
-    """The box of an L-shaped sofa does, its seats do not; the table does, and what it carries."""
     model = boxes({
         "sofa": ((0, 0, 0), (3, 1, 0.8)), "seat": ((0, 0, 0), (0.8, 3, 0.8)),
         "table": ((1.4, 1.4, 0), (2.6, 2.6, 0.4)), "cup": ((1.5, 1.5, 0.4), (1.6, 1.6, 0.5)),
@@ -128,7 +125,6 @@ def test_pictures_hang_and_lamps_too(boxes):
 
 
 def test_what_is_built_in_stands_on_nothing(boxes):
-    """Windows do not stand on the sill, doors not on the floor, ceilings not on lamps."""
     model = boxes(FLOOR | {
         "north wall": ((0, 5.9, 0), (8, 6, 2.6)), "window sill wall": ((8, 0, 0), (8.2, 6, 0.9)),
         "window": ((8.05, 2, 0.9), (8.15, 3, 2)), "door": ((1, 5.85, 0), (2, 5.95, 2)),
@@ -207,7 +203,6 @@ def test_relations_of_any_boxes_are_sane(low, size, boxes):
     arrays.arrays(float, (3,), elements=st.floats(0.1, 1)),
 )
 def test_a_sampled_point_in_the_box_means_overlap(corners, high):
-    """No triangle with a point in the box is missed; none far away is found."""
     shares = np.array([(a, b, 10 - a - b) for a in range(11) for b in range(11 - a)]) / 10
     points = shares @ corners.astype(np.float32).astype(float)
     within = np.all(np.abs(points) <= high - 1e-6, axis=1).any()
@@ -219,14 +214,12 @@ def test_a_sampled_point_in_the_box_means_overlap(corners, high):
 
 
 def test_a_diagonal_triangle_passes_a_corner():
-    """Its box overlaps, the triangle itself does not: only the separating axes tell."""
     corners = np.array([[[3, 0, 0], [0, 3, 0], [0, 3, 3]]], np.float32)
     assert overlap(corners, np.zeros(3), np.full(3, 1.4)).tolist() == [False]
     assert overlap(corners, np.zeros(3), np.full(3, 1.6)).tolist() == [True]
 
 
 def test_many_objects(boxes, rng):
-    """The sweep finds what a plain search over all pairs finds."""
     low = rng.uniform(0, 30, (400, 3))
     high = low + rng.uniform(0, 2, (400, 3))
     model = boxes({f"t{i}": corners for i, corners in enumerate(zip(low, high, strict=True))})
@@ -238,7 +231,6 @@ def test_many_objects(boxes, rng):
 
 
 def test_the_house_as_one_would_say_it(house):
-    """What is where in the house, and what boxes alone get wrong there."""
     mesh = mesh_of(house)
     labels, names = [t.label for t in house.things], [t.name for t in house.things]
     edges = relate(mesh, labels, rooms_of(mesh, labels, 0.0).room_of)
@@ -269,7 +261,6 @@ SUBSET = (
 
 
 def graph(*edges):
-    """Scene graph of edges "sofa 1 | next to | plant"."""
     rows = [tuple(part.strip() for part in edge.split("|")) for edge in edges]
     ids = list(dict.fromkeys(end for a, _, b in rows for end in (a, b)))
     return SceneGraph(
@@ -320,7 +311,6 @@ def test_what_is_asked_for_does_not_match():
 
 
 def test_the_sofa_next_to_the_plant():
-    """Whoever named the edge, and whichever way it points."""
     for relation in ("next to", "close by", "beside"):
         scene = graph(f"sofa 1 | {relation} | plant", "sofa 2 | next to | lamp")
         for asked in ("next to", "beside", "near the", "close by"):

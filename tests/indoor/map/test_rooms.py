@@ -20,7 +20,6 @@ def rooms(model, floor=0.0, labels=None):
 
 
 def two_rooms(gap=0.0, *, over=None, wall="wall"):
-    """Boxes of two rooms 4 x 3 m, west and east of a wall with a gap in it, a lintel above."""
     parts = {
         "floor": ((-0.1, -0.1, -0.1), (8.2, 3.1, 0)),
         f"south {wall}": ((-0.1, -0.1, 0), (8.2, 0, HEIGHT)),
@@ -37,7 +36,6 @@ def two_rooms(gap=0.0, *, over=None, wall="wall"):
 
 @pytest.fixture(scope="module")
 def altbau():
-    """The shipped flat, five rooms with doorways, full of furniture; what is in it; its rooms."""
     drawing = Flat.load("altbau")
     interior = drawing.furnish(np.random.default_rng(1))
     assert [t.id for t in interior.things] == list(range(len(interior.things)))
@@ -59,7 +57,6 @@ def test_each_drawn_room_is_found(altbau):
 
 
 def test_each_thing_is_in_its_drawn_room(altbau):
-    """Furniture, what stands on it and hangs on walls, and floors, walls, ceilings of each room."""
     _, interior, found = altbau
     number = {
         t.room: r for t, r in zip(interior.things, found.room_of, strict=True) if t.label == "floor"
@@ -75,7 +72,6 @@ def test_each_thing_is_in_its_drawn_room(altbau):
 
 
 def test_a_doorway_ends_a_room(boxes):
-    """0.9 m wide below a wall; or so narrow, against its rooms, that no wall above is needed."""
     for options in ({"gap": 0.9, "over": 2.1}, {"gap": 1.6, "over": 2.1}, {"gap": 0.9}):
         found = rooms(boxes(two_rooms(**options)))
         assert len(found) == 2, options
@@ -88,7 +84,6 @@ def test_a_doorway_ends_a_room(boxes):
 
 
 def test_a_closed_door_is_wall(boxes):
-    """A corridor 1.1 m wide, cut by a door that is nearly as wide."""
     walls = {
         "floor": ((0, 0, -0.1), (9, 1.3, 0)),
         "south wall": ((0, 0, 0), (9, 0.1, HEIGHT)), "north wall": ((0, 1.2, 0), (9, 1.3, HEIGHT)),
@@ -100,7 +95,6 @@ def test_a_closed_door_is_wall(boxes):
 
 
 def test_furniture_divides_no_room(boxes):
-    """A tall shelf with a name, across the room but for a metre."""
     parts = two_rooms(gap=3.0)
     shelf = {"shelf": ((2, 0, 0), (2.4, 2.1, 2.2))}
     assert len(rooms(boxes(parts | shelf))) == 1
@@ -108,7 +102,6 @@ def test_furniture_divides_no_room(boxes):
 
 
 def test_walls_without_names_are_walls_if_they_are_tall(boxes):
-    """A scan whose objects are unknown, or where nothing is called a wall."""
     for name in ("unknown", "brickwork"):
         assert len(rooms(boxes(two_rooms(gap=0.9, wall=name)))) == 2
     low = two_rooms(gap=0.9, wall="unknown")
@@ -118,7 +111,6 @@ def test_walls_without_names_are_walls_if_they_are_tall(boxes):
 
 
 def test_a_closet_belongs_to_its_room(boxes):
-    """1.2 m2 behind a door that stands open: no room of its own."""
     parts = two_rooms(gap=3.0) | {
         "closet wall": ((0, 1.4, 0), (1.0, 1.5, HEIGHT)), "front wall": ((1.0, 0.7, 0), (1.1, 1.5, HEIGHT)),
     }  # fmt: skip
@@ -148,7 +140,6 @@ def test_what_is_in_which_room(boxes):
 
 
 def test_a_scan_with_holes_is_one_room(rng):
-    """A third of the floor's and the walls' triangles are missing, the rest shakes by 2 cm."""
     n = 60
     x, y = np.meshgrid(np.linspace(0, 5, n), np.linspace(0, 4, n), indexing="ij")
     corner = np.arange(n * n).reshape(n, n)
@@ -168,7 +159,6 @@ def test_a_scan_with_holes_is_one_room(rng):
 
 
 def test_rooms_turn_with_the_map(boxes):
-    """Walls askew to the grid are as tight."""
     model = boxes(two_rooms(gap=0.9, over=2.1))
     for degrees in (10, 45):
         c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
@@ -243,7 +233,6 @@ def test_pieces_touch_at_corners():
 
 
 def test_areas_add_up(rng):
-    """Whatever lies where: the votes of a triangle are its area."""
     corners = rng.uniform(-1, 3, (50, 3, 3))
     areas = rng.uniform(0, 2, 50)
     own = rng.integers(0, 4, 50).astype(np.int32)
@@ -259,7 +248,6 @@ def test_areas_add_up(rng):
 
 
 def test_the_house_has_two_rooms_behind_its_folding_doors(house):
-    """Bedroom, study, and an open plan of living room, kitchen and balcony."""
     found = rooms(house)
     assert len(found) == 3
     row = {t.name: room for t, room in zip(house.things, found.room_of.tolist(), strict=True)}
@@ -276,7 +264,6 @@ def test_the_house_has_two_rooms_behind_its_folding_doors(house):
 
 
 def test_an_l_is_one_room():
-    """5 m wide, with an arm 2.5 m wide."""
     drawing = (
         ["#" * 22] + ["#" + " " * 10 + "#" * 11] * 10 + ["#" + " " * 20 + "#"] * 10 + ["#" * 22]
     )

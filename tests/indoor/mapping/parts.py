@@ -8,7 +8,6 @@ from placegraph.indoor.scene_map import SceneMap
 
 
 def only(scene, keep):
-    """The part of a map whose triangles are kept (T,), with the objects that have any."""
     mesh, graph = scene.mesh, scene.graph
     rows = np.unique(mesh.object_of[keep])
     place = np.full(len(scene), -1)

@@ -25,7 +25,6 @@ from placegraph.io.capture.frame import Frame
 
 
 def grid(columns, rows, step=0.1):
-    """Level sheet of 2 * columns * rows triangles that look up, with shared vertices."""
     x, y = np.meshgrid(np.arange(columns + 1), np.arange(rows + 1), indexing="ij")
     points = np.stack([x, y, 0 * x], axis=-1).reshape(-1, 3) * step
     a = (np.arange(columns)[:, None] * (rows + 1) + np.arange(rows)).ravel()
@@ -34,7 +33,6 @@ def grid(columns, rows, step=0.1):
 
 
 def sphere(levels, radius=1.0):
-    """Sphere of 8 * 4**levels triangles with shared vertices."""
     points = np.array([[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], float)
     rows = np.array(
         [[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4], [1, 0, 5], [2, 1, 5], [3, 2, 5], [0, 3, 5]]
@@ -51,7 +49,6 @@ def sphere(levels, radius=1.0):
 
 
 def soup(count, rng, size=0.2):
-    """Triangles of about `size` [m] anywhere, some of them twice, thin, or without area."""
     corners = rng.uniform(-2, 2, (count, 1, 3)) + rng.normal(0, size, (count, 3, 3))
     corners[:-1:10] = corners[1::10]
     corners[7::20, 2] = corners[7::20, 1]
@@ -61,7 +58,6 @@ def soup(count, rng, size=0.2):
 
 
 def inside(uv, size):
-    """Texels' centres (N, 2) strictly inside a triangle (3, 2) on a page of this size."""
     corners = uv * size
     low = np.floor(corners.min(axis=0)).astype(int)
     high = np.ceil(corners.max(axis=0)).astype(int)
@@ -77,7 +73,6 @@ def inside(uv, size):
 
 
 def sound(before, after):
-    """Same triangles, coordinates inside the pages, nothing mirrored, nothing twice."""
     assert len(after) == len(before)
     assert (after.object_of == before.object_of).all()
     assert (after.vertices[after.triangles] == before.vertices[before.triangles]).all()
@@ -101,14 +96,12 @@ def sound(before, after):
 
 
 def field(points):
-    """Colours of a world: waves of half a metre, and squares of a quarter."""
     waves = 128 + 70 * np.sin(points * (12.0, 9.0, 7.0) + (0, 1, 2))
     squares = np.floor(points * 4 + 0.013).astype(int).sum(axis=1) % 2 * 40
     return np.clip(waves + squares[:, None], 0, 255).astype(np.uint8)
 
 
 def spots(mesh, count, rng):
-    """Triangles, weights u, v and places of points on a mesh."""
     area = np.linalg.norm(mesh.normals(), axis=1)
     rows = rng.choice(len(mesh), count, p=area / area.sum()).astype(np.int32)
     uv = rng.random((count, 2))
@@ -119,7 +112,6 @@ def spots(mesh, count, rng):
 
 @pytest.fixture(scope="session")
 def ball():
-    """Mesh of a sphere of 512 triangles, 1 m in radius, of two objects."""
     points, rows = sphere(3)
     return Mesh.plain(points, rows, (np.arange(len(rows)) % 8 > 3).astype(int))
 
@@ -133,7 +125,6 @@ def colour_of():
 
 
 def middles(mesh):
-    """Colours (T, 3) in the middle of each triangle."""
     third = np.full(len(mesh), 1 / 3, np.float32)
     return mesh.colour_at(np.arange(len(mesh), dtype=np.int32), third, third)
 
@@ -356,7 +347,6 @@ def above(x, y, height=1.5):
 
 
 def photograph(mesh, field, pose, camera=PHONE, *, gain=1.0, depth=True, blurred=False):
-    """Frame of a mesh painted by `field`, taken from a pose, by ray casting."""
     v, u = np.mgrid[: camera.height, : camera.width] + 0.5
     rays = camera.directions(np.stack([u, v], axis=-1)).reshape(-1, 3)
     along = rays @ pose[:3, :3].T
@@ -372,7 +362,6 @@ def photograph(mesh, field, pose, camera=PHONE, *, gain=1.0, depth=True, blurred
 
 
 def soft(points):
-    """Colours from 40 to 140, so that a longer exposure does not saturate."""
     return 90 + 50 * np.sin(points * (7.0, 8.0, 9.0) + (0, 1, 2))
 
 

@@ -14,7 +14,6 @@ from placegraph.indoor.scene_map import SceneMap
 
 
 def spoilt(scene, *, mesh=None, ids=None, labels=None, names=None, floor=None, relations=()):
-    """The map with something else about it."""
     return SceneMap.create(
         scene.mesh if mesh is None else mesh,
         scene.graph.ids if ids is None else ids,
@@ -27,13 +26,11 @@ def spoilt(scene, *, mesh=None, ids=None, labels=None, names=None, floor=None, r
 
 
 def turned(scene, matrix):
-    """The map's mesh after a linear map (3, 3)."""
     vertices = scene.mesh.vertices.astype(float) @ np.asarray(matrix, float).T
     return replace(scene.mesh, vertices=vertices.astype(np.float32))
 
 
 def said(findings, words):
-    """The findings whose sentence holds some words."""
     return [f for f in findings if words in f.what]
 
 
@@ -74,7 +71,6 @@ def test_what_is_wrong_is_told_with_its_mend(room, spoil, options, words, severi
 
 
 def test_a_floor_that_stands_upright_is_told(room):
-    """Along x too; and an object that is called floor but is a wall, with a sliver of level area."""
     lying = spoilt(room, mesh=turned(room, [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]))
     (finding,) = said(check(lying), "the floor stands upright")
     assert finding.severity == "error"
@@ -88,7 +84,6 @@ def test_a_floor_that_stands_upright_is_told(room):
 
 
 def test_parts_of_things_do_not_tell_the_unit(room):
-    """Sofa and chair as low as half of them is, in a map whose desk is as usual."""
     vertices = room.mesh.vertices.astype(float)
     for row, label in enumerate(room.graph.labels):
         if label in {"sofa", "chair", "side table"}:
@@ -103,7 +98,6 @@ def test_parts_of_things_do_not_tell_the_unit(room):
 
 
 def test_kinds_of_things_that_agree_tell_the_unit(room):
-    """A doll's house: in no unit, but all things in it are a third as high as they are."""
     (finding,) = said(check(scaled(0.35)(room)), "high")
     assert "things 0.3" in finding.what
     assert "as high as" in finding.what

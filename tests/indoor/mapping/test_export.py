@@ -23,7 +23,6 @@ def way():
 
 
 def same(one, other, *, names=True):
-    """Whether two maps have the same objects, in the same place."""
     assert one.graph.ids == other.graph.ids
     assert one.graph.labels == other.graph.labels
     assert not names or one.graph.names == other.graph.names
@@ -70,7 +69,6 @@ def test_spark_dsg_there_and_back(room, tmp_path, way):
 
 
 def plain_map(ids=("0", "1"), colours=None):
-    """Two triangles of two objects that share an edge."""
     mesh = Mesh.plain(
         [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 1)], [(0, 1, 2), (0, 2, 3)], [0, 1], colours
     )
@@ -97,7 +95,6 @@ TAKEN = {"label": "of a shop", "id": "EAN 4", "placegraph": "mine", "name": "n",
 
 
 def odd_map(ids):
-    """Objects with attributes of all the names we use, one of them without a name."""
     mesh = Mesh.plain([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 1)], [(0, 1, 2), (0, 2, 3)], [0, 1])
     return SceneMap.create(
         mesh, ids, ["floor", "ramp"], names=["", "ramp"], floor=0.0, attributes=[TAKEN, {}],
@@ -200,7 +197,6 @@ def test_a_way_is_drawn_with_pyramids_that_look_ahead(way):
 
 
 def quad(texture, colours=255):
-    """A square of two triangles under a texture."""
     corners = np.array([(0, 0), (1, 0), (1, 1), (0, 1)], float)
     mesh = Mesh(
         vertices=np.column_stack([corners, np.zeros(4)]).astype(np.float32),

@@ -35,7 +35,6 @@ PAINT = np.array(
 
 
 def rays_of(camera, pose):
-    """Directions (h, w, 3) in the map, of length 1 along the optical axis."""
     v, u = np.mgrid[0 : camera.height, 0 : camera.width] + 0.5
     return camera.directions(np.stack([u, v], axis=-1)) @ pose[:3, :3].T
 
@@ -45,7 +44,6 @@ def pose_at(at, yaw, down=0.0):
 
 
 def room_view(yaw, down=0.0, at=(0.1, 0.0, 1.2), *, camera=CAMERA, gain=1.0):
-    """Frame of a camera in an empty room of six colours, and its pose."""
     pose = pose_at(at, yaw, down)
     rays = rays_of(camera, pose)
     with np.errstate(divide="ignore"):
@@ -56,7 +54,6 @@ def room_view(yaw, down=0.0, at=(0.1, 0.0, 1.2), *, camera=CAMERA, gain=1.0):
 
 
 def plane_view(distance, *, camera=CAMERA, slope=0.0, noise=None, pose=None):
-    """Frame before the plane z = distance + slope * x of its own axes, and its pose."""
     pose = np.eye(4) if pose is None else pose
     rays = rays_of(camera, np.eye(4))
     depth = distance / (1.0 - slope * rays[..., 0])
@@ -68,7 +65,6 @@ def plane_view(distance, *, camera=CAMERA, slope=0.0, noise=None, pose=None):
 
 @pytest.fixture(scope="session")
 def views():
-    """Views of the whole room: `(frames, poses)`."""
     made = [room_view(yaw, down) for yaw in np.arange(0, 6.2, 0.7) for down in (-0.6, 0.2, 0.9)]
     frames, poses = zip(*made, strict=True)
     return frames, np.array(poses)

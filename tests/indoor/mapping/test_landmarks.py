@@ -26,7 +26,6 @@ STEP = 0.004
 
 
 def shown(wall, x, z, *, lying=False):
-    """Frame of a wall at y = 2 m, from (x, 0, z); lying: the camera is turned by 90 degrees."""
     pose = np.eye(4)
     pose[:3, :3] = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
     if lying:
@@ -64,7 +63,6 @@ def test_rays_of_several_frames_are_truer_than_their_depth(mapped):
 
 
 def place(mapped, wall, *, lying=False):
-    """The pose that the landmarks give an image of a wall, and the true one."""
     frame, pose = shown(wall, 0.17, 0.12, lying=lying)
     found = detect_features(make_detector(FEATURES), frame, frame.rgb())
     seen = match_features(mapped, found, frame)

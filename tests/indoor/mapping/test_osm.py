@@ -61,7 +61,6 @@ def test_walls_are_shared_and_open_where_doors_are(hall):
     south = np.array([middle[0] - 5.0, middle[1] - 6.0])
 
     def seen(at, towards):
-        """How far one sees from a point of the plan [m], 1 m above the floor."""
         start = np.array([[*(south + at), 1.0]], np.float32)
         way = np.array([[*towards, 0.0]], np.float32)
         return float(scene.caster.cast(start, way).distance[0])
@@ -97,7 +96,6 @@ def test_without_levels_and_from_afar(tmp_path):
 
 @pytest.mark.parametrize("ending", ["osm", "osmag.xml"])
 def test_rooms_come_back_to_the_centimetre(hall, tmp_path, ending):
-    """Read, built, exported and read again: the same rooms, in the same places, on their level."""
     scene = pg.build_scene(hall, None, reader={"level": "0"})
     scene.export(tmp_path / f"again.{ending}")
     name = tmp_path / "again.osm"
@@ -120,7 +118,6 @@ def test_rooms_come_back_to_the_centimetre(hall, tmp_path, ending):
 
 
 def test_rooms_of_a_furnished_map(demo_world, tmp_path):
-    """Any anchored map gives its rooms; one that is not says what to do."""
     flat = pg.open_map(demo_world / "altbau.scene")
     with pytest.raises(OptionError, match="scene anchor"):
         flat.export(tmp_path / "rooms.osm")

@@ -19,7 +19,6 @@ from placegraph.indoor.mapping.simplify import (
 
 
 def sheet(n, size=2.0, height=lambda x, y: 0.0 * x * y):
-    """Square of n x n quads over [0, size]^2."""
     x, y = (a.ravel() for a in np.meshgrid(*[np.linspace(0, size, n + 1)] * 2, indexing="ij"))
     points = np.stack([x, y, height(x, y)], axis=1)
     a = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
@@ -28,7 +27,6 @@ def sheet(n, size=2.0, height=lambda x, y: 0.0 * x * y):
 
 
 def ball(n):
-    """Closed unit sphere: a cube's sides of n x n quads, pressed round."""
     points, triangles = [], []
     flat, faces = sheet(n)
     for axis in range(3):
@@ -51,7 +49,6 @@ def plain(points, triangles, **more):
 
 
 def outline(mesh):
-    """Edges that belong to one triangle, in places."""
     place = {tuple(p): i for i, p in enumerate(np.round(mesh.vertices, 4).tolist())}
     rows = [place[tuple(p)] for p in np.round(mesh.vertices, 4).tolist()]
     triangles = np.array(rows)[mesh.triangles]

@@ -19,7 +19,6 @@ BOX = np.array(
 
 
 def _soup(number, rng, size=0.1):
-    """Triangles of about `size` [m] all over 10 x 8 x 3 m, some of them twice, some without area."""
     centres = rng.uniform((0, 0, 0), (10, 8, 3), (number, 1, 3))
     corners = centres + rng.normal(0, size, (number, 3, 3))
     corners[::50] = corners[1::50][: len(corners[::50])]
@@ -28,7 +27,6 @@ def _soup(number, rng, size=0.1):
 
 
 def _sphere(levels):
-    """Unit sphere of 8 * 4**levels triangles, closed: its vertices are shared."""
     vertices = np.array(
         [[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], float
     )
@@ -42,7 +40,6 @@ def _sphere(levels):
 
 
 def _subdivided(vertices, triangles):
-    """Every triangle becomes four."""
     pairs = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     edges, row = np.unique(pairs, axis=0, return_inverse=True)
     ab, bc, ca = (row.reshape(-1, 3) + len(vertices)).T
@@ -52,18 +49,15 @@ def _subdivided(vertices, triangles):
 
 
 def _box(low, high):
-    """Axis-aligned box of 12 triangles."""
     corners = np.array(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij")).reshape(3, -1).T
     return np.asarray(low) + corners * (np.asarray(high, float) - low), BOX
 
 
 def _anyhow(number, rng, low, high):
-    """Rays from anywhere within a box to any side: unlike each other."""
     return rng.uniform(low, high, (number, 3)), rng.normal(size=(number, 3))
 
 
 def _tiles(poses, rng, low, high, rows=24, columns=48):
-    """Rays of cameras within a box, in tiles of 4 x 4 pixels."""
     y, x = np.mgrid[:rows, :columns]
     y, x = (a.reshape(rows // 4, 4, columns // 4, 4).swapaxes(1, 2).ravel() + 0.5 for a in (y, x))
     rays = np.stack([np.full(len(x), columns * 0.7), columns / 2 - x, rows / 2 - y], axis=1)
@@ -106,21 +100,18 @@ def tiles():
 
 @pytest.fixture(scope="session")
 def house(shared):
-    """Vertices and triangles of the shared house: 146,000 triangles, of a millimetre to metres."""
     model = read_glb(shared / "data/house/map/house.glb")
     return model.vertices, model.triangles
 
 
 @pytest.fixture(params=["embree", "bvh"])
 def caster(request):
-    """A function from mesh to `RayCaster`, once with each backend."""
     if request.param == "embree" and (reason := embree.obstacle()):
         pytest.skip(reason)
     return lambda *mesh: RayCaster(*mesh, backend=request.param)
 
 
 def _differing(a, b, tolerance=1e-5):
-    """Share of rays that two casters see differently; one distance counts as one triangle."""
     tie = (a.triangle >= 0) & (b.triangle >= 0)
     far = np.maximum(a.distance, 1.0)[tie]
     tie[tie] = np.abs(a.distance[tie] - b.distance[tie]) <= tolerance * far

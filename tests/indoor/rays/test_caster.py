@@ -22,7 +22,6 @@ def _tree(vertices, triangles):
 
 
 def _check(tree, vertices, triangles):
-    """Walk the whole tree; returns its depth."""
     nodes, links = tree.nodes.reshape(-1, 16), tree.links.reshape(-1, 16)
     rows, corners = tree.rows.reshape(-1, 12)[:, 9], tree.corners.reshape(-1, 12)[:, :9]
     assert sorted(rows) == list(range(len(triangles)))
@@ -67,7 +66,6 @@ def test_triangles_all_alike():
 
 @pytest.mark.parametrize("number", [200, 3000])
 def test_triangles_ever_smaller_and_nearer(number):
-    """Each split takes off one triangle, as long as they differ: the depth must not follow."""
     scale = 0.97 ** np.arange(number)[:, None, None]
     vertices = (scale * (np.eye(3) + np.array([1.0, 0.0, 0.0]))).reshape(-1, 3)
     triangles = np.arange(3 * number).reshape(-1, 3)
@@ -75,7 +73,6 @@ def test_triangles_ever_smaller_and_nearer(number):
 
 
 def test_a_tree_is_better_than_halves(soup, rng):
-    """The surface area heuristic pays: boxes of children are small against their parents'."""
     vertices, triangles = soup(5000, rng)
     nodes = _tree(vertices, triangles).nodes.reshape(-1, 16)[:, :12].reshape(-1, 2, 2, 3)
     x, y, z = (nodes[:, :, 1] - nodes[:, :, 0]).astype(float).transpose(2, 0, 1)
@@ -166,7 +163,6 @@ def test_rays_inside_a_box_reach_its_walls(box, size, seed, power):
 
 
 def test_rays_from_the_middle_of_a_sphere(caster, sphere, rng):
-    """No ray slips through the mesh, not even one that aims at a corner or along an edge."""
     vertices, triangles = sphere(5)
     edges = vertices[triangles[:, :2]]
     share = rng.uniform(size=(len(edges), 1))
@@ -181,7 +177,6 @@ def test_rays_from_the_middle_of_a_sphere(caster, sphere, rng):
 
 
 def test_no_ray_slips_through_a_wide_mesh(caster, rng):
-    """The same far from the origin, on a floor of 100 m whose edges run in every direction."""
     n = 60
     x, y = np.meshgrid(np.linspace(900, 1000, n), np.linspace(-400, -300, n), indexing="ij")
     shift = rng.uniform(-0.7, 0.7, (2, n, n))
@@ -238,7 +233,6 @@ def test_a_million_small_triangles(caster, rng):
 
 
 def test_rays_that_start_on_a_surface(caster, box, rng):
-    """They hit where they start or at the other side, nothing in between and nothing behind."""
     room = caster(*box((0, 0, 0), (4, 4, 3)))
     origins = np.column_stack([rng.uniform(0.5, 3.5, (1000, 2)), np.zeros(1000)])
     hits = room.cast(origins, np.tile([0.0, 0.0, 1.0], (1000, 1)))

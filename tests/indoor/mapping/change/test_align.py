@@ -25,7 +25,6 @@ SHIFT = st.tuples(*[st.floats(-0.08, 0.08)] * 3)
 
 @pytest.fixture(scope="module")
 def tent():
-    """A lopsided tent: all its motions show."""
     return sample_surface(Mesh.plain(CORNERS, FACES), np.arange(6), 3000, np.random.default_rng(0))
 
 

@@ -25,7 +25,6 @@ def built(interior, folder, name):
 
 
 def with_mesh(scene, mesh, *, ids=None, labels=None, floor=None):
-    """The same objects with another mesh, other ids, other labels."""
     graph = scene.graph
     return SceneMap.create(
         mesh, ids or graph.ids, labels or graph.labels, names=graph.names,
@@ -36,7 +35,6 @@ def with_mesh(scene, mesh, *, ids=None, labels=None, floor=None):
 
 @pytest.fixture(scope="module")
 def later(room, room_world, tmp_path_factory):
-    """The room after a while: the desk's chair moved, the lamp gone; its map, and what a diff finds."""
     interior = room_world.interior.moved("chair", (0.5, -0.6), 0.6).without("lamp")
     scene = built(interior, tmp_path_factory.mktemp("later"), "later")
     truth = make_rigid(rotation_z(0.6), np.zeros(3))
@@ -129,7 +127,6 @@ def test_what_has_no_name_in_one_map_is_not_relabelled(room, later):
 
 
 def test_what_has_its_id_near_by_is_not_gone(room):
-    """A scan shows a third of each thing that is not built in, and blurs it; walls are numbered anew."""
     mesh, rng = room.mesh, np.random.default_rng(5)
     built_in = structure(room.graph.labels)
     loose = ~built_in[mesh.object_of]
@@ -150,7 +147,6 @@ def test_what_has_its_id_near_by_is_not_gone(room):
 
 
 def test_ids_of_another_numbering_say_nothing(room):
-    """Of nameless objects numbers agree by chance: what lies where tells which is which."""
     count = len(room)
     shuffled = [room.graph.ids[(i + 3) % count] for i in range(count)]
     found = diff(room, with_mesh(room, room.mesh, ids=shuffled, labels=["unknown"] * count))

@@ -23,7 +23,6 @@ CAMERA = Camera(256, 144, 150.0, 150.0, 128.0, 72.0)
 
 
 def gaze(world, name, seed, interior=None, pitch=0.45):
-    """Capture by one who turns round in the room and looks down a little, and the true poses."""
     turn = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
     level = level_from_camera([0.0, np.cos(pitch), np.sin(pitch)])
     x, y = 3.2 + 0.25 * np.cos(turn), 2.0 + 0.25 * np.sin(turn)
@@ -37,19 +36,16 @@ def gaze(world, name, seed, interior=None, pitch=0.45):
 
 @pytest.fixture(scope="module")
 def before(room_world):
-    """A look round before anything changed."""
     return gaze(room_world, "diff-before", 5)
 
 
 @pytest.fixture(scope="module")
 def after(room_world):
-    """A look round after the lamp went and the side table moved."""
     changed = room_world.interior.moved("side table", (0.1, -0.6)).without("lamp")
     return gaze(room_world, "diff-after", 6, changed)
 
 
 def test_where_nothing_changed_nothing_is_found(room, before):
-    """In a folder or in memory; poses a little off name little."""
     found = diff_capture(room, before.walk, before.poses)
     assert len(found) == 0
     assert found.same
@@ -137,7 +133,6 @@ CELLS = st.lists(st.tuples(*[st.integers(-4, 4)] * 3), max_size=40)
 
 
 def by_hand(cells):
-    """Clumps by flooding, in order of their first cell."""
     left, number, found = set(cells), {}, 0
     for cell in cells:
         if cell not in left:

@@ -116,7 +116,6 @@ h chair: label=chair
 
 @pytest.fixture(scope="module")
 def halves(tmp_path_factory):
-    """Two rooms with a gap between them."""
     folder = tmp_path_factory.mktemp("halves")
     Flat.parse(HALVES).furnish(np.random.default_rng(1)).write_glb(folder / "halves.glb")
     return build_scene(folder / "halves.glb", None)

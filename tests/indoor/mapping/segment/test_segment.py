@@ -14,7 +14,6 @@ GREY, WHITE, RED = (120, 120, 120), (250, 250, 250), (190, 20, 20)
 
 
 def sheet(corner, u, v, step=0.05, colour=WHITE):
-    """Points, triangles and colours of a rectangle in small squares; its normal is u x v."""
     n, m = (max(round(float(np.linalg.norm(side)) / step), 1) for side in (u, v))
     i, j = np.mgrid[0 : n + 1, 0 : m + 1]
     points = np.asarray(corner) + i[..., None] / n * np.array(u) + j[..., None] / m * np.array(v)
@@ -25,7 +24,6 @@ def sheet(corner, u, v, step=0.05, colour=WHITE):
 
 
 def box(low, high, colour=GREY, step=0.05):
-    """Sheets of a box that face outwards, without its bottom."""
     x, y, z = (np.eye(3)[k] * (np.array(high) - low)[k] for k in range(3))
     low = np.array(low, float)
     return [
@@ -37,7 +35,6 @@ def box(low, high, colour=GREY, step=0.05):
 
 
 def world(parts):
-    """One mesh of sheets, and the sheet of each triangle."""
     points, rows, colours, owner, base = [], [], [], [], 0
     for number, (p, t, c) in enumerate(parts):
         points.append(p)
@@ -49,7 +46,6 @@ def world(parts):
 
 
 def study():
-    """A room of 4 x 3 m, 2.5 m high, with a cupboard, and a table that bears a box."""
     table = [
         *box((1.0, 1.0, 0.7), (2.2, 1.8, 0.74)),
         sheet((1.0, 1.0, 0.7), (0, 0.8, 0), (1.2, 0, 0), colour=GREY),
@@ -75,7 +71,6 @@ def areas(vertices, triangles):
 
 
 def best_overlaps(segments, truth, area):
-    """IoU by area of each true thing with the segment that fits it best."""
     names, row = np.unique(truth, return_inverse=True)
     table = np.zeros((len(segments), len(names)))
     np.add.at(table, (segments.object_of, row), area)
@@ -84,7 +79,6 @@ def best_overlaps(segments, truth, area):
 
 
 def check(segments, count):
-    """Every triangle has one object, every object a triangle, every name and id one owner."""
     assert segments.object_of.shape == (count,)
     assert segments.object_of.dtype == np.int32
     if count:
@@ -96,7 +90,6 @@ def check(segments, count):
 
 
 def same_partition(a, b):
-    """Whether two columns of objects group alike."""
     pairs = len(np.unique(np.stack([a, b]), axis=1).T)
     return pairs == len(np.unique(a)) == len(np.unique(b))
 
@@ -118,7 +111,6 @@ def test_study():
 
 
 def test_flat_without_its_ids(flat):
-    """The drawn flat: 110 objects, found again by geometry and corner colours alone."""
     mesh = flat.mesh
     count = len(mesh)
     third = np.full(count, 1 / 3, np.float32)
@@ -171,7 +163,6 @@ def test_neither_sides_nor_order_of_triangles_matter(rng):
     spread=st.sampled_from([1e-5, 0.3, 1.0]), bad=st.integers(0, 4),
 )  # fmt: skip
 def test_soup(seed, points, count, spread, bad):
-    """Triangles at random, corners shared, repeated, not finite: every one gets its object."""
     rng = np.random.default_rng(seed)
     vertices = rng.normal(0, spread, (points, 3)).round(rng.integers(0, 4))
     vertices[rng.integers(0, points, bad)] = [[np.nan, np.inf, -np.inf][bad % 3]]
@@ -186,7 +177,6 @@ def test_soup(seed, points, count, spread, bad):
 
 
 def test_soup_of_kilometres(monkeypatch):
-    """Coordinates in millimetres read as metres: coarser samples, no less an answer."""
     monkeypatch.setattr("placegraph.indoor.mapping.segment.faces._MOST", 200_000)
     rng = np.random.default_rng(5)
     vertices, triangles = rng.normal(0, 1e4, (20, 3)), rng.integers(0, 20, (30, 3))
@@ -237,7 +227,6 @@ def test_picture_and_carpet_by_colour_alone():
 
 @pytest.mark.parametrize(("wide", "count"), [(1.0, 2), (2.2, 1)])
 def test_a_carpet_is_apart_and_another_colour_of_floor_is_not(wide, count):
-    """A red part of a floor of 8 x 6 m, with 2 or 10 m2, that meets it along a sharp edge."""
     vertices, triangles, _, _ = world([sheet((0, 0, 0), (8, 0, 0), (0, 6, 0))])
     x, y = np.abs(vertices[:, :2] - (4.0, 3.0)).T
     colours = np.where(((x < wide) & (y < 0.5 * wide + 0.1))[:, None], RED, GREY).astype(np.uint8)

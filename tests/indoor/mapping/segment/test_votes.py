@@ -20,7 +20,6 @@ FACES = np.array(
 
 
 def fine(vertices, triangles, rounds):
-    """Each triangle cut into four, `rounds` times."""
     spots = vertices[triangles]
     for _ in range(rounds):
         a, b, c = np.moveaxis(spots, 1, 0)
@@ -43,7 +42,6 @@ def wall(y0, y1, z0, z1, x=0.0):
 
 @pytest.fixture(scope="module")
 def room():
-    """Soup of a floor, a wall with a window flush in it, and two chairs that touch."""
     ground = np.array([[0, -2, 0], [4, -2, 0], [4, 2, 0], [0, 2, 0]], float)
     parts = [
         fine(ground, np.array([[0, 1, 2], [0, 2, 3]]), 5),
@@ -69,7 +67,6 @@ def look(eye, at):
 
 
 def views(room, meaning, *, noise=0.0, count=12, depth=True, kind="labels", names=WORDS):
-    """Frames around a room whose labels are `meaning` of the true part; blocks of them err."""
     vertices, triangles, truth = room
     caster = RayCaster(vertices, triangles)
     v, u = np.mgrid[: CAMERA.height, : CAMERA.width]
@@ -95,14 +92,12 @@ def views(room, meaning, *, noise=0.0, count=12, depth=True, kind="labels", name
 
 
 def shares(found, truth, part):
-    """Share of a true part's triangles that each label has."""
     labels = np.array(found.labels)[found.object_of[truth == part]]
     return {label: float(np.mean(labels == label)) for label in set(labels.tolist())}
 
 
 @pytest.mark.parametrize("depth", [True, False])
 def test_labels_with_noise(room, depth):
-    """30 % of the blocks of every image err; the wall is unlabelled and keeps its own name."""
     vertices, triangles, truth = room
     frames = views(room, [0, -1, 2, 1, 1], noise=0.3, depth=depth)
     found = segment(vertices, triangles, frames=frames)
@@ -114,7 +109,6 @@ def test_labels_with_noise(room, depth):
 
 
 def test_regions_of_one_label_split_at_gaps(room):
-    """Two chairs whose label is one are two where they do not touch."""
     vertices, triangles, truth = room
     moved = vertices.copy()
     moved[triangles[truth == 4].ravel(), 1] += 0.8
@@ -127,7 +121,6 @@ def test_regions_of_one_label_split_at_gaps(room):
 
 
 def test_labels_lie_within_the_wall_they_are_flush_with(room):
-    """The window has the wall's plane and colour: labels alone tell it."""
     vertices, triangles, truth = room
     bare = segment(vertices, triangles)
     assert shares(bare, truth, 2) == {"wall": 1.0}
@@ -139,7 +132,6 @@ def test_labels_lie_within_the_wall_they_are_flush_with(room):
 
 
 def test_instances_keep_their_ids(room):
-    """Two things that touch are two where the images say so."""
     vertices, triangles, truth = room
     frames = views(room, [-1, -1, -1, 17, 4], kind="instances", names={})
     found = segment(vertices, triangles, frames=frames)
@@ -152,7 +144,6 @@ def test_instances_keep_their_ids(room):
 
 @pytest.mark.parametrize("names", [{}, {5: "unknown", 6: "object"}])
 def test_an_instance_that_covers_the_floor_is_the_floor(room, names):
-    """And the wall that of the wall: no crumbs of either beside them, whatever blocks err."""
     vertices, triangles, truth = room
     frames = views(room, [5, 6, 6, 17, 4], noise=0.2, kind="instances", names=names)
     found = segment(vertices, triangles, frames=frames)
@@ -165,7 +156,6 @@ def test_an_instance_that_covers_the_floor_is_the_floor(room, names):
 
 
 def test_an_instance_within_a_wall_is_no_wall(room):
-    """A window flush with its wall, and a rug that lies on an unlabelled floor."""
     vertices, triangles, truth = room
     centres = vertices[triangles].mean(axis=1)
     rug = (truth == 0) & (np.abs(centres[:, 0] - 3.0) < 0.6) & (np.abs(centres[:, 1]) < 0.8)
@@ -178,7 +168,6 @@ def test_an_instance_within_a_wall_is_no_wall(room):
 
 
 def test_labels_that_do_not_name_the_floor(room):
-    """What images call object is the floor where it covers it; parquet stays so, without crumbs."""
     vertices, triangles, truth = room
     for word in ("object", "floor"):
         frames = views(room, [0, -1, 2, 1, 1], noise=0.2, names=WORDS | {0: word})
@@ -195,7 +184,6 @@ def test_labels_that_do_not_name_the_floor(room):
 
 
 def test_something_before_the_mesh_does_not_vote(room):
-    """Where the depth is another than the mesh has, the label is of something else."""
     vertices, triangles, _ = room
     frames = views(room, [4, 4, 4, 4, 4])
     near = [
