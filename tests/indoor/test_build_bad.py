@@ -10,7 +10,6 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-import placegraph.indoor.mapping.simplify
 from placegraph.errors import InputError, MapError, OptionError, PlacegraphError
 from placegraph.indoor.build import build_scene, scene_of_model
 from placegraph.indoor.map.relations import MOST_OBJECTS
@@ -40,7 +39,6 @@ def ply(room, tmp_path):
 
 
 def hall(boxes):
-    sheets = []
     n = 16
     i, j = np.meshgrid(np.arange(n), np.arange(n), indexing="ij")
     corner = (i[:-1, :-1] * n + j[:-1, :-1]).ravel()
@@ -184,21 +182,6 @@ def test_any_soup_of_triangles_is_built_or_refused(seed, detail, boxes):
     assert len(scene) == len(set(soup.thing_of.tolist()))
 
 
-def test_vast_objects_are_simplified_in_tiles(boxes, monkeypatch):
-    points, triangles = hall(boxes)
-    model = boxes({"floor": ((0, 0, 0), (1, 1, 1))})
-    one = replace(
-        model, vertices=points, triangles=triangles,
-        thing_of=np.zeros(len(triangles), int), colours=np.full(points.shape, 200, np.uint8),
-        uv=np.zeros((len(points), 2)), picture_of=np.zeros(len(triangles), int),
-    )  # fmt: skip
-    whole = scene_of_model(one)
-    monkeypatch.setattr(placegraph.indoor.mapping.simplify, "TILE", 400)
-    tiled = scene_of_model(one)
-    assert len(tiled.mesh) == pytest.approx(len(whole.mesh), rel=0.2)
-    np.testing.assert_allclose(tiled.bounds, whole.bounds, atol=1e-3)
-
-
 # --- files ---
 
 
@@ -223,6 +206,8 @@ def test_other_endings(tmp_path):
     path.write_text("{}")
     with pytest.raises(InputError, match=r"a\.json holds no scene graph"):
         build_scene(path, None)
+    with pytest.raises(InputError, match="does not exist"):
+        build_scene(tmp_path / "no.glb", None)
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=40)

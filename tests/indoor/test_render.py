@@ -24,8 +24,6 @@ from placegraph.indoor.render import (
     SAMPLES,
     Renderer,
     camera_rays,
-    checked_pose,
-    pattern,
     render,
 )
 from placegraph.indoor.scene_map import SceneMap
@@ -292,15 +290,6 @@ def test_where_the_map_ends_nothing_is_mixed_in():
     assert (drawn.colour[drawn.mask][:, :2] == (200, 100)).all()
 
 
-def test_patterns():
-    for samples in SAMPLES:
-        places = pattern(samples)
-        assert places.shape == (samples, 2)
-        strata = np.floor((places + 0.5) * samples)
-        for axis in (0, 1):
-            assert sorted(strata[:, axis]) == list(range(samples)), "one in each row and column"
-
-
 # --- threads, cameras, refusals ---
 
 
@@ -342,10 +331,6 @@ def test_rays_of_a_camera():
 def test_poses_that_are_none(room, pose):
     with pytest.raises(OptionError, match="map_from_camera"):
         render(room, pose, CAMERA)
-
-
-def test_poses_are_taken_as_numbers():
-    assert checked_pose(np.eye(4).tolist()).dtype == np.float64
 
 
 @pytest.mark.parametrize("samples", [0, 3, 32, -1, 4.5])

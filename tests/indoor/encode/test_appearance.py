@@ -14,7 +14,6 @@ from placegraph.indoor.encode.appearance import (
     DIMENSION,
     LEAST,
     AppearanceEncoder,
-    _features,
     around,
     towards,
 )
@@ -98,14 +97,6 @@ def test_exposure_and_white_balance_change_little(pictures, gains):
         other.append(np.median(cosines))
     assert np.mean(same) > 0.8
     assert np.mean(same) > np.mean(other) + 0.4
-
-
-def test_dot_products_are_a_gaussian_kernel(rng):
-    widths = np.array([0.75, 0.19, 0.04, 1.6, 1.2])
-    steps = rng.standard_normal((2000, 5)) * rng.uniform(0, 1.2, (2000, 1))
-    start, end = (_features((at * widths).astype(np.float32)) for at in (0 * steps, steps))
-    kernel = (start * end).sum(axis=1) / (DIMENSION / 2)
-    assert np.sqrt(np.mean((kernel - np.exp(-(steps**2).sum(axis=1) / 2)) ** 2)) < 0.12
 
 
 def test_every_object_that_can_be_seen_has_a_unit_vector(room, vectors, walk):

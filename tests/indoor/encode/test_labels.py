@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from placegraph.core.geometry import Camera
 from placegraph.errors import OptionError
@@ -17,8 +15,6 @@ from placegraph.indoor.encode.labels import (
     InstancesEncoder,
     LabelsEncoder,
     foreign,
-    looked_up,
-    majority,
 )
 from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.io.capture.frame import Frame
@@ -254,25 +250,6 @@ def test_accuracy_rises_with_a_known_confusion(boxes, rng):
     assert told[0] > plain[0] + 0.5  # nat
 
 
-VALUES = st.integers(-3, 6) | st.sampled_from([65_534, 65_535, 65_536, 2**31 - 1])
-
-
-@given(
-    st.lists(VALUES, min_size=1, max_size=20),
-    st.dictionaries(VALUES.filter(lambda v: v >= 0), st.integers(0, 50), max_size=6),
-)
-def test_every_value_has_its_row_or_none(values, row_of):
-    image = np.array([values], np.int32)
-    got = looked_up(image, row_of)
-    assert got.dtype == np.int32
-    assert got.tolist() == [[row_of.get(v, -1) for v in values]]
-
-
-@pytest.mark.parametrize("count", [0, 3])
-def test_nothing_known_is_nothing_said(count):
-    assert (majority(np.full((4, 4), -1, np.int32), (2, 2), count) == -1).all()
-
-
 INSTANCES = frame(None, [0, 1, 2, 3, -1, 7, 1, 1], "instances")
 
 
@@ -323,22 +300,6 @@ def test_the_majority_of_pixels_speaks(scene, counts, winner):
     image = np.hstack([ids.reshape(40, 40), np.full((40, 40), -1)])
     rows = InstancesEncoder(scene, (1, 2)).encode(frame(None, image, "instances")).rows
     assert rows.tolist() == [winner, -1]
-
-
-@pytest.mark.parametrize("shape", [(45, 80), (31, 53), (9, 16)])
-@pytest.mark.parametrize("grid", [GRID, (14, 14), (4, 3), (1, 1)])
-def test_any_image_has_the_encoders_grid(scene, shape, grid):
-    image = np.zeros(shape, int)
-    image[:, shape[1] // 2 :] = 2
-    camera = CAMERA.resized(shape[1], shape[0])
-    patches = InstancesEncoder(scene, grid).encode(frame(None, image, "instances", camera))
-    rows = patches.rows.reshape(grid)
-    pixel_rows = {y * grid[0] // shape[0] for y in range(shape[0])}
-    for y in range(grid[0]):
-        if y not in pixel_rows:
-            assert (rows[y] == -1).all()
-        elif grid[1] > 1:
-            assert (rows[y, 0], rows[y, -1]) == (0, 2)
 
 
 def test_the_rendered_walk_says_what_is_there(room, walk):

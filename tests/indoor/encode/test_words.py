@@ -16,7 +16,6 @@ from placegraph.indoor.encode.words import (
     digest,
     grown,
     known,
-    mixed,
     spelled,
     tree,
     vector,
@@ -202,14 +201,6 @@ def test_any_label_has_a_unit_vector_or_none(label):
     assert length == 0 or length == pytest.approx(1, abs=1e-4)
     assert (vector(label) == got).all()
     assert (vector(f" {label.strip()} ") == got).all()
-
-
-@given(st.integers(0, 2047), st.integers(0, 2047), st.floats(0, 1))
-def test_mixtures_have_the_cosine_asked_for(a, b, cosine_):
-    if a != b:
-        got = mixed(codes()[a], codes()[b], cosine_)
-        assert float(got @ codes()[a]) == pytest.approx(cosine_, abs=1e-5)
-        assert float(np.linalg.norm(got)) == pytest.approx(1, abs=1e-5)
 
 
 def test_a_group_is_nearer_than_the_rest():

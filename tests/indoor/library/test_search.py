@@ -1,6 +1,5 @@
 """Scenes are found by captures."""
 
-import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -12,13 +11,6 @@ from placegraph.core.estimate import Status
 from placegraph.errors import OptionError
 from placegraph.indoor.library import SceneLibrary, SearchOptions, library_of, search
 from placegraph.indoor.library.search import WORDS, cluster_vectors, encode_frames, score_scenes
-from placegraph.indoor.library.search_kernels import (
-    CELL,
-    FURTHEST,
-    _nearest,
-    best_cosines,
-    mixtures,
-)
 from placegraph.indoor.library.signature import distinct
 from placegraph.io.capture.frame import Frame
 from placegraph_lab.worlds.home.change import changed
@@ -108,18 +100,6 @@ def test_a_thing_taken_for_another_in_every_frame_is_one_witness(by_labels, room
     assert library_of(maps, encoders="labels").search(called).best.scene == "study"
 
 
-def test_noise_is_what_no_patch_beside_says(rooms):
-    (encoder,) = SceneLibrary("labels").encoders
-    said = encode_frames(list(rooms["study"].film(3, frames=2)), [encoder]).parts[0]
-    quiet = replace(said, beside=np.zeros_like(said.beside)).weights(2, SearchOptions())
-    assert not quiet.any()
-    weight = said.weights(2, SearchOptions(thing=1.5))
-    by_word = np.bincount(said.word, weight)
-    assert by_word.max() == pytest.approx(1.5, rel=1e-5)
-    assert (said.beside >= 0).all()
-    assert (said.beside <= 8).all()
-
-
 def test_the_same_question_has_the_same_answer(by_labels, rooms):
     film = rooms["study"].film(4)
     once, again = (by_labels.search(film).to_dict() for _ in range(2))
@@ -190,28 +170,6 @@ def test_the_papers_sum_of_a_large_library_is_made_in_parts(by_labels, rooms, mo
     )
 
 
-@settings(max_examples=20)
-@given(st.integers(0, 2**32 - 1))
-def test_kernels_do_what_numpy_does(seed):
-    rng = np.random.default_rng(seed)
-    sizes = rng.integers(1, 5, 4)
-    starts = np.concatenate([[0], np.cumsum(sizes)])
-    code = rng.integers(0, 6, starts[-1]).astype(np.int32)
-    table = rng.uniform(-1, 1, (3, 6)).astype(np.float32)
-    weight, share = rng.random(3), rng.random(starts[-1]).astype(np.float32)
-    best = [table[:, code[a:b]].max(axis=1) @ weight for a, b in itertools.pairwise(starts)]
-    np.testing.assert_allclose(
-        best_cosines(table, code, starts, weight), best, rtol=1e-4, atol=1e-5
-    )
-    mean = [table[:, code[a:b]] @ share[a:b] for a, b in itertools.pairwise(starts)]
-    np.testing.assert_allclose(
-        mixtures(np.ascontiguousarray(table.T), code, share, starts, np.arange(4)),
-        mean,
-        rtol=1e-3,
-        atol=1e-5,
-    )
-
-
 @given(st.integers(1, 400), st.integers(1, 300), st.integers(0, 2**32 - 1))
 @settings(max_examples=25)
 def test_words_stand_for_their_vectors(count, kinds, seed):
@@ -264,10 +222,3 @@ def test_a_large_library_is_shortlisted(by_labels, rooms):
     full = score_scenes(index, query, SearchOptions(geometry=False)).total
     some = score_scenes(part, query, SearchOptions(geometry=False)).total
     np.testing.assert_allclose(full[rows], some, rtol=1e-3)
-
-
-def test_ground_is_no_wider_than_places_may_be():
-    near, far = (0.0, 0.0), (1e7, 3.0)
-    ground = _nearest(np.array([near, far], np.float32))
-    assert len(ground) < 2.1 * FURTHEST / CELL
-    assert set(np.unique(ground)) == {-1, 0}

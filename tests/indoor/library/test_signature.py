@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph.errors import MapError, OptionError
+from placegraph.errors import OptionError
 from placegraph.indoor.encode import encoder
 from placegraph.indoor.library.signature import (
     APART,
@@ -76,40 +76,6 @@ def test_scenes_that_say_nothing_are_refused(maps):
     nameless = replace(scene, graph=replace(scene.graph, labels=("object",) * len(scene)))
     with pytest.raises(OptionError, match=r"none of its .* says anything to labels"):
         signature_of(nameless, [LABELS])
-
-
-def test_vectors_of_another_encoder_are_no_vectors(maps):
-    class Needy:
-        name, key, dimension, temperature = "needy", "needy 1", 4, 0.1
-
-        def patches(self, _image):
-            raise AssertionError
-
-        def camera(self, _image):
-            raise AssertionError
-
-        def objects(self, _scene, _captures=()):
-            raise OptionError("captures: there is none; needy needs some.")
-
-    scene = maps["study"]
-    with pytest.raises(OptionError, match="needy needs some"):
-        signature_of(scene, [Needy()])
-    other = scene.with_embeddings(np.eye(len(scene), 4), encoder="other 7")
-    with pytest.raises(MapError, match=r"other 7.*needy 1"):
-        signature_of(other, [Needy()])
-    own = scene.with_embeddings(np.eye(len(scene), 4), encoder="needy 1")
-    assert signature_of(own, [Needy()]).vectors["needy 1"].shape == (len(scene), 4)
-
-
-def test_vectors_of_a_wrong_shape_are_refused(maps):
-    class Wrong:
-        name, key, dimension, temperature = "wrong", "wrong", 4, 0.1
-
-        def objects(self, scene, _captures=()):
-            return np.full((len(scene), 4), np.nan)
-
-    with pytest.raises(OptionError, match="finite numbers belong"):
-        signature_of(maps["study"], [Wrong()])
 
 
 @pytest.mark.parametrize("name", ["labels", "appearance"])

@@ -11,7 +11,7 @@ from hypothesis.extra import numpy as arrays
 
 from placegraph.core.mapfile import compress_array
 from placegraph.errors import OptionError
-from placegraph.indoor.map.map_kernels import colour_at, opponent
+from placegraph.indoor.map.map_kernels import colour_at
 from placegraph.indoor.map.mesh import (
     GRAIN,
     UV_GRAIN,
@@ -248,16 +248,6 @@ def test_near_by_it_shows_what_the_mesh_shows(flat, rng):
     np.testing.assert_array_equal(surface.object_of, mesh.object_of)
 
 
-def test_corner_colours_tint_the_texture(rng):
-    mesh = quad(rng.integers(0, 256, (5, 7, 3)), uv=3.7)
-    tints = rng.integers(0, 256, (4, 3)).astype(np.uint8)
-    mesh = replace(mesh, colours=tints, uv=mesh.uv - np.float32(5.3))
-    triangle, u, v = hits_on(mesh, rng)
-    got = looked_at(Surface.of(mesh), triangle, u, v) * 255
-    expected = mesh.colour_at(triangle.astype(np.int32), u.astype("f4"), v.astype("f4"))
-    assert (np.abs(got - expected).max(axis=1) > 0.51).mean() < 0.02
-
-
 def test_a_texture_repeats_even_at_its_seams():
     texture = np.arange(4 * 3).reshape(1, 4, 3) * 20
     mesh = quad(texture, uv=1.0)
@@ -283,30 +273,6 @@ def test_levels_halve_down_to_one_texel(shape, rng):
     # halves of odd sides weigh some texels twice
     off = 0.5 * len(levels) if all(n & (n - 1) == 0 for n in shape) else 8
     np.testing.assert_allclose(surface.texels[-1], texture.mean(axis=(0, 1)), atol=off)
-
-
-def test_smaller_textures_repeat_their_last_level(rng):
-    small, large = (rng.integers(0, 256, (n, n, 3)).astype(np.uint8) for n in (2, 16))
-    mesh = replace(quad(small), texture_of=np.array([0, 1], np.int32), textures=(small, large))
-    surface = Surface.of(mesh)
-    assert surface.levels.shape == (2, 5, 3)
-    assert surface.levels[0].tolist() == [[0, 2, 2], [4, 1, 1], [4, 1, 1], [4, 1, 1], [4, 1, 1]]
-    assert surface.levels[1, 0].tolist() == [5, 16, 16]
-    # from however far, the small one is its own mean
-    far = np.array(colour_at(surface, 0, np.float32(0.2), np.float32(0.2), np.float32(1e6)))
-    np.testing.assert_allclose(far * 255, surface.texels[4], atol=0.01)
-
-
-def test_texels_per_metre_of_the_denser_side(rng):
-    texture = rng.integers(0, 256, (64, 64, 3))
-    # 64 texels over 2 m and over 1 m: 64 a metre along the shorter side
-    np.testing.assert_allclose(Surface.of(quad(texture)).texels_per_metre, 64, rtol=1e-5)
-    np.testing.assert_allclose(Surface.of(quad(texture, uv=3)).texels_per_metre, 192, rtol=1e-5)
-    flat = Surface.of(quad(np.full((1, 1, 3), 7), uv=0))
-    assert flat.texels_per_metre.tolist() == [0, 0]
-    mesh = quad(texture)
-    point = replace(mesh, vertices=mesh.vertices[[0, 0, 0, 3]])  # triangles without area
-    assert np.isfinite(Surface.of(point).texels_per_metre).all()
 
 
 def test_what_stands_for_more_sees_more():
@@ -347,14 +313,3 @@ def test_charts_of_an_atlas_are_not_mixed_from_afar(monkeypatch):
         np.testing.assert_allclose(255 * seen, [wanted], atol=2)
     whole = Surface.of(replace(mesh, uv=np.tile(corners, (8, 1))))
     assert (whole.levels[0, -1, 1:] == 1).all(), "one picture ends in one texel"
-
-
-def test_opponents_and_a_dimmer_lamp():
-    got = opponent(np.float32(0.6), np.float32(0.3), np.float32(0.04))
-    assert got == pytest.approx((0.94, 0.56, -0.04), abs=1e-6)
-    grey = opponent(np.float32(0.5), np.float32(0.5), np.float32(0.5))
-    assert grey == pytest.approx((1.5, 0, 0), abs=1e-6)
-    bright = np.array(opponent(*np.array([0.8, 0.5, 0.2], np.float32)))
-    dim = np.array(opponent(*np.array([0.4, 0.25, 0.1], np.float32)))
-    assert dim[0] == pytest.approx(bright[0] / 2, abs=1e-6)
-    np.testing.assert_allclose(dim[1:], bright[1:], rtol=0.05)

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from placegraph.indoor.map.map_kernels import areas_within, nearest, pieces
+from placegraph.indoor.map.map_kernels import nearest
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.rooms import rooms_of, with_rooms
 from placegraph_lab.worlds.flat.flat import Flat
@@ -224,27 +224,6 @@ def test_nearest_is_what_all_pairs_say(mask, reach):
             u, v = divmod(int(number[x, y]), mask.shape[1])
             assert mask[u, v]
             assert squared[x, y] == least == (x - u) ** 2 + (y - v) ** 2
-
-
-def test_pieces_touch_at_corners():
-    part, count = pieces(np.array([[1, 0, 0, 1], [0, 1, 0, 1], [0, 0, 0, 0], [1, 1, 0, 0]], bool))
-    assert count == 3
-    assert part.tolist() == [[0, -1, -1, 1], [-1, 0, -1, 1], [-1, -1, -1, -1], [2, 2, -1, -1]]
-
-
-def test_areas_add_up(rng):
-    corners = rng.uniform(-1, 3, (50, 3, 3))
-    areas = rng.uniform(0, 2, 50)
-    own = rng.integers(0, 4, 50).astype(np.int32)
-    rooms = rng.integers(-1, 3, (20, 20)).astype(np.int32)
-    votes = np.zeros((4, 4))
-    areas_within(corners, areas, own, np.zeros(2), 0.1, rooms, votes)
-    assert votes.sum(axis=1) == pytest.approx(np.bincount(own, areas, 4))
-    corners = np.array([[[0, 0, 0], [2, 0, 0], [0, 0, 1.0]]])  # half of it in each room
-    rooms = np.repeat([0, 1], 10)[:, None].repeat(3, axis=1).astype(np.int32)
-    votes = np.zeros((1, 3))
-    areas_within(corners, np.ones(1), np.zeros(1, np.int32), np.array([0, -0.1]), 0.1, rooms, votes)
-    assert votes[0] == pytest.approx([0.75, 0.25, 0], abs=0.03)
 
 
 def test_the_house_has_two_rooms_behind_its_folding_doors(house):

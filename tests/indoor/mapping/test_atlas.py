@@ -12,7 +12,7 @@ from placegraph.core.geometry import Camera
 from placegraph.core.threads import limit_threads
 from placegraph.errors import OptionError
 from placegraph.indoor.map.mesh import Mesh
-from placegraph.indoor.mapping.atlas.bake import bake, fill_unknown, pack
+from placegraph.indoor.mapping.atlas.bake import bake, pack
 from placegraph.indoor.mapping.atlas.colours import (
     frame_colours,
     group_keyframes,
@@ -20,7 +20,6 @@ from placegraph.indoor.mapping.atlas.colours import (
     mesh_colours,
 )
 from placegraph.indoor.rays import RayCaster
-from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.frame import Frame
 
 
@@ -171,21 +170,6 @@ def test_tolerance_bounds_the_error_and_saves_texels(ball, rng):
     assert sizes[0] > sizes[1] > sizes[2]
 
 
-def test_a_map_of_it_renders_the_field(room, colour_of):
-    mesh = bake(room.mesh, colour_of, texel=0.02)
-    graph = room.graph
-    scene = SceneMap.create(mesh, graph.ids, graph.labels, floor=float(room.floors[0]))
-    pose = np.eye(4)
-    pose[:3, :3] = [[0, 0, 1], [-1, 0, 0], [0, -1, 0]]
-    pose[:3, 3] = *room.bounds.mean(axis=0)[:2], 1.5
-    drawn = scene.render(pose, CAMERA)
-    seen = drawn.mask
-    off = np.abs(drawn.colour[seen].astype(int) - field(drawn.points[seen].astype(float)))
-    assert seen.mean() > 0.9
-    assert np.median(off) <= 6  # JPEG, and at most 5 by coarser charts
-    assert np.mean(off.max(axis=1) > 45) < 0.05
-
-
 def test_one_spot_of_colour_keeps_its_surrounding_small():
     mesh = Mesh.plain(*grid(40, 40))
 
@@ -263,25 +247,6 @@ def test_any_soup_is_laid_flat(seed, count, texel):
     assert all(max(t.shape) <= 128 for t in after.textures)
 
 
-def test_a_surface_that_winds_over_itself(colour_of):
-    turn = np.linspace(0, 6 * np.pi, 160)  # a spiral stair: all normals nearly up
-    rim = [np.stack([r * np.cos(turn), r * np.sin(turn), 0.03 * turn], axis=1) for r in (0.3, 1.0)]
-    a = np.arange(159)
-    steps = [np.stack(corners, axis=1) for corners in ((a, a + 160, a + 161), (a, a + 161, a + 1))]
-    mesh = Mesh.plain(np.concatenate(rim), np.concatenate(steps))
-    area = sound(mesh, bake(mesh, colour_of, texel=0.02, tolerance=0))
-    assert (area < 0).all()
-
-
-def test_fifty_thousand_triangles(rng):
-    points, rows = grid(160, 160, 0.02)
-    points[:, 2] = rng.normal(0, 0.004, len(points))
-    mesh = Mesh.plain(points, rows)
-    after = bake(mesh, lambda p, *_: field(p), texel=0.04)
-    assert (after.vertices[after.triangles] == mesh.vertices[mesh.triangles]).all()
-    assert len(after.vertices) < 1.5 * len(mesh.vertices)
-
-
 def test_the_same_again_on_any_number_of_threads(ball, colour_of):
     made = []
     for threads in (1, 2):
@@ -312,27 +277,6 @@ def test_rectangles_lie_on_pages_and_nowhere_twice(sizes):
     assert max(t.max() for t in taken) == 1
     assert pages.max() <= 128
     assert all(t.any() for t in taken)
-
-
-def test_many_rectangles_fill_their_page(rng):
-    sizes = rng.integers(3, 40, (2000, 2))
-    page, _, pages = pack(sizes, 2048, rng.random(2000))
-    assert len(pages) == page.max() + 1 == 1
-    assert sizes.prod(axis=1).sum() > 0.8 * pages[0].prod()
-
-
-def test_what_lies_between_is_smooth():
-    texels = np.zeros((37, 50, 3), np.uint8)
-    known = np.zeros((37, 50), bool)
-    texels[3:10, 4:9], known[3:10, 4:9] = (200, 100, 0), True
-    texels[20:30, 40:45], known[20:30, 40:45] = (100, 200, 50), True
-    out = fill_unknown(texels, known)
-    assert (out[known] == texels[known]).all()
-    assert (out.min(axis=(0, 1)) >= (100, 100, 0)).all()
-    assert (out.max(axis=(0, 1)) <= (200, 200, 50)).all()
-    assert np.abs(out[10, 4:9].astype(int) - (200, 100, 0)).max() < 20  # right beside it
-    out = fill_unknown(np.full((5, 8, 3), 9, np.uint8), np.zeros((5, 8), bool))
-    assert len(np.unique(out.reshape(-1, 3), axis=0)) == 1
 
 
 PHONE = Camera(120, 90, 100.0, 100.0, 60.0, 45.0)

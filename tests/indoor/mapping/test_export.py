@@ -220,29 +220,3 @@ def test_a_vertex_has_the_colours_around_it_times_its_own():
     left = model.vertices[:, 0] < 0.5
     assert bright[left].max() < 80
     assert bright[~left].min() > 120
-
-
-def test_objects_and_textures_do_not_share_vertices():
-    scene = quad(np.full((1, 1, 3), 255))
-    mesh = Mesh(
-        vertices=scene.mesh.vertices, triangles=scene.mesh.triangles,
-        object_of=np.array([0, 1]), colours=scene.mesh.colours, uv=scene.mesh.uv,
-        texture_of=np.array([0, 1]),
-        textures=(np.full((1, 1, 3), 40, np.uint8), np.full((1, 1, 3), 80, np.uint8)),
-    )  # fmt: skip
-    two = SceneMap.create(mesh, ["a", "b"], ["floor", "wall"], floor=0.0, names=["", "W"])
-    model = paint_vertices(two)
-    assert len(model.vertices) == 6
-    for row, value in ((0, 40), (1, 80)):
-        assert (model.colours[model.triangles[model.thing_of == row]] == value).all()
-    found = [(t.id, t.label, t.name) for t in model.things]
-    assert found == [("a", "floor", ""), ("b", "wall", "W")]
-
-
-def test_the_surface_stays_where_it_was(room):
-    model = paint_vertices(room)
-    assert (model.vertices[model.triangles] == room.mesh.vertices[room.mesh.triangles]).all()
-    graph = room.graph
-    told = zip(graph.sources, graph.relations, graph.targets, strict=True)
-    assert model.relations == tuple(told)
-    assert model.floor == pytest.approx(room.floors[0])

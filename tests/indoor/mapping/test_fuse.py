@@ -7,22 +7,17 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 
 from placegraph.core.geometry import Camera, level_from_camera, pose_matrix, rotation_z
 from placegraph.core.threads import limit_threads
 from placegraph.errors import InputError, OptionError
-from placegraph.indoor.mapping import fuse_kernels as kernels
 from placegraph.indoor.mapping.fuse import (
     FuseOptions,
     drop_specks,
     find_good_poses,
     fuse,
-    make_loop_tables,
-    read_view,
-    undistort,
 )
-from placegraph.indoor.mapping.fuse_kernels import facets_of, low_corner
+from placegraph.indoor.mapping.fuse_kernels import facets_of
 from placegraph.indoor.rays import RayCaster
 from placegraph.io.capture.frame import Frame
 
@@ -278,19 +273,6 @@ def test_bad_poses_show_in_the_agreement(views):
 WIDE = (-0.28, 0.09, 0.0, 0.0, -0.015)
 
 
-@given(k1=st.floats(-0.3, 0.3), p1=st.floats(-0.01, 0.01))
-def test_undistorted_pixels_stand_on_their_rays(k1, p1):
-    camera = Camera(64, 48, 50.0, 50.0, 31.0, 25.0, (k1, 0.02, p1, 0.0))
-    plain, table = undistort(camera)
-    v, u = np.nonzero(table >= 0)
-    rays = plain.directions(np.stack([u, v], axis=-1) + 0.5)
-    line, column = np.divmod(table[v, u], 64)
-    there = np.stack([column, line], axis=-1) + 0.5
-    assert np.abs(camera.project(rays) - there).max() <= 0.5 + 1e-6
-    assert len(v) > 0.6 * 64 * 48  # a pincushion's image becomes smaller
-    assert not any(plain.distortion)
-
-
 def test_a_wall_behind_a_wide_lens_is_flat():
     camera = Camera(120, 90, 90.0, 90.0, 60.0, 45.0, WIDE)
     frame, pose = plane_view(1.5, camera=camera, slope=0.4)
@@ -298,14 +280,6 @@ def test_a_wall_behind_a_wide_lens_is_flat():
     off = (mesh.vertices[:, 2] - 0.4 * mesh.vertices[:, 0] - 1.5) / np.hypot(1, 0.4)
     assert np.sqrt((off**2).mean()) < 0.04 / 5
     assert (mesh.colours == 100).all()
-
-
-def test_frames_without_a_reading_give_no_view():
-    camera = Camera(8, 6, 5.0, 5.0, 4.0, 3.0)
-    rgb = np.zeros((6, 8, 3), np.uint8)
-    assert read_view(Frame.from_arrays(rgb, camera), 0, np.eye(4)) is None
-    nothing = Frame.from_arrays(rgb, camera, depth=np.full((6, 8), np.nan))
-    assert read_view(nothing, 0, np.eye(4)) is None
 
 
 def test_slips_are_told_from_walks_and_turns():
@@ -322,31 +296,7 @@ def test_slips_are_told_from_walks_and_turns():
     assert find_good_poses(walk[:0]).shape == (0,)
 
 
-@pytest.mark.parametrize(
-    "spoil",
-    [
-        lambda p: p * np.nan, lambda p: np.full_like(p, np.inf), lambda p: p @ np.diag([1, 1, -1.0, 1]),
-        lambda p: p @ np.diag([2, 2, 2.0, 1]), lambda p: p + 1e6, lambda p: 0 * p,
-    ],
-)  # fmt: skip
-def test_what_is_no_pose_is_not_believed(spoil):
-    poses = np.tile(np.eye(4), (3, 1, 1))
-    poses[1] = spoil(poses[1])
-    assert find_good_poses(poses).tolist() == [True, False, True]
-
-
 EYE = np.array([90.0, 90.0, 60.0, 45.0])
-
-
-@given(arrays(np.int32, (60, 3), elements=st.integers(-5, 5) | st.integers(-(1 << 19), 1 << 19)))
-def test_blocks_are_found_again(places):
-    places = np.unique(places, axis=0)
-    keys, rows = np.full(256, -1, np.int64), np.zeros(256, np.int32)
-    kernels.rehash(keys, rows, places, len(places))
-    found = [kernels.row_of(keys, rows, *place) for place in places.tolist()]
-    assert found == list(range(len(places)))
-    assert kernels.row_of(keys, rows, (1 << 19) + 1, 0, 0) == -1
-    assert kernels.row_of(keys, rows, 1 << 40, 0, 0) == -1
 
 
 def test_a_slanted_plane_is_no_edge():
@@ -380,26 +330,6 @@ def test_small_holes_are_bridged_and_specks_are_not_believed():
     assert np.abs(facets[20:22, 5:-5, 4] - whole[20:22, 5:-5]).max() < 1e-3
     assert (facets[62:, :, 4] == 0).all()
     assert (facets_of(whole, EYE, 1.0, True)[..., 4] == 0).all()
-
-
-def crossed(case):
-    ends = [(low_corner(e), low_corner(e) | 1 << (e >> 2)) for e in range(12)]
-    return np.array([(case >> a ^ case >> b) & 1 for a, b in ends], bool)
-
-
-def test_loops_take_up_all_crossed_edges_and_no_other():
-    loop_of, loops = make_loop_tables()
-    for case in range(1, 255):
-        assert ((loop_of[case] >= 0) == crossed(case)).all()
-        assert set(loop_of[case][loop_of[case] >= 0]) == set(range(loops[case]))
-        sizes = np.bincount(loop_of[case][loop_of[case] >= 0])
-        assert sizes.min() >= 3
-    assert loops[255] == 0
-    # corners behind the surface are cut off one by one
-    assert loops[0b00000001] == 1
-    assert loops[0b10000001] == 2  # opposite corners
-    assert loops[0b01101001] == 4  # every second corner
-    assert loops[0b00001111] == 1
 
 
 def test_small_parts_are_dropped_and_counted():

@@ -10,10 +10,8 @@ from hypothesis import strategies as st
 from placegraph.errors import OptionError
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.mapping.simplify import (
-    batch_objects,
     build_wedges,
     cut_tiles,
-    group_rows,
     simplify,
 )
 
@@ -241,27 +239,6 @@ def test_large_objects_are_simplified_in_tiles_without_cracks(monkeypatch):
     assert 0.975 <= reach.min() <= reach.max() <= 1.025
     flat = simplify(plain(*sheet(13)), error=0.0)
     assert len(flat) <= 8, "tiles leave no trace"
-
-
-@given(
-    st.integers(1, 40).flatmap(
-        lambda n: st.lists(
-            st.tuples(st.integers(-2, 2), st.integers(-2, 2)), min_size=n, max_size=n
-        )
-    )
-)
-def test_equal_rows_are_grouped(rows):
-    keys = np.array(rows, np.int64)
-    group, first = group_rows(keys)
-    known = list(dict.fromkeys(rows))
-    assert [known[g] for g in group] == rows
-    assert first.tolist() == [rows.index(k) for k in known]
-
-
-@given(st.lists(st.integers(0, 9), min_size=1, max_size=60))
-def test_every_triangle_is_in_one_batch(objects):
-    rows = np.concatenate(batch_objects(np.array(objects, np.int64)))
-    assert sorted(rows.tolist()) == list(range(len(objects)))
 
 
 def test_nothing_and_lines_stay_as_they_are():

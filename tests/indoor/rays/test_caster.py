@@ -10,74 +10,91 @@ from hypothesis import strategies as st
 
 from placegraph.errors import MissingExtraError, OptionError
 from placegraph.indoor.rays import RayCaster, embree
-from placegraph.indoor.rays import caster as bvh
-from placegraph.indoor.rays import trace_kernels as bvh_kernels
 from placegraph.indoor.rays.caster import Hits
 from placegraph.indoor.rays.trace_kernels import cast_rays
+from placegraph.io.mesh.gltf import read_glb
 from placegraph_lab.tables.indoor.maps import decimate
 
-
-def _tree(vertices, triangles):
-    return bvh.build_tree(np.asarray(vertices, np.float32), np.asarray(triangles, np.int32))
-
-
-def _check(tree, vertices, triangles):
-    nodes, links = tree.nodes.reshape(-1, 16), tree.links.reshape(-1, 16)
-    rows, corners = tree.rows.reshape(-1, 12)[:, 9], tree.corners.reshape(-1, 12)[:, :9]
-    assert sorted(rows) == list(range(len(triangles)))
-    corners = corners.reshape(-1, 3, 3)
-    np.testing.assert_array_equal(corners, np.asarray(vertices, np.float32)[triangles][rows])
-    seen, deepest, waiting = [], 0, [(0, 1)]
-    while waiting:
-        node, depth = waiting.pop()
-        deepest = max(deepest, depth)
-        for side in range(2):
-            low, high = nodes[node, 6 * side : 6 * side + 6].reshape(2, 3)
-            child = links[node, 12 + side]
-            if child >= 0:
-                waiting.append((child, depth + 1))
-                below = nodes[child, :12].reshape(2, 2, 3)
-            else:
-                first, number = ~child >> 3, (~child & 7) + 1
-                below = corners[first : first + number]
-                seen.extend(range(first, first + number))
-            assert (below >= low).all()
-            assert (below <= high).all()
-    if len(triangles) == 1:
-        assert seen == [0, 0]  # both sides of the root
-    else:
-        assert sorted(seen) == list(range(len(triangles)))
-    return deepest
+BOX = np.array(
+    [
+        [[0, 2, 1], [1, 2, 3]],
+        [[4, 5, 6], [5, 7, 6]],
+        [[0, 1, 4], [1, 5, 4]],
+        [[2, 6, 3], [3, 6, 7]],
+        [[0, 4, 2], [2, 4, 6]],
+        [[1, 3, 5], [3, 7, 5]],
+    ]
+).reshape(12, 3)
 
 
-@given(st.integers(1, 300), st.integers(0, 2**32 - 1), st.sampled_from([0.0, 1e-3, 1.0, 1e6]))
-def test_every_triangle_is_in_one_leaf(number, seed, size):
-    rng = np.random.default_rng(seed)
-    vertices = rng.uniform(-1, 1, (max(3, number // 2), 3)) * size
-    triangles = rng.integers(0, len(vertices), (number, 3))
-    assert _check(_tree(vertices, triangles), vertices, triangles) <= bvh_kernels.STACK
+def soup(number, rng, size=0.1):
+    centres = rng.uniform((0, 0, 0), (10, 8, 3), (number, 1, 3))
+    corners = centres + rng.normal(0, size, (number, 3, 3))
+    corners[::50] = corners[1::50][: len(corners[::50])]
+    corners[7::100, 2] = corners[7::100, 1]
+    return corners.reshape(-1, 3), np.arange(3 * number).reshape(-1, 3)
 
 
-def test_triangles_all_alike():
-    vertices, triangles = np.eye(3), np.tile([0, 1, 2], (1000, 1))
-    depth = _check(_tree(vertices, triangles), vertices, triangles)
-    assert depth <= 10  # halves of halves
+def sphere(levels):
+    vertices = np.array(
+        [[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], float
+    )
+    triangles = np.array(
+        [[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4], [1, 0, 5], [2, 1, 5], [3, 2, 5], [0, 3, 5]]
+    )
+    for _ in range(levels):
+        vertices, triangles = subdivided(vertices, triangles)
+        vertices /= np.linalg.norm(vertices, axis=1, keepdims=True)
+    return vertices, triangles
 
 
-@pytest.mark.parametrize("number", [200, 3000])
-def test_triangles_ever_smaller_and_nearer(number):
-    scale = 0.97 ** np.arange(number)[:, None, None]
-    vertices = (scale * (np.eye(3) + np.array([1.0, 0.0, 0.0]))).reshape(-1, 3)
-    triangles = np.arange(3 * number).reshape(-1, 3)
-    assert _check(_tree(vertices, triangles), vertices, triangles) <= bvh_kernels.STACK
+def subdivided(vertices, triangles):
+    pairs = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    edges, row = np.unique(pairs, axis=0, return_inverse=True)
+    ab, bc, ca = (row.reshape(-1, 3) + len(vertices)).T
+    a, b, c = triangles.T
+    smaller = np.stack([a, ab, ca, ab, b, bc, ca, bc, c, ab, bc, ca], axis=1).reshape(-1, 3)
+    return np.concatenate([vertices, vertices[edges].mean(axis=1)]), smaller
 
 
-def test_a_tree_is_better_than_halves(soup, rng):
-    vertices, triangles = soup(5000, rng)
-    nodes = _tree(vertices, triangles).nodes.reshape(-1, 16)[:, :12].reshape(-1, 2, 2, 3)
-    x, y, z = (nodes[:, :, 1] - nodes[:, :, 0]).astype(float).transpose(2, 0, 1)
-    area = (x * y + y * z + z * x).sum()
-    assert area < 60 * (10 * 8 + 8 * 3 + 3 * 10)
+def box(low, high):
+    corners = np.array(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij")).reshape(3, -1).T
+    return np.asarray(low) + corners * (np.asarray(high, float) - low), BOX
+
+
+def anyhow(number, rng, low, high):
+    return rng.uniform(low, high, (number, 3)), rng.normal(size=(number, 3))
+
+
+def tiles(poses, rng, low, high, rows=24, columns=48):
+    y, x = np.mgrid[:rows, :columns]
+    y, x = (a.reshape(rows // 4, 4, columns // 4, 4).swapaxes(1, 2).ravel() + 0.5 for a in (y, x))
+    rays = np.stack([np.full(len(x), columns * 0.7), columns / 2 - x, rows / 2 - y], axis=1)
+    yaw = rng.uniform(0, 2 * np.pi, poses)
+    c, s, o = np.cos(yaw), np.sin(yaw), np.zeros(poses)
+    turn = np.stack([c, -s, o, s, c, o, o, o, o + 1], axis=1).reshape(-1, 3, 3)
+    directions = np.einsum("nij,rj->nri", turn, rays / (columns * 0.7)).reshape(-1, 3)
+    return np.repeat(rng.uniform(low, high, (poses, 3)), len(x), axis=0), directions
+
+
+@pytest.fixture(scope="session")
+def house(shared):
+    model = read_glb(shared / "data/house/map/house.glb")
+    return model.vertices, model.triangles
+
+
+@pytest.fixture(params=["embree", "bvh"])
+def caster(request):
+    if request.param == "embree" and (reason := embree.obstacle()):
+        pytest.skip(reason)
+    return lambda *mesh: RayCaster(*mesh, backend=request.param)
+
+
+def differing(a, b, tolerance=1e-5):
+    tie = (a.triangle >= 0) & (b.triangle >= 0)
+    far = np.maximum(a.distance, 1.0)[tie]
+    tie[tie] = np.abs(a.distance[tie] - b.distance[tie]) <= tolerance * far
+    return float(np.mean((a.triangle != b.triangle) & ~tie))
 
 
 ROOM = (0.0, 0.0, 0.0), (10.0, 8.0, 3.0)
@@ -92,7 +109,7 @@ def _both(vertices, triangles):
 # ------------------------------------------------------------------------ against each other
 
 
-def test_backends_agree_on_soup(soup, anyhow, tiles, differing, rng):
+def test_backends_agree_on_soup(rng):
     casters = _both(*soup(20_000, rng))
     for rays in (anyhow(100_000, rng, *ROOM), tiles(50, rng, *ROOM)):
         a, b = (caster.cast(*rays) for caster in casters)
@@ -107,7 +124,7 @@ def test_backends_agree_on_soup(soup, anyhow, tiles, differing, rng):
 @pytest.mark.parametrize(
     "kind", ["as it is", pytest.param("subdivided", marks=pytest.mark.all), "decimated", "snapped"]
 )
-def test_backends_agree_on_the_house(house, kind, subdivided, anyhow, tiles, differing, rng):
+def test_backends_agree_on_the_house(house, kind, rng):
     vertices, triangles = house
     if kind == "subdivided":
         vertices, triangles = subdivided(vertices, triangles)
@@ -126,7 +143,7 @@ def test_backends_agree_on_the_house(house, kind, subdivided, anyhow, tiles, dif
 # -------------------------------------------------------------------------- against geometry
 
 
-def test_hits_lie_where_barycentrics_say(caster, soup, anyhow, rng):
+def test_hits_lie_where_barycentrics_say(caster, rng):
     vertices, triangles = soup(3000, rng)
     origins, directions = anyhow(20_000, rng, *ROOM)
     hits = caster(vertices, triangles).cast(origins, directions)
@@ -147,7 +164,7 @@ def test_hits_lie_where_barycentrics_say(caster, soup, anyhow, rng):
     st.integers(0, 2**32 - 1),
     st.integers(-12, 12),
 )
-def test_rays_inside_a_box_reach_its_walls(box, size, seed, power):
+def test_rays_inside_a_box_reach_its_walls(size, seed, power):
     rng = np.random.default_rng(seed)
     low = rng.uniform(-100, 100, 3)
     origins = low + rng.uniform(0.01, 0.99, (64, 3)) * size
@@ -162,7 +179,7 @@ def test_rays_inside_a_box_reach_its_walls(box, size, seed, power):
         assert (np.abs(hits.distance - expected) * steep).max() < 1e-4
 
 
-def test_rays_from_the_middle_of_a_sphere(caster, sphere, rng):
+def test_rays_from_the_middle_of_a_sphere(caster, rng):
     vertices, triangles = sphere(5)
     edges = vertices[triangles[:, :2]]
     share = rng.uniform(size=(len(edges), 1))
@@ -205,7 +222,7 @@ def test_no_ray_slips_through_a_wide_mesh(caster, rng):
     np.testing.assert_allclose(hits.distance[hit], 1.0, atol=0.1)
 
 
-def test_a_giant_triangle_under_small_ones(caster, sphere):
+def test_a_giant_triangle_under_small_ones(caster):
     vertices, triangles = sphere(3)
     giant = np.array([[-1e6, -1e6, -2], [1e6, -1e6, -2], [0, 2e6, -2]])
     mesh = (
@@ -232,7 +249,7 @@ def test_a_million_small_triangles(caster, rng):
     np.testing.assert_allclose(hits.distance, (9.0 - height) / 2.0, atol=1e-4)
 
 
-def test_rays_that_start_on_a_surface(caster, box, rng):
+def test_rays_that_start_on_a_surface(caster, rng):
     room = caster(*box((0, 0, 0), (4, 4, 3)))
     origins = np.column_stack([rng.uniform(0.5, 3.5, (1000, 2)), np.zeros(1000)])
     hits = room.cast(origins, np.tile([0.0, 0.0, 1.0], (1000, 1)))
@@ -241,10 +258,19 @@ def test_rays_that_start_on_a_surface(caster, box, rng):
     assert (away.triangle == -1).all()
 
 
+def test_deep_trees_are_traversed(caster):
+    alike = np.eye(3), np.tile([0, 1, 2], (1000, 1))
+    scale = 0.97 ** np.arange(3000)[:, None, None]
+    shrinking = (scale * (np.eye(3) + np.array([1.0, 0.0, 0.0]))).reshape(-1, 3)
+    for mesh in (alike, (shrinking, np.arange(9000).reshape(-1, 3))):
+        hits = caster(*mesh).cast(np.full(3, 5.0), mesh[0][mesh[1][:3]].mean(axis=1) - 5.0)
+        np.testing.assert_allclose(hits.distance, 1.0, atol=1e-4)
+
+
 # -------------------------------------------------------------------------- against nonsense
 
 
-def test_rays_that_are_none_hit_nothing(caster, box):
+def test_rays_that_are_none_hit_nothing(caster):
     room = caster(*box((0, 0, 0), (4, 4, 3)))
     origins, directions = np.full((40, 3), 1.0), np.tile([1.0, 0.0, 0.0], (40, 1))
     directions[1], directions[2, 1], directions[18, 0] = 0.0, np.nan, np.inf
@@ -257,7 +283,7 @@ def test_rays_that_are_none_hit_nothing(caster, box):
 
 
 @pytest.mark.parametrize("number", [0, 1, 15, 16, 17, 10_007])
-def test_any_number_of_rays(caster, box, number):
+def test_any_number_of_rays(caster, number):
     hits = caster(*box((0, 0, 0), (4, 4, 3))).cast(np.ones(3), np.tile([0, 0, 1], (number, 1)))
     assert len(hits.triangle) == len(hits.u) == len(hits.v) == number
     np.testing.assert_allclose(hits.distance, np.full(number, 2.0))
@@ -285,7 +311,7 @@ def test_meshes_that_are_none(vertices, triangles, says):
         RayCaster(vertices, triangles)
 
 
-def test_rays_of_other_shapes(box):
+def test_rays_of_other_shapes():
     room = RayCaster(*box((0, 0, 0), (4, 4, 3)))
     with pytest.raises(OptionError, match="2 origins and 3 directions"):
         room.cast(np.ones((2, 3)), np.ones((3, 3)))
@@ -298,7 +324,7 @@ def test_rays_of_other_shapes(box):
 # ------------------------------------------------------------------------ life of the tracer
 
 
-def test_a_tracer_keeps_the_scene_and_lets_it_go(box, monkeypatch):
+def test_a_tracer_keeps_the_scene_and_lets_it_go(monkeypatch):
     if reason := embree.obstacle():
         pytest.skip(reason)
     released, release = [], embree._release
@@ -315,7 +341,7 @@ def test_a_tracer_keeps_the_scene_and_lets_it_go(box, monkeypatch):
     assert released
 
 
-def test_many_threads_at_once(caster, soup, anyhow, rng):
+def test_many_threads_at_once(caster, rng):
     room = caster(*soup(2000, rng))
     rays = anyhow(9000, rng, *ROOM)
     expected = room.cast(*rays)
@@ -328,7 +354,7 @@ def test_many_threads_at_once(caster, soup, anyhow, rng):
 # ------------------------------------------------------------------------- choice of backend
 
 
-def test_auto_takes_the_tree_where_embree_cannot_serve(box, monkeypatch):
+def test_auto_takes_the_tree_where_embree_cannot_serve(monkeypatch):
     monkeypatch.setattr(embree, "obstacle", lambda: "It rains.")
     room = RayCaster(*box((0, 0, 0), (4, 4, 3)))
     assert (room.backend, room.backend_note) == ("bvh", "It rains.")

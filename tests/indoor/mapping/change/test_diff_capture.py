@@ -5,8 +5,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from placegraph.core.estimate import PoseEstimate, Status
 from placegraph.core.geometry import Camera, level_from_camera, pose_matrix, rotation_z
@@ -15,7 +13,6 @@ from placegraph.indoor.build import build_scene
 from placegraph.indoor.mapping.change.align import transform_points
 from placegraph.indoor.mapping.change.changes import DiffOptions
 from placegraph.indoor.mapping.change.diff_capture import diff_capture
-from placegraph.indoor.mapping.change.moves import label_clusters
 from placegraph.io.capture.capture import Capture, open_capture
 from placegraph_lab.worlds.flat.walks import Walk, write_walk
 
@@ -127,33 +124,3 @@ def test_poses_have_to_be_poses(room, before):
     elsewhere[:, 0, 3] -= 1.3
     with pytest.raises(InputError, match=r"walk: only .* of its depth readings"):
         diff_capture(room, before.walk, elsewhere, name="walk")
-
-
-CELLS = st.lists(st.tuples(*[st.integers(-4, 4)] * 3), max_size=40)
-
-
-def by_hand(cells):
-    left, number, found = set(cells), {}, 0
-    for cell in cells:
-        if cell not in left:
-            continue
-        queue = [cell]
-        left.discard(cell)
-        while queue:
-            here = queue.pop()
-            number[here] = found
-            near = [c for c in left if max(abs(a - b) for a, b in zip(c, here, strict=True)) <= 1]
-            left.difference_update(near)
-            queue += near
-        found += 1
-    return [number[c] for c in cells]
-
-
-@given(CELLS)
-def test_cells_that_touch_are_one_clump(cells):
-    found = label_clusters(np.array(cells, np.int64).reshape(-1, 3)).tolist()
-    wanted = by_hand(cells)
-    pairs = set(zip(found, wanted, strict=True))
-    assert len(pairs) == len(set(found)) == len(set(wanted))
-    with pytest.raises(OptionError, match="larger"):
-        label_clusters(np.array([[0, 0, 0], [1 << 21, 0, 0]]))

@@ -176,13 +176,6 @@ def test_soup(seed, points, count, spread, bad):
     np.testing.assert_array_equal(found.object_of[order], again.object_of)
 
 
-def test_soup_of_kilometres(monkeypatch):
-    monkeypatch.setattr("placegraph.indoor.mapping.segment.faces._MOST", 200_000)
-    rng = np.random.default_rng(5)
-    vertices, triangles = rng.normal(0, 1e4, (20, 3)), rng.integers(0, 20, (30, 3))
-    check(segment(vertices, triangles), 30)
-
-
 def test_an_empty_mesh_and_one_giant_plane():
     found = segment(np.zeros((0, 3)), np.zeros((0, 3), int), np.zeros((0, 3), np.uint8))
     check(found, 0)
