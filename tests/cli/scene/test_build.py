@@ -67,7 +67,6 @@ def test_build_options(run, ply, tmp_path):
     ("options", "code", "words"),
     [
         (["--object-property", "part"], 3, ["'part'", "room.ply"]),
-        (["--scale", "100000"], 3, ["room.ply", "Pass", "--scale"]),
         (["-o", "no/a"], 4, ["No such file"]),
         (["--up", "x"], 7, ["up is 'x'"]),
         (["--detail", "huge"], 7, ["detail is 'huge'", "tiny"]),

@@ -262,8 +262,9 @@ def test_deep_trees_are_traversed(caster):
     alike = np.eye(3), np.tile([0, 1, 2], (1000, 1))
     scale = 0.97 ** np.arange(3000)[:, None, None]
     shrinking = (scale * (np.eye(3) + np.array([1.0, 0.0, 0.0]))).reshape(-1, 3)
-    for mesh in (alike, (shrinking, np.arange(9000).reshape(-1, 3))):
-        hits = caster(*mesh).cast(np.full(3, 5.0), mesh[0][mesh[1][:3]].mean(axis=1) - 5.0)
+    for vertices, triangles in (alike, (shrinking, np.arange(9000).reshape(-1, 3))):
+        middle = vertices[triangles[0]].mean(axis=0)
+        hits = caster(vertices, triangles).cast(middle + 1.0, -np.ones((1, 3)))
         np.testing.assert_allclose(hits.distance, 1.0, atol=1e-4)
 
 
