@@ -1,7 +1,7 @@
 """Commands made of functions, groups that import a command when it is asked for, and commands of plugins.
 
-A parameter that is annotated by `Argument` or `Option` becomes one of the command line; its type,
-its default and its name are those of the function's.
+A parameter annotated with `Argument` or `Option` becomes one of the command line, with the type,
+default and name of the parameter. One annotated with `Fields` becomes the options of a dataclass.
 """
 
 from __future__ import annotations
@@ -16,7 +16,9 @@ from types import NoneType
 from typing import TYPE_CHECKING, Any, get_args, get_origin, get_type_hints
 
 import click
+from click.core import ParameterSource
 
+from placegraph.core.options import OptionInfo, options_of
 from placegraph.core.plugins import COMMANDS, missing_extra, plugins
 from placegraph.errors import MissingExtraError
 
@@ -55,6 +57,19 @@ class Option:
         least: int | None = None,
     ) -> None:
         self.names, self.help, self.panel, self.least = names, help, panel, least
+
+
+class Fields:
+    """Options with flags of a dataclass (`placegraph.core.options`), or only those named.
+
+    The function takes a dict of those given on the command line; the dataclass has the defaults.
+    """
+
+    def __init__(self, owner: type, *names: str) -> None:
+        self.options = [
+            entry for entry in options_of(owner)
+            if entry.info.flag and (not names or entry.name in names)
+        ]  # fmt: skip
 
 
 class Group(click.Group):
@@ -135,39 +150,64 @@ class _Option(click.Option):
 def command_of(function: Callable[..., Any], name: str) -> click.Command:
     """Command of a function, whose docstring is its help."""
     hints = get_type_hints(function, include_extras=True)
-    params = [
-        _param(param, *get_args(hints[param.name])[:2])
-        for param in inspect.signature(function).parameters.values()
-    ]
+    params: list[Any] = []
+    groups: dict[str, list[str]] = {}
+    for param in inspect.signature(function).parameters.values():
+        hint, told = get_args(hints[param.name])[:2]
+        if isinstance(told, Fields):
+            groups[param.name] = [entry.name for entry in told.options]
+            params += [_field_param(*entry) for entry in told.options]
+        else:
+            params.append(_param(param.name, param.default, hint, told))
     many = {param.name for param in params if param.multiple or param.nargs == -1}
 
     def called(**given: Any) -> Any:  # noqa: ANN401
-        return function(**{k: (list(v) or None) if k in many else v for k, v in given.items()})
+        given = {k: (list(v) or None) if k in many else v for k, v in given.items()}
+        source = click.get_current_context().get_parameter_source
+        for group, names in groups.items():
+            values = {k: given.pop(k) for k in names}
+            given[group] = {
+                k: tuple(v) if isinstance(v, list) else v
+                for k, v in values.items() if source(k) is not ParameterSource.DEFAULT
+            }  # fmt: skip
+        return function(**given)
 
     return _Command(name, callback=called, params=params, help=inspect.getdoc(function))
 
 
-def _param(param: inspect.Parameter, hint: Any, told: Argument | Option) -> Any:  # noqa: ANN401
+def _field_param(name: str, default: Any, hint: Any, info: OptionInfo) -> _Option:  # noqa: ANN401
+    """Option of a dataclass field; floats are checked by the dataclass, which knows all bounds."""
+    kind = next(part for part in get_args(hint) or (hint,) if part is not NoneType)
+    least = int(info.minimum) if kind is int else None
+    told = Option(info.flag, help=info.text, panel=info.panel, least=least)
+    if info.commas:
+        made: _Option = _param(name, ",".join(default), str, told)
+        made.callback = lambda _context, _param, text: [part.strip() for part in text.split(",")]
+        return made
+    if get_origin(hint) is tuple:
+        return _param(name, None, list[kind], told)  # type: ignore[valid-type]
+    return _param(name, default, hint, told)
+
+
+def _param(name: str, default: Any, hint: Any, told: Argument | Option) -> Any:  # noqa: ANN401
     (kind,) = (part for part in get_args(hint) or (hint,) if part is not NoneType)
     several = get_origin(kind) is list
     if get_origin(hint) is list:
         kind, several = hint, True
     kind = get_args(kind)[0] if several else kind
-    required = param.default is param.empty
+    required = default is inspect.Parameter.empty
     settings: dict[str, Any] = {"type": _TYPES[kind], "required": required}
     if not required:
-        settings["default"] = param.default
+        settings["default"] = default
     if isinstance(told, Argument):
         settings |= {"metavar": told.metavar, "nargs": -1 if several else 1}
-        return _Argument([param.name], about=told.help, **settings)
+        return _Argument([name], about=told.help, **settings)
     if told.least is not None:
         settings["type"] = click.IntRange(told.least)
-    names = told.names or (f"--{param.name.replace('_', '-')}",)
-    if kind is bool and not any("/" in name for name in names) and param.default is not None:
+    names = told.names or (f"--{name.replace('_', '-')}",)
+    if kind is bool and not any("/" in name for name in names) and default is not None:
         settings["is_flag"] = True
-    return _Option(
-        [*names, param.name], help=told.help, panel=told.panel, multiple=several, **settings
-    )
+    return _Option([*names, name], help=told.help, panel=told.panel, multiple=several, **settings)
 
 
 KNOWN = {

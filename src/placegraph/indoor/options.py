@@ -3,36 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
+from math import inf, pi
 from typing import Any, Literal, Self
 
-import numpy as np
-
+from placegraph.core.options import check_options, option
 from placegraph.errors import OptionError
 
-
-def check_numbers(owner: object) -> None:
-    """Raise where a number of an options struct is not finite, or negative."""
-    for entry in fields(owner):  # type: ignore[arg-type]
-        value = getattr(owner, entry.name)
-        if isinstance(value, float | int) and not (np.isfinite(value) and value >= 0):
-            raise OptionError(f"{entry.name} is {value}; it must be a number, not below 0.")
-
-
-def check_whole(owner: object, *names: str) -> None:
-    """Raise where one of these numbers of an options struct is not 1, 2, 3, ..."""
-    for name in names:
-        value = getattr(owner, name)
-        if int(value) != value or value < 1:
-            raise OptionError(f"{name} is {value}; it must be a whole number from 1 on.")
-
-
-def check_positive(owner: object, *names: str) -> None:
-    """Raise where one of these numbers of an options struct is not greater than 0."""
-    for name in names:
-        value = getattr(owner, name)
-        if not (np.isfinite(value) and value > 0):
-            raise OptionError(f"{name} is {value}; it must be greater than 0.")
+USED = "What is used of the frames"
 
 
 def check_device(device: str, *, network: bool = False) -> None:
@@ -47,67 +25,67 @@ def check_device(device: str, *, network: bool = False) -> None:
 class MotionNoise:
     """Gaussian noise of Eq. 1, per frame: a floor, and a share of the way and of the turn."""
 
-    translation: float = 0.01
-    """[m] (the paper: 0.05)"""
-    translation_per_metre: float = 0.03
-    rotation: float = 0.005
-    """Yaw [rad] (the paper: 0.05)."""
-    rotation_per_radian: float = 0.02
+    translation: float = option(0.01, "Standard deviation of the way (paper: 0.05).", unit="m")
+    translation_per_metre: float = option(0.03, "Its increase per metre of way.")
+    rotation: float = option(0.005, "Standard deviation of the yaw (paper: 0.05).", unit="rad")
+    rotation_per_radian: float = option(0.02, "Its increase per radian of turn.")
 
     def __post_init__(self) -> None:
-        check_numbers(self)
+        check_options(self)
 
 
 @dataclass(frozen=True, slots=True)
 class Likelihood:
-    """How what a frame shows becomes a log-likelihood; `docs/indoor.md` derives each part.
+    """Log-likelihood of a frame; `docs/indoor.md` derives each part.
 
-    ``calibrated`` takes every patch, reading and sample for a witness that may err, and counts
-    witnesses that see the same thing only in part. ``gaussian`` is the paper's Eq. 2.
+    ``calibrated`` takes every patch, reading and sample for a source that may err, and counts those
+    that see the same thing only in part. ``gaussian`` is the paper's Eq. 2.
     """
 
-    kind: Literal["calibrated", "gaussian"] = "calibrated"
-    wrong: float = 0.3
-    """Share of patches taken to be labelled wrongly."""
-    sharpness: float = 0.0
-    """Temperature of the softmax that turns cosine similarities into probabilities; 0: the
-    encoder's own."""
-    object_patches: float = 40.0
-    """An object seen in more patches than this speaks with the square root of the surplus only:
-    its patches are right or wrong together."""
-    depth_floor: float = 0.05
-    """Standard deviation of depth [m] at 0 m, map included ..."""
-    depth_slope: float = 0.03
-    """... and what it gains a metre."""
-    depth_gain: float = 3.5
-    """Log-likelihood of a perfect reading over one from anywhere [nat]."""
-    near_cost: float = 1.5
-    """Log-likelihood lost where something stands before the map's surface [nat]."""
-    far_cost: float = 2.0
-    """Log-likelihood lost where the map's surface is not there [nat]."""
-    depth_weight: float = 60.0
-    """Independent readings in a full depth image."""
-    colour_weight: float = 360.0
-    """Independent samples in a full colour image, by steps of colour between neighbours ..."""
-    tone_weight: float = 180.0
-    """... and by the colours themselves, which count beside depth only: without it, light and large
-    areas would decide."""
-    sigma: float = 0.2
-    """Of Eq. 2 (``gaussian`` only)."""
-    depth_clip: float = 0.5
-    """Largest error of one reading [m] (``gaussian`` only); 0: none, as printed in Sec. 3.4."""
-    depth_lambda: float = 1.0
-    """lambda_1 of Eq. 2."""
-    colour_lambda: float = 1.0
-    """lambda_2 of Eq. 2."""
+    kind: Literal["calibrated", "gaussian"] = option(
+        "calibrated", "`gaussian`: Eq. 2 of the paper."
+    )
+    wrong: float = option(0.3, "Share of patches with a wrong label.", above=0, below=1)
+    sharpness: float = option(
+        0.0, "Temperature of the softmax of cosine similarities; 0: that of the encoder."
+    )
+    object_patches: float = option(
+        40.0,
+        "Patches of one object beyond this number count by the square root of the surplus, because "
+        "they are right or wrong together.",
+        above=0,
+    )
+    depth_floor: float = option(
+        0.05, "Standard deviation of depth at 0 m, errors of the map included.", unit="m", above=0
+    )
+    depth_slope: float = option(0.03, "Increase of the standard deviation of depth per metre.")
+    depth_gain: float = option(
+        3.5, "Log-likelihood ratio of a perfect reading to one from anywhere.", unit="nat"
+    )
+    near_cost: float = option(
+        1.5, "Log-likelihood lost if something stands before the surface of the map.", unit="nat"
+    )
+    far_cost: float = option(
+        2.0, "Log-likelihood lost if the surface of the map is missing.", unit="nat"
+    )
+    depth_weight: float = option(60.0, "Independent readings in a full depth image.")
+    colour_weight: float = option(
+        360.0, "Independent samples of color steps between neighbors in a full color image."
+    )
+    tone_weight: float = option(
+        180.0,
+        "Independent samples of the colors themselves. They count only beside depth, because light "
+        "and large areas would decide otherwise.",
+    )
+    sigma: float = option(0.2, "Standard deviation in Eq. 2 (`gaussian` only).", above=0)
+    depth_clip: float = option(
+        0.5, "Largest error of one reading (`gaussian` only); 0: none, as in Sec. 3.4.", unit="m"
+    )
+    depth_lambda: float = option(1.0, "lambda_1 of Eq. 2.")
+    colour_lambda: float = option(1.0, "lambda_2 of Eq. 2.")
 
     def __post_init__(self) -> None:
-        if self.kind not in {"calibrated", "gaussian"}:
-            raise OptionError(f"kind is {self.kind!r}; it is 'calibrated' or 'gaussian'.")
-        if not 0 < self.wrong < 1:
-            raise OptionError(f"wrong is {self.wrong}; a share lies between 0 and 1.")
-        check_numbers(self)
-        check_positive(self, "object_patches", "depth_floor", "sigma")
+        check_options(self)
 
     @property
     def tempered(self) -> bool:
@@ -119,25 +97,23 @@ class Likelihood:
 class Pass:
     """One pass of the filter over the sequence (Sec. 3.5)."""
 
-    stride: float
-    """Pixels of the colour image between samples."""
-    box: float
-    """Edge of the box around each mode in which particles are spread [m]; 0: the whole map."""
-    turn: float
-    """Half width in yaw of that box [rad]."""
-    particles: int
-    """Most particles drawn for the pass and after a resampling."""
+    stride: float = option(20.0, "Distance of samples in the color image.", unit="px", above=0)
+    box: float = option(
+        0.0, "Edge of the box of particles around each mode; 0: the whole map.", unit="m"
+    )
+    turn: float = option(pi, "Half width of that box in yaw.", unit="rad")
+    particles: int = option(
+        300, "Most particles at the start of the pass and after a resampling.", minimum=1
+    )
 
     def __post_init__(self) -> None:
-        check_numbers(self)
-        check_positive(self, "stride")
-        check_whole(self, "particles")
+        check_options(self)
 
 
-ONE_PASS = (Pass(stride=20.0, box=0.0, turn=np.pi, particles=300),)
+ONE_PASS = (Pass(),)
 """What the benchmark left of the passes."""
 COARSE_TO_FINE = (
-    Pass(stride=20.0, box=0.0, turn=np.pi, particles=600),
+    Pass(stride=20.0, box=0.0, turn=pi, particles=600),
     Pass(stride=8.0, box=0.8, turn=0.3, particles=160),
     Pass(stride=4.0, box=0.4, turn=0.1, particles=60),
 )
@@ -148,9 +124,9 @@ _PRINTED = 2500  # particles on 3RScan (Sec. 5)
 def _passes(first: float, second: float, third: float) -> tuple[Pass, ...]:
     """The paper's three passes at these strides (Sec. 3.5)."""
     return (
-        Pass(stride=first, box=0.0, turn=np.pi, particles=10 * _PRINTED),
-        Pass(stride=second, box=1.6, turn=np.pi / 4, particles=_PRINTED),
-        Pass(stride=third, box=0.8, turn=np.pi / 8, particles=_PRINTED),
+        Pass(stride=first, box=0.0, turn=pi, particles=10 * _PRINTED),
+        Pass(stride=second, box=1.6, turn=pi / 4, particles=_PRINTED),
+        Pass(stride=third, box=0.8, turn=pi / 8, particles=_PRINTED),
     )
 
 
@@ -165,37 +141,43 @@ class PoseSearchOptions:
     Seeds come from the visibility table, and are fitted to and weighed by the whole sequence.
     """
 
-    semantic: bool = True
-    """Use the encoder's patches, where there are any."""
-    depth: bool = True
-    """Use depth images, where there are any."""
-    colour: bool = True
-    """Use the colour images, where the map has colours."""
-    heights: tuple[float, ...] = (0.15, 2.3)
-    """Heights of the camera above the floor [m]: the table spans them, a uniform start has
-    each, and those of `STANDING` between them."""
-    spacing: float = 0.5
-    """Grid of the visibility table; of uniform particles the paper's 0.2 [m]."""
-    motion: MotionNoise = field(default_factory=MotionNoise)
-    likelihood: Likelihood = field(default_factory=Likelihood)
-    modes: int = 8
-    """Most modes kept between passes, and answered."""
-    every: float = 0.0
-    """Keyframes: least time between frames used [s]; 0: all frames."""
-    every_metre: float = 0.0
-    """Keyframes: least way between frames used [m], or 0.2 rad of turn; 0: all frames."""
+    semantic: bool = option(
+        True, "Use the labels of the frames.", flag="--semantic/--no-semantic", panel=USED
+    )
+    depth: bool = option(True, "Use depth images.", flag="--depth/--no-depth", panel=USED)
+    colour: bool = option(
+        True, "Use colors where the map has some.", flag="--colour/--no-colour", panel=USED
+    )
+    heights: tuple[float, ...] = option(
+        (0.15, 2.3),
+        "Heights of the camera above the floor. The visibility table spans them; a uniform start has "
+        "each, and those of `STANDING` between them.",
+        unit="m",
+        minimum=-inf,
+    )
+    spacing: float = option(
+        0.5,
+        "Grid of the visibility table, or of uniform particles (paper: 0.2).",
+        unit="m",
+        above=0,
+    )
+    motion: MotionNoise = option(MotionNoise(), "Noise of the odometry.")
+    likelihood: Likelihood = option(Likelihood(), "Log-likelihood of a frame.")
+    modes: int = option(8, "Most modes kept between passes, and returned.", minimum=1)
+    every: float = option(
+        0.0, "Keyframes: least time between frames; 0: all.", unit="s", flag="--every", panel=USED
+    )
+    every_metre: float = option(
+        0.0, "Keyframes: least way between frames, or 0.2 rad of turn; 0: all.", unit="m"
+    )
 
     def __post_init__(self) -> None:
         if not (self.semantic or self.depth or self.colour):
             raise OptionError("semantic, depth and colour are all off; leave one on.")
         object.__setattr__(self, "heights", tuple(float(h) for h in self.heights))
-        if not self.heights or not all(np.isfinite(self.heights)):
+        if not self.heights:
             raise OptionError("heights: give at least one height of the camera above the floor.")
-        check_numbers(self)
-        check_whole(self, "modes")
-        check_positive(self, "spacing")
-        if not (self.every >= 0 and self.every_metre >= 0):
-            raise OptionError("every, every_metre: a time and a way, not less than 0.")
+        check_options(self)
 
     @property
     def particle_filter(self) -> FilterOptions | None:
@@ -224,46 +206,38 @@ class FilterOptions(PoseSearchOptions):
     `PoseSearchOptions` alone do without: fits do as well from the seeds of the search.
     """
 
-    start: Literal["table", "uniform"] = "table"
-    """First particles: where the visibility table says the frames could be, or everywhere."""
-    per_cell: int = 3
-    """Particles a cell and height of a uniform start."""
-    passes: tuple[Pass, ...] = ONE_PASS
-    """Passes over the sequence, coarse to fine."""
-    kld: bool = True
-    """Let KLD-sampling decide how many particles are drawn; else as many as before."""
-    kld_error: float = 0.1
-    """epsilon of KLD-sampling."""
-    kld_confidence: float = 0.95
-    """1 - delta of KLD-sampling."""
-    min_particles: int = 24
-    """Fewest particles that KLD-sampling leaves, as far as the pass has so many."""
-    injection: float = 0.1
-    """Share of particles drawn anew: from the table, or of a uniform start from everywhere."""
-    inject_every: int = 0
-    """Frames between injections; 0: where the likelihood drops."""
-    unscored: int = 0
-    """Frames at the beginning that only move particles; the last is always scored."""
-    pool_modes: bool = False
-    """Modes between passes are those of all frames of a pass; else of its last frame."""
-    answer: Literal["fit", "mle"] = "fit"
-    """The best modes, fitted to and weighed by the whole sequence; or the heaviest particles of the
-    last pass as they are, the first of which is the maximum likelihood estimate of Sec. 3.5."""
-    record: bool = False
-    """Keep all particles of all passes in the estimate, for pictures."""
+    start: Literal["table", "uniform"] = option(
+        "table", "First particles: at places of the visibility table, or everywhere."
+    )
+    per_cell: int = option(3, "Particles per cell and height of a uniform start.", minimum=1)
+    passes: tuple[Pass, ...] = option(ONE_PASS, "Passes over the sequence, coarse to fine.")
+    kld: bool = option(True, "Adapt the number of particles by KLD-sampling.")
+    kld_error: float = option(0.1, "epsilon of KLD-sampling.", above=0)
+    kld_confidence: float = option(0.95, "1 - delta of KLD-sampling.", above=0, below=1)
+    min_particles: int = option(
+        24, "Fewest particles after KLD-sampling, if the pass has so many.", minimum=1
+    )
+    injection: float = option(
+        0.1, "Share of particles drawn anew: from the table, or everywhere.", below=1
+    )
+    inject_every: int = option(0, "Frames between injections; 0: inject if the likelihood drops.")
+    unscored: int = option(
+        0, "Frames at the beginning that only move particles; the last is always scored."
+    )
+    pool_modes: bool = option(
+        False, "Take the modes between passes from all frames of a pass, not only the last."
+    )
+    answer: Literal["fit", "mle"] = option(
+        "fit",
+        "`fit`: the best modes, fitted to the whole sequence; `mle`: the heaviest particles of the "
+        "last pass, the first of which is the maximum likelihood estimate of Sec. 3.5.",
+    )
+    record: bool = option(False, "Keep all particles of all passes in the estimate, for pictures.")
 
     def __post_init__(self) -> None:
         PoseSearchOptions.__post_init__(self)
-        if self.start not in {"table", "uniform"}:
-            raise OptionError(f"start is {self.start!r}; it is 'table' or 'uniform'.")
-        if self.answer not in {"fit", "mle"}:
-            raise OptionError(f"answer is {self.answer!r}; it is 'fit' or 'mle'.")
         if not self.passes:
             raise OptionError("passes: give one at least, or PoseSearchOptions to do without.")
-        check_whole(self, "per_cell", "min_particles")
-        check_positive(self, "kld_error")
-        if not 0 < self.kld_confidence < 1 or not 0 <= self.injection < 1:
-            raise OptionError("kld_confidence and injection are shares between 0 and 1.")
 
     @property
     def particle_filter(self) -> FilterOptions | None:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from placegraph.core.estimate import Evidence, ObjectRef, PoseEstimate, SceneEstimate, SceneMode
 from placegraph.core.geo import EarthPose
 from placegraph.core.geometry import Camera, Floats, between, level_from_camera
+from placegraph.core.options import check_options, option
 from placegraph.core.threads import multiply_matrices
 from placegraph.errors import OptionError
 from placegraph.indoor.encode import Encoder, patches_of
@@ -36,7 +37,6 @@ from placegraph.indoor.library.search_kernels import (
 )
 from placegraph.indoor.library.signature import BANDS, REACH, TURNS, Signature, distinct
 from placegraph.indoor.likelihood.observe import spread
-from placegraph.indoor.options import check_numbers, check_positive, check_whole
 from placegraph.indoor.pose.window import chosen_frames, leveled
 from placegraph.indoor.status import decide_scene
 from placegraph.io.capture.capture import Capture
@@ -70,41 +70,42 @@ _BIN = 2.0 * np.pi / TURNS
 class SearchOptions:
     """How a capture is compared with the scenes of a library; defaults are what measured best."""
 
-    method: Literal["likelihood", "cosines"] = "likelihood"
-    """``likelihood``: a log-likelihood ratio against the library and the homes beside it; ``cosines``: the
-    paper's sum over frames of the mean over patches of the best cosine (Sec. 4)."""
-    rarity: bool = True
-    """Weigh what is said against how common it is in the library."""
-    geometry: bool = True
-    """Compare with panoramas: what is seen together, and in which direction."""
-    odometry: bool = True
-    """Frames lie on one way; without, each frame may lie anywhere in the scene."""
-    wrong: float = 0.4
-    """Share of patches taken to say something wrong."""
-    focus: float = 0.75
-    """Share of what is seen in a direction that is the object which fills most of it."""
-    witnesses: float = 24.0
-    """Patches of a frame that speak independently of each other."""
-    thing: float = 6.0
-    """Patches that say the same, in all frames together, that speak independently of each other."""
-    heat: float = 3.3
-    """Temperature of the log-likelihood of a single frame; T frames of one way see much the same, and
-    take T^0.45 times as much; two encoders take sqrt(2) times."""
-    looks: int = 12
-    """Frames compared, spread over the capture: those between show much the same."""
-    finalists: int = 16
-    """Scenes compared with panoramas: the best by what they hold."""
-    shortlist: int = 1000
-    """Scenes looked at in a larger library: those whose vectors are nearest."""
+    method: Literal["likelihood", "cosines"] = option(
+        "likelihood",
+        "`likelihood`: a log-likelihood ratio against the library and the homes beside it; `cosines`: "
+        "the paper's sum over frames of the mean over patches of the best cosine (Sec. 4).",
+    )
+    rarity: bool = option(True, "Weigh words by how rare they are in the library.")
+    geometry: bool = option(
+        True, "Compare with panoramas: what is seen together, and in which direction."
+    )
+    odometry: bool = option(
+        True, "Frames lie on one way; otherwise each frame may lie anywhere in the scene."
+    )
+    wrong: float = option(0.4, "Share of patches with a wrong word.", above=0, below=1)
+    focus: float = option(
+        0.75, "Share of the patches in a direction that show the object which fills most of it."
+    )
+    witnesses: float = option(24.0, "Independent patches of a frame.", above=0)
+    thing: float = option(
+        6.0, "Independent patches of the same word, in all frames together.", above=0
+    )
+    heat: float = option(
+        3.3,
+        "Temperature of the log-likelihood of a single frame. T frames of one way see much the same, "
+        "and take T^0.45 times as much; two encoders take sqrt(2) times.",
+        above=0,
+    )
+    looks: int = option(12, "Frames compared, spread over the capture.", minimum=1)
+    finalists: int = option(
+        16, "Scenes compared with panoramas: the best by the objects they hold.", minimum=1
+    )
+    shortlist: int = option(
+        1000, "Scenes compared in a larger library: those with the nearest vectors.", minimum=1
+    )
 
     def __post_init__(self) -> None:
-        if self.method not in {"likelihood", "cosines"}:
-            raise OptionError(f"method is {self.method!r}; it is 'likelihood' or 'cosines'.")
-        if not 0 < self.wrong < 1:
-            raise OptionError(f"wrong is {self.wrong}; a share lies between 0 and 1.")
-        check_numbers(self)
-        check_positive(self, "witnesses", "thing", "heat")
-        check_whole(self, "looks", "finalists", "shortlist")
+        check_options(self)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

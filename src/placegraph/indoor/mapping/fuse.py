@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from placegraph.core.geometry import Camera, Floats
+from placegraph.core.options import check_options, option
 from placegraph.core.threads import run_parallel
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.mapping import fuse_kernels as kernels
 from placegraph.indoor.mapping.fuse_kernels import SIDE, SIZE, facets_of, farthest, visible
-from placegraph.indoor.options import check_numbers, check_positive
 from placegraph.io.capture.frame import Frame
 
 FARTHEST = 1e4  # Cameras farther from the map's origin than this are damage [m]
@@ -526,25 +526,32 @@ class _Run:
 class FuseOptions:
     """Options of fusion; defaults are what measured best (`docs/benchmarks/maps.md`)."""
 
-    least: float = 0.0003
-    """Weight that a surface needs [1 / m^4]: one view weighs cos(angle of incidence) / depth^4, since
-    the noise of depth grows with its square. One frontal view from 7.6 m is enough."""
-    speck: float = 0.02
-    """Connected parts of less surface than this are dropped [m^2]."""
-    edges: bool = True
-    """Drop readings at depth edges, where cameras often read a mean of both sides."""
-    gains: bool = True
-    """Bring every image to the brightness of the model fused so far: exposure changes vanish."""
-    memory: float = 1.5
-    """What the volume may take [GB]; making the mesh of it takes up to as much again."""
-    coarsen: bool = True
-    """Beyond that begin again with coarser voxels, and say so; else raise `OptionError`."""
+    least: float = option(
+        0.0003,
+        "Least weight of a surface. One view weighs cos(angle of incidence) / depth^4, since the noise "
+        "of depth grows with its square; one frontal view from 7.6 m is enough.",
+        unit="1/m^4",
+    )
+    speck: float = option(0.02, "Connected parts with less surface are dropped.", unit="m^2")
+    edges: bool = option(
+        True, "Drop readings at depth edges, where cameras often read a mean of both sides."
+    )
+    gains: bool = option(
+        True, "Bring every image to the brightness of the model so far: exposure changes vanish."
+    )
+    memory: float = option(
+        1.5,
+        "Memory of the volume; meshing takes up to as much again.",
+        unit="GB",
+        above=0,
+        maximum=2,
+    )
+    coarsen: bool = option(
+        True, "Start again with coarser voxels beyond that memory; otherwise raise `OptionError`."
+    )
 
     def __post_init__(self) -> None:
-        check_numbers(self)
-        check_positive(self, "memory")
-        if self.memory > 2.0:
-            raise OptionError(f"memory is {self.memory} GB; a volume takes 2 GB at most.")
+        check_options(self)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

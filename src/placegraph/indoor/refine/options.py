@@ -2,109 +2,97 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from math import pi
 from typing import Literal
 
-import numpy as np
-
+from placegraph.core.options import check_options, option
 from placegraph.errors import OptionError
-from placegraph.indoor.options import MotionNoise, check_numbers, check_positive, check_whole
+from placegraph.indoor.options import MotionNoise
 
-_LEAST = 1e-4  # m, rad: less would make one witness silence all others
-_FAR = 5.0
-_MOST = 72
-
-
-def _two(name: str, pair: object) -> tuple[float, float]:
-    """Return two numbers, or `OptionError`."""
-    if not (isinstance(pair, tuple | list) and len(pair) == 2):
-        raise OptionError(f"{name} is {pair!r}; it is two numbers.")
-    return float(pair[0]), float(pair[1])
+_LEAST = 1e-4  # m, rad: less would make one source silence all others
 
 
 @dataclass(frozen=True, slots=True)
 class DepthNoise:
     """Noise of depth readings about the map's surface."""
 
-    floor: float = 0.004
-    """Standard deviation of a reading at 0 m [m] ..."""
-    slope: float = 0.003
-    """... and what it gains a square metre [1/m]."""
-    surface: float = 0.008
-    """Standard deviation of the map's own surface [m]."""
-    facing: tuple[float, float] = (0.5, 0.85)
-    """Cosine of the angle between the seen and the map's normal: below the first a reading has no
-    say, from the second on all of it."""
+    floor: float = option(0.004, "Standard deviation of a reading at 0 m.", unit="m")
+    slope: float = option(0.003, "Increase of the standard deviation per square metre.", unit="1/m")
+    surface: float = option(
+        0.008, "Standard deviation of the surface of the map.", unit="m", minimum=_LEAST
+    )
+    facing: tuple[float, float] = option(
+        (0.5, 0.85),
+        "Cosines of the angle between the normals of reading and map: below the first a reading has "
+        "no weight, from the second on its full weight.",
+        minimum=-1,
+        maximum=1,
+    )
 
     def __post_init__(self) -> None:
-        check_numbers(self)
-        if self.surface < _LEAST:
-            raise OptionError(f"surface is {self.surface} m; no map is truer than {_LEAST} m.")
-        low, high = _two("facing", self.facing)
-        if not -1.0 <= low < high <= 1.0:
+        check_options(self)
+        if not self.facing[0] < self.facing[1]:
             raise OptionError(f"facing is {self.facing}; give two ascending cosines.")
 
 
 @dataclass(frozen=True, slots=True)
 class RefineOptions:
-    """Everything that can be set about refining a pose (Sec. 3.6)."""
+    """Options of the refinement of a pose (Sec. 3.6)."""
 
-    depth: bool = True
-    """Align depth images to the map's mesh, where there are any."""
-    images: bool | Literal["auto"] = "auto"
-    """Match images with renderings; ``auto``: where depth alone does not fix the pose."""
-    joint: bool = True
-    """All frames in one robust optimisation, of a pose that is not `LOST`, and which must stay near
-    it; else the frame with most inliers decides, as in the paper, wherever that is."""
-    views: int = 1
-    """Rendered views a frame is matched with, by matchers that know no neighbourhood: of several,
-    ``auto`` takes RoMa or SIFT. From starts within 10 degrees more than one cost time and gain
-    nothing (benchmark; paper: 6)."""
-    spread: float = 0.7853981633974483
-    """Half width in yaw of these views [rad] (paper: 45 degrees)."""
-    frames: int | None = None
-    """Most frames whose images are matched, spread over the sequence; None: 12 for the guided
-    matcher, 5 for those that are slower."""
-    readings: int = 1500
-    """Depth readings of a frame that are aligned."""
-    reach: tuple[float, float] = (0.15, 0.12)
-    """How far off the start may be: standard deviations in the plane [m] and in yaw [rad]. Only of a
-    start that is given (`scene.refine`); `localize` knows what its own poses are worth."""
-    inlier: float = 8.0
-    """Reprojection error of an inlier of RANSAC [px of an image 640 wide]."""
-    least: int = 12
-    """Fewest inliers of a frame, or of a sequence, that count as a pose."""
-    noise: DepthNoise = field(default_factory=DepthNoise)
-    motion: MotionNoise = field(default_factory=lambda: MotionNoise(0.0025, 0.01, 0.00125, 0.005))
-    """Standard deviations of odometry from frame to frame."""
-    tilt: float = 0.005
-    """Standard deviation of the direction of gravity [rad]."""
-    check: bool = True
-    """Keep the coarse pose where held-back pixels do not speak for the refined one."""
+    depth: bool = option(True, "Align depth images with the mesh of the map.")
+    images: bool | Literal["auto"] = option(
+        "auto", "Match images with renderings; `auto`: if depth alone does not fix the pose."
+    )
+    joint: bool = option(
+        True,
+        "Refine all frames together in one robust fit, of a pose that is not `LOST`, and keep it near "
+        "that pose; otherwise the frame with most inliers decides, as in the paper, wherever it is.",
+    )
+    views: int = option(
+        1,
+        "Rendered views per frame for matchers without a neighborhood; with several, `auto` takes RoMa "
+        "or SIFT. More than one gain nothing from starts within 10 degrees (benchmark; paper: 6).",
+        minimum=1,
+        maximum=72,
+    )
+    spread: float = option(
+        pi / 4, "Half width of these views in yaw (paper: 45 degrees).", unit="rad", maximum=pi
+    )
+    frames: int | None = option(
+        None,
+        "Most frames with matched images, spread over the sequence; none: 12 with the guided matcher, "
+        "5 with slower ones.",
+        minimum=1,
+    )
+    readings: int = option(1500, "Depth readings per frame.", minimum=1)
+    reach: tuple[float, float] = option(
+        (0.15, 0.12),
+        "Standard deviations of a given start (`scene.refine`) in the plane [m] and in yaw [rad]; "
+        "`localize` knows those of its own poses.",
+        maximum=5,
+    )
+    inlier: float = option(
+        8.0, "Reprojection error of an inlier of RANSAC.", unit="px of an image 640 wide", above=0
+    )
+    least: int = option(12, "Fewest inliers of a pose, in a frame or a sequence.", minimum=1)
+    noise: DepthNoise = option(DepthNoise(), "Noise of depth readings.")
+    motion: MotionNoise = option(
+        MotionNoise(0.0025, 0.01, 0.00125, 0.005), "Noise of the odometry from frame to frame."
+    )
+    tilt: float = option(
+        0.005, "Standard deviation of the direction of gravity.", unit="rad", minimum=_LEAST
+    )
+    check: bool = option(
+        True, "Keep the coarse pose if held-back pixels do not confirm the refined one."
+    )
 
     def __post_init__(self) -> None:
-        check_numbers(self)
-        check_whole(self, "views", "readings", "least")
-        if self.frames is not None:
-            check_whole(self, "frames")
-        check_positive(self, "inlier")
-        if self.tilt < _LEAST or self.spread > np.pi or self.views > _MOST:
-            raise OptionError(
-                f"tilt, spread, views are {self.tilt}, {self.spread}, {self.views}; they must be at "
-                f"least {_LEAST} rad, at most pi, and at most {_MOST}."
-            )
-        for name in ("depth", "joint", "check"):
-            if not isinstance(getattr(self, name), bool):
-                raise OptionError(f"{name} is {getattr(self, name)!r}; it is True or False.")
-        if not (isinstance(self.images, bool) or self.images == "auto"):
-            raise OptionError(f"images is {self.images!r}; it is True, False or 'auto'.")
-        if not (isinstance(self.noise, DepthNoise) and isinstance(self.motion, MotionNoise)):
-            raise OptionError("noise and motion: give a DepthNoise and a MotionNoise.")
+        check_options(self)
         if not (self.depth or self.images):
             raise OptionError("depth and images are both off; leave one on, or refine=False.")
-        way, turn = _two("reach", self.reach)
-        if not (0 <= way <= _FAR and 0 <= turn <= np.pi):
-            raise OptionError(f"reach is {self.reach}; a way to {_FAR:g} m and a turn to pi.")
+        if self.reach[1] > pi:
+            raise OptionError(f"reach is {self.reach}; a turn is at most pi.")
 
     @classmethod
     def preset(cls, name: str) -> RefineOptions | None:

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from placegraph.core.files import write_output
 from placegraph.core.geometry import Floats, vector_from_rotation
+from placegraph.core.options import check_options, option
 from placegraph.errors import InputError, OptionError
-from placegraph.indoor.options import check_numbers, check_positive, check_whole
+from placegraph.indoor.options import USED
 from placegraph.io.capture.json_files import read_json
 
 
@@ -28,43 +29,45 @@ class DiffOptions:
     office show, and by looking at what was found there; no sweep was made over them.
     """
 
-    least_shift: float = 0.08
-    """What moved less than this [m] and turned less than `least_turn` stayed."""
-    least_turn: float = 10.0
-    """[deg]"""
-    reach: float = 4.0
-    """How far a moved object is looked for [m]."""
-    depth_floor: float = 0.04
-    """A reading agrees with the map within this at 0 m [m], map and pose included ..."""
-    depth_slope: float = 0.015
-    """... and this much more a metre."""
-    frames: int = 60
-    """Frames of a longer capture that are used, evenly spread."""
-    least_pixels: int = 100
-    """Pixels, of pictures at most 320 wide, that have to speak of an object in all frames."""
-    least_frames: int = 3
-    """Frames in which they have to, with at least `least_pixels` / 10 each (all, of fewer)."""
-    voxel: float = 0.05
-    """Edge of the cells in which what appeared is gathered [m]."""
-    least_box: float = 0.08
-    """What appeared is this large at least, along its longest side [m]."""
-    depth: bool = True
-    """Use depth images, where there are any."""
-    colour: bool = True
-    """Use colours, where depth cannot tell."""
+    least_shift: float = option(
+        0.08,
+        "Objects that moved less, and turned less than `least_turn`, stayed.",
+        unit="m",
+        above=0,
+        flag="--least-shift",
+    )
+    least_turn: float = option(10.0, "Least turn of an object.", unit="deg", above=0)
+    reach: float = option(4.0, "Largest distance of a moved object.", unit="m", above=0)
+    depth_floor: float = option(
+        0.04,
+        "A reading agrees with the map within this at 0 m, errors of map and pose included.",
+        unit="m",
+        above=0,
+    )
+    depth_slope: float = option(0.015, "Increase of this tolerance per metre.")
+    frames: int = option(60, "Most frames of a capture, spread evenly.", minimum=1)
+    least_pixels: int = option(
+        100, "Least pixels on an object, of pictures at most 320 wide, in all frames.", minimum=1
+    )
+    least_frames: int = option(
+        3, "Least frames with `least_pixels` / 10 on an object each; all, if fewer.", minimum=1
+    )
+    voxel: float = option(0.05, "Edge of the cells that gather new surfaces.", unit="m", above=0)
+    least_box: float = option(0.08, "Least longest side of an object that appeared.", unit="m")
+    depth: bool = option(True, "Use depth images.", flag="--depth/--no-depth", panel=USED)
+    colour: bool = option(
+        True, "Use colors where depth cannot tell.", flag="--colour/--no-colour", panel=USED
+    )
     b_from_a: Floats | None = None
     """(4, 4) rigid [m], from the first map's axes to the second's; estimated if not given."""
-    within: float = 0.05
-    """Surfaces of two maps this near are the same [m]."""
-    points: int = 400
-    """Points on each object that are compared between maps."""
-    seed: int = 0
-    """Of the points drawn on surfaces."""
+    within: float = option(
+        0.05, "Surfaces of two maps at this distance are the same.", unit="m", above=0
+    )
+    points: int = option(400, "Points per object that are compared between maps.", minimum=1)
+    seed: int = option(0, "The same seed gives the same answer.", flag="--seed")
 
     def __post_init__(self) -> None:
-        check_numbers(self)
-        check_whole(self, "frames", "least_pixels", "least_frames", "points")
-        check_positive(self, "reach", "depth_floor", "voxel", "within", "least_shift", "least_turn")
+        check_options(self)
         if not (self.depth or self.colour):
             raise OptionError("depth and colour are both off; leave one on.")
         if self.b_from_a is not None:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from placegraph.core.geometry import Floats
+from placegraph.core.options import check_options, option
 from placegraph.errors import OptionError
 from placegraph.indoor.mapping.segment.faces import Faces
 from placegraph.indoor.mapping.segment.geometry import Cut, cut_by_geometry
@@ -21,7 +22,6 @@ from placegraph.indoor.mapping.segment.labels import (
     cut_by_labels,
 )
 from placegraph.indoor.mapping.segment.segment_kernels import nearest
-from placegraph.indoor.options import check_numbers, check_positive
 from placegraph.io.capture.frame import Frame
 
 Ints = NDArray[np.int64]
@@ -35,35 +35,47 @@ _FIRST = ("floor", "ceiling", "wall")
 class SegmentOptions:
     """Everything that can be set about cutting; defaults serve rooms scanned at 2 to 5 cm."""
 
-    flatness: float = 0.05
-    """How far a triangle of the floor or a wall may lie from its plane [m]."""
-    wall_area: float = 1.5
-    """Least area of a wall [m2] ..."""
-    wall_height: float = 1.2
-    """... and how far it reaches from its lowest to its highest point [m]."""
-    bend: float = 0.6
-    """Concave angle between neighbouring triangles that counts as a full step [rad]."""
-    contrast: float = 25.0
-    """Difference of colour between neighbours that counts as a full step [CIE76 Delta E]."""
-    patch: float = 0.02
-    """Area from which on a smooth patch resists being joined over half a step [m2]."""
-    gap: float = 0.03
-    """Parts that no edge joins touch if they are this close [m]."""
-    support: float = 0.12
-    """Level surfaces from this area on carry things, which are objects of their own [m2]."""
-    thin: float = 0.5
-    """Two parts that could stand alone stay apart where the length of their contact is less than
-    this share of the smaller one's size, the root of its area."""
-    mark: float = 0.05
-    """Least area of what hangs on a wall and differs from it by colour alone [m2] ..."""
-    carpet: float = 0.5
-    """... and of what lies on the floor."""
-    least: float = 0.02
-    """Area of the smallest object [m2]; what is smaller belongs to what it touches."""
+    flatness: float = option(
+        0.05, "Largest distance of a triangle of floor or wall from its plane.", unit="m", above=0
+    )
+    wall_area: float = option(1.5, "Least area of a wall.", unit="m^2", above=0)
+    wall_height: float = option(1.2, "Least height of a wall.", unit="m")
+    bend: float = option(
+        0.6, "Concave angle between neighbors that counts as a full step.", unit="rad", above=0
+    )
+    contrast: float = option(
+        25.0,
+        "Color difference of neighbors that counts as a full step.",
+        unit="CIE76 Delta E",
+        above=0,
+    )
+    patch: float = option(
+        0.02,
+        "Area from which a smooth patch resists being joined over half a step.",
+        unit="m^2",
+        above=0,
+    )
+    gap: float = option(
+        0.03, "Parts without a common edge touch at this distance.", unit="m", above=0
+    )
+    support: float = option(
+        0.12, "Level surfaces of this area carry objects of their own.", unit="m^2", above=0
+    )
+    thin: float = option(
+        0.5,
+        "Two parts that could stand alone stay apart if their contact is shorter than this share of "
+        "the size of the smaller one, the root of its area.",
+    )
+    mark: float = option(
+        0.05, "Least area of objects on a wall that differ from it by color alone.", unit="m^2"
+    )
+    carpet: float = option(0.5, "The same on the floor.", unit="m^2")
+    least: float = option(
+        0.02, "Least area of an object; smaller parts belong to a neighbor.", unit="m^2"
+    )
 
     def __post_init__(self) -> None:
-        check_numbers(self)
-        check_positive(self, "flatness", "wall_area", "bend", "contrast", "patch", "gap", "support")
+        check_options(self)
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

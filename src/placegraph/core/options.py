@@ -1,0 +1,161 @@
+"""Options defined once, as fields of dataclasses: default, unit, range, help and command-line flag."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import Field, dataclass, field, fields
+from functools import cache
+from math import isfinite
+from numbers import Real
+from os import PathLike
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from placegraph.errors import OptionError
+
+T = TypeVar("T")
+_KEY = "placegraph.option"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OptionInfo:
+    """Description of one option; bounds apply to a number and to each number of a tuple."""
+
+    help: str
+    unit: str = ""
+    minimum: float = 0
+    above: float | None = None
+    maximum: float | None = None
+    below: float | None = None
+    flag: str = ""
+    """Name on the command line, such as ``--depth/--no-depth``; empty: the option has none."""
+    panel: str = "Options"
+    """Heading in the help of the command."""
+    commas: bool = False
+    """Whether the values of a tuple are one word on the command line, separated by commas."""
+
+    @property
+    def bounds(self) -> dict[str, float]:
+        """Bounds of a number, by their names in annotated-types and pydantic."""
+        least = ("ge", self.minimum) if self.above is None else ("gt", self.above)
+        bounds = dict([least, ("le", self.maximum), ("lt", self.below)])
+        return {name: bound for name, bound in bounds.items() if bound is not None}
+
+    @property
+    def text(self) -> str:
+        """Help with the unit."""
+        return f"{self.help} [{self.unit}]" if self.unit else self.help
+
+
+def option(default: T, help: str, *, repr: bool = True, **info: Any) -> T:  # noqa: A002, ANN401
+    """Return a dataclass field with its description; `info`: fields of `OptionInfo`."""
+    metadata = {_KEY: OptionInfo(help=help, **info)}
+    made: T = field(default=default, repr=repr, metadata=metadata)
+    return made
+
+
+class OptionField(NamedTuple):
+    """One option of a dataclass."""
+
+    name: str
+    default: Any
+    hint: Any
+    """Type, with annotations resolved."""
+    info: OptionInfo
+
+
+@cache
+def options_of(owner: type) -> tuple[OptionField, ...]:
+    """Return the options of a dataclass, in the order of its fields."""
+    hints = get_type_hints(owner)
+    described: Iterator[Field[Any]] = (entry for entry in fields(owner) if _KEY in entry.metadata)
+    return tuple(
+        OptionField(entry.name, entry.default, hints[entry.name], entry.metadata[_KEY])
+        for entry in described
+    )
+
+
+def option_info(owner: type, name: str) -> OptionInfo:
+    """Return the description of one option of a dataclass."""
+    return next(entry.info for entry in options_of(owner) if entry.name == name)
+
+
+def check_options(owner: object) -> None:
+    """Raise `OptionError` if an option of a dataclass instance has another type or is out of range."""
+    cls: Any = type(owner)
+    for name, _, hint, info in options_of(cls):
+        value = getattr(owner, name)
+        if not _fits(value, hint, info):
+            raise OptionError(f"{name} is {value!r}; it must be {_describe(hint, info)}.")
+
+
+def _fits(value: Any, hint: Any, info: OptionInfo) -> bool:  # noqa: ANN401
+    origin, args = get_origin(hint), get_args(hint)
+    if origin in {Union, UnionType}:
+        return any(_fits(value, part, info) for part in args)
+    if origin is Literal:
+        return any(type(value) is type(choice) and value == choice for choice in args)
+    if origin is tuple:
+        parts = args[:1] * len(value) if args[1:] == (...,) and isinstance(value, tuple) else args
+        return (
+            isinstance(value, tuple)
+            and len(value) == len(parts)
+            and all(_fits(part, kind, info) for part, kind in zip(value, parts, strict=True))
+        )
+    if hint in {int, float}:
+        if isinstance(value, bool) or not isinstance(value, Real) or not isfinite(value):
+            return False
+        whole = hint is float or value % 1 == 0
+        return whole and all(_COMPARE[name](value, b) for name, b in info.bounds.items())
+    if hint is Path:
+        return isinstance(value, str | PathLike)
+    return not isinstance(hint, type) or isinstance(value, hint)
+
+
+_COMPARE = {
+    "ge": lambda value, bound: value >= bound,
+    "gt": lambda value, bound: value > bound,
+    "le": lambda value, bound: value <= bound,
+    "lt": lambda value, bound: value < bound,
+}
+_WORDS = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below"}
+
+
+def _describe(hint: Any, info: OptionInfo) -> str:  # noqa: ANN401
+    """Describe the values that an option takes."""
+    origin, args = get_origin(hint), get_args(hint)
+    if origin in {Union, UnionType}:
+        return " or ".join(_describe(part, info) for part in args)
+    if origin is Literal:
+        return " or ".join(map(repr, args))
+    if origin is tuple:
+        count = "any number" if args[1:] == (...,) else str(len(args))
+        return f"a tuple of {count}, each {_describe(args[0], info)}"
+    if hint is NoneType:
+        return "None"
+    if hint is bool:
+        return "True or False"
+    if hint in {int, float}:
+        kind = "a whole number" if hint is int else "a number"
+        bounds = " and ".join(f"{_WORDS[name]} {b:g}" for name, b in info.bounds.items())
+        return f"{kind} {bounds}" + f" [{info.unit}]" * bool(info.unit)
+    return f"a {getattr(hint, '__name__', hint)}"
+
+
+def write_table(owner: type) -> str:
+    """Return a Markdown table of the options of a dataclass: name, default, help with the unit.
+
+    Options that a base class defines stand in the table of the base class alone.
+    """
+    inherited = {entry.name for base in owner.__bases__ for entry in _options_or_none(base)}
+    rows = [
+        f"| `{name}` | {'none' if default is None else f'`{default!r}`'} | {info.text} |"
+        for name, default, _, info in options_of(owner)
+        if name not in inherited
+    ]
+    return "\n".join([f"| `{owner.__name__}` | default | meaning |", "|---|---|---|", *rows])
+
+
+def _options_or_none(base: type) -> tuple[OptionField, ...]:
+    return options_of(base) if hasattr(base, "__dataclass_fields__") else ()
