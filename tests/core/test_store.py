@@ -271,8 +271,8 @@ def test_a_second_writer_is_refused_at_once(written):
 
 def test_a_lock_dies_with_its_process(path):
     holder = (
-        "import sys; from placegraph.core.mapfile import writing\n"
-        f"with writing({str(path)!r}): print('held', flush=True); sys.stdin.read()"
+        "import sys; from placegraph.core.mapfile import map_writer\n"
+        f"with map_writer({str(path)!r}): print('held', flush=True); sys.stdin.read()"
     )
     with subprocess.Popen(  # noqa: S603  # our own interpreter and code
         [sys.executable, "-c", holder], stdin=subprocess.PIPE, stdout=subprocess.PIPE

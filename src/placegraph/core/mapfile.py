@@ -1,12 +1,8 @@
-"""Map files: a header in JSON and compressed columns, written whole or not at all, read lazily.
-
-docs/formats.md describes the layout.
-"""
+"""Map files: a header in JSON and compressed columns, replaced atomically (`docs/formats.md`)."""
 
 from __future__ import annotations
 
 import hashlib
-import itertools
 import json
 import lzma
 import mmap
@@ -21,27 +17,32 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from math import prod
 from pathlib import Path
-from typing import Any, BinaryIO, overload
-from zlib import crc32
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.core import files
-from placegraph.core import files as locks
+from placegraph.core.files import (
+    FileWatch,
+    check_target,
+    lock_file,
+    replace_file,
+    resolve_path,
+    write_error,
+)
 from placegraph.errors import InputError, MapError, OptionError
 
 MAGIC = b"\x89PGMAP\r\n"
 """First eight bytes; a transfer as text, or through seven bits, damages them."""
 CONTAINER_VERSION = 1
-"""Version of the layout itself; what the columns mean has its own, per kind."""
+"""Version of the layout; the columns of each kind of map have their own version."""
 
 PREFIX = struct.Struct("<8sIII")
 """Magic, container version, header length, header crc32."""
 DIGEST_SIZE = hashlib.sha256().digest_size
 """Bytes of the checksum at the end."""
 MAX_HEADER = 1 << 24
-"""Bytes of a header."""
+"""Largest header [bytes]."""
 
 Path_ = str | os.PathLike[str]
 
@@ -63,17 +64,17 @@ class Block:
     length: int
     """Bytes as stored."""
     crc32: int
-    """Of the bytes as stored."""
+    """Checksum of the bytes as stored."""
 
     @property
     def nbytes(self) -> int:
-        """Bytes once decompressed."""
+        """Size of the decompressed array [bytes]."""
         return prod(self.shape) * np.dtype(self.dtype).itemsize
 
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """What stands at the head of a map file."""
+    """Header of a map file: its kind, version, metadata and table of columns."""
 
     path: Path
     kind: str
@@ -83,11 +84,11 @@ class Header:
     meta: dict[str, Any]
     blocks: tuple[Block, ...]
     file_size: int
-    """Bytes, everything included."""
+    """Size of the whole file [bytes]."""
 
 
 def read_header(path: Path_) -> Header:
-    """Head of a map file of any kind and version, checked; the columns are not read.
+    """Read and check the header of a map file of any kind and version.
 
     Raises `InputError` and `MapError` as `read_map` does.
     """
@@ -96,7 +97,7 @@ def read_header(path: Path_) -> Header:
 
 
 def read_head(file: BinaryIO, path: Path) -> Header:
-    """Read up to the end of the header; the file stands there afterwards."""
+    """Read an open map file up to the end of its header."""
     size = os.fstat(file.fileno()).st_size
     prefix = file.read(PREFIX.size)
     if not prefix:
@@ -132,7 +133,7 @@ def read_head(file: BinaryIO, path: Path) -> Header:
 
 
 def _parse_header(content: dict[str, Any], path: Path, size: int) -> Header:
-    """Raise any of KeyError, TypeError, ValueError where the header is not what it should be."""
+    """Return the header; KeyError, TypeError or ValueError where the JSON is none."""
     kind, version, meta = content["kind"], content["version"], content["meta"]
     table = content["arrays"]
     types = [type(value) for value in (kind, version, meta, table)]
@@ -160,17 +161,17 @@ def _parse_header(content: dict[str, Any], path: Path, size: int) -> Header:
 
 
 def is_plausible_size(nbytes: int, stored: int) -> bool:
-    """Guard against decompression bombs: real maps stay below 20 : 1."""
+    """Return whether arrays of `nbytes` may fit in `stored` bytes: maps stay below 20 : 1."""
     return nbytes <= (1 << 25) + (stored << 8)
 
 
-def damage_error(path: Path_, how: str) -> MapError:
-    """What is raised where a file is not as it was written."""
-    return MapError(f"{path} is damaged: {how}. Copy it again, or build the map again.")
+def damage_error(path: Path_, fault: str) -> MapError:
+    """Return the error for a file that differs from what was written."""
+    return MapError(f"{path} is damaged: {fault}. Copy it again, or build the map again.")
 
 
 def open_file(path: Path_) -> BinaryIO:
-    """Map file, open for reading; `InputError` where there is none, or it is no plain file."""
+    """Open a map file for reading; `InputError` where it is missing or no plain file."""
     try:
         # Without O_NONBLOCK, opening a pipe would wait for its other end.
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
@@ -182,21 +183,18 @@ def open_file(path: Path_) -> BinaryIO:
         builder = builders.get(Path(path).suffix, "city build")
         raise InputError(f"{path} does not exist; build it with `placegraph {builder}`.") from error
     except (OSError, ValueError) as error:
-        raise InputError(f"{path} cannot be read: {_why(error)}.") from error
+        why = getattr(error, "strerror", None) or error
+        raise InputError(f"{path} cannot be read: {why}.") from error
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)
         raise InputError(f"{path} is not a plain file; name the map file itself.")
     return os.fdopen(descriptor, "rb")
 
 
-def _why(error: Exception) -> str:
-    return getattr(error, "strerror", None) or str(error)
-
-
 DTYPES = frozenset(
     {"|b1", "|i1", "<i2", "<i4", "<i8", "|u1", "<u2", "<u4", "<u8", "<f2", "<f4", "<f8"}
 )
-"""What a column may be."""
+"""Types of columns."""
 CODECS = frozenset({"raw", "zlib", "lzma"})
 FILTERS = frozenset({"none", "shuffle", "delta"})
 """``shuffle`` groups the bytes of words by significance; ``delta`` takes differences before."""
@@ -205,11 +203,11 @@ _LZMA = ({"id": lzma.FILTER_LZMA2, "preset": 6},)
 _LZMA_LIMIT = 1 << 20  # longer columns are coordinates: LZMA saves 5 % there and opens 7 x slower
 _LZMA_GAIN = 0.95
 _SAMPLE = 1 << 16
-"""Bytes of a column by which a filter is chosen where time is short."""
+"""Bytes of a column that decide its filter where time is short."""
 
 
 def to_plain_array(name: str, array: NDArray[Any]) -> NDArray[Any]:
-    """Array in C order and little-endian; `OptionError` where it is not plain numbers."""
+    """Return an array in C order and little-endian; `OptionError` where it is not plain numbers."""
     array = np.asarray(array)
     dtype = array.dtype.newbyteorder("<")
     if dtype.str not in DTYPES or array.ndim == 0:
@@ -221,34 +219,36 @@ def to_plain_array(name: str, array: NDArray[Any]) -> NDArray[Any]:
 
 
 def compress_array(
-    array: NDArray[Any], *, as_it_is: bool = False, quick: bool = False
+    array: NDArray[Any], *, raw: bool = False, quick: bool = False
 ) -> tuple[str, str, bytes | memoryview]:
-    """Codec, filter and block of a plain array. Spends its time outside the interpreter's lock.
+    """Return codec, filter and block of a plain array, mostly outside the interpreter's lock.
 
-    `quick` does without LZMA, and chooses by a sample: maps of cities become a little larger, much sooner.
+    `raw` stores the array as it is. `quick` leaves LZMA out and chooses the filter by a sample: maps
+    of cities become a little larger, much sooner.
     """
-    if as_it_is:
+    if raw:
         return "raw", "none", array.data.cast("B")
-    some = array[: 1 + _SAMPLE * len(array) // max(1, array.nbytes)] if quick else array
-    chosen, least = "none", len(zlib.compress(some.data, 1))
+    sample = array[: 1 + _SAMPLE * len(array) // max(1, array.nbytes)] if quick else array
+    chosen, least = "none", len(zlib.compress(sample.data, 1))
     for name in ("shuffle", "delta") if array.size else ():
         # The fastest level ranks the filters as the thorough ones do, at a fraction of the time.
-        size = len(zlib.compress(_filtered(name, some), 1))
+        size = len(zlib.compress(_apply_filter(name, sample), 1))
         chosen, least = min((chosen, least), (name, size), key=lambda form: form[1])
-    raw = _filtered(chosen, array)
-    best = ("zlib", chosen, zlib.compress(raw, 1 if quick else 6))
-    if len(raw) <= _LZMA_LIMIT and not quick:
-        block = lzma.compress(raw, lzma.FORMAT_RAW, filters=_LZMA)
+    filtered = _apply_filter(chosen, array)
+    best = ("zlib", chosen, zlib.compress(filtered, 1 if quick else 6))
+    if len(filtered) <= _LZMA_LIMIT and not quick:
+        block = lzma.compress(filtered, lzma.FORMAT_RAW, filters=_LZMA)
         if len(block) < _LZMA_GAIN * len(best[2]):
             best = ("lzma", chosen, block)
     return best if len(best[2]) < array.nbytes else ("raw", "none", array.tobytes())
 
 
-def _filtered(name: str, array: NDArray[Any]) -> bytes:
+def _apply_filter(name: str, array: NDArray[Any]) -> bytes:
     if name == "none":
         return array.tobytes()
-    words = _words(array)
-    return _shuffle(_delta(words) if name == "delta" else words)
+    words = array.view(f"<u{array.itemsize}").reshape(len(array), -1)
+    words = _delta(words) if name == "delta" else words
+    return words.view(np.uint8).T.tobytes()  # first bytes of all rows, then second bytes, and so on
 
 
 def decompress_array(
@@ -256,8 +256,8 @@ def decompress_array(
 ) -> NDArray[Any]:
     """Undo `compress_array`; the array is read-only.
 
-    Raises `ValueError` where the block does not hold exactly such an array; memory stays within
-    twice the array's size whatever the block would like to become.
+    Raises `ValueError` where the block does not hold exactly this array. Memory stays within twice the
+    array's size, whatever the block holds.
     """
     kind = np.dtype(dtype)
     nbytes = prod(shape) * kind.itemsize
@@ -278,7 +278,7 @@ def decompress_array(
 
 
 def pack_strings(strings: Sequence[str]) -> NDArray[np.uint8]:
-    """Strings as one column of UTF-8: each follows a separator, a character none of them holds."""
+    """Return strings as one column of UTF-8: each follows a separator, a character none of them holds."""
     used = set("".join(strings))
     separator = next(c for c in map(chr, range(0xD800)) if c not in used)
     try:
@@ -288,24 +288,19 @@ def pack_strings(strings: Sequence[str]) -> NDArray[np.uint8]:
     return np.frombuffer(blob, np.uint8)
 
 
-def unpack_strings(blob: NDArray[np.uint8], most: int | None = None) -> tuple[str, ...]:
-    """Undo `pack_strings`; `MapError` where the bytes are not UTF-8, or more than `most` strings."""
+def unpack_strings(blob: NDArray[np.uint8], max_count: int | None = None) -> tuple[str, ...]:
+    """Undo `pack_strings`; `MapError` where it is not UTF-8, or more than `max_count` strings."""
     try:
         text = blob.tobytes().decode()
     except UnicodeDecodeError as error:
         raise MapError(f"Text is not UTF-8 ({error.reason}); build the map again.") from error
-    if most is not None and text and text.count(text[0]) > most:
-        raise MapError(f"It holds more than {most:,} texts; build the map again.")
+    if max_count is not None and text and text.count(text[0]) > max_count:
+        raise MapError(f"It holds more than {max_count:,} texts; build the map again.")
     return tuple(text[1:].split(text[0])) if text else ()
 
 
-def _words(array: NDArray[Any]) -> NDArray[Any]:
-    """Bits of the array as unsigned integers (rows, values of a row)."""
-    return array.view(f"<u{array.itemsize}").reshape(len(array), -1)
-
-
 def _delta(words: NDArray[Any]) -> NDArray[Any]:
-    """Differences along axis 0, modulo the word; small ones of either sign as small integers."""
+    """Return differences along axis 0, modulo the word, zigzag-coded."""
     step = words.copy()
     step[1:] -= words[:-1]
     sign = step.view(f"<i{words.itemsize}") >> (8 * words.itemsize - 1)
@@ -315,7 +310,6 @@ def _delta(words: NDArray[Any]) -> NDArray[Any]:
 
 
 def _undelta(step: NDArray[Any]) -> NDArray[Any]:
-    """Undo `_delta`, in place."""
     sign = step & 1
     np.negative(sign, out=sign)
     step >>= 1
@@ -323,13 +317,8 @@ def _undelta(step: NDArray[Any]) -> NDArray[Any]:
     return np.cumsum(step, axis=0, dtype=step.dtype, out=step)
 
 
-def _shuffle(words: NDArray[Any]) -> bytes:
-    """First bytes of all rows, then second bytes, and so on: like stands next to like."""
-    return words.view(np.uint8).T.tobytes()
-
-
 def _decompress(codec: str, block: memoryview, nbytes: int) -> bytes | memoryview:
-    """At most `nbytes` + 1 bytes; nothing where the block is broken."""
+    """Return at most `nbytes` + 1 bytes; none where the block is broken."""
     try:
         if codec == "zlib":
             return zlib.decompressobj().decompress(block, nbytes + 1)
@@ -342,17 +331,17 @@ def _decompress(codec: str, block: memoryview, nbytes: int) -> bytes | memoryvie
 
 
 def offsets_of(lengths: Sequence[int] | NDArray[np.integer]) -> NDArray[np.int64]:
-    """Bounds (N + 1,) of entries of these lengths (N,)."""
+    """Return the offsets (N + 1,) of adjacent entries of these lengths (N,)."""
     return np.concatenate(([0], np.cumsum(lengths, dtype=np.int64)))
 
 
 def gather_spans(
-    bounds: NDArray[np.int64], rows: NDArray[np.int64]
+    offsets: NDArray[np.int64], rows: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Bounds (K + 1,) of the entries of `rows` (K,) set side by side, and which entries they are."""
-    lengths = bounds[rows + 1] - bounds[rows]
-    made = offsets_of(lengths)
-    return made, np.repeat(bounds[rows] - made[:-1], lengths) + np.arange(made[-1])
+    """Return new offsets (K + 1,) of the spans of `rows` (K,), and the indices of their entries."""
+    lengths = offsets[rows + 1] - offsets[rows]
+    gathered = offsets_of(lengths)
+    return gathered, np.repeat(offsets[rows] - gathered[:-1], lengths) + np.arange(gathered[-1])
 
 
 CONTENT_ERRORS = (
@@ -363,13 +352,13 @@ CONTENT_ERRORS = (
     AttributeError,
     RecursionError,
 )
-"""What is raised where checksums fit and contents do not, as in a forged file."""
+"""Errors that contents of forged files raise although checksums fit."""
 
 Write = Callable[..., None]
 ALIGNMENT = 1 << 16
-"""Columns to be read where they lie are stored as they are, from this size on [bytes]."""
+"""Smallest column that is memory-mapped, and stored raw for it [bytes]."""
 _WORD = 64
-"""Blocks begin at a multiple of so many bytes, where some are read where they lie."""
+"""Alignment of the first block of a file with memory-mapped columns [bytes]."""
 CHUNK = 1 << 20  # bytes of a file that are hashed at once
 
 
@@ -379,15 +368,16 @@ class MapFile:
 
     header: Header
     arrays: dict[str, NDArray[Any]]
-    watch: files.FileWatch | None = None  # of a file that arrays are windows on
+    watch: FileWatch | None = None
+    """Watch over the file that arrays are mapped from; None: all are in memory."""
 
     @property
     def meta(self) -> dict[str, Any]:
-        """Metadata as JSON gave them back: tuples have become lists."""
+        """Metadata; JSON turns tuples into lists."""
         return self.header.meta
 
     def array(self, name: str, dtype: str, ndim: int = 1) -> NDArray[Any]:
-        """Column `name`; `MapError` where its dtype (such as ``"<i4"``) or dimensions differ."""
+        """Return column `name`; `MapError` where its dtype (such as ``"<i4"``) or dimensions differ."""
         found = self.arrays.get(name)
         if found is None or found.dtype != np.dtype(dtype) or found.ndim != ndim:
             what = "is missing" if found is None else f"is {found.dtype} {found.shape}"
@@ -397,11 +387,11 @@ class MapFile:
             )
         return found
 
-    def strings(self, name: str, most: int | None = None) -> tuple[str, ...]:
-        """Column `name` as written by `pack_strings`; `MapError` where it is not, or of more than `most`."""
+    def strings(self, name: str, max_count: int | None = None) -> tuple[str, ...]:
+        """Return column `name` of `pack_strings`; `MapError` as `unpack_strings` raises."""
         blob = self.array(name, "|u1")
         try:
-            return unpack_strings(blob, most)
+            return unpack_strings(blob, max_count)
         except MapError as error:
             raise MapError(f"{self.header.path}: column {name!r}: {error}") from error
 
@@ -423,10 +413,10 @@ def write_map(
 
 @contextmanager
 def map_writer(path: Path_) -> Iterator[Write]:
-    """Lock `path` and hand out the function that writes it, once.
+    """Lock `path` and yield the function that writes it once, with the arguments of `write_map`.
 
-    Its last arguments name the columns that are to be read where they lie (`read_map`), stored as they
-    are at the head of the file, each at a multiple of its word; and spare time, not bytes (`compress_array`).
+    `mapped` names the columns that readers map into memory (`read_map`); they are stored raw. `quick`
+    saves time, not bytes (`compress_array`).
 
     Take it before a long build: an unwritable folder or a second writer is then refused at once.
     The old file stays untouched until the new one is complete on disk.
@@ -441,8 +431,8 @@ def map_writer(path: Path_) -> Iterator[Write]:
         Metadata are not JSON, or an array is not plain numbers.
 
     """
-    target = files.resolve_path(path)
-    files.check_target(target)
+    target = resolve_path(path)
+    check_target(target)
 
     def write(
         kind: str,
@@ -457,26 +447,26 @@ def map_writer(path: Path_) -> Iterator[Write]:
         for chunk in (head, *blocks):
             digest.update(chunk)
         try:
-            files.replace_file(target, (head, *blocks, digest.digest()))
+            replace_file(target, (head, *blocks, digest.digest()))
         except OSError as error:
-            raise files.write_error(target, error) from error
+            raise write_error(target, error) from error
 
     with ExitStack() as stack:
         try:
-            stack.enter_context(locks.lock_file(target))
+            stack.enter_context(lock_file(target))
         except OSError as error:
-            raise files.write_error(target, error) from error
+            raise write_error(target, error) from error
         yield write
 
 
 def read_map(
-    path: Path_, kind: str, max_version: int, mapped: Collection[str] = (), least: int = 0
+    path: Path_, kind: str, max_version: int, mapped: Collection[str] = (), min_mapped: int = 0
 ) -> MapFile:
     """Read a map file and check all of it.
 
-    Columns of the names `mapped` that are stored as they are are windows on the file, by two descriptors,
-    where they have `least` bytes together. Whoever shortens it, instead of replacing it, ends who looks
-    at them: `watch` tells before.
+    Raw columns named in `mapped` are memory-mapped, if they have `min_mapped` bytes together; they hold
+    two file descriptors. Shortening the file in place would then end this process: ask
+    `MapFile.watch` before reading.
 
     Raises
     ------
@@ -497,49 +487,46 @@ def read_map(
                 f"{path} is a {kind} map of version {header.version}, this placegraph reads up to "
                 f"{max_version}; update placegraph, or build the map again with this one."
             )
-        start, watch = file.tell(), files.FileWatch(file, path) if mapped else None
-        lying = [b for b in header.blocks if b.name in mapped and is_mappable(b, start)]
-        lying = lying if sum(b.length for b in lying) >= least else []
-        plain = sorted((b for b in header.blocks if b not in lying), key=lambda b: -b.length)
+        start, watch = file.tell(), FileWatch(file, path) if mapped else None
+        windows = [b for b in header.blocks if b.name in mapped and is_mappable(b, start)]
+        windows = windows if sum(b.length for b in windows) >= min_mapped else []
+        others = sorted((b for b in header.blocks if b not in windows), key=lambda b: -b.length)
         with ThreadPoolExecutor(2) as pool:
             hashed = pool.submit(_has_valid_digest, file, header.file_size)
             # The blocks' own checksums come first: they name the damaged column.
-            decoded = pool.map(partial(read_block, file, start, path), plain)
-            found = dict(zip(plain, decoded, strict=True))
-            intact = hashed.result()
-        found |= map_blocks(file, lying, start) if lying else {}
-        if not intact:
-            for b in lying:
+            decoded = pool.map(partial(read_block, file, start, path), others)
+            arrays = dict(zip(others, decoded, strict=True))
+            is_intact = hashed.result()
+        arrays |= map_blocks(file, windows, start) if windows else {}
+        if not is_intact:
+            for b in windows:
                 read_block(file, start, path, b)
             raise damage_error(path, "its checksum does not fit its contents")
-    return MapFile(header, {b.name: found[b] for b in header.blocks}, watch if lying else None)
+    return MapFile(header, {b.name: arrays[b] for b in header.blocks}, watch if windows else None)
 
 
 @contextmanager
-def check_contents(path: Path_, mend: str) -> Iterator[None]:
-    """Within it, columns are put together: `MapError` where they contradict each other."""
+def check_contents(path: Path_, remedy: str) -> Iterator[None]:
+    """Raise `MapError` where the columns that the body combines contradict each other."""
     try:
         yield
     except CONTENT_ERRORS as error:
         why = f"{type(error).__name__}: {error}" if isinstance(error, LookupError) else error
-        raise MapError(f"{path}: its columns contradict each other ({why}). {mend}") from error
-
-
-# --- writing ---
+        raise MapError(f"{path}: its columns contradict each other ({why}). {remedy}") from error
 
 
 def _encode(
     kind: str, version: int, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]],
     mapped: Collection[str], quick: bool,
 ) -> tuple[bytes, list[bytes | memoryview]]:  # fmt: skip
-    """Prefix and header, and the blocks. zlib and lzma work outside the interpreter's lock."""
+    """Return prefix and header, and the blocks."""
     columns = {name: to_plain_array(name, a) for name, a in arrays.items()}
     large = {name for name, a in columns.items() if name in mapped and a.nbytes >= ALIGNMENT}
     # the widest words first: none then begins within a word
     columns = dict(sorted(columns.items(), key=lambda c: -c[1].itemsize if c[0] in large else 0))
     with ThreadPoolExecutor(2) as pool:
         compress = partial(compress_array, quick=quick)
-        packed = list(pool.map(lambda c: compress(c[1], as_it_is=c[0] in large), columns.items()))
+        packed = list(pool.map(lambda c: compress(c[1], raw=c[0] in large), columns.items()))
     table, offset = [], 0
     for (name, array), (codec, filter_, block) in zip(columns.items(), packed, strict=True):
         crc = zlib.crc32(block)
@@ -563,11 +550,8 @@ def _encode(
     return prefix + text, blocks
 
 
-# --- reading ---
-
-
 def _has_valid_digest(file: BinaryIO, size: int) -> bool:
-    """Whether the file ends with the checksum of what stands before it."""
+    """Return whether the file ends with the checksum of the bytes before."""
     digest, end = hashlib.sha256(), size - DIGEST_SIZE
     for at in range(0, end, CHUNK):
         digest.update(_bytes(file, at, min(CHUNK, end - at)))
@@ -575,7 +559,7 @@ def _has_valid_digest(file: BinaryIO, size: int) -> bool:
 
 
 def _bytes(file: BinaryIO, at: int, length: int) -> memoryview:
-    """Bytes of a file, by two threads at once; fewer where it ends before."""
+    """Read bytes of a file, in any thread; fewer where it ends before."""
     found = bytearray()
     while len(found) < length and (
         more := os.pread(file.fileno(), length - len(found), at + len(found))
@@ -587,20 +571,20 @@ def _bytes(file: BinaryIO, at: int, length: int) -> memoryview:
 
 
 def is_mappable(block: Block, start: int) -> bool:
-    """Whether a block can be read where it lies: stored as it is, and not beginning within a word."""
+    """Return whether a block can be memory-mapped: it is stored raw and aligned."""
     aligned = (start + block.offset) % np.dtype(block.dtype).itemsize == 0
     whole = block.length == block.nbytes > 0
     return block.codec == "raw" and block.filter == "none" and aligned and whole
 
 
 def map_blocks(file: BinaryIO, blocks: Iterable[Block], start: int) -> dict[Block, NDArray[Any]]:
-    """Arrays of blocks, as windows on one map of the file: each map holds a descriptor."""
+    """Return the arrays of blocks in one memory map of the file, which holds a descriptor."""
     view = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
     return {b: np.ndarray(b.shape, np.dtype(b.dtype), view, start + b.offset) for b in blocks}
 
 
 def read_block(file: BinaryIO, start: int, path: Path_, block: Block) -> NDArray[Any]:
-    """Array of a block of a file whose blocks begin at `start`."""
+    """Read and check the array of a block of a file whose blocks begin at `start`."""
     stored = _bytes(file, start + block.offset, block.length)
     if zlib.crc32(stored) != block.crc32:
         raise damage_error(path, f"column {block.name!r} does not fit its checksum")
@@ -608,175 +592,3 @@ def read_block(file: BinaryIO, start: int, path: Path_, block: Block) -> NDArray
         return decompress_array(block.codec, block.filter, stored, block.dtype, block.shape)
     except ValueError as error:
         raise damage_error(path, f"column {block.name!r} {error}") from error
-
-
-PAGE = 4096
-"""Bytes that have a checksum of their own."""
-OFFSETS = "starts"
-"""Type of columns that `narrow_offsets` makes: of 32 or 64 bits."""
-PAGE_CHECKSUMS = "pages"
-"""Column of these checksums: of all that are read in pages, in the order of their names."""
-
-
-def add_page_checksums(
-    arrays: Mapping[str, NDArray[Any]], paged: Collection[str]
-) -> dict[str, NDArray[Any]]:
-    """Arrays of a map file, with the checksums of those that are to be read in pages."""
-    columns = {name: to_plain_array(name, a) for name, a in arrays.items()}
-    sums = [
-        crc32(block[at : at + PAGE])
-        for name in sorted(paged)
-        for block in (columns[name].reshape(-1).view(np.uint8).data,)
-        for at in range(0, len(block), PAGE)
-    ]
-    return {**columns, PAGE_CHECKSUMS: np.array(sums, np.uint32)}
-
-
-@dataclass(frozen=True, eq=False)
-class PagedColumn:
-    """A column (N,) of a file; what is sliced out of it is checked."""
-
-    path: Path
-    name: str
-    values: NDArray[Any]
-    sums: NDArray[np.uint32]
-    """Of its pages."""
-    good: bytearray
-    """Which of them were compared."""
-
-    def __len__(self) -> int:
-        return len(self.values)
-
-    def __getitem__(self, part: slice) -> NDArray[Any]:
-        """A stretch of it, read-only; `MapError` where it is damaged."""
-        first, last, _ = part.indices(len(self.values))
-        size = self.values.itemsize
-        for page in range(first * size // PAGE, -(-last * size // PAGE)):
-            if not self.good[page]:
-                self._check(page)
-        return self.values[first:last]
-
-    def _check(self, page: int) -> None:
-        block = self.values.view(np.uint8)[page * PAGE : (page + 1) * PAGE]
-        if crc32(block.data) != self.sums[page]:
-            raise damage_error(self.path, f"column {self.name!r} does not fit its checksum")
-        self.good[page] = True
-
-    def find(self, value: int) -> int:
-        """First row of a sorted column that is no less than a value."""
-        each = PAGE // self.values.itemsize
-        low, high = 0, -(-len(self) // each)  # the last page that begins below it
-        while high - low > 1:
-            middle = (low + high) // 2
-            if self[middle * each : middle * each + 1][0] < value:
-                low = middle
-            else:
-                high = middle
-        page = self[low * each : (low + 1) * each]
-        return low * each + int(np.searchsorted(page, page.dtype.type(value)))
-
-
-@dataclass(frozen=True, eq=False)
-class PagedTexts(Sequence[str]):
-    """Strings of a file: where each begins, and the bytes of all."""
-
-    starts: PagedColumn
-    """(N + 1,)"""
-    text: PagedColumn
-
-    def __len__(self) -> int:
-        return max(0, len(self.starts) - 1)
-
-    @overload
-    def __getitem__(self, row: int) -> str: ...
-
-    @overload
-    def __getitem__(self, row: slice) -> list[str]: ...
-
-    def __getitem__(self, row: int | slice) -> str | list[str]:
-        """One string, or some; `MapError` where the file is damaged."""
-        if not isinstance(row, slice):
-            if not 0 <= row < len(self):
-                raise IndexError(row)
-            return self[row : row + 1][0]
-        first, last, _ = row.indices(len(self))
-        if first >= last:
-            return []
-        ends = read_offsets(self.starts, first, last, len(self.text))
-        blob = self.text[ends[0] : ends[-1]].tobytes()
-        cuts = [end - ends[0] for end in ends]
-        try:
-            return [blob[a:b].decode() for a, b in itertools.pairwise(cuts)]
-        except UnicodeDecodeError as error:
-            raise damage_error(
-                self.text.path, f"column {self.text.name!r} is no text: {error.reason}"
-            ) from error
-
-
-def read_offsets(starts: PagedColumn, first: int, last: int, size: int) -> list[int]:
-    """Where stretches of a column of this size begin, and the last ends; `MapError` where they cannot."""
-    ends: list[int] = starts[first : last + 1].tolist()
-    if any(a > b for a, b in itertools.pairwise(ends)) or ends[-1] > size:
-        raise damage_error(starts.path, f"column {starts.name!r} points beyond what it is of")
-    return ends
-
-
-def pack_texts(texts: Sequence[str]) -> tuple[NDArray[np.unsignedinteger[Any]], NDArray[np.uint8]]:
-    """Columns of `PagedTexts`."""
-    parts = [text.encode() for text in texts]
-    return narrow_offsets([len(part) for part in parts]), np.frombuffer(b"".join(parts), np.uint8)
-
-
-def narrow_offsets(
-    sizes: Sequence[int] | NDArray[np.integer[Any]],
-) -> NDArray[np.unsignedinteger[Any]]:
-    """Where stretches begin, and the last ends (N + 1,); in 32 bits where these do."""
-    ends = np.concatenate(([0], np.cumsum(sizes, dtype=np.int64)))
-    return ends.astype(np.uint32 if ends[-1] < 1 << 32 else np.uint64)
-
-
-def open_pages(
-    path: Path, kind: str, version: int, paged: Mapping[str, str], mend: str
-) -> tuple[MapFile, dict[str, PagedColumn]]:
-    """A map file with its other columns, and those of `paged` (names and types) to be read in pages.
-
-    Raises
-    ------
-    InputError
-        The file is missing, empty, a folder, or may not be read.
-    MapError
-        Its head or another column is damaged; it is of another kind or version.
-
-    """
-    with open_file(path) as file:
-        header, start = read_head(file, path), file.tell()
-        if (header.kind, header.version) != (kind, version):
-            raise MapError(
-                f"{path} is a {header.kind} map of version {header.version}, and not a {kind} map of "
-                f"version {version}. {mend}"
-            )
-        lie = [
-            b for b in header.blocks if b.name in (*paged, PAGE_CHECKSUMS) and is_mappable(b, start)
-        ]
-        watch = files.FileWatch(file, path)
-        arrays = {b.name: read_block(file, start, path, b) for b in header.blocks if b not in lie}
-        arrays |= {b.name: a for b, a in map_blocks(file, lie, start).items()} if lie else {}
-    made = MapFile(header, arrays, watch)
-    sums, found, at = made.array(PAGE_CHECKSUMS, "<u4"), {}, 0
-    mapped = {b.name for b in lie}
-    for name in sorted(paged):
-        values = _column(made, name, paged[name])
-        n = -(-values.nbytes // PAGE)
-        good = bytearray(n) if name in mapped else bytearray(b"\1" * n)
-        found[name] = PagedColumn(path, name, values, sums[at : at + n], good)
-        at += n
-    if at != len(sums):
-        raise damage_error(path, f"it has {len(sums)} checksums of {at} pages")
-    return made, found
-
-
-def _column(file: MapFile, name: str, dtype: str) -> NDArray[Any]:
-    """Column of a type."""
-    held = file.arrays.get(name)
-    short = dtype == OFFSETS and held is not None and held.dtype == np.uint32
-    return file.array(name, "<u4" if short else "<u8" if dtype == OFFSETS else dtype)

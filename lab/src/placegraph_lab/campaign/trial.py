@@ -87,7 +87,7 @@ def prepare(folder: Path) -> Path:
 
     unpack(folder)
     town = build_city(folder / f"{TOWN}.osm", folder / "town.city")
-    with patch("placegraph.core.mapfile.PAGE", 1):  # as in the map of a large city
+    with patch("placegraph.core.mapfile.ALIGNMENT", 1):  # as in the map of a large city
         town.save(folder / "indexed.city", index=True)
     scene = build_scene(folder / f"{FLAT}.glb", folder / "flat.scene")
     capture = open_capture(folder / "walk")

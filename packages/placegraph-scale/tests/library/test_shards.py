@@ -115,7 +115,7 @@ def test_nothing_to_write_and_nothing_asked(tmp_path, shards):
 
 def test_a_shard_that_is_cut_while_it_is_open_is_named(signatures, tmp_path, rooms, monkeypatch):
     monkeypatch.setattr(
-        "placegraph.core.mapfile.PAGE", 1
+        "placegraph.core.mapfile.ALIGNMENT", 1
     )  # small columns are windows on the file, too
     shards, film = write_shards(tmp_path / "one", listed(signatures)[:9]), rooms["study"].film(3)
     row = shards.search("a study with two desks").stats["rows"][0]

@@ -143,7 +143,7 @@ class City(PickleFields):
 
         The index of a large one is read where it lies, and so is that of a `shard`, one of many.
         """
-        file = read_map(path, KIND, VERSION, MAPPED, least=0 if shard else LARGE)
+        file = read_map(path, KIND, VERSION, MAPPED, min_mapped=0 if shard else LARGE)
         with check_contents(path, "Build it again."):
             meta = file.meta
             (longitude, latitude), grain = map(float, meta["origin"]), float(meta["grain"])
@@ -171,8 +171,8 @@ class City(PickleFields):
                 point_starts=point_starts,
                 points=points,
                 center=np.zeros((0, 2), np.float32),
-                labels=file.strings("labels", most=len(label_values)),
-                names=file.strings("names", most=len(name_values)),
+                labels=file.strings("labels", max_count=len(label_values)),
+                names=file.strings("names", max_count=len(name_values)),
             )
             objects.check()
             center = centers(kind, part_starts, point_starts, points)

@@ -26,23 +26,25 @@ import numpy as np
 from placegraph.core.files import write_error
 from placegraph.core.geo import are_in_tile, check_zoom, parse_tile_key, tile_bounds
 from placegraph.core.mapfile import (
-    OFFSETS,
-    PAGE_CHECKSUMS,
-    PagedColumn,
-    PagedTexts,
-    add_page_checksums,
     check_contents,
     damage_error,
-    open_pages,
     pack_strings,
     read_map,
-    read_offsets,
     write_map,
 )
 from placegraph.errors import InputError, MapError, OptionError, PlacegraphError
 from placegraph.outdoor.map.index import Core
 from placegraph.outdoor.map.names import CROWDED, LONGEST, NameIndex, is_alphabetic, spoken, stems
 from placegraph_scale.folder import SHARDS, WORDS, ShardFile, WorldFile, digest_of
+from placegraph_scale.shards.columns import (
+    OFFSETS,
+    PAGE_CHECKSUMS,
+    PagedColumn,
+    PagedTexts,
+    add_page_checksums,
+    open_pages,
+    read_offsets,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -485,7 +487,7 @@ class WordTable:
         with check_contents(path, MEND):
             of_shards = {name: file.array(name, dtype) for name, dtype in OF_SHARDS.items()}
             names = WorldNames.of_file(file, columns)
-            labels = file.strings("labels", most=len(columns["starts"]))
+            labels = file.strings("labels", max_count=len(columns["starts"]))
             assert file.watch is not None  # noqa: S101  # `open_pages` gives one
             size = {name: len(column) for name, column in columns.items()}
             if size["starts"] != len(labels) + len(names.names) + 1:
