@@ -25,6 +25,7 @@ from placegraph.cli.compiling import Compiling
 from placegraph.core import cache, warm
 from placegraph.core.jit import Kernel, cache_key, defer_signals, kernel
 from placegraph.errors import OptionError
+from placegraph_lab.make.kernels import spell_call
 
 # --- compiled kernels are found again by what they are made of, and kept where they can be ---
 
@@ -311,23 +312,23 @@ def _name(call):
 
 @pytest.mark.parametrize("call", CALLS)
 def test_calls_are_kernels_and_types_of_today(call):
-    kernel, args = warm._found(call), warm._types_of(call, warm._words())
+    kernel, args = warm._resolve(call), warm._parse_types(call, warm._type_names())
     assert len(args) == len(inspect.signature(kernel.py_func).parameters)
     definitions = (line.split(" = ") for line in warm._lines() if " = " in line)
     names = {text: name for name, text in definitions}
-    assert warm.spell_call(kernel, args, names) == call
+    assert spell_call(kernel, args, names) == call
 
 
 def test_types_are_read_as_they_are_spelled():
-    words = warm._words()
+    words = warm._type_names()
     args = (
         types.float64, types.Array(types.float32, 2, "C"), types.Array(types.uint8, 3, "A"),
         types.Array(types.int64, 2, "F"), types.Array(types.int32, 1, "C", readonly=True),
         types.UniTuple(types.int64, 2), types.Tuple((types.boolean, types.float64)),
         words["Surfaces"], types.Omitted(1), types.none,
     )  # fmt: skip
-    kernel = warm._found(SMALL)
-    assert warm._types_of(warm.spell_call(kernel, args, {
+    kernel = warm._resolve(SMALL)
+    assert warm._parse_types(spell_call(kernel, args, {
         line.split(" = ")[1]: line.split(" = ")[0] for line in warm._lines() if " = " in line
     }), words) == args  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""Cache folder of what is made once and found by the next process: compiled code, grammars, tables."""
+"""Cache of files that later processes find again: compiled code, grammars, tables."""
 
 # mypy: disable-error-code="attr-defined"
 
@@ -16,23 +16,23 @@ from typing import TypeVar
 
 T = TypeVar("T")
 _PROBE = 1 << 16
-"""Bytes that a folder must take to be written to: a full disk still makes empty files."""
+"""Bytes written to test a folder: a full disk still makes empty files."""
 
 
 class CacheFolders:
-    """Folders of the cache; looked up when first needed, since the command line comes before."""
+    """Folders of the cache, looked up when they are first needed."""
 
     def __init__(self) -> None:
         self.chosen: Path | None = None
 
     def choose(self, folder: str | PathLike[str] | None) -> None:
-        """Keep everything in `folder`; None: in the default folders."""
+        """Use one folder; None: the default folders."""
         self.chosen = Path(folder) if folder is not None else None
         self.__dict__.pop("write", None)
 
     @property
     def read(self) -> list[Path]:
-        """Folders to look in, first to last: the chosen one, numba's, else the package's and the user's."""
+        """Folders to read, in order: the chosen one, else numba's, else the package's and the user's."""
         if self.chosen is not None:
             return [self.chosen]
         from numba import config
@@ -46,14 +46,14 @@ class CacheFolders:
 
     @cached_property
     def write(self) -> Path | None:
-        """Folder to write to; None, after a warning, where none can be written."""
+        """First folder that can be written; None, after a warning, where there is none."""
         found = next(filter(_is_writable, self.read), None)
         if found is None:
             self._warn()
         return found
 
     def store(self, name: str, content: bytes) -> None:
-        """Write a file whole or not at all, so that no reader sees half of it."""
+        """Write a file atomically, if there is a folder to write to."""
         if self.write is None:
             return
         try:
@@ -76,10 +76,9 @@ _LISTENERS: list[Callable[[str, bool], None]] = []
 
 
 def load_or_make(name: str, make: Callable[[], bytes], read: Callable[[bytes], T]) -> T:
-    """Return `read` of the bytes of a file of the cache, which `make` returns where there is none.
+    """Read a cached file; where it is missing, or `read` raises `ValueError`, make and store it first.
 
-    `name` tells all that goes into the bytes. Where `read` raises `ValueError` the file is damaged,
-    and made anew.
+    `name` is the cache key: it determines the bytes that `make` returns.
     """
     for folder in FOLDERS.read:
         with suppress(OSError, ValueError):
@@ -91,9 +90,9 @@ def load_or_make(name: str, make: Callable[[], bytes], read: Callable[[bytes], T
 
 @contextmanager
 def listen_to_compilation(listener: Callable[[str, bool], None]) -> Iterator[None]:
-    """Call ``listener(name, done)`` before a kernel is compiled and after; in any thread.
+    """Call ``listener(name, done)`` before and after a kernel is compiled, in any thread.
 
-    A listener that has it compiled elsewhere, before it returns, spares this process the work.
+    A listener may compile the kernel in another process first; this process then loads it.
     """
     _LISTENERS.append(listener)
     try:
@@ -103,7 +102,7 @@ def listen_to_compilation(listener: Callable[[str, bool], None]) -> Iterator[Non
 
 
 def notify_listeners(name: str, *, done: bool) -> None:
-    """Call the listeners."""
+    """Tell all listeners that a kernel is about to be compiled, or is compiled."""
     for listener in _LISTENERS:
         listener(name, done)
 

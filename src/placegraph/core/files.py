@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all."""
+"""Files that are replaced atomically, locked while they are written, or watched while they are read."""
 
 from __future__ import annotations
 
@@ -8,27 +8,24 @@ import stat
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
+from typing import BinaryIO
 from weakref import finalize
 
 from placegraph.errors import InputError, MapError, MapLockedError
 
-if TYPE_CHECKING:
-    Chunks = Iterable[bytes | memoryview]
-
 _STREAMS = ("/dev/std", "/dev/fd/", "/proc/")
-"""Where names stand for what is open: a new file in the place of one would be read by nobody."""
+"""Names of open files, which cannot be replaced."""
 
 
-def write_file(path: str | os.PathLike[str], chunks: Chunks) -> Path:
-    """Write a file that takes the place of the old one in one step; a link stays a link.
+def write_file(path: str | os.PathLike[str], chunks: Iterable[bytes | memoryview]) -> Path:
+    """Replace a file atomically; a link stays a link.
 
     Raises
     ------
     MapLockedError
         Another process is writing this file.
     MapError
-        It cannot be written; what was there before is untouched.
+        It cannot be written; the old file is untouched.
 
     """
     target = resolve_path(path)
@@ -42,9 +39,9 @@ def write_file(path: str | os.PathLike[str], chunks: Chunks) -> Path:
 
 
 def write_output(path: str | os.PathLike[str], content: bytes) -> Path:
-    """Write a picture or a text as `write_file` does; what is no file, as /dev/stdout, straight.
+    """Write a picture or a text atomically; write to streams such as /dev/stdout directly.
 
-    Raises `MapLockedError` as `write_file` does, and `InputError` where it cannot be written.
+    Raises `MapLockedError` where another process writes it, `InputError` where it cannot be written.
     """
     given = Path(path)
     try:
@@ -60,10 +57,10 @@ def write_output(path: str | os.PathLike[str], content: bytes) -> Path:
     return given
 
 
-def replace_file(target: Path, chunks: Chunks) -> None:
-    """Bring chunks to disk and put them in the place of `target`, whose lock the caller holds.
+def replace_file(target: Path, chunks: Iterable[bytes | memoryview]) -> None:
+    """Write chunks to disk and replace `target`, whose lock the caller holds.
 
-    Raises `OSError` where that fails; the old file is untouched then.
+    Raises `OSError` where that fails; the old file is then untouched.
     """
     temporary = target.with_name(f".{target.name}.tmp")  # ours alone: the lock is held
     try:
@@ -83,15 +80,15 @@ def replace_file(target: Path, chunks: Chunks) -> None:
 
 
 def check_regular(path: Path) -> Path:
-    """Path of a file to read; `InputError` where it is a pipe or a device, which may never end."""
-    with suppress(OSError, ValueError):  # for the reader to say
+    """Return the path of a file to read; `InputError` where it is a pipe or a device."""
+    with suppress(OSError, ValueError):  # the reader reports these
         if not stat.S_ISREG(mode := path.stat().st_mode) and not stat.S_ISDIR(mode):
             raise InputError(f"{path} is not a plain file; copy what it holds into one.")
     return path
 
 
 def resolve_path(path: str | os.PathLike[str]) -> Path:
-    """Where a file really lies: links are followed. `MapError` where it is no file name."""
+    """Return a path with links resolved; `MapError` where it is no file name."""
     try:
         return Path(os.path.realpath(path))
     except ValueError as error:
@@ -99,16 +96,16 @@ def resolve_path(path: str | os.PathLike[str]) -> Path:
 
 
 def check_target(target: Path) -> None:
-    """Raise `MapError` where something is there that is no file, or nothing can be."""
+    """Raise `MapError` where a path names a folder or device, or can name nothing."""
     try:
         if target.exists() and not target.is_file():
             raise MapError(f"{target} is not a plain file; name a file to write to.")
-    except OSError as error:  # as of a name that is too long
+    except OSError as error:  # the name is too long, for instance
         raise write_error(target, error) from error
 
 
 def write_error(target: Path, error: OSError) -> MapError:
-    """Error that says why a file cannot be written."""
+    """Return the error that says why a file cannot be written."""
     return MapError(f"{target} cannot be written: {error.strerror or error}. Choose another place.")
 
 
@@ -121,20 +118,20 @@ def _sync_folder(folder: Path) -> None:
 
 
 class FileWatch:
-    """A file that columns are windows on: whether it is as it was when it was opened."""
+    """Watch over a memory-mapped file, which must not change while it is open."""
 
     def __init__(self, file: BinaryIO, path: str | os.PathLike[str]) -> None:
         self._path, self._file = path, os.dup(file.fileno())
         finalize(self, os.close, self._file)
-        self._was = self._now()
+        self._state = self._read_state()
 
-    def _now(self) -> tuple[int, int]:
-        told = os.fstat(self._file)
-        return told.st_size, told.st_mtime_ns
+    def _read_state(self) -> tuple[int, int]:
+        stats = os.fstat(self._file)
+        return stats.st_size, stats.st_mtime_ns
 
     def check(self) -> None:
-        """Raise `MapError` where it was written to or cut short: what is read of it then may be anything."""
-        if self._now() != self._was:
+        """Raise `MapError` where the file was written to or cut short since it was opened."""
+        if self._read_state() != self._state:
             raise MapError(
                 f"{self._path} was changed while it was open; open it again, and let a new file take its "
                 "place, as `save` does."
@@ -148,17 +145,17 @@ class FileWatch:
 def lock_file(target: Path) -> Iterator[None]:
     """Hold ``.NAME.lock`` next to `target`, and remove it afterwards.
 
-    Raises `MapLockedError` at once where another holds it, and `OSError` where it cannot be had.
+    Raises `MapLockedError` at once where another process holds it, `OSError` where it cannot be made.
     """
     path = target.with_name(f".{target.name}.lock")
     descriptor = _acquire(path, target)
-    while not _same_file(path, descriptor):  # its last owner removed it before we had it
+    while not _is_same_file(path, descriptor):  # its last owner removed it before we had it
         os.close(descriptor)
         descriptor = _acquire(path, target)
     try:
         yield
     finally:
-        with suppress(OSError):  # what stays is free for the next
+        with suppress(OSError):  # a lock file that stays is free for the next process
             path.unlink()
         os.close(descriptor)
 
@@ -178,7 +175,7 @@ def _acquire(path: Path, target: Path) -> int:
     return descriptor
 
 
-def _same_file(path: Path, descriptor: int) -> bool:
+def _is_same_file(path: Path, descriptor: int) -> bool:
     try:
         return os.path.samestat(path.stat(), os.fstat(descriptor))
     except FileNotFoundError:

@@ -1,16 +1,15 @@
 # mypy: disable-error-code="attr-defined, no-untyped-call, no-any-return"
-"""Compiled kernels, whose machine code is cached for the next process.
+"""Compiled kernels, whose machine code is cached for later processes.
 
-`kernel` stands where `numba.njit` would, and differs in its cache, which starts a command in two
-thirds of the time:
+`kernel` replaces `numba.njit`. Only its cache differs; it starts a command in two thirds of the time:
 
-- Code is found by a fingerprint of the kernel: its bytecode, its options, the constants and kernels
-  that it uses, however deep and in whichever file, and the versions of Python, numba and the
-  processor. Numba compares the time of one file, and misses a callee that changed in another.
-- No kernel is compiled by two processes at once: the second waits, and loads what the first made.
-- Cached code needs numba's runtime and none of its declarations, which take long to import.
-- No signal interrupts LLVM, which asks Python for cached code and ignores an exception there, such
-  as a `KeyboardInterrupt`: the kernel would then be one that does nothing.
+- The cache key covers the kernel's bytecode, its options, the constants and kernels that it uses in
+  any file, and the versions of Python, numba and the processor. Numba compares the time of one file,
+  and misses a callee that changed in another.
+- No kernel is compiled by two processes at once: the second waits, and loads the code of the first.
+- Cached code needs numba's runtime, but not its declarations, which take long to import.
+- Signals wait while LLVM asks Python for cached code: it ignores exceptions there, such as a
+  `KeyboardInterrupt`, and the kernel would do nothing.
 """
 
 from __future__ import annotations
@@ -52,13 +51,12 @@ _PLAIN = (bool, int, float, complex, str, bytes, NoneType, EllipsisType, np.gene
 
 
 def kernel(function: Callable[..., Any] | None = None, /, **options: Any) -> Any:  # noqa: ANN401
-    """Compile `function` when it is first called, or loaded where it was compiled before.
+    """Compile `function` at its first call, or load its cached code.
 
-    `options` are those of `numba.njit`; the interpreter's lock is given up unless ``nogil=False``.
-    ``finite=True`` says that numbers are finite, which makes comparisons quick. Unlike ``fastmath=True``
-    it leaves sums and products as they are written, so that answers do not hang on the compiler's mood.
-    A small function that allocates nothing is faster with ``_nrt=False``: without counting references
-    to the arrays of its arguments, which can take longer than its work.
+    `options` are those of `numba.njit`, with ``nogil=True`` as the default. ``finite=True`` promises
+    finite numbers, which makes comparisons quick; unlike ``fastmath=True`` it keeps the order of sums,
+    so that answers do not depend on the compiler. ``_nrt=False`` makes a small function that allocates
+    nothing faster: references to its array arguments are not counted.
     """
     if function is None:
         return lambda given: kernel(given, **options)
@@ -66,44 +64,46 @@ def kernel(function: Callable[..., Any] | None = None, /, **options: Any) -> Any
         return function
     if options.pop("finite", False):
         options["fastmath"] = {"nnan", "ninf", "nsz"}
-    always = {"nopython": True, "boundscheck": None, "no_cfunc_wrapper": True}
-    options = always | {"nogil": True} | options
-    made = Kernel(function, locals={}, targetoptions=options)
-    made.enable_caching()
-    return made
+    defaults = {"nopython": True, "boundscheck": None, "no_cfunc_wrapper": True, "nogil": True}
+    compiled = Kernel(function, locals={}, targetoptions=defaults | options)
+    compiled.enable_caching()
+    return compiled
 
 
 @contextmanager
 def defer_signals() -> Iterator[None]:
-    """Let handlers of signals wait until the end of it; on the main thread, where alone they run."""
+    """Run signal handlers at the end of the body; only the main thread runs any."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    came: list[int] | None = []
-    before: dict[int, Callable[..., Any]] = {}
+    pending: list[int] | None = []
+    handlers: dict[int, Callable[..., Any]] = {}
 
-    def note(number: int, frame: Any) -> None:  # noqa: ANN401
-        if came is None:
-            before[number](number, frame)
+    def record(number: int, frame: Any) -> None:  # noqa: ANN401
+        if pending is None:
+            handlers[number](number, frame)
         else:
-            came.append(number)
+            pending.append(number)
 
     for number in (getattr(signal, name) for name in _SIGNALS if hasattr(signal, name)):
         if callable(handler := signal.getsignal(number)):
-            before[number] = handler
-            signal.signal(number, note)
+            handlers[number] = handler
+            signal.signal(number, record)
     try:
         yield
     finally:
-        late, came = came, None  # from here on a handler may raise; `note` then stays, and hands on
-        for number, handler in before.items():
+        late, pending = (
+            pending,
+            None,
+        )  # a handler may raise from here; `record` then passes signals on
+        for number, handler in handlers.items():
             signal.signal(number, handler)
         for number in late or ():
-            before[number](number, None)
+            handlers[number](number, None)
 
 
 class _UninterruptedCompiler(Compiler):
-    """Numba's compiler, with nothing of LLVM's left half owned by an exception out of the blue."""
+    """Numba's compiler, which no exception of a signal handler interrupts."""
 
     def compile_extra(self, func: Callable[..., Any]) -> Any:  # noqa: ANN401  # numba's
         with defer_signals():
@@ -111,13 +111,13 @@ class _UninterruptedCompiler(Compiler):
 
 
 class _InnerKernel(CPUDispatcher):
-    """Numba's dispatcher, with our cache; of the function as other kernels have it within."""
+    """Numba's dispatcher with our cache, for calls from other kernels."""
 
     def __init__(self, py_func: Callable[..., Any], **options: Any) -> None:  # noqa: ANN401
         super().__init__(py_func, pipeline_class=_UninterruptedCompiler, **options)
 
     def enable_caching(self) -> None:
-        """Look for code in our folders, and keep it there."""
+        """Use our cache instead of numba's."""
         self._cache = _Cache(self)
 
     def compile(self, sig: Any) -> Any:  # noqa: ANN401  # numba's
@@ -130,10 +130,10 @@ class _InnerKernel(CPUDispatcher):
 
 
 class Kernel(_InnerKernel):
-    """A function that Python calls.
+    """Compiled function for calls from Python.
 
-    Its arguments are unpacked from Python objects by a wrapper that can be larger than the function;
-    what other kernels call is therefore another object, without one.
+    Its wrapper, which unpacks Python objects, can be larger than the function; other kernels therefore
+    call another object without a wrapper.
     """
 
     def __init__(self, py_func: Callable[..., Any], **options: Any) -> None:  # noqa: ANN401
@@ -142,7 +142,7 @@ class Kernel(_InnerKernel):
 
     @property
     def inner(self) -> _InnerKernel:
-        """Of which other kernels have the code."""
+        """Dispatcher for calls from other kernels."""
         if self._inner is None:
             bare = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
             self._inner = _InnerKernel(
@@ -152,63 +152,64 @@ class Kernel(_InnerKernel):
         return self._inner
 
     def is_cached(self, types: tuple[Any, ...]) -> bool:
-        """Whether code for arguments of these types is kept, and need not be compiled."""
+        """Return whether the cache has code for arguments of these types."""
         return any(f.exists() for f in self._cache.files(types))
 
     def get_call_template(self, args: Any, kws: Any) -> Any:  # noqa: ANN401  # numba's
-        """How a call from another kernel is typed; each constant is not a type of its own."""
+        """Return the types of a call from another kernel; literals get their plain type."""
         args = [unliteral(arg) for arg in args]
         return self.inner.get_call_template(args, {k: unliteral(arg) for k, arg in kws.items()})
 
     def get_overload(self, sig: Any) -> Any:  # noqa: ANN401  # numba's
-        """Code for a call from another kernel."""
+        """Return the code for a call from another kernel."""
         return self.inner.get_overload(sig)
 
     @property
     def is_compiling(self) -> Any:  # noqa: ANN401  # numba's
-        """Whether a call is a call of itself."""
+        """Whether a call is recursive."""
         return self._compiling_counter or (self._inner is not None and self._inner.is_compiling)
 
 
 class _Cache:
-    """The code of one kernel: a file for each signature, in a folder named by what it is made of.
+    """Cached code of one kernel: a file for each signature, in a folder named by the cache key.
 
-    Numba calls it under its own lock, so that one thread at a time is here.
+    Numba calls these methods under its compiler lock, one thread at a time.
     """
 
-    def __init__(self, of: _InnerKernel) -> None:
-        self._of = of
+    def __init__(self, dispatcher: _InnerKernel) -> None:
+        self._dispatcher = dispatcher
         self._lock: int | None = None
-        function = of.py_func
+        function = dispatcher.py_func
         self.name = f"{function.__module__}.{function.__qualname__}".replace("<locals>.", "")
 
     @cached_property
     def _folder(self) -> str:
-        processor = self._of.targetctx.codegen().magic_tuple()
+        processor = self._dispatcher.targetctx.codegen().magic_tuple()
         versions = (sys.version, numba.__version__, llvmlite.__version__)
-        return f"{self.name}-{cache_key(versions, processor, self._of)}"
+        return f"{self.name}-{cache_key(versions, processor, self._dispatcher)}"
 
     @property
     def cache_path(self) -> str:
         return str(cache.FOLDERS.read[0] / self._folder)
 
     def load_overload(self, sig: Any, target_context: Any) -> CompileResult | None:  # noqa: ANN401
-        """Code that was kept; None where there is none, and then others wait until it is made."""
+        """Return cached code; where there is none, lock out other processes and return None."""
         with defer_signals():
             rtsys.initialize(target_context)
-        found = self._load(sig, target_context)
-        if found is None:
+        code = self._load(sig, target_context)
+        if code is None:
             cache.notify_listeners(self.name, done=False)
             self._acquire_lock()
-            found = self._load(sig, target_context)  # by whom was told, or whom we waited for
-        return found
+            code = self._load(sig, target_context)  # a listener or another process compiled it
+        return code
 
     def files(self, sig: Any) -> list[Path]:  # noqa: ANN401  # numba's
         return [place / self._folder / _file(sig) for place in cache.FOLDERS.read]
 
     def save_overload(self, sig: Any, data: CompileResult) -> None:  # noqa: ANN401
         if not data.library.has_dynamic_globals:
-            code = dumps(_stripped(data._reduce(), linked=not isinstance(self._of, Kernel)))  # noqa: SLF001
+            is_linked = not isinstance(self._dispatcher, Kernel)
+            code = dumps(_strip_code(data._reduce(), is_linked=is_linked))  # noqa: SLF001
             cache.FOLDERS.store(f"{self._folder}/{_file(sig)}", code)
         cache.notify_listeners(self.name, done=True)
 
@@ -219,16 +220,16 @@ class _Cache:
 
     def _load(self, sig: Any, target_context: Any) -> CompileResult | None:  # noqa: ANN401
         for file in self.files(sig):
-            # cut short by a crash; or of arguments whose class has moved since
+            # cut short by a crash, or a class of its arguments has moved
             with suppress(OSError, EOFError, pickle.UnpicklingError, AttributeError, ImportError):
-                # numba's own form of compiled code, which is run: no more is trusted than that
+                # numba's own format; compiled code has to be trusted anyway
                 code = pickle.loads(file.read_bytes())  # noqa: S301
                 with defer_signals():
                     return CompileResult._rebuild(target_context, *code)  # noqa: SLF001
         return None
 
     def _acquire_lock(self) -> None:
-        """Wait for another process that compiles this kernel; a kernel that calls itself has it."""
+        """Wait for another process that compiles this kernel; a recursive kernel has the lock already."""
         if self._lock is not None or cache.FOLDERS.write is None:
             return
         with suppress(OSError):  # a file system without locks: twice the work, the same code
@@ -240,29 +241,29 @@ class _Cache:
 
 @contextmanager
 def _without_garbage_collection() -> Iterator[None]:
-    """Keep Python from looking through what the compiler holds, an eighth of the time."""
-    before = gc.isenabled()
+    """Disable garbage collection, which takes an eighth of the time of compiling."""
+    was_enabled = gc.isenabled()
     gc.disable()
     try:
         yield
     finally:
-        if before:
+        if was_enabled:
             gc.enable()
 
 
-def _stripped(reduced: tuple[Any, ...], *, linked: bool) -> tuple[Any, ...]:
-    """What numba's own cache would keep, less what takes most of the time to load.
+def _strip_code(reduced: tuple[Any, ...], *, is_linked: bool) -> tuple[Any, ...]:
+    """Drop the parts of numba's cache entry that take longest to load.
 
-    That is the code for linking, which only what is `linked` needs (else its names do), and
-    environments without constants, for which nothing asks and each of which is an import.
+    These are the code for linking, of which only kernels that other kernels link need more than the
+    names, and environments without constants, each of which costs an import.
     """
-    (name, kind, (code, linkable)), described, *others, environments = reduced
-    if not linked:
-        names = (described.llvm_func_name, described.llvm_cpython_wrapper_name)
-        defined = "".join(f'define void @"{name}"() {{ ret void }}\n' for name in names)
-        linkable = llvmlite.binding.parse_assembly(defined).as_bitcode()
+    (name, kind, (code, linkable)), description, *others, environments = reduced
+    if not is_linked:
+        names = (description.llvm_func_name, description.llvm_cpython_wrapper_name)
+        definitions = "".join(f'define void @"{name}"() {{ ret void }}\n' for name in names)
+        linkable = llvmlite.binding.parse_assembly(definitions).as_bitcode()
     environments = tuple(each for each in environments if each.consts)
-    return ((name, kind, (code, linkable)), described, *others, environments)
+    return ((name, kind, (code, linkable)), description, *others, environments)
 
 
 def _file(sig: Any) -> str:  # noqa: ANN401  # numba's
@@ -273,14 +274,8 @@ def _file(sig: Any) -> str:  # noqa: ANN401  # numba's
 def cache_key(*values: object) -> str:
     """Return a short digest of kernels, functions and constants, equal between processes.
 
-    Numba compiles constants in: whatever a kernel names is part of its code. Comments, docstrings
-    and line numbers are not.
-
-    Raises
-    ------
-    TypeError
-        A kernel names something of which a change could not be told.
-
+    Numba compiles constants in: every global that a kernel names is part of its code. Comments,
+    docstrings and line numbers are not. Raises `TypeError` for values without a stable digest.
     """
     sha = hashlib.sha256()
     for part in _parts(values, set()):
@@ -288,7 +283,7 @@ def cache_key(*values: object) -> str:
     return sha.hexdigest()[:16]
 
 
-def _parts(value: Any, seen: set[str]) -> Iterator[str]:  # noqa: ANN401, C901, PLR0912  # any constant
+def _parts(value: Any, visited: set[str]) -> Iterator[str]:  # noqa: ANN401, C901, PLR0912  # any constant
     match value:
         case BaseNamedTuple():  # cached code names the class and its fields, a type's repr does not
             home = value.instance_class
@@ -296,24 +291,24 @@ def _parts(value: Any, seen: set[str]) -> Iterator[str]:  # noqa: ANN401, C901, 
         case tuple() | list():
             yield f"{type(value).__name__} of {len(value)}"
             for item in value:
-                yield from _parts(item, seen)
+                yield from _parts(item, visited)
         case set() | frozenset():
-            yield from sorted("\n".join(_parts(item, seen)) for item in value)
+            yield from sorted("\n".join(_parts(item, visited)) for item in value)
         case dict():
-            yield from sorted("\n".join(_parts(pair, seen)) for pair in value.items())
+            yield from sorted("\n".join(_parts(pair, visited)) for pair in value.items())
         case np.ndarray():
             yield f"{value.dtype} {value.shape} {hashlib.sha256(value.tobytes()).hexdigest()}"
         case type() | BuiltinFunctionType() | np.ufunc() | ModuleType():
             yield f"{getattr(value, '__module__', '')} {value.__name__} {getattr(value, '_fields', '')}"
         case CPUDispatcher():
-            yield from _parts(value.targetoptions, seen)
-            yield from _parts(value.py_func, seen)
+            yield from _parts(value.targetoptions, visited)
+            yield from _parts(value.py_func, visited)
         case _Intrinsic():
-            yield from _parts(value._defn, seen)  # noqa: SLF001  # the function that it was made of
+            yield from _parts(value._defn, visited)  # noqa: SLF001  # the function that it was made of
         case FunctionType():
-            yield from _function_parts(value, seen)
+            yield from _function_parts(value, visited)
         case CodeType():
-            yield from _code_parts(value, None, seen)
+            yield from _code_parts(value, None, visited)
         case _ if isinstance(value, _PLAIN):
             yield f"{type(value).__name__} {value!r}"
         case _:
@@ -322,32 +317,32 @@ def _parts(value: Any, seen: set[str]) -> Iterator[str]:  # noqa: ANN401, C901, 
             )
 
 
-def _function_parts(function: FunctionType, seen: set[str]) -> Iterator[str]:
+def _function_parts(function: FunctionType, visited: set[str]) -> Iterator[str]:
     name = f"{function.__module__}.{function.__qualname__}"
     yield name
-    if name in seen:
+    if name in visited:
         return
-    seen.add(name)
+    visited.add(name)
     code = function.__code__
-    yield from _code_parts(code, function.__doc__, seen)
+    yield from _code_parts(code, function.__doc__, visited)
     cells = [cell.cell_contents for cell in function.__closure__ or ()]
-    yield from _parts((function.__defaults__, function.__kwdefaults__, cells), seen)
+    yield from _parts((function.__defaults__, function.__kwdefaults__, cells), visited)
     names = list(dict.fromkeys(_names(code)))
     for key in filter(function.__globals__.__contains__, names):
         value = function.__globals__[key]
         yield key
-        yield from _parts(value, seen)
+        yield from _parts(value, visited)
         if isinstance(value, ModuleType) and value.__name__.startswith("placegraph"):
             for member in names:
                 if hasattr(value, member):
-                    yield from _parts(getattr(value, member), seen)
+                    yield from _parts(getattr(value, member), visited)
 
 
-def _code_parts(code: CodeType, doc: str | None, seen: set[str]) -> Iterator[str]:
+def _code_parts(code: CodeType, doc: str | None, visited: set[str]) -> Iterator[str]:
     yield repr((code.co_code, code.co_names, code.co_varnames, code.co_flags))
     for const in code.co_consts:
         if const is None or const != doc:
-            yield from _parts(const, seen)
+            yield from _parts(const, visited)
 
 
 def _names(code: CodeType) -> Iterator[str]:

@@ -1,6 +1,6 @@
 """Pickling and HTML display of dataclasses.
 
-Pickles go to other processes only: none is written to a file, and none is opened.
+Pickles only travel between processes: placegraph writes none to a file, and opens none.
 """
 
 from __future__ import annotations
@@ -13,11 +13,10 @@ import numpy as np
 
 
 class PickleFields:
-    """A dataclass that `pickle` takes by its fields alone.
+    """Pickle support for dataclasses: stores the fields, drops cached values.
 
-    Tables, compiled casters and locks stay behind and are made again where they are needed. Arrays
-    that nobody may write stay so, which pickling forgets: compiled code tells the two apart, and
-    would be compiled twice.
+    Read-only arrays stay read-only, which plain pickling forgets: compiled code tells the two apart,
+    and would be compiled twice.
     """
 
     __slots__ = ()
@@ -28,31 +27,26 @@ class PickleFields:
 
 
 def readonly_names(values: dict[str, Any]) -> tuple[str, ...]:
-    """Names of the arrays that nobody may write."""
+    """Return the names of the arrays that are read-only."""
     arrays = {name: array for name, array in values.items() if isinstance(array, np.ndarray)}
     return tuple(name for name, array in arrays.items() if not array.flags.writeable)
 
 
-def rebuild(cls: type[Any], values: dict[str, Any], kept: tuple[str, ...]) -> Any:  # noqa: ANN401
-    """What `PickleFields` took apart; nothing is checked twice."""
-    made = object.__new__(cls)
+def rebuild(cls: type[Any], values: dict[str, Any], readonly: tuple[str, ...]) -> Any:  # noqa: ANN401
+    """Undo `PickleFields.__reduce__` without checking the fields again."""
+    instance = object.__new__(cls)
     for name, value in values.items():
-        if name in kept:
+        if name in readonly:
             value.flags.writeable = False
-        object.__setattr__(made, name, value)
-    return made
+        object.__setattr__(instance, name, value)
+    return instance
 
 
 class HtmlRepr:
-    """What Jupyter shows as a picture.
-
-    The one place below the faces that names one. It does so by text, as `placegraph` itself names
-    what it offers: nothing of `placegraph.view` is imported before a notebook asks, and nothing
-    here depends on it.
-    """
+    """HTML display in Jupyter, by `placegraph.view.notebook`, which is imported when it is needed."""
 
     __slots__ = ()
 
     def _repr_html_(self) -> str:
-        drawn: str = import_module("placegraph.view.notebook").html(self)
-        return drawn
+        html: str = import_module("placegraph.view.notebook").html(self)
+        return html

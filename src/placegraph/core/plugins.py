@@ -1,7 +1,4 @@
-"""Plugins: distributions of placegraph, and of others, that join by entry points.
-
-Each group is one kind of thing that a plugin adds, each entry point one thing by its name.
-"""
+"""Plugins: other distributions extend placegraph by entry points, in one group a kind of extension."""
 
 from __future__ import annotations
 
@@ -32,11 +29,8 @@ def plugins(group: str) -> dict[str, EntryPoint]:
     return {point.name: point for point in sorted(entry_points(group=group))}
 
 
-def load_plugin(group: str, name: str, extra: str) -> Any:  # noqa: ANN401  # what the plugin brings
-    """Return what an entry point names.
-
-    Raises `MissingExtraError`, naming the extra that brings it, where it is not installed.
-    """
+def load_plugin(group: str, name: str, extra: str) -> Any:  # noqa: ANN401  # any object
+    """Return the object of an entry point; `MissingExtraError` names the extra that installs it."""
     point = plugins(group).get(name)
     if point is None:
         raise missing_extra(name, extra)
@@ -44,7 +38,7 @@ def load_plugin(group: str, name: str, extra: str) -> Any:  # noqa: ANN401  # wh
 
 
 def load_module(name: str, extra: str) -> Any:  # noqa: ANN401  # a module
-    """Return a module of a distribution of placegraph; raises as `load_plugin`."""
+    """Import a module of a plugin; `MissingExtraError` names the extra that installs it."""
     try:
         return import_module(name)
     except ModuleNotFoundError as error:
@@ -53,9 +47,9 @@ def load_module(name: str, extra: str) -> Any:  # noqa: ANN401  # a module
         raise
 
 
-def missing_extra(what: str, extra: str) -> MissingExtraError:
-    """Return the error that names the extra which brings something."""
+def missing_extra(name: str, extra: str) -> MissingExtraError:
+    """Return the error for a part of placegraph that is not installed."""
     return MissingExtraError(
-        f"{what} is part of placegraph-{extra}, which is not installed; "
+        f"{name} is part of placegraph-{extra}, which is not installed; "
         f"`pip install 'placegraph[{extra}]'` brings it."
     )

@@ -1,6 +1,4 @@
-"""Compiled loops on several threads, and matrix products on one where more would only wait.
-
-A loop is one range, cut into parts that write to what is their own.
+"""Compiled loops on several threads, and matrix products on as many as help.
 
 Numba's own parallel loops are not used: they take twice as long to compile, two of them at once end
 the process on some machines, and so does one after a fork.
@@ -17,81 +15,79 @@ from functools import cache
 from itertools import pairwise
 from multiprocessing import parent_process
 from threading import Thread
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.errors import OptionError
 
-if TYPE_CHECKING:
-    from multiprocessing.process import BaseProcess
-
-
 SINGLE_THREAD_TERMS = 1 << 18
-"""Terms of a matrix product that OpenBLAS reckons on one thread."""
+"""Largest matrix product that OpenBLAS computes on one thread [terms]."""
 PARALLEL_TERMS = 1 << 26
-"""Terms from which threads of OpenBLAS are worth waking: they wait busily for each other."""
-_MOST: ContextVar[int | None] = ContextVar("most", default=None)
+"""Smallest matrix product that is worth waking threads of OpenBLAS, which wait busily [terms]."""
+_MAX_THREADS: ContextVar[int | None] = ContextVar("max_threads", default=None)
 
 
 def count_processors() -> int:
-    """Processors this process may use."""
+    """Return the number of processors that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def end_with_parent() -> None:
-    """Let this process end with the one that started it, which may be killed: a pool would wait on."""
+    """End this process when its parent ends, even if the parent is killed."""
+    parent = parent_process()
+    if parent is None:
+        return
 
-    def end(parent: BaseProcess) -> None:
+    def wait_and_exit() -> None:
         parent.join()
         os._exit(1)
 
-    if (parent := parent_process()) is not None:
-        Thread(target=end, args=(parent,), daemon=True).start()
+    Thread(target=wait_and_exit, daemon=True).start()
 
 
 @contextmanager
-def limit_threads(most: int) -> Iterator[None]:
-    """Within it, `run_parallel` takes at most so many threads; it takes all processors otherwise."""
-    if most < 1:
-        raise OptionError(f"most is {most}; give at least 1 thread.")
-    token = _MOST.set(most)
+def limit_threads(max_threads: int) -> Iterator[None]:
+    """Limit `run_parallel` in the body to so many threads; by default it takes all processors."""
+    if max_threads < 1:
+        raise OptionError(f"max_threads is {max_threads}; give at least 1 thread.")
+    token = _MAX_THREADS.set(max_threads)
     try:
         yield
     finally:
-        _MOST.reset(token)
+        _MAX_THREADS.reset(token)
 
 
 def run_parallel(work: Callable[..., None], count: int, *inputs: object) -> None:
-    """Call `work(*inputs, first, last)` for parts of 0 to `count`, on several threads.
+    """Call `work(*inputs, first, last)` for parts of the range 0 to `count`, on several threads.
 
-    `work` is compiled, lets go of the interpreter's lock, and writes to what is its own.
+    `work` is a kernel that releases the interpreter's lock; parts must not write to the same data.
     """
-    threads = min(_MOST.get() or count_processors(), count_processors(), max(count, 1))
+    threads = min(_MAX_THREADS.get() or count_processors(), count_processors(), max(count, 1))
     if threads == 1:
         work(*inputs, 0, count)
         return
     # more parts than threads, since some are quicker than others
     parts = min(8 * threads, count)
-    rest = iter(list(pairwise(count * part // parts for part in range(parts + 1))))
+    remaining = iter(list(pairwise(count * part // parts for part in range(parts + 1))))
 
     def take_parts() -> None:
-        for first, last in rest:
+        for first, last in remaining:
             work(*inputs, first, last)
 
-    pool = _helpers(os.getpid())
-    helpers = [pool.submit(take_parts) for _ in range(threads - 1)]
+    pool = _thread_pool(os.getpid())
+    jobs = [pool.submit(take_parts) for _ in range(threads - 1)]
     take_parts()
-    for helper in helpers:
-        if not helper.cancel():  # one that has not begun would find nothing left
-            helper.result()
+    for job in jobs:
+        if not job.cancel():  # a job that has not begun would find nothing left
+            job.result()
 
 
 def multiply_matrices(x: NDArray[Any], y: NDArray[Any]) -> NDArray[Any]:
-    """Matrix product (N, M) of x (N, K) and y (K, M), on one thread unless it is a large one."""
+    """Return the product (N, M) of x (N, K) and y (K, M), on one thread unless it is large."""
     rows = max(1, SINGLE_THREAD_TERMS // max(1, y.size))
     if len(x) <= rows or len(x) * y.size >= PARALLEL_TERMS:
         return np.asarray(x @ y)
@@ -102,6 +98,6 @@ def multiply_matrices(x: NDArray[Any], y: NDArray[Any]) -> NDArray[Any]:
 
 
 @cache
-def _helpers(_process: int) -> ThreadPoolExecutor:
-    """Threads of this process, kept: starting one takes as long as a small loop."""
+def _thread_pool(_process: int) -> ThreadPoolExecutor:
+    """Return the threads of this process: starting one takes as long as a small loop."""
     return ThreadPoolExecutor(max(count_processors() - 1, 1), thread_name_prefix="placegraph")

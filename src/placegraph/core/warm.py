@@ -1,9 +1,8 @@
 # mypy: disable-error-code="attr-defined"
-"""What each command compiles, and compiling it in processes side by side before it is needed.
+"""Compilation of all kernels of a command, in parallel processes, before they are needed.
 
-`kernels.txt` lists by command the kernels that Python calls, and the types that it calls them with;
-kernels that these call are found by the compiler. A list that lacks something costs time alone: what
-is missing is compiled where it is called.
+`kernels.txt` lists by command the kernels that Python calls, and the types of their arguments. Kernels
+missing from the list only cost time: they are compiled at their first call.
 """
 
 from __future__ import annotations
@@ -18,24 +17,21 @@ from importlib import import_module
 from importlib.resources import files
 from multiprocessing import get_context
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from numba.core import types
 
 from placegraph.core import cache
 from placegraph.core.threads import count_processors, end_with_parent
 
-if TYPE_CHECKING:
-    from placegraph.core.jit import Kernel
-
 _ROOT = "placegraph."
 _PLUGIN = "placegraph_"
-_STALE = AttributeError, ImportError, NameError
-"""What names of the list raise that stand for nothing any more."""
+_STALE_ENTRY = AttributeError, ImportError, NameError
+"""Errors of entries of the list whose kernel no longer exists."""
 
 
 def list_calls() -> dict[str, list[str]]:
-    """Calls ``KERNEL(TYPE, ...)`` by command and kind, in the order to compile them in."""
+    """Return calls ``KERNEL(TYPE, ...)`` by command and kind, in the order to compile them in."""
     found: dict[str, list[str]] = {}
     for line in _lines():
         if line.startswith("["):
@@ -46,9 +42,9 @@ def list_calls() -> dict[str, list[str]]:
 
 
 def calls_with(kernel: str, words: Collection[str]) -> list[str]:
-    """Return the calls of the simplest kind of a command, of `words`, that needs a kernel.
+    """Return the calls of the simplest kind of the command in `words` that needs a kernel.
 
-    The demo runs commands of all kinds. Empty where the kernel is not listed.
+    The demo runs all commands. The list is empty where the kernel is not listed.
     """
     kinds = [
         calls
@@ -60,62 +56,35 @@ def calls_with(kernel: str, words: Collection[str]) -> list[str]:
 
 
 def missing_calls(calls: Iterable[str]) -> list[str]:
-    """Those of the calls whose code is not kept yet."""
+    """Return those of the calls whose code is not cached yet."""
     lacking = []
     for call in dict.fromkeys(calls):
-        with suppress(*_STALE):
-            if not _found(call).is_cached(_types_of(call, _words())):
+        with suppress(*_STALE_ENTRY):
+            if not _resolve(call).is_cached(_parse_types(call, _type_names())):
                 lacking.append(call)
     return lacking
 
 
-def compile_calls(calls: list[str], told: Callable[[str], None]) -> list[str]:
-    """Compile calls in as many processes as there are processors; says each when it is done.
+def compile_calls(calls: list[str], report: Callable[[str], None]) -> list[str]:
+    """Compile calls on all processors and report each when it is done.
 
-    Returns what could not be compiled, with the reason.
+    Returns the calls that could not be compiled, each with the reason.
     """
     failed = []
     workers = max(1, min(count_processors(), len(calls)))
     with ProcessPoolExecutor(
-        workers, get_context("spawn"), _begin, (cache.FOLDERS.chosen,)
+        workers, get_context("spawn"), _initialize_worker, (cache.FOLDERS.chosen,)
     ) as pool:
         jobs = {pool.submit(_compile, call): call for call in calls}
         try:
             for job in as_completed(jobs):
                 if job.exception() is not None:
                     failed.append(f"{jobs[job]}: {job.exception()}")
-                told(jobs[job])
+                report(jobs[job])
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
     return failed
-
-
-def spell_call(kernel: Kernel, args: tuple[types.Type, ...], names: dict[str, str]) -> str:
-    """A call as `kernels.txt` has it; `names` collects the named tuples, by their definition."""
-    function = kernel.py_func
-    where = f"{function.__module__}.{function.__qualname__}".removeprefix(_ROOT)
-    return f"{where}({', '.join(_spelled(arg, names) for arg in args)})"
-
-
-def _spelled(kind: types.Type, names: dict[str, str]) -> str:
-    if isinstance(kind, types.Array):
-        axes = [":"] * kind.ndim
-        if kind.layout != "A":
-            axes[-1 if kind.layout == "C" else 0] = "::1"
-        text = f"{_spelled(kind.dtype, names)}[{', '.join(axes)}]"
-        return text if kind.mutable else f"readonly({text})"
-    if isinstance(kind, types.BaseNamedTuple):
-        members = ", ".join(_spelled(member, names) for member in kind)
-        made = kind.instance_class
-        text = f"{made.__module__}.{made.__qualname__}({members})".removeprefix(_ROOT)
-        alike = sum(name.startswith(made.__name__) for name in names.values())
-        return names.setdefault(text, f"{made.__name__}{alike or ''}")
-    if isinstance(kind, types.BaseTuple):
-        return f"({', '.join(_spelled(member, names) for member in kind)},)"
-    if isinstance(kind, types.Omitted):
-        return f"omitted({kind.value!r})"
-    return str(kind)
 
 
 @functools.cache
@@ -124,13 +93,13 @@ def _lines() -> list[str]:
     return [line for line in text.splitlines() if line and not line.startswith("#")]
 
 
-def _found(call: str) -> Any:  # noqa: ANN401  # a kernel, or the class of a named tuple
+def _resolve(call: str) -> Any:  # noqa: ANN401  # a kernel or a named tuple
     module, name = call.partition("(")[0].rsplit(".", 1)
     return getattr(import_module(module if module.startswith(_PLUGIN) else _ROOT + module), name)
 
 
-def _types_of(call: str, words: dict[str, Any]) -> tuple[types.Type, ...]:
-    """Types between the brackets, such as ``float64[:, ::1], Surface``, in the words of the list."""
+def _parse_types(call: str, words: dict[str, Any]) -> tuple[types.Type, ...]:
+    """Return the types between the brackets, such as ``float64[:, ::1], Surface``."""
     inside = call[call.index("(") + 1 : -1]
     given: Any = eval(f"[{inside}]", {"__builtins__": {}}, words)  # noqa: S307  # our own list
     return tuple(_as_type(kind) for kind in given)
@@ -142,30 +111,30 @@ def _as_type(kind: Any) -> types.Type:  # noqa: ANN401  # tuples are written as 
     return kind
 
 
-class _Words(dict[str, Any]):
-    """Words of numba, and named tuples of the list, whose modules are imported when asked for."""
+class _TypeNames(dict[str, Any]):
+    """Numba's types and the list's named tuples, imported at first use, by name."""
 
     def __missing__(self, name: str) -> Any:  # noqa: ANN401
         for line in _lines():
             if line.startswith(f"{name} = "):
                 call = line.partition(" = ")[2]
-                self[name] = types.BaseTuple.from_types(_types_of(call, self), _found(call))
+                self[name] = types.BaseTuple.from_types(_parse_types(call, self), _resolve(call))
                 return self[name]
         raise KeyError(name)
 
 
 @functools.cache
-def _words() -> _Words:
+def _type_names() -> _TypeNames:
     named = {name: kind for name, kind in vars(types).items() if isinstance(kind, types.Type)}
-    return _Words(named, omitted=types.Omitted, readonly=lambda kind: kind.copy(readonly=True))
+    return _TypeNames(named, omitted=types.Omitted, readonly=lambda kind: kind.copy(readonly=True))
 
 
-def _begin(folder: Path | None) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C ends it at once, without a word
-    warnings.simplefilter("ignore")  # the one who asked has been warned
+def _initialize_worker(folder: Path | None) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C ends it at once and silently
+    warnings.simplefilter("ignore")  # the parent has warned already
     cache.FOLDERS.choose(folder)
     end_with_parent()
 
 
 def _compile(call: str) -> None:
-    _found(call).compile(_types_of(call, _words()))
+    _resolve(call).compile(_parse_types(call, _type_names()))

@@ -1,3 +1,4 @@
+# mypy: disable-error-code="attr-defined"
 """The list of what each command compiles (`placegraph.core.warm`), found by running them on real data."""
 
 from __future__ import annotations
@@ -13,6 +14,8 @@ from importlib import import_module
 from pathlib import Path
 from types import FunctionType
 from typing import cast
+
+from numba.core import types
 
 from placegraph.core.jit import Kernel
 from placegraph.errors import InputError
@@ -70,7 +73,7 @@ from placegraph.cli import APP
 with contextlib.suppress(SystemExit):
     APP.main(sys.argv[2:], prog_name="placegraph", standalone_mode=False)
 from placegraph.core.jit import Kernel
-from placegraph.core.warm import spelled
+from placegraph_lab.make.kernels import spell_call
 names, calls = {}, {}
 for name, module in list(sys.modules.items()):
     for found in vars(module).values() if name.startswith("placegraph.") else ():
@@ -78,7 +81,7 @@ for name, module in list(sys.modules.items()):
             for types in found.overloads:
                 kept = [p for p in found._cache.files(types) if p.exists()]
                 size = max((p.stat().st_size for p in kept), default=0)
-                calls[spelled(found, types, names)] = size
+                calls[spell_call(found, types, names)] = size
 json.dump([names, calls], open(sys.argv[1], "w"))
 """
 
@@ -121,6 +124,33 @@ def _parts_of(function: FunctionType) -> set[str]:
     called = [function.__globals__.get(name) for name in function.__code__.co_names]
     kernels = [cast("FunctionType", k.py_func) for k in called if isinstance(k, Kernel)]
     return {f"{function.__module__}.{function.__name__}"}.union(*map(_parts_of, kernels))
+
+
+def spell_call(kernel: Kernel, args: tuple[types.Type, ...], names: dict[str, str]) -> str:
+    """Return a call as `kernels.txt` writes it; `names` collects named tuples by their definition."""
+    function = kernel.py_func
+    where = f"{function.__module__}.{function.__qualname__}".removeprefix("placegraph.")
+    return f"{where}({', '.join(_spell_type(arg, names) for arg in args)})"
+
+
+def _spell_type(kind: types.Type, names: dict[str, str]) -> str:
+    if isinstance(kind, types.Array):
+        axes = [":"] * kind.ndim
+        if kind.layout != "A":
+            axes[-1 if kind.layout == "C" else 0] = "::1"
+        text = f"{_spell_type(kind.dtype, names)}[{', '.join(axes)}]"
+        return text if kind.mutable else f"readonly({text})"
+    if isinstance(kind, types.BaseNamedTuple):
+        members = ", ".join(_spell_type(member, names) for member in kind)
+        cls = kind.instance_class
+        text = f"{cls.__module__}.{cls.__qualname__}({members})".removeprefix("placegraph.")
+        same = sum(name.startswith(cls.__name__) for name in names.values())
+        return names.setdefault(text, f"{cls.__name__}{same or ''}")
+    if isinstance(kind, types.BaseTuple):
+        return f"({', '.join(_spell_type(member, names) for member in kind)},)"
+    if isinstance(kind, types.Omitted):
+        return f"omitted({kind.value!r})"
+    return str(kind)
 
 
 def _called(words: list[str], folder: Path) -> tuple[dict[str, str], dict[str, int]]:
