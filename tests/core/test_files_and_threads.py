@@ -19,7 +19,7 @@ from placegraph.core.threads import count_processors, limit_threads, run_paralle
 from placegraph.errors import InputError, MapError, MapLockedError, OptionError
 from placegraph.indoor.encode.confusion import Confusion
 from placegraph.indoor.encode.networks import ImageNetwork
-from placegraph.indoor.library.library import digest_of
+from placegraph.indoor.library.library import hash_file
 from placegraph.io.capture.capture import Frame
 from placegraph_learn.scenegraphloc.features import read_attributes
 
@@ -141,7 +141,7 @@ def test_no_reader_of_weights_words_or_maps_reads_a_device(tmp_path):
         (read_attributes, ".txt"),
         (Confusion.open, ".csv"),
         (ImageNetwork, ".tflite"),
-        (digest_of, ".scene"),
+        (hash_file, ".scene"),
     ):
         (tmp_path / f"a{ending}").symlink_to("/dev/null")  # as /dev/zero, but it ends
         with pytest.raises(InputError, match="is not a plain file"):

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from placegraph.errors import InputError, MapError, OptionError, PlacegraphError
 from placegraph.indoor.build import build_scene, scene_of_model
-from placegraph.indoor.map.relations import MOST_OBJECTS
+from placegraph.indoor.map.relations import MAX_RELATED_OBJECTS
 from placegraph.indoor.mapping.from_capture import FromCapture
 from placegraph.io.mesh.ply import write_ply
 
@@ -142,7 +142,7 @@ def test_labels_of_another_mesh(ply):
 
 
 def test_an_id_for_every_triangle_is_told(boxes):
-    n = MOST_OBJECTS + 1
+    n = MAX_RELATED_OBJECTS + 1
     at = np.column_stack([np.arange(n) % 150, np.arange(n) // 150, np.zeros(n)]) * 0.1
     model = boxes({"floor": ((0, 0, 0), (1, 1, 1))})
     things = tuple(replace(model.things[0], id=str(i)) for i in range(n))

@@ -17,7 +17,7 @@ from placegraph.errors import MapError, OptionError, PlacegraphError
 from placegraph.indoor.build import scene_of_model
 from placegraph.indoor.map import textures
 from placegraph.indoor.map.mesh import Mesh
-from placegraph.indoor.map.scene_file import columns
+from placegraph.indoor.map.scene_file import pack_scene
 from placegraph.indoor.scene_map import SceneMap
 
 ROOM = {
@@ -152,7 +152,7 @@ def forge(scene, tmp_path):
     """Write the map's own columns, some of them replaced, with good checksums."""
 
     def forged(meta=(), **arrays):
-        own_meta, own = columns(scene)
+        own_meta, own = pack_scene(scene)
         merged = {k: v for k, v in (own | arrays).items() if v is not None}
         write_map(tmp_path / "f.scene", "scene", 1, own_meta | dict(meta), merged)
         return tmp_path / "f.scene"
@@ -192,7 +192,7 @@ def changed(array, value, at=0):
     ],
 )  # fmt: skip
 def test_rows_that_point_nowhere(name, value, forge, scene):
-    own = columns(scene)[1]
+    own = pack_scene(scene)[1]
     with pytest.raises(MapError, match=r"f\.scene.*Build"):
         pg.open_map(forge(**{name: changed(own[name], value)}))
 
@@ -266,7 +266,7 @@ def test_textures_are_png_or_jpeg(forge, tmp_path):
 
 
 def test_a_newer_version(file, scene):
-    write_map(file, "scene", 3, *columns(scene))
+    write_map(file, "scene", 3, *pack_scene(scene))
     with pytest.raises(MapError, match=r"version 3.*reads up to 2"):
         pg.open_map(file)
 

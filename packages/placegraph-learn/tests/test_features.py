@@ -9,7 +9,7 @@ from safetensors.torch import save_file
 
 from placegraph.core.geometry import Camera
 from placegraph.errors import InputError, MapError, MissingExtraError, OptionError, ServiceError
-from placegraph.indoor.encode import Encoder, bound, encoder
+from placegraph.indoor.encode import Encoder, bind_encoder, encoder
 from placegraph.io.capture.frame import Frame
 from placegraph_learn.features import covered
 
@@ -183,8 +183,8 @@ def test_objects_need_images(vit, room, posed, vectors):
     with pytest.raises(OptionError, match="captures"):
         vit.objects(room)
     with pytest.raises(MapError, match="encode both alike"):
-        bound(vit, room.with_embeddings(np.eye(len(room)), encoder="labels"))
-    kept = bound(vit, room.with_embeddings(vectors, encoder=vit.key)).encode(posed[0])
-    made_now = bound(vit, room, [posed]).encode(posed[0])
+        bind_encoder(vit, room.with_embeddings(np.eye(len(room)), encoder="labels"))
+    kept = bind_encoder(vit, room.with_embeddings(vectors, encoder=vit.key)).encode(posed[0])
+    made_now = bind_encoder(vit, room, [posed]).encode(posed[0])
     assert kept.grid == made_now.grid == (9, 16)
     assert kept.table == pytest.approx(made_now.table, abs=0.05)

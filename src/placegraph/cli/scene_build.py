@@ -168,9 +168,9 @@ def build(
 def _summary(
     scene: SceneMap, out: Path, seconds: float, notes: list[str], left_out: Counter[str]
 ) -> None:
-    from placegraph.indoor.map.scene_file import bytes_of
+    from placegraph.indoor.map.scene_file import measure_parts
 
-    parts = ", ".join(f"{part} {size / 1e3:,.0f} kB" for part, size in bytes_of(out).items())
+    parts = ", ".join(f"{part} {size / 1e3:,.0f} kB" for part, size in measure_parts(out).items())
     click.echo(
         f"{out}: {len(scene):,} objects, {len(scene.mesh):,} triangles, floor at "
         f"{scene.floors[0]:.2f} m, {out.stat().st_size / 1e3:,.0f} kB ({parts}), built in "
@@ -186,9 +186,9 @@ def _summary(
 def _detail(name: str, error: float | None, texel: float | None) -> Detail:
     from dataclasses import replace
 
-    from placegraph.indoor.map.textures import detail_named
+    from placegraph.indoor.map.textures import get_detail
 
-    detail = detail_named(name)
+    detail = get_detail(name)
     if error is not None:
         detail = replace(detail, error=error)
     if texel is not None:
@@ -303,8 +303,8 @@ def _show(findings: list[Finding]) -> None:
         if f.objects:
             more = " ..." if len(f.objects) > MOST_IDS else ""
             out.print(f"    objects: {', '.join(f.objects[:MOST_IDS])}{more}")
-        if f.mend:
-            out.print(f"    mend: {f.mend}")
+        if f.remedy:
+            out.print(f"    mend: {f.remedy}")
 
 
 def info(
@@ -318,11 +318,11 @@ def info(
 
     Example: placegraph scene info house.scene --png plan.png
     """
-    from placegraph.indoor.map.scene_file import bytes_of
+    from placegraph.indoor.map.scene_file import measure_parts
     from placegraph.indoor.scene_map import SceneMap
 
     scene = SceneMap.open(map_file)
-    told = {**facts(scene), "bytes": map_file.stat().st_size, "bytes_of": bytes_of(map_file)}
+    told = {**facts(scene), "bytes": map_file.stat().st_size, "bytes_of": measure_parts(map_file)}
     if png is not None:
         from placegraph.view import draw_scene
 
@@ -399,7 +399,7 @@ def encode(
     from time import perf_counter
 
     from placegraph.core.mapfile import map_writer
-    from placegraph.indoor.encode import vectors_of
+    from placegraph.indoor.encode import encode_objects
     from placegraph.indoor.scene_map import SceneMap
 
     shown = _given(encoder, captures or [], poses, frames)
@@ -417,7 +417,7 @@ def encode(
         tell(f"encoding {len(scene):,} objects by {encoder}{of}", 2, 3)
         # what another encoder made of it is of no use to this one
         bare = replace(scene, graph=replace(scene.graph, embeddings=None), encoder="")
-        vectors = vectors_of(made, bare, images)
+        vectors = encode_objects(made, bare, images)
         known = int(vectors.any(axis=1).sum())
         if not known:
             raise OptionError(
@@ -432,9 +432,9 @@ def _given(
     encoder: str, captures: list[Path], poses: str | None, frames: str | None
 ) -> Sequence[Path]:
     """Folders of captures; `OptionError` where options contradict each other."""
-    from placegraph.indoor.encode import spoken
+    from placegraph.indoor.encode import parse_encoder
 
-    encoder, _ = spoken(encoder)
+    encoder, _ = parse_encoder(encoder)
     if captures and encoder not in WITH_CAPTURES:
         raise OptionError(
             f"--captures belongs to {' and '.join(WITH_CAPTURES)}; {encoder} knows objects by the "
@@ -534,7 +534,7 @@ def export(
     Example: placegraph scene export house.scene house.glb --camera-path walk.tum
     """
     from placegraph.indoor.mapping.export import export as write
-    from placegraph.indoor.mapping.export import losses
+    from placegraph.indoor.mapping.export import list_losses
     from placegraph.maps import open_scene
 
     if os.path.realpath(map_file) == os.path.realpath(out):
@@ -548,13 +548,13 @@ def export(
             "files": sizes,
             "objects": len(scene),
             "triangles": len(scene.mesh),
-            "lost": losses(scene, out),
+            "lost": list_losses(scene, out),
         }
         click.echo(json.dumps(told, ensure_ascii=False))
     elif not quiet:
         for name, size in sizes.items():
             click.echo(f"{name}: {size / 1e3:,.0f} kB.")
-        for sentence in losses(scene, out):
+        for sentence in list_losses(scene, out):
             click.echo(sentence)
 
 

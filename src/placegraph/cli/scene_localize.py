@@ -289,13 +289,13 @@ def _measured(
     capture: Capture, weights: Path, options: PoseSearchOptions, refining: RefineOptions | None
 ) -> tuple[Capture, PoseSearchOptions, RefineOptions | None]:
     """A capture with depth by a network, and options that trust it less than a sensor."""
-    from placegraph.indoor.encode.networks import SLOPE, depth_network, measured
+    from placegraph.indoor.encode.networks import SLOPE, depth_network, estimate_depth
 
     if not options.depth:
         raise OptionError("--depth-network and --no-depth exclude each other; leave out one.")
     wide = replace(options, likelihood=replace(options.likelihood, depth_slope=SLOPE))
     blind = refining and replace(refining, depth=False)
-    return measured(capture, depth_network(weights)), wide, blind
+    return estimate_depth(capture, depth_network(weights)), wide, blind
 
 
 def _matching(matcher: str, weights: Path | None, device: str, *, refine: bool) -> str | Matcher:

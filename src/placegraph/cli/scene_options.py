@@ -247,9 +247,9 @@ def encoders_of(names: Sequence[str], weights: Path | None) -> list[Encoder]:
         As the encoders themselves.
 
     """
-    from placegraph.indoor.encode import encoder, spoken
+    from placegraph.indoor.encode import encoder, parse_encoder
 
-    own = [name for name in names if spoken(name)[0] in WITH_WEIGHTS]
+    own = [name for name in names if parse_encoder(name)[0] in WITH_WEIGHTS]
     if weights is not None and len(own) != 1:
         raise OptionError(
             f"--weights belongs to one encoder that has some ({', '.join(WITH_WEIGHTS)}), and "

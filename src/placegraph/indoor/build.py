@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from placegraph.core.files import resolve_path
 from placegraph.errors import InputError, OptionError
-from placegraph.indoor.map.floor import floor_height, is_floor
+from placegraph.indoor.map.floor import find_floor_height, is_floor
 from placegraph.indoor.map.mesh import Mesh
-from placegraph.indoor.map.relations import MOST_OBJECTS, SAME_ROOM, relate
-from placegraph.indoor.map.rooms import with_rooms
-from placegraph.indoor.map.scene_file import near_box
-from placegraph.indoor.map.textures import Detail, detail_named
+from placegraph.indoor.map.relations import MAX_RELATED_OBJECTS, SAME_ROOM, find_relations
+from placegraph.indoor.map.rooms import assign_rooms
+from placegraph.indoor.map.scene_file import is_near_box
+from placegraph.indoor.map.textures import Detail, get_detail
 from placegraph.indoor.mapping.clean import (
     check_model,
     clean_model,
@@ -105,12 +105,12 @@ def build_scene(
 
     """
     how = ReadOptions(labels, up, scale, object_property, segment, capture, reader or {})
-    detail = detail_named(detail)
+    detail = get_detail(detail)
     counts = Counter() if left_out is None else left_out
 
     def made() -> SceneMap:
         read = read_source(source, how, counts, progress)
-        return scene_of(
+        return make_scene(
             read, floor=floor, up=up, scale=scale, detail=detail, left_out=counts, notes=notes,
             progress=progress,
         )  # fmt: skip
@@ -122,20 +122,20 @@ def build_scene(
         if isinstance(given, str | os.PathLike) and os.path.realpath(given) == str(target):
             raise OptionError(f"{given} would be overwritten by its map; name another file.")
     from placegraph.core.mapfile import map_writer
-    from placegraph.indoor.map.scene_file import KIND, VERSION, columns
+    from placegraph.indoor.map.scene_file import KIND, VERSION, pack_scene
 
     with map_writer(out_path) as write:
         scene = made()
-        write(KIND, VERSION, *columns(scene), ())
+        write(KIND, VERSION, *pack_scene(scene), ())
     return scene
 
 
-def scene_of_model(model: Model, **options: Any) -> SceneMap:  # noqa: ANN401  # of `scene_of`
-    """Scene map of a model in memory; options and errors as of `scene_of`."""
-    return scene_of(Source(model), **options)
+def scene_of_model(model: Model, **options: Any) -> SceneMap:  # noqa: ANN401  # of `make_scene`
+    """Scene map of a model in memory; options and errors as of `make_scene`."""
+    return make_scene(Source(model), **options)
 
 
-def scene_of(
+def make_scene(
     source: Source,
     *,
     floor: float | None = None,
@@ -147,7 +147,7 @@ def scene_of(
     progress: Progress | None = None,
 ) -> SceneMap:
     """Scene map of a source in memory; parameters and errors as of `build_scene`."""
-    detail = detail_named(detail)
+    detail = get_detail(detail)
     told: list[str] = [] if notes is None else notes
     told.extend(source.notes)
     check_model(source.model)
@@ -157,35 +157,35 @@ def scene_of(
         model = source.model
         told.extend(source.notes)
     left = model.left_out if left_out is None else left_out
-    mesh, things, pictures, row = clean_model(model, left)
-    labels = [t.label for t in things]
-    height = _floor(model, mesh, labels, floor)
+    mesh, objects, pictures, row = clean_model(model, left)
+    labels = [t.label for t in objects]
+    height = _find_floor(model, mesh, labels, floor)
     if progress is not None:
         progress("simplifying", 0, 1)
     if source.anchors:  # drawn from a plan: there is nothing to leave out
-        detail = detail_named("full")
+        detail = get_detail("full")
     coarse, blobs = reduce_mesh(mesh, pictures, source.colour_of, detail, left, told)
-    _tell_odd(coarse, things, told)
-    room_of, attributes = with_rooms(coarse, labels, height, [t.attributes for t in things])
+    _note_oddities(coarse, objects, told)
+    room_of, attributes = assign_rooms(coarse, labels, height, [t.attributes for t in objects])
     scene = SceneMap.create(
         coarse,
-        [t.id for t in things],
+        [t.id for t in objects],
         labels,
         floor=height,
-        names=[t.name for t in things],
+        names=[t.name for t in objects],
         attributes=attributes,
-        relations=_relations(model, row, relate(coarse, labels, room_of)),
+        relations=_merge_relations(model, row, find_relations(coarse, labels, room_of)),
         scene=model.path.stem or "scene",
         source=model.path.name,
         encoded=blobs,
     )
-    seen_from = source.viewpoints[near_box(source.viewpoints, scene.bounds)]
+    seen_from = source.viewpoints[is_near_box(source.viewpoints, scene.bounds)]
     return replace(scene, landmarks=source.landmarks, viewpoints=seen_from, anchors=source.anchors)
 
 
-def _floor(model: Model, mesh: Mesh, labels: Sequence[str], floor: float | None) -> float:
+def _find_floor(model: Model, mesh: Mesh, labels: Sequence[str], floor: float | None) -> float:
     known = floor if floor is not None else model.floor
-    height = floor_height(mesh, labels) if known is None else float(known)
+    height = find_floor_height(mesh, labels) if known is None else float(known)
     if height is None:
         why = "no object is labelled floor"
         if any(map(is_floor, labels)):
@@ -197,7 +197,7 @@ def _floor(model: Model, mesh: Mesh, labels: Sequence[str], floor: float | None)
     return height
 
 
-def _relations(
+def _merge_relations(
     model: Model, row: NDArray[np.int64], computed: list[tuple[int, str, int]]
 ) -> list[tuple[int, str, int]]:
     """The source's own relations, and those computed between pairs that it says nothing of.
@@ -215,7 +215,7 @@ def _relations(
     )
 
 
-def _tell_odd(mesh: Mesh, things: Sequence[Thing], notes: list[str]) -> None:
+def _note_oddities(mesh: Mesh, objects: Sequence[Thing], notes: list[str]) -> None:
     """Note an object that is nearly everything, very many of them, and coordinates from afar."""
     reach = float(np.abs(mesh.bounds()).max())
     if reach > FAR:
@@ -223,16 +223,16 @@ def _tell_odd(mesh: Mesh, things: Sequence[Thing], notes: list[str]) -> None:
             f"It lies {reach:,.0f} m from its origin, where coordinates are exact to "
             f"{1e3 * mesh.steps()[0]:.0f} mm only: subtract a corner of it, in whole metres."
         )
-    if len(things) > MOST_OBJECTS:
+    if len(objects) > MAX_RELATED_OBJECTS:
         notes.append(
-            f"It has {len(things):,} objects; more than {MOST_OBJECTS:,} get no relations. Are these "
+            f"It has {len(objects):,} objects; more than {MAX_RELATED_OBJECTS:,} get no relations. Are these "
             "ids those of objects (--object-property)?"
         )
-    area = np.bincount(mesh.object_of, np.linalg.norm(mesh.normals(), axis=1), len(things))
+    area = np.bincount(mesh.object_of, np.linalg.norm(mesh.normals(), axis=1), len(objects))
     most = int(area.argmax())
     share = float(area[most] / max(area.sum(), 1e-12))
     if share > 0.9 and len(mesh) > 1000:
-        thing = things[most]
+        thing = objects[most]
         notes.append(
             f"Object {thing.name or thing.id!r} is {100 * share:.0f} % of the surface: what is one "
             "object can tell no places apart by what they are. Cut it (--segment), or label it."

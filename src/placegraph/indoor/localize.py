@@ -10,7 +10,7 @@ import numpy as np
 
 from placegraph.core.estimate import PoseEstimate, Status
 from placegraph.errors import OptionError
-from placegraph.indoor.encode.labels import foreign
+from placegraph.indoor.encode.labels import explain_foreign_ids
 from placegraph.indoor.likelihood.observe import sight
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.options import check_device
@@ -151,7 +151,7 @@ def _explain_faults(window: Window, estimate: PoseEstimate) -> PoseEstimate:
     query, found = window.query, diagnostics_of(estimate)
     here = query.shares is None  # else other scenes of a library may be where it was taken
     if query.encoder is None and here and estimate.status is not Status.OK:
-        other = foreign(query.scene, query.frames[-WINDOW:], found.semantic)
+        other = explain_foreign_ids(query.scene, query.frames[-WINDOW:], found.semantic)
         if other:
             return add_note(estimate, other)
     searched = query.options.tracked and len(query.frames) <= WINDOW

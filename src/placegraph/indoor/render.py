@@ -33,7 +33,7 @@ _RIGID = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Rendering:
-    """What a camera would see of the map. H rows, W columns, as the camera's images."""
+    """Images (H, W) of the map as a camera would see it."""
 
     colour: NDArray[np.uint8]
     """(H, W, 3) sRGB; black where there is nothing."""
@@ -147,16 +147,16 @@ class Renderer:
         """
         if samples not in SAMPLES:
             raise OptionError(f"samples is {samples}; choose one of {SAMPLES}.")
-        pose = checked_pose(map_from_camera)
+        pose = check_pose(map_from_camera)
         eye = Eye(
             camera_rays(camera),
             np.ascontiguousarray(pose[:3, :3], np.float32),
             np.ascontiguousarray(pose[:3, 3], np.float32),
             _EVERYWHERE if wanted is None else wanted,
         )
-        drawn = self._draw(eye, Rendering.empty(camera), pattern(samples))
+        drawn = self._draw(eye, Rendering.empty(camera), sample_pattern(samples))
         if camera.model == "fisheye":
-            drawn.blank(_hidden(camera))
+            drawn.blank(_find_hidden(camera))
         return drawn
 
     def _draw(self, eye: Eye, drawn: Rendering, offsets: NDArray[np.float32]) -> Rendering:
@@ -170,7 +170,7 @@ class Renderer:
         return Rendering(colour, drawn.depth, drawn.objects, drawn.triangles, drawn.points)
 
 
-def checked_pose(map_from_camera: ArrayLike) -> Floats:
+def check_pose(map_from_camera: ArrayLike) -> Floats:
     """A pose (4, 4) float64, or `OptionError` where it is not finite or not rigid."""
     try:
         pose = np.asarray(map_from_camera, np.float64)
@@ -211,14 +211,14 @@ def camera_rays(camera: Camera) -> NDArray[np.float32]:
 
 
 @lru_cache(maxsize=2)
-def _hidden(camera: Camera) -> NDArray[np.bool_]:
+def _find_hidden(camera: Camera) -> NDArray[np.bool_]:
     """Pixels (H, W) whose centres have no ray."""
     v, u = np.mgrid[: camera.height, : camera.width] + 0.5
     return np.isnan(camera.directions(np.stack([u, v], axis=-1))[..., 0])
 
 
 @lru_cache(maxsize=len(SAMPLES))
-def pattern(samples: int) -> NDArray[np.float32]:
+def sample_pattern(samples: int) -> NDArray[np.float32]:
     """Places (S, 2) float32 of rays in a pixel, from its centre [px]: Hammersley's points.
 
     No two share a row or a column, so that an edge that is nearly upright gets S shades.

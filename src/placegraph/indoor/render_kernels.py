@@ -37,8 +37,8 @@ FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
 
 
 @kernel(error_model="numpy")
-def steps(rays, row, column):
-    """How a ray's x and y change from one pixel to the next: along the row, and down the column."""
+def differentiate_rays(rays, row, column):
+    """Differentiate a ray's x and y along the row and down the column, by pixel."""
     right, down = min(column + 1, rays.shape[1] - 1), min(row + 1, rays.shape[0] - 1)
     left, up = max(right - 1, 0), max(down - 1, 0)
     return (
@@ -93,9 +93,9 @@ def shade(world, eye, packet, ints, places, width, colours):
         px, py, pz = cross(fx, fy, fz, dx, dy, dz)
         qx, qy, qz = cross(dx, dy, dz, ex, ey, ez)
         scale = width * packet[FAR, lane] / (ex * px + ey * py + ez * pz)
-        p0, p1 = across(eye.turn, px, py, pz)
-        q0, q1 = across(eye.turn, qx, qy, qz)
-        xx, xy, yx, yy = steps(eye.rays, places[lane, 0], places[lane, 1])
+        p0, p1 = project_on_axes(eye.turn, px, py, pz)
+        q0, q1 = project_on_axes(eye.turn, qx, qy, qz)
+        xx, xy, yx, yy = differentiate_rays(eye.rays, places[lane, 0], places[lane, 1])
         ux, vx = scale * (xx * p0 + xy * p1), scale * (xx * q0 + xy * q1)
         uy, vy = scale * (yx * p0 + yy * p1), scale * (yx * q0 + yy * q1)
         columns, rows = np.float32(levels[texture, 0, 1]), np.float32(levels[texture, 0, 2])
@@ -105,9 +105,9 @@ def shade(world, eye, packet, ints, places, width, colours):
         down = (sy * columns) ** 2 + (ty * rows) ** 2
         if down > along:
             sx, tx = sy, ty
-        taps, level, part = looks(max(along, down), min(along, down), levels.shape[1] - 1)
+        taps, level, part = plan_taps(max(along, down), min(along, down), levels.shape[1] - 1)
         s, t = uv[a, 0] + u * us + v * vs, uv[a, 1] + u * ut + v * vt
-        red, green, blue = filtered(levels, texels, texture, s, t, sx, tx, taps, level, part)
+        red, green, blue = filter_texture(levels, texels, texture, s, t, sx, tx, taps, level, part)
         colours[lane, 0] *= red
         colours[lane, 1] *= green
         colours[lane, 2] *= blue
@@ -120,7 +120,7 @@ def cross(ax, ay, az, bx, by, bz):
 
 
 @kernel(error_model="numpy")
-def across(turn, x, y, z):
+def project_on_axes(turn, x, y, z):
     """Parts of a vector along the camera's x and y axes."""
     return (
         turn[0, 0] * x + turn[1, 0] * y + turn[2, 0] * z,
@@ -129,11 +129,11 @@ def across(turn, x, y, z):
 
 
 @kernel(fastmath=FAST, error_model="numpy")
-def looks(longer, shorter, deepest):
-    """How to look at a texture of which a pixel covers about an ellipse of these axes [texels^2].
+def plan_taps(longer, shorter, deepest):
+    """Plan the filter of a pixel that covers an ellipse of these axes [texels^2].
 
-    Returns how many looks along the longer axis, the level whose texels are at most as wide as a
-    look's share, and the part that the next coarser level has in it.
+    Returns the number of taps along the longer axis, the level whose texels are at most as wide as
+    a tap, and the share of the next coarser level.
     """
     # an axis is infinite, or not a number, where the ray runs along the face
     longer = np.sqrt(min(WIDEST, longer))
@@ -150,8 +150,8 @@ def looks(longer, shorter, deepest):
 
 
 @kernel(fastmath=FAST, error_model="numpy")
-def filtered(levels, texels, texture, s, t, sx, tx, taps, level, part):
-    """Mean colour (3 floats) of a texture around (s, t), seen by `looks` along (sx, tx).
+def filter_texture(levels, texels, texture, s, t, sx, tx, taps, level, part):
+    """Mean colour (3 floats) of a texture around (s, t), seen by `plan_taps` along (sx, tx).
 
     Textures repeat beyond [0, 1); a look lies between the four texels around it.
     """
@@ -204,7 +204,7 @@ class World(NamedTuple):
 
 
 class Eye(NamedTuple):
-    """Where the camera is and where its pixels look."""
+    """Pose and pixel rays of a camera."""
 
     rays: NDArray[np.float32]
     """(H, W, 2) x and y of rays in the camera with z = 1 through the pixels' centres."""
@@ -217,7 +217,7 @@ class Eye(NamedTuple):
 
 
 class Picture(NamedTuple):
-    """What is drawn; made empty (`render.Rendering`), and filled where something is hit."""
+    """Images to draw into; made empty (`render.Rendering`), and filled where something is hit."""
 
     colour: NDArray[np.uint8]
     depth: NDArray[np.float32]
@@ -284,7 +284,7 @@ def smooth(world, eye, picture, colour, offsets, first, last):
         for column in range(columns):
             if not edge[column]:
                 continue
-            xx, xy, yx, yy = steps(eye.rays, row, column)
+            xx, xy, yx, yy = differentiate_rays(eye.rays, row, column)
             for k in range(samples):
                 across, down = offsets[k, 0], offsets[k, 1]
                 x = eye.rays[row, column, 0] + across * xx + down * yx
@@ -323,12 +323,12 @@ def mix(ints, places, colours, samples, lanes, colour):
 
 
 @kernel(error_model="numpy")
-def aim(turn, origin, packet, lane, x, y):
+def aim(turn, origin, packet, slot, x, y):
     """Fill a lane with the ray (x, y, 1) of the camera: distances along it are depths."""
     for k in range(3):
-        packet[ORIGIN + k, lane] = origin[k]
-        packet[DIRECTION + k, lane] = turn[k, 0] * x + turn[k, 1] * y + turn[k, 2]
-    packet[FAR, lane] = np.inf
+        packet[ORIGIN + k, slot] = origin[k]
+        packet[DIRECTION + k, slot] = turn[k, 0] * x + turn[k, 1] * y + turn[k, 2]
+    packet[FAR, slot] = np.inf
 
 
 # ------------------------------------------------------------------------------------- edges

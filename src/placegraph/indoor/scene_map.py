@@ -173,7 +173,7 @@ class SceneMap(HtmlRepr, Scene):
         from placegraph.indoor.pose.estimate import add_earth_poses
         from placegraph.indoor.pose.window import PoseQuery
         from placegraph.indoor.refine import RefineSetup, refine
-        from placegraph.indoor.render import checked_pose
+        from placegraph.indoor.render import check_pose
 
         refining = RefineSetup.of(options, matcher, device)
         check_device(device, network=refining.matcher is not None)
@@ -183,7 +183,7 @@ class SceneMap(HtmlRepr, Scene):
         query = PoseQuery.of(
             self, capture, frames=frames, options=senses, seed=seed, progress=progress,
         )  # fmt: skip
-        return add_earth_poses(self, refine(query, checked_pose(map_from_camera), refining))
+        return add_earth_poses(self, refine(query, check_pose(map_from_camera), refining))
 
     def render(
         self, map_from_camera: ArrayLike, camera: Camera, *, samples: int = 4, device: str = "auto"
@@ -244,9 +244,9 @@ class SceneMap(HtmlRepr, Scene):
         lower end above the ellipsoid and how `tall` it is [m]. Raises `GeoPoseError` where the map
         is not anchored.
         """
-        from placegraph.indoor.map.scene import features
+        from placegraph.indoor.map.scene import make_geojson
 
-        return features(self)
+        return make_geojson(self)
 
     def to_geopandas(self) -> gpd.GeoDataFrame:
         """`to_geojson` as a table in WGS84; raises `MissingExtraError` without GeoPandas."""

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from placegraph.core.estimate import PoseEstimate
 from placegraph.core.geometry import quaternion_from_rotation
 from placegraph.errors import MissingExtraError, OptionError
-from placegraph.indoor.mapping.export import materials, object_surfaces, path_lines
+from placegraph.indoor.mapping.export import make_materials, make_path_lines, split_surfaces
 from placegraph.io.mesh.gltf_write import Material, Part, Surface, encode_glb
 from placegraph.view.draw.painter import likely
 from placegraph.view.scene.plan import OPENING, levels
@@ -68,7 +68,7 @@ class SceneView:
             for k, (name, poses) in enumerate(paths.items()):
                 self.paths[name] = self.server.scene.add_line_segments(
                     f"/paths/{name}",
-                    points=path_lines(np.asarray(poses)).astype(np.float32),
+                    points=make_path_lines(np.asarray(poses)).astype(np.float32),
                     colors=INKS[k % len(INKS)],
                     thickness=0.015,
                 )
@@ -135,8 +135,8 @@ class SceneView:
         camera.up = (0.0, 0.0, 1.0)
 
     def _objects(self) -> list[viser.GlbHandle]:
-        made = materials(self.scene, webp=True)
-        surfaces = object_surfaces(self.scene.mesh, len(self.scene))
+        made = make_materials(self.scene, webp=True)
+        surfaces = split_surfaces(self.scene.mesh, len(self.scene))
         handles = []
         for row, own in enumerate(surfaces):
             handle = self.server.scene.add_glb(f"/objects/{row}", glb_data=_glb(own, made))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from placegraph.core.geo import Anchor
 from placegraph.core.geometry import Floats, rotation_z, wrap_angle
 from placegraph.errors import OptionError
-from placegraph.indoor.map.map_kernels import nearest
+from placegraph.indoor.map.map_kernels import distance_transform
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.mapping.osm import segment_distances
 from placegraph.io.osm.indoor_osm import level_text, levels_of
@@ -143,7 +143,7 @@ def _propose_shifts(
     dots = (footprint.starts + share * (footprint.ends - footprint.starts)).reshape(-1, 2)
     facade[tuple(np.floor((dots - low) / cell).astype(int).T)] = True
     reach = int(np.ceil(3.0 / cell))
-    distance = np.sqrt(nearest(facade, reach)[0]) * cell
+    distance = np.sqrt(distance_transform(facade, reach)[0]) * cell
     x, y = (low[i] + (np.arange(n) + 0.5) * cell for i, n in enumerate((nx, ny)))
     grid = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
     inside = within(grid, footprint.rings).reshape(nx, ny)

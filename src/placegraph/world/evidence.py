@@ -15,7 +15,7 @@ from placegraph.core.geometry import LocalPlane
 from placegraph.indoor.language.likeness import table
 from placegraph.indoor.language.score import compared, of_scenes, score
 from placegraph.indoor.language.sentence import Kind, Sentence
-from placegraph.indoor.map.floor import storeys
+from placegraph.indoor.map.floor import find_storeys
 from placegraph.outdoor.language.description import SPEAKER, WITHIN
 from placegraph.outdoor.language.words import tokens
 from placegraph.world.sentence import ParsedSentence, compare_floors, parse_sentence
@@ -313,7 +313,7 @@ def collect_evidence(world: World, query: WorldQuery, text: OutdoorText) -> Worl
     if parsed is not None and parsed.inside is not None and scenes:
         inside = IndoorMatch.of_sentence(world.library, parsed.inside)
     floors = parsed.floors if parsed else ()
-    above = {n: len(storeys(world.scenes[n], 0)) - 1 if floors else 0 for n in scenes}
+    above = {n: len(find_storeys(world.scenes[n], 0)) - 1 if floors else 0 for n in scenes}
     spoken = f" {' '.join(tokens(query.text or ''))} "
     denied = [f" {' '.join(tokens(name))} " for name in _find_denied(parsed)]
     for name in denied:

@@ -19,9 +19,9 @@ from placegraph.core.estimate import SceneEstimate, Status
 from placegraph.core.geometry import angle_between
 from placegraph.errors import OptionError
 from placegraph.indoor.library.localize import localize_in_scenes
-from placegraph.indoor.library.search import SearchOptions, weigh_frames
-from placegraph.indoor.map.floor import storey_at
-from placegraph.indoor.map.rooms import room_at
+from placegraph.indoor.library.search import SearchOptions, infer_from_frames
+from placegraph.indoor.map.floor import find_storey
+from placegraph.indoor.map.rooms import find_room_name
 from placegraph.indoor.pose.window import chosen_frames
 from placegraph.indoor.status import choose_scene, doubt_by_search, fit_odds, scene_of, search_odds
 from placegraph.outdoor.language.description import SPEAKER, WITHIN
@@ -210,7 +210,7 @@ def _propose_scenes(
     """Return the scenes that frames may show, with all other evidence, likeliest first."""
     others, count = world.others, len(world.scenes)
     if others is None:
-        weighed = weigh_frames(world.library, frames, None, SearchOptions())
+        weighed = infer_from_frames(world.library, frames, None, SearchOptions())
         found = weighed.estimate(world.library, count)
     else:
         count = others.count
@@ -246,7 +246,7 @@ def _make_pose_modes(
         at = there[:3, 3]
         made = WorldMode(
             None, None, share * mode.probability, np.full((2, 2), np.nan), scene=name,
-            room=room_at(scene, at), pose=mode, explain=partial(_explain, evidence, name, mode),
+            room=find_room_name(scene, at), pose=mode, explain=partial(_explain, evidence, name, mode),
         )  # fmt: skip
         own = [k for k, s in enumerate(w.anchors) if s.part == part]
         if own:
@@ -254,7 +254,7 @@ def _make_pose_modes(
             shares = w.shares[own] * [_weigh_heading(a.pose(there).heading, query) for a in anchors]
             best = int(shares.argmax())
             earth = anchors[best].pose(
-                there, mode.covariance, room=made.room, storey=storey_at(scene, at)[0]
+                there, mode.covariance, room=made.room, storey=find_storey(scene, at)[0]
             )
             chance = float(shares[best] / shares.sum())
             earth = replace(earth, probability=share * mode.probability * chance)

@@ -16,9 +16,9 @@ from placegraph.core.geo import Anchor
 from placegraph.core.geojson import nest_rings
 from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
-from placegraph.indoor.map.floor import label_words
-from placegraph.indoor.map.map_kernels import nearest
-from placegraph.indoor.map.rooms import rooms_of
+from placegraph.indoor.map.floor import split_label
+from placegraph.indoor.map.map_kernels import distance_transform
+from placegraph.indoor.map.rooms import find_rooms
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.mapping.osm import find_ends, segment_distances
 from placegraph.indoor.mapping.outlines import area, trace_cells
@@ -279,11 +279,11 @@ def outer_walls(scene: Scene) -> OuterWalls:
         raise OptionError(
             f"The map is merged of {len(scene.scenes)} scenes; anchor each before they are merged."
         )
-    rooms = rooms_of(scene.mesh, scene.graph.labels, float(scene.floors[0]))
+    rooms = find_rooms(scene.mesh, scene.graph.labels, float(scene.floors[0]))
     reach = int(np.ceil(_THICK / 2.0 / rooms.cell))
     inside = np.pad(rooms.cells >= 0, reach + 1)
-    grown = nearest(inside, reach)[1] >= 0
-    inside |= nearest(~grown, reach)[1] < 0
+    grown = distance_transform(inside, reach)[1] >= 0
+    inside |= distance_transform(~grown, reach)[1] < 0
     rings = trace_cells(inside, rooms.origin - (reach + 1) * rooms.cell, rooms.cell)
     outer = [rings[first] for first, *_ in nest_rings(rings)] if rings else []
     if not outer:
@@ -306,7 +306,7 @@ def _find_openings(scene: Scene, at: Floats) -> tuple[NDArray[np.int64], NDArray
     """Return kind (N,) and number (N,) of the opening that each point lies in."""
     kind, opening, number = np.zeros(len(at), np.int64), np.full(len(at), -1), 0
     for row, label in enumerate(scene.graph.labels):
-        what = _WORDS.get((label_words(label) or [""])[-1], WALL)
+        what = _WORDS.get((split_label(label) or [""])[-1], WALL)
         if what == WALL:
             continue
         a, b = find_ends(scene, row)

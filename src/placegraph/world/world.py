@@ -12,7 +12,7 @@ from placegraph.core.files import resolve_path
 from placegraph.core.plugins import load_module
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.library import SceneLibrary
-from placegraph.indoor.library.library import digest_of
+from placegraph.indoor.library.library import hash_file
 from placegraph.io.osm.urls import is_url
 from placegraph.maps import check_map_files, is_world, open_folder, open_map
 from placegraph.world.outside import CityTown, Town
@@ -147,7 +147,7 @@ class World:
         for name in self.scenes:
             path = paths.get(name)
             entry = None if path is None else known.get(resolve_path(path))
-            if path is not None and entry is not None and entry.digest == digest_of(path):
+            if path is not None and entry is not None and entry.digest == hash_file(path):
                 library.insert(name, entry)
             else:
                 library.add(name, self.scenes[name])

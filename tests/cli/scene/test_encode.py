@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from placegraph.cli import scene_options as encoders
-from placegraph.indoor.encode import encoder, vectors_of
+from placegraph.indoor.encode import encode_objects, encoder
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.worlds.home.home import home, record, scene_of, visit
@@ -36,7 +36,7 @@ def test_a_map_gets_vectors(run, scene, file, tmp_path, name):
     assert told.json["objects"] == len(scene)
     assert told.json["bytes"] == out.stat().st_size
     assert file.read_bytes() == before
-    assert vectors_of(made, encoded) == pytest.approx(right, abs=0.01)
+    assert encode_objects(made, encoded) == pytest.approx(right, abs=0.01)
 
 
 def test_in_place_and_by_another_encoder(run, file):

@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from placegraph.core.geometry import Camera
-from placegraph.indoor.encode import bound
+from placegraph.indoor.encode import bind_encoder
 from placegraph.indoor.encode.appearance import (
     DIMENSION,
-    LEAST,
+    MIN_GLANCES,
     AppearanceEncoder,
-    around,
-    towards,
+    aim_poses,
+    spread_poses,
 )
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.textures import linear_from_srgb, srgb_from_linear
@@ -123,7 +123,7 @@ def test_patches_know_their_objects(room, vectors, walk):
 
 def test_bound_to_a_map(room, vectors, walk):
     kept = room.with_embeddings(vectors, encoder=APPEARANCE.key)
-    patches = bound(APPEARANCE, kept).encode(walk[0])
+    patches = bind_encoder(APPEARANCE, kept).encode(walk[0])
     assert patches.grid == (9, 16)
     assert patches.temperature == APPEARANCE.temperature
     table = APPEARANCE.patches(walk[0]).reshape(144, -1) @ vectors.T
@@ -139,8 +139,8 @@ def table(room):
 
 
 def test_glances_are_spread_over_free_places(table):
-    poses = around(table)
-    assert len(poses) >= LEAST
+    poses = spread_poses(table)
+    assert len(poses) >= MIN_GLANCES
     assert np.linalg.det(poses[:, :3, :3]) == pytest.approx(1.0)
     at = poses[:, :3, 3]
     nearest = np.linalg.norm(at[:, None] - table.positions[None], axis=2).min(axis=1)
@@ -155,12 +155,12 @@ def test_an_object_asked_for_is_looked_at(room, table):
     renderer = Renderer(room)
     visible = np.unique(table.panoramas.objects)
     visible = visible[visible < len(room)]
-    poses = towards(table, visible)
+    poses = aim_poses(table, visible)
     assert len(poses) == len(visible)
     seen = [
         (renderer.render(pose, CAMERA, samples=1).objects == row).sum() >= 4
         for row, pose in zip(visible.tolist(), poses, strict=True)
     ]
     assert sum(seen) >= len(seen) - 1  # one may stand behind the edge of another
-    assert towards(table, np.array([len(room) + 7])).shape == (0, 4, 4)
-    assert around(replace(table, positions=np.zeros((0, 3)))).shape == (0, 4, 4)
+    assert aim_poses(table, np.array([len(room) + 7])).shape == (0, 4, 4)
+    assert spread_poses(replace(table, positions=np.zeros((0, 3)))).shape == (0, 4, 4)

@@ -18,14 +18,16 @@ MATRIX = [[0.2, 0.8, 0.0], [0.0, 1.0, 0.0], [0.1, 0.1, 0.8]]
 
 def test_what_a_said_label_may_truly_be():
     known = Confusion(NAMES, MATRIX)
-    assert known.truly("Table") == pytest.approx(
+    assert known.find_true_labels("Table") == pytest.approx(
         {"desk": 0.8 / 1.9, "table": 1 / 1.9, "wall, white": 0.1 / 1.9}
     )
-    assert known.truly("desk") == pytest.approx({"desk": 2 / 3, "wall, white": 1 / 3})
-    assert known.truly("sofa") == {}
+    assert known.find_true_labels("desk") == pytest.approx({"desk": 2 / 3, "wall, white": 1 / 3})
+    assert known.find_true_labels("sofa") == {}
     assert Confusion(("a", "b"), [[3, 1], [0, 0]]).matrix.tolist() == [[0.75, 0.25], [0, 0]]
-    assert Confusion(("a", "b"), [[1, 0], [0, 0]]).truly("b") == {}  # said, of what is unknown
-    assert Confusion(("a", "b"), [[0.999, 0.001], [0.0, 1.0]]).truly("b") == {"b": 1.0}
+    assert (
+        Confusion(("a", "b"), [[1, 0], [0, 0]]).find_true_labels("b") == {}
+    )  # said, of what is unknown
+    assert Confusion(("a", "b"), [[0.999, 0.001], [0.0, 1.0]]).find_true_labels("b") == {"b": 1.0}
 
 
 @pytest.mark.parametrize(
@@ -96,7 +98,7 @@ def test_any_text_is_a_table_or_an_error(tmp_path_factory, text, kind):
 def test_truths_are_probabilities(rows):
     known = Confusion(("a", "b", "c", "d"), rows)
     for said in known.names:
-        truly = known.truly(said)
+        truly = known.find_true_labels(said)
         assert not truly or sum(truly.values()) == pytest.approx(1)
     json.dumps(known.matrix.tolist(), allow_nan=False)
 
@@ -120,7 +122,7 @@ def test_what_is_said_of_a_map_is_found_out(room, walk, truth):
     assert known.matrix[row["sideboard"], row["sofa"]] > 0.8
     assert known.matrix[row["wall"], row["wall"]] > 0.95
     assert not known.matrix[row["sofa"]].any()  # never true in this map
-    truly = known.truly("sofa")
+    truly = known.find_true_labels("sofa")
     assert max(truly, key=truly.get) == "sideboard"
     assert truly["sideboard"] > 0.8
     assert known.matrix.sum(axis=1)[known.matrix.any(axis=1)] == pytest.approx(1)

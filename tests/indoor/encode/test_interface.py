@@ -11,12 +11,12 @@ from placegraph.errors import MapError, MissingExtraError, OptionError
 from placegraph.indoor.encode import (
     Encoder,
     MapEncoder,
-    bound,
+    bind_encoder,
+    encode_objects,
+    encode_patches,
     encoder,
-    for_map,
-    patches_of,
-    spoken,
-    vectors_of,
+    make_map_encoder,
+    parse_encoder,
 )
 from placegraph.indoor.refine.matching import matcher
 
@@ -27,10 +27,10 @@ def test_encoders_by_name_read_a_map(name, room):
     assert isinstance(made, Encoder)
     assert made.name == name
     assert made.key.startswith(name)
-    reader = for_map(name, room)
+    reader = make_map_encoder(name, room)
     assert isinstance(reader, MapEncoder)
-    assert for_map(reader, room) is reader
-    vectors = vectors_of(made, room)
+    assert make_map_encoder(reader, room) is reader
+    vectors = encode_objects(made, room)
     assert vectors.shape == (len(room), made.dimension)
     lengths = np.linalg.norm(vectors, axis=1)
     np.testing.assert_allclose(lengths[lengths > 0], 1.0, atol=1e-5)
@@ -39,7 +39,7 @@ def test_encoders_by_name_read_a_map(name, room):
 def test_options_are_said_with_the_name():
     said = "labels weights='my file.pth' rotate=True temperature=0.5 name=a=b"
     options = {"weights": "my file.pth", "rotate": True, "temperature": 0.5, "name": "a=b"}
-    assert spoken(said) == ("labels", options)
+    assert parse_encoder(said) == ("labels", options)
     assert encoder("appearance").key == encoder("  appearance ").key
     for wrong in ("labels colour=1", "labels colour", "labels 'colour", ""):
         with pytest.raises(OptionError):
@@ -74,13 +74,13 @@ def test_a_bound_encoder_compares_all_patches_with_all_objects(room, walk):
     vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
     image = np.zeros((2, 3, 3), np.float32)
     image[0, 0], image[1, 2] = vectors[0], vectors[1]
-    said = bound(Fixed(image, vectors), room).encode(walk[0])
+    said = bind_encoder(Fixed(image, vectors), room).encode(walk[0])
     assert said.grid == (2, 3)
     assert said.rows[[1, 2, 3, 4]].tolist() == [-1] * 4
     assert said.temperature == 0.1
     np.testing.assert_allclose(said.table[said.rows[0]], vectors @ vectors[0], atol=1e-5)
     np.testing.assert_allclose(said.table[said.rows[5]], vectors @ vectors[1], atol=1e-5)
-    assert bound(Fixed(None, vectors), room).encode(walk[0]) is None
+    assert bind_encoder(Fixed(None, vectors), room).encode(walk[0]) is None
 
 
 @pytest.mark.parametrize(
@@ -88,20 +88,20 @@ def test_a_bound_encoder_compares_all_patches_with_all_objects(room, walk):
 )
 def test_patches_that_are_none(image, walk):
     with pytest.raises(OptionError, match="finite numbers belong"):
-        patches_of(Fixed(image.astype(np.float32)), walk[0])
+        encode_patches(Fixed(image.astype(np.float32)), walk[0])
 
 
 def test_vectors_of_the_map_come_first_and_those_of_others_are_refused(room):
     own = np.eye(len(room), 3)
     held = room.with_embeddings(own, encoder="fixed 1")
-    np.testing.assert_allclose(vectors_of(Fixed(), held), own, atol=0.01)
+    np.testing.assert_allclose(encode_objects(Fixed(), held), own, atol=0.01)
     other = room.with_embeddings(own, encoder="fixed 2")
     with pytest.raises(MapError, match=r"fixed 2.*fixed 1"):
-        vectors_of(Fixed(), other)
+        encode_objects(Fixed(), other)
     with pytest.raises(OptionError, match="captures"):
-        vectors_of(Fixed(), room)
+        encode_objects(Fixed(), room)
     with pytest.raises(OptionError, match="finite numbers belong"):
-        vectors_of(Fixed(vectors=np.full((len(room), 3), np.inf)), room)
+        encode_objects(Fixed(vectors=np.full((len(room), 3), np.inf)), room)
 
 
 @pytest.mark.parametrize(

@@ -7,14 +7,14 @@ from placegraph.core.geometry import Camera
 from placegraph.errors import OptionError
 from placegraph.indoor import encode
 from placegraph.indoor.build import scene_of_model
-from placegraph.indoor.encode import MapEncoder, Patches, bound
+from placegraph.indoor.encode import MapEncoder, Patches, bind_encoder
 from placegraph.indoor.encode.confusion import Confusion
 from placegraph.indoor.encode.labels import (
     GRID,
     ClassesOfInstances,
     InstancesEncoder,
     LabelsEncoder,
-    foreign,
+    explain_foreign_ids,
 )
 from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.io.capture.frame import Frame
@@ -42,7 +42,7 @@ def frame(names, row, kind="labels", camera=EIGHT):
 
 
 def cosines(encoder, scene, image):
-    patches = bound(encoder, scene).encode(image)
+    patches = bind_encoder(encoder, scene).encode(image)
     rows = patches.rows[:8]
     return np.where(rows[:, None] >= 0, patches.table[rows], np.nan)
 
@@ -60,7 +60,7 @@ def test_labels_are_all_objects_of_that_label(scene):
     merged = merge_scenes({"attic": scene, "cellar": scene})
     both = cosines(LabelsEncoder(FOUR), merged, image)
     assert np.flatnonzero(both[0] > 0.99).tolist() == [1, 3, 6, 8]
-    patches = bound(LabelsEncoder(FOUR), scene).encode(image)
+    patches = bind_encoder(LabelsEncoder(FOUR), scene).encode(image)
     assert (patches.camera, patches.grid) == (EIGHT, FOUR)
     assert len(patches.table) == 3  # patches of one label share a row
     assert patches.temperature == LabelsEncoder.temperature
@@ -91,11 +91,11 @@ def test_frames_that_say_nothing(scene):
     bare = Frame.from_arrays(np.zeros((90, 160, 3), np.uint8), CAMERA)
     assert LabelsEncoder().camera(bare) == CAMERA
     assert LabelsEncoder().patches(bare) is None
-    assert bound(LabelsEncoder(), scene).encode(frame({0: "unknown"}, [0] * 8)) is None
+    assert bind_encoder(LabelsEncoder(), scene).encode(frame({0: "unknown"}, [0] * 8)) is None
     image = frame({}, [0, 1, 2, 3, 4, 5, 6, 7], "instances")
     assert LabelsEncoder().patches(image) is None
     with pytest.raises(OptionError, match="ids of objects without names"):
-        bound(LabelsEncoder(), scene).encode(image)
+        bind_encoder(LabelsEncoder(), scene).encode(image)
     named = frame({3: "chair"}, [3] * 8, "instances")
     assert (LabelsEncoder().patches(named) @ LabelsEncoder().vector("chair") > 0.99).all()
 
@@ -238,7 +238,7 @@ def test_accuracy_rises_with_a_known_confusion(boxes, rng):
     )  # fmt: skip
 
     def believed(encoder):
-        patches = bound(encoder, scene).encode(image)
+        patches = bind_encoder(encoder, scene).encode(image)
         share = np.exp(patches.table[patches.rows] / patches.temperature)
         share /= share.sum(axis=1, keepdims=True)
         own = share[np.arange(4096), true]
@@ -312,9 +312,11 @@ def test_the_rendered_walk_says_what_is_there(room, walk):
 def test_ids_of_another_map_are_told(scene):
     own = frame(None, [0, 1, 2, 3, -1, -1, 1, 1], "instances")
     other = frame(None, [0, 10, 12, 13, 14, -1, 1, 1], "instances")
-    assert not foreign(scene, [own], 0.9)
-    said = foreign(scene, [own, other], 0.9)
+    assert not explain_foreign_ids(scene, [own], 0.9)
+    said = explain_foreign_ids(scene, [own, other], 0.9)
     assert "Of the 8 instance ids in the frames, 4 are no objects of this map (10, 12" in said
     assert "labels=None" in said
-    assert "may be another map's" in foreign(scene, [own], 0.1)  # numbers are alike everywhere
-    assert not foreign(scene, [frame({1: "a"}, [1] * 8)], 0.1)
+    assert "may be another map's" in explain_foreign_ids(
+        scene, [own], 0.1
+    )  # numbers are alike everywhere
+    assert not explain_foreign_ids(scene, [frame({1: "a"}, [1] * 8)], 0.1)

@@ -17,8 +17,8 @@ from placegraph.indoor.encode.networks import (
     DepthEstimator,
     Segmenter,
     depth_network,
-    labelled,
-    measured,
+    estimate_depth,
+    label_capture,
     segmenter,
 )
 from placegraph.indoor.options import Likelihood, PoseSearchOptions
@@ -71,7 +71,7 @@ def test_office_has_a_plant_and_a_sofa(network):
     assert isinstance(network, Segmenter)
     assert network.names == {i: name for i, name in enumerate(PASCAL) if name}
     assert len(PASCAL) == len(network.names) + 1 == 21
-    frames = labelled(open_capture(folder), network)
+    frames = label_capture(open_capture(folder), network)
     seen = {}
     for i in range(0, 370, 45):
         labels = frames[i].labels()
@@ -129,7 +129,7 @@ def test_bad_weights(content, tmp_path, monkeypatch):
 
 def test_labelled_is_lazy_and_remembers(capture):
     halves = Halves()
-    seen = labelled(capture, halves)
+    seen = label_capture(capture, halves)
     assert halves.asked == 0
     assert seen.label_kind == "labels"
     assert seen.label_names == seen[0].label_names == {3: "chair"}
@@ -236,7 +236,7 @@ def colours():
 
 def test_measured_is_lazy_and_remembers(colours):
     rule = Rule(lambda _: np.where(np.arange(16) < 8, 0.0, 3.0) * np.ones((12, 1)))
-    seen = measured(colours, rule)
+    seen = estimate_depth(colours, rule)
     assert rule.asked == 0
     assert seen.depth_camera == seen[0].depth_camera == colours.camera
     for _ in range(2):
@@ -255,18 +255,18 @@ def test_measured_is_lazy_and_remembers(colours):
 
 def test_what_is_refused(colours, capture, weights):
     with pytest.raises(OptionError, match="segmenter"):
-        labelled(capture, Halves((5, 5)))[0].labels()
+        label_capture(capture, Halves((5, 5)))[0].labels()
     with pytest.raises(InputError, match=r"mean\.json does not exist; say"):
         depth_network(weights)
     rule = Rule(lambda _: np.ones((5, 5)))
-    seen = measured(colours, rule)
+    seen = estimate_depth(colours, rule)
     with pytest.raises(OptionError, match="promised"):
         seen[0].depth()
     with pytest.raises(OptionError, match="depth of their own"):
-        measured(seen, rule)
+        estimate_depth(seen, rule)
     rule.metric = False
     with pytest.raises(OptionError, match="no scale"):
-        measured(colours, rule)
+        estimate_depth(colours, rule)
 
 
 def test_a_pose_by_a_network(room, walk, truth):
@@ -282,7 +282,7 @@ def test_a_pose_by_a_network(room, walk, truth):
     bare = Capture.from_frames([replace(f, depth_camera=None, label_camera=None) for f in walk])
     network = Rule(rule, (walk.depth_camera.width, walk.depth_camera.height))
     estimate = room.localize(
-        measured(bare, network), options=options, refine=RefineOptions(depth=False), seed=0
+        estimate_depth(bare, network), options=options, refine=RefineOptions(depth=False), seed=0
     )
     off = np.linalg.inv(truth(walk)[-1]) @ estimate.best.map_from_camera
     assert np.linalg.norm(off[:3, 3]) < 0.25

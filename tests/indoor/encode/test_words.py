@@ -12,13 +12,13 @@ from placegraph.indoor.encode.words import (
     DIMENSION,
     GROUP,
     KIN,
-    codes,
-    digest,
-    grown,
-    known,
-    spelled,
-    tree,
-    vector,
+    embed_label,
+    hash_tree,
+    is_known_label,
+    join_words,
+    load_tree,
+    make_codes,
+    parse_tree,
 )
 
 # names of what indoor data sets label, to see that the tree of things knows them
@@ -93,11 +93,11 @@ washing machine|window|windowsill|showcase|toilet brush|clothes dryer|hanging ca
 
 
 def cosine(a, b):
-    return float(vector(a) @ vector(b))
+    return float(embed_label(a) @ embed_label(b))
 
 
 def test_codes_are_orthogonal_or_cross_at_one_eighth():
-    all_ = codes()
+    all_ = make_codes()
     assert all_.shape == (2048, DIMENSION)
     cross = np.abs(all_ @ all_.T)
     assert np.allclose(np.diag(cross), 1)
@@ -152,7 +152,7 @@ def test_words_are_as_near_as_they_are_kin(low, high, pairs):
     ["", " ", "unknown", "Object", "other", "others", "12", "-", "otherfurniture", "UNLABELED"],
 )
 def test_what_says_nothing(label):
-    assert not vector(label).any()
+    assert not embed_label(label).any()
 
 
 @pytest.mark.parametrize(
@@ -162,23 +162,23 @@ def test_what_says_nothing(label):
 )
 def test_data_sets_are_known(labels, share):
     labels = [name for line in labels.split("\n") for name in line.split("|") if name]
-    strange = [label for label in labels if not known(label)]
+    strange = [label for label in labels if not is_known_label(label)]
     assert 1 - len(strange) / len(labels) >= share, strange
-    assert not any(map(known, ("refrigerater", "armchiar", "wardrob", "xylotron")))
+    assert not any(map(is_known_label, ("refrigerater", "armchiar", "wardrob", "xylotron")))
 
 
 def test_words_stand_in_one_place():
     text = importlib.resources.files("placegraph.indoor.encode").joinpath("data/things.txt")
     seen = Counter()
     for line in text.read_text("utf-8").splitlines():
-        seen.update({spelled(word) for word in line.partition("#")[0].split(",")} - {""})
+        seen.update({join_words(word) for word in line.partition("#")[0].split(",")} - {""})
     assert [word for word, count in seen.items() if count > 1] == []
-    assert len(tree().vectors) + DIMENSION <= len(codes())
-    assert len(digest()) == 8
+    assert len(load_tree().vectors) + DIMENSION <= len(make_codes())
+    assert len(hash_tree()) == 8
 
 
 def test_a_tree_of_ones_own():
-    got = grown("sea # a comment\n  boat, ship\n    tug\n\n  fish\nland\n  house\n")
+    got = parse_tree("sea # a comment\n  boat, ship\n    tug\n\n  fish\nland\n  house\n")
     rows = {"sea": 0, "boat": 1, "ship": 1, "tug": 2, "fish": 3, "land": 4, "house": 5}
     assert got.row_of == rows
     cosines = got.vectors @ got.vectors.T
@@ -187,20 +187,20 @@ def test_a_tree_of_ones_own():
     assert cosines[1, 2] == pytest.approx(KIN, abs=1e-5)
     assert cosines[0, 4] == 0
     assert abs(cosines[2, 5]) < 0.3
-    other = grown("sea\n  boat\n")
+    other = parse_tree("sea\n  boat\n")
     assert other.digest != got.digest
     assert (other.vectors[1] == got.vectors[1]).all()
 
 
 @given(st.text(max_size=30))
 def test_any_label_has_a_unit_vector_or_none(label):
-    got = vector(label)
+    got = embed_label(label)
     assert got.shape == (DIMENSION,)
     assert got.dtype == np.float32
     length = float(np.linalg.norm(got))
     assert length == 0 or length == pytest.approx(1, abs=1e-4)
-    assert (vector(label) == got).all()
-    assert (vector(f" {label.strip()} ") == got).all()
+    assert (embed_label(label) == got).all()
+    assert (embed_label(f" {label.strip()} ") == got).all()
 
 
 def test_a_group_is_nearer_than_the_rest():
@@ -209,13 +209,15 @@ def test_a_group_is_nearer_than_the_rest():
         "electronics": ["tv", "computer", "printer", "telephone"],
         "structure": ["wall", "floor", "ceiling", "stairs"],
     }
-    vectors = np.stack([vector(word) for words in groups.values() for word in words])
+    vectors = np.stack([embed_label(word) for words in groups.values() for word in words])
     alike = (vectors @ vectors.T).reshape(3, 4, 3, 4).swapaxes(1, 2)
     same = alike[range(3), range(3)][:, *np.triu_indices(4, 1)]
     assert np.mean(same) == pytest.approx(GROUP**2, abs=0.1)
     assert np.mean(alike[*np.triu_indices(3, 1)]) == pytest.approx(0, abs=0.05)
     assert np.mean([cosine(name, word) for name, of in groups.items() for word in of]) > 0.35
     # of the tree's words, few that are nothing of each other are alike
-    cross = np.abs(tree().vectors @ tree().vectors.T)[np.triu_indices(len(tree().vectors), 1)]
+    cross = np.abs(load_tree().vectors @ load_tree().vectors.T)[
+        np.triu_indices(len(load_tree().vectors), 1)
+    ]
     assert np.quantile(cross, 0.5) < 0.12
     assert np.quantile(cross, 0.9) < 0.25

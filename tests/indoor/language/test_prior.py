@@ -8,7 +8,7 @@ import pytest
 from placegraph.indoor.language import read
 from placegraph.indoor.language.prior import WRONG, evidence, prior, unused
 from placegraph.indoor.language.sight_kernels import look_around_for, look_for, turned, vote_rooms
-from placegraph.indoor.map.free_space import range_of
+from placegraph.indoor.map.free_space import decode_ranges
 from placegraph.indoor.map.map_kernels import AZIMUTHS, ELEVATIONS, STEP
 from placegraph.indoor.options import PoseSearchOptions
 
@@ -162,12 +162,12 @@ def test_compiled_code_does_as_plain_code():
     objects = rng.integers(0, 6, (4, ELEVATIONS, AZIMUTHS)).astype(np.uint16)
     ranges = rng.integers(0, 256, objects.shape).astype(np.uint8)
     slot = np.array([0, -1, 1, -1, -1, -1], np.int32)
-    level = np.tile(range_of(np.arange(256, dtype=np.uint8)), (ELEVATIONS, 1))
+    level = np.tile(decode_ranges(np.arange(256, dtype=np.uint8)), (ELEVATIONS, 1))
     near, at, cut = look_for(objects, ranges, slot, level, 2)
     weight, room = rng.uniform(size=6).astype(np.float32), np.array([0, 0, 1, -1, 1, -1], np.int32)
     profile = look_around_for(objects, ranges, weight, 1 / (1 + level))
     votes = vote_rooms(objects, ranges, room, np.exp(-level[0]), 2)
-    distance = range_of(ranges)
+    distance = decode_ranges(ranges)
     for k in range(4):
         for j, o in enumerate((0, 2)):
             mine = np.where(objects[k] == o, distance[k], np.inf)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from placegraph.core.geometry import Camera
-from placegraph.indoor.library import library, library_of
+from placegraph.indoor.library import library, make_library
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture
 from placegraph_lab.worlds.flat.flat import Flat
@@ -105,7 +105,7 @@ def rooms():
 
 @pytest.fixture(scope="session", autouse=True)
 def signatures_once():
-    known, real = {}, library.signature_of
+    known, real = {}, library.compute_signature
 
     def signature_of(scene, encoders, captures=(), height=None):
         arrays = (scene.graph.positions, scene.graph.embeddings, scene.mesh.vertices)
@@ -119,7 +119,7 @@ def signatures_once():
         return known[key]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(library, "signature_of", signature_of)
+        patch.setattr(library, "compute_signature", signature_of)
         yield
 
 
@@ -130,4 +130,4 @@ def maps(rooms):
 
 @pytest.fixture(scope="session")
 def by_labels(maps):
-    return library_of(maps, encoders="labels")
+    return make_library(maps, encoders="labels")

@@ -14,7 +14,7 @@ import placegraph as pg
 from placegraph.core.estimate import PoseEstimate, PoseMode, SceneEstimate, SceneMode, Status
 from placegraph.core.geo import Anchor
 from placegraph.errors import InputError, MapError, OptionError, PlacegraphError
-from placegraph.indoor.library import SceneLibrary, library_of, localize
+from placegraph.indoor.library import SceneLibrary, localize, make_library
 from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.pose.agreement import CONFIDENCE, Agreement
 from placegraph.indoor.status import Diagnostics, choose_scene
@@ -114,7 +114,7 @@ def test_what_cannot_be_saved(maps, tmp_path):
     with pytest.raises(OptionError, match="empty"):
         SceneLibrary("labels").save(tmp_path / "a.library")
     with pytest.raises(OptionError, match="map in memory"):
-        library_of({"study": maps["study"]}, encoders="labels").save(tmp_path / "a.library")
+        make_library({"study": maps["study"]}, encoders="labels").save(tmp_path / "a.library")
     assert not list(tmp_path.iterdir())
 
 
@@ -226,7 +226,7 @@ def test_poses_decide_where_the_search_is_wrong(maps, rooms, monkeypatch, status
         return SceneEstimate(status, modes[:most], "", 1.0 - known, {"seconds": {}})
 
     monkeypatch.setattr(SceneLibrary, "search", misled)
-    library = library_of(maps, encoders="appearance")
+    library = make_library(maps, encoders="appearance")
     film = rooms["study"].film(21, 8, depth=True, labels=None)
     estimate = library.localize(film, refine=False)
     assert (estimate.status, estimate.best.scene) == (Status.OK, "study")
@@ -234,7 +234,7 @@ def test_poses_decide_where_the_search_is_wrong(maps, rooms, monkeypatch, status
 
 def test_a_building_of_merged_rooms_is_a_scene_as_well(maps, rooms):
     merged = merge_scenes({name: maps[name] for name in ("parlour", "study")})
-    library = library_of({"house": merged, "bedroom": maps["bedroom"]}, encoders="labels")
+    library = make_library({"house": merged, "bedroom": maps["bedroom"]}, encoders="labels")
     estimate = library.localize(rooms["study"].film(21, 8, depth=True), refine=False)
     assert estimate.best.scene == "house/study"
     walk = rooms["study"].walk(21, 8)
@@ -243,8 +243,8 @@ def test_a_building_of_merged_rooms_is_a_scene_as_well(maps, rooms):
 
 def test_a_building_is_searched_by_its_parts(maps, rooms):
     merged = merge_scenes({name: maps[name] for name in ("parlour", "study")})
-    library = library_of({"house": merged, "bedroom": maps["bedroom"]}, encoders="labels")
-    single = library_of(maps, encoders="labels")
+    library = make_library({"house": merged, "bedroom": maps["bedroom"]}, encoders="labels")
+    single = make_library(maps, encoders="labels")
     film = rooms["study"].film(21, 12)
     assert library.search(film).best.scene == "house"
     whole, alone = library.search(film).best, single.search(film).best
@@ -254,7 +254,7 @@ def test_a_building_is_searched_by_its_parts(maps, rooms):
 
 
 def test_a_description_helps_to_find_the_scene(maps, rooms):
-    twins = library_of({"study": maps["study"], "parlour": maps["parlour"]}, encoders="labels")
+    twins = make_library({"study": maps["study"], "parlour": maps["parlour"]}, encoders="labels")
     film = rooms["study"].film(4, frames=2)
     plain = twins.search(film).best.probability
     told = twins.search(film, description="a room with two desks and a chair").best.probability
@@ -262,7 +262,7 @@ def test_a_description_helps_to_find_the_scene(maps, rooms):
 
 
 def test_where_no_scene_fits_no_pose_is_sure(maps, rooms):
-    library = library_of({"bedroom": maps["bedroom"]}, encoders="labels")
+    library = make_library({"bedroom": maps["bedroom"]}, encoders="labels")
     film = rooms["study"].film(21, 8)
     assert library.search(film).status is Status.LOST
     assert library.localize(film, refine=False).status is not Status.OK
@@ -286,7 +286,7 @@ def test_maps_localized_in_are_kept_until_a_scene_goes(maps, rooms, monkeypatch)
         return merge_scenes(scenes)
 
     monkeypatch.setattr(localize, "merge_scenes", counted)
-    library = library_of(maps, encoders="labels")
+    library = make_library(maps, encoders="labels")
     first, again = (library.localize(rooms["study"].film(21, 8), refine=False) for _ in range(2))
     assert merged == [("study",)]
     np.testing.assert_array_equal(again.best.map_from_camera, first.best.map_from_camera)
@@ -297,8 +297,10 @@ def test_maps_localized_in_are_kept_until_a_scene_goes(maps, rooms, monkeypatch)
 
 def test_one_of_two_identical_flats_is_never_sure(maps, rooms):
     film = rooms["study"].film(21, 8, depth=True)
-    twins = library_of({"here": maps["study"], "there": maps["study"]}, encoders="labels")
-    assert library_of({"here": maps["study"]}, encoders="labels").localize(film).status is Status.OK
+    twins = make_library({"here": maps["study"], "there": maps["study"]}, encoders="labels")
+    assert (
+        make_library({"here": maps["study"]}, encoders="labels").localize(film).status is Status.OK
+    )
     estimate = twins.localize(film)
     assert estimate.status is Status.AMBIGUOUS
     assert "another fits nearly as well" in estimate.reason

@@ -7,7 +7,7 @@ import pytest
 
 from placegraph.core.estimate import Status
 from placegraph.errors import MapError, OptionError
-from placegraph.indoor.library import library_of
+from placegraph.indoor.library import make_library
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -43,7 +43,7 @@ def test_a_saved_pose_knows_its_map(rooms, by_labels, tmp_path):
     again = type(live).load(tmp_path / "robot.track", by_labels, background=False)
     assert again.pose().scene == pose.scene == "bedroom"
     assert again.step(film[6]).status is Status.OK
-    other = library_of({"study": rooms["study"].scene}, encoders="labels")
+    other = make_library({"study": rooms["study"].scene}, encoders="labels")
     with pytest.raises(MapError, match="bedroom"):
         type(live).load(tmp_path / "robot.track", other)
     with pytest.raises(OptionError, match="name one of parlour"):

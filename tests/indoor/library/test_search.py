@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from placegraph.core.estimate import Status
 from placegraph.errors import OptionError
-from placegraph.indoor.library import SceneLibrary, SearchOptions, library_of, search
+from placegraph.indoor.library import SceneLibrary, SearchOptions, make_library, search
 from placegraph.indoor.library.search import WORDS, cluster_vectors, encode_frames, score_scenes
-from placegraph.indoor.library.signature import distinct
+from placegraph.indoor.library.signature import find_distinct
 from placegraph.io.capture.frame import Frame
 from placegraph_lab.worlds.home.change import changed
 from placegraph_lab.worlds.home.home import scene_of
@@ -43,7 +43,7 @@ def test_a_room_is_found_when_things_have_moved(by_labels, rooms):
 
 
 def test_two_of_the_same_room_are_ambiguous(maps, rooms):
-    twins = library_of({"here": maps["study"], "there": maps["study"]}, encoders="labels")
+    twins = make_library({"here": maps["study"], "there": maps["study"]}, encoders="labels")
     estimate = twins.search(rooms["study"].film(3))
     assert estimate.status is Status.AMBIGUOUS
     assert estimate.modes[0].probability == pytest.approx(estimate.modes[1].probability)
@@ -57,16 +57,16 @@ def test_a_room_that_is_not_there_is_not_found(maps, rooms, missing, seed):
     others = {n: m for n, m in maps.items() if n != missing}
     film = rooms[missing].film(seed, frames=8)
     for encoders in ("labels", ("labels", "appearance")):
-        estimate = library_of(others, encoders=encoders).search(film)
+        estimate = make_library(others, encoders=encoders).search(film)
         assert estimate.status is not Status.OK
-    alone = library_of({n: others[n] for n in list(others)[:1]}, encoders="labels")
+    alone = make_library({n: others[n] for n in list(others)[:1]}, encoders="labels")
     estimate = alone.search(film)
     assert estimate.status is Status.LOST
     assert estimate.elsewhere > estimate.best.probability
 
 
 def test_blank_images_are_of_nowhere(maps, rooms):
-    library = library_of(maps, encoders="appearance")
+    library = make_library(maps, encoders="appearance")
     rng = np.random.default_rng(0)
     frame = rooms["study"].film(3, frames=1, labels=None)[0]
     for image in (np.zeros((72, 96, 3)), rng.integers(0, 256, (72, 96, 3))):
@@ -97,7 +97,7 @@ def test_a_thing_taken_for_another_in_every_frame_is_one_witness(by_labels, room
         "bathtub" if n == "wardrobe" else n for n in maps["bedroom"].graph.labels
     ))  # fmt: skip
     maps["bedroom"] = replace(maps["bedroom"], graph=named)
-    assert library_of(maps, encoders="labels").search(called).best.scene == "study"
+    assert make_library(maps, encoders="labels").search(called).best.scene == "study"
 
 
 def test_the_same_question_has_the_same_answer(by_labels, rooms):
@@ -118,7 +118,7 @@ def test_frames_may_be_chosen(by_labels, rooms):
 def test_a_capture_without_labels_asks_by_appearance(maps, rooms):
     film = rooms["study"].film(4, labels=None)
     with pytest.raises(OptionError, match="nothing for labels"):
-        library_of(maps, encoders="labels").search(film)
+        make_library(maps, encoders="labels").search(film)
 
 
 def test_an_empty_library_says_so(rooms):
@@ -131,7 +131,14 @@ def test_an_empty_library_says_so(rooms):
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"method": "votes"}, {"wrong": 1.0}, {"looks": 0}, {"finalists": 0}, {"witnesses": 0}]
+    "wrong",
+    [
+        {"method": "votes"},
+        {"wrong": 1.0},
+        {"max_frames": 0},
+        {"finalists": 0},
+        {"patches_per_frame": 0},
+    ],
 )
 def test_options_out_of_range(wrong):
     with pytest.raises(OptionError, match=next(iter(wrong))):
@@ -143,7 +150,7 @@ def test_options_out_of_range(wrong):
 
 @pytest.mark.parametrize("name", ["labels", "appearance"])
 def test_the_papers_sum_is_the_papers_sum(maps, rooms, name):
-    library = library_of(maps, encoders=name)
+    library = make_library(maps, encoders=name)
     (encoder,), film = library.encoders, list(rooms["parlour"].film(6, frames=10))
     wanted = np.zeros(3)
     for frame in film:
@@ -181,7 +188,7 @@ def test_words_stand_for_their_vectors(count, kinds, seed):
     assert len(words) <= WORDS
     if len(np.unique(row)) <= WORDS:
         np.testing.assert_array_equal(words[word], table[row])
-    first, code = distinct(table[row])
+    first, code = find_distinct(table[row])
     np.testing.assert_array_equal(table[row][first][code], table[row])
 
 
@@ -190,7 +197,7 @@ def test_where_things_stand_tells_rooms_of_the_same_things_apart(rooms):
     flat = replace(study.flat, rows=tuple(row[::-1] for row in study.flat.rows))
     interior = flat.furnish(np.random.default_rng(1))
     mirror = replace(study, flat=flat, interior=interior, scene=scene_of(interior))
-    library = library_of({"study": study.scene, "mirror": mirror.scene}, encoders="labels")
+    library = make_library({"study": study.scene, "mirror": mirror.scene}, encoders="labels")
     for name, room in (("study", study), ("mirror", mirror)):
         film = room.film(11, frames=10)
         assert library.search(film).best.scene == name

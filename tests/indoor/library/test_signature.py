@@ -8,13 +8,13 @@ from hypothesis import strategies as st
 from placegraph.errors import OptionError
 from placegraph.indoor.encode import encoder
 from placegraph.indoor.library.signature import (
-    APART,
     BANDS,
+    MIN_PLACE_DISTANCE,
     TURNS,
-    coarse,
-    decoys,
-    far_apart,
-    signature_of,
+    choose_distant,
+    coarsen_panoramas,
+    compute_signature,
+    load_decoys,
 )
 from placegraph.indoor.map.map_kernels import AZIMUTHS, ELEVATIONS
 
@@ -23,7 +23,7 @@ LABELS = encoder("labels")
 
 def test_a_signature_tells_what_is_seen_where(maps):
     scene = maps["study"]
-    signature = signature_of(scene, [LABELS])
+    signature = compute_signature(scene, [LABELS])
     assert signature.panoramas.shape == (len(signature.places), BANDS, TURNS)
     assert signature.share.sum() == pytest.approx(1.0, abs=1e-5)
     labels = np.array([*scene.graph.labels, ""])
@@ -39,28 +39,28 @@ def test_a_signature_tells_what_is_seen_where(maps):
 
 
 def test_places_are_apart(maps):
-    places = signature_of(maps["parlour"], [LABELS]).places
+    places = compute_signature(maps["parlour"], [LABELS]).places
     gaps = np.linalg.norm(places[:, None] - places[None], axis=2) + 1e3 * np.eye(len(places))
-    assert gaps.min() >= APART - 0.01
+    assert gaps.min() >= MIN_PLACE_DISTANCE - 0.01
     assert len(places) > 3
 
 
 @given(st.integers(1, 60), st.integers(1, 12), st.integers(0, 2**32 - 1))
 def test_far_apart_rows_are_apart_and_cover(count, most, seed):
     points = np.random.default_rng(seed).uniform(0, 6, (count, 2))
-    rows = far_apart(points, most)
+    rows = choose_distant(points, most)
     assert len(set(rows.tolist())) == len(rows) <= most
     away = np.linalg.norm(points[:, None] - points[rows][None], axis=2)
     if len(rows) < min(most, count):
-        assert away.min(axis=1).max() < APART
+        assert away.min(axis=1).max() < MIN_PLACE_DISTANCE
     between = np.linalg.norm(points[rows][:, None] - points[rows][None], axis=2)
-    assert (between + 9.0 * np.eye(len(rows)) >= APART - 1e-9).all()
+    assert (between + 9.0 * np.eye(len(rows)) >= MIN_PLACE_DISTANCE - 1e-9).all()
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 9))
 def test_a_coarse_bin_is_what_most_rays_hit(seed, count):
     objects = np.random.default_rng(seed).integers(0, count + 1, (2, ELEVATIONS, AZIMUTHS))
-    bins = coarse(objects.astype(np.uint16), count)
+    bins = coarsen_panoramas(objects.astype(np.uint16), count)
     wide, high = AZIMUTHS // TURNS, ELEVATIONS // BANDS
     for turn, band in ((0, 0), (5, BANDS - 1), (TURNS - 1, 1)):
         azimuths = (np.arange(wide) - wide // 2 + turn * wide) % AZIMUTHS
@@ -75,13 +75,13 @@ def test_scenes_that_say_nothing_are_refused(maps):
     scene = maps["study"]
     nameless = replace(scene, graph=replace(scene.graph, labels=("object",) * len(scene)))
     with pytest.raises(OptionError, match=r"none of its .* says anything to labels"):
-        signature_of(nameless, [LABELS])
+        compute_signature(nameless, [LABELS])
 
 
 @pytest.mark.parametrize("name", ["labels", "appearance"])
 def test_homes_have_vectors_of_the_encoders_as_they_are(name):
     made = encoder(name)
-    homes = decoys([made])
+    homes = load_decoys([made])
     assert len(homes) >= 24
     vectors = np.concatenate([h.vectors[made.key] for h in homes])
     assert vectors.shape[1] == made.dimension
@@ -92,6 +92,6 @@ def test_homes_say_nothing_to_encoders_they_do_not_know():
     class Other:
         name, key, dimension, temperature = "other", "other 1", 5, 0.1
 
-    homes = decoys([encoder("labels"), Other()])
+    homes = load_decoys([encoder("labels"), Other()])
     assert all(h.vectors["other 1"].shape == (len(h), 5) for h in homes)
     assert not any(h.vectors["other 1"].any() for h in homes)

@@ -11,7 +11,7 @@ from placegraph.core.geometry import Camera, level_from_camera
 from placegraph.indoor.encode import Patches
 from placegraph.indoor.likelihood.observe import Background, sight, views
 from placegraph.indoor.likelihood.score import model_of
-from placegraph.indoor.map.map_kernels import opponent
+from placegraph.indoor.map.map_kernels import opponent_colour
 from placegraph.indoor.options import Likelihood, PoseSearchOptions
 from placegraph.io.capture.frame import Frame
 
@@ -397,7 +397,7 @@ def test_colours_are_means_of_cells():
     for r in np.flatnonzero(view.patch >= 0):
         x, y = (uv[r] // 10).astype(int)
         mean = rgb[10 * y : 10 * y + 10, 10 * x : 10 * x + 10].mean(axis=(0, 1)) / 255
-        expected = opponent(*mean.astype(np.float32))
+        expected = opponent_colour(*mean.astype(np.float32))
         np.testing.assert_allclose(view.colour[r], expected, atol=0.02)
     assert np.ptp(view.colour[:, 1]) > 0.05
 

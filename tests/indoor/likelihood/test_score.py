@@ -20,11 +20,11 @@ from placegraph.indoor.likelihood.score_kernels import (
     look,
     score_poses,
 )
-from placegraph.indoor.map.map_kernels import colour_at, opponent
+from placegraph.indoor.map.map_kernels import opponent_colour, sample_colour
 from placegraph.indoor.map.mesh import Mesh, Surface
 from placegraph.indoor.options import Likelihood, PoseSearchOptions
 from placegraph.indoor.rays import RayCaster
-from placegraph.indoor.rays.embree import obstacle
+from placegraph.indoor.rays.embree import explain_unavailable
 
 CALIBRATED = model_of(Likelihood()).noise
 PAPER = model_of(Likelihood(kind="gaussian")).noise
@@ -33,7 +33,7 @@ MODELS = pytest.mark.parametrize("model", [CALIBRATED, PAPER], ids=["calibrated"
 
 @pytest.fixture(params=["embree", "bvh"])
 def backend(request):
-    if request.param == "embree" and (reason := obstacle()):
+    if request.param == "embree" and (reason := explain_unavailable()):
         pytest.skip(reason)
     return request.param
 
@@ -97,7 +97,9 @@ def colours_shown(hits, surface, view, used):
     shown = np.full((len(used), 3), np.nan)
     for r in np.flatnonzero(used & (hits.triangle >= 0)):
         footprint = np.float32(hits.distance[r] * view.footprint)
-        shown[r] = opponent(*colour_at(surface, hits.triangle[r], hits.u[r], hits.v[r], footprint))
+        shown[r] = opponent_colour(
+            *sample_colour(surface, hits.triangle[r], hits.u[r], hits.v[r], footprint)
+        )
     return shown
 
 
@@ -187,7 +189,9 @@ def seen_by_itself(caster, surface, pose, view):
     colour = np.zeros_like(view.colour)
     for r in np.flatnonzero(hit):
         footprint = np.float32(hits.distance[r] * view.footprint)
-        colour[r] = opponent(*colour_at(surface, hits.triangle[r], hits.u[r], hits.v[r], footprint))
+        colour[r] = opponent_colour(
+            *sample_colour(surface, hits.triangle[r], hits.u[r], hits.v[r], footprint)
+        )
     return view._replace(depth=np.where(hit, hits.distance, 0).astype(np.float32), colour=colour)
 
 

@@ -12,14 +12,14 @@ from placegraph.indoor.likelihood.observe import View, sight, views
 from placegraph.indoor.likelihood.score import TEMPERATURE, model_of
 from placegraph.indoor.likelihood.visibility import build_table, floor_under
 from placegraph.indoor.map import free_space as free
-from placegraph.indoor.map.free_space import HIGHEST, range_of
+from placegraph.indoor.map.free_space import MAX_ELEVATION, decode_ranges
 from placegraph.indoor.map.map_kernels import (
     AZIMUTHS,
     ELEVATIONS,
     HEADINGS,
     STEP,
-    colour_at,
-    opponent,
+    opponent_colour,
+    sample_colour,
 )
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.mapping.merge import merge_scenes
@@ -32,7 +32,7 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 OPTIONS = PoseSearchOptions(heights=STANDING, spacing=0.25)
 """One layer; `FilterOptions()` has several."""
 NOISE = model_of(Likelihood()).noise
-ELEVATION = ((np.arange(ELEVATIONS) + 0.5) / ELEVATIONS * 2 - 1) * HIGHEST
+ELEVATION = ((np.arange(ELEVATIONS) + 0.5) / ELEVATIONS * 2 - 1) * MAX_ELEVATION
 HALL = {
     "floor": ((0, 0, -0.1), (8, 6, 0)),
     "wall west": ((-0.2, 0, 0), (0, 6, 3)),
@@ -68,8 +68,8 @@ def panorama(scene, position):
     colours = np.full((len(hits.triangle), 3), np.nan)
     for r in np.flatnonzero(hits.triangle >= 0):
         footprint = np.float32(hits.distance[r] * STEP)
-        seen = colour_at(scene.surface, hits.triangle[r], hits.u[r], hits.v[r], footprint)
-        colours[r] = opponent(*seen)
+        seen = sample_colour(scene.surface, hits.triangle[r], hits.u[r], hits.v[r], footprint)
+        colours[r] = opponent_colour(*seen)
     shape = (ELEVATIONS, AZIMUTHS)
     return objects.reshape(shape), hits.distance.reshape(shape), colours.reshape(*shape, 3)
 
@@ -78,13 +78,13 @@ def panorama(scene, position):
 def test_panoramas_are_what_rays_hit(place, request, rng):
     scene = request.getfixturevalue(place)
     table = scene.visibility(OPTIONS)
-    low, high = (opponent(*np.float32(c)) for c in ((0, 0, 0), (1, 1, 1)))
+    low, high = (opponent_colour(*np.float32(c)) for c in ((0, 0, 0), (1, 1, 1)))
     missed = 0
     for k in rng.choice(len(table), 6, replace=False):
         objects, ranges, colours = panorama(scene, table.positions[k])
         same = table.panoramas.objects[k] == objects
         assert same.mean() > 0.98  # rays along edges go either way
-        got = range_of(table.panoramas.ranges[k])[same]
+        got = decode_ranges(table.panoramas.ranges[k])[same]
         np.testing.assert_array_equal(np.isinf(got), np.isinf(ranges[same]))
         there = np.isfinite(got)
         ratio = got[there] / np.clip(ranges[same][there], 0.1, 30.0)
@@ -101,7 +101,7 @@ def test_panoramas_are_what_rays_hit(place, request, rng):
 
 
 def test_stored_ranges_are_steps_of_a_logarithm():
-    ranges = range_of(np.arange(256, dtype=np.uint8))
+    ranges = decode_ranges(np.arange(256, dtype=np.uint8))
     assert ranges[0] == pytest.approx(0.1)
     assert ranges[254] == pytest.approx(30.0)
     assert np.isinf(ranges[255])
@@ -217,9 +217,9 @@ def test_one_layer_serves_heights_near_each_other(hall):
         z = np.unique(table.positions[:, 2].round(6))
         assert len(z) == table.index.shape[0]
         for height in heights:
-            assert np.abs(z - height).min() <= free.GAP / 2 + 1e-6
+            assert np.abs(z - height).min() <= free.LAYER_GAP / 2 + 1e-6
         assert min(heights) - 1e-9 <= z.min() <= z.max() <= max(heights) + 1e-9
-        assert (np.diff(z) <= free.GAP + 1e-6).all()
+        assert (np.diff(z) <= free.LAYER_GAP + 1e-6).all()
         for layer, height in enumerate(z):
             assert (table.positions[table.layer == layer, 2].round(6) == height).all()
     # one above the cupboard looks over it
@@ -228,11 +228,11 @@ def test_one_layer_serves_heights_near_each_other(hall):
 
 
 def test_large_maps_get_a_wider_grid(hall, monkeypatch):
-    monkeypatch.setattr(free, "MOST", 100)
+    monkeypatch.setattr(free, "MAX_PLACES", 100)
     table = build_table(hall, OPTIONS)
     assert table.spacing > 0.6
     assert 20 < len(table) <= 100
-    monkeypatch.setattr(free, "MOST", 100_000)
+    monkeypatch.setattr(free, "MAX_PLACES", 100_000)
     assert build_table(hall, OPTIONS).spacing == OPTIONS.spacing
 
 
@@ -300,7 +300,7 @@ def test_floors_of_merged_scenes(merged):
 
 def test_nobody_stands_between_merged_scenes(merged):
     at = build_table(merged, replace(OPTIONS, spacing=0.5)).positions
-    near = (inside(at, *box, margin=free.BEYOND + 0.5) for box in merged.scene_bounds)
+    near = (inside(at, *box, margin=free.SEARCH_MARGIN + 0.5) for box in merged.scene_bounds)
     assert np.logical_or(*near).all()
 
 
@@ -329,13 +329,13 @@ def some_view(rng, objects, terms, gravity=(0.05, 1, 0.1)):
 def slow_scan(table, view, k, a, turn=0.0):
     """What one view, turned, says of position k and heading a: each sample looks into its bin."""
     used = np.flatnonzero(view.patch >= 0)
-    used = [r for r in used if abs(_elevation(view.directions[r])) < HIGHEST]
+    used = [r for r in used if abs(_elevation(view.directions[r])) < MAX_ELEVATION]
     shares = np.bincount(view.patch[used], minlength=len(view.weight))
     total, seen, shown = 0.0, [], []
-    ranges = range_of(np.arange(256, dtype=np.uint8))
+    ranges = decode_ranges(np.arange(256, dtype=np.uint8))
     for r in used:
         ray = view.directions[r].astype(float)
-        e = int((_elevation(ray) / HIGHEST + 1) / 2 * ELEVATIONS)
+        e = int((_elevation(ray) / MAX_ELEVATION + 1) / 2 * ELEVATIONS)
         b = (
             round((math.atan2(ray[1], ray[0]) + turn) / STEP) + a * AZIMUTHS // HEADINGS
         ) % AZIMUTHS

@@ -7,12 +7,12 @@ import pytest
 
 from placegraph.indoor.build import scene_of_model
 from placegraph.indoor.map.floor import (
-    floor_height,
+    find_floor_height,
     is_floor,
-    label_words,
-    nameless,
-    same_label,
-    structure,
+    is_nameless,
+    is_structural,
+    labels_agree,
+    split_label,
 )
 from placegraph.indoor.map.mesh import Mesh
 
@@ -26,7 +26,7 @@ ROOM = {
 
 def height(model):
     mesh = Mesh.plain(model.vertices, model.triangles, model.thing_of)
-    return floor_height(mesh, [t.label for t in model.things])
+    return find_floor_height(mesh, [t.label for t in model.things])
 
 
 @pytest.mark.parametrize("label", ["slab", "floor", "Floor", "kitchen_floor", "ground"])
@@ -42,7 +42,7 @@ def test_a_floor_that_looks_down():
     for triangles in (down, down[:, ::-1]):
         for label in ("thing", "floor"):
             mesh = Mesh.plain(points, triangles, [0, 0, 1, 1])
-            assert floor_height(mesh, [label, "thing"]) == 0.5
+            assert find_floor_height(mesh, [label, "thing"]) == 0.5
 
 
 def test_a_label_wins_over_a_larger_surface(boxes):
@@ -55,8 +55,8 @@ def test_a_floor_that_stands_upright_tells_no_height(boxes):
     assert height(boxes(standing)) == pytest.approx(0.1, abs=1e-6)
     assert height(boxes({"floor": standing["floor"]})) is None
     corners = np.array([[-500, -500, 2], [500, -500, 2], [0, 900, 2]])  # one giant triangle
-    assert floor_height(Mesh.plain(corners, [[0, 1, 2]]), ["x"]) == 2.0
-    assert floor_height(Mesh.plain(corners[:, [0, 2, 1]], [[0, 1, 2]]), ["x"]) is None
+    assert find_floor_height(Mesh.plain(corners, [[0, 1, 2]]), ["x"]) == 2.0
+    assert find_floor_height(Mesh.plain(corners[:, [0, 2, 1]], [[0, 1, 2]]), ["x"]) is None
 
 
 def test_furniture_alone_is_no_floor(boxes):
@@ -81,7 +81,9 @@ def test_scans_are_noisy_and_reach_below_the_floor(rng):
             np.stack([corner, corner + 61, corner + 1], 1),
         ]
     )
-    assert floor_height(Mesh.plain(points, triangles), ["unknown"]) == pytest.approx(1.0, abs=0.02)
+    assert find_floor_height(Mesh.plain(points, triangles), ["unknown"]) == pytest.approx(
+        1.0, abs=0.02
+    )
 
 
 @pytest.mark.parametrize(
@@ -93,13 +95,13 @@ def test_scans_are_noisy_and_reach_below_the_floor(rng):
     ],
 )  # fmt: skip
 def test_words_of_labels(label, words):
-    assert label_words(label) == words
+    assert split_label(label) == words
 
 
 def test_the_last_word_says_what_is_built_in():
     assert all(map(is_floor, ["floor", "Floor", "LivingRoomFloor", "wet floor 2"]))
     assert not any(map(is_floor, ["floor lamp", "floorboard", "", "FloorMat"]))
-    built_in = structure(["HouseWall", "wall clock", "floor", "", "RoomWindow"])
+    built_in = is_structural(["HouseWall", "wall clock", "floor", "", "RoomWindow"])
     assert built_in.tolist() == [True, False, True, False, True]
 
 
@@ -111,10 +113,10 @@ def test_the_shared_house(house):
 
 @pytest.mark.parametrize("label", ["", "unknown", "Object", "object 3", "17", "Mesh_01", "none"])
 def test_words_that_name_nothing(label):
-    assert nameless(label)
-    assert same_label(label, "chair")
-    assert same_label("chair", label)
+    assert is_nameless(label)
+    assert labels_agree(label, "chair")
+    assert labels_agree("chair", label)
     for word in ("chair", "unknown chair", "other furniture", "椅子"):
-        assert not nameless(word)
-        assert same_label(word, word.upper())
-        assert not same_label(word, "lamp")
+        assert not is_nameless(word)
+        assert labels_agree(word, word.upper())
+        assert not labels_agree(word, "lamp")

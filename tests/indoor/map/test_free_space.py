@@ -14,10 +14,10 @@ from placegraph.errors import MapError
 from placegraph.indoor.build import scene_of_model
 from placegraph.indoor.likelihood.visibility import build_table
 from placegraph.indoor.map import free_space as free
-from placegraph.indoor.map.floor import storeys
-from placegraph.indoor.map.free_space import BEYOND, nearest_scene
-from placegraph.indoor.map.scene import MOST_LANDMARKS, WIDTH
-from placegraph.indoor.map.scene_file import VIEWPOINTS, columns, near_box, save_scene
+from placegraph.indoor.map.floor import find_storeys
+from placegraph.indoor.map.free_space import SEARCH_MARGIN, find_nearest_scene
+from placegraph.indoor.map.scene import DESCRIPTOR_SIZE, MAX_LANDMARKS
+from placegraph.indoor.map.scene_file import MAX_VIEWPOINTS, is_near_box, pack_scene, save_scene
 from placegraph.indoor.mapping.from_capture import thin_points
 from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.options import FilterOptions
@@ -51,18 +51,18 @@ def stacked(room, flat):
 
 
 def test_storeys_are_floors_with_rooms_above(room, flat, stacked, boxes):
-    below, above = storeys(stacked, 0)
+    below, above = find_storeys(stacked, 0)
     assert below == room.floors[0]
     assert above == pytest.approx(flat.floors[0] + SHIFT[2], abs=0.02)
-    assert len(storeys(room, 0)) == 1, "a roof is no storey"
+    assert len(find_storeys(room, 0)) == 1, "a roof is no storey"
     vertices = stacked.mesh.vertices.copy()
     vertices[-200:, 2] += 1e9  # heights that are none take no memory by them
     tracemalloc.start()
-    storeys(replace(stacked, mesh=replace(stacked.mesh, vertices=vertices)), 0)
+    find_storeys(replace(stacked, mesh=replace(stacked.mesh, vertices=vertices)), 0)
     assert tracemalloc.get_traced_memory()[1] < 100e6
     tracemalloc.stop()
     shelves = {f"shelf {i}": ((0, i, 2.2), (5, i + 0.3, 2.25)) for i in range(3)}
-    assert len(storeys(scene_of_model(boxes(STAGE | shelves)), 0)) == 1
+    assert len(find_storeys(scene_of_model(boxes(STAGE | shelves)), 0)) == 1
 
 
 def test_a_camera_upstairs_is_a_level_up_and_in_a_room_there(stacked, flat):
@@ -94,7 +94,7 @@ def test_places_beside_an_open_side_look_in(closed, boxes, monkeypatch):
     at = scene.visibility(FilterOptions()).positions
     beside = at[at[:, 0] > 5.3]
     assert bool(len(beside)) is not closed
-    assert (at[:, 0] < 5.2 + BEYOND).all()
+    assert (at[:, 0] < 5.2 + SEARCH_MARGIN).all()
     assert not ((np.abs(at[:, 1] - 2.0) > 2.2) & (at[:, 0] < 4.0)).any()
     assert at[:, 0].min() > 0
     low = at[at[:, 2] < 0.5]
@@ -115,7 +115,7 @@ def test_cameras_are_looked_for_where_the_maps_own_were(room, tmp_path):
     assert (table.layer[table.usual] == 0).all()
     save_scene(scene, tmp_path / "it.scene")
     np.testing.assert_allclose(SceneMap.open(tmp_path / "it.scene").viewpoints, seen, atol=0.0051)
-    assert "viewpoints" not in columns(room)[1], "a mesh has none; nor have older files"
+    assert "viewpoints" not in pack_scene(room)[1], "a mesh has none; nor have older files"
     moved = merge_scenes({"a": room, "b": scene})
     shift = np.linalg.inv(moved.scene_from_map[1])[:3, 3]
     np.testing.assert_allclose(moved.viewpoints, seen + shift)
@@ -125,7 +125,7 @@ def test_beside_a_walked_scene_cameras_are_held_as_usual(room):
     seen = np.array([[3.0, 3.0, 0.61 + room.floors[0]]])
     both = merge_scenes({"mesh": room, "walked": replace(room, viewpoints=seen)})
     table = both.visibility(FilterOptions())
-    within = nearest_scene(both, table.positions[:, :2])[0]
+    within = find_nearest_scene(both, table.positions[:, :2])[0]
     above = table.positions[:, 2] - table.ground
     assert (table.layer[table.usual & (within == 1)] == 0).all()
     mesh = within == 0
@@ -137,20 +137,20 @@ def test_beside_a_walked_scene_cameras_are_held_as_usual(room):
     ("forged", "says"),
     [
         ({"viewpoints": np.full((1, 3), np.iinfo(np.int32).max, np.int32)}, "outside the mesh"),
-        ({"viewpoints": np.full((VIEWPOINTS + 1, 3), 100, np.int32)}, "at most 300"),
+        ({"viewpoints": np.full((MAX_VIEWPOINTS + 1, 3), 100, np.int32)}, "at most 300"),
         ({"landmark_points": np.zeros((1, 3), np.int32)}, "landmark_vectors"),
-        ({"landmark_vectors": np.zeros((1, WIDTH), np.int8)}, "landmark_points"),
+        ({"landmark_vectors": np.zeros((1, DESCRIPTOR_SIZE), np.int8)}, "landmark_points"),
         (
             {
-                "landmark_points": np.zeros((MOST_LANDMARKS + 1, 3), np.int32),
-                "landmark_vectors": np.zeros((MOST_LANDMARKS + 1, WIDTH), np.int8),
+                "landmark_points": np.zeros((MAX_LANDMARKS + 1, 3), np.int32),
+                "landmark_vectors": np.zeros((MAX_LANDMARKS + 1, DESCRIPTOR_SIZE), np.int8),
             },
             "at most 20,000",
         ),
     ],
 )
 def test_absurd_viewpoints_and_landmarks_are_refused(forged, says, room, tmp_path):
-    meta, arrays = columns(room)
+    meta, arrays = pack_scene(room)
     write_map(tmp_path / "it.scene", "scene", 2, meta, arrays | forged)
     with pytest.raises(MapError, match=says):
         SceneMap.open(tmp_path / "it.scene")
@@ -159,10 +159,10 @@ def test_absurd_viewpoints_and_landmarks_are_refused(forged, says, room, tmp_pat
 def test_viewpoints_are_few_and_everywhere(rng):
     points = rng.uniform(0, 10, (5000, 3))
     got = thin_points(points)
-    assert VIEWPOINTS / 3 < len(got) <= VIEWPOINTS
+    assert MAX_VIEWPOINTS / 3 < len(got) <= MAX_VIEWPOINTS
     nearest = np.linalg.norm(points[:, None] - got[None], axis=2).min(axis=1)
     assert nearest.max() < 4.0
     points_near = np.array([[0.5, 0.5, 0.5], [10.9, 0, 0], [11.1, 0, 0], [0, 0, -10.1]])
     box = np.array([[0.0] * 3, [1.0] * 3])
-    assert near_box(points_near, box).tolist() == [True, True, False, False]
+    assert is_near_box(points_near, box).tolist() == [True, True, False, False]
     np.testing.assert_allclose(thin_points(points[:1].repeat(9, axis=0)), points[:1], atol=0.005)

@@ -11,16 +11,16 @@ from hypothesis.extra import numpy as arrays
 
 from placegraph.core.mapfile import compress_array
 from placegraph.errors import OptionError
-from placegraph.indoor.map.map_kernels import colour_at
+from placegraph.indoor.map.map_kernels import sample_colour
 from placegraph.indoor.map.mesh import (
     GRAIN,
     UV_GRAIN,
     WHITE,
     Mesh,
     Surface,
-    from_high_water,
-    high_water,
-    ordered,
+    decode_high_water,
+    encode_high_water,
+    sort_triangles,
 )
 
 SQUARE = [[0, 0, 0], [2, 0, 0], [2, 1, 0], [0, 1, 0]]
@@ -174,7 +174,7 @@ soups = st.integers(0, 60).flatmap(
 @given(soups, st.integers(0, 2**32 - 1))
 def test_the_surface_is_the_same_and_numbers_are_dense(rows, seed):
     triangles = np.array(rows[: len(rows) // 3 * 3], np.int32).reshape(-1, 3)
-    back = from_high_water(high_water(triangles))
+    back = decode_high_water(encode_high_water(triangles))
     np.testing.assert_array_equal(back, triangles)
     assert back.dtype == np.int32
     rng = np.random.default_rng(seed)
@@ -183,7 +183,7 @@ def test_the_surface_is_the_same_and_numbers_are_dense(rows, seed):
         rng.normal(size=(count, 3)), triangles, rng.integers(0, 4, len(triangles)),
         rng.integers(0, 255, (count, 3)),
     )  # fmt: skip
-    after = ordered(mesh)
+    after = sort_triangles(mesh)
     assert len(after) == len(mesh)
     assert len(after.vertices) == len(np.unique(triangles))
 
@@ -208,12 +208,12 @@ def test_order_makes_files_smaller(rng):
     shuffled = rng.permutation((n + 1) ** 2)
     points = np.stack([x, y, 0 * x], axis=1)[np.argsort(shuffled)]
     triangles = shuffled[triangles][rng.permutation(len(triangles))].astype(np.int32)
-    codes = high_water(ordered(Mesh.plain(points, triangles)).triangles)
+    codes = encode_high_water(sort_triangles(Mesh.plain(points, triangles)).triangles)
     assert len(compress_array(codes)[2]) < len(compress_array(triangles)[2]) / 3
     rim = np.arange(1, 40_001, dtype=np.int32)  # a fan of many triangles takes no time
     triangles = np.stack([0 * rim, rim, np.roll(rim, -1)], axis=1)
     points = rng.normal(size=(40_001, 3))
-    assert len(ordered(Mesh.plain(points, triangles))) == 40_000
+    assert len(sort_triangles(Mesh.plain(points, triangles))) == 40_000
 
 
 def quad(texture, width=2.0, height=1.0, uv=1.0):
@@ -225,7 +225,7 @@ def quad(texture, width=2.0, height=1.0, uv=1.0):
 
 def looked_at(surface, triangle, u, v, footprint=0.0):
     hits = zip(triangle, u.astype(np.float32), v.astype(np.float32), strict=True)
-    return np.array([colour_at(surface, *hit, np.float32(footprint)) for hit in hits])
+    return np.array([sample_colour(surface, *hit, np.float32(footprint)) for hit in hits])
 
 
 def hits_on(mesh, rng, count=300):
@@ -254,7 +254,9 @@ def test_a_texture_repeats_even_at_its_seams():
     for shift in (0.0, -1e-9, 1.0 - 2**-24, -3.0, 1e4):
         moved = replace(mesh, uv=np.full((4, 2), shift, np.float32))
         column = 3 if -1e-3 < shift < 0 or 0.5 < shift < 1 else 0
-        colour = np.array(colour_at(Surface.of(moved), 0, np.float32(0.3), np.float32(0.3), 0.0))
+        colour = np.array(
+            sample_colour(Surface.of(moved), 0, np.float32(0.3), np.float32(0.3), 0.0)
+        )
         np.testing.assert_allclose(colour * 255, texture[0, column], atol=0.01)
 
 
@@ -292,7 +294,7 @@ def test_what_stands_for_more_sees_more():
 
 
 def test_charts_of_an_atlas_are_not_mixed_from_afar(monkeypatch):
-    monkeypatch.setattr("placegraph.indoor.map.mesh.MANY", 4)
+    monkeypatch.setattr("placegraph.indoor.map.mesh.MIN_ATLAS_CHARTS", 4)
     texture = np.zeros((64, 64, 3), np.uint8)
     texture[:, :32], texture[:, 32:] = (250, 0, 0), (0, 0, 250)
     corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)

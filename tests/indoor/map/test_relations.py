@@ -11,15 +11,15 @@ from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.relations import (
     CANONICAL,
     RELATIONS,
-    canonical,
-    find,
-    matches,
-    overlap,
-    readings,
-    relate,
-    same_thing,
+    find_related,
+    find_relations,
+    interpret_relation,
+    matches_label,
+    matches_relation,
+    normalize_relation,
+    overlaps_box,
 )
-from placegraph.indoor.map.rooms import rooms_of
+from placegraph.indoor.map.rooms import find_rooms
 
 FLOOR = {"floor": ((0, 0, -0.1), (8, 6, 0))}
 
@@ -37,7 +37,8 @@ def told(model, rows=None, rooms=None):
     if rows is not None:
         labels = [labels[rows.index(i)] for i in range(max(rows) + 1)]
     return {
-        f"{labels[a]} {r} {labels[b]}" for a, r, b in relate(mesh_of(model, rows), labels, rooms)
+        f"{labels[a]} {r} {labels[b]}"
+        for a, r, b in find_relations(mesh_of(model, rows), labels, rooms)
     }
 
 
@@ -139,7 +140,7 @@ def test_same_room_connects_all_of_a_room_by_few_edges(boxes, rng):
     model = boxes(names | {"floor": ((0, 0, -1), (30, 30, 0))})
     mesh = mesh_of(model)
     rooms = np.append(rng.integers(-1, 4, 60), 0)
-    found = relate(mesh, [t.label for t in model.things], rooms)
+    found = find_relations(mesh, [t.label for t in model.things], rooms)
     assert found == sorted(found)
     edges = [(a, b) for a, r, b in found if r == "same room"]
     assert {(b, a) for a, b in edges} == set(edges)
@@ -163,7 +164,7 @@ def test_relations_of_any_boxes_are_sane(low, size, boxes):
         {f"thing{chr(97 + i)}": (a, a + b) for i, (a, b) in enumerate(zip(low, size, strict=True))}
     )
     mesh = mesh_of(model)
-    found = relate(mesh, [t.label for t in model.things])
+    found = find_relations(mesh, [t.label for t in model.things])
     assert found == sorted(found)
     pairs = [(a, b) for a, _, b in found]
     assert len(set(pairs)) == len(pairs), "one relation a pair"
@@ -182,14 +183,14 @@ def test_relations_of_any_boxes_are_sane(low, size, boxes):
 
 def test_a_diagonal_triangle_passes_a_corner():
     corners = np.array([[[3, 0, 0], [0, 3, 0], [0, 3, 3]]], np.float32)
-    assert overlap(corners, np.zeros(3), np.full(3, 1.4)).tolist() == [False]
-    assert overlap(corners, np.zeros(3), np.full(3, 1.6)).tolist() == [True]
+    assert overlaps_box(corners, np.zeros(3), np.full(3, 1.4)).tolist() == [False]
+    assert overlaps_box(corners, np.zeros(3), np.full(3, 1.6)).tolist() == [True]
 
 
 def test_the_house_as_one_would_say_it(house):
     mesh = mesh_of(house)
     labels, names = [t.label for t in house.things], [t.name for t in house.things]
-    edges = relate(mesh, labels, rooms_of(mesh, labels, 0.0).room_of)
+    edges = find_relations(mesh, labels, find_rooms(mesh, labels, 0.0).room_of)
     found = {f"{names[a]} {r} {names[b]}" for a, r, b in edges}
     for line in (
         "Sofa standing on Carpet", "CoffeeTable standing on Carpet", "Tablet standing on CoffeeTable",
@@ -230,13 +231,13 @@ def graph(*edges):
 
 
 def found(scene, *asked):
-    return {f"{scene.ids[a]}, {scene.ids[b]}" for a, b in find(scene, *asked).tolist()}
+    return {f"{scene.ids[a]}, {scene.ids[b]}" for a, b in find_related(scene, *asked).tolist()}
 
 
 def test_all_names_of_3dssg_and_ours_are_known_and_mean_themselves():
     assert set(SUBSET.split("|")) | set(RELATIONS) == set(CANONICAL)
     for relation in (*CANONICAL, "same material", "taped to"):
-        assert matches(relation.upper().replace(" ", "_"), relation.replace(" ", "-"))
+        assert matches_relation(relation.upper().replace(" ", "_"), relation.replace(" ", "-"))
 
 
 @pytest.mark.parametrize(
@@ -255,7 +256,7 @@ def test_all_names_of_3dssg_and_ours_are_known_and_mean_themselves():
 )  # fmt: skip
 def test_what_is_asked_for_matches(asked, relations):
     for relation in relations.split("|"):
-        assert matches(asked, relation), relation
+        assert matches_relation(asked, relation), relation
 
 
 def test_what_is_asked_for_does_not_match():
@@ -263,7 +264,7 @@ def test_what_is_asked_for_does_not_match():
               "next to": "same room", "near": "left", "standing on": "attached to",
               "above": "higher than", "in": "in the same room as", "right of": "front"}  # fmt: skip
     for asked, relation in others.items():
-        assert not matches(asked, relation), relation
+        assert not matches_relation(asked, relation), relation
 
 
 def test_the_sofa_next_to_the_plant():
@@ -298,8 +299,8 @@ def test_same_room_goes_on_from_one_to_the_next():
     assert found(scene, "lamp", "same room", "lamp") == set()
     assert found(scene, "bed", "same room", "") == {"bed, lamp 2"}
     for asked in (("sofa 1", "next to", "unicorn"), ("sofa", "orbiting", "plant")):
-        assert find(scene, *asked).shape == (0, 2)
-    assert find(scene.subgraph([]), "", "on", "").shape == (0, 2)
+        assert find_related(scene, *asked).shape == (0, 2)
+    assert find_related(scene.subgraph([]), "", "on", "").shape == (0, 2)
 
 
 @pytest.mark.parametrize(
@@ -311,17 +312,17 @@ def test_same_room_goes_on_from_one_to_the_next():
      ("", "anything", True), ("sofa", "", False), ("berry", "berries", True)],
 )  # fmt: skip
 def test_labels(asked, label, fits):
-    assert same_thing(asked, label) is fits
+    assert matches_label(asked, label) is fits
 
 
 @given(st.text(max_size=30), st.sampled_from(sorted(CANONICAL)))
 def test_any_text_has_a_reading(asked, relation):
-    assert readings(asked)
-    assert matches(asked, asked)
-    name, turned = canonical(relation)
-    assert canonical(name) == (name, False)
-    assert canonical(relation) in readings(relation)
-    assert not turned or (name, not turned) not in readings(relation)
+    assert interpret_relation(asked)
+    assert matches_relation(asked, asked)
+    name, turned = normalize_relation(relation)
+    assert normalize_relation(name) == (name, False)
+    assert normalize_relation(relation) in interpret_relation(relation)
+    assert not turned or (name, not turned) not in interpret_relation(relation)
 
 
 @given(
@@ -338,9 +339,9 @@ def test_what_is_found_is_said_by_an_edge(edges, asked):
         relations=[r for _, r, _ in edges],
         targets=np.array([b for _, _, b in edges], int),
     )  # fmt: skip
-    rows = find(scene, "thing", asked, "")
+    rows = find_related(scene, "thing", asked, "")
     assert len(np.unique(rows, axis=0)) == len(rows)
-    said = {(a, b) for a, r, b in edges if matches(asked, r)}
+    said = {(a, b) for a, r, b in edges if matches_relation(asked, r)}
     pairs = set(map(tuple, rows.tolist()))
     assert said <= pairs
     if asked in {"next to", "same room"}:

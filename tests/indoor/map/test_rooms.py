@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from placegraph.indoor.map.map_kernels import nearest
+from placegraph.indoor.map.map_kernels import distance_transform
 from placegraph.indoor.map.mesh import Mesh
-from placegraph.indoor.map.rooms import rooms_of, with_rooms
+from placegraph.indoor.map.rooms import assign_rooms, find_rooms
 from placegraph_lab.worlds.flat.flat import Flat
 
 HEIGHT = 2.6
@@ -16,7 +16,7 @@ HEIGHT = 2.6
 
 def rooms(model, floor=0.0, labels=None):
     mesh = Mesh.plain(model.vertices, model.triangles, model.thing_of)
-    return rooms_of(mesh, labels or [t.label for t in model.things], floor)
+    return find_rooms(mesh, labels or [t.label for t in model.things], floor)
 
 
 def two_rooms(gap=0.0, *, over=None, wall="wall"):
@@ -39,7 +39,7 @@ def altbau():
     drawing = Flat.load("altbau")
     interior = drawing.furnish(np.random.default_rng(1))
     assert [t.id for t in interior.things] == list(range(len(interior.things)))
-    return drawing, interior, rooms_of(interior.mesh(), [t.label for t in interior.things], 0.0)
+    return drawing, interior, find_rooms(interior.mesh(), [t.label for t in interior.things], 0.0)
 
 
 def test_each_drawn_room_is_found(altbau):
@@ -153,7 +153,7 @@ def test_a_scan_with_holes_is_one_room(rng):
     object_of = np.repeat([0, 1, 1], len(faces))
     kept = rng.random(len(triangles)) > 1 / 3
     mesh = Mesh.plain(vertices, triangles[kept], object_of[kept])
-    found = rooms_of(mesh, ["floor", "unknown"], 0.0)
+    found = find_rooms(mesh, ["floor", "unknown"], 0.0)
     assert len(found) == 1
     assert found.areas[0] == pytest.approx(20, rel=0.1)
 
@@ -164,7 +164,7 @@ def test_rooms_turn_with_the_map(boxes):
         c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
         turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
         mesh = Mesh.plain(model.vertices @ turn.T + (3, -7, 5), model.triangles, model.thing_of)
-        found = rooms_of(mesh, [t.label for t in model.things], 5.0)
+        found = find_rooms(mesh, [t.label for t in model.things], 5.0)
         assert found.areas == pytest.approx([12, 12], rel=0.06), degrees
 
 
@@ -187,11 +187,11 @@ def test_rooms_that_the_source_names_are_kept(boxes):
     mesh = Mesh.plain(model.vertices, model.triangles, model.thing_of)
     labels = [t.label for t in model.things]
     blank = [{"colour": "red"}] * len(labels)
-    room_of, told = with_rooms(mesh, labels, 0.0, blank)
+    room_of, told = assign_rooms(mesh, labels, 0.0, blank)
     assert told[-1] == {"colour": "red", "room": str(room_of[-1] + 1)}
     assert told[0] == {"colour": "red"}, "the floor is in both"
     named = [*blank[:-2], {"room": "study"}, {"room": "attic", "colour": "blue"}]
-    room_of, told = with_rooms(mesh, labels, 0.0, named)
+    room_of, told = assign_rooms(mesh, labels, 0.0, named)
     assert room_of.tolist() == [-1] * (len(labels) - 2) + [1, 0]
     assert told == named
 
@@ -213,7 +213,7 @@ def test_any_boxes_have_sane_rooms(corners, floor, boxes):
 
 @given(arrays.arrays(bool, st.tuples(st.integers(1, 9), st.integers(1, 9))), st.integers(0, 12))
 def test_nearest_is_what_all_pairs_say(mask, reach):
-    squared, number = nearest(mask, reach)
+    squared, number = distance_transform(mask, reach)
     marked = np.argwhere(mask)
     for x, y in np.ndindex(mask.shape):
         least = min(((x - u) ** 2 + (y - v) ** 2 for u, v in marked), default=1000)
@@ -248,5 +248,5 @@ def test_an_l_is_one_room():
     )
     text = "[flat]\nmetres = 0.25\n[drawing]\n" + "\n".join(drawing) + "\n[legend]\n1 room:\n"
     interior = Flat.parse(text).furnish(np.random.default_rng(1))
-    found = rooms_of(interior.mesh(), [t.label for t in interior.things], 0.0)
+    found = find_rooms(interior.mesh(), [t.label for t in interior.things], 0.0)
     assert found.areas == pytest.approx([18.75], rel=0.06)

@@ -67,7 +67,7 @@ def flipped(room):
 def test_what_is_wrong_is_told_with_its_mend(room, spoil, options, words, severity, mend):
     (finding,) = said(check(spoil(room), options=PoseSearchOptions(**options)), words)
     assert finding.severity == severity
-    assert mend in (finding.mend or "")
+    assert mend in (finding.remedy or "")
 
 
 def test_a_floor_that_stands_upright_is_told(room):
@@ -153,7 +153,7 @@ def test_words_are_checked(room):
     count = len(room)
     unlabelled = check(spoilt(room, labels=["object"] * count))
     assert [f.severity for f in said(unlabelled, "no label")] == ["warning"]
-    assert "--labels" in said(unlabelled, "no label")[0].mend
+    assert "--labels" in said(unlabelled, "no label")[0].remedy
     names = ["thing"] * count
     assert len(said(check(spoilt(room, names=names)), "stand for several")[0].objects) <= 20
     ids = ["Chair", "chair", *map(str, range(count - 2))]

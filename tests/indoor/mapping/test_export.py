@@ -9,7 +9,13 @@ from placegraph.core import files as locks
 from placegraph.errors import MapError, MapLockedError, OptionError
 from placegraph.indoor.build import build_scene, scene_of_model
 from placegraph.indoor.map.mesh import GRAIN, Mesh
-from placegraph.indoor.mapping.export import MARK, export, losses, paint_vertices, path_lines
+from placegraph.indoor.mapping.export import (
+    MARK,
+    export,
+    list_losses,
+    make_path_lines,
+    paint_vertices,
+)
 from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_io.graphs.spark_dsg import read_spark_dsg
@@ -113,7 +119,9 @@ def test_attributes_of_any_name_come_back(ending, tmp_path):
         back = build_scene(files[0], None, labels=labels, floor=0.0, detail="full")
     same(back, scene)
     assert ("leads to" in back.graph.relations) == (ending != "ply")
-    assert any("Relations (1)" in said for said in losses(scene, files[0])) == (ending == "ply")
+    assert any("Relations (1)" in said for said in list_losses(scene, files[0])) == (
+        ending == "ply"
+    )
     if ending == "ply":  # an id that becomes a number takes no attribute's place
         files = export(odd_map(("sofa/1", "8")), tmp_path / "b.ply")
         back = build_scene(files[0], None, labels=files[1], floor=0.0)
@@ -188,12 +196,12 @@ def test_camera_paths_that_do_not_fit(tmp_path, way):
 
 
 def test_a_way_is_drawn_with_pyramids_that_look_ahead(way):
-    lines = path_lines(way)
+    lines = make_path_lines(way)
     assert len(lines) == 4 + 5 * 8
     assert lines[:4] == pytest.approx(np.stack([way[:-1, :3, 3], way[1:, :3, 3]], axis=1))
     assert lines[4:, :, 2].max() > 0  # OpenCV's z looks forward
     assert lines[4:, :, 2].min() == 0
-    assert len(path_lines(way[:1])) == 8
+    assert len(make_path_lines(way[:1])) == 8
 
 
 def quad(texture, colours=255):

@@ -17,7 +17,7 @@ from placegraph.indoor.mapping.fuse import (
     find_good_poses,
     fuse,
 )
-from placegraph.indoor.mapping.fuse_kernels import facets_of
+from placegraph.indoor.mapping.fuse_kernels import compute_facets
 from placegraph.indoor.rays import RayCaster
 from placegraph.io.capture.frame import Frame
 
@@ -301,7 +301,7 @@ EYE = np.array([90.0, 90.0, 60.0, 45.0])
 
 def test_a_slanted_plane_is_no_edge():
     frame, _ = plane_view(2.0, slope=1.2)
-    facets = facets_of(frame.depth(), EYE, 9.0, True)
+    facets = compute_facets(frame.depth(), EYE, 9.0, True)
     assert (facets[:, :-2, 4] > 0).all()  # the last two columns lack neighbours, far and steep
     normal = np.array([-1.2, 0.0, 1.0]) / np.hypot(1, 1.2)
     assert np.abs(facets[facets[..., 4] > 0][:, :3] - normal).max() < 1e-3
@@ -312,7 +312,7 @@ def test_readings_between_two_surfaces_are_dropped():
     depth = frame.depth().copy()
     depth[:, 60:] = 3.0
     depth[:, 60] = 2.0  # a mean of both sides
-    kept = {edges: facets_of(depth, EYE, 9.0, edges)[..., 4] for edges in (True, False)}
+    kept = {edges: compute_facets(depth, EYE, 9.0, edges)[..., 4] for edges in (True, False)}
     assert (kept[True][:, 60] == 0).all()
     assert (kept[True][:, :58] > 0).all()
     assert (kept[True][:, 63:] > 0).all()
@@ -326,10 +326,10 @@ def test_small_holes_are_bridged_and_specks_are_not_believed():
     depth[20:22, :] = np.nan
     depth[60:, :] = np.nan
     depth[70, 70] = 1.0
-    facets = facets_of(depth, EYE, 9.0, True)
+    facets = compute_facets(depth, EYE, 9.0, True)
     assert np.abs(facets[20:22, 5:-5, 4] - whole[20:22, 5:-5]).max() < 1e-3
     assert (facets[62:, :, 4] == 0).all()
-    assert (facets_of(whole, EYE, 1.0, True)[..., 4] == 0).all()
+    assert (compute_facets(whole, EYE, 1.0, True)[..., 4] == 0).all()
 
 
 def test_small_parts_are_dropped_and_counted():

@@ -9,7 +9,7 @@ import pytest
 
 from placegraph.core.geometry import Camera, between, compose, split_pose
 from placegraph.indoor.build import scene_of_model
-from placegraph.indoor.encode import bound
+from placegraph.indoor.encode import bind_encoder
 from placegraph.indoor.encode.labels import InstancesEncoder, LabelsEncoder
 from placegraph.indoor.likelihood.observe import sight, views
 from placegraph.indoor.likelihood.score import Scorer, model_of
@@ -62,7 +62,7 @@ def judged(scene, frame, pose, kind, likelihood=OPTIONS.likelihood, **wanted):
     options = options.only(**wanted or {"semantic": True, "depth": True})
     grid = (6, 10)
     labels = kind == "labels"
-    encoder = bound(LabelsEncoder(grid), scene) if labels else InstancesEncoder(scene, grid)
+    encoder = bind_encoder(LabelsEncoder(grid), scene) if labels else InstancesEncoder(scene, grid)
     around = scene.visibility(options).background
     seen = views([sight(frame, encoder, options)], 4.0, model_of(options.likelihood), around)
     return agreement(Scorer(scene, options.likelihood), pose, seen, np.zeros((1, 4)))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from placegraph.core.geo import Anchor
-from placegraph.indoor.map.rooms import room_at
+from placegraph.indoor.map.rooms import find_room_name
 from placegraph.indoor.mapping.merge import merge_scenes
 from placegraph.indoor.pose.estimate import weigh_by_confidence
 
@@ -67,12 +67,12 @@ def test_a_tracker_says_it_too(room, walk):
 
 
 def test_rooms_have_the_names_that_most_things_in_them_say(flat):
-    named = {room_at(flat, position) for position in flat.graph.positions}
+    named = {find_room_name(flat, position) for position in flat.graph.positions}
     assert named - {""} == {a["room"] for a in flat.attributes if "room" in a}
     sofa = flat.graph.labels.index("sofa")
     x, y, z = flat.graph.positions[sofa]
-    assert room_at(flat, (x, y, z)) == flat.attributes[sofa]["room"]
-    assert room_at(flat, (x, y, z + 9)) == room_at(flat, (x + 99, y, z)) == ""
+    assert find_room_name(flat, (x, y, z)) == flat.attributes[sofa]["room"]
+    assert find_room_name(flat, (x, y, z + 9)) == find_room_name(flat, (x + 99, y, z)) == ""
     pair = merge_scenes({"a": flat, "b": flat})
     at = pair.graph.positions[len(flat) + sofa]
-    assert room_at(pair, at) == flat.attributes[sofa]["room"]
+    assert find_room_name(pair, at) == flat.attributes[sofa]["room"]

@@ -85,7 +85,7 @@ def house(shared):
 
 @pytest.fixture(params=["embree", "bvh"])
 def caster(request):
-    if request.param == "embree" and (reason := embree.obstacle()):
+    if request.param == "embree" and (reason := embree.explain_unavailable()):
         pytest.skip(reason)
     return lambda *mesh: RayCaster(*mesh, backend=request.param)
 
@@ -101,7 +101,7 @@ ROOM = (0.0, 0.0, 0.0), (10.0, 8.0, 3.0)
 
 
 def _both(vertices, triangles):
-    if reason := embree.obstacle():
+    if reason := embree.explain_unavailable():
         pytest.skip(reason)
     return [RayCaster(vertices, triangles, backend=b) for b in ("embree", "bvh")]
 
@@ -173,7 +173,7 @@ def test_rays_inside_a_box_reach_its_walls(size, seed, power):
         walls = np.where(directions > 0, low + size - origins, low - origins) / directions
     expected, steep = walls.min(axis=1), np.abs(directions)[np.arange(64), walls.argmin(axis=1)]
     mesh = box(low, low + size)
-    for backend in ["bvh"] + ["embree"] * (not embree.obstacle()):
+    for backend in ["bvh"] + ["embree"] * (not embree.explain_unavailable()):
         hits = RayCaster(*mesh, backend=backend).cast(origins, directions)
         # 150 m away four bytes hold 1.5e-5 m
         assert (np.abs(hits.distance - expected) * steep).max() < 1e-4
@@ -326,7 +326,7 @@ def test_rays_of_other_shapes():
 
 
 def test_a_tracer_keeps_the_scene_and_lets_it_go(monkeypatch):
-    if reason := embree.obstacle():
+    if reason := embree.explain_unavailable():
         pytest.skip(reason)
     released, release = [], embree._release
     monkeypatch.setattr(embree, "_release", lambda *a: (released.append(1), release(*a)))
@@ -356,7 +356,7 @@ def test_many_threads_at_once(caster, rng):
 
 
 def test_auto_takes_the_tree_where_embree_cannot_serve(monkeypatch):
-    monkeypatch.setattr(embree, "obstacle", lambda: "It rains.")
+    monkeypatch.setattr(embree, "explain_unavailable", lambda: "It rains.")
     room = RayCaster(*box((0, 0, 0), (4, 4, 3)))
     assert (room.backend, room.backend_note) == ("bvh", "It rains.")
     assert room.cast([[1, 1, 1]], [[1, 0, 0]]).distance == [3.0]
@@ -365,8 +365,8 @@ def test_auto_takes_the_tree_where_embree_cannot_serve(monkeypatch):
 
 
 def test_obstacles_to_embree(monkeypatch):
-    ask = embree.obstacle.__wrapped__
-    if reason := embree.obstacle():
+    ask = embree.explain_unavailable.__wrapped__
+    if reason := embree.explain_unavailable():
         pytest.skip(reason)
     with monkeypatch.context() as patch:
         patch.setattr(embree, "WHEEL", "4.5.")
@@ -375,7 +375,7 @@ def test_obstacles_to_embree(monkeypatch):
         patch.setattr(embree, "LIBRARY", range(40500, 40600))
         assert "Embree says its version is 404" in ask()
     with monkeypatch.context() as patch:
-        patch.setattr(embree, "_library", lambda: {}["tbb"])
+        patch.setattr(embree, "_load_library", lambda: {}["tbb"])
         assert "do not load" in ask()
     with monkeypatch.context() as patch:
         patch.setattr(embree, "distribution", _missing)

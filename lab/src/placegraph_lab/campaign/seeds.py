@@ -21,7 +21,7 @@ from PIL import Image
 from placegraph.core.geo import Anchor
 from placegraph.core.geometry import Camera
 from placegraph.indoor.build import scene_of_model
-from placegraph.indoor.library import library_of
+from placegraph.indoor.library import make_library
 from placegraph.indoor.library.library import SceneLibrary
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.scene_map import SceneMap
@@ -461,7 +461,7 @@ MAPS: dict[str, dict[str, DrawMap]] = {
 def _rooms(folder: Path, places: DrawnPlaces) -> SceneLibrary:
     folder.mkdir()
     places.room.save(folder / "room.scene")
-    library = library_of({}, encoders="labels")
+    library = make_library({}, encoders="labels")
     library.add("room", folder / "room.scene")
     return library
 

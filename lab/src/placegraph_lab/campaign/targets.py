@@ -370,9 +370,9 @@ def commands(folder: Path, places: DrawnPlaces) -> None:
     places.city(folder)
     places.room.save(folder / "room.scene")
     places.room.export(folder / "room.glb")
-    from placegraph.indoor.library import library_of
+    from placegraph.indoor.library import make_library
 
-    library = library_of({}, encoders="labels")
+    library = make_library({}, encoders="labels")
     library.add("room", folder / "room.scene")
     library.save(folder / "rooms.library")
     (folder / "words").write_text("\n".join(COMMANDS), "utf-8")

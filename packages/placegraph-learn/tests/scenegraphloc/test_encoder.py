@@ -11,7 +11,7 @@ from safetensors.torch import load_file
 import placegraph as pg
 from placegraph.core.geometry import Camera
 from placegraph.errors import MapError, OptionError
-from placegraph.indoor.encode import Encoder, bound, encoder
+from placegraph.indoor.encode import Encoder, bind_encoder, encoder
 from placegraph.io.capture.frame import Frame
 from placegraph_learn.scenegraphloc import SceneGraphLocEncoder
 from placegraph_learn.scenegraphloc.features import ColourFeatures
@@ -45,13 +45,13 @@ def test_patches_and_objects_are_unit_vectors(made, room, survey):
 
 
 def test_bound_to_a_map_it_compares_patches_with_objects(made, room, survey):
-    tied = bound(made, room, [survey])
+    tied = bind_encoder(made, room, [survey])
     said = tied.encode(survey[3])
     assert said.table.shape[1] == len(room)
     assert said.grid == (9, 16)
     assert np.abs(said.table).max() <= 1.0 + 1e-5
     held = room.with_embeddings(made.objects(room, [survey]), encoder=made.key)
-    again = bound(made, held).encode(survey[3])
+    again = bind_encoder(made, held).encode(survey[3])
     assert np.abs(again.table - said.table).max() < 0.05  # 8 bits a number
 
 
@@ -63,7 +63,7 @@ def test_without_images_of_the_map_it_says_so_or_does_without(made, tiny_weights
     assert vectors.shape == (len(room), 64)
     assert np.abs(made.objects(room, [survey]) - vectors).max() > 1e-3
     with pytest.raises(MapError, match="labels"):
-        bound(made, room.with_embeddings(vectors, encoder="labels"))
+        bind_encoder(made, room.with_embeddings(vectors, encoder="labels"))
 
 
 @pytest.mark.parametrize("size", [(1, 1), (7, 3), (91, 157), (160, 90)])

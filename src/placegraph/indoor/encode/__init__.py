@@ -1,6 +1,6 @@
 """Encoders turn patches of images and objects of maps into comparable vectors (Sec. 3.1).
 
-An `Encoder` knows no map: its vectors of patches and of objects are compared by cosine. `bound`
+An `Encoder` knows no map: its vectors of patches and of objects are compared by cosine. `bind_encoder`
 ties one to a map; the result, a `MapEncoder`, says patch by patch which objects a frame may show.
 `encoder` makes encoders by name:
 
@@ -36,7 +36,16 @@ from placegraph.indoor.map.scene import Scene
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
 
-__all__ = ["ENCODERS", "Encoder", "MapEncoder", "Patches", "bound", "encoder", "for_map", "spoken"]
+__all__ = [
+    "ENCODERS",
+    "Encoder",
+    "MapEncoder",
+    "Patches",
+    "bind_encoder",
+    "encoder",
+    "make_map_encoder",
+    "parse_encoder",
+]
 
 
 BUILT_IN = {
@@ -93,7 +102,7 @@ class Encoder(Protocol):
 def encoder(name: str, **options: Any) -> Encoder:  # noqa: ANN401  # of the encoder named
     """Make an encoder by name, one of `ENCODERS`; options are those of its class.
 
-    Options may stand in the name: ``"scenegraphloc weights=a.pth rotate=True"`` (`spoken`).
+    Options may stand in the name: ``"scenegraphloc weights=a.pth rotate=True"`` (`parse_encoder`).
 
     Raises
     ------
@@ -103,7 +112,7 @@ def encoder(name: str, **options: Any) -> Encoder:  # noqa: ANN401  # of the enc
         A distribution that it needs is not installed.
 
     """
-    name, said = spoken(name)
+    name, parsed = parse_encoder(name)
     if name in BUILT_IN:
         module, kind = BUILT_IN[name]
         made = getattr(import_module(module), kind)
@@ -112,12 +121,12 @@ def encoder(name: str, **options: Any) -> Encoder:  # noqa: ANN401  # of the enc
     else:
         raise OptionError(f"encoder is {name!r}; it is one of {', '.join(ENCODERS)}.")
     try:
-        return cast("Encoder", made(**(said | options)))
+        return cast("Encoder", made(**(parsed | options)))
     except TypeError as error:  # an option that the class does not have
         raise OptionError(f"encoder {name!r}: {error}.") from error
 
 
-def spoken(said: str) -> tuple[str, dict[str, Any]]:
+def parse_encoder(text: str) -> tuple[str, dict[str, Any]]:
     """Split text like ``scenegraphloc weights=a.pth rotate=True`` into a name and options.
 
     Values are literals of Python, or else text. Raises `OptionError` where an option has no value.
@@ -130,10 +139,10 @@ def spoken(said: str) -> tuple[str, dict[str, Any]]:
             return value
 
     try:
-        name, *pairs = shlex.split(said) or [""]
+        name, *pairs = shlex.split(text) or [""]
         options = dict(pair.split("=", 1) for pair in pairs)
     except ValueError as error:
-        raise OptionError(f"{said!r}: give a name, and options as NAME=VALUE.") from error
+        raise OptionError(f"{text!r}: give a name, and options as NAME=VALUE.") from error
     return name, {key: literal(value) for key, value in options.items()}
 
 
@@ -151,7 +160,7 @@ class BoundEncoder:
         Raises `OptionError` where names are to be read, and the frame has ids of instances alone.
         """
         named = self.encoder.name == "labels"
-        image = patches_of(self.encoder, frame)
+        image = encode_patches(self.encoder, frame)
         if named and image is None and frame.label_kind == "instances":
             raise OptionError(
                 "encoder 'labels': the frames' label images hold ids of objects without names. "
@@ -163,20 +172,20 @@ class BoundEncoder:
         flat = image.reshape(-1, image.shape[2])
         telling = flat.any(axis=1)
         # patches that say the very same, as those of one label do, are compared once
-        said, row = np.unique(flat[telling], axis=0, return_inverse=True)
+        vectors, row = np.unique(flat[telling], axis=0, return_inverse=True)
         rows = np.full(len(flat), -1, np.int32)
         rows[telling] = row.ravel()
         return Patches(
             camera=self.encoder.camera(frame),
             grid=image.shape[:2],
             rows=rows,
-            table=said @ self.vectors.T,
+            table=vectors @ self.vectors.T,
             temperature=self.encoder.temperature,
             named=named,
         )
 
 
-def bound(encoder: Encoder, scene: Scene, captures: Sequence[Capture] = ()) -> MapEncoder:
+def bind_encoder(encoder: Encoder, scene: Scene, captures: Sequence[Capture] = ()) -> MapEncoder:
     """Tie an encoder to a map: with the vectors that the map holds, or made of the map itself.
 
     Raises
@@ -187,17 +196,19 @@ def bound(encoder: Encoder, scene: Scene, captures: Sequence[Capture] = ()) -> M
         The map has no vectors, and the encoder needs images to make them.
 
     """
-    return BoundEncoder(encoder, vectors_of(encoder, scene, captures))
+    return BoundEncoder(encoder, encode_objects(encoder, scene, captures))
 
 
-def for_map(given: str | Encoder | MapEncoder, scene: Scene) -> MapEncoder:
-    """Return an encoder of a map from a name, an encoder, or as it is; raises as `encoder` and `bound`."""
+def make_map_encoder(given: str | Encoder | MapEncoder, scene: Scene) -> MapEncoder:
+    """Bind an encoder, given by name or as it is, to a map; raises as `encoder` and `bind_encoder`."""
     if isinstance(given, str):  # which has an `encode` too
         given = encoder(given)
-    return bound(given, scene) if isinstance(given, Encoder) else given
+    return bind_encoder(given, scene) if isinstance(given, Encoder) else given
 
 
-def checked(vectors: NDArray[np.float32], encoder: Encoder, scene: Scene) -> NDArray[np.float32]:
+def check_vectors(
+    vectors: NDArray[np.float32], encoder: Encoder, scene: Scene
+) -> NDArray[np.float32]:
     """Return vectors (N, d) of unit length, or zero; raises `OptionError` where they are no such thing."""
     vectors = np.asarray(vectors, np.float32)
     if vectors.shape != (len(scene), encoder.dimension) or not np.isfinite(vectors).all():
@@ -209,7 +220,7 @@ def checked(vectors: NDArray[np.float32], encoder: Encoder, scene: Scene) -> NDA
     return np.asarray(vectors / np.where(lengths > 1e-6, lengths, np.inf), np.float32)
 
 
-def patches_of(encoder: Encoder, frame: Frame) -> NDArray[np.float32] | None:
+def encode_patches(encoder: Encoder, frame: Frame) -> NDArray[np.float32] | None:
     """Return an encoder's vectors (rows, columns, d) of a frame; None where it has none.
 
     Raises `OptionError` where they are no finite vectors of the encoder's own length.
@@ -225,14 +236,14 @@ def patches_of(encoder: Encoder, frame: Frame) -> NDArray[np.float32] | None:
     return image
 
 
-def vectors_of(
+def encode_objects(
     encoder: Encoder, scene: Scene, captures: Sequence[Capture] = ()
 ) -> NDArray[np.float32]:
-    """Return an encoder's vectors (N, d) of a map's objects; raises as `bound` does."""
+    """Return an encoder's vectors (N, d) of a map's objects; raises as `bind_encoder` does."""
     if scene.graph.embeddings is not None and scene.encoder == encoder.key and not captures:
-        return checked(scene.graph.embeddings, encoder, scene)
+        return check_vectors(scene.graph.embeddings, encoder, scene)
     try:
-        return checked(encoder.objects(scene, captures), encoder, scene)
+        return check_vectors(encoder.objects(scene, captures), encoder, scene)
     except OptionError as error:
         if scene.graph.embeddings is None or captures:
             raise

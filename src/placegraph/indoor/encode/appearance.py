@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from placegraph.core.geometry import Camera, Floats
 from placegraph.indoor.encode.labels import GRID
 from placegraph.indoor.likelihood.visibility import VisibilityTable
-from placegraph.indoor.map.free_space import HIGHEST
+from placegraph.indoor.map.free_space import MAX_ELEVATION
 from placegraph.indoor.map.map_kernels import AZIMUTHS, ELEVATIONS, NOTHING, STEP
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.options import STANDING, PoseSearchOptions
@@ -44,7 +44,7 @@ _ENOUGH = 32  # cells that an object is known by
 _SEED = 2
 POSITIONS_A_GLANCE = 24
 """Free positions of the visibility table, 0.25 m apart, that share a glance."""
-LEAST = 32
+MIN_GLANCES = 32
 """Glances at least."""
 _PITCHES = np.deg2rad([-20.0, 0.0, 20.0, -35.0])
 _GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
@@ -88,7 +88,7 @@ class AppearanceEncoder:
     @property
     def key(self) -> str:
         """Its name and a digest of its constants."""
-        return f"appearance {_digest()}"
+        return f"appearance {_hash_constants()}"
 
     def patches(self, image: Frame) -> NDArray[np.float32]:
         """Return unit vectors (9, 16, d) of a frame's patches; (16, 9, d) of an upright image.
@@ -105,10 +105,10 @@ class AppearanceEncoder:
         if (rgb == rgb[0, 0]).all():
             return np.zeros((rows, columns, DIMENSION), np.float32)
         small = Image.fromarray(rgb).resize(size, Image.Resampling.BOX)
-        features = _features(_described(np.asarray(small)))
+        features = _project_features(_describe_cells(np.asarray(small)))
         h, w, d = features.shape
         parts = features.reshape(rows, h // rows, columns, w // columns, d)
-        return _unit(parts.mean(axis=(1, 3)) - _USUAL)
+        return _normalize(parts.mean(axis=(1, 3)) - _USUAL)
 
     def camera(self, image: Frame) -> Camera:
         """Return camera of the colour image."""
@@ -117,7 +117,7 @@ class AppearanceEncoder:
     def objects(self, scene: Scene, captures: Sequence[Capture] = ()) -> NDArray[np.float32]:  # noqa: ARG002
         """Return unit vectors (N, d) of a map's objects; zero of what cannot be seen, or has no colour."""
         means, cells = surfaces(scene)
-        return np.where(cells[:, None] > 0, _unit(means - _USUAL), np.float32(0.0))
+        return np.where(cells[:, None] > 0, _normalize(means - _USUAL), np.float32(0.0))
 
 
 def surfaces(scene: Scene) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
@@ -127,50 +127,50 @@ def surfaces(scene: Scene) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
 
     sums = np.zeros((len(scene), DIMENSION))
     cells = np.zeros(len(scene), np.int64)
-    if not scene.coloured:
+    if not scene.has_colours:
         return sums.astype(np.float32), cells
     renderer = Renderer(scene)
     table = visibility(scene, PoseSearchOptions(heights=STANDING, spacing=0.25))
 
-    def look(poses: NDArray[np.float64]) -> None:
+    def add_views(poses: NDArray[np.float64]) -> None:
         for pose in poses:
             drawn = renderer.render(pose, _CAMERA)
-            _add(drawn.colour, drawn.objects, sums, cells)
+            _add_rendering(drawn.colour, drawn.objects, sums, cells)
 
-    look(around(table))
-    look(towards(table, np.flatnonzero(cells < _ENOUGH)))
+    add_views(spread_poses(table))
+    add_views(aim_poses(table, np.flatnonzero(cells < _ENOUGH)))
     return (sums / np.maximum(cells, 1)[:, None]).astype(np.float32), cells
 
 
-def _add(
+def _add_rendering(
     colour: NDArray[np.uint8],
     objects: NDArray[np.int32],
     sums: NDArray[np.float64],
     cells: NDArray[np.int64],
 ) -> None:
     """Add the features of a rendering to the sums (N, d) of the objects that it shows."""
-    known = _pooled((objects >= 0).astype(np.float32), _CELL) == 1.0
-    if not known.any():
+    valid = _average_squares((objects >= 0).astype(np.float32), _CELL) == 1.0
+    if not valid.any():
         return
     filled = np.where((objects >= 0)[..., None], colour, colour[objects >= 0].mean(axis=0))
-    features = _features(_described(filled, known))[known]
-    shown, row = np.unique(objects[::_CELL, ::_CELL][known], return_inverse=True)
+    features = _project_features(_describe_cells(filled, valid))[valid]
+    visible, row = np.unique(objects[::_CELL, ::_CELL][valid], return_inverse=True)
     order = np.argsort(row.ravel(), kind="stable")
     counts = np.bincount(row.ravel())
-    sums[shown] += np.add.reduceat(features[order], np.cumsum(counts) - counts, axis=0)
-    cells[shown] += counts
+    sums[visible] += np.add.reduceat(features[order], np.cumsum(counts) - counts, axis=0)
+    cells[visible] += counts
 
 
-def _described(
-    rgb: NDArray[np.uint8] | NDArray[np.float64], known: NDArray[np.bool_] | None = None
+def _describe_cells(
+    rgb: NDArray[np.uint8] | NDArray[np.float64], valid: NDArray[np.bool_] | None = None
 ) -> NDArray[np.float32]:
     """Return five numbers (h, w, 5) of each cell of an image; levels are those of the cells known."""
     fine = rgb.astype(np.float32)
-    colour = np.log(_pooled(fine, _CELL) + np.float32(_DARK))
+    colour = np.log(_average_squares(fine, _CELL) + np.float32(_DARK))
     light = colour.mean(axis=-1)
     red_blue = colour[..., 0] - colour[..., 2]
     green = colour[..., 1] - (colour[..., 0] + colour[..., 2]) / 2
-    there = np.ones(light.shape, np.bool_) if known is None else known
+    there = np.ones(light.shape, np.bool_) if valid is None else valid
     bright = there & (light >= np.quantile(light[there], 1.0 - _BRIGHT))
     shade = np.log(fine.mean(axis=-1) + np.float32(8.0))
     return np.stack(
@@ -180,7 +180,7 @@ def _described(
             green - _BALANCE * green[bright].mean(),
             np.log(_contrast(shade, _CELL) + np.float32(_EVEN)),
             np.kron(
-                np.log(_contrast(_pooled(shade, _CELL), _BLOCK) + np.float32(_EVEN)),
+                np.log(_contrast(_average_squares(shade, _CELL), _BLOCK) + np.float32(_EVEN)),
                 np.ones((_BLOCK, _BLOCK), np.float32),
             ),
         ],
@@ -188,13 +188,13 @@ def _described(
     ).astype(np.float32)
 
 
-def _features(described: NDArray[np.float32]) -> NDArray[np.float32]:
+def _project_features(described: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return features (..., d) whose dot products are kernels of descriptions (..., 5)."""
     angles = described @ _FREQUENCIES
     return np.concatenate([np.cos(angles), np.sin(angles)], axis=-1)
 
 
-def _pooled(image: NDArray[np.float32], size: int) -> NDArray[np.float32]:
+def _average_squares(image: NDArray[np.float32], size: int) -> NDArray[np.float32]:
     """Return means over squares of an image (h, w, ...)."""
     h, w = image.shape[:2]
     parts = image.reshape(h // size, size, w // size, size, *image.shape[2:])
@@ -203,44 +203,44 @@ def _pooled(image: NDArray[np.float32], size: int) -> NDArray[np.float32]:
 
 def _contrast(image: NDArray[np.float32], size: int) -> NDArray[np.float32]:
     """Return standard deviations over squares of an image (h, w)."""
-    variance = _pooled(image**2, size) - _pooled(image, size) ** 2
+    variance = _average_squares(image**2, size) - _average_squares(image, size) ** 2
     return np.sqrt(np.maximum(variance, 0.0))
 
 
-def _unit(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
+def _normalize(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
     lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return (vectors / np.maximum(lengths, 1e-9)).astype(np.float32)
 
 
-def _digest() -> str:
+def _hash_constants() -> str:
     numbers = (_CELL, _BLOCK, _DARK, _EVEN, _BALANCE, _BRIGHT)
     parts = repr(numbers).encode(), _FREQUENCIES.tobytes(), _USUAL.tobytes()
     return hashlib.sha256(b"".join(parts)).hexdigest()[:8]
 
 
-def around(table: VisibilityTable) -> Floats:
+def spread_poses(table: VisibilityTable) -> Floats:
     """Return poses (G, 4, 4) map_from_camera, evenly spread over the free positions of a map.
 
     Headings are spread too, as far as there is anything to be seen; pitches take turns.
     """
     if not len(table):
         return np.zeros((0, 4, 4))
-    count = min(max(LEAST, len(table) // POSITIONS_A_GLANCE), max(len(table), LEAST))
-    rows = _apart(table.positions, count)
+    count = min(max(MIN_GLANCES, len(table) // POSITIONS_A_GLANCE), max(len(table), MIN_GLANCES))
+    rows = _choose_distant(table.positions, count)
     mapped = (table.panoramas.ranges[rows] != NOTHING).mean(axis=1)
     ahead = sum(np.roll(mapped, shift, axis=1) for shift in range(-_HALF, _HALF + 1))
     poses = []
     for i, row in enumerate(rows.tolist()):
         good = np.flatnonzero(ahead[i] >= _MAPPED * ahead[i].max())
         heading = good[int(i * _GOLDEN % 1.0 * len(good))] * STEP
-        poses.append(_looking(table.positions[row], heading, _PITCHES[i % len(_PITCHES)]))
+        poses.append(_make_pose(table.positions[row], heading, _PITCHES[i % len(_PITCHES)]))
     return np.stack(poses)
 
 
-def towards(table: VisibilityTable, objects: NDArray[np.intp]) -> Floats:
+def aim_poses(table: VisibilityTable, objects: NDArray[np.intp]) -> Floats:
     """Return poses (G, 4, 4), one for each of these objects (rows) that is visible from anywhere."""
     poses = []
-    elevations = ((np.arange(ELEVATIONS) + 0.5) / ELEVATIONS * 2.0 - 1.0) * HIGHEST
+    elevations = ((np.arange(ELEVATIONS) + 0.5) / ELEVATIONS * 2.0 - 1.0) * MAX_ELEVATION
     azimuths = np.arange(AZIMUTHS) * STEP
     for row in objects.tolist():
         seen = table.panoramas.objects == row
@@ -251,11 +251,11 @@ def towards(table: VisibilityTable, objects: NDArray[np.intp]) -> Floats:
             best = int(np.abs(np.log(bins / _WANTED)).argmin())
         e, a = np.nonzero(seen[best])
         heading = np.arctan2(np.sin(azimuths[a]).mean(), np.cos(azimuths[a]).mean())
-        poses.append(_looking(table.positions[best], heading, elevations[e].mean()))
+        poses.append(_make_pose(table.positions[best], heading, elevations[e].mean()))
     return np.stack(poses) if poses else np.zeros((0, 4, 4))
 
 
-def _apart(points: Floats, count: int) -> NDArray[np.intp]:
+def _choose_distant(points: Floats, count: int) -> NDArray[np.intp]:
     """Return rows of points, each the farthest from those before it; again from the start if too few."""
     rows = np.zeros(count, np.intp)
     distance = np.full(len(points), np.inf)
@@ -267,7 +267,7 @@ def _apart(points: Floats, count: int) -> NDArray[np.intp]:
     return rows
 
 
-def _looking(position: Floats, heading: float, pitch: float) -> Floats:
+def _make_pose(position: Floats, heading: float, pitch: float) -> Floats:
     """Return pose (4, 4) of an upright camera; pitch is up."""
     ahead = [np.cos(heading) * np.cos(pitch), np.sin(heading) * np.cos(pitch), np.sin(pitch)]
     right = [np.sin(heading), -np.cos(heading), 0.0]

@@ -1,4 +1,4 @@
-"""What a segmentation says of what is there: tables of labels taken for each other."""
+"""Confusion matrices of segmentations: probabilities of predicted given true labels."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from placegraph.core.files import check_regular, write_output
 from placegraph.errors import InputError, OptionError
-from placegraph.indoor.encode.words import spelled
+from placegraph.indoor.encode.words import join_words
 from placegraph.indoor.map.scene import Scene
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
@@ -54,9 +54,9 @@ class Confusion:
             raise OptionError(f"matrix: shape {matrix.shape}; {(count, count)} numbers belong.")
         if not (np.isfinite(matrix).all() and matrix.min() >= 0):
             raise OptionError("matrix: shares or counts are numbers, not below 0.")
-        row_of = {spelled(name): i for i, name in enumerate(names)}
+        row_of = {join_words(name): i for i, name in enumerate(names)}
         if len(row_of) < count:
-            twice = next(n for i, n in enumerate(names) if row_of[spelled(n)] != i)
+            twice = next(n for i, n in enumerate(names) if row_of[join_words(n)] != i)
             raise OptionError(f"names: {twice!r} stands there twice; name each label once.")
         total = matrix.sum(axis=1, keepdims=True)
         matrix /= np.where(total > 0, total, 1.0)
@@ -65,12 +65,12 @@ class Confusion:
         object.__setattr__(self, "matrix", matrix)
         object.__setattr__(self, "_row_of", row_of)
 
-    def truly(self, said: str) -> dict[str, float]:
+    def find_true_labels(self, predicted: str) -> dict[str, float]:
         """Return probability of each label that a said one may truly be; empty: nothing is known of it.
 
         Every label that may be true is taken to be equally frequent.
         """
-        column = self._row_of.get(spelled(said))
+        column = self._row_of.get(join_words(predicted))
         if column is None:
             return {}
         share = self.matrix[:, column]
@@ -89,7 +89,9 @@ class Confusion:
         file is missing or not so.
         """
         path = Path(path)
-        names, matrix = _from_json(path) if path.suffix == ".json" else _from_csv(path)
+        names, matrix = (
+            _read_json_matrix(path) if path.suffix == ".json" else _read_csv_matrix(path)
+        )
         try:
             return cls(names, np.asarray(matrix))
         except OptionError as error:
@@ -144,47 +146,47 @@ class Confusion:
         pairs: dict[tuple[str, str], float] = {}
         for capture in captures:
             for frame in capture:
-                for pair, count in _compared(scene, frame, step).items():
+                for pair, count in _count_pairs(scene, frame, step).items():
                     pairs[pair] = pairs.get(pair, 0.0) + count
         if not pairs:
             raise OptionError(
                 "captures: no label image of labels shows the map; give labelled frames whose "
                 "odometry is map_from_camera."
             )
-        names = {spelled(name): name for pair in pairs for name in reversed(pair)}
+        names = {join_words(name): name for pair in pairs for name in reversed(pair)}
         row = {word: i for i, word in enumerate(names)}
         counts = np.zeros((len(row), len(row)))
-        for (true, said), count in pairs.items():
-            counts[row[spelled(true)], row[spelled(said)]] += count
+        for (true, predicted), count in pairs.items():
+            counts[row[join_words(true)], row[join_words(predicted)]] += count
         often = counts.sum(axis=0) / counts.sum()
         counts[counts.any(axis=1)] += smoothing * often
         return cls(tuple(names.values()), counts)
 
 
-def _compared(scene: Scene, frame: Frame, step: int) -> dict[tuple[str, str], float]:
+def _count_pairs(scene: Scene, frame: Frame, step: int) -> dict[tuple[str, str], float]:
     """Count pixels of one frame by pairs of true and given label."""
     ids = frame.labels() if frame.label_kind == "labels" else None
     if ids is None:
         return {}
     v, u = np.mgrid[step // 2 : ids.shape[0] : step, step // 2 : ids.shape[1] : step]
-    said = ids[v, u].ravel()
+    predicted = ids[v, u].ravel()
     camera = frame.label_camera or frame.camera
     rays = camera.directions(np.stack([u.ravel(), v.ravel()], axis=1) + 0.5)
     pose = frame.odometry
     directions = rays @ pose[:3, :3].T
     hits = scene.caster.cast(np.broadcast_to(pose[:3, 3], directions.shape), directions)
-    seen = (hits.triangle >= 0) & np.isin(said, list(frame.label_names))
+    seen = (hits.triangle >= 0) & np.isin(predicted, list(frame.label_names))
     true = scene.mesh.object_of[hits.triangle[seen]]
-    found, counts = np.unique(np.stack([true, said[seen]]), axis=1, return_counts=True)
+    found, counts = np.unique(np.stack([true, predicted[seen]]), axis=1, return_counts=True)
     total: dict[tuple[str, str], float] = {}
     for object_, id_, count in zip(*found.tolist(), counts.tolist(), strict=True):
         pair = scene.graph.labels[object_], frame.label_names[id_]
-        if all(map(spelled, pair)):
+        if all(map(join_words, pair)):
             total[pair] = total.get(pair, 0) + count
     return total
 
 
-def _from_json(path: Path) -> tuple[tuple[str, ...], ArrayLike]:
+def _read_json_matrix(path: Path) -> tuple[tuple[str, ...], ArrayLike]:
     content = read_json(path)
     names, matrix = (
         (content.get("names"), content.get("matrix")) if isinstance(content, dict) else (None, None)
@@ -192,10 +194,10 @@ def _from_json(path: Path) -> tuple[tuple[str, ...], ArrayLike]:
     texts = isinstance(names, list) and all(isinstance(name, str) for name in names)
     if not texts or not isinstance(matrix, list):
         raise InputError(f'{path} must be a JSON object {{"names": [...], "matrix": [[...]]}}.')
-    return tuple(names or ()), _numbers(path, matrix)
+    return tuple(names or ()), _check_matrix(path, matrix)
 
 
-def _from_csv(path: Path) -> tuple[tuple[str, ...], ArrayLike]:
+def _read_csv_matrix(path: Path) -> tuple[tuple[str, ...], ArrayLike]:
     try:
         text = check_regular(path).read_text(encoding="utf-8-sig")
         rows = [row for row in csv.reader(text.splitlines()) if row]
@@ -211,10 +213,10 @@ def _from_csv(path: Path) -> tuple[tuple[str, ...], ArrayLike]:
             f"of the same labels, as true."
         )
     order = [true.index(name) for name in names]
-    return names, _numbers(path, [rows[1 + i][1:] for i in order])
+    return names, _check_matrix(path, [rows[1 + i][1:] for i in order])
 
 
-def _numbers(path: Path, rows: list[Any]) -> NDArray[np.float64]:
+def _check_matrix(path: Path, rows: list[Any]) -> NDArray[np.float64]:
     try:
         return np.array(rows, np.float64)
     except (TypeError, ValueError) as error:

@@ -12,7 +12,7 @@ from placegraph.errors import OptionError
 from placegraph.indoor.encode import Patches
 from placegraph.indoor.encode.confusion import Confusion
 from placegraph.indoor.encode.networks import Segmenter
-from placegraph.indoor.encode.words import DIMENSION, digest, vector
+from placegraph.indoor.encode.words import DIMENSION, embed_label, hash_tree
 from placegraph.indoor.map.scene import Scene
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
@@ -22,20 +22,20 @@ GRID = (9, 16)
 _DIRECT = 1 << 16  # values below this are looked up in a table
 
 
-def checked(grid: tuple[int, int]) -> tuple[int, int]:
+def check_grid(grid: tuple[int, int]) -> tuple[int, int]:
     """Return rows and columns of a grid; `OptionError` where it has no patches."""
     if min(grid) < 1:
         raise OptionError(f"grid is {grid}; it needs at least one row and one column.")
     return grid
 
 
-def cells(shape: tuple[int, int], grid: tuple[int, int]) -> NDArray[np.int64]:
+def assign_cells(shape: tuple[int, int], grid: tuple[int, int]) -> NDArray[np.int64]:
     """Return cell (h, w) of a grid that each pixel of an image lies in, row by row."""
     h, w = shape
     return np.add.outer(np.arange(h) * grid[0] // h * grid[1], np.arange(w) * grid[1] // w)
 
 
-def looked_up(image: NDArray[np.int32], row_of: dict[int, int]) -> NDArray[np.int32]:
+def look_up_rows(image: NDArray[np.int32], row_of: dict[int, int]) -> NDArray[np.int32]:
     """Return row (h, w) of each pixel's value, -1 for those that have none."""
     top = max(row_of, default=0) + 1
     if top < _DIRECT:  # a table is ten times as fast as sorting the pixels
@@ -50,13 +50,13 @@ def looked_up(image: NDArray[np.int32], row_of: dict[int, int]) -> NDArray[np.in
     return out
 
 
-def majority(rows: NDArray[np.int32], grid: tuple[int, int], count: int) -> NDArray[np.int32]:
+def find_majority(rows: NDArray[np.int32], grid: tuple[int, int], count: int) -> NDArray[np.int32]:
     """Return most frequent row (rows * columns,) of each patch, of `count` rows that there are.
 
     -1 where fewer than half of a patch's pixels have one.
     """
     number = grid[0] * grid[1]
-    flat = np.where(rows >= 0, rows, count) + cells(rows.shape, grid) * (count + 1)
+    flat = np.where(rows >= 0, rows, count) + assign_cells(rows.shape, grid) * (count + 1)
     votes = np.bincount(flat.ravel(), minlength=number * (count + 1)).reshape(number, count + 1)
     best = votes[:, :count].argmax(axis=1) if count else np.zeros(number, np.int64)
     pixels = votes.sum(axis=1)  # none, where the grid is finer than the image
@@ -85,7 +85,7 @@ class InstancesEncoder:
     """
 
     def __init__(self, scene: Scene, grid: tuple[int, int] = GRID) -> None:
-        self.grid = checked(grid)
+        self.grid = check_grid(grid)
         graph = scene.graph
         merged = len(scene.scenes) > 1
         ids = [id_.rpartition("/")[2] if merged else id_ for id_ in graph.ids]
@@ -104,7 +104,7 @@ class InstancesEncoder:
             for id_, row in self.row_of.items()
             if id_.isdecimal() and len(id_) < 20 and str(int(id_)) == id_
         }
-        rows = majority(looked_up(image, known), self.grid, len(self.table))
+        rows = find_majority(look_up_rows(image, known), self.grid, len(self.table))
         return Patches(frame.label_camera or frame.camera, self.grid, rows, self.table)
 
 
@@ -134,7 +134,7 @@ class ClassesOfInstances(InstancesEncoder):
         self.row_of = {id_: rows[frozenset(either)] for id_, either in meant.items()}
 
 
-def foreign(scene: Scene, frames: Sequence[Frame], agree: float | None) -> str:
+def explain_foreign_ids(scene: Scene, frames: Sequence[Frame], agree: float | None) -> str:
     """Return a sentence why ids of instances seem to be another map's; empty: they do not.
 
     `agree`: of the patches that name an object, the share that see it at the best pose; None: none
@@ -169,7 +169,7 @@ TEMPERATURE = 0.1
 class LabelsEncoder:
     """Patches by what a segmentation says of their pixels, objects by their labels.
 
-    Labels become vectors by `words.vector`, so that what the two sides call differently but alike
+    Labels become vectors by `words.embed_label`, so that what the two sides call differently but alike
     (sofa and couch, armchair and chair) has a high cosine. A patch says nothing where fewer than
     half its pixels have a label that says something.
 
@@ -205,7 +205,7 @@ class LabelsEncoder:
         segmenter: Segmenter | Callable[[Frame], ArrayLike] | None = None,
         names: Sequence[str] | None = None,
     ) -> None:
-        self.grid = checked(grid)
+        self.grid = check_grid(grid)
         self.confusion = confusion
         self.segmenter = segmenter
         self.names = tuple(names or ())
@@ -222,7 +222,7 @@ class LabelsEncoder:
     @property
     def key(self) -> str:
         """Which labels have which vectors; a confusion changes what patches say, not that."""
-        return f"labels {digest()}"
+        return f"labels {hash_tree()}"
 
     def patches(self, image: Frame) -> NDArray[np.float32] | None:
         """Return vectors (rows, columns, d) of a frame's patches, unit or zero: says nothing.
@@ -235,7 +235,9 @@ class LabelsEncoder:
             ids = image.labels() if image.label_names else None
             return None if ids is None else self._of_ids(ids, image.label_names)
         if isinstance(self.segmenter, Segmenter):
-            return self._of_ids(_ids(self.segmenter.labels(image.rgb())), self.segmenter.names)
+            return self._of_ids(
+                _check_ids(self.segmenter.labels(image.rgb())), self.segmenter.names
+            )
         return self._of_probabilities(np.asarray(self.segmenter(image)))
 
     def camera(self, image: Frame) -> Camera:
@@ -250,24 +252,26 @@ class LabelsEncoder:
     def vector(self, label: str) -> NDArray[np.float32]:
         """Return unit vector (d,) of a label, kept; zero of one that says nothing."""
         if label not in self._vectors:
-            self._vectors[label] = vector(label)
+            self._vectors[label] = embed_label(label)
         return self._vectors[label]
 
-    def meant(self, said: str) -> NDArray[np.float32]:
+    def embed_meaning(self, predicted: str) -> NDArray[np.float32]:
         """Return unit vector (d,) of what a said label stands for: itself, or what it may truly be."""
-        if said not in self._meant:
-            self._meant[said] = self._mixture(self._truths(said))
-        return self._meant[said]
+        if predicted not in self._meant:
+            self._meant[predicted] = self._mixture(self._truths(predicted))
+        return self._meant[predicted]
 
-    def _truths(self, said: str) -> dict[str, float]:
-        return (self.confusion.truly(said) if self.confusion else {}) or {said: 1.0}
+    def _truths(self, predicted: str) -> dict[str, float]:
+        return (self.confusion.find_true_labels(predicted) if self.confusion else {}) or {
+            predicted: 1.0
+        }
 
     def _of_ids(self, ids: NDArray[np.int32], names: dict[int, str]) -> NDArray[np.float32]:
         words = [w for w in dict.fromkeys(names.values()) if self.vector(w).any()]
         number = {word: i for i, word in enumerate(words)}
         known = {id_: number.get(word, -1) for id_, word in names.items()}
-        rows = majority(looked_up(ids, known), self.grid, len(words))
-        table = np.stack([*map(self.meant, words), np.zeros(self.dimension, np.float32)])
+        rows = find_majority(look_up_rows(ids, known), self.grid, len(words))
+        table = np.stack([*map(self.embed_meaning, words), np.zeros(self.dimension, np.float32)])
         return table[rows].reshape(*self.grid, self.dimension)
 
     def _of_probabilities(self, image: NDArray[np.floating]) -> NDArray[np.float32]:
@@ -280,7 +284,7 @@ class LabelsEncoder:
         flat = image.reshape(-1, len(self.names)).astype(np.float64)
         if not (np.isfinite(flat).all() and flat.min(initial=0.0) >= 0):
             raise OptionError("segmenter: probabilities are numbers, not below 0.")
-        cell = cells(image.shape[:2], self.grid).ravel()
+        cell = assign_cells(image.shape[:2], self.grid).ravel()
         pixels = np.maximum(np.bincount(cell, minlength=number), 1)
         mass = [np.bincount(cell, column, number) for column in flat.T]
         share = np.stack(mass, axis=1) / pixels[:, None]
@@ -293,8 +297,8 @@ class LabelsEncoder:
     def _truly(self, share: NDArray[np.float64]) -> dict[str, float]:
         """Return probabilities of what a patch shows, of those that a segmenter gives its names."""
         truly: dict[str, float] = {}
-        for said, p in zip(self.names, share.tolist(), strict=True):
-            for word, q in self._truths(said).items():
+        for predicted, p in zip(self.names, share.tolist(), strict=True):
+            for word, q in self._truths(predicted).items():
                 truly[word] = truly.get(word, 0.0) + p * q
         return truly
 
@@ -310,7 +314,7 @@ class LabelsEncoder:
         return (total / length if length > 0 else total).astype(np.float32)
 
 
-def _ids(labels: ArrayLike) -> NDArray[np.int32]:
+def _check_ids(labels: ArrayLike) -> NDArray[np.int32]:
     ids = np.asarray(labels)
     if ids.ndim != 2 or ids.dtype.kind not in "iu":
         raise OptionError(f"segmenter: {ids.dtype} {ids.shape}; labels (height, width) belong.")

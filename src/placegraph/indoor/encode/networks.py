@@ -22,17 +22,17 @@ from placegraph.io.capture.json_files import read_json
 Answer = Callable[["NDArray[np.uint8]"], "NDArray[Any]"]
 """What a network says (h, w) of an image (H, W, 3) sRGB."""
 
-_KEPT = 64
+_MAX_CACHED = 64
 """Answers of a capture that are kept; what was used last stays."""
 _HEAD = b"TFL3"  # at byte 4 of such a file
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class AnsweredImages:
+class PredictedImages:
     """A frame's images, and a network for its depth or its labels, which hides its own."""
 
     images: Images
-    made: Literal["depth", "labels"]
+    kind: Literal["depth", "labels"]
     """What the network answers."""
     answer: Answer
     row: int
@@ -46,28 +46,30 @@ class AnsweredImages:
 
     def depth(self) -> NDArray[np.float32] | None:
         """See `Frame.depth`."""
-        return self._answered() if self.made == "depth" else self.images.depth()
+        return self._predict() if self.kind == "depth" else self.images.depth()
 
     def labels(self) -> NDArray[np.int32] | None:
         """See `Frame.labels`."""
-        return self._answered() if self.made == "labels" else self.images.labels()
+        return self._predict() if self.kind == "labels" else self.images.labels()
 
-    def _answered(self) -> NDArray[Any]:
+    def _predict(self) -> NDArray[Any]:
         known = self.cache.pop(self.row, None)
         if known is None:
             known = self.answer(self.images.rgb())
             known.flags.writeable = False
         self.cache[self.row] = known
-        while len(self.cache) > _KEPT:
+        while len(self.cache) > _MAX_CACHED:
             self.cache.popitem(last=False)
         return known
 
 
-def answered(capture: Capture, made: Literal["depth", "labels"], answer: Answer) -> list[Images]:
+def predict_images(
+    capture: Capture, kind: Literal["depth", "labels"], answer: Answer
+) -> list[Images]:
     """Return images of a capture's frames, with a network for their depth or labels; the last 64 are kept."""
     cache: OrderedDict[int, NDArray[Any]] = OrderedDict()
     return [
-        AnsweredImages(frame.images, made, answer, i, cache)
+        PredictedImages(frame.images, kind, answer, i, cache)
         for i, frame in enumerate(capture.frames)
     ]
 
@@ -89,7 +91,7 @@ class ImageNetwork:
     ) -> None:
         self.weights = weights
         self._mean, self._deviation = np.array(mean, np.float32), np.array(deviation, np.float32)
-        self._model = _loaded(weights, threads or os.cpu_count() or 1)
+        self._model = _load_model(weights, threads or os.cpu_count() or 1)
         # input and output of a model from image to image
         inputs, outputs = self._model.get_input_details(), self._model.get_output_details()
         into, out = inputs[0]["shape"], outputs[0]["shape"]
@@ -109,7 +111,7 @@ class ImageNetwork:
 
     def size(self, width: int, height: int) -> tuple[int, int]:
         """Return width and height [px] of the answers to images of this width and height [px]."""
-        inner = self._fitted(width, height)
+        inner = self._fit_size(width, height)
         net_high, net_wide = (int(n) for n in self._input["shape"][1:3])
         return (
             max(round(inner[0] * self.shape[2] / net_wide), 1),
@@ -119,7 +121,7 @@ class ImageNetwork:
     def __call__(self, rgb: NDArray[np.uint8]) -> NDArray[Any]:
         """Return answer (h, w, channels) to an image (H, W, 3) uint8 sRGB, as the model stores numbers."""
         wide, high = self.size(rgb.shape[1], rgb.shape[0])
-        self._model.set_tensor(self._input["index"], self._prepared(rgb))
+        self._model.set_tensor(self._input["index"], self._prepare_input(rgb))
         self._model.invoke()
         out = self._model.get_tensor(self._output["index"])
         answer: NDArray[Any] = out.reshape(*out.shape[1:3], -1)[:high, :wide]
@@ -131,17 +133,17 @@ class ImageNetwork:
         numbers: NDArray[np.float32] = answer.astype(np.float32)
         return (numbers - np.float32(zero)) * np.float32(scale) if scale else numbers
 
-    def _fitted(self, width: int, height: int) -> tuple[int, int]:
+    def _fit_size(self, width: int, height: int) -> tuple[int, int]:
         """Return width and height of an image that fills the model's input on one side."""
         high, wide = (int(n) for n in self._input["shape"][1:3])
         scale = min(wide / width, high / height)
         return max(min(round(width * scale), wide), 1), max(min(round(height * scale), high), 1)
 
-    def _prepared(self, rgb: NDArray[np.uint8]) -> NDArray[Any]:
+    def _prepare_input(self, rgb: NDArray[np.uint8]) -> NDArray[Any]:
         """Return the model's input (1, h, w, 3): the image in its upper left corner."""
         from PIL import Image
 
-        size = self._fitted(rgb.shape[1], rgb.shape[0])
+        size = self._fit_size(rgb.shape[1], rgb.shape[0])
         small = Image.fromarray(rgb).resize(size, Image.Resampling.BILINEAR)
         values = np.zeros(self._input["shape"][1:], np.float32)
         colours = np.asarray(small, np.float32) / np.float32(255.0)
@@ -154,7 +156,7 @@ class ImageNetwork:
         return values.astype(dtype)[None]
 
 
-def _loaded(path: Path, threads: int) -> Any:  # noqa: ANN401  # an interpreter
+def _load_model(path: Path, threads: int) -> Any:  # noqa: ANN401  # an interpreter
     try:
         content = check_regular(path).read_bytes()
     except FileNotFoundError as error:
@@ -200,7 +202,7 @@ class Segmenter(Protocol):
         """Return width and height of the labels of images of a width and height [px]."""
 
 
-def labelled(capture: Capture, segmenter: Segmenter) -> Capture:
+def label_capture(capture: Capture, segmenter: Segmenter) -> Capture:
     """Return capture whose frames' labels are what a segmenter says of their colours.
 
     Images are segmented when their labels are asked for; the last 64 are kept. The capture's own
@@ -213,13 +215,13 @@ def labelled(capture: Capture, segmenter: Segmenter) -> Capture:
     wanted = size[1], size[0]
 
     def answer(rgb: NDArray[np.uint8]) -> NDArray[np.int32]:
-        said = np.asarray(segmenter.labels(rgb))
-        if said.shape != wanted or said.dtype.kind not in "iu":
+        answered = np.asarray(segmenter.labels(rgb))
+        if answered.shape != wanted or answered.dtype.kind not in "iu":
             raise OptionError(
-                f"segmenter: labels are {said.dtype} {said.shape}; it promised whole numbers "
+                f"segmenter: labels are {answered.dtype} {answered.shape}; it promised whole numbers "
                 f"{wanted}."
             )
-        return said.astype(np.int32)
+        return answered.astype(np.int32)
 
     frames = tuple(
         replace(
@@ -230,7 +232,7 @@ def labelled(capture: Capture, segmenter: Segmenter) -> Capture:
             images=images,
         )
         for frame, camera, images in zip(
-            capture.frames, cameras, answered(capture, "labels", answer), strict=True
+            capture.frames, cameras, predict_images(capture, "labels", answer), strict=True
         )
     )
     return replace(
@@ -264,7 +266,7 @@ def segmenter(
         ai-edge-litert is not installed.
 
     """
-    return TfliteSegmenter(Path(weights), _names(names), threads)
+    return TfliteSegmenter(Path(weights), _read_names(names), threads)
 
 
 class TfliteSegmenter:
@@ -302,7 +304,7 @@ class TfliteSegmenter:
         return labels.astype(np.int32)
 
 
-def _names(path: str | PathLike[str] | None) -> dict[int, str | None]:
+def _read_names(path: str | PathLike[str] | None) -> dict[int, str | None]:
     """Return names of labels by number; None: says nothing."""
     if path is None:
         return {i: name or None for i, name in enumerate(PASCAL)}
@@ -346,7 +348,7 @@ class DepthEstimator(Protocol):
         """Return width and height of the depth of images of a width and height [px]."""
 
 
-def measured(capture: Capture, estimator: DepthEstimator) -> Capture:
+def estimate_depth(capture: Capture, estimator: DepthEstimator) -> Capture:
     """Return capture without depth images whose depth is what an estimator says of its colours.
 
     Images are measured when their depth is asked for; the last 64 are kept. A network errs more than
@@ -365,18 +367,18 @@ def measured(capture: Capture, estimator: DepthEstimator) -> Capture:
     wanted = size[1], size[0]
 
     def answer(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
-        said = np.asarray(estimator.depth(rgb))
-        if said.shape != wanted or said.dtype.kind != "f":
+        answered = np.asarray(estimator.depth(rgb))
+        if answered.shape != wanted or answered.dtype.kind != "f":
             raise OptionError(
-                f"estimator: depth is {said.dtype} {said.shape}; it promised fractions {wanted}."
+                f"estimator: depth is {answered.dtype} {answered.shape}; it promised fractions {wanted}."
             )
-        metres = said.astype(np.float32)
+        metres = answered.astype(np.float32)
         return np.where(np.isfinite(metres) & (metres > 0), metres, np.float32(np.nan))
 
     frames = tuple(
         replace(frame, depth_camera=camera, images=images)
         for frame, camera, images in zip(
-            capture.frames, cameras, answered(capture, "depth", answer), strict=True
+            capture.frames, cameras, predict_images(capture, "depth", answer), strict=True
         )
     )
     return replace(capture, frames=frames, depth_camera=cameras[0])
@@ -412,7 +414,9 @@ def depth_network(
 
     """
     weights = Path(weights)
-    gives, mean, deviation = _form(weights.with_suffix(".json") if form is None else Path(form))
+    gives, mean, deviation = _read_form(
+        weights.with_suffix(".json") if form is None else Path(form)
+    )
     return TfliteDepth(ImageNetwork(weights, threads, mean, deviation), log=gives == "log metres")
 
 
@@ -442,7 +446,7 @@ class TfliteDepth:
         return np.where(np.isfinite(metres) & (metres > 0), metres, np.float32(np.nan))
 
 
-def _form(path: Path) -> tuple[str, tuple[float, ...], tuple[float, ...]]:
+def _read_form(path: Path) -> tuple[str, tuple[float, ...], tuple[float, ...]]:
     """Read a network's output unit, and mean and deviation (3,) of its input colours."""
     example = '{"gives": "metres", "mean": [0.5, 0.5, 0.5], "deviation": [0.5, 0.5, 0.5]}'
     if not path.exists():
@@ -456,14 +460,14 @@ def _form(path: Path) -> tuple[str, tuple[float, ...], tuple[float, ...]]:
     if gives not in _METRIC:
         raise InputError(f"{path}: gives is {gives!r}; it is 'metres' or 'log metres'.")
     mean, deviation = (
-        _three(path, name, content.get(name, [0.5] * 3)) for name in ("mean", "deviation")
+        _check_three(path, name, content.get(name, [0.5] * 3)) for name in ("mean", "deviation")
     )
     if min(deviation) <= 0:
         raise InputError(f"{path}: deviation is {list(deviation)}; it must be greater than 0.")
     return str(gives), mean, deviation
 
 
-def _three(path: Path, name: str, given: Any) -> tuple[float, ...]:  # noqa: ANN401  # of JSON
+def _check_three(path: Path, name: str, given: Any) -> tuple[float, ...]:  # noqa: ANN401  # of JSON
     numbers = given if isinstance(given, list) else []
     true = [isinstance(n, int | float) and np.isfinite(n) for n in numbers]
     if len(true) != 3 or not all(true):

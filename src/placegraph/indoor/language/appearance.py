@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.graph import SceneGraph
-from placegraph.indoor.map.floor import is_floor, label_words
+from placegraph.indoor.map.floor import is_floor, split_label
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.map.textures import linear_from_srgb
 
@@ -169,9 +169,9 @@ def trailing(words: Sequence[str]) -> tuple[tuple[str, ...], int]:
 
 def with_colours(scene: Scene) -> tuple[dict[str, str], ...]:
     """Return attributes (N,) of a map's objects, with their colours where its surfaces have some."""
-    if not scene.coloured:
+    if not scene.has_colours:
         return scene.attributes
-    shares = scene.derived("colours", colours_of)
+    shares = scene.compute_once("colours", colours_of)
     return tuple(
         {**own, KEY: words} if (words := in_words(share)) and KEY not in own else own
         for own, share in zip(scene.attributes, shares, strict=True)
@@ -278,7 +278,7 @@ def seen(
 def _read_looks(label: str, *attributes: str) -> dict[str, tuple[str, ...]]:
     """Return what a label, and values of attributes ("wooden, metal"), say of looks."""
     values = [value.strip() for text in attributes for value in text.lower().split(",")]
-    return looks().said([*label_words(label), *values])
+    return looks().said([*split_label(label), *values])
 
 
 def _places(at: Floats, size: Floats, labels: Sequence[str]) -> Floats:

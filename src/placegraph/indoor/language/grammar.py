@@ -10,7 +10,7 @@ from importlib.resources import files
 from math import atan2, cos, pi, radians, sin
 from typing import Any, TypeAlias
 
-from placegraph.indoor.map.floor import label_words
+from placegraph.indoor.map.floor import split_label
 from placegraph.language.grammar import (
     LONGEST_CLAUSE,
     UNSURE,
@@ -123,7 +123,7 @@ def _take_phrase(
     else:
         # "KitchenTable" is two words, and so is "kitchen_table"
         written = text[word.start : word.start + len(words)]
-        parts = [] if written[:-1].isupper() else label_words(written)  # "TVs" is one
+        parts = [] if written[:-1].isupper() else split_label(written)  # "TVs" is one
         found.append(Chunk("WORD", word.start, end, " ".join(parts) or words))
     return n
 

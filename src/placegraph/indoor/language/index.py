@@ -24,14 +24,14 @@ from placegraph.indoor.language.likeness import (
     kinds_of,
     likenesses,
 )
-from placegraph.indoor.map.floor import WORDS, label_words, nameless
-from placegraph.indoor.map.relations import NEXT_TO, SAME_ROOM, canonical
+from placegraph.indoor.map.floor import STRUCTURE_WORDS, is_nameless, split_label
+from placegraph.indoor.map.relations import NEXT_TO, SAME_ROOM, normalize_relation
 
 Triple = tuple[str, str, str]
 """Label, relation by its canonical name and never turned, label."""
 _PLAIN = 0.25
 """How much a wall is spoken of, against a chair."""
-_canonical = cache(canonical)
+_canonical = cache(normalize_relation)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -273,7 +273,9 @@ def _much(unit: Described) -> float:
 
 @cache
 def _spoken_of(label: str) -> float:
-    return 0.0 if nameless(label) else _PLAIN if label_words(label)[-1] in WORDS else 1.0
+    return (
+        0.0 if is_nameless(label) else _PLAIN if split_label(label)[-1] in STRUCTURE_WORDS else 1.0
+    )
 
 
 def _postings(counts: Sequence[dict[Any, int]], row_of: dict[Any, int]) -> Postings:

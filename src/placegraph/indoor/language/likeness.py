@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from placegraph.indoor.encode.words import vector
-from placegraph.indoor.map.floor import label_words
-from placegraph.indoor.map.relations import forms, same_thing
+from placegraph.indoor.encode.words import embed_label
+from placegraph.indoor.map.floor import split_label
+from placegraph.indoor.map.relations import forms, matches_label
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
@@ -57,8 +57,8 @@ def _fits_by_tree(asked: str, labels: tuple[str, ...]) -> Floats32:
     out = SYNONYM * np.clip((cosines - LEAST) / (1.0 - LEAST), 0.0, 1.0)
     start = _start(asked)
     for i, label in enumerate(labels):
-        if _start(label) == start and start and same_thing(asked, label):
-            said, own = set(label_words(asked)[:-1]), set(label_words(label)[:-1])
+        if _start(label) == start and start and matches_label(asked, label):
+            said, own = set(split_label(asked)[:-1]), set(split_label(label)[:-1])
             out[i] = 1.0 if said <= own else max(out[i], GENERAL)
     return np.asarray(out, np.float32)
 
@@ -68,20 +68,20 @@ def _vectors(labels: tuple[str, ...]) -> Floats32:
     return np.stack([_vector(label) for label in labels])
 
 
-_vector = lru_cache(maxsize=_MEMORY)(vector)
+_vector = lru_cache(maxsize=_MEMORY)(embed_label)
 
 
 @lru_cache(maxsize=_MEMORY)
 def _start(label: str) -> str:
     """Return two letters that the last word of a label has in common with its plural."""
-    words = label_words(label)
+    words = split_label(label)
     return words[-1][:2] if words else ""
 
 
 @lru_cache(maxsize=_MEMORY)
 def everyday(asked: str) -> tuple[tuple[str, np.float32], ...]:
     """Return what maps may call a thing by everyday words for it, and how well: the longest last words."""
-    words = label_words(asked)
+    words = split_label(asked)
     for first in range(len(words)):
         for last in forms(words[-1]):
             found = _everyday().get(" ".join([*words[first:-1], last]))
@@ -147,7 +147,7 @@ def table() -> _RoomTable:
 
 def room_kind(label: str) -> str:
     """Return the kind of room that a label names: its last words do; empty if it names none."""
-    words = label_words(label)
+    words = split_label(label)
     for last in (words[-1:], [words[-1].removesuffix("s")] if words else []):
         for n in (3, 2, 1):
             kind = table().kind_of.get((*words[-n:-1], *last)) if len(words) >= n else None

@@ -35,9 +35,9 @@ from placegraph.indoor.language.score import TOLD, sayings
 from placegraph.indoor.language.sentence import Kind, Sentence, Statement
 from placegraph.indoor.language.sight_kernels import look_around_for, look_for, turned, vote_rooms
 from placegraph.indoor.likelihood.visibility import VisibilityTable
-from placegraph.indoor.map.free_space import HIGHEST, range_of
+from placegraph.indoor.map.free_space import MAX_ELEVATION, decode_ranges
 from placegraph.indoor.map.map_kernels import AZIMUTHS, ELEVATIONS, STEP
-from placegraph.indoor.map.scene import Scene, ref
+from placegraph.indoor.map.scene import Scene, make_object_ref
 from placegraph.language.text import Ignored
 
 WRONG = 0.15
@@ -115,7 +115,7 @@ def evidence(
         verdict = "for" if weight > TOLD else "against" if weight < -TOLD else "silent"
         # the most probable objects, at most one of each thing
         rows = [int(things.weights[t].argmax()) for t in s.things if things.weights[t].any()]
-        served: tuple[ObjectRef, ...] = tuple([ref(scene, r) for r in rows])
+        served: tuple[ObjectRef, ...] = tuple([make_object_ref(scene, r) for r in rows])
         out.append(Evidence(s.text, verdict, weight, served))
     return tuple(out)
 
@@ -454,9 +454,9 @@ class PoseFits:
         return kinds_of(held, np.False_)
 
 
-_RANGES = range_of(np.arange(256, dtype=np.uint8))
+_RANGES = decode_ranges(np.arange(256, dtype=np.uint8))
 _LEANING = np.exp(-_RANGES / np.float32(_LEANS))
 """Weight (256,) of what is seen at each stored range, for the room that one is in."""
-_ELEVATION = ((np.arange(ELEVATIONS) + 0.5) / ELEVATIONS * 2.0 - 1.0) * HIGHEST
+_ELEVATION = ((np.arange(ELEVATIONS) + 0.5) / ELEVATIONS * 2.0 - 1.0) * MAX_ELEVATION
 _LEVEL = np.asarray(_RANGES * np.cos(_ELEVATION)[:, None], np.float32)
 """Horizontal distance (E, 256) of stored ranges [m]."""

@@ -16,7 +16,7 @@ from placegraph.indoor.language.grammar import (
 )
 from placegraph.indoor.language.likeness import room_kind
 from placegraph.indoor.language.sentence import ME, Kind, Mention, Sentence, Statement
-from placegraph.indoor.map.relations import same_thing
+from placegraph.indoor.map.relations import matches_label
 from placegraph.language.grammar import Chunk, Clause, PlacePhrase
 from placegraph.language.text import Ignored, check_text, scan_text
 
@@ -461,7 +461,7 @@ def _may_be_same(one: Mention, other: Mention) -> bool:
         return one.room == other.room
     if one.count is not None and one.count != other.count:
         return False
-    return same_thing(one.label, other.label) and set(one.attributes) <= set(other.attributes)
+    return matches_label(one.label, other.label) and set(one.attributes) <= set(other.attributes)
 
 
 def looks_of(thing: NounPhrase) -> tuple[str, ...]:

@@ -23,7 +23,7 @@ from placegraph.indoor.language.index import Columns, Described, columns_of, uni
 from placegraph.indoor.language.likeness import EXACT, Floats, Floats32, fits, table, usual
 from placegraph.indoor.language.reader import read
 from placegraph.indoor.language.sentence import Kind, Mention, Sentence, Statement
-from placegraph.indoor.map.relations import NEXT_TO, readings
+from placegraph.indoor.map.relations import NEXT_TO, interpret_relation
 from placegraph.indoor.map.scene import Scene
 
 TOLD = 0.05
@@ -254,7 +254,7 @@ def sayings(relation: str) -> tuple[dict[str, float], dict[str, float]]:
     straight: dict[str, float] = {}
     turned: dict[str, float] = {}
     for asked in _WITH if relation == "with" else (relation,):
-        for name, other_way in readings(asked):
+        for name, other_way in interpret_relation(asked):
             (turned if other_way else straight)[name] = 1.0
     if relation in _SEEN:
         straight.setdefault(NEXT_TO, SIDE)

@@ -4,7 +4,7 @@
 to: `docs/howto-library.md`; the method: `docs/indoor.md`.
 """
 
-from placegraph.indoor.library.library import SceneLibrary, library_of
+from placegraph.indoor.library.library import SceneLibrary, make_library
 from placegraph.indoor.library.search import SearchOptions
 
-__all__ = ["SceneLibrary", "SearchOptions", "library_of"]
+__all__ = ["SceneLibrary", "SearchOptions", "make_library"]

@@ -35,10 +35,10 @@ from placegraph.indoor.library.signature import (
     VERSION,
     Index,
     Signature,
-    decoys,
+    compute_signature,
+    load_decoys,
     pack_signatures,
     read_signatures,
-    signature_of,
 )
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.pose.estimate import whereabouts
@@ -55,8 +55,8 @@ Encoders = str | Encoder | Sequence[str | Encoder]
 
 SUFFIX = ".scene"
 """Of the maps in a folder."""
-_OPEN = 8  # maps kept open
-_MERGED = 8  # of those localized in, with their tables
+_MAX_OPEN = 8  # maps kept open
+_MAX_MERGED = 8  # of those localized in, with their tables
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +132,7 @@ class SceneLibrary(SceneCollection, HtmlRepr):
         Raises
         ------
         OptionError
-            The name is none, or taken; the scene says nothing to the encoders (`signature_of`).
+            The name is none, or taken; the scene says nothing to the encoders (`compute_signature`).
         InputError, MapError
             The file is no sound scene map.
 
@@ -143,8 +143,8 @@ class SceneLibrary(SceneCollection, HtmlRepr):
             raise OptionError(f"{name!r} is taken; remove it first, or take another name.")
         path = None if isinstance(scene, SceneMap) else Path(scene)
         opened = scene if isinstance(scene, SceneMap) else SceneMap.open(scene)
-        signature = signature_of(opened, self.encoders, captures, self.height)
-        digest = "" if path is None else digest_of(path)
+        signature = compute_signature(opened, self.encoders, captures, self.height)
+        digest = "" if path is None else hash_file(path)
         self.insert(name, Entry(signature, path, digest, whereabouts(opened)))
         if path is None:
             self._open[name] = opened
@@ -198,13 +198,13 @@ class SceneLibrary(SceneCollection, HtmlRepr):
                 f"{entry.path}: the map of {name!r} is not there; bring it back, or remove the scene."
             )
         opened = SceneMap.open(entry.path)
-        if digest_of(entry.path) != entry.digest:
+        if hash_file(entry.path) != entry.digest:
             raise MapError(
                 f"{entry.path} is another map than was added as {name!r}; remove the scene and add "
                 "it again."
             )
         self._open[name] = opened
-        while sum(self._entries[n].path is not None for n in self._open) > _OPEN:
+        while sum(self._entries[n].path is not None for n in self._open) > _MAX_OPEN:
             self._open.pop(next(n for n in self._open if self._entries[n].path is not None))
         return opened
 
@@ -213,15 +213,17 @@ class SceneLibrary(SceneCollection, HtmlRepr):
         if key not in self._merged:
             self._merged[key] = merge()
         self._merged.move_to_end(key)
-        while len(self._merged) > _MERGED:
+        while len(self._merged) > _MAX_MERGED:
             self._merged.popitem(last=False)
         return self._merged[key]
 
     def __getstate__(self) -> dict[str, Any]:
         """Return signatures, and the maps that no file holds; the rest is opened and derived again."""
-        held = OrderedDict((n, m) for n, m in self._open.items() if self._entries[n].path is None)
+        in_memory = OrderedDict(
+            (n, m) for n, m in self._open.items() if self._entries[n].path is None
+        )
         derived: dict[str, Any] = {"_index": None, "_own": None, "_texts": None}
-        return self.__dict__ | derived | {"_merged": OrderedDict(), "_open": held}
+        return self.__dict__ | derived | {"_merged": OrderedDict(), "_open": in_memory}
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -259,14 +261,14 @@ class SceneLibrary(SceneCollection, HtmlRepr):
         return self.texts.scores(sentence)
 
     def explain(
-        self, row: int, asked: Query | Sentence, options: SearchOptions
+        self, row: int, query: Query | Sentence, options: SearchOptions
     ) -> tuple[Evidence, ...]:
         """Return the evidence of each object of a scene, or of each statement of a text."""
         signature = self.entry(self.names[row]).signature
-        if isinstance(asked, Query):
-            return explain_frames(self.index, row, signature, asked, options)
+        if isinstance(query, Query):
+            return explain_frames(self.index, row, signature, query, options)
         rooms = [a.get("room", "") for a in signature.attributes]
-        return score(asked, signature.graph, rooms, self.texts, signature.attributes).evidence
+        return score(query, signature.graph, rooms, self.texts, signature.attributes).evidence
 
     def open_scenes(self, rows: Sequence[int]) -> SceneLibrary:  # noqa: ARG002  # all are here
         """Return the library itself: it has all scenes."""
@@ -274,11 +276,11 @@ class SceneLibrary(SceneCollection, HtmlRepr):
 
     @property
     def index(self) -> Index:
-        """All signatures side by side, and those of `decoys`; `OptionError` where the library is empty."""
+        """Index of all signatures and those of `load_decoys`; `OptionError` for an empty library."""
         if not self._entries:
             raise OptionError("The library is empty: add a scene before you search it.")
         if self._index is None:
-            signatures = [e.signature for e in self._entries.values()] + decoys(self.encoders)
+            signatures = [e.signature for e in self._entries.values()] + load_decoys(self.encoders)
             self._index = Index.of(signatures, [e.key for e in self.encoders])
         return self._index
 
@@ -397,7 +399,7 @@ class SceneLibrary(SceneCollection, HtmlRepr):
         return library
 
 
-def library_of(maps: Mapping[str, SceneMap], **options: Any) -> SceneLibrary:  # noqa: ANN401
+def make_library(maps: Mapping[str, SceneMap], **options: Any) -> SceneLibrary:  # noqa: ANN401
     """Return a library of maps in memory; options are those of `SceneLibrary`."""
     library = SceneLibrary(**options)
     for name, scene in maps.items():
@@ -433,7 +435,7 @@ def match_encoders(file: MapFile, given: Encoders | None) -> list[Encoder]:
     return out
 
 
-def digest_of(path: Path) -> str:
+def hash_file(path: Path) -> str:
     """Return the SHA-256 of a file's bytes, in hexadecimal; `InputError` where they cannot be read."""
     try:
         return hashlib.sha256(check_regular(path).read_bytes()).hexdigest()

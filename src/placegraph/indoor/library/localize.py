@@ -33,13 +33,13 @@ from placegraph.io.capture.frame import Frame
 if TYPE_CHECKING:
     from placegraph.indoor.library.library import SceneLibrary
 
-SCENES = 8
+MAX_SCENES = 8
 """Scenes localized in at most."""
 CERTAIN = 6.0
 """Log odds from which on a pose that is `OK` ends the search; a lesser one ..."""
 RIVALS = 2
 """... has to fit better than what is found in so many scenes after it."""
-ALIKE = 0.5
+TWIN_SHARE = 0.5
 """A scene with more than this share of the probability of the one that is sure is looked into in any
 case: it may be its twin."""
 
@@ -49,7 +49,7 @@ def localize(
     capture: Capture | Sequence[Frame],
     *,
     frames: slice | Sequence[int] | None = None,
-    most: int = SCENES,
+    most: int = MAX_SCENES,
     search: SearchOptions | None = None,
     description: str | None = None,
     encoder: str | Encoder | None = None,
@@ -92,18 +92,18 @@ def localize(
     if {"shares", "prior"} & options.keys():
         raise OptionError("shares, prior: a library finds these itself; leave them out.")
     chosen = chosen_frames(capture, frames)
-    found = library.search(chosen, description=description, options=search, most=most)
+    retrieved = library.search(chosen, description=description, options=search, most=most)
     answers = localize_in_scenes(
-        library.open_scenes(found.stats.get("rows", ())), chosen, found,
+        library.open_scenes(retrieved.stats.get("rows", ())), chosen, retrieved,
         description=description, encoder=encoder, **options,
     )  # fmt: skip
-    return doubt_by_search(choose_scene(answers), found, len(answers))
+    return doubt_by_search(choose_scene(answers), retrieved, len(answers))
 
 
 def localize_in_scenes(
     library: SceneLibrary,
     frames: Sequence[Frame],
-    found: SceneEstimate,
+    retrieved: SceneEstimate,
     *,
     description: str | Sentence | None = None,
     encoder: str | Encoder | None = None,
@@ -119,11 +119,11 @@ def localize_in_scenes(
     assert not isinstance(reader, str)  # noqa: S101
     sentence = read(description) if isinstance(description, str) else description
     answers: list[PoseEstimate] = []
-    for mode in found.modes:
-        if _is_settled(answers, [m.probability for m in found.modes]):
+    for mode in retrieved.modes:
+        if _is_settled(answers, [m.probability for m in retrieved.modes]):
             break
         start = perf_counter()
-        scene = _open(library, mode.scene, reader)
+        scene = _open_merged(library, mode.scene, reader)
         opening = perf_counter() - start
         useful = sentence  # what says nothing of this scene was heard by the search
         if sentence is not None and len(unused(sentence, scene)) >= len(sentence.statements):
@@ -132,7 +132,7 @@ def localize_in_scenes(
             scene, frames, shares=[1.0 / len(scene.scenes)] * len(scene.scenes), encoder=reader,
             description=useful, **options,
         )  # fmt: skip
-        answers.append(_move_to_scene(estimate, scene, found, opening))
+        answers.append(_move_to_scene(estimate, scene, retrieved, opening))
     return answers
 
 
@@ -142,7 +142,7 @@ def _is_settled(answers: list[PoseEstimate], probabilities: Sequence[float]) -> 
     if not any(sure):
         return False
     first, looked = sure.index(True), len(answers)
-    if looked < len(probabilities) and probabilities[looked] > ALIKE * probabilities[first]:
+    if looked < len(probabilities) and probabilities[looked] > TWIN_SHARE * probabilities[first]:
         return False
     certain = sure[-1] and (
         diagnostics_of(answers[-1]).labels_only or fit_odds(answers[-1]) >= CERTAIN
@@ -150,7 +150,7 @@ def _is_settled(answers: list[PoseEstimate], probabilities: Sequence[float]) -> 
     return certain or looked - first > RIVALS
 
 
-def _open(library: SceneLibrary, name: str, reader: Encoder | None) -> Scene:
+def _open_merged(library: SceneLibrary, name: str, reader: Encoder | None) -> Scene:
     """Return the map of a scene, named in its poses, with the vectors that the library has of it.
 
     The library caches the last ones with their tables.
@@ -168,7 +168,7 @@ def _open(library: SceneLibrary, name: str, reader: Encoder | None) -> Scene:
 
 
 def _move_to_scene(
-    estimate: PoseEstimate, scene: Scene, found: SceneEstimate, opening: float
+    estimate: PoseEstimate, scene: Scene, retrieved: SceneEstimate, opening: float
 ) -> PoseEstimate:
     """Move the poses of an estimate to the map of its scene; scenes are shifted when merged, never turned."""
     into = {name: scene.scene_from_map[i] for i, name in enumerate(scene.scenes)}
@@ -186,8 +186,10 @@ def _move_to_scene(
             refinement, coarse=move(coarse),
             coarse_trajectory=into[coarse.scene] @ refinement.coarse_trajectory,
         )  # fmt: skip
-    retrieval = {"elsewhere": found.elsewhere} | {m.scene: m.probability for m in found.modes}
-    seconds = found.stats["seconds"] | {"opening": round(opening, 4)}
+    retrieval = {"elsewhere": retrieved.elsewhere} | {
+        m.scene: m.probability for m in retrieved.modes
+    }
+    seconds = retrieved.stats["seconds"] | {"opening": round(opening, 4)}
     return replace(
         estimate,
         modes=tuple(map(move, estimate.modes)),

@@ -24,18 +24,18 @@ from placegraph.core.geometry import Camera, Floats, between, level_from_camera
 from placegraph.core.options import check_options, option
 from placegraph.core.threads import multiply_matrices
 from placegraph.errors import OptionError
-from placegraph.indoor.encode import Encoder, patches_of
+from placegraph.indoor.encode import Encoder, encode_patches
 from placegraph.indoor.language import Sentence, read
 from placegraph.indoor.library.search_kernels import (
-    add_told,
-    along_ways,
-    beside,
-    best_cosines,
-    held,
-    mixtures,
-    sums_of,
+    add_log_likelihoods,
+    count_agreeing,
+    mix_ratios,
+    score_mixtures,
+    score_paths,
+    sum_best_cosines,
+    sum_groups,
 )
-from placegraph.indoor.library.signature import BANDS, REACH, TURNS, Signature, distinct
+from placegraph.indoor.library.signature import BANDS, REACH, TURNS, Signature, find_distinct
 from placegraph.indoor.likelihood.observe import spread
 from placegraph.indoor.pose.window import chosen_frames, leveled
 from placegraph.indoor.status import decide_scene
@@ -68,7 +68,7 @@ _BIN = 2.0 * np.pi / TURNS
 
 @dataclass(frozen=True, slots=True)
 class SearchOptions:
-    """How a capture is compared with the scenes of a library; defaults are what measured best."""
+    """Options of comparing a capture with the scenes of a library; defaults measured best."""
 
     method: Literal["likelihood", "cosines"] = option(
         "likelihood",
@@ -86,17 +86,17 @@ class SearchOptions:
     focus: float = option(
         0.75, "Share of the patches in a direction that show the object which fills most of it."
     )
-    witnesses: float = option(24.0, "Independent patches of a frame.", above=0)
-    thing: float = option(
+    patches_per_frame: float = option(24.0, "Independent patches of a frame.", above=0)
+    patches_per_word: float = option(
         6.0, "Independent patches of the same word, in all frames together.", above=0
     )
-    heat: float = option(
+    temperature: float = option(
         3.3,
         "Temperature of the log-likelihood of a single frame. T frames of one way see much the same, "
         "and take T^0.45 times as much; two encoders take sqrt(2) times.",
         above=0,
     )
-    looks: int = option(12, "Frames compared, spread over the capture.", minimum=1)
+    max_frames: int = option(12, "Frames compared, spread over the capture.", minimum=1)
     finalists: int = option(
         16, "Scenes compared with panoramas: the best by the objects they hold.", minimum=1
     )
@@ -125,20 +125,21 @@ class PatchWords:
     """(P,) bin of its azimuth, relative to the camera's heading."""
     band: NDArray[np.int32]
     """(P,) bin of its elevation; -1: beyond what panoramas show."""
-    beside: NDArray[np.int32]
+    agreeing: NDArray[np.int32]
     """(P,) patches around it, of eight, that say the same."""
 
     def weights(self, frames: int, options: SearchOptions) -> NDArray[np.float32]:
         """Return the weight (P,) of each patch, which is not independent of the others.
 
-        Patches of one frame count for `witnesses` together at most, and those of one word for `thing`:
-        networks err by whole objects, alike in all frames. What no patch beside says is noise.
+        Patches of one frame together count for at most `patches_per_frame`, those of one word for
+        at most `patches_per_word`: networks err by whole objects, alike in all frames. A patch that
+        agrees with none of its neighbours is noise.
         """
         per_frame = np.bincount(self.frame, minlength=frames)
-        share = np.minimum(1.0, options.witnesses / np.maximum(per_frame, 1))[self.frame]
-        share = share * np.minimum(1.0, self.beside / BESIDE)
+        share = np.minimum(1.0, options.patches_per_frame / np.maximum(per_frame, 1))[self.frame]
+        share = share * np.minimum(1.0, self.agreeing / BESIDE)
         per_word = np.bincount(self.word, share, len(self.words))
-        capped = np.minimum(1.0, options.thing / np.maximum(per_word, 1e-9))
+        capped = np.minimum(1.0, options.patches_per_word / np.maximum(per_word, 1e-9))
         return np.asarray(share * capped[self.word], np.float32)
 
     def word_weights(self, frames: int, options: SearchOptions) -> NDArray[np.float64]:
@@ -154,7 +155,7 @@ class PatchWords:
         """
         cosines = multiply_matrices(vocabulary.vectors, self.words.T)
         belief = np.exp((cosines - np.float32(1.0)) * np.float32(1.0 / self.temperature))
-        seen = belief[vocabulary.usual]
+        seen = belief[vocabulary.background]
         usual = vocabulary.common @ seen if options.rarity else seen.mean(axis=0)
         out = belief / np.maximum(usual, np.float32(ANYTHING))
         out[vocabulary.unknown] = 1.0
@@ -197,7 +198,7 @@ def encode_frames(
     if not frames:
         raise OptionError("frames: there is none; a query needs at least one.")
     levels = level_from_camera(np.stack([frame.gravity for frame in frames]))
-    found = (_encode(frames, levels, e, exact) for e in encoders)
+    found = (_encode_by(frames, levels, e, exact) for e in encoders)
     parts = tuple(part for part in found if part is not None)
     if not parts:
         names = ", ".join(e.name for e in encoders)
@@ -208,33 +209,33 @@ def encode_frames(
     return Query(parts, leveled(frames))
 
 
-def _encode(
+def _encode_by(
     frames: Sequence[Frame], levels: Floats, encoder: Encoder, exact: bool
 ) -> PatchWords | None:
-    looked = [(t, patches_of(encoder, frame)) for t, frame in enumerate(frames)]
+    looked = [(t, encode_patches(encoder, frame)) for t, frame in enumerate(frames)]
     seen = [(t, patches) for t, patches in looked if patches is not None]
     if not seen:
         return None
     shapes = np.array([patches.shape[:2] for _, patches in seen])
     flat = np.concatenate([patches.reshape(-1, patches.shape[2]) for _, patches in seen])
-    telling = flat.any(axis=1)
-    if not telling.any():
+    informative = flat.any(axis=1)
+    if not informative.any():
         return None
     level = np.concatenate([
         _cell_rays(encoder.camera(frames[t]), patches.shape[:2]) @ levels[t].T for t, patches in seen
-    ])[telling]  # fmt: skip
+    ])[informative]  # fmt: skip
     elevation = np.arcsin(level[:, 2])
     turn = np.round(np.arctan2(level[:, 1], level[:, 0]) / _BIN).astype(np.int32) % TURNS
     band = ((elevation / REACH + 1.0) / 2.0 * BANDS).astype(np.int32)
     most = len(flat) if exact else min(WORDS, 48 + 16 * len(seen))
-    words, word = cluster_vectors(flat[telling], most)
+    words, word = cluster_vectors(flat[informative], most)
     every = np.full(len(flat), -1, np.int32)
-    every[telling] = word
+    every[informative] = word
     return PatchWords(
         encoder.key, encoder.temperature, words, word,
-        frame=np.repeat(np.array([t for t, _ in seen], np.int32), shapes.prod(axis=1))[telling],
+        frame=np.repeat(np.array([t for t, _ in seen], np.int32), shapes.prod(axis=1))[informative],
         turn=turn, band=np.where(np.abs(elevation) < REACH, band, -1).astype(np.int32),
-        beside=beside(every, shapes)[telling],
+        agreeing=count_agreeing(every, shapes)[informative],
     )  # fmt: skip
 
 
@@ -256,12 +257,12 @@ def cluster_vectors(
     Up to `most` are kept as they are; of more, `most` spread evenly are centres to the others, and
     move to their mean (one round of spherical k-means).
     """
-    first, word = distinct(vectors)
+    first, word = find_distinct(vectors)
     if len(first) <= most:
         return vectors[first], word.astype(np.int32)
     centre = vectors[np.linspace(0, len(vectors) - 1, most).astype(np.int64)]
     nearest = multiply_matrices(vectors, centre.T).argmax(axis=1)
-    sums = sums_of(vectors, nearest, most)
+    sums = sum_groups(vectors, nearest, most)
     lengths = np.linalg.norm(sums, axis=1, keepdims=True)
     return sums / np.maximum(lengths, 1e-9), nearest.astype(np.int32)
 
@@ -298,7 +299,7 @@ def score_scenes(index: Index, query: Query, options: SearchOptions) -> Scores:
     total = np.zeros(len(part))  # by what each unit holds, wherever in it
     for s, r in zip(parts, ratios, strict=True):
         weight, code = s.word_weights(len(query), options), part.vocabularies[s.key].code
-        total += held(r, code, part.share, part.starts, weight, options.wrong)
+        total += score_mixtures(r, code, part.share, part.starts, weight, options.wrong)
     seconds = {"held": perf_counter() - start}
     if options.geometry:
         start = perf_counter()
@@ -306,7 +307,7 @@ def score_scenes(index: Index, query: Query, options: SearchOptions) -> Scores:
         seconds["placed"] = perf_counter() - start
     whole = np.full(len(index), total.min())
     whole[rows] = total
-    temperature = float(options.heat * len(parts) ** 0.5 * len(query) ** _TOGETHER)
+    temperature = float(options.temperature * len(parts) ** 0.5 * len(query) ** _TOGETHER)
     # of the units of a scene, any of which the camera may be in
     first = np.searchsorted(index.owner, np.arange(int(index.owner[-1]) + 1))
     top = np.maximum.reduceat(whole, first)
@@ -326,7 +327,7 @@ def _sum_cosines(index: Index, part: PatchWords, frames: int) -> NDArray[np.floa
     for row in range(0, len(weight), step):
         cosines = np.ascontiguousarray(part.words[row : row + step] @ vocabulary.vectors.T)
         some = weight[row : row + step]
-        total += best_cosines(cosines, vocabulary.code, index.starts[first], some)
+        total += sum_best_cosines(cosines, vocabulary.code, index.starts[first], some)
     return total
 
 
@@ -345,7 +346,7 @@ def _score_views(
         return bound
     chosen = np.sort(able[np.argpartition(-bound[able], count - 1)[:count]])
     rows = [np.arange(index.starts[s], index.starts[s + 1]) for s in chosen]
-    objects = np.concatenate([own[index.shown[own]] for own in rows])
+    objects = np.concatenate([own[index.is_visible[own]] for own in rows])
     code = np.zeros(int(index.starts[-1]), np.int32)
     code[objects] = np.arange(len(objects))
     bins, off = _score_bins(index, query, parts, ratios, chosen, objects, options)
@@ -356,7 +357,7 @@ def _score_views(
         first, last = starts[group[0]], starts[group[-1] + 1]
         ends = np.append(starts[group], last) - first
         own = (logs[first:last], turns[first:last], bands[first:last], ends)
-        placed += along_ways(own, query.steps(group), off[group], chosen, code, index)
+        placed += score_paths(own, query.steps(group), off[group], chosen, code, index)
     total = np.minimum(bound, placed.min())
     total[chosen] = placed
     return total
@@ -373,7 +374,7 @@ def _score_bins(
 ) -> tuple[tuple[NDArray[Any], ...], NDArray[np.float32]]:
     """Score some objects (O,) by the bins of frames, and each frame (T,) for being off the map.
 
-    As `along_ways` takes them.
+    As `score_paths` takes them.
     """
     uses = [s.band >= 0 for s in parts]
     where = [
@@ -390,14 +391,14 @@ def _score_bins(
     unit = np.searchsorted(chosen, np.searchsorted(index.starts, objects, "right") - 1)
     for s, r, use, places in zip(parts, ratios, uses, where, strict=True):
         code = index.vocabularies[s.key].code[objects]
-        mixture = mixtures(r, index.vocabularies[s.key].code, index.share, index.starts, chosen)
+        mixture = mix_ratios(r, index.vocabularies[s.key].code, index.share, index.starts, chosen)
         # a bin of a panorama names the object that fills most of it; others are there too
         there = np.float32(options.focus) * r[code]
         there += np.float32(1.0 - options.focus) * mixture[unit]
         right = np.ascontiguousarray(there.T) * np.float32(1.0 - options.wrong)
         logs = np.log(right + np.float32(options.wrong))
         weight = s.weights(len(query), options)[use]
-        add_told(out, number[places], s.word[use], weight, logs)
+        add_log_likelihoods(out, number[places], s.word[use], weight, logs)
         half_wrong = 0.5 * np.log(options.wrong) * weight
         off += np.bincount(s.frame[use], half_wrong, len(query)).astype(np.float32)
     frame, place = np.divmod(bins, BANDS * TURNS)
@@ -438,7 +439,7 @@ class SceneCollection(ABC):
 
     @abstractmethod
     def explain(
-        self, row: int, asked: Query | Sentence, options: SearchOptions
+        self, row: int, query: Query | Sentence, options: SearchOptions
     ) -> tuple[Evidence, ...]:
         """Return the evidence for a scene."""
 
@@ -481,9 +482,9 @@ class SceneCollection(ABC):
         if most < 1:
             raise OptionError(f"most is {most}; ask for at least one scene.")
         if isinstance(query, str):
-            return weigh_text(self, query).estimate(self, most)
+            return infer_from_text(self, query).estimate(self, most)
         text = None if description is None else read(description)
-        found = weigh_frames(self, query, frames, options or SearchOptions(), text)
+        found = infer_from_frames(self, query, frames, options or SearchOptions(), text)
         return found.estimate(self, most)
 
     def localize(self, capture: Capture | Sequence[Frame], **options: Any) -> PoseEstimate:  # noqa: ANN401
@@ -505,7 +506,7 @@ class ScenePosterior:
     elsewhere: float
     total: NDArray[np.float64]
     """(n,) score of each."""
-    asked: Query | Sentence
+    query: Query | Sentence
     options: SearchOptions
     seconds: dict[str, float]
     stats: dict[str, Any] = field(default_factory=dict)
@@ -514,7 +515,7 @@ class ScenePosterior:
         """Return a scene as a mode."""
         share = float(self.shares[row])
         earth = tuple(replace(p, probability=p.probability * share) for p in library.earth(row))
-        explain = partial(library.explain, row, self.asked, self.options)
+        explain = partial(library.explain, row, self.query, self.options)
         return SceneMode(library.name(row), share, float(self.total[row]), earth, explain=explain)
 
     def estimate(self, library: SceneCollection, most: int) -> SceneEstimate:
@@ -522,7 +523,7 @@ class ScenePosterior:
         rows = tuple(np.argsort(-self.shares, kind="stable")[:most].tolist())
         modes = tuple(self.mode(library, row) for row in rows)
         status, reason = decide_scene(modes, self.elsewhere)
-        left = () if isinstance(self.asked, Query) else self.asked.ignored
+        left = () if isinstance(self.query, Query) else self.query.ignored
         if left:
             reason += f" Not used: {'; '.join(f'{i.text!r} ({i.reason})' for i in left)}."
         if library.missing:
@@ -532,7 +533,7 @@ class ScenePosterior:
         return SceneEstimate(status, modes, reason, self.elsewhere, stats)
 
 
-def weigh_frames(
+def infer_from_frames(
     library: SceneCollection,
     capture: Capture | Sequence[Frame],
     frames: slice | Sequence[int] | None,
@@ -543,13 +544,13 @@ def weigh_frames(
     exact = options.method == "cosines"
     chosen = chosen_frames(capture, frames)
     if not exact:
-        chosen = [chosen[i] for i in spread(len(chosen), options.looks)]
+        chosen = [chosen[i] for i in spread(len(chosen), options.max_frames)]
     start = perf_counter()
     query = encode_frames(chosen, library.encoders, exact=exact)
-    return weigh_query(library, query, options, text, {"encoding": perf_counter() - start})
+    return infer_from_query(library, query, options, text, {"encoding": perf_counter() - start})
 
 
-def weigh_query(
+def infer_from_query(
     library: SceneCollection,
     query: Query,
     options: SearchOptions,
@@ -576,7 +577,7 @@ def weigh_query(
     )  # fmt: skip
 
 
-def weigh_text(library: SceneCollection, text: str) -> ScenePosterior:
+def infer_from_text(library: SceneCollection, text: str) -> ScenePosterior:
     """Return the posterior of a text; `SceneCollection.search` says more."""
     start = perf_counter()
     sentence = read(text)

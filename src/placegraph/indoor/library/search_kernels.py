@@ -11,30 +11,30 @@ from placegraph.core.threads import run_parallel as in_threads
 NEIGHBOURS = 4
 """Places that a camera near one of them may be nearer to, in what it sees: behind a wall is another
 room."""
-NEAR = 1.2
+MAX_NEIGHBOUR_DISTANCE = 1.2
 """Places farther from each other than this are not beside each other [m]."""
-OFF = 1.5
+MAX_PLACE_DISTANCE = 1.5
 """Farther from all places than this is off the map [m]."""
 CELL = 0.25
 """Edge of the cells of ground that share their nearest place [m]."""
-FURTHEST = 300.0
+MAX_GROUND_DISTANCE = 300.0
 """Ground further than this from a unit's first place is off the map [m]: 70 MB of cells hold the rest."""
 SLIP = 1.0
 """What being at the next place, or turned by one bin more, costs [nat]."""
 
 
-def best_cosines(cosines, code, starts, weight):
+def sum_best_cosines(cosines, code, starts, weight):
     """Sum over words of weight (W,) times the best of cosines (W, U) over each scene's objects.
 
     `code`: (M,) column of each object; `starts`: (S + 1,) first object of each scene.
     """
     out = np.empty(len(starts) - 1, np.float64)
-    in_threads(_best_cosines, len(out), cosines, code, starts, weight, out)
+    in_threads(_sum_best_cosines, len(out), cosines, code, starts, weight, out)
     return out
 
 
 @kernel(fastmath=True, error_model="numpy")
-def _best_cosines(cosines, code, starts, weight, out, first, last):
+def _sum_best_cosines(cosines, code, starts, weight, out, first, last):
     for s in range(first, last):
         total = 0.0
         for w in range(len(weight)):
@@ -45,21 +45,21 @@ def _best_cosines(cosines, code, starts, weight, out, first, last):
         out[s] = total
 
 
-def held(ratio, code, share, starts, weight, wrong):
+def score_mixtures(ratio, code, share, starts, weight, wrong):
     """Log-likelihood (S,) of words with weights (W,) in each scene, a mixture of its objects.
 
     `ratio`: (U, W) how much likelier a word is of an object than of anything; `run_parallel`: (M,).
     """
     out = np.empty(len(starts) - 1, np.float64)
-    in_threads(_held, len(out), ratio, code, share, starts, weight, wrong, out)
+    in_threads(_score_mixtures, len(out), ratio, code, share, starts, weight, wrong, out)
     return out
 
 
 @kernel(fastmath=True, error_model="numpy")
-def _held(ratio, code, share, starts, weight, wrong, out, first, last):
+def _score_mixtures(ratio, code, share, starts, weight, wrong, out, first, last):
     words = ratio.shape[1]
     for s in range(first, last):
-        mean = _mixture(ratio, code, share, starts[s], starts[s + 1])
+        mean = _mix_ratios(ratio, code, share, starts[s], starts[s + 1])
         total = 0.0
         for w in range(words):
             total += weight[w] * np.log(np.float32(1.0 - wrong) * mean[w] + np.float32(wrong))
@@ -67,16 +67,16 @@ def _held(ratio, code, share, starts, weight, wrong, out, first, last):
 
 
 @kernel(fastmath=True)
-def mixtures(ratio, code, share, starts, chosen):
-    """How much likelier words are in chosen units (C,) than anywhere (C, W); as of `held`."""
+def mix_ratios(ratio, code, share, starts, chosen):
+    """Mix the ratios (C, W) by which words are likelier in chosen units (C,) than anywhere."""
     out = np.empty((len(chosen), ratio.shape[1]), np.float32)
     for c, s in enumerate(chosen):
-        out[c] = _mixture(ratio, code, share, starts[s], starts[s + 1])
+        out[c] = _mix_ratios(ratio, code, share, starts[s], starts[s + 1])
     return out
 
 
 @kernel(fastmath=True)
-def _mixture(ratio, code, share, first, last):
+def _mix_ratios(ratio, code, share, first, last):
     words = ratio.shape[1]
     mean = np.zeros(words, np.float32)
     for i in range(first, last):
@@ -87,9 +87,9 @@ def _mixture(ratio, code, share, first, last):
 
 
 @kernel
-def beside(said, shapes):
-    """How many of the eight patches around each (P,) say the same, in grids of these shapes (T, 2)."""
-    out = np.zeros(len(said), np.int32)
+def count_agreeing(words, shapes):
+    """Count the neighbours, of eight, that agree with each patch (P,); grids of shapes (T, 2)."""
+    out = np.zeros(len(words), np.int32)
     first = 0
     for rows, columns in shapes:
         for y in range(rows):
@@ -97,14 +97,14 @@ def beside(said, shapes):
                 at = first + y * columns + x
                 for v in range(max(0, y - 1), min(rows, y + 2)):
                     for u in range(max(0, x - 1), min(columns, x + 2)):
-                        out[at] += said[first + v * columns + u] == said[at]
+                        out[at] += words[first + v * columns + u] == words[at]
                 out[at] -= 1
         first += rows * columns
     return out
 
 
 @kernel
-def row_hashes(bits):
+def hash_rows(bits):
     """A 64-bit number of each row of bits (P, d) uint32; equal rows have the same."""
     out = np.empty(len(bits), np.uint64)
     for p in range(len(bits)):
@@ -118,7 +118,7 @@ def row_hashes(bits):
 
 
 @kernel(fastmath=True)
-def sums_of(vectors, group, count):
+def sum_groups(vectors, group, count):
     """Sum (count, d) of the vectors (P, d) of each group (P,)."""
     out = np.zeros((count, vectors.shape[1]), np.float32)
     for p in range(len(vectors)):
@@ -129,21 +129,21 @@ def sums_of(vectors, group, count):
 
 
 @kernel(fastmath=True)
-def add_told(told, bin_of, word, weight, logs):
+def add_log_likelihoods(evidence, bin_of, word, weight, logs):
     """Add to the rows of bins (B, O + 1) what patches (P,) tell, weight times rows of logs (W, O)."""
-    said = np.zeros((len(told), len(logs)), np.float32)
+    mass = np.zeros((len(evidence), len(logs)), np.float32)
     for i in range(len(word)):
-        said[bin_of[i], word[i]] += weight[i]
-    for b in range(len(told)):
-        row = told[b]
+        mass[bin_of[i], word[i]] += weight[i]
+    for b in range(len(evidence)):
+        row = evidence[b]
         for w in range(len(logs)):
-            share, log = said[b, w], logs[w]
+            share, log = mass[b, w], logs[w]
             if share > 0.0:
                 for o in range(len(log)):
                     row[o] += share * log[o]
 
 
-def along_ways(bins, steps, off, chosen, code, index):
+def score_paths(bins, steps, off, chosen, code, index):
     """Log of the mean likelihood over all starts of a way, for chosen units (C,) of an index.
 
     Parameters
@@ -162,24 +162,24 @@ def along_ways(bins, steps, off, chosen, code, index):
     """
     out = np.empty(len(chosen), np.float64)
     units = chosen, index.starts, code, index.panoramas, index.place_starts, index.places
-    in_threads(_along_ways, len(out), *bins, steps, off, *units, out)
+    in_threads(_score_paths, len(out), *bins, steps, off, *units, out)
     return out
 
 
 @kernel(fastmath=True, error_model="numpy")
-def _along_ways(
-    told, bin_turn, bin_band, frame_starts, steps, off,
-    chosen, object_starts, code, panoramas, place_starts, places, out, begin, end,
+def _score_paths(
+    evidence, bin_turn, bin_band, frame_starts, steps, off,
+    chosen, object_starts, code, panoramas, place_starts, places, out, start, end,
 ):  # fmt: skip
     turns = panoramas.shape[2]
     unit = 2.0 * np.pi / turns
-    for c in range(begin, end):
+    for c in range(start, end):
         s = chosen[c]
         first, last = place_starts[s], place_starts[s + 1]
         own = code[object_starts[s] : object_starts[s + 1]]
-        column = _columns(panoramas[first:last], own, told.shape[1] - 1)
+        column = _unroll_columns(panoramas[first:last], own, evidence.shape[1] - 1)
         at = places[first:last]
-        near, ground = _neighbours(at), _nearest(at)
+        near, ground = _find_neighbours(at), _find_nearest(at)
         # of each place the cell that it lies in, from the ground's corner
         cells = (at - at[0]) / np.float32(CELL) + np.float32(len(ground) // 2 + 0.5)
         total = np.zeros((last - first, turns))
@@ -187,12 +187,12 @@ def _along_ways(
         for t in range(len(frame_starts) - 1):
             score[:] = 0.0
             for b in range(frame_starts[t], frame_starts[t + 1]):
-                said = told[b]
+                bin_evidence = evidence[b]
                 for p in range(last - first):
                     ring, row = column[p, bin_band[b], bin_turn[b] :], score[p]
                     for h in range(turns):
-                        row[h] += said[ring[h]]
-            score = _blurred(score, near)
+                        row[h] += bin_evidence[ring[h]]
+            score = _blur_scores(score, near)
             for h in range(turns):
                 yaw = h * unit
                 dx = (np.cos(yaw) * steps[t, 0] - np.sin(yaw) * steps[t, 1]) / CELL
@@ -212,7 +212,7 @@ def _along_ways(
 
 
 @kernel
-def _columns(panoramas, own, unmapped):
+def _unroll_columns(panoramas, own, unmapped):
     """Column of what each bin of panoramas (P, bands, turns) shows, twice around."""
     count, bands, turns = panoramas.shape
     out = np.empty((count, bands, 2 * turns), np.uint32)  # unsigned: no index is checked
@@ -226,16 +226,16 @@ def _columns(panoramas, own, unmapped):
 
 
 @kernel
-def _nearest(places):
+def _find_nearest(places):
     """Nearest place of each cell of the ground (X, X) around the first of them; -1: off the map."""
     reach = 0.0
     for p in range(len(places)):
         for axis in range(2):
             reach = max(reach, abs(places[p, axis] - places[0, axis]))
-    reach = min(reach, FURTHEST)
-    half, around = int((reach + OFF) / CELL) + 1, int(OFF / CELL)
+    reach = min(reach, MAX_GROUND_DISTANCE)
+    half, around = int((reach + MAX_PLACE_DISTANCE) / CELL) + 1, int(MAX_PLACE_DISTANCE / CELL)
     out = np.full((2 * half + 1, 2 * half + 1), -1, np.int32)
-    least = np.full(out.shape, OFF * OFF)
+    least = np.full(out.shape, MAX_PLACE_DISTANCE * MAX_PLACE_DISTANCE)
     for q in range(len(places)):
         x, y = places[q, 0] - places[0, 0], places[q, 1] - places[0, 1]
         u, v = int(np.round(x / CELL)) + half, int(np.round(y / CELL)) + half
@@ -248,7 +248,7 @@ def _nearest(places):
 
 
 @kernel
-def _neighbours(places):
+def _find_neighbours(places):
     """Rows (P, NEIGHBOURS) of the places nearest to each, itself first; -1 where there are fewer."""
     count = len(places)
     out = np.full((count, NEIGHBOURS), -1, np.int64)
@@ -258,7 +258,7 @@ def _neighbours(places):
             away[q] = (places[q, 0] - places[p, 0]) ** 2 + (places[q, 1] - places[p, 1]) ** 2
         for k in range(min(NEIGHBOURS, count)):
             q = int(np.argmin(away))
-            if away[q] > NEAR * NEAR:
+            if away[q] > MAX_NEIGHBOUR_DISTANCE * MAX_NEIGHBOUR_DISTANCE:
                 break
             out[p, k] = q
             away[q] = 1e30
@@ -266,7 +266,7 @@ def _neighbours(places):
 
 
 @kernel(fastmath=True)
-def _blurred(score, near):
+def _blur_scores(score, near):
     """Best of scores (P, turns) at each place and heading, or one place or bin beside it."""
     count, turns = score.shape
     turned = np.empty_like(score)

@@ -20,29 +20,29 @@ from numpy.typing import NDArray
 from placegraph.core.graph import SceneGraph
 from placegraph.core.mapfile import MapFile, pack_strings, read_map
 from placegraph.errors import OptionError
-from placegraph.indoor.encode import Encoder, vectors_of
+from placegraph.indoor.encode import Encoder, encode_objects
 from placegraph.indoor.language.appearance import with_colours
 from placegraph.indoor.language.index import Described, units
-from placegraph.indoor.library.search_kernels import row_hashes
+from placegraph.indoor.library.search_kernels import hash_rows
 from placegraph.indoor.likelihood.visibility import build_table
-from placegraph.indoor.map.free_space import HIGHEST
+from placegraph.indoor.map.free_space import MAX_ELEVATION
 from placegraph.indoor.map.map_kernels import AZIMUTHS, ELEVATIONS
-from placegraph.indoor.map.scene import Scene, from_8_bits, in_8_bits
+from placegraph.indoor.map.scene import Scene, dequantize_vectors, quantize_vectors
 from placegraph.indoor.options import STANDING, PoseSearchOptions
 from placegraph.io.capture.capture import Capture
 from placegraph.vectors import EmbeddedStore
 
-PLACES = 160
+MAX_PLACES = 160
 """Panoramas of a scene, or of a merged map's part, at most,"""
-APART = 0.75
+MIN_PLACE_DISTANCE = 0.75
 """and how far they are from each other at least [m]."""
 TURNS = 24
 """Bins of azimuth of a panorama: 15 degrees."""
 BANDS = 4
 """Bins of elevation, from `REACH` below the horizon to as much above it: 25 degrees."""
-REACH = HIGHEST
+REACH = MAX_ELEVATION
 """Elevation at which panoramas end [rad]."""
-MOST = 20_000
+MAX_OBJECTS = 20_000
 """Objects of a scene at most."""
 _SPACING = 0.5  # of the grid that places are chosen from [m]
 
@@ -85,7 +85,7 @@ class Signature:
         return units(self.graph, rooms, self.attributes)
 
 
-def signature_of(
+def compute_signature(
     scene: Scene,
     encoders: Sequence[Encoder],
     captures: Sequence[Capture] = (),
@@ -110,12 +110,12 @@ def signature_of(
         Its vectors are of another encoder.
 
     """
-    if len(scene) > MOST:
+    if len(scene) > MAX_OBJECTS:
         raise OptionError(
             f"{scene.source or 'The map'} has {len(scene):,} objects; a scene of a library has up to "
-            f"{MOST:,}. Split it by rooms."
+            f"{MAX_OBJECTS:,}. Split it by rooms."
         )
-    vectors = {e.key: vectors_of(e, scene, captures) for e in encoders}
+    vectors = {e.key: encode_objects(e, scene, captures) for e in encoders}
     if not any(v.any() for v in vectors.values()):
         raise OptionError(
             f"{scene.source or 'The map'}: none of its {len(scene)} objects says anything to "
@@ -132,8 +132,8 @@ def signature_of(
         )
     at = np.array([scene.scene_at(p[:2]) for p in table.positions], np.int32)
     parts = [np.flatnonzero(at == part) for part in np.unique(at)]
-    chosen = np.concatenate([r[far_apart(table.positions[r, :2], PLACES)] for r in parts])
-    panoramas = coarse(table.panoramas.objects[chosen], len(scene))
+    chosen = np.concatenate([r[choose_distant(table.positions[r, :2], MAX_PLACES)] for r in parts])
+    panoramas = coarsen_panoramas(table.panoramas.objects[chosen], len(scene))
     seen = table.panoramas.objects.ravel()
     counts = np.bincount(seen, minlength=len(scene) + 1)[: len(scene)] + 0.5
     return Signature(
@@ -148,24 +148,24 @@ def signature_of(
     )
 
 
-def far_apart(points: NDArray[np.float64], most: int) -> NDArray[np.int64]:
+def choose_distant(points: NDArray[np.float64], most: int) -> NDArray[np.int64]:
     """Return rows of at most `most` of points (K, 2): the most central first, then ever the farthest.
 
-    None nearer to another than `APART`.
+    None nearer to another than `MIN_PLACE_DISTANCE`.
     """
     first = int(np.linalg.norm(points - np.median(points, axis=0), axis=1).argmin())
     rows = [first]
     away = np.linalg.norm(points - points[first], axis=1)
     while len(rows) < min(most, len(points)):
         row = int(away.argmax())
-        if away[row] < APART:
+        if away[row] < MIN_PLACE_DISTANCE:
             break
         rows.append(row)
         away = np.minimum(away, np.linalg.norm(points - points[row], axis=1))
     return np.array(rows)
 
 
-def coarse(objects: NDArray[np.uint16], count: int) -> NDArray[np.uint16]:
+def coarsen_panoramas(objects: NDArray[np.uint16], count: int) -> NDArray[np.uint16]:
     """Return panoramas (P, BANDS, TURNS) by the object that most rays (P, E, A) of a bin hit."""
     places = len(objects)
     wide, high = AZIMUTHS // TURNS, ELEVATIONS // BANDS
@@ -201,7 +201,7 @@ class Vocabulary:
     """Rows of these that are zero."""
     code: NDArray[np.int32]
     """(M,) vector of each object."""
-    usual: NDArray[np.int64]
+    background: NDArray[np.int64]
     """(B,) rows of `vectors` that are seen anywhere, `SAMPLE` at most."""
     common: NDArray[np.float32]
     """(B,) share of what is seen that looks like this, all scenes counting alike; adds up to 1."""
@@ -209,7 +209,7 @@ class Vocabulary:
     @classmethod
     def of(cls, vectors: NDArray[np.float32], weight: NDArray[np.floating]) -> Vocabulary:
         """Return the vocabulary of objects with vectors (M, d), seen with these weights (M,)."""
-        first, code = distinct(vectors)
+        first, code = find_distinct(vectors)
         own = np.ascontiguousarray(vectors[first])
         share = np.bincount(code, weight, len(first))
         known = np.flatnonzero(own.any(axis=1))
@@ -221,18 +221,18 @@ class Vocabulary:
     @property
     def mean(self) -> NDArray[np.float32]:
         """(d,) of what is seen anywhere."""
-        return np.asarray(self.common @ self.vectors[self.usual])
+        return np.asarray(self.common @ self.vectors[self.background])
 
     def of_objects(self, rows: NDArray[np.int64]) -> Vocabulary:
         """Return the vocabulary of some objects, with the same background model."""
-        used = np.concatenate([self.code[rows], self.usual])
+        used = np.concatenate([self.code[rows], self.background])
         numbers = np.arange(len(used))
         return replace(
             self,
             vectors=self.vectors[used],
             unknown=np.flatnonzero(np.isin(used, self.unknown)),
             code=numbers[: len(rows)].astype(np.int32),
-            usual=numbers[len(rows) :],
+            background=numbers[len(rows) :],
         )
 
 
@@ -289,7 +289,7 @@ class Index:
         roots = [np.sqrt(share) for share in seen]
         return cls(
             owner=np.array([u.scene for u in parts]),
-            starts=starts_of([len(u.objects) for u in parts]),
+            starts=compute_offsets([len(u.objects) for u in parts]),
             share=np.concatenate([r / r.sum() for r in roots]).astype(np.float32),
             vocabularies={
                 key: Vocabulary.of(
@@ -298,7 +298,7 @@ class Index:
                 )
                 for key in keys
             },
-            place_starts=starts_of([len(u.places) for u in parts]),
+            place_starts=compute_offsets([len(u.places) for u in parts]),
             places=np.concatenate([u.places for u in parts]),
             panoramas=np.concatenate([u.panoramas for u in parts]),
         )
@@ -307,7 +307,7 @@ class Index:
         return len(self.starts) - 1
 
     @cached_property
-    def shown(self) -> NDArray[np.bool_]:
+    def is_visible(self) -> NDArray[np.bool_]:
         """(M,) whether any panorama shows an object."""
         first = np.repeat(self.starts[:-1], np.diff(self.place_starts))[:, None, None]
         last = np.repeat(self.starts[1:], np.diff(self.place_starts))[:, None, None]
@@ -340,38 +340,38 @@ class Index:
 
     def subset(self, rows: NDArray[np.int64]) -> Index:
         """Return the index of some scenes, with the same notion of what is usual."""
-        objects = runs(self.starts, rows)
-        places = runs(self.place_starts, rows)
+        objects = expand_runs(self.starts, rows)
+        places = expand_runs(self.place_starts, rows)
         return Index(
             owner=np.unique(self.owner[rows], return_inverse=True)[1].ravel(),
-            starts=starts_of(np.diff(self.starts)[rows]),
+            starts=compute_offsets(np.diff(self.starts)[rows]),
             share=self.share[objects],
             vocabularies={key: v.of_objects(objects) for key, v in self.vocabularies.items()},
-            place_starts=starts_of(np.diff(self.place_starts)[rows]),
+            place_starts=compute_offsets(np.diff(self.place_starts)[rows]),
             places=self.places[places],
             panoramas=self.panoramas[places],
         )
 
 
-def distinct(rows: NDArray[np.float32]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def find_distinct(rows: NDArray[np.float32]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return first rows (U,) of those that differ of rows (P, d), and which of them each is (P,).
 
     By a 64-bit hash: sorting the rows themselves would take a hundred times as long.
     """
-    hashes = row_hashes(np.ascontiguousarray(rows, np.float32).view(np.uint32))
+    hashes = hash_rows(np.ascontiguousarray(rows, np.float32).view(np.uint32))
     _, first, code = np.unique(hashes, return_index=True, return_inverse=True)
     return first, code.ravel()
 
 
-def starts_of(counts: Sequence[int] | NDArray[np.int64]) -> NDArray[np.int64]:
+def compute_offsets(counts: Sequence[int] | NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the first row (S + 1,) of each of S runs of these lengths, and where the last ends."""
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
 
 
-def runs(starts: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.int64]:
+def expand_runs(starts: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return all numbers from starts[r] to starts[r + 1], for each of some rows."""
     counts = np.diff(starts)[rows]
-    first = np.repeat(starts[rows] - starts_of(counts)[:-1], counts)
+    first = np.repeat(starts[rows] - compute_offsets(counts)[:-1], counts)
     return np.asarray(first + np.arange(int(counts.sum())))
 
 
@@ -406,8 +406,8 @@ def pack_signatures(
         "attributes": pack_strings(
             [json.dumps(a, ensure_ascii=False, sort_keys=True) if a else "" for a in attributes]
         ),
-        "positions": _in_steps(np.concatenate([g.positions for g in graphs])),
-        "extents": _in_steps(np.concatenate(extents)),
+        "positions": _quantize_lengths(np.concatenate([g.positions for g in graphs])),
+        "extents": _quantize_lengths(np.concatenate(extents)),
         "sources": np.concatenate([g.sources for g in graphs]).astype(np.int32),
         "targets": np.concatenate([g.targets for g in graphs]).astype(np.int32),
         "relations": pack_strings(kinds),
@@ -416,13 +416,13 @@ def pack_signatures(
         "part": join("part").astype(np.int32),
         "place_part": join("place_part").astype(np.int32),
         "place_counts": np.array([len(s.places) for s in signatures], np.int32),
-        "places": _in_steps(join("places")),
+        "places": _quantize_lengths(join("places")),
         "panoramas": join("panoramas").reshape(-1, TURNS),
     }
     for i, key in enumerate(keys):
         vectors = np.concatenate([s.vectors[key] for s in signatures])
-        first, rows = distinct(vectors)
-        numbers, scales = in_8_bits(vectors[first])
+        first, rows = find_distinct(vectors)
+        numbers, scales = quantize_vectors(vectors[first])
         arrays |= {
             f"vectors_{i}": numbers,
             f"scales_{i}": scales,
@@ -431,7 +431,7 @@ def pack_signatures(
     return arrays
 
 
-def _in_steps(metres: NDArray[np.floating]) -> NDArray[np.int32]:
+def _quantize_lengths(metres: NDArray[np.floating]) -> NDArray[np.int32]:
     return np.rint(metres / GRAIN).astype(np.int32)
 
 
@@ -439,7 +439,7 @@ def read_signatures(file: MapFile, keys: list[str]) -> list[Signature]:
     """Read the signatures of a file; raises any error where columns do not fit."""
     grain = float(file.meta["grain"])
     objects, edges, places = (
-        _ends(file.array(name, "<i4")) for name in ("objects", "edges", "place_counts")
+        _check_counts(file.array(name, "<i4")) for name in ("objects", "edges", "place_counts")
     )
     labels, kinds = file.strings("labels"), file.strings("relations")
     label_of, kind_of = file.array("label_of", "<i4"), file.array("relation_of", "<i4")
@@ -451,7 +451,7 @@ def read_signatures(file: MapFile, keys: list[str]) -> list[Signature]:
     points = (file.array("places", "<i4", 2) * grain).astype(np.float32)
     panoramas = file.array("panoramas", "<u2", 2).reshape(-1, BANDS, TURNS)
     part, place_part = file.array("part", "<i4"), file.array("place_part", "<i4")
-    vectors = {key: _unpacked(file, i, int(objects[-1])) for i, key in enumerate(keys)}
+    vectors = {key: _unpack_vectors(file, i, int(objects[-1])) for i, key in enumerate(keys)}
     lengths = {len(x) for x in (ids, names, attributes, positions, extents, label_of, share, part)}
     of_places = {len(x) for x in (points, panoramas, place_part)}
     if lengths != {int(objects[-1])} or of_places != {int(places[-1])}:
@@ -495,25 +495,25 @@ def read_signatures(file: MapFile, keys: list[str]) -> list[Signature]:
     return out
 
 
-def _unpacked(file: MapFile, i: int, count: int) -> NDArray[np.float32]:
+def _unpack_vectors(file: MapFile, i: int, count: int) -> NDArray[np.float32]:
     numbers, scales = file.array(f"vectors_{i}", "|i1", 2), file.array(f"scales_{i}", "<f4")
     code = file.array(f"code_{i}", "<i4")
     if len(scales) != len(numbers) or not np.isfinite(scales).all() or len(code) != count:
         raise ValueError(f"vectors_{i} do not fit")
     if count and not 0 <= int(code.min()) <= int(code.max()) < len(numbers):
         raise ValueError(f"code_{i} points outside the vectors")
-    vectors = from_8_bits(numbers, scales)
+    vectors = dequantize_vectors(numbers, scales)
     lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
     return np.asarray((vectors / np.where(lengths > 1e-6, lengths, np.inf))[code], np.float32)
 
 
-def _ends(counts: NDArray[np.int32]) -> NDArray[np.int64]:
+def _check_counts(counts: NDArray[np.int32]) -> NDArray[np.int64]:
     if not counts.size or int(counts.min()) < 0:
         raise ValueError("a count is negative, or there is no scene")
     return np.concatenate([[0], np.cumsum(counts.astype(np.int64))])
 
 
-def decoys(encoders: Sequence[Encoder]) -> list[Signature]:
+def load_decoys(encoders: Sequence[Encoder]) -> list[Signature]:
     """Return signatures of homes that are in no library, with vectors of these encoders.
 
     A library of one scene could say nothing of what is rare, and every capture would be of the best of

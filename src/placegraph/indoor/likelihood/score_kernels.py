@@ -7,7 +7,7 @@ import numpy as np
 
 from placegraph.core.jit import kernel
 from placegraph.core.threads import run_parallel
-from placegraph.indoor.map.map_kernels import colour_at, opponent
+from placegraph.indoor.map.map_kernels import opponent_colour, sample_colour
 from placegraph.indoor.rays.trace_kernels import (
     DIRECTION,
     FAR,
@@ -228,10 +228,10 @@ def _step(here, there, steepest):
 
 @kernel(inline="always", fastmath=True)
 def _shown(packet, lane, triangle, surface, view):
-    """`opponent` of what one ray hits."""
+    """`opponent_colour` of what one ray hits."""
     width = packet[FAR, lane] * np.float32(view.footprint)
-    red, green, blue = colour_at(surface, triangle, packet[U, lane], packet[V, lane], width)
-    return opponent(red, green, blue)
+    red, green, blue = sample_colour(surface, triangle, packet[U, lane], packet[V, lane], width)
+    return opponent_colour(red, green, blue)
 
 
 @kernel(inline="always", fastmath=True)

@@ -22,13 +22,13 @@ from placegraph.indoor.likelihood.score import TEMPERATURE, reading_ratio
 from placegraph.indoor.likelihood.score_kernels import COLOUR, DEPTH, SEMANTIC
 from placegraph.indoor.map.free_space import (
     DIRECTIONS,
-    HIGHEST,
-    as_bytes,
-    free,
-    grid_of,
-    likely,
-    nearest_scene,
-    range_of,
+    MAX_ELEVATION,
+    decode_ranges,
+    find_free_places,
+    find_nearest_scene,
+    make_grid,
+    probe_places,
+    scale_colours,
 )
 from placegraph.indoor.map.map_kernels import (
     AZIMUTHS,
@@ -39,8 +39,8 @@ from placegraph.indoor.map.map_kernels import (
     STEP,
     Panoramas,
     Samples,
-    add_moved,
-    look_around,
+    add_shifted,
+    render_panoramas,
     scan_headings,
 )
 from placegraph.indoor.map.scene import Scene
@@ -97,7 +97,7 @@ class VisibilityTable:
         for scan, step in zip(self.scans(views, steps[:, 3], noise), steps, strict=True):
             # what the table does not know is taken for bad, not for impossible
             unknown = np.float32(np.percentile(scan.ravel()[::_THINNED], 5.0))
-            add_moved(
+            add_shifted(
                 total,
                 scan,
                 unknown,
@@ -138,7 +138,7 @@ class VisibilityTable:
 def visibility(scene: Scene, options: PoseSearchOptions) -> VisibilityTable:
     """What is visible from where, for cameras at `options.heights`; made once for each."""
     key = ("visibility", options.heights, options.spacing)
-    return scene.derived(key, lambda scene: build_table(scene, options))
+    return scene.compute_once(key, lambda scene: build_table(scene, options))
 
 
 def build_table(scene: Scene, options: PoseSearchOptions) -> VisibilityTable:
@@ -151,16 +151,18 @@ def build_table(scene: Scene, options: PoseSearchOptions) -> VisibilityTable:
             f"{scene.source or 'The map'} has {len(scene):,} objects; "
             f"up to {np.iinfo(np.uint16).max:,} can be localized in. Split it."
         )
-    grid = grid_of(scene, options.heights, options.spacing)
+    grid = make_grid(scene, options.heights, options.spacing)
     index = np.full(grid.height.shape, -1, np.int32)
     positions, ground, parts = [np.zeros((0, 3))], [np.zeros(0)], []
     for layer, height in enumerate(grid.height):
         cells = np.flatnonzero(np.isfinite(height))
         points = np.column_stack([grid.centres[cells], height[cells]])
-        able = likely(scene, points)
+        able = probe_places(scene, points)
         cells, points = cells[able], points[able]
-        panoramas = look_around(scene.caster.tracer, scene.surface, points, DIRECTIONS, len(scene))
-        rows = free(panoramas)
+        panoramas = render_panoramas(
+            scene.caster.tracer, scene.surface, points, DIRECTIONS, len(scene)
+        )
+        rows = find_free_places(panoramas)
         index[layer, cells[rows]] = sum(map(len, positions)) + np.arange(len(rows))
         positions.append(points[rows])
         ground.append(grid.floor[layer, cells[rows]])
@@ -190,10 +192,10 @@ def _usual(
 
     In each merged scene where its own were, or where one holds them if it knows of none.
     """
-    above, within = positions[:, 2] - ground, nearest_scene(scene, positions[:, :2])[0]
+    above, within = positions[:, 2] - ground, find_nearest_scene(scene, positions[:, :2])[0]
     walked = np.zeros(len(scene.scenes), np.bool_)
     if len(scene.viewpoints):
-        walked[nearest_scene(scene, scene.viewpoints[:, :2])[0]] = True
+        walked[find_nearest_scene(scene, scene.viewpoints[:, :2])[0]] = True
     held = (above > _USUAL[0]) & (above < _USUAL[1])
     usual = np.where(walked[within], layer == 0, held)
     return usual if usual.any() else np.ones(len(above), np.bool_)
@@ -206,16 +208,16 @@ def _background(panoramas: Panoramas, objects: int) -> Background:
     for e in range(ELEVATIONS):
         ranges[e] = np.bincount(panoramas.ranges[:, e].ravel(), minlength=256) + 1.0
     ranges[:, NOTHING] = 0.0
-    distances = range_of(np.arange(256, dtype=np.uint8)).astype(np.float64)
+    distances = decode_ranges(np.arange(256, dtype=np.uint8)).astype(np.float64)
     distances[NOTHING] = FARTHEST
     return Background(
-        seen / seen.sum(), ranges / ranges.sum(axis=1, keepdims=True), distances, HIGHEST
+        seen / seen.sum(), ranges / ranges.sum(axis=1, keepdims=True), distances, MAX_ELEVATION
     )
 
 
 def floor_under(scene: Scene, points: Floats) -> Floats:
     """Height of the floor (N,) of the merged scene that each of points (N, 2) is in, or nearest."""
-    return np.asarray(scene.floors[nearest_scene(scene, points)[0]])
+    return np.asarray(scene.floors[find_nearest_scene(scene, points)[0]])
 
 
 def _samples(
@@ -227,10 +229,10 @@ def _samples(
     elevation = np.arcsin(d[:, 2] / reach)
     # spread over the tile as queens on a chessboard, others in each view
     lane = (_SPREAD[np.arange(len(d)) % LANES] + 5 * offset) % LANES
-    asked = (view.patch >= 0) & (np.abs(elevation) < HIGHEST)
+    asked = (view.patch >= 0) & (np.abs(elevation) < MAX_ELEVATION)
     use = asked & (lane < lanes)
     d, reach, elevation, patch = d[use], reach[use], elevation[use], view.patch[use]
-    band = ((elevation / HIGHEST + 1.0) / 2.0 * ELEVATIONS).astype(np.int32)
+    band = ((elevation / MAX_ELEVATION + 1.0) / 2.0 * ELEVATIONS).astype(np.int32)
     azimuth = np.round((np.arctan2(d[:, 1], d[:, 0]) + turn) / STEP).astype(np.int32) % AZIMUTHS
     terms = view.terms
     semantic, depth, colour = _NO_PATCHES, _NO_COSTS, _NO_COLOURS
@@ -245,7 +247,7 @@ def _samples(
         depth = _depth_costs(view.depth[use] * reach, view.usual_depth[use], noise, blur)
     # where labels and depth are there, colours are left to the rays: they are the dearest here
     if terms[COLOUR] and not (terms[SEMANTIC] and terms[DEPTH]):
-        colour = as_bytes(view.colour[use])
+        colour = scale_colours(view.colour[use])
     ends = np.array([len(patch)])
     band = np.minimum(band, ELEVATIONS - 1)
     return Samples(ends, band, azimuth, patch.astype(np.int32), semantic, depth, colour)
@@ -281,7 +283,7 @@ def _depth_costs(
 
     `blur`: how far off a range may be as the true position lies between those of the table [m].
     """
-    expected = range_of(np.arange(256, dtype=np.uint8))[None, :]
+    expected = decode_ranges(np.arange(256, dtype=np.uint8))[None, :]
     measured = ranges[:, None]
     sd = noise.depth_floor + blur + noise.depth_slope * measured
     table = reading_ratio(expected - measured, sd, noise) - usual[:, None]

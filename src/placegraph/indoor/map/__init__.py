@@ -1,1 +1,1 @@
-"""What a scene map holds: objects, meshes, rooms, relations, what is seen from where."""
+"""Contents of scene maps: objects, meshes, rooms, relations, visibility from free places."""

@@ -28,18 +28,18 @@ _LYING = 0.25  # of the area of what is labelled floor is level, else it stands 
 _FLOORS = {"floor", "floors", "ground"}
 
 
-def label_words(label: str) -> list[str]:
+def split_label(label: str) -> list[str]:
     """Return words of a label in lower case: "HouseWall", "house_wall" and "house wall" are two words."""
     return [w.lower() for w in re.findall(r"[A-Z]?[^\W\d_A-Z]+|[A-Z]+(?![^\W\d_A-Z])", label)]
 
 
 def is_floor(label: str) -> bool:
     """Return whether a label says that the object is a floor: its last word does."""
-    words = label_words(label)
+    words = split_label(label)
     return bool(words) and words[-1] in _FLOORS
 
 
-def floor_height(mesh: Mesh, labels: Sequence[str]) -> float | None:
+def find_floor_height(mesh: Mesh, labels: Sequence[str]) -> float | None:
     """Return height of the floor [m, map], or None where the mesh shows none.
 
     Objects labelled as floor that lie level come first, with what looks up where that is about half
@@ -51,7 +51,7 @@ def floor_height(mesh: Mesh, labels: Sequence[str]) -> float | None:
     areas = np.linalg.norm(normals, axis=1) / 2.0
     heights = mesh.vertices[:, 2][mesh.triangles].mean(axis=1, dtype=np.float64)
     upward = normals[:, 2] / np.maximum(2.0 * areas, 1e-300)
-    floors, standing = labelled_floors(mesh, labels)
+    floors, standing = find_labelled_floors(mesh, labels)
     labelled = (np.abs(upward) > LEVEL) & (floors & ~standing)[mesh.object_of]
     whole = float(areas[labelled].sum())
     if whole > 0:
@@ -59,7 +59,7 @@ def floor_height(mesh: Mesh, labels: Sequence[str]) -> float | None:
         if areas[top].sum() >= 0.4 * whole:
             labelled = top
         return _level(heights[labelled], areas[labelled])[0]
-    low, high = quantiles(heights, areas, (0.02, 0.98))
+    low, high = weighted_quantiles(heights, areas, (0.02, 0.98))
     near = heights <= low + max(_LOW * (high - low), _LOW_METRES)
     box = mesh.bounds()
     footprint = float(np.prod((box[1] - box[0])[:2]))
@@ -73,30 +73,30 @@ def floor_height(mesh: Mesh, labels: Sequence[str]) -> float | None:
     return None
 
 
-def storeys(scene: Scene, part: int) -> list[float]:
+def find_storeys(scene: Scene, part: int) -> list[float]:
     """Return heights of the floors of a merged scene (row `part`) [m, map], lowest first.
 
     The first is the scene's own. Above it a storey begins where a level surface that looks up is as
     wide as a room, with walls above it and a room's height below.
     """
-    return scene.derived(("storeys", part), lambda s: _storeys(s, part))
+    return scene.compute_once(("storeys", part), lambda s: _search_storeys(s, part))
 
 
-def storey_at(scene: Scene, point: ArrayLike) -> tuple[int, float]:
+def find_storey(scene: Scene, point: ArrayLike) -> tuple[int, float]:
     """Return storey, from 0 on, in which a point (3,) x, y, z [m] lies, and the height of its floor [m]."""
     x, y, z = np.asarray(point, np.float64).tolist()
-    floors = storeys(scene, scene.scene_at((x, y)))
+    floors = find_storeys(scene, scene.scene_at((x, y)))
     storey = sum(floor <= z for floor in floors[1:])
     return storey, floors[storey]
 
 
-def _storeys(scene: Scene, part: int) -> list[float]:
+def _search_storeys(scene: Scene, part: int) -> list[float]:
     found = [float(scene.floors[part])]
     normals = scene.mesh.normals()
     own = scene.scene_of[scene.mesh.object_of] == part
     areas = np.linalg.norm(normals, axis=1) / 2.0
     heights = scene.mesh.vertices[:, 2][scene.mesh.triangles].mean(axis=1, dtype=np.float64)
-    (top,) = quantiles(heights[own], areas[own], (0.98,))
+    (top,) = weighted_quantiles(heights[own], areas[own], (0.98,))
     box = scene.scene_bounds[part, :, :2]
     wide = max(_STOREY_LEAST, _STOREY_SHARE * float(np.prod(box[1] - box[0])))
     level = own & (normals[:, 2] > LEVEL * 2.0 * areas)
@@ -116,11 +116,11 @@ def _storeys(scene: Scene, part: int) -> list[float]:
         near = np.flatnonzero((filled - filled[enough[0]]).clip(-1) // round(0.5 / _BIN) == 0)
         best = filled[near[area[near].argmax()]]
         around = np.abs(bins - best) <= 1
-        (height,) = quantiles(heights[higher][around], areas[higher][around], (0.5,))
+        (height,) = weighted_quantiles(heights[higher][around], areas[higher][around], (0.5,))
         found.append(height)
 
 
-def labelled_floors(
+def find_labelled_floors(
     mesh: Mesh, labels: Sequence[str]
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Return (N,) objects that are labelled floor, and (N,) those of them that stand upright.
@@ -146,11 +146,11 @@ def _level(heights: NDArray[np.float64], areas: NDArray[np.float64]) -> tuple[fl
     best = int(np.argmax(around))
     own = np.abs(inverse - best) <= 1
     own &= np.abs(bins[inverse] - bins[best]) <= 1
-    (height,) = quantiles(heights[own], areas[own], (0.5,))
+    (height,) = weighted_quantiles(heights[own], areas[own], (0.5,))
     return height, float(around[best])
 
 
-def quantiles(
+def weighted_quantiles(
     values: NDArray[np.float64], weights: NDArray[np.float64], shares: tuple[float, ...]
 ) -> list[float]:
     """Return values below which these shares of the weights lie."""
@@ -160,7 +160,7 @@ def quantiles(
     return [float(v) for v in values[order[np.minimum(rows, len(order) - 1)]]]
 
 
-WORDS = frozenset({
+STRUCTURE_WORDS = frozenset({
     "wall", "walls", "floor", "floors", "ground", "ceiling", "roof", "pillar", "column", "beam",
     "stairs", "staircase", "window", "windows", "doorframe", "windowsill",
 })  # fmt: skip
@@ -172,17 +172,17 @@ NAMELESS = frozenset({
 """Words of labels that name nothing."""
 
 
-def structure(labels: Sequence[str]) -> NDArray[np.bool_]:
+def is_structural(labels: Sequence[str]) -> NDArray[np.bool_]:
     """Return (N,) whether an object is part of the building, by its label's last word."""
-    words = map(label_words, labels)
-    return np.array([bool(w) and w[-1] in WORDS for w in words], np.bool_)
+    words = map(split_label, labels)
+    return np.array([bool(w) and w[-1] in STRUCTURE_WORDS for w in words], np.bool_)
 
 
-def nameless(label: str) -> bool:
+def is_nameless(label: str) -> bool:
     """Return whether a label says nothing of what an object is: "", "unknown", "object"."""
-    return not set(label_words(label)) - NAMELESS
+    return not set(split_label(label)) - NAMELESS
 
 
-def same_label(one: str, other: str) -> bool:
+def labels_agree(one: str, other: str) -> bool:
     """Return whether two labels may be of one object: they are the same, or one names nothing."""
-    return one.casefold() == other.casefold() or nameless(one) or nameless(other)
+    return one.casefold() == other.casefold() or is_nameless(one) or is_nameless(other)

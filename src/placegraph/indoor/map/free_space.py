@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.geometry import Floats
-from placegraph.indoor.map.floor import storeys
+from placegraph.indoor.map.floor import find_storeys
 from placegraph.indoor.map.map_kernels import (
     _SCALE,
     _SHIFT,
@@ -23,14 +23,14 @@ from placegraph.indoor.map.map_kernels import (
 )
 from placegraph.indoor.map.scene import Scene
 
-HIGHEST = np.deg2rad(50.0)
+MAX_ELEVATION = np.deg2rad(50.0)
 """Elevations of the table end here, above and below the horizon."""
 
 
 def _directions() -> NDArray[np.float32]:
     """Return unit rays (E * A, 3) in tiles of 4 x 4 bins; azimuth bins are centred on multiples of STEP."""
     azimuth = np.arange(AZIMUTHS) * STEP
-    elevation = ((np.arange(ELEVATIONS) + 0.5) / ELEVATIONS * 2.0 - 1.0) * HIGHEST
+    elevation = ((np.arange(ELEVATIONS) + 0.5) / ELEVATIONS * 2.0 - 1.0) * MAX_ELEVATION
     e, a = np.meshgrid(elevation, azimuth, indexing="ij")
     rays = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], axis=-1)
     tiles = rays.reshape(ELEVATIONS // 4, 4, AZIMUTHS // 4, 4, 3).swapaxes(1, 2)
@@ -40,23 +40,23 @@ def _directions() -> NDArray[np.float32]:
 DIRECTIONS = _directions()
 
 
-def range_of(steps: NDArray[np.uint8]) -> NDArray[np.float32]:
+def decode_ranges(steps: NDArray[np.uint8]) -> NDArray[np.float32]:
     """Return distances [m] of stored ranges."""
     table = NEAREST * np.exp(np.arange(256) / 254.0 * np.log(FARTHEST / NEAREST))
     table[NOTHING] = np.inf
     return table.astype(np.float32)[steps]
 
 
-def as_bytes(opponents: NDArray[np.float32]) -> NDArray[np.float32]:
+def scale_colours(opponents: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return colours on the scale of the table's."""
     return np.asarray(opponents * _SCALE + _SHIFT, np.float32)
 
 
-MOST = 18_000
+MAX_PLACES = 18_000
 """Places of a grid and its layers; larger maps get a wider grid."""
-GAP = 0.43
+LAYER_GAP = 0.43
 """Most between two layers [m]."""
-BEYOND = 1.5
+SEARCH_MARGIN = 1.5
 """Cameras are looked for this far beyond the box of the mesh [m]: a scan may look in from outside."""
 _WALKED = 0.75  # around where a camera was, there may be one again [m]
 _CLEARANCE = 0.15  # a camera is no nearer to a surface [m]
@@ -91,24 +91,24 @@ class Grid:
         return np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
-def grid_of(scene: Scene, heights: Sequence[float], spacing: float) -> Grid:
+def make_grid(scene: Scene, heights: Sequence[float], spacing: float) -> Grid:
     """Return places at `heights` [m] above all floors of a map, and where its viewpoints were.
 
-    Layers stand at most `GAP` apart, between the lowest and the highest of `heights`.
+    Layers stand at most `LAYER_GAP` apart, between the lowest and the highest of `heights`.
     """
-    above = layers(heights)
-    levels = [storeys(scene, s) for s in range(len(scene.scenes))]
+    above = spread_heights(heights)
+    levels = [find_storeys(scene, s) for s in range(len(scene.scenes))]
     count = max(map(len, levels))
-    box = _ground(scene, spacing)
+    box = _find_search_box(scene, spacing)
     extent = box[1] - box[0]
-    spacing = max(spacing, float(np.sqrt(np.prod(extent) * count * len(above) / MOST)))
+    spacing = max(spacing, float(np.sqrt(np.prod(extent) * count * len(above) / MAX_PLACES)))
     nx, ny = np.maximum(1, np.ceil(extent / spacing).astype(int)).tolist()
     bare = Grid(box[0], spacing, (nx, ny), np.zeros((0, nx * ny)), np.zeros((0, nx * ny)))
-    within, away = nearest_scene(scene, bare.centres)
+    within, away = find_nearest_scene(scene, bare.centres)
     # storeys (S, count) of each merged scene; NaN: it has fewer
     floors = np.array([[*own, *[np.nan] * (count - len(own))] for own in levels])[within].T
     floor = np.repeat(floors, len(above), axis=0)
-    height = np.where(away > BEYOND, np.nan, floor + np.tile(above, count)[:, None])
+    height = np.where(away > SEARCH_MARGIN, np.nan, floor + np.tile(above, count)[:, None])
     if len(scene.viewpoints):
         # height (nx * ny,) at which a camera was nearest to each cell; NaN where none came near
         apart = np.linalg.norm(bare.centres[:, None] - scene.viewpoints[None, :, :2], axis=2)
@@ -120,14 +120,14 @@ def grid_of(scene: Scene, heights: Sequence[float], spacing: float) -> Grid:
     return Grid(box[0], spacing, (nx, ny), floor, height)
 
 
-def layers(heights: Sequence[float]) -> list[float]:
-    """Return few heights, at most `GAP` apart, between the lowest and the highest asked for."""
+def spread_heights(heights: Sequence[float]) -> list[float]:
+    """Return few heights, at most `LAYER_GAP` apart, between the lowest and the highest asked for."""
     low, high = min(heights), max(heights)
-    count = max(1, int(np.ceil((high - low) / GAP - 1e-9)))
+    count = max(1, int(np.ceil((high - low) / LAYER_GAP - 1e-9)))
     return [low + (high - low) * (i + 0.5) / count for i in range(count)]
 
 
-def nearest_scene(scene: Scene, points: Floats) -> tuple[NDArray[np.int64], Floats]:
+def find_nearest_scene(scene: Scene, points: Floats) -> tuple[NDArray[np.int64], Floats]:
     """Return row (N,) of the merged scene whose box each of points (N, 2) is in or nearest to, and how far.
 
     How far (N,) is meant along x and y together [m].
@@ -138,7 +138,7 @@ def nearest_scene(scene: Scene, points: Floats) -> tuple[NDArray[np.int64], Floa
     return away.argmin(axis=1), away.min(axis=1)
 
 
-def _ground(scene: Scene, spacing: float) -> Floats:
+def _find_search_box(scene: Scene, spacing: float) -> Floats:
     """Return box (2, 2) in which cameras are looked for: around the map, or a vast map's better part.
 
     One triangle that reaches to the horizon must not spread the grid over nothing: where the box
@@ -146,7 +146,7 @@ def _ground(scene: Scene, spacing: float) -> Floats:
     surface lies, no triangle counting for more than a square metre.
     """
     box = scene.bounds[:, :2].copy()
-    if np.prod(box[1] - box[0]) > MOST * spacing**2:
+    if np.prod(box[1] - box[0]) > MAX_PLACES * spacing**2:
         corners = scene.mesh.vertices[scene.mesh.triangles].astype(np.float64)
         sides = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         area = np.minimum(np.linalg.norm(sides, axis=1) / 2.0, 1.0)
@@ -155,14 +155,14 @@ def _ground(scene: Scene, spacing: float) -> Floats:
             order = np.argsort(centre)
             share = np.cumsum(area[order]) / area.sum()
             box[:, axis] = centre[order][np.searchsorted(share, [0.005, 0.995])]
-    beyond = np.array([[-BEYOND], [BEYOND]])
+    beyond = np.array([[-SEARCH_MARGIN], [SEARCH_MARGIN]])
     if len(scene.viewpoints):
         seen = scene.viewpoints[:, :2]
         box = np.stack([np.minimum(box[0], seen.min(axis=0)), np.maximum(box[1], seen.max(axis=0))])
     return box + beyond
 
 
-def likely(scene: Scene, points: Floats) -> NDArray[np.bool_]:
+def probe_places(scene: Scene, points: Floats) -> NDArray[np.bool_]:
     """Return which of points (K, 3) may be free by a few rays.
 
     They say where a place is shut in or sees nothing. One without a floor below lies outside unless
@@ -190,11 +190,11 @@ def likely(scene: Scene, points: Floats) -> NDArray[np.bool_]:
     beside = np.flatnonzero(able & ~floored)
     if np.median(backs[inside]) < 0.5 * _BACKS:
         able[beside] &= backs[beside] < _BACKS
-    able[beside] &= _looks_in(scene, points[beside], points[inside])
+    able[beside] &= _sees_inside(scene, points[beside], points[inside])
     return able
 
 
-def _looks_in(scene: Scene, points: Floats, inside: Floats) -> NDArray[np.bool_]:
+def _sees_inside(scene: Scene, points: Floats, inside: Floats) -> NDArray[np.bool_]:
     """Return which of points (K, 3) see their share of places (M, 3): the nearest, and others all over."""
     if not len(points):
         return np.zeros(0, np.bool_)
@@ -212,9 +212,9 @@ def _looks_in(scene: Scene, points: Floats, inside: Floats) -> NDArray[np.bool_]
     return np.asarray((hits.distance > 1.0).reshape(rows.shape).mean(axis=1) >= _SIGHTED)
 
 
-def free(panoramas: Panoramas) -> NDArray[np.int64]:
+def find_free_places(panoramas: Panoramas) -> NDArray[np.int64]:
     """Return rows where a camera can be: not in a wall or a cupboard, and not where nothing is mapped."""
-    ranges = range_of(panoramas.ranges.reshape(-1, ELEVATIONS * AZIMUTHS))
+    ranges = decode_ranges(panoramas.ranges.reshape(-1, ELEVATIONS * AZIMUTHS))
     mapped = (panoramas.ranges != NOTHING).mean(axis=(1, 2))
     nearest = np.partition(ranges, ranges.shape[1] // 100, axis=1)[:, ranges.shape[1] // 100]
     enclosed = (ranges < _ENCLOSED).mean(axis=1) > 0.5

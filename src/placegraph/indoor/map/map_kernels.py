@@ -25,7 +25,7 @@ from placegraph.indoor.rays.trace_kernels import (
 
 
 @kernel
-def chart_of(triangles, vertices):
+def label_charts(triangles, vertices):
     """Return lowest vertex (V,) of the connected part, joined by triangles (T, 3), of each vertex."""
     root = np.arange(vertices)
     for t in range(len(triangles)):
@@ -44,7 +44,7 @@ def chart_of(triangles, vertices):
 
 
 @kernel(inline="always")
-def colour_at(surface, triangle, u, v, footprint):
+def sample_colour(surface, triangle, u, v, footprint):
     """Return colour in sRGB (3 floats, 0 to 1) at barycentrics u, v of a triangle.
 
     `footprint`: width of what the ray stands for at the hit [m].
@@ -78,7 +78,7 @@ def colour_at(surface, triangle, u, v, footprint):
 
 
 @kernel(inline="always")
-def opponent(red, green, blue):
+def opponent_colour(red, green, blue):
     """Return lightness and two chromaticities (3 floats) that a lamp's brightness leaves alone."""
     total = red + green + blue
     shade = np.float32(1.0) / (total + np.float32(0.06))
@@ -92,7 +92,7 @@ _LOOK = 64  # vertices of more triangles than this are walked around as the tria
 
 
 @kernel
-def code(rows, codes):
+def encode_rows(rows, codes):
     """Write how far each row (N,) is below the number of those met in order so far."""
     high = 0
     for i in range(len(rows)):
@@ -101,7 +101,7 @@ def code(rows, codes):
 
 
 @kernel
-def fan_order(corners, vertices):
+def order_fans(corners, vertices):
     """Return order (T,) of triangles (T, 3), new number (V,) of each vertex or -1, and how many are used.
 
     Vertices wait in the order in which they were met; around each its triangles follow, each beside
@@ -224,20 +224,30 @@ _SCALE = np.array([85.0, 127.0, 63.0], np.float32)
 _SHIFT = np.array([0.0, 127.0, 127.0], np.float32)
 
 
-def look_around(tracer, surface, points, directions, objects):
+def render_panoramas(tracer, surface, points, directions, objects):
     """Return panoramas from points (K, 3)."""
     shape = (len(points), ELEVATIONS, AZIMUTHS)
-    seen = np.full(shape, objects, np.uint16)
+    hit_objects = np.full(shape, objects, np.uint16)
     ranges = np.full(shape, NOTHING, np.uint8)
     colours = np.zeros((len(points), ELEVATIONS, 3, AZIMUTHS), np.uint8)
     run_parallel(
-        _look_around, len(points), tracer, surface, points, directions, seen, ranges, colours
+        _render_panoramas,
+        len(points),
+        tracer,
+        surface,
+        points,
+        directions,
+        hit_objects,
+        ranges,
+        colours,
     )
-    return Panoramas(seen, ranges, colours)
+    return Panoramas(hit_objects, ranges, colours)
 
 
 @kernel(error_model="numpy")
-def _look_around(tracer, surface, points, directions, seen, ranges, colours, first, last):
+def _render_panoramas(
+    tracer, surface, points, directions, hit_objects, ranges, colours, first, last
+):
     """Fill panoramas `first` to `last`."""
     scale = np.float32(254.0 / np.log(FARTHEST / NEAREST))
     packet, ints, valid = new_packet()
@@ -255,17 +265,17 @@ def _look_around(tracer, surface, points, directions, seen, ranges, colours, fir
                     continue
                 e = tile // (AZIMUTHS // 4) * 4 + lane // 4
                 a = tile % (AZIMUTHS // 4) * 4 + lane % 4
-                seen[k, e, a] = surface.object_of[triangle]
+                hit_objects[k, e, a] = surface.object_of[triangle]
                 steps = np.log(packet[FAR, lane] / np.float32(NEAREST)) * scale
                 ranges[k, e, a] = np.uint8(min(max(steps, np.float32(0)), np.float32(254)))
-                red, green, blue = colour_at(
+                red, green, blue = sample_colour(
                     surface,
                     triangle,
                     packet[U, lane],
                     packet[V, lane],
                     packet[FAR, lane] * np.float32(STEP),
                 )
-                rendered = opponent(red, green, blue)
+                rendered = opponent_colour(red, green, blue)
                 for c in range(3):
                     byte = rendered[c] * _SCALE[c] + _SHIFT[c]
                     colours[k, e, c, a] = np.uint8(min(max(byte, np.float32(0)), np.float32(255)))
@@ -366,7 +376,7 @@ def _unroll_colours(colours, ranges, out):
 
 
 @kernel(fastmath=True, error_model="numpy")
-def _add_colours(total, colours, whole, samples, part, m, colour_weight):
+def _add_colours(total, colours, is_complete, samples, part, m, colour_weight):
     """Add what the colours of one view tell to all headings of one position; m is room to work."""
     band, azimuth, colour = samples.band, samples.azimuth, samples.colour
     hits = np.zeros(HEADINGS, np.float32)
@@ -382,7 +392,7 @@ def _add_colours(total, colours, whole, samples, part, m, colour_weight):
                 m[c, 1, a] += r
                 m[c, 3, a] += r * r
                 m[c, 4, a] += q * r
-            if whole:  # sums of the image alone are the same everywhere
+            if is_complete:  # sums of the image alone are the same everywhere
                 sums[c, 0] += q
                 sums[c, 1] += q * q
             else:
@@ -392,7 +402,7 @@ def _add_colours(total, colours, whole, samples, part, m, colour_weight):
                     m[c, 2, a] += q * q * there
         for a in range(np.uint32(HEADINGS)):
             hits[a] += colours[row, 3, shift + a]
-    if whole:
+    if is_complete:
         for c in range(3):
             m[c, 0] = sums[c, 0]
             m[c, 2] = sums[c, 1]
@@ -406,25 +416,25 @@ def _add_correlation(total, hits, m, weight):
         n = hits[a]
         if n < LANES:
             continue
-        told = np.float32(0.0)
+        evidence = np.float32(0.0)
         for c in range(3):
             q, r = m[c, 0, a] / n, m[c, 1, a] / n
             vq, vr = m[c, 2, a] / n - q * q, m[c, 3, a] / n - r * r
             if vq > 1.0 and vr > 1.0:
                 rho = (m[c, 4, a] / n - q * r) / np.sqrt(vq * vr)
                 rho = min(max(rho, np.float32(0.0)), np.float32(0.99))
-                told -= np.log(np.float32(1.0) - rho * rho)
-        total[a] += weight * n * told / np.float32(6.0)
+                evidence -= np.log(np.float32(1.0) - rho * rho)
+        total[a] += weight * n * evidence / np.float32(6.0)
 
 
-def add_moved(total, scan, unknown, positions, layer_of, index, origin, spacing, step):
+def add_shifted(total, scan, unknown, positions, layer_of, index, origin, spacing, step):
     """Add to each pose of the reference frame what `scan` says of it moved by `step` (3,) [m]."""
     grid = positions, layer_of, index, origin, spacing, step
-    run_parallel(_add_moved, len(positions), total, scan, unknown, *grid)
+    run_parallel(_add_shifted, len(positions), total, scan, unknown, *grid)
 
 
 @kernel
-def _add_moved(
+def _add_shifted(
     total, scan, unknown, positions, layer_of, index, origin, spacing, step, first, last
 ):  # fmt: skip
     """Add to rows `first` to `last`."""
@@ -449,7 +459,7 @@ _MOST_SAMPLES = 512  # along an edge of a triangle
 
 
 @kernel
-def cut(corners, kinds, heights, origin, cell, found):
+def draw_cuts(corners, kinds, heights, origin, cell, bits):
     """Draw where triangles (T, 3 corners, 3) meet level planes (K,).
 
     Sets bit k of `found[kinds[t]]` (kinds, nx, ny) where triangle t meets plane k in a cell; a
@@ -459,7 +469,7 @@ def cut(corners, kinds, heights, origin, cell, found):
     for t in range(len(corners)):
         if kinds[t] < 0:
             continue
-        plane = found[kinds[t]]
+        plane = bits[kinds[t]]
         low = min(corners[t, 0, 2], corners[t, 1, 2], corners[t, 2, 2])
         high = max(corners[t, 0, 2], corners[t, 1, 2], corners[t, 2, 2])
         for k in range(len(heights)):
@@ -475,11 +485,11 @@ def cut(corners, kinds, heights, origin, cell, found):
                     ends[count, 1] = (a[1] + share * (b[1] - a[1]) - origin[1]) / cell
                     count += 1
             if count == 2:
-                _line(ends, np.uint32(1 << k), plane)
+                _draw_line(ends, np.uint32(1 << k), plane)
 
 
 @kernel
-def _line(ends, bit, plane):
+def _draw_line(ends, bit, plane):
     """Set a bit in every cell on the way from one end to the other, in steps of half a cell."""
     dx, dy = ends[1, 0] - ends[0, 0], ends[1, 1] - ends[0, 1]
     steps = int(2.0 * max(abs(dx), abs(dy))) + 1
@@ -490,7 +500,7 @@ def _line(ends, bit, plane):
 
 
 @kernel
-def cover(corners, chosen, origin, cell, covered):
+def rasterize_triangles(corners, chosen, origin, cell, covered):
     """Mark the cells whose centre lies under or over one of the chosen triangles (T, 3, 3)."""
     nx, ny = covered.shape
     for t in range(len(corners)):
@@ -514,7 +524,7 @@ def cover(corners, chosen, origin, cell, covered):
 
 
 @kernel
-def nearest(mask, reach):
+def distance_transform(mask, reach):
     """Return squared distance [cells2] of every cell to the nearest one of a mask, and its number x ny + y.
 
     Where there is none within `reach` cells, it is (reach + 1) squared, and -1. Exact: first along
@@ -558,7 +568,7 @@ def nearest(mask, reach):
 
 
 @kernel
-def _root(parent, i):
+def _find_root(parent, i):
     while parent[i] != i:
         parent[i] = parent[parent[i]]
         i = parent[i]
@@ -566,7 +576,7 @@ def _root(parent, i):
 
 
 @kernel
-def flood(width, order, least, narrow, door, narrow_door):
+def flood_basins(width, order, least, narrow, door, narrow_door):
     """Return basins of half-widths (nx, ny) [m]: from the widest place down, cut where it is narrow.
 
     Cells are neighbours by their sides: walls askew touch at corners.
@@ -605,13 +615,13 @@ def flood(width, order, least, narrow, door, narrow_door):
                 best = j
         if best < 0:
             continue
-        parent[i] = _root(parent, best)
+        parent[i] = _find_root(parent, best)
         for k in range(4):
             u, v = x + _X[k], y + _Y[k]
             j = u * ny + v
             if not (0 <= u < nx and 0 <= v < ny and seen[j]):
                 continue
-            one, other = _root(parent, i), _root(parent, j)
+            one, other = _find_root(parent, i), _find_root(parent, j)
             if one == other:
                 continue
             if flat[one] < flat[other]:
@@ -624,10 +634,10 @@ def flood(width, order, least, narrow, door, narrow_door):
                 count += 1
     basin = np.full(nx * ny, -1)
     for i in order:
-        basin[i] = _root(parent, i)
+        basin[i] = _find_root(parent, i)
     for c in range(count):
-        meetings[c, 0] = _root(parent, meetings[c, 0])
-        meetings[c, 1] = _root(parent, meetings[c, 1])
+        meetings[c, 0] = _find_root(parent, meetings[c, 0])
+        meetings[c, 1] = _find_root(parent, meetings[c, 1])
     return basin.reshape(nx, ny), meetings[:count].copy()
 
 
@@ -636,7 +646,7 @@ _Y = np.array([0, 0, 1, -1, 1, -1, 1, -1])
 
 
 @kernel
-def pieces(mask):
+def label_components(mask):
     """Number the 8-connected parts of a mask (nx, ny) from 0 on; -1 outside of it."""
     nx, ny = mask.shape
     part = np.full((nx, ny), -1, np.int32)
@@ -663,7 +673,7 @@ def pieces(mask):
 
 
 @kernel
-def areas_within(corners, areas, object_of, origin, cell, rooms, votes):
+def sum_areas(corners, areas, object_of, origin, cell, rooms, votes):
     """Add the area [m2] of triangles (T, 3, 3) that lies in each room to `votes` (N, R + 1).
 
     `rooms` (nx, ny) is the room of a cell; -1, and what is beyond the grid, counts in the last

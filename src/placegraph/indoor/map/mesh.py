@@ -129,7 +129,7 @@ class Mesh:
     def normals(self) -> NDArray[np.float64]:
         """Return (T, 3) float64 normals, twice as long as the triangles' areas [m2]."""
         normals = np.empty((len(self), 3))
-        for part in portions(len(self)):
+        for part in iterate_slices(len(self)):
             a, b, c = np.moveaxis(self.vertices[self.triangles[part]].astype(np.float64), 1, 0)
             normals[part] = np.cross(b - a, c - a)
         return normals
@@ -192,7 +192,7 @@ class Mesh:
         return _step(self.vertices, GRAIN), _step(self.uv, UV_GRAIN)
 
 
-def portions(count: int) -> Iterator[slice]:
+def iterate_slices(count: int) -> Iterator[slice]:
     """Return slices of `count` rows, so many at a time that what is computed of them stays small."""
     for start in range(0, count, _PORTION):
         yield slice(start, min(start + _PORTION, count))
@@ -250,13 +250,13 @@ def _rows(name: str, rows: NDArray[np.int32], count: int | None) -> None:
         )
 
 
-def ordered(mesh: Mesh) -> Mesh:
+def sort_triangles(mesh: Mesh) -> Mesh:
     """Order a mesh part by connected part and fan by fan; drops unused vertices."""
-    from placegraph.indoor.map.map_kernels import fan_order
+    from placegraph.indoor.map.map_kernels import order_fans
 
     by_object = np.argsort(mesh.object_of, kind="stable")
     corners = mesh.triangles[by_object].astype(np.int64)
-    order, number, count = fan_order(corners, len(mesh.vertices))
+    order, number, count = order_fans(corners, len(mesh.vertices))
     rows = by_object[order]
     vertex = np.empty(count, np.int64)
     used = np.flatnonzero(number >= 0)
@@ -272,23 +272,23 @@ def ordered(mesh: Mesh) -> Mesh:
     )
 
 
-def high_water(triangles: NDArray[np.int32]) -> NDArray[np.int32]:
+def encode_high_water(triangles: NDArray[np.int32]) -> NDArray[np.int32]:
     """Return codes (3 T,) of triangles (T, 3)."""
-    from placegraph.indoor.map.map_kernels import code
+    from placegraph.indoor.map.map_kernels import encode_rows
 
     codes = np.empty(triangles.size, np.int32)
-    code(triangles.ravel(), codes)
+    encode_rows(triangles.ravel(), codes)
     return codes
 
 
-def from_high_water(codes: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Return triangles (T, 3) of `high_water` codes (3 T,)."""
+def decode_high_water(codes: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Return triangles (T, 3) of `encode_high_water` codes (3 T,)."""
     new = (codes == 0).astype(np.int64)
     level = np.cumsum(new) - new
     return (level - codes).astype(np.int32).reshape(-1, 3)
 
 
-MANY = 100
+MIN_ATLAS_CHARTS = 100
 """A texture of more charts than this is an atlas; in one of fewer, neighbours look alike."""
 
 
@@ -352,9 +352,9 @@ def _useful_levels(mesh: Mesh) -> NDArray[np.int64]:
     most = np.ceil(np.log2(sizes.max(axis=1))).astype(np.int64)
     if not len(mesh) or (most == 0).all():
         return most
-    from placegraph.indoor.map.map_kernels import chart_of  # compiled
+    from placegraph.indoor.map.map_kernels import label_charts  # compiled
 
-    chart = chart_of(mesh.triangles, len(mesh.vertices))[mesh.triangles[:, 0]]
+    chart = label_charts(mesh.triangles, len(mesh.vertices))[mesh.triangles[:, 0]]
     rows, chart = np.unique(chart, return_inverse=True)
     uv = mesh.uv[mesh.triangles]
     low, high = np.full((len(rows), 2), np.inf), np.full((len(rows), 2), -np.inf)
@@ -367,7 +367,7 @@ def _useful_levels(mesh: Mesh) -> NDArray[np.int64]:
     for k in np.flatnonzero(most > 0).tolist():
         own = np.flatnonzero((texture == k) & (side > 0))
         whole = (side[own] >= 0.5 * sizes[k].min()).any()  # one chart has it all
-        if own.size > MANY and not whole:
+        if own.size > MIN_ATLAS_CHARTS and not whole:
             order = own[np.argsort(side[own])]
             total = np.cumsum(area[order])
             least = side[order[np.searchsorted(total, BLEED * total[-1])]]
@@ -392,7 +392,7 @@ def _pyramid(texture: NDArray[np.uint8], most: int) -> list[NDArray[np.uint8]]:
 def _density(mesh: Mesh, sizes: NDArray[np.int32]) -> NDArray[np.float32]:
     """Return texels per metre (T,) along the denser side of each triangle's texture."""
     density = np.empty(len(mesh), np.float32)
-    for part in portions(len(mesh)):
+    for part in iterate_slices(len(mesh)):
         corners, uv = mesh.vertices[mesh.triangles[part]], mesh.uv[mesh.triangles[part]]
         uv = uv * sizes[mesh.texture_of[part]][:, None, :]
         edges, spans = (np.linalg.norm(c - np.roll(c, 1, axis=1), axis=2) for c in (corners, uv))

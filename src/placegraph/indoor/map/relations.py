@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.graph import SceneGraph
-from placegraph.indoor.map.floor import is_floor, label_words
+from placegraph.indoor.map.floor import is_floor, split_label
 from placegraph.indoor.map.mesh import Mesh
 
-NEXT = 0.5
+NEXT_DISTANCE = 0.5
 """Side by side [m]."""
 _WALLS = frozenset({"wall", "walls"})
 _CEILINGS = frozenset({"ceiling", "ceilings", "roof"})
@@ -63,10 +63,10 @@ class Triangles(NamedTuple):
             near = near[self.level[near]]
         for axis in (0, 1):
             near = near[(self.low[near, axis] <= high[axis]) & (self.high[near, axis] >= low[axis])]
-        return bool(near.size) and bool(overlap(self.corners[near], low, high).any())
+        return bool(near.size) and bool(overlaps_box(self.corners[near], low, high).any())
 
 
-def overlap(corners: NDArray[np.float32], low: Floats, high: Floats) -> NDArray[np.bool_]:
+def overlaps_box(corners: NDArray[np.float32], low: Floats, high: Floats) -> NDArray[np.bool_]:
     """Return which triangles (T, 3 corners, 3) reach into a box, by the separating axis theorem."""
     half = (high - low) / 2.0
     points = corners.astype(np.float64) - (low + high) / 2.0
@@ -82,14 +82,14 @@ def overlap(corners: NDArray[np.float32], low: Floats, high: Floats) -> NDArray[
     return np.asarray(touching)
 
 
-def boxes_of(mesh: Mesh, labels: Sequence[str]) -> Boxes:
+def measure_boxes(mesh: Mesh, labels: Sequence[str]) -> Boxes:
     """Return boxes of the objects of a mesh."""
     bounds = mesh.object_bounds(len(labels))
     low, high = bounds[:, 0], bounds[:, 1]
     sides = high - low
     footprint = sides[:, 0] * sides[:, 1]
     whole = np.prod((high.max(axis=0) - low.min(axis=0))[:2])
-    words = [(label_words(label) or [""])[-1] for label in labels]
+    words = [(split_label(label) or [""])[-1] for label in labels]
     floor = np.array([is_floor(label) for label in labels])
     wall, ceiling, door, built_in = (
         np.array([word in known for word in words])
@@ -110,18 +110,18 @@ def triangles_of(mesh: Mesh, count: int) -> Triangles:
 
 
 def near_pairs(boxes: Boxes) -> NDArray[np.int64]:
-    """Return pairs (P, 2), both ways, whose footprints are at most `NEXT` apart: a sweep along x."""
+    """Return pairs (P, 2), both ways, whose footprints are at most `NEXT_DISTANCE` apart: a sweep along x."""
     order = np.argsort(boxes.low[:, 0], kind="stable")
     begin = boxes.low[order, 0]
-    until = np.searchsorted(begin, boxes.high[order, 0] + NEXT, side="right")
+    until = np.searchsorted(begin, boxes.high[order, 0] + NEXT_DISTANCE, side="right")
     found = []
     for chunk in _chunks(until - np.arange(len(order))):
         reach = until[chunk] - chunk - 1
         first = np.repeat(chunk, reach)
         second = first + 1 + np.arange(len(first)) - np.repeat(np.cumsum(reach) - reach, reach)
         a, b = order[first], order[second]
-        near = (boxes.low[a, 1] <= boxes.high[b, 1] + NEXT) & (
-            boxes.low[b, 1] <= boxes.high[a, 1] + NEXT
+        near = (boxes.low[a, 1] <= boxes.high[b, 1] + NEXT_DISTANCE) & (
+            boxes.low[b, 1] <= boxes.high[a, 1] + NEXT_DISTANCE
         )
         found.append(np.stack([a[near], b[near]], axis=1))
     one_way = np.concatenate(found)
@@ -153,7 +153,7 @@ SUPPORT = 0.1
 """A thing may float this much over what it stands on [m]: feet are lost in coarse meshes."""
 OVER = 2.0
 """One above the other [m]."""
-MOST_OBJECTS = 20_000
+MAX_RELATED_OBJECTS = 20_000
 """Beyond this many objects, as of a mesh cut to pieces, no relations are made."""
 
 _HOLLOW = 0.2  # what something else is inside of is at least this thick [m]
@@ -161,7 +161,7 @@ _SIDE_BY_SIDE = 0.25  # of the lower one's height that the higher one shares
 _THIN = 0.01  # boxes of flat things are given this thickness [m]
 
 
-def relate(
+def find_relations(
     mesh: Mesh, labels: Sequence[str], room_of: NDArray[np.integer] | None = None
 ) -> list[tuple[int, str, int]]:
     """Return relations (row, relation, row) between the objects of a mesh, sorted.
@@ -170,27 +170,30 @@ def relate(
     it is not given, nothing is in the same room, and things are next to each other through walls.
     """
     count = len(labels)
-    if not 1 < count <= MOST_OBJECTS:
+    if not 1 < count <= MAX_RELATED_OBJECTS:
         return []
-    boxes = boxes_of(mesh, labels)
+    boxes = measure_boxes(mesh, labels)
     rooms = np.full(count, -1) if room_of is None else np.asarray(room_of, np.int64)
     pairs = near_pairs(boxes)
     triangles = triangles_of(mesh, count)
-    found: dict[tuple[int, int], str] = {}
+    relation_of: dict[tuple[int, int], str] = {}
     fixed = boxes.built_in[pairs[:, 0]] & boxes.wall[pairs[:, 1]]
-    grounded = _attached(boxes, triangles, pairs[fixed], found, reach=SUPPORT)
-    grounded |= _standing(boxes, triangles, pairs[~grounded[pairs[:, 0]]], found)
-    grounded |= _inside(boxes, pairs, found, grounded)
+    grounded = _find_attached(boxes, triangles, pairs[fixed], relation_of, reach=SUPPORT)
+    grounded |= _find_standing(boxes, triangles, pairs[~grounded[pairs[:, 0]]], relation_of)
+    grounded |= _find_inside(boxes, pairs, relation_of, grounded)
     free = ~grounded[pairs[:, 0]] & ~boxes.structure[pairs[:, 0]]
-    _attached(boxes, triangles, pairs[free], found, reach=CONTACT)
-    _above(boxes, triangles, pairs, found)
-    _next_to(boxes, pairs[boxes.door[pairs].any(axis=1) | ~_apart(rooms, pairs)], found)
-    edges = [(a, relation, b) for (a, b), relation in found.items()]
-    return sorted(edges + _same_room(boxes, rooms))
+    _find_attached(boxes, triangles, pairs[free], relation_of, reach=CONTACT)
+    _find_above(boxes, triangles, pairs, relation_of)
+    _find_next_to(boxes, pairs[boxes.door[pairs].any(axis=1) | ~_apart(rooms, pairs)], relation_of)
+    edges = [(a, relation, b) for (a, b), relation in relation_of.items()]
+    return sorted(edges + _span_rooms(boxes, rooms))
 
 
-def _standing(
-    boxes: Boxes, triangles: Triangles, pairs: NDArray[np.int64], found: dict[tuple[int, int], str]
+def _find_standing(
+    boxes: Boxes,
+    triangles: Triangles,
+    pairs: NDArray[np.int64],
+    relation_of: dict[tuple[int, int], str],
 ) -> NDArray[np.bool_]:
     """Find what stands on what; returns which objects do."""
     a, b = pairs.T
@@ -208,21 +211,21 @@ def _standing(
     rows = rows[np.lexsort([-boxes.footprint[b[rows]], -np.round(tops, 3), ~carries])]
     stands = np.zeros(len(boxes.low), np.bool_)
     for i in rows.tolist():
-        thing, under_it = int(a[i]), int(b[i])
-        if stands[thing] or (under_it, thing) in found:
+        subject, under_it = int(a[i]), int(b[i])
+        if stands[subject] or (under_it, subject) in relation_of:
             continue
-        low, high = boxes.low[thing].copy(), boxes.high[thing].copy()
+        low, high = boxes.low[subject].copy(), boxes.high[subject].copy()
         low[2], high[2] = low[2] - SUPPORT, low[2] + CONTACT
         if triangles.in_box(under_it, low, high, level=True):
-            found[thing, under_it] = STANDING_ON
-            stands[thing] = True
+            relation_of[subject, under_it] = STANDING_ON
+            stands[subject] = True
     return stands
 
 
-def _inside(
+def _find_inside(
     boxes: Boxes,
     pairs: NDArray[np.int64],
-    found: dict[tuple[int, int], str],
+    relation_of: dict[tuple[int, int], str],
     grounded: NDArray[np.bool_],
 ) -> NDArray[np.bool_]:
     """Find what is inside what; returns which objects are."""
@@ -238,17 +241,17 @@ def _inside(
     inside = np.zeros(len(boxes.low), np.bool_)
     rows = np.flatnonzero(within)
     for i in rows[np.argsort(volume[b[rows]], kind="stable")].tolist():
-        if not inside[a[i]] and not {(a[i], b[i]), (b[i], a[i])} & found.keys():
-            found[int(a[i]), int(b[i])] = INSIDE
+        if not inside[a[i]] and not {(a[i], b[i]), (b[i], a[i])} & relation_of.keys():
+            relation_of[int(a[i]), int(b[i])] = INSIDE
             inside[a[i]] = True
     return inside
 
 
-def _attached(
+def _find_attached(
     boxes: Boxes,
     triangles: Triangles,
     pairs: NDArray[np.int64],
-    found: dict[tuple[int, int], str],
+    relation_of: dict[tuple[int, int], str],
     *,
     reach: float,
 ) -> NDArray[np.bool_]:
@@ -260,20 +263,23 @@ def _attached(
     a, b = a[touching], b[touching]
     order = np.lexsort([-boxes.footprint[b], ~boxes.structure[b]])
     held = np.zeros(len(boxes.low), np.bool_)
-    for thing, other in zip(a[order].tolist(), b[order].tolist(), strict=True):
-        if held[thing] or (other, thing) in found:
+    for subject, other in zip(a[order].tolist(), b[order].tolist(), strict=True):
+        if held[subject] or (other, subject) in relation_of:
             continue
-        low, high = boxes.low[thing] - reach, boxes.high[thing] + reach
+        low, high = boxes.low[subject] - reach, boxes.high[subject] + reach
         if triangles.in_box(other, low, high):
-            found[thing, other] = ATTACHED_TO
-            held[thing] = True
+            relation_of[subject, other] = ATTACHED_TO
+            held[subject] = True
     return held
 
 
-def _above(
-    boxes: Boxes, triangles: Triangles, pairs: NDArray[np.int64], found: dict[tuple[int, int], str]
+def _find_above(
+    boxes: Boxes,
+    triangles: Triangles,
+    pairs: NDArray[np.int64],
+    relation_of: dict[tuple[int, int], str],
 ) -> None:
-    carrier = {one: other for (one, other), kind in found.items() if kind == STANDING_ON}
+    carrier = {one: other for (one, other), kind in relation_of.items() if kind == STANDING_ON}
     stands = np.zeros(len(boxes.low), np.bool_)
     stands[list(carrier)] = True
     a, b = pairs[~boxes.structure[pairs].any(axis=1) & ~stands[pairs[:, 0]]].T
@@ -294,19 +300,19 @@ def _above(
             under.setdefault(one, {}).setdefault(bool(half[i]), []).append(other)
     for one, seen in under.items():
         others = seen.get(True) or seen[False]
-        carrying = {below for thing in others for below in _carriers(carrier, thing)}
+        carrying = {below for subject in others for below in _carriers(carrier, subject)}
         best = next((other for other in others if other not in carrying), None)
-        if best is not None and (one, best) not in found and (best, one) not in found:
-            found[one, best] = ABOVE
+        if best is not None and (one, best) not in relation_of and (best, one) not in relation_of:
+            relation_of[one, best] = ABOVE
 
 
-def _carriers(carrier: dict[int, int], thing: int) -> Iterator[int]:
+def _carriers(carrier: dict[int, int], subject: int) -> Iterator[int]:
     """Yield the supports of an object, from the nearest down."""
-    passed = {thing}
-    while thing in carrier and carrier[thing] not in passed:
-        thing = carrier[thing]
-        passed.add(thing)
-        yield thing
+    passed = {subject}
+    while subject in carrier and carrier[subject] not in passed:
+        subject = carrier[subject]
+        passed.add(subject)
+        yield subject
 
 
 def _apart(rooms: NDArray[np.int64], pairs: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -316,22 +322,24 @@ def _apart(rooms: NDArray[np.int64], pairs: NDArray[np.int64]) -> NDArray[np.boo
     return apart
 
 
-def _next_to(boxes: Boxes, pairs: NDArray[np.int64], found: dict[tuple[int, int], str]) -> None:
+def _find_next_to(
+    boxes: Boxes, pairs: NDArray[np.int64], relation_of: dict[tuple[int, int], str]
+) -> None:
     a, b = pairs[~boxes.structure[pairs].any(axis=1)].T
     apart = np.maximum(boxes.low[a], boxes.low[b]) - np.minimum(boxes.high[a], boxes.high[b])
     tall = boxes.high[:, 2] - boxes.low[:, 2]
     beside = -apart[:, 2] >= _SIDE_BY_SIDE * np.minimum(tall[a], tall[b])
     beside &= apart[:, 2] < 0
     # one sits at a window that begins above the seat
-    beside |= (boxes.built_in[a] | boxes.built_in[b]) & (apart[:, 2] <= NEXT)
-    near = beside & (np.hypot(*np.maximum(apart[:, :2], 0.0).T) <= NEXT)
+    beside |= (boxes.built_in[a] | boxes.built_in[b]) & (apart[:, 2] <= NEXT_DISTANCE)
+    near = beside & (np.hypot(*np.maximum(apart[:, :2], 0.0).T) <= NEXT_DISTANCE)
     for one, other in zip(a[near].tolist(), b[near].tolist(), strict=True):
-        other_way = found.get((other, one), NEXT_TO)
+        other_way = relation_of.get((other, one), NEXT_TO)
         if other_way == NEXT_TO:
-            found.setdefault((one, other), NEXT_TO)
+            relation_of.setdefault((one, other), NEXT_TO)
 
 
-def _same_room(boxes: Boxes, rooms: NDArray[np.int64]) -> list[tuple[int, str, int]]:
+def _span_rooms(boxes: Boxes, rooms: NDArray[np.int64]) -> list[tuple[int, str, int]]:
     """Return shortest tree through the middles of each room's things, both ways: Prim's algorithm."""
     middle = (boxes.low + boxes.high) / 2.0
     edges: list[tuple[int, str, int]] = []
@@ -356,13 +364,13 @@ def _same_room(boxes: Boxes, rooms: NDArray[np.int64]) -> list[tuple[int, str, i
     return edges
 
 
-Reading = tuple[str, bool]
+Meaning = tuple[str, bool]
 """A relation, and whether subject and object change places."""
 
 LEFT, FRONT, HIGHER, BIGGER = "left", "front", "higher than", "bigger than"
 LEANING, PART, COVER = "leaning against", "part of", "cover"
 
-CANONICAL: dict[str, Reading] = {
+CANONICAL: dict[str, Meaning] = {
     # 3DSSG's, those of its subset; left, right, front, behind are as seen by who labelled the scan
     "supported by": (STANDING_ON, False), "left": (LEFT, False), "right": (LEFT, True),
     "front": (FRONT, False), "behind": (FRONT, True), "close by": (NEXT_TO, False),
@@ -380,7 +388,7 @@ CANONICAL: dict[str, Reading] = {
 }  # fmt: skip
 """Relation that each name of an edge stands for; a name that is not here stands for itself."""
 
-_ASKED: dict[str, tuple[Reading, ...]] = {
+_ASKED: dict[str, tuple[Meaning, ...]] = {
     "on, on top of, atop, upon, onto": (  # a picture is on a wall
         (STANDING_ON, False), (ATTACHED_TO, False), (COVER, False),
     ),
@@ -412,38 +420,40 @@ _ASKED: dict[str, tuple[Reading, ...]] = {
     "covering, covers": ((COVER, False),),
     "in same room as, same room as, in room with, in room of": ((SAME_ROOM, False),),
 }  # fmt: skip
-_READINGS = {name: readings for names, readings in _ASKED.items() for name in names.split(", ")}
+_READINGS = {name: meanings for names, meanings in _ASKED.items() for name in names.split(", ")}
 _IDLE = frozenset({"is", "are", "that", "which", "the", "a", "an", "directly", "just"})
 
 
-def canonical(relation: str) -> Reading:
+def normalize_relation(relation: str) -> Meaning:
     """Return the relation that the name of an edge means; unknown names mean themselves."""
-    name = _phrase(relation)
-    return _plain(*(CANONICAL.get(name) or _READINGS.get(name, ((name, False),))[0]))
+    name = _strip_fillers(relation)
+    return _drop_symmetric_turn(*(CANONICAL.get(name) or _READINGS.get(name, ((name, False),))[0]))
 
 
-def readings(asked: str) -> frozenset[Reading]:
+def interpret_relation(query: str) -> frozenset[Meaning]:
     """Return the meanings of a queried relation: "under" is "above" reversed, or "standing on"."""
-    name = _phrase(asked)
-    return frozenset(_plain(*r) for r in _READINGS.get(name, ())) or frozenset({canonical(name)})
+    name = _strip_fillers(query)
+    return frozenset(_drop_symmetric_turn(*r) for r in _READINGS.get(name, ())) or frozenset(
+        {normalize_relation(name)}
+    )
 
 
-def matches(asked: str, relation: str) -> bool:
-    """Return whether an edge "A `relation` B" says that A is `asked` B.
+def matches_relation(query: str, relation: str) -> bool:
+    """Return whether an edge "A `relation` B" says that A is `query` B.
 
     "near" matches "close by" and "next to", "on" matches "lying on". "under" matches neither "above"
-    nor "standing on", which say it of B: `find` turns such edges around.
+    nor "standing on", which say it of B: `find_related` turns such edges around.
     """
-    return canonical(relation) in readings(asked)
+    return normalize_relation(relation) in interpret_relation(query)
 
 
-def same_thing(asked: str, label: str) -> bool:
+def matches_label(query: str, label: str) -> bool:
     """Return whether a label may be what is asked for: "chairs" and "desk chair", "DeskChair" and "chair".
 
     The last words are the same but for the plural, and what comes before does not differ: a "desk
     chair" is a "chair", but no "kitchen chair". Nothing asked for is anything.
     """
-    wanted, own = label_words(asked), label_words(label)
+    wanted, own = split_label(query), split_label(label)
     if not wanted or not own:
         return not wanted
     if not forms(wanted[-1]) & forms(own[-1]):
@@ -451,7 +461,7 @@ def same_thing(asked: str, label: str) -> bool:
     return set(wanted[:-1]) <= set(own[:-1]) or set(own[:-1]) <= set(wanted[:-1])
 
 
-def find(graph: SceneGraph, subject: str, asked: str, target: str) -> NDArray[np.int64]:
+def find_related(graph: SceneGraph, subject: str, query: str, target: str) -> NDArray[np.int64]:
     """Return pairs of things between which a relation holds, under whichever name an edge says so.
 
     Parameters
@@ -460,7 +470,7 @@ def find(graph: SceneGraph, subject: str, asked: str, target: str) -> NDArray[np
         Scene graph whose edges are relations by our names or 3DSSG's.
     subject, target
         Labels, "sofa" and "plant"; empty for anything.
-    asked
+    query
         The relation of the subject to the target: "next to", "on top of", "under".
 
     Returns
@@ -468,15 +478,15 @@ def find(graph: SceneGraph, subject: str, asked: str, target: str) -> NDArray[np
     (K, 2) int64 rows of subject and target, sorted, none twice.
 
     """
-    wanted = readings(asked)
+    wanted = interpret_relation(query)
     labels = dict.fromkeys(graph.labels)
     first, second = (
         np.array([fits[label] for label in graph.labels], np.bool_)
         for fits in (
-            {label: same_thing(end, label) for label in labels} for end in (subject, target)
+            {label: matches_label(end, label) for label in labels} for end in (subject, target)
         )
     )
-    of = {relation: canonical(relation) for relation in dict.fromkeys(graph.relations)}
+    of = {relation: normalize_relation(relation) for relation in dict.fromkeys(graph.relations)}
     pairs: set[tuple[int, int]] = set()
     for a, relation, b in zip(
         graph.sources.tolist(), graph.relations, graph.targets.tolist(), strict=True
@@ -484,21 +494,21 @@ def find(graph: SceneGraph, subject: str, asked: str, target: str) -> NDArray[np
         name, turned = of[relation]
         if (name, turned) in wanted and first[a] and second[b]:
             pairs.add((a, b))
-        if _plain(name, not turned) in wanted and first[b] and second[a]:
+        if _drop_symmetric_turn(name, not turned) in wanted and first[b] and second[a]:
             pairs.add((b, a))
     if (SAME_ROOM, False) in wanted:
-        for room in _connected(graph, [of[r][0] == SAME_ROOM for r in graph.relations]):
+        for room in _group_connected(graph, [of[r][0] == SAME_ROOM for r in graph.relations]):
             pairs.update((a, b) for a in room if first[a] for b in room if second[b] and a != b)
     return np.array(sorted(pairs), np.int64).reshape(-1, 2)
 
 
-def _phrase(name: str) -> str:
+def _strip_fillers(name: str) -> str:
     """Return words of a relation in lower case, but for those that change nothing."""
     words = [word for word in re.split(r"[\s_-]+", name.lower()) if word]
     return " ".join([word for word in words if word not in _IDLE] or words)
 
 
-def _connected(graph: SceneGraph, chosen: Sequence[bool]) -> Iterable[list[int]]:
+def _group_connected(graph: SceneGraph, chosen: Sequence[bool]) -> Iterable[list[int]]:
     """Return groups of rows that the chosen edges connect."""
     group: dict[int, list[int]] = {}
     for a, b in zip(
@@ -512,7 +522,7 @@ def _connected(graph: SceneGraph, chosen: Sequence[bool]) -> Iterable[list[int]]
     return {id(rows): rows for rows in group.values()}.values()
 
 
-def _plain(relation: str, turned: bool) -> Reading:
+def _drop_symmetric_turn(relation: str, turned: bool) -> Meaning:
     """A reading; of what says the same when the things change places there is one."""
     return relation, turned and relation != NEXT_TO and not relation.startswith("same ")
 

@@ -26,8 +26,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from placegraph.indoor.map.floor import NAMELESS, label_words, storey_at, structure
-from placegraph.indoor.map.map_kernels import areas_within, cover, cut, flood, nearest, pieces
+from placegraph.indoor.map.floor import NAMELESS, find_storey, is_structural, split_label
+from placegraph.indoor.map.map_kernels import (
+    distance_transform,
+    draw_cuts,
+    flood_basins,
+    label_components,
+    rasterize_triangles,
+    sum_areas,
+)
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.scene import Scene
 
@@ -60,7 +67,7 @@ class Grid(NamedTuple):
     shape: tuple[int, int]
 
 
-def grid_of(corners: Corners) -> Grid | None:
+def make_grid(corners: Corners) -> Grid | None:
     """Return grid around triangles, with a margin in which gaps can be closed."""
     if not len(corners):
         return None
@@ -73,28 +80,28 @@ def grid_of(corners: Corners) -> Grid | None:
     return Grid(low, cell, (nx, ny))
 
 
-def wall_cells(mesh: Mesh, labels: Sequence[str], corners: Corners, grid: Grid) -> Mask:
+def find_wall_cells(mesh: Mesh, labels: Sequence[str], corners: Corners, grid: Grid) -> Mask:
     """Return cells (nx, ny) that no room goes through."""
-    words = [(label_words(label) or [""])[-1] for label in labels]
-    built = structure(labels) | np.array([word in _DOORS for word in words], np.bool_)
+    words = [(split_label(label) or [""])[-1] for label in labels]
+    built = is_structural(labels) | np.array([word in _DOORS for word in words], np.bool_)
     nameless = np.array([not word or word in NAMELESS for word in words], np.bool_)
     if not any(word in _WALL_WORDS for word in words):
         nameless |= ~built
     kind = np.where(built, 0, np.where(nameless, 1, -1))
     found = np.zeros((2, *grid.shape), np.uint32)
     planes = np.concatenate([_WALLS, _LINTELS])
-    cut(corners, kind[mesh.object_of], planes, grid.origin, grid.cell, found)
+    draw_cuts(corners, kind[mesh.object_of], planes, grid.origin, grid.cell, found)
     own = found & np.uint32((1 << len(_WALLS)) - 1)
-    tall = (own[1] > 0) & (_bits(_around(own[1])) >= _TALL)
-    walls = (_bits(own[0]) >= _BUILT) | tall
+    tall = (own[1] > 0) & (_count_bits(_dilate_bits(own[1])) >= _TALL)
+    walls = (_count_bits(own[0]) >= _BUILT) | tall
     over = (found[0] | found[1]) >> np.uint32(len(_WALLS))
-    return walls | _doors(_bits(_around(over)) >= _OVER, walls, (over > 0), grid)
+    return walls | _find_doors(_count_bits(_dilate_bits(over)) >= _OVER, walls, (over > 0), grid)
 
 
-def _doors(lintel: Mask, walls: Mask, over: Mask, grid: Grid) -> Mask:
+def _find_doors(lintel: Mask, walls: Mask, over: Mask, grid: Grid) -> Mask:
     """Return cells below a wall, where they are no wider than a door."""
-    open_below = lintel & over & ~(_around(walls.astype(np.uint32)) > 0)
-    part, count = pieces(open_below)
+    open_below = lintel & over & ~(_dilate_bits(walls.astype(np.uint32)) > 0)
+    part, count = label_components(open_below)
     if not count:
         return open_below
     x, y = np.nonzero(open_below)
@@ -108,10 +115,10 @@ def _doors(lintel: Mask, walls: Mask, over: Mask, grid: Grid) -> Mask:
     closed = np.zeros_like(walls)
     closed[x, y] = ~wide[own]
     # to the walls on both sides
-    return (_around(closed.astype(np.uint32)) > 0) & lintel & over
+    return (_dilate_bits(closed.astype(np.uint32)) > 0) & lintel & over
 
 
-def _bits(cells: NDArray[np.uint32]) -> NDArray[np.uint8]:
+def _count_bits(cells: NDArray[np.uint32]) -> NDArray[np.uint8]:
     """Count the bits that are set."""
     count = np.zeros(cells.shape, np.uint8)
     for k in range(len(_WALLS) + len(_LINTELS)):
@@ -119,7 +126,7 @@ def _bits(cells: NDArray[np.uint32]) -> NDArray[np.uint8]:
     return count
 
 
-def _around(cells: NDArray[np.uint32]) -> NDArray[np.uint32]:
+def _dilate_bits(cells: NDArray[np.uint32]) -> NDArray[np.uint32]:
     """Return bits of each cell and its eight neighbours."""
     out = cells.copy()
     for axis in (0, 1):
@@ -130,18 +137,22 @@ def _around(cells: NDArray[np.uint32]) -> NDArray[np.uint32]:
     return out
 
 
-def ground_cells(normals: Floats, corners: Corners, walls: Mask, grid: Grid) -> tuple[Mask, Mask]:
+def find_ground_cells(
+    normals: Floats, corners: Corners, walls: Mask, grid: Grid
+) -> tuple[Mask, Mask]:
     """Return cells (nx, ny) of the floor, and those with something level there or on it, gaps closed."""
     level = np.abs(normals[:, 2]) > 0.7 * np.linalg.norm(normals, axis=1)
     level &= corners[:, :, 2].min(axis=1) > -BELOW
     level &= corners[:, :, 2].max(axis=1) < _WALLS[-1]
     floor, ground = np.zeros((2, *grid.shape), np.bool_)
-    cover(corners, level, grid.origin, grid.cell, ground)
-    cover(corners, level & (corners[:, :, 2].max(axis=1) < _LEVEL), grid.origin, grid.cell, floor)
+    rasterize_triangles(corners, level, grid.origin, grid.cell, ground)
+    rasterize_triangles(
+        corners, level & (corners[:, :, 2].max(axis=1) < _LEVEL), grid.origin, grid.cell, floor
+    )
     radius = int(_GAP / 2.0 / grid.cell)
-    grown = nearest(ground, radius)[1] >= 0
-    ground |= nearest(~grown, radius)[1] < 0
-    part, count = pieces(~ground & ~walls)
+    grown = distance_transform(ground, radius)[1] >= 0
+    ground |= distance_transform(~grown, radius)[1] < 0
+    part, count = label_components(~ground & ~walls)
     if count:
         sizes = np.bincount(part[part >= 0], minlength=count) * grid.cell**2
         hole = sizes <= _HOLE
@@ -151,9 +162,9 @@ def ground_cells(normals: Floats, corners: Corners, walls: Mask, grid: Grid) -> 
     return floor, ground
 
 
-LEAST_AREA = 2.0
+MIN_ROOM_AREA = 2.0
 """Of a room [m2]."""
-LEAST_WIDTH = 0.8
+MIN_ROOM_WIDTH = 0.8
 """Of a room, at its widest place [m]."""
 NARROW, NARROW_DOOR = 0.6, 0.75
 """Width of a pass that ends a room, as a share of the room's; where it is as narrow as a door."""
@@ -206,24 +217,24 @@ class Rooms:
         return [{"room": str(room + 1)} if room >= 0 else {} for room in self.room_of.tolist()]
 
 
-def with_rooms(
+def assign_rooms(
     mesh: Mesh, labels: Sequence[str], floor: float, attributes: Sequence[Mapping[str, str]]
 ) -> tuple[NDArray[np.int32], list[dict[str, str]]]:
     """Return room of each object (N,), -1 none, and attributes (N,) that say so under "room".
 
-    As the attributes name rooms already, if any does; else as `rooms_of` finds them.
+    As the attributes name rooms already, if any does; else as `find_rooms` finds them.
     """
     named = [a.get("room", "") for a in attributes]
     if any(named):
         number = {name: i for i, name in enumerate(sorted({*named} - {""}))}
         given = np.array([number.get(name, -1) for name in named], np.int32)
         return given, [dict(a) for a in attributes]
-    rooms = rooms_of(mesh, labels, floor)
+    rooms = find_rooms(mesh, labels, floor)
     both = zip(attributes, rooms.attributes(), strict=True)
     return rooms.room_of, [{**old, **new} for old, new in both]
 
 
-def rooms_of(mesh: Mesh, labels: Sequence[str], floor: float) -> Rooms:
+def find_rooms(mesh: Mesh, labels: Sequence[str], floor: float) -> Rooms:
     """Return rooms of a mesh of N objects.
 
     Parameters
@@ -241,13 +252,13 @@ def rooms_of(mesh: Mesh, labels: Sequence[str], floor: float) -> Rooms:
     near = (corners[:, :, 2].min(axis=1, initial=np.inf) < _STOREY) & (
         corners[:, :, 2].max(axis=1, initial=-np.inf) > -BELOW
     )
-    grid = grid_of(corners[near])
+    grid = make_grid(corners[near])
     if grid is None:
         none = np.full(len(labels), -1, np.int32)
         return Rooms(none, np.zeros(0), np.full((1, 1), -1, np.int32), np.zeros(2), CELL)
-    walls = wall_cells(mesh, labels, corners, grid)
-    floor_cells, ground = ground_cells(normals, corners, walls, grid)
-    cells = _cut(ground & ~walls, floor_cells, grid)
+    walls = find_wall_cells(mesh, labels, corners, grid)
+    floor_cells, ground = find_ground_cells(normals, corners, walls, grid)
+    cells = _segment_rooms(ground & ~walls, floor_cells, grid)
     areas = np.bincount(cells[cells >= 0], minlength=int(cells.max(initial=-1)) + 1)
     order = np.argsort(-areas, kind="stable")
     rank = np.empty(len(order) + 1, np.int32)
@@ -261,53 +272,55 @@ def rooms_of(mesh: Mesh, labels: Sequence[str], floor: float) -> Rooms:
     )
     if len(rooms):
         areas = np.linalg.norm(normals, axis=1) / 2.0 * near
-        number = nearest(rooms.cells >= 0, int(REACH / rooms.cell))[1]
+        number = distance_transform(rooms.cells >= 0, int(REACH / rooms.cell))[1]
         within = np.where(number >= 0, rooms.cells.reshape(-1)[number], np.int32(-1))
         votes = np.zeros((len(labels), len(rooms) + 1))
-        areas_within(corners, areas, mesh.object_of, rooms.origin, rooms.cell, within, votes)
+        sum_areas(corners, areas, mesh.object_of, rooms.origin, rooms.cell, within, votes)
         best = votes[:, :-1].argmax(axis=1)
         share = votes[np.arange(len(labels)), best] / np.maximum(votes.sum(axis=1), 1e-12)
-        needed = np.where(structure(labels), _MOSTLY, _PARTLY)
+        needed = np.where(is_structural(labels), _MOSTLY, _PARTLY)
         rooms.room_of[:] = np.where(share >= needed, best, -1).astype(np.int32)
     return rooms
 
 
-def _cut(free: Mask, floor: Mask, grid: Grid) -> Cells:
+def _segment_rooms(free: Mask, floor: Mask, grid: Grid) -> Cells:
     """Return number (nx, ny) of the room of each free cell; -1: none."""
-    squared = nearest(~free, int(_WIDEST / 2.0 / grid.cell))[0]
+    squared = distance_transform(~free, int(_WIDEST / 2.0 / grid.cell))[0]
     width = np.sqrt(squared) * grid.cell
     chosen = np.flatnonzero(free)
     # numbers of 16 bits are sorted by their digits
     order = chosen[np.argsort(-squared.reshape(-1)[chosen].astype(np.int16), kind="stable")]
-    basin, meetings = flood(width, order, LEAST_WIDTH / 2.0, NARROW, DOOR / 2.0, NARROW_DOOR)
+    basin, meetings = flood_basins(
+        width, order, MIN_ROOM_WIDTH / 2.0, NARROW, DOOR / 2.0, NARROW_DOOR
+    )
     flat = basin.reshape(-1)
     roots = np.flatnonzero(flat == np.arange(flat.size))
     index = np.full(flat.size, -1)
     index[roots] = np.arange(len(roots))
     own = np.where(flat >= 0, index[flat], -1)
-    sizes = _sizes(own, len(roots), grid)
-    owner = _joined(sizes, list(dict.fromkeys(map(tuple, index[meetings].tolist()))))
-    wide = width.reshape(-1)[roots] >= LEAST_WIDTH / 2.0
-    seen = np.bincount(owner, _sizes(own[floor.reshape(-1)], len(roots), grid), len(roots))
-    kept = wide & (sizes >= LEAST_AREA) & (seen >= _SEEN) & (owner == np.arange(len(owner)))
+    sizes = _measure_areas(own, len(roots), grid)
+    owner = _merge_basins(sizes, list(dict.fromkeys(map(tuple, index[meetings].tolist()))))
+    wide = width.reshape(-1)[roots] >= MIN_ROOM_WIDTH / 2.0
+    seen = np.bincount(owner, _measure_areas(own[floor.reshape(-1)], len(roots), grid), len(roots))
+    kept = wide & (sizes >= MIN_ROOM_AREA) & (seen >= _SEEN) & (owner == np.arange(len(owner)))
     number = np.append(np.where(kept, np.cumsum(kept) - 1, -1)[owner], -1)
     return number[own].reshape(basin.shape).astype(np.int32)
 
 
-def _sizes(own: NDArray[np.int64], count: int, grid: Grid) -> Floats:
+def _measure_areas(own: NDArray[np.int64], count: int, grid: Grid) -> Floats:
     """Return area (count,) [m2] of cells by their number; -1: of none."""
     cells = np.bincount(own[own >= 0], minlength=count)
     return cells.astype(np.float64) * grid.cell**2
 
 
-def _joined(sizes: Floats, meetings: list[tuple[int, ...]]) -> NDArray[np.int64]:
+def _merge_basins(sizes: Floats, meetings: list[tuple[int, ...]]) -> NDArray[np.int64]:
     """Return basin that each basin becomes part of; `sizes` [m2] are added up.
 
     What is too small joins the one that it has the widest pass to, the smallest first.
     """
     owner = np.arange(len(sizes))
     for i in np.argsort(sizes, kind="stable").tolist():
-        if sizes[i] >= LEAST_AREA:
+        if sizes[i] >= MIN_ROOM_AREA:
             continue
         for pair in meetings:
             one, other = (_owner(owner, k) for k in pair)
@@ -328,33 +341,33 @@ def _owner(owner: NDArray[np.int64], i: int) -> int:
 _HIGHEST = 3.0  # what is higher above a floor is in none of its rooms [m]
 
 
-def room_at(scene: Scene, point: ArrayLike) -> str:
+def find_room_name(scene: Scene, point: ArrayLike) -> str:
     """Return name of the room in which a point (3,) x, y, z [m] lies; empty: in none, or rooms have no names.
 
     A room has the name that most things in it say.
     """
     x, y, z = np.asarray(point, np.float64).tolist()
-    _, floor = storey_at(scene, point)
+    _, floor = find_storey(scene, point)
     if not -0.5 <= z - floor <= _HIGHEST or not any("room" in a for a in scene.attributes):
         return ""
-    rooms, names = scene.derived(("rooms", floor), lambda s: _named(s, floor))
+    rooms, names = scene.compute_once(("rooms", floor), lambda s: _name_rooms(s, floor))
     room = int(rooms.at([(x, y)])[0])
     return names[room] if room >= 0 else ""
 
 
-def most(names: Sequence[str]) -> str:
+def most_common_name(names: Sequence[str]) -> str:
     """Return the name that most things have, the first of several; things without one have no say."""
     given = sorted({name for name in names if name})
     return max(given, key=names.count, default="")
 
 
-def _named(scene: Scene, floor: float) -> tuple[Rooms, list[str]]:
+def _name_rooms(scene: Scene, floor: float) -> tuple[Rooms, list[str]]:
     """Return rooms at a floor, and their names."""
     graph = scene.graph
-    rooms = rooms_of(scene.mesh, graph.labels, floor)
-    told_by = ~structure(graph.labels)
+    rooms = find_rooms(scene.mesh, graph.labels, floor)
+    is_movable = ~is_structural(graph.labels)
     names = []
     for room in range(len(rooms)):
-        among = np.flatnonzero(told_by & (rooms.room_of == room)).tolist()
-        names.append(most([scene.attributes[i].get("room", "") for i in among]))
+        members = np.flatnonzero(is_movable & (rooms.room_of == room)).tolist()
+        names.append(most_common_name([scene.attributes[i].get("room", "") for i in members]))
     return rooms, names

@@ -18,13 +18,13 @@ from placegraph.core.mapfile import MapFile
 from placegraph.core.pickling import PickleFields, rebuild
 from placegraph.errors import OptionError
 from placegraph.indoor.map import textures
-from placegraph.indoor.map.mesh import WHITE, Mesh, Surface, ordered
+from placegraph.indoor.map.mesh import WHITE, Mesh, Surface, sort_triangles
 
 if TYPE_CHECKING:
     from placegraph.indoor.rays import RayCaster
 
 
-def in_8_bits(vectors: NDArray[np.float32]) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
+def quantize_vectors(vectors: NDArray[np.float32]) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
     """Return whole numbers (N, E) from -127 to 127 and scales (N,) whose product is near vectors (N, E).
 
     Off by at most 1/250 of a vector's largest entry; doing it again changes nothing.
@@ -37,16 +37,18 @@ def in_8_bits(vectors: NDArray[np.float32]) -> tuple[NDArray[np.int8], NDArray[n
     return np.rint(vectors / divisor[:, None]).astype(np.int8), scales
 
 
-def from_8_bits(numbers: NDArray[np.int8], scales: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return vectors (N, E) of `in_8_bits`."""
+def dequantize_vectors(
+    numbers: NDArray[np.int8], scales: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Return vectors (N, E) of `quantize_vectors`."""
     return numbers.astype(np.float32) * scales[:, None]
 
 
-MOST_LANDMARKS = 20_000
+MAX_LANDMARKS = 20_000
 """Largest number of landmarks of a scene."""
-WIDTH = 32
+DESCRIPTOR_SIZE = 32
 """Numbers of a descriptor."""
-GRAIN = 0.0005
+LANDMARK_GRAIN = 0.0005
 """Step of a map file's coordinates [m]."""
 _UNIT = 127.0
 _CELL = 0.5  # neighbours in the file are neighbours in space [m]: differences compress
@@ -57,14 +59,16 @@ class Landmarks(PickleFields):
     """L points with compact descriptors, as `placegraph.indoor.refine.landmarks` makes them."""
 
     points: NDArray[np.float32]
-    """(L, 3) [m, map], in whole steps of `GRAIN`."""
+    """(L, 3) [m, map], in whole steps of `LANDMARK_GRAIN`."""
     vectors: NDArray[np.int8]
     """(L, WIDTH) unit vectors times 127."""
 
     def __post_init__(self) -> None:
         shapes, count = (self.points.shape, self.vectors.shape), len(self.points)
-        if shapes != ((count, 3), (count, WIDTH)) or not np.isfinite(self.points).all():
-            raise OptionError(f"landmarks: shapes {shapes}; finite (L, 3) and (L, {WIDTH}) belong.")
+        if shapes != ((count, 3), (count, DESCRIPTOR_SIZE)) or not np.isfinite(self.points).all():
+            raise OptionError(
+                f"landmarks: shapes {shapes}; finite (L, 3) and (L, {DESCRIPTOR_SIZE}) belong."
+            )
 
     def __len__(self) -> int:
         return len(self.points)
@@ -73,10 +77,12 @@ class Landmarks(PickleFields):
     def of(cls, points: ArrayLike, vectors: ArrayLike) -> Landmarks:
         """Landmarks at points (L, 3) [m] with unit vectors (L, WIDTH), brought into the file's order."""
         points = np.asarray(points, np.float64).reshape(-1, 3)
-        steps = np.rint(points / GRAIN)
+        steps = np.rint(points / LANDMARK_GRAIN)
         order = np.lexsort((*steps.T, *np.floor(points / _CELL).T))
-        rounded = np.rint(np.asarray(vectors, np.float64).reshape(-1, WIDTH) * _UNIT)
-        return cls((steps[order] * GRAIN).astype(np.float32), rounded[order].astype(np.int8))
+        rounded = np.rint(np.asarray(vectors, np.float64).reshape(-1, DESCRIPTOR_SIZE) * _UNIT)
+        return cls(
+            (steps[order] * LANDMARK_GRAIN).astype(np.float32), rounded[order].astype(np.int8)
+        )
 
     @cached_property
     def unit_vectors(self) -> NDArray[np.float32]:
@@ -102,7 +108,7 @@ class Landmarks(PickleFields):
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return columns of a map file."""
-        steps = np.rint(self.points.astype(np.float64) / GRAIN).astype(np.int32)
+        steps = np.rint(self.points.astype(np.float64) / LANDMARK_GRAIN).astype(np.int32)
         return {"landmark_points": steps, "landmark_vectors": self.vectors}
 
     @classmethod
@@ -111,7 +117,9 @@ class Landmarks(PickleFields):
         if not {"landmark_points", "landmark_vectors"} & set(file.arrays):
             return None
         steps = file.array("landmark_points", "<i4", 2).astype(np.float64)
-        return cls((steps * GRAIN).astype(np.float32), file.array("landmark_vectors", "|i1", 2))
+        return cls(
+            (steps * LANDMARK_GRAIN).astype(np.float32), file.array("landmark_vectors", "|i1", 2)
+        )
 
 
 T = TypeVar("T")
@@ -201,7 +209,9 @@ class Scene(PickleFields):
                 "least one and the triangles that are its own."
             )
         blobs = textures.encode_arrays(mesh.textures) if encoded is None else encoded
-        mesh = ordered(replace(mesh.snapped(), textures=textures.decode(blobs, source or scene)))
+        mesh = sort_triangles(
+            replace(mesh.snapped(), textures=textures.decode_textures(blobs, source or scene))
+        )
         bare = np.flatnonzero(np.isnan(mesh.object_bounds(len(ids))[:, 0, 0]))
         if bare.size:
             raise OptionError(
@@ -209,7 +219,7 @@ class Scene(PickleFields):
                 "triangles."
             )
         return cls(
-            graph=graph_of(mesh, ids, labels, names, relations), mesh=mesh, encoded=blobs,
+            graph=make_graph(mesh, ids, labels, names, relations), mesh=mesh, encoded=blobs,
             attributes=tuple(dict(a) for a in attributes) or ({},) * len(ids),
             floors=np.array([floor], np.float64), scenes=(scene,),
             scene_of=np.zeros(len(ids), np.int32), scene_from_map=np.eye(4)[None], source=source,
@@ -243,9 +253,9 @@ class Scene(PickleFields):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Textures travel as the map file holds them."""
-        _, (cls, values, kept) = super().__reduce__()
+        _, (cls, values, cached) = super().__reduce__()
         bare = replace(self.mesh, textures=(WHITE,) * len(self.encoded))
-        return _with_textures, (cls, values | {"mesh": bare}, kept)
+        return _with_textures, (cls, values | {"mesh": bare}, cached)
 
     def __repr__(self) -> str:
         merged = f", {len(self.scenes)} scenes" if len(self.scenes) > 1 else ""
@@ -290,7 +300,7 @@ class Scene(PickleFields):
         lengths = np.maximum(np.linalg.norm(doubled, axis=1, keepdims=True), 1e-12)
         return (doubled / lengths).astype(np.float32)
 
-    def derived(self, key: Hashable, make: Callable[[Self], T]) -> T:
+    def compute_once(self, key: Hashable, make: Callable[[Self], T]) -> T:
         """Return a value derived from the map: made once for each key, cached as long as the map."""
         if key not in self._derived:
             self._derived[key] = make(self)
@@ -301,7 +311,7 @@ class Scene(PickleFields):
         return {}
 
     @cached_property
-    def coloured(self) -> bool:
+    def has_colours(self) -> bool:
         """Whether surfaces have colours to compare: not all of them the same."""
         textures = self.mesh.textures
         first = textures[0][0, 0]
@@ -344,18 +354,20 @@ class Scene(PickleFields):
         """
         vectors = np.asarray(embeddings, np.float32)
         if vectors.ndim == 2 and np.isfinite(vectors).all():  # else the graph says what is wrong
-            vectors = from_8_bits(*in_8_bits(vectors))
+            vectors = dequantize_vectors(*quantize_vectors(vectors))
         return replace(self, graph=replace(self.graph, embeddings=vectors), encoder=encoder)
 
 
-def _with_textures(cls: type[S], values: dict[str, Any], kept: tuple[str, ...]) -> S:
+def _with_textures(cls: type[S], values: dict[str, Any], cached: tuple[str, ...]) -> S:
     """Rebuild a scene from `Scene.__reduce__`."""
-    mesh = replace(values["mesh"], textures=textures.decode(values["encoded"], values["source"]))
-    scene: S = rebuild(cls, values | {"mesh": mesh}, kept)
+    mesh = replace(
+        values["mesh"], textures=textures.decode_textures(values["encoded"], values["source"])
+    )
+    scene: S = rebuild(cls, values | {"mesh": mesh}, cached)
     return scene
 
 
-def graph_of(
+def make_graph(
     mesh: Mesh,
     ids: Sequence[str],
     labels: Sequence[str],
@@ -373,7 +385,7 @@ def graph_of(
     )  # fmt: skip
 
 
-def ref(scene: Scene, row: int) -> ObjectRef:
+def make_object_ref(scene: Scene, row: int) -> ObjectRef:
     """Return object in this row; its place is that of the likeliest anchor."""
     graph = scene.graph
     anchors = scene.anchors_of(scene.scenes[scene.scene_of[row]])
@@ -385,7 +397,7 @@ def ref(scene: Scene, row: int) -> ObjectRef:
 _RING = np.array([(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)])
 
 
-def features(scene: Scene) -> dict[str, Any]:
+def make_geojson(scene: Scene) -> dict[str, Any]:
     """Return FeatureCollection of a map's objects: `SceneMap.to_geojson` says more."""
     return make_collection(_objects(scene))
 
@@ -400,10 +412,10 @@ def _objects(scene: Scene) -> Iterator[dict[str, Any]]:
             raise no_anchor_error(name)
         corners = np.where(_RING, high[:2], low[:2])
         there = anchors[0].to_earth(np.column_stack([corners, np.full(len(_RING), low[2])]))
-        said = {
+        properties = {
             "id": graph.ids[row], "label": graph.labels[row], "name": graph.names[row],
             "room": scene.attributes[row].get("room", ""), "scene": name,
             "level": anchors[0].level, "building": anchors[0].building,
             "height": round(float(there[0, 2]), 3), "tall": round(float(high[2] - low[2]), 3),
         }  # fmt: skip
-        yield make_feature(polygon_geometry([there[:, :2]]), said)
+        yield make_feature(polygon_geometry([there[:, :2]]), properties)

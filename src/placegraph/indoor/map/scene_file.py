@@ -21,16 +21,23 @@ from placegraph.core.mapfile import (
     write_map,
 )
 from placegraph.indoor.map import textures
-from placegraph.indoor.map.mesh import Mesh, from_high_water, high_water
-from placegraph.indoor.map.scene import MOST_LANDMARKS, Landmarks, S, Scene, from_8_bits, in_8_bits
+from placegraph.indoor.map.mesh import Mesh, decode_high_water, encode_high_water
+from placegraph.indoor.map.scene import (
+    MAX_LANDMARKS,
+    Landmarks,
+    S,
+    Scene,
+    dequantize_vectors,
+    quantize_vectors,
+)
 
 KIND = "scene"
 VERSION = 2
 CENTIMETRE = 0.01
 """Step of viewpoints [m]."""
-VIEWPOINTS = 300
+MAX_VIEWPOINTS = 300
 """Most of a scene: where its cameras were, thinned."""
-FAR = 10.0
+MAX_VIEWPOINT_DISTANCE = 10.0
 """Viewpoints farther outside the mesh's box are an error of poses [m]."""
 
 PARTS = {
@@ -44,33 +51,41 @@ PARTS = {
 
 def save_scene(scene: Scene, path: str | PathLike[str]) -> None:
     """Write a map file (atomically, with checksums); raises as `placegraph.core.mapfile` does."""
-    write_map(path, KIND, VERSION, *columns(scene))
+    write_map(path, KIND, VERSION, *pack_scene(scene))
 
 
 def open_scene(path: str | PathLike[str], kind: type[S]) -> S:
     """Open a map file; raises `InputError` or `MapError` where it is not a sound scene map."""
     file = read_map(path, KIND, VERSION)
     with check_contents(path, "Build it again."):
-        scene = kind(**_fields(file))
+        scene = kind(**_unpack_scene(file))
         scenes = len(scene.scenes)
-        if len(scene.viewpoints) > VIEWPOINTS * scenes:
-            raise ValueError(f"viewpoints: {len(scene.viewpoints):,}; at most {VIEWPOINTS} a scene")
-        if len(scene.landmarks or ()) > MOST_LANDMARKS * scenes:
+        if len(scene.viewpoints) > MAX_VIEWPOINTS * scenes:
             raise ValueError(
-                f"landmarks: {len(scene.landmarks or ()):,}; at most {MOST_LANDMARKS:,} a scene"
+                f"viewpoints: {len(scene.viewpoints):,}; at most {MAX_VIEWPOINTS} a scene"
+            )
+        if len(scene.landmarks or ()) > MAX_LANDMARKS * scenes:
+            raise ValueError(
+                f"landmarks: {len(scene.landmarks or ()):,}; at most {MAX_LANDMARKS:,} a scene"
             )
         slack = np.array([[-CENTIMETRE], [CENTIMETRE]])  # both were rounded
-        if not near_box(scene.viewpoints, scene.bounds + slack).all():
-            raise ValueError(f"viewpoints: some lie more than {FAR:.0f} m outside the mesh")
+        if not is_near_box(scene.viewpoints, scene.bounds + slack).all():
+            raise ValueError(
+                f"viewpoints: some lie more than {MAX_VIEWPOINT_DISTANCE:.0f} m outside the mesh"
+            )
         return scene
 
 
-def near_box(points: NDArray[np.float64], box: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return which of points (N, 3) lie at most `FAR` outside a box (2, 3) [m]."""
-    return np.asarray(((points > box[0] - FAR) & (points < box[1] + FAR)).all(axis=1))
+def is_near_box(points: NDArray[np.float64], box: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which of points (N, 3) lie at most `MAX_VIEWPOINT_DISTANCE` outside a box (2, 3) [m]."""
+    return np.asarray(
+        (
+            (points > box[0] - MAX_VIEWPOINT_DISTANCE) & (points < box[1] + MAX_VIEWPOINT_DISTANCE)
+        ).all(axis=1)
+    )
 
 
-def columns(scene: Scene) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+def pack_scene(scene: Scene) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     """Return metadata and arrays of a scene map."""
     graph, mesh = scene.graph, scene.mesh
     grain, uv_grain = mesh.steps()
@@ -100,7 +115,7 @@ def columns(scene: Scene) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         "relation_of": np.array([code[r] for r in graph.relations], np.int32),
         "relations": pack_strings(kinds),
         "vertices": (mesh.vertices / np.float32(grain)).astype(np.int32),
-        "triangles": high_water(mesh.triangles),
+        "triangles": encode_high_water(mesh.triangles),
         "object_of": mesh.object_of,
         "texture_of": mesh.texture_of,
         "uv": (mesh.uv / np.float32(uv_grain)).astype(np.int32),
@@ -109,7 +124,7 @@ def columns(scene: Scene) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         "texture_bytes": np.array([len(b) for b in scene.encoded], np.int64),
     }
     if graph.embeddings is not None:
-        arrays["embeddings"], arrays["embedding_scales"] = in_8_bits(graph.embeddings)
+        arrays["embeddings"], arrays["embedding_scales"] = quantize_vectors(graph.embeddings)
     if len(scene.viewpoints):
         arrays["viewpoints"] = np.rint(scene.viewpoints / CENTIMETRE).astype(np.int32)
     if scene.landmarks is not None:
@@ -117,7 +132,7 @@ def columns(scene: Scene) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     return meta, arrays
 
 
-def bytes_of(path: str | PathLike[str]) -> dict[str, int]:
+def measure_parts(path: str | PathLike[str]) -> dict[str, int]:
     """Return bytes of a map file's parts: graph, surface, colour, embeddings, landmarks.
 
     Raises `InputError` and `MapError` as `placegraph.core.mapfile.read_header` does.
@@ -131,7 +146,7 @@ def bytes_of(path: str | PathLike[str]) -> dict[str, int]:
     return dict(total)
 
 
-def _fields(file: MapFile) -> dict[str, Any]:
+def _unpack_scene(file: MapFile) -> dict[str, Any]:
     """Return fields of a `Scene` from a file's columns."""
     data = file.array("textures", "|u1").tobytes()
     lengths = file.array("texture_bytes", "<i8")
@@ -144,7 +159,7 @@ def _fields(file: MapFile) -> dict[str, Any]:
     )
     return {
         "graph": _graph(file),
-        "mesh": _mesh(file, textures.decode(blobs, file.header.path)),
+        "mesh": _mesh(file, textures.decode_textures(blobs, file.header.path)),
         "attributes": tuple(_attributes(a) for a in file.strings("attributes")),
         "floors": np.array(file.meta["floors"], np.float64),
         "scenes": tuple(str(name) for name in file.meta["scenes"]),
@@ -185,7 +200,7 @@ def _embeddings(file: MapFile) -> NDArray[np.float32]:
     numbers, scales = file.array("embeddings", "|i1", 2), file.array("embedding_scales", "<f4")
     if len(scales) != len(numbers) or not np.isfinite(scales).all() or (scales < 0).any():
         raise ValueError("embedding_scales do not fit the embeddings")
-    return from_8_bits(numbers, scales)
+    return dequantize_vectors(numbers, scales)
 
 
 def _mesh(file: MapFile, decoded: tuple[NDArray[np.uint8], ...]) -> Mesh:
@@ -194,7 +209,7 @@ def _mesh(file: MapFile, decoded: tuple[NDArray[np.uint8], ...]) -> Mesh:
         raise ValueError(f"grain {grain}, uv_grain {uv_grain}")
     return Mesh(
         vertices=file.array("vertices", "<i4", 2).astype(np.float32) * np.float32(grain),
-        triangles=from_high_water(file.array("triangles", "<i4")),
+        triangles=decode_high_water(file.array("triangles", "<i4")),
         object_of=file.array("object_of", "<i4"),
         colours=file.array("colours", "|u1", 2),
         uv=file.array("uv", "<i4", 2).astype(np.float32) * np.float32(uv_grain),

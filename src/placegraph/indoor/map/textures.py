@@ -76,7 +76,7 @@ DETAILS = {
 """By name, as `--detail` takes them."""
 
 
-def detail_named(detail: str | Detail) -> Detail:
+def get_detail(detail: str | Detail) -> Detail:
     """Return detail of a name; `OptionError` where there is none of this name."""
     if isinstance(detail, Detail):
         return detail
@@ -89,7 +89,7 @@ QUALITY = 90
 """WebP quality of textures for which none is asked."""
 FINEST = 0.25
 """Share of a texture's surface that may ask for smaller texels than it gets."""
-KEPT = ("WEBP", "PNG", "JPEG")
+FORMATS = ("WEBP", "PNG", "JPEG")
 """Formats of textures in a map file."""
 _FEW = 256  # colours of a drawing, that PNG may hold better
 _SLACK = 2.0  # what PNG's best may save of its quickest
@@ -116,7 +116,7 @@ def encode_pictures(
     """Return encoded textures of a model's pictures: made small, base colour folded in.
 
     `needed` (K, 2): width and height in texels that each picture needs at most on its surface
-    (`needed_texels`). With quality 0 a JPEG or PNG that needs nothing done is kept as it is. Raises
+    (`measure_needed_texels`). With quality 0 a JPEG or PNG that needs nothing done is kept as it is. Raises
     `InputError` where a picture is broken.
     """
     limits = np.full((len(pictures), 2), np.inf) if needed is None else needed
@@ -137,7 +137,7 @@ def encode_arrays(
     return tuple(_encode(Image.fromarray(np.asarray(a)), quality) for a in textures)
 
 
-def needed_texels(mesh: Mesh, texel: float) -> NDArray[np.float64]:
+def measure_needed_texels(mesh: Mesh, texel: float) -> NDArray[np.float64]:
     """Return width and height (K, 2) in texels at which each texture's texels are `texel` [m] long.
 
     By the finest quarter of the surface that bears it; infinite where nothing does, or texel is 0.
@@ -162,7 +162,7 @@ def needed_texels(mesh: Mesh, texel: float) -> NDArray[np.float64]:
     return needed
 
 
-def decode(blobs: Sequence[bytes], path: object) -> tuple[NDArray[np.uint8], ...]:
+def decode_textures(blobs: Sequence[bytes], path: object) -> tuple[NDArray[np.uint8], ...]:
     """Textures (h, w, 3) uint8 of encoded ones.
 
     Raises `MapError` naming `path` where one is no image, or where all together would fill memory.
@@ -172,7 +172,7 @@ def decode(blobs: Sequence[bytes], path: object) -> tuple[NDArray[np.uint8], ...
 
     def decoded(i: int) -> NDArray[np.uint8]:
         nonlocal left
-        with _opened(blobs[i], f"{path}: texture {i}") as image:
+        with _open_texture(blobs[i], f"{path}: texture {i}") as image:
             with lock:
                 left -= image.width * image.height
             if left < 0:
@@ -194,8 +194,8 @@ def _encode_picture(picture: Picture, detail: Detail, needed: NDArray[np.float64
         flat = np.rint(255.0 * srgb_from_linear(factor)).astype(np.uint8)
         return _encode(Image.fromarray(flat.reshape(1, 1, 3)), detail.quality)
     with opened(io.BytesIO(picture.data), picture.name) as image:
-        width, height = _size(image.size, detail.max_texture, needed)
-        whole = image.format in KEPT and image.mode == "RGB" and (width, height) == image.size
+        width, height = _limit_size(image.size, detail.max_texture, needed)
+        whole = image.format in FORMATS and image.mode == "RGB" and (width, height) == image.size
         image.draft("RGB", (width, height))  # JPEG's own halving: quick
         image.load()
         if whole and not detail.quality and (factor == 1.0).all() and not any(picture.mirrored):
@@ -214,7 +214,9 @@ def _encode_picture(picture: Picture, detail: Detail, needed: NDArray[np.float64
     return _encode(Image.fromarray(texels), detail.quality)
 
 
-def _size(size: tuple[int, int], largest: int, needed: NDArray[np.float64]) -> tuple[int, int]:
+def _limit_size(
+    size: tuple[int, int], largest: int, needed: NDArray[np.float64]
+) -> tuple[int, int]:
     """Return width and height [texels] that a picture is brought to; never more than it has."""
     scale = min(largest / max(size), 1.0)
     width, height = (
@@ -226,24 +228,24 @@ def _size(size: tuple[int, int], largest: int, needed: NDArray[np.float64]) -> t
 def _encode(image: Image, quality: int) -> bytes:
     """Return PNG where that is smaller, as for flat colours and drawings; else WebP."""
     if image.width * image.height <= 64:
-        return _bytes(image, "PNG", optimize=True)
-    webp = _bytes(image, "WEBP", quality=quality or QUALITY, method=4)
-    if len(_bytes(image, "PNG", compress_level=1)) > _SLACK * len(webp):
+        return _save_image(image, "PNG", optimize=True)
+    webp = _save_image(image, "WEBP", quality=quality or QUALITY, method=4)
+    if len(_save_image(image, "PNG", compress_level=1)) > _SLACK * len(webp):
         return webp  # PNG's best takes long
-    return min(webp, _bytes(image, "PNG", optimize=True), key=len)
+    return min(webp, _save_image(image, "PNG", optimize=True), key=len)
 
 
-def _bytes(image: Image, form: str, **options: Any) -> bytes:  # noqa: ANN401  # of Pillow's encoder
+def _save_image(image: Image, form: str, **options: Any) -> bytes:  # noqa: ANN401  # of Pillow's encoder
     file = io.BytesIO()
     image.save(file, form, **options)
     return file.getvalue()
 
 
 @contextmanager
-def _opened(blob: bytes, name: str) -> Iterator[Image]:
+def _open_texture(blob: bytes, name: str) -> Iterator[Image]:
     try:
         with opened(io.BytesIO(blob), name) as image:
-            if max(image.size) > _LARGEST or image.format not in KEPT:
+            if max(image.size) > _LARGEST or image.format not in FORMATS:
                 raise MapError(f"{name} is no WebP, PNG or JPEG of up to {_LARGEST} texels a side.")
             yield image
     except InputError as error:

@@ -19,15 +19,15 @@ from numpy.typing import NDArray
 from placegraph.indoor.likelihood.visibility import visibility
 from placegraph.indoor.map.floor import (
     LEVEL,
+    find_labelled_floors,
     is_floor,
-    label_words,
-    labelled_floors,
-    nameless,
-    quantiles,
-    structure,
+    is_nameless,
+    is_structural,
+    split_label,
+    weighted_quantiles,
 )
 from placegraph.indoor.map.free_space import DIRECTIONS
-from placegraph.indoor.map.relations import MOST_OBJECTS
+from placegraph.indoor.map.relations import MAX_RELATED_OBJECTS
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.options import PoseSearchOptions
 
@@ -44,12 +44,14 @@ class Finding:
     """One sentence."""
     objects: Sequence[str] = ()
     """Ids of the objects it is about, at most 20; empty where it is about the whole map."""
-    mend: str = ""
+    remedy: str = ""
     """What to do: an option of `placegraph scene build`, or a word about the file."""
 
     def to_dict(self) -> dict[str, Any]:
         """Plain strings."""
-        return {**asdict(self), "objects": list(self.objects)}
+        told = {**asdict(self), "objects": list(self.objects)}
+        told["mend"] = told.pop("remedy")
+        return told
 
 
 _DOUBLES = 0.01  # Share of triangles that lie on another
@@ -94,25 +96,25 @@ def _check_edges(corners: NDArray[np.int64]) -> Iterator[Finding]:
         yield Finding(
             "note",
             f"{crossed:.0%} of the edges belong to more than two triangles: the mesh is not manifold.",
-            mend="Placegraph does not mind; programs that need closed surfaces do.",
+            remedy="Placegraph does not mind; programs that need closed surfaces do.",
         )
     if alone > _SOUP:
         yield Finding(
             "note",
             f"{alone:.0%} of the edges belong to a single triangle: the mesh is a soup of faces.",
-            mend="Merge vertices by distance in the file: the map becomes smaller.",
+            remedy="Merge vertices by distance in the file: the map becomes smaller.",
         )
 
 
 def _check_colours(scene: Scene) -> Iterator[Finding]:
     mesh = scene.mesh
-    if not scene.coloured:
+    if not scene.has_colours:
         white = (mesh.colours == 255).all() and all((t == 255).all() for t in mesh.textures)
         said = "has no colours" if white else "is of one colour all over"
         yield Finding(
             "warning" if white else "note",
             f"The map {said}: images cannot be compared with it, depth and labels alone can.",
-            mend=(
+            remedy=(
                 "Export textures or vertex colours with the file"
                 + ("." if white else ", if it has any.")
             ),
@@ -148,7 +150,7 @@ def _check_giants(scene: Scene) -> Iterator[Finding]:
     own = np.bincount(scene.mesh.object_of, areas, len(scene))
     largest = int(own.argmax())
     share = own[largest] / max(float(own.sum()), 1e-12)
-    if share > _GIANT and not structure(scene.graph.labels)[largest]:
+    if share > _GIANT and not is_structural(scene.graph.labels)[largest]:
         severity: Severity = "warning" if len(scene) > 1 else "error"
         yield Finding(
             severity,
@@ -163,7 +165,7 @@ def _check_giants(scene: Scene) -> Iterator[Finding]:
 def _check_twins(scene: Scene) -> Iterator[Finding]:
     """Return whether objects fill the same space."""
     low, high = _boxes(scene)
-    movable = np.flatnonzero(~structure(scene.graph.labels))
+    movable = np.flatnonzero(~is_structural(scene.graph.labels))
     if not 1 < len(movable) <= 5000:
         return
     low, high = low[movable] - 5e-3, high[movable] + 5e-3
@@ -213,7 +215,7 @@ def _check_far_objects(scene: Scene) -> Iterator[Finding]:
 def _check_words(scene: Scene) -> Iterator[Finding]:
     """Return whether labels, names and ids say what is what."""
     graph = scene.graph
-    bare = [i for i, label in enumerate(graph.labels) if nameless(label)]
+    bare = [i for i, label in enumerate(graph.labels) if is_nameless(label)]
     if len(bare) > 0.2 * len(scene):
         yield Finding(
             "warning" if len(bare) > 0.5 * len(scene) else "note",
@@ -245,24 +247,26 @@ def _check_words(scene: Scene) -> Iterator[Finding]:
 def _check_relations(scene: Scene) -> Iterator[Finding]:
     """Return whether anything is known of how objects stand to each other."""
     if len(scene) > 1 and not scene.graph.relations:
-        many = len(scene) > MOST_OBJECTS
+        many = len(scene) > MAX_RELATED_OBJECTS
         yield Finding(
             "note",
             "No relation between objects is known"
-            + (f": there are more than {MOST_OBJECTS:,} of them." if many else "."),
-            mend="Cut the scene into fewer objects." if many else "Check --scale: nothing is near.",
+            + (f": there are more than {MAX_RELATED_OBJECTS:,} of them." if many else "."),
+            remedy="Cut the scene into fewer objects."
+            if many
+            else "Check --scale: nothing is near.",
         )
 
 
 def _check_costs(scene: Scene, size: int | None, seconds: float | None) -> Iterator[Finding]:
     """Return whether it is large, or slow to open."""
-    mend = "--detail small, or tiny, makes it smaller; so do --error and --texel."
+    remedy = "--detail small, or tiny, makes it smaller; so do --error and --texel."
     if len(scene.mesh) > _MANY_TRIANGLES:
-        yield Finding("warning", f"The map has {len(scene.mesh):,} triangles.", mend=mend)
+        yield Finding("warning", f"The map has {len(scene.mesh):,} triangles.", remedy=remedy)
     if size is not None and size > _LARGE_FILE:
-        yield Finding("note", f"The file has {size / 1e6:.0f} MB.", mend=mend)
+        yield Finding("note", f"The file has {size / 1e6:.0f} MB.", remedy=remedy)
     if seconds is not None and seconds > _SLOW:
-        yield Finding("note", f"Opening it took {seconds:.1f} s.", mend=mend)
+        yield Finding("note", f"Opening it took {seconds:.1f} s.", remedy=remedy)
 
 
 def _boxes(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -313,19 +317,21 @@ def _check_units(scene: Scene) -> Iterator[Finding]:
         unsure = unit == "feet" and known is None  # or it is a hall
         severity: Severity = "warning" if unsure else "error"
         yield Finding(
-            severity, f"{said}: the file looks to be in {unit}.", mend=f"--scale {scale:g}"
+            severity, f"{said}: the file looks to be in {unit}.", remedy=f"--scale {scale:g}"
         )
     else:
         yield Finding(
-            "warning", f"{said}.", mend="--scale N, metres in one unit of the file, if that is odd."
+            "warning",
+            f"{said}.",
+            remedy="--scale N, metres in one unit of the file, if that is odd.",
         )
 
 
 def _check_up_axis(scene: Scene) -> Iterator[Finding]:
     """Check that z is up: floors and ceilings face along it, and rooms are lower than wide."""
     areas, unit = _normals(scene)
-    named, standing = labelled_floors(scene.mesh, scene.graph.labels)
-    words = [label_words(label)[-1:] for label in scene.graph.labels]
+    named, standing = find_labelled_floors(scene.mesh, scene.graph.labels)
+    words = [split_label(label)[-1:] for label in scene.graph.labels]
     level = named if named.any() else np.array([w == ["ceiling"] for w in words])
     labelled = level[scene.mesh.object_of]
     if areas[labelled].sum() > 0:
@@ -345,7 +351,7 @@ def _check_up_axis(scene: Scene) -> Iterator[Finding]:
         yield Finding(
             severity,
             f"The map looks to lie on its side: {what} along {'xy'[best]}.",
-            mend="--up y" if best == 1 else "Turn the file so that z points up.",
+            remedy="--up y" if best == 1 else "Turn the file so that z points up.",
         )
     elif standing.any():
         many = int(standing.sum())
@@ -375,7 +381,7 @@ def _check_floors(scene: Scene) -> Iterator[Finding]:
                 "error" if where is None or abs(where - floor) > 0.3 else "warning",
                 f"The floor is said to be at {floor:.2f} m, but hardly any level surface lies there"
                 + ("." if where is None else f"; the next large one is at {where:.2f} m."),
-                mend="--floor H" if where is None else f"--floor {where:.2f}",
+                remedy="--floor H" if where is None else f"--floor {where:.2f}",
             )
             continue
         below = own & named & (heights < floor - 3 * _OFF)
@@ -385,19 +391,19 @@ def _check_floors(scene: Scene) -> Iterator[Finding]:
                 "warning",
                 f"More of what is labelled floor lies at {where:.2f} m than at the map's floor, "
                 f"{floor:.2f} m.",
-                mend=f"--floor {where:.2f}, or cut the storeys apart.",
+                remedy=f"--floor {where:.2f}, or cut the storeys apart.",
             )
         floor_like = near & named if (near & named).any() else near
         turned = unit[floor_like] * np.sign(unit[floor_like, 2:])
         # no wall is among them, but chamfers and clutter are: the middle, not the mean
-        slope = [quantiles(turned[:, k], areas[floor_like], (0.5,))[0] for k in range(3)]
+        slope = [weighted_quantiles(turned[:, k], areas[floor_like], (0.5,))[0] for k in range(3)]
         tilt = float(np.degrees(np.arctan2(np.hypot(slope[0], slope[1]), slope[2])))
         if tilt > _TILTED:
             yield Finding(
                 "error" if tilt > _VERY_TILTED else "warning",
                 f"The floor slopes by {tilt:.1f} degrees: gravity is not -z of the map, and poses "
                 "are found with gravity taken for known.",
-                mend="Level the file (rotate the floor into the plane z = const), and build again.",
+                remedy="Level the file (rotate the floor into the plane z = const), and build again.",
             )
 
 
@@ -405,7 +411,7 @@ def height_of_rooms(scene: Scene) -> float:
     """Return the height from the floor below which all but a fiftieth of the surface lies [m]."""
     areas, _ = _normals(scene)
     heights = scene.mesh.vertices[scene.mesh.triangles][:, :, 2].mean(axis=1, dtype=np.float64)
-    (top,) = quantiles(heights, areas, (0.98,))
+    (top,) = weighted_quantiles(heights, areas, (0.98,))
     return float(top - scene.floors.min())
 
 
@@ -418,7 +424,7 @@ def _known_ratio(scene: Scene) -> float | None:
     kinds: dict[str, list[float]] = {}
     boxes = scene.mesh.object_bounds(len(scene)).astype(np.float64)
     for i, label in enumerate(scene.graph.labels):
-        word = (label_words(label) or [""])[-1]
+        word = (split_label(label) or [""])[-1]
         low, high = boxes[i, :, 2]
         off = abs(low - scene.floors[scene.scene_of[i]])
         if word in HEIGHTS and high > low and off < _STANDS * (high - low):
@@ -474,7 +480,7 @@ def _check_places(scene: Scene, options: PoseSearchOptions | None) -> Iterator[F
             "error",
             f"At camera heights of {said} m above the floor ({scene.floors[0]:.2f} m) no place is "
             "free: no particle can start, and nothing is localized.",
-            mend=(
+            remedy=(
                 "--floor H, if the floor lies elsewhere; --scale N, if the map is in another unit; or "
                 f"`scene localize --height {max(0.3, min(0.6 * rooms, 1.0)):.1f}`."
             ),
@@ -516,7 +522,7 @@ def _check_holes(missed: NDArray[np.bool_], rays: NDArray[np.float32]) -> Iterat
         "note" if only_up or share < _OPEN else "warning",
         f"From inside, {share:.0%} of all rays leave the map ({listed}): "
         + ("it has no ceiling." if only_up else "walls or floors have holes, or are missing."),
-        mend=(
+        remedy=(
             "Nothing can be compared there. Keep ceiling and walls when the file is exported, or scan "
             "what is missing."
         ),
@@ -563,7 +569,7 @@ def _check_anchors(scene: Scene) -> Iterator[Finding]:
                 "warning",
                 f"The place{of} on Earth is ambiguous: the likeliest of {len(found)} candidates has "
                 f"{best.probability:.0%}.",
-                mend=f"{_AGAIN} by point pairs, or keep the right candidate alone.",
+                remedy=f"{_AGAIN} by point pairs, or keep the right candidate alone.",
             )
         left = sqrt(sum(r * r for r in best.residuals) / max(1, len(best.residuals)))
         worst = max(best.residuals, default=0.0)
@@ -572,19 +578,19 @@ def _check_anchors(scene: Scene) -> Iterator[Finding]:
                 "warning",
                 f"What the place{of} on Earth was fitted to is off by {left:.1f} m on the whole, "
                 f"{worst:.1f} m at worst.",
-                mend=f"{_AGAIN}; a pair may be wrong, or the building another.",
+                remedy=f"{_AGAIN}; a pair may be wrong, or the building another.",
             )
         if not best.known:
             yield Finding(
                 "note",
                 f"Nobody said how well the place{of} on Earth is known: poses there look exact.",
-                mend="Give the anchor a covariance.",
+                remedy="Give the anchor a covariance.",
             )
         elif best.covariance[2, 2] > _NO_HEIGHT**2:
             yield Finding(
                 "note",
                 f"The height{of} on Earth is unknown; GeoPoses have it wrong.",
-                mend=f"{_AGAIN} and --height.",
+                remedy=f"{_AGAIN} and --height.",
             )
 
 

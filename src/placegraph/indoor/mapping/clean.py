@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from placegraph.errors import InputError
 from placegraph.indoor.map import textures
 from placegraph.indoor.map.floor import is_floor
-from placegraph.indoor.map.mesh import GRAIN, UV_GRAIN, Mesh, portions
+from placegraph.indoor.map.mesh import GRAIN, UV_GRAIN, Mesh, iterate_slices
 from placegraph.indoor.map.textures import Detail
 from placegraph.indoor.mapping.atlas.bake import ColourOf
 from placegraph.indoor.mapping.simplify import simplify
@@ -155,7 +155,7 @@ def find_flat_triangles(
 ) -> NDArray[np.bool_]:
     """Triangles (T,) without area once their corners are snapped, but for the last of an object."""
     flat = np.zeros(len(triangles), np.bool_)
-    for part in portions(len(triangles)):
+    for part in iterate_slices(len(triangles)):
         a, b, c = np.moveaxis(np.rint(vertices[triangles[part]].astype(np.float64) / grain), 1, 0)
         flat[part] = ~np.cross(b - a, c - a).any(axis=1)
     bare = np.setdiff1d(object_of, object_of[~flat])
@@ -231,7 +231,7 @@ def reduce_mesh(
                 coarse, colour_of or _vertex_colours(mesh, pictures, detail), detail, notes
             )
         return coarse, textures.encode_pictures(pictures, detail)
-    needed = textures.needed_texels(mesh, detail.texel)
+    needed = textures.measure_needed_texels(mesh, detail.texel)
     blobs = textures.encode_pictures(pictures, detail, needed)
     coarse = simplify(mesh, error=detail.error, colour=VIVID, left_out=left_out)
     return snap_mesh(coarse, detail.grain, detail.uv_grain), blobs
@@ -241,7 +241,7 @@ def _vertex_colours(mesh: Mesh, pictures: Sequence[Picture], detail: Detail) -> 
     """Colours of a mesh's vertices and flat materials."""
     from placegraph.indoor.mapping.atlas.colours import mesh_colours
 
-    flat = textures.decode(textures.encode_pictures(pictures, detail), "a material")
+    flat = textures.decode_textures(textures.encode_pictures(pictures, detail), "a material")
     return mesh_colours(replace(mesh, textures=flat))
 
 

@@ -31,7 +31,7 @@ Paths = Mapping[str, ArrayLike]
 _EYE, _MOST_EYES = 0.12, 60  # length of the pyramid that shows a camera [m]; pyramids along a path
 
 
-def path_lines(poses: NDArray[np.float64]) -> NDArray[np.float64]:
+def make_path_lines(poses: NDArray[np.float64]) -> NDArray[np.float64]:
     """(L, 2, 3) segments [m] of a camera's way (T, 4, 4), with pyramids that look where it does."""
     at = poses[:, :3, 3]
     way = np.stack([at[:-1], at[1:]], axis=1)
@@ -82,7 +82,7 @@ def paint_vertices(scene: Scene) -> Model:
         vertices=mesh.vertices[row].astype(np.float64),
         triangles=triangles,
         thing_of=mesh.object_of.astype(np.int64),
-        colours=_tint(mesh, triangles, mesh.colours[row]),
+        colours=_tint_vertices(mesh, triangles, mesh.colours[row]),
         uv=np.zeros((len(row), 2)),
         picture_of=np.zeros(len(triangles), np.int64),
         pictures=(Picture(None),),
@@ -91,7 +91,7 @@ def paint_vertices(scene: Scene) -> Model:
     )
 
 
-def _tint(
+def _tint_vertices(
     mesh: Mesh, triangles: NDArray[np.int64], colours: NDArray[np.uint8]
 ) -> NDArray[np.uint8]:
     """Multiply colours (W, 3) of the vertices of triangles (T, 3) with the texture around them."""
@@ -138,7 +138,7 @@ def export(
     - ``.json``: a scene graph as Spark-DSG saves it, for Hydra and its kin: objects with boxes,
       labels and their part of the mesh, rooms (of the attribute ``room``, or the merged scenes).
 
-    What a file has no place for is told by `losses`. The old file stays until the new one is complete.
+    What a file has no place for is told by `list_losses`. The old file stays until the new one is complete.
 
     Parameters
     ----------
@@ -191,7 +191,7 @@ def _ending_of(path: str | PathLike[str]) -> str:
     return max((e for e in ENDINGS if name.endswith(e)), key=len, default="")
 
 
-def losses(scene: Scene, path: str | PathLike[str]) -> tuple[str, ...]:
+def list_losses(scene: Scene, path: str | PathLike[str]) -> tuple[str, ...]:
     """Return what of a map a file of this ending has no place for, in sentences."""
     ending, lost = _ending_of(path), []
     if ending in (".osm", *OSMAG_ENDINGS):
@@ -210,7 +210,7 @@ def losses(scene: Scene, path: str | PathLike[str]) -> tuple[str, ...]:
     return tuple(lost)
 
 
-def object_surfaces(mesh: Mesh, count: int) -> list[list[Surface]]:
+def split_surfaces(mesh: Mesh, count: int) -> list[list[Surface]]:
     """Surfaces of each of `count` objects, one a texture: what GLB wants."""
     order = np.lexsort([mesh.texture_of, mesh.object_of])
     keys = np.stack([mesh.object_of[order], mesh.texture_of[order]])
@@ -232,7 +232,7 @@ def object_surfaces(mesh: Mesh, count: int) -> list[list[Surface]]:
     return found
 
 
-def materials(scene: Scene, *, webp: bool = False) -> list[Material]:
+def make_materials(scene: Scene, *, webp: bool = False) -> list[Material]:
     """Return a material for each texture: the encoded image, or the colour of a single texel.
 
     `webp`: keep images in WebP, which browsers show and some programs do not; else they become JPEG.
@@ -257,21 +257,21 @@ def encode_scene(scene: Scene, paths: Paths | None = None) -> bytes:
     """Return the bytes of a .glb file as `export` writes it."""
     graph = scene.graph
     parts = [
-        Part(graph.names[i] or graph.labels[i], surfaces, _extras(scene, i))
-        for i, surfaces in enumerate(object_surfaces(scene.mesh, len(graph)))
+        Part(graph.names[i] or graph.labels[i], surfaces, _make_extras(scene, i))
+        for i, surfaces in enumerate(split_surfaces(scene.mesh, len(graph)))
     ]
     for name, poses in _check_paths(paths or {}).items():
-        parts.append(Part(name, lines=path_lines(poses)))
+        parts.append(Part(name, lines=make_path_lines(poses)))
     scenes = zip(scene.scenes, scene.floors.tolist(), strict=True)
     edges = zip(graph.sources, graph.relations, graph.targets, strict=True)
     note = {
         "scenes": [{"name": name, "floor": floor} for name, floor in scenes],
         "relations": [[graph.ids[s], relation, graph.ids[t]] for s, relation, t in edges],
     }
-    return encode_glb(parts, materials(scene), extras=note, generator=MARK)
+    return encode_glb(parts, make_materials(scene), extras=note, generator=MARK)
 
 
-def _extras(scene: Scene, row: int) -> dict[str, Any]:
+def _make_extras(scene: Scene, row: int) -> dict[str, Any]:
     """Extras of an object's node; attributes whose names are taken stand under a key of ours."""
     label, attributes = scene.graph.labels[row], scene.attributes[row]
     hidden = {key: attributes[key] for key in ("label", "id", OWN) if key in attributes}
@@ -319,8 +319,8 @@ def _write_ply(scene: Scene, path: Path, table: Path) -> None:
             attributes[key] = thing.id
         entry = {"id": number, "label": thing.label, "name": thing.name, "attributes": attributes}
         entries.append(entry)
-    told = {"written by": MARK, "objects": entries}
-    write_file(table, [json.dumps(told, ensure_ascii=False, indent=1).encode()])
+    table_content = {"written by": MARK, "objects": entries}
+    write_file(table, [json.dumps(table_content, ensure_ascii=False, indent=1).encode()])
     objects = np.array(numbers, np.int64)[model.thing_of]
     write_ply(
         path, model.vertices, model.triangles, model.colours, objects=objects, comments=(MARK,)

@@ -15,16 +15,16 @@ from numpy.typing import NDArray
 from placegraph.core.geo import Anchor
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.encode.networks import Segmenter
-from placegraph.indoor.map.floor import floor_height
+from placegraph.indoor.map.floor import find_floor_height
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.scene import Landmarks
-from placegraph.indoor.map.scene_file import VIEWPOINTS
+from placegraph.indoor.map.scene_file import MAX_VIEWPOINTS
 from placegraph.io.capture.capture import Capture, format_of
 from placegraph.io.mesh.model import Model, Picture, Thing
 
 if TYPE_CHECKING:
     from placegraph.indoor.mapping.atlas.bake import ColourOf
-    from placegraph.indoor.mapping.fuse import Fused
+    from placegraph.indoor.mapping.fuse import Fused, FuseStats
     from placegraph.indoor.mapping.segment import Segments
 
 Progress = Callable[[str, int, int], None]
@@ -88,23 +88,23 @@ def read_capture(
     from placegraph.indoor.mapping.landmarks import map_landmarks
     from placegraph.indoor.mapping.segment import segment
 
-    told = how.poses is None and (path / "trajectory.tum").exists()
-    capture = _open_capture(path, how, "trajectory" if told else how.poses, reader or {})
+    has_trajectory = how.poses is None and (path / "trajectory.tum").exists()
+    capture = _open_capture(path, how, "trajectory" if has_trajectory else how.poses, reader or {})
     left_out.update(capture.left_out)
     fused = _fuse_frames(path, capture, how, left_out, progress)
     if how.segmenter is not None:
-        from placegraph.indoor.encode.networks import labelled
+        from placegraph.indoor.encode.networks import label_capture
 
-        capture = labelled(capture, how.segmenter)
-    found = segment(
+        capture = label_capture(capture, how.segmenter)
+    segments = segment(
         fused.vertices, fused.triangles, fused.colours,
         frames=None if capture.label_camera is None else capture.frames,
         progress=progress, left_out=left_out,
     )  # fmt: skip
-    floor, guessed = _find_floor(path, fused, found)
+    floor, guessed = _find_floor(path, fused, segments)
     model = Model(
-        path=path, things=make_things(found), vertices=fused.vertices, triangles=fused.triangles,
-        thing_of=found.object_of.astype(np.int64), colours=fused.colours,
+        path=path, things=make_things(segments), vertices=fused.vertices, triangles=fused.triangles,
+        thing_of=segments.object_of.astype(np.int64), colours=fused.colours,
         uv=np.zeros((len(fused.vertices), 2)),
         picture_of=np.zeros(len(fused.triangles), np.int64), pictures=(Picture(None),),
         floor=floor,
@@ -120,28 +120,28 @@ def read_capture(
     landmarks = None
     if how.landmarks:
         landmarks = map_landmarks(capture.frames, poses, _report_stage(progress, "landmarks"))
-    notes = _write_notes(path, told, fused.stats, found.labels)
+    notes = _write_notes(path, has_trajectory, fused.stats, segments.labels)
     told_of = (*capture.notes, *notes, *guessed)
     seen_from = thin_points(poses[:, :3, 3])
     return Source(model, colour_of, told_of, landmarks=landmarks, viewpoints=seen_from)
 
 
 def thin_points(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Some of points (N, 3) [m], at most `VIEWPOINTS`, one in each cube of an edge that leaves so few."""
+    """Some of points (N, 3) [m], at most `MAX_VIEWPOINTS`, one in each cube of an edge that leaves so few."""
     edge, points = 0.25, np.round(points, 2)  # to a centimetre, as a map file holds them
     while True:
         _, first = np.unique(np.floor(points / edge), axis=0, return_index=True)
-        if len(first) <= VIEWPOINTS:
+        if len(first) <= MAX_VIEWPOINTS:
             return np.asarray(points[np.sort(first)])
         edge *= 1.25
 
 
-def _find_floor(path: Path, fused: Fused, found: Segments) -> tuple[float, tuple[str, ...]]:
+def _find_floor(path: Path, fused: Fused, segments: Segments) -> tuple[float, tuple[str, ...]]:
     """Height of the floor [m], and what was guessed of it: cameras may have seen none of it."""
-    if found.floor is not None:
-        return found.floor, ()
-    mesh = Mesh.plain(fused.vertices, fused.triangles, found.object_of)
-    height = floor_height(mesh, found.labels)
+    if segments.floor is not None:
+        return segments.floor, ()
+    mesh = Mesh.plain(fused.vertices, fused.triangles, segments.object_of)
+    height = find_floor_height(mesh, segments.labels)
     if height is not None:
         return height, ()
     lowest = float(np.quantile(fused.vertices[:, 2], _LOWEST))
@@ -186,17 +186,19 @@ def _fuse_frames(
         raise InputError(f"{path}: {error}") from error
 
 
-def make_things(found: Segments) -> tuple[Thing, ...]:
+def make_things(segments: Segments) -> tuple[Thing, ...]:
     """Things of what cutting found."""
-    return tuple(map(Thing, found.ids, found.labels, found.names))
+    return tuple(map(Thing, segments.ids, segments.labels, segments.names))
 
 
-def _write_notes(path: Path, told: bool, stats: Any, labels: tuple[str, ...]) -> list[str]:  # noqa: ANN401
+def _write_notes(
+    path: Path, has_trajectory: bool, stats: FuseStats, labels: tuple[str, ...]
+) -> list[str]:
     rate = stats.frames / max(stats.seconds, 1e-9)
     apart = 100 * stats.agreement
     notes = [f"{stats.frames} frames fused, {rate:.0f} a second."]
     notes.append(f"Their depth lies within {apart:.1f} cm of the surface (median).")
-    if told:
+    if has_trajectory:
         notes.append(f"Poses are those of {path / 'trajectory.tum'}.")
     if stats.coarser:
         notes.append(stats.coarser)

@@ -17,7 +17,13 @@ from placegraph.core.options import check_options, option
 from placegraph.core.threads import run_parallel
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.mapping import fuse_kernels as kernels
-from placegraph.indoor.mapping.fuse_kernels import SIDE, SIZE, facets_of, farthest, visible
+from placegraph.indoor.mapping.fuse_kernels import (
+    SIDE,
+    SIZE,
+    compute_facets,
+    find_farthest,
+    find_visible,
+)
 from placegraph.io.capture.frame import Frame
 
 FARTHEST = 1e4  # Cameras farther from the map's origin than this are damage [m]
@@ -195,9 +201,9 @@ class Volume:
             raise FullError
         more = min(room + room // 2, self.most)
         for name in ("places", "distance", "weight", "colour", "paint"):
-            held: NDArray[np.float32] = getattr(self, name)
-            wider = np.zeros((more, *held.shape[1:]), held.dtype)
-            wider[:room] = held
+            old: NDArray[np.float32] = getattr(self, name)
+            wider = np.zeros((more, *old.shape[1:]), old.dtype)
+            wider[:room] = old
             setattr(self, name, wider)
         self.hash()
 
@@ -214,7 +220,7 @@ class Volume:
         pose, depth_eye = view.map_from_camera, view.eyes[0]
         edge = SIDE * self.voxel
         while True:
-            count = kernels.touch(
+            count = kernels.allocate_blocks(
                 self.keys, self.rows, self.places, self.count, len(self.places), facets, depth_eye,
                 pose, edge, self.truncation, STEP,
             )  # fmt: skip
@@ -224,8 +230,8 @@ class Volume:
             self.grow()
         gain = self.gain(view, facets) if gains else 1.0
         back = np.linalg.inv(pose)
-        far = farthest(facets, TILE)
-        chosen = visible(
+        far = find_farthest(facets, TILE)
+        chosen = find_visible(
             self.places,
             self.count,
             edge,
@@ -255,7 +261,7 @@ class Volume:
 
     def gaps(self, points: Floats) -> NDArray[np.float32]:
         """Distances (N,) [m] of points (N, 3) [m, map] from the surface, cut at the truncation."""
-        return kernels.gaps_at(
+        return kernels.measure_gaps(
             self.keys, self.rows, self.distance, self.weight, self.voxel, self.truncation, points
         )
 
@@ -278,22 +284,22 @@ def extract_surface(
     """
     loop_of, loops = make_loop_tables()
     count = volume.count
-    around = kernels.neighbours(volume.keys, volume.rows, volume.places, count)
-    cases, crossed, sizes = kernels.cells_of(
+    around = kernels.find_neighbours(volume.keys, volume.rows, volume.places, count)
+    cases, crossed, sizes = kernels.find_cells(
         around, volume.distance, volume.weight, least, STEEPEST * volume.truncation, loops
     )
     starts = _starts(sizes)
-    points, colours, first = kernels.vertices_of(
+    points, colours, first = kernels.make_vertices(
         around, volume.places, volume.distance, volume.colour, volume.paint, cases, crossed,
         starts, loop_of, loops, volume.voxel,
     )  # fmt: skip
     none = np.zeros((0, 4), np.int32)
     grid = around, volume.distance, cases, crossed, first, loop_of
-    ends = _starts(kernels.quads_of(*grid, np.zeros(count, np.int64), none))
+    ends = _starts(kernels.make_quads(*grid, np.zeros(count, np.int64), none))
     quads = np.empty((ends[-1], 4), np.int32)
-    kernels.quads_of(*grid, ends, quads)
+    kernels.make_quads(*grid, ends, quads)
     del around, cases, crossed, first, grid
-    triangles = kernels.split(points, quads)
+    triangles = kernels.split_quads(points, quads)
     del quads
     return drop_specks(points, triangles, colours, speck, left_out)
 
@@ -302,8 +308,8 @@ def drop_specks(
     points: Floats, triangles: Ints, colours: Colours, least: float, left_out: Counter[str]
 ) -> tuple[Floats, Ints, Colours]:
     """Drop connected parts of less than `least` [m^2], and vertices that nothing uses."""
-    root = kernels.roots_of(len(points), triangles)[triangles[:, 0]]
-    area = kernels.areas_of(points, triangles)
+    root = kernels.find_roots(len(points), triangles)[triangles[:, 0]]
+    area = kernels.measure_areas(points, triangles)
     size = np.bincount(root, area, minlength=len(points))
     dropped = np.unique(root[size[root] < least])
     if len(dropped):
@@ -460,7 +466,7 @@ class _Run:
         """Take in all frames."""
         for view in read_views(frames, poses, find_good_poses(poses), passed_over):
             if view is not None:
-                facets = facets_of(view.depth, view.eyes[0], reach, self.options.edges)
+                facets = compute_facets(view.depth, view.eyes[0], reach, self.options.edges)
                 self.gains[view.row] = self.volume.take(view, facets, gains=self.options.gains)
                 self.witnesses.append(self.some_points(view, facets))
                 self.seen_by.append(view.row)

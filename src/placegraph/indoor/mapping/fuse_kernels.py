@@ -64,7 +64,7 @@ def rehash(keys, rows, places, count):
 
 
 @kernel(error_model="numpy")
-def touch(keys, rows, places, count, room, facets, eye, pose, edge, band, step):
+def allocate_blocks(keys, rows, places, count, room, facets, eye, pose, edge, band, step):
     """Give a block to every place within `band` [m] of a reading; count of blocks afterwards.
 
     Stops early, and says so by -1 - count, where `room` blocks are there: then give it more room and
@@ -168,7 +168,7 @@ def integrate(
 
 
 @kernel(error_model="numpy")
-def gaps_at(keys, rows, distance, weight, voxel, truncation, points):
+def measure_gaps(keys, rows, distance, weight, voxel, truncation, points):
     """Distances (N,) [m] of points (N, 3) [m] from the surface; the truncation where none is near."""
     out = np.empty(len(points), np.float32)
     for i in range(len(points)):
@@ -194,7 +194,7 @@ def gaps_at(keys, rows, distance, weight, voxel, truncation, points):
 def brightness_ratios(keys, rows, colour, paint, voxel, facets, image, eyes, pose, step, least):
     """Model's brightness over the image's, where both say something (N,) float32.
 
-    Parameters as of `integrate` and `touch`; `least`: paint that a voxel needs.
+    Parameters as of `integrate` and `allocate_blocks`; `least`: paint that a voxel needs.
     """
     h, w = facets.shape[:2]
     tall, wide = image.shape[:2]
@@ -235,7 +235,7 @@ def brightness_ratios(keys, rows, colour, paint, voxel, facets, image, eyes, pos
 FLAT = 0.1  # Least cosine of the angle at which a reading's surface is looked at
 
 
-def facets_of(depth, eye, reach, edges):
+def compute_facets(depth, eye, reach, edges):
     """Plane, reading and weight of every pixel (h, w, 6) float32.
 
     Columns 0 to 2: unit normal n in the camera, away from it; 3: n @ x of the plane's points x, so
@@ -357,7 +357,7 @@ def torn(depth, v, u, here, allowed):
 
 
 @kernel(error_model="numpy")
-def farthest(facets, tile):
+def find_farthest(facets, tile):
     """Greatest reading of every tile (h / tile, w / tile) of `tile`^2 pixels, 0: none."""
     h, w = facets.shape[:2]
     out = np.zeros(((h + tile - 1) // tile, (w + tile - 1) // tile), np.float32)
@@ -368,10 +368,10 @@ def farthest(facets, tile):
 
 
 @kernel(error_model="numpy")
-def visible(places, count, edge, far, tile, eye, shape, pose, band):
+def find_visible(places, count, edge, far, tile, eye, shape, pose, band):
     """Rows of the blocks that a view may see, ascending.
 
-    `far`: of `farthest`; `shape`: height and width [px]; `pose`: (4, 4) camera_from_map.
+    `far`: of `find_farthest`; `shape`: height and width [px]; `pose`: (4, 4) camera_from_map.
     """
     found = np.empty(count, np.int32)
     n = 0
@@ -405,7 +405,7 @@ def visible(places, count, edge, far, tile, eye, shape, pose, band):
 _WIDE = SIDE + 1
 
 
-def neighbours(keys, rows, places, count):
+def find_neighbours(keys, rows, places, count):
     """Rows (B, 27) of the blocks around each, -1 where there is none; column 13 is the block."""
     out = np.empty((count, 27), np.int32)
     run_parallel(_neighbours, count, keys, rows, places, out)
@@ -429,7 +429,7 @@ def corner_of(around, row, i, j, k):
     return around[row, side], (i % SIDE * SIDE + j % SIDE) * SIDE + k % SIDE
 
 
-def cells_of(around, distance, weight, least, steepest, loops):
+def find_cells(around, distance, weight, least, steepest, loops):
     """Find the surface: case (B, SIZE) uint8 and crossed edges (B, SIZE) uint16 of every cell.
 
     Also the number of vertices by block (B,). Cell i, j, k reaches from voxel i, j, k to the next along
@@ -487,7 +487,7 @@ def _cells_of(
                 sizes[row] += loops[cases[row, cell]]
 
 
-def vertices_of(
+def make_vertices(
     around, places, distance, colour, paint, cases, crossed, starts, loop_of, loops, voxel
 ):
     """Vertices (V, 3) [m], colours (V, 3), and the first vertex of every cell (B, SIZE) int64.
@@ -571,7 +571,7 @@ def low_corner(edge):
     return (rest & 1) << one | (rest >> 1) << two
 
 
-def quads_of(around, distance, cases, crossed, vertex, loop_of, starts, quads):
+def make_quads(around, distance, cases, crossed, vertex, loop_of, starts, quads):
     """Vertices around every edge that the surface crosses: count by block (B,), or fill `quads`.
 
     `quads`: (Q, 4) int32, empty for counting; `starts`: (B + 1,) first quad of each block. Seen from free
@@ -618,7 +618,7 @@ def _quads_of(
 
 
 @kernel
-def split(points, quads):
+def split_quads(points, quads):
     """Two triangles (2 Q, 3) int64 for each quad (Q, 4), along its shorter diagonal."""
     out = np.empty((2 * len(quads), 3), np.int64)
     for row in range(len(quads)):
@@ -637,7 +637,7 @@ def split(points, quads):
 
 
 @kernel
-def areas_of(points, triangles):
+def measure_areas(points, triangles):
     """Areas (T,) of triangles [m^2]."""
     out = np.empty(len(triangles))
     for row in range(len(triangles)):
@@ -653,7 +653,7 @@ def areas_of(points, triangles):
 
 
 @kernel
-def roots_of(count, triangles):
+def find_roots(count, triangles):
     """Lowest vertex (V,) of the connected part that every vertex belongs to."""
     root = np.arange(count)
     for row in range(len(triangles)):

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from placegraph.core.geometry import Floats
 from placegraph.core.threads import count_processors
 from placegraph.indoor.likelihood.observe import spread
-from placegraph.indoor.map.scene import MOST_LANDMARKS, WIDTH, Landmarks
+from placegraph.indoor.map.scene import DESCRIPTOR_SIZE, MAX_LANDMARKS, Landmarks
 from placegraph.indoor.refine.landmarks import LARGEST, detect_features, make_detector
 from placegraph.io.capture.frame import Frame
 
@@ -53,34 +53,34 @@ class _Tracks:
 def map_landmarks(
     frames: Sequence[Frame], poses: Floats, progress: Callable[[int, int], None] | None = None
 ) -> Landmarks:
-    """Map at most `MOST_LANDMARKS` landmarks of RGB-D frames with poses (T, 4, 4), map_from_camera.
+    """Map at most `MAX_LANDMARKS` landmarks of RGB-D frames with poses (T, 4, 4), map_from_camera.
 
     Those are kept that each frame shows best: seen often, by frames all over the capture. Raises
     `MissingExtraError` where OpenCV is not installed.
     """
     chosen = spread(len(frames), FRAMES)
     make_detector(FEATURES)  # what is missing is told before the work
-    points, vectors = np.zeros((0, 3)), np.zeros((0, WIDTH), np.float32)
+    points, vectors = np.zeros((0, 3)), np.zeros((0, DESCRIPTOR_SIZE), np.float32)
     counts = np.zeros(0, np.int64)
     tracks = []
     with ThreadPoolExecutor(count_processors()) as pool:
         looks = pool.map(_find_features, (frames[row] for row in chosen))
-        for done, (row, look) in enumerate(zip(chosen.tolist(), looks, strict=True)):
+        for done, (row, features) in enumerate(zip(chosen.tolist(), looks, strict=True)):
             if progress is not None:
                 progress(done, len(chosen))
             pose, focal = poses[row], LARGEST * _focal_length(frames[row])
-            rows = _match_landmarks(points, vectors, look, pose, focal)
+            rows = _match_landmarks(points, vectors, features, pose, focal)
             new = rows < 0
             rows[new] = len(points) + np.arange(new.sum())
             points = np.concatenate([points, np.zeros((new.sum(), 3))])
-            vectors = np.concatenate([vectors, np.zeros((new.sum(), WIDTH), np.float32)])
+            vectors = np.concatenate([vectors, np.zeros((new.sum(), DESCRIPTOR_SIZE), np.float32)])
             counts = np.concatenate([counts, np.zeros(new.sum(), np.int64)])
             share = 1.0 / (counts[rows] + 1.0)[:, None]
-            here = (look.rays * look.depth[:, None]) @ pose[:3, :3].T + pose[:3, 3]
+            here = (features.rays * features.depth[:, None]) @ pose[:3, :3].T + pose[:3, 3]
             points[rows] += share * (here - points[rows])
-            vectors[rows] += (share * (look.vectors - vectors[rows])).astype(np.float32)
+            vectors[rows] += (share * (features.vectors - vectors[rows])).astype(np.float32)
             counts[rows] += 1
-            tracks.append(_Tracks(rows, np.full(len(rows), row), look.rays, look.depth))
+            tracks.append(_Tracks(rows, np.full(len(rows), row), features.rays, features.depth))
     track = _Tracks(
         np.concatenate([t.landmark for t in tracks]),
         np.concatenate([t.frame for t in tracks]),
@@ -130,10 +130,14 @@ def read_depth(frame: Frame, rays: Floats) -> Floats:
 
 
 def _match_landmarks(
-    points: Floats, vectors: NDArray[np.float32], look: _FrameFeatures, pose: Floats, focal: float
+    points: Floats,
+    vectors: NDArray[np.float32],
+    features: _FrameFeatures,
+    pose: Floats,
+    focal: float,
 ) -> NDArray[np.int64]:
     """Landmark (N,) that each feature of a frame shows again, -1: none so far."""
-    out = np.full(len(look.depth), -1, np.int64)
+    out = np.full(len(features.depth), -1, np.int64)
     at = (points - pose[:3, 3]) @ pose[:3, :3]
     ahead = np.flatnonzero(at[:, 2] > 0.1)
     if not len(ahead) or not len(out):
@@ -141,16 +145,16 @@ def _match_landmarks(
     spots = focal * at[ahead, :2] / at[ahead, 2:]
     order = np.argsort(spots[:, 0])
     spots, ahead = spots[order], ahead[order]
-    own = focal * look.rays[:, :2]
+    own = focal * features.rays[:, :2]
     first = np.searchsorted(spots[:, 0], own[:, 0] - _REACH)
     count = np.searchsorted(spots[:, 0], own[:, 0] + _REACH) - first
     feature = np.repeat(np.arange(len(own)), count)
     near = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count) + first[feature]
-    z = look.depth[feature]
+    z = features.depth[feature]
     pairs = np.abs(spots[near, 1] - own[feature, 1]) < _REACH
     pairs &= np.abs(at[ahead[near], 2] - z) < _LATCH[0] + _LATCH[1] * z
     feature, landmark = feature[pairs], ahead[near[pairs]]
-    cosine = np.einsum("pd,pd->p", look.vectors[feature], vectors[landmark])
+    cosine = np.einsum("pd,pd->p", features.vectors[feature], vectors[landmark])
     cosine /= np.maximum(np.linalg.norm(vectors[landmark], axis=1), 1e-9)
     best = np.argsort(-cosine, kind="stable")
     best = best[cosine[best] > _ALIKE]
@@ -214,5 +218,5 @@ def _choose_landmarks(
     first = np.searchsorted(frame, frame)
     place = np.full(len(counts), len(track.frame))
     np.minimum.at(place, landmark, np.arange(len(frame)) - first)
-    rows = np.lexsort((place, worth == 0))[:MOST_LANDMARKS]
+    rows = np.lexsort((place, worth == 0))[:MAX_LANDMARKS]
     return rows[worth[rows] > 0]

@@ -17,8 +17,8 @@ from placegraph.core.geo import Anchor
 from placegraph.core.geojson import is_inside
 from placegraph.core.geometry import Floats
 from placegraph.errors import InputError, OptionError
-from placegraph.indoor.map.floor import LEVEL, is_floor, label_words
-from placegraph.indoor.map.rooms import rooms_of
+from placegraph.indoor.map.floor import LEVEL, is_floor, split_label
+from placegraph.indoor.map.rooms import find_rooms
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.mapping.from_capture import Source
 from placegraph.indoor.mapping.outlines import (
@@ -116,9 +116,9 @@ def select_level(plan: IndoorOsm, level: float | None) -> Level:
             f"{plan.path}: the rooms of level {chosen:g} are spread over {max(east, north) / 1000:,.0f} "
             "km; cut out one building, as with `osmium extract`."
         )
-    storey, said = _find_storey(plan, anchor)
+    storey, note = _find_storey(plan, anchor)
     if not all(_parse_height(shape.tags) for shape in held):
-        notes.append(said)
+        notes.append(note)
     names = room_names(held)
     rooms = []
     for shape, name in zip(held, names, strict=True):
@@ -375,7 +375,9 @@ class _ModelBuilder:
         self.thing_of: list[int] = []
         self.count = 0
 
-    def thing(self, label: str, name: str = "", attributes: dict[str, str] | None = None) -> None:
+    def add_object(
+        self, label: str, name: str = "", attributes: dict[str, str] | None = None
+    ) -> None:
         self.things.append(Thing(str(len(self.things)), label, name, attributes or {}))
 
     def add(self, vertices: Floats, triangles: NDArray[np.int64]) -> None:
@@ -414,7 +416,7 @@ def build_model(level: Level, path: Path, left_out: Counter[str]) -> Model:
     for wall, doors in zip(walls, opened, strict=True):
         pieces = wall.solid(doors)
         if pieces:
-            parts.thing("wall")
+            parts.add_object("wall")
         for start, end, low, high in pieces:
             parts.box(start, end, (low, high), THICK)
     vertices = np.concatenate(parts.vertices)
@@ -429,14 +431,16 @@ def build_model(level: Level, path: Path, left_out: Counter[str]) -> Model:
 
 def _add_floor_and_ceiling(parts: _ModelBuilder, room: Room) -> None:
     tags = room.shape.tags
-    said = {key: tags[key] for key in _KEPT if key in tags}
+    attributes = {key: tags[key] for key in _KEPT if key in tags}
     kind = tags.get("room") or tags.get("osmAG:areaType", "room")
     if kind not in {"room", room.shape.kind}:
-        said["kind"] = kind
-    said |= {"room": room.name, "indoor": room.shape.kind, "osm": room.shape.osm}
+        attributes["kind"] = kind
+    attributes |= {"room": room.name, "indoor": room.shape.kind, "osm": room.shape.osm}
     for label, z in (("floor", 0.0), ("ceiling", room.height)):
-        parts.thing(
-            label, tags.get("name", "") if not z else "", said if not z else {"room": room.name}
+        parts.add_object(
+            label,
+            tags.get("name", "") if not z else "",
+            attributes if not z else {"room": room.name},
         )
         for rings in room.polygons:
             points, triangles = triangulate(rings)
@@ -450,8 +454,8 @@ def _add_frame(parts: _ModelBuilder, wall: Wall, door: Door) -> None:
     if high - low < 3.0 * FRAME:
         return
     tags = door.shape.tags
-    said = {k: tags[k] for k in ("entrance", "door", "ref") if k in tags}
-    parts.thing("door", tags.get("name", ""), said | {"osm": door.shape.osm})
+    attributes = {k: tags[k] for k in ("entrance", "door", "ref") if k in tags}
+    parts.add_object("door", tags.get("name", ""), attributes | {"osm": door.shape.osm})
     base = wall.start + wall.shift
     for start, end, bottom in (
         (low, low + FRAME, 0.0), (high - FRAME, high, 0.0), (low, high, top - FRAME),
@@ -505,16 +509,18 @@ def _export_rooms(
     own = len(set(names)) == len(names) > 0 and all(names)
     if own and all(outlined.values()):
         for row, rings in outlined.items():
-            said = scene.attributes[row]
-            tags = {k: said[k] for k in _SAID if k in said and k != "indoor"}
-            kind = said.get("indoor", "room")
-            numbered = {"ref": said["room"]} if said["room"].isdecimal() else {}
-            named = _own_name(scene, row) or ("" if numbered or _is_generic(said) else said["room"])
-            tags = numbered | tags | {"name": named, "room": said.get("kind", "")}
-            height = _find_ceiling(scene, rows, said["room"], floor)
+            attributes = scene.attributes[row]
+            tags = {k: attributes[k] for k in _SAID if k in attributes and k != "indoor"}
+            kind = attributes.get("indoor", "room")
+            numbered = {"ref": attributes["room"]} if attributes["room"].isdecimal() else {}
+            named = _own_name(scene, row) or (
+                "" if numbered or _is_generic(attributes) else attributes["room"]
+            )
+            tags = numbered | tags | {"name": named, "room": attributes.get("kind", "")}
+            height = _find_ceiling(scene, rows, attributes["room"], floor)
             found.append(_make_room(anchor, f"way/{row}", kind, rings, tags, (floor, height)))
         return found
-    rooms = rooms_of(scene.mesh, scene.graph.labels, floor)
+    rooms = find_rooms(scene.mesh, scene.graph.labels, floor)
     for k in range(len(rooms)):
         inside = [scene.attributes[row].get("room", "") for row in rows[rooms.room_of[rows] == k]]
         name = max(set(inside), key=inside.count) if inside else ""
@@ -525,10 +531,10 @@ def _export_rooms(
     return found
 
 
-def _is_generic(said: dict[str, str]) -> bool:
+def _is_generic(attributes: dict[str, str]) -> bool:
     """Return whether a room's name says what it is, and no more: it was given when the map was made."""
-    kind = (said.get("kind") or said.get("indoor", "")).replace("_", " ")
-    return bool(kind) and said["room"].rstrip(" 0123456789") == kind
+    kind = (attributes.get("kind") or attributes.get("indoor", "")).replace("_", " ")
+    return bool(kind) and attributes["room"].rstrip(" 0123456789") == kind
 
 
 def _make_room(
@@ -540,11 +546,11 @@ def _make_room(
     heights: tuple[float, float | None],
 ) -> IndoorShape:
     level, (floor, top) = anchor.level or "0", heights
-    said = {"level": level} | {k: v for k, v in tags.items() if v}
+    attributes = {"level": level} | {k: v for k, v in tags.items() if v}
     if top is not None:
-        said["height"] = f"{top - floor:.2f}"
+        attributes["height"] = f"{top - floor:.2f}"
     parts = [_to_lonlat(anchor, ring, floor) for ring in rings]
-    return IndoorShape(osm, kind if kind in ROOMS else "room", (), said, parts)
+    return IndoorShape(osm, kind if kind in ROOMS else "room", (), attributes, parts)
 
 
 def _to_lonlat(anchor: Anchor, points: Floats, height: float) -> Floats:
@@ -568,7 +574,7 @@ def _find_ceiling(scene: Scene, rows: NDArray[np.int64], room: str, floor: float
     """Height of a room's ceiling [m, map], or of the others'; None where there is none."""
     above: dict[bool, list[float]] = {True: [], False: []}
     for row in rows.tolist():
-        words = label_words(scene.graph.labels[row])
+        words = split_label(scene.graph.labels[row])
         height = float(scene.graph.positions[row, 2])
         if words and words[-1] == "ceiling" and height > floor + 1.0:
             above[scene.attributes[row].get("room") == room].append(height)
@@ -581,24 +587,24 @@ def _export_doors(
 ) -> list[IndoorShape]:
     graph, floor, found = scene.graph, float(scene.floors[s]), []
     for row in rows.tolist():
-        words = label_words(graph.labels[row])
+        words = split_label(graph.labels[row])
         if not words or words[-1] not in _DOORS or graph.extents is None:
             continue
         ends = find_ends(scene, row)
         width, height = float(np.linalg.norm(ends[1] - ends[0])), float(graph.extents[row, 2])
-        said = {
+        attributes = {
             k: scene.attributes[row][k]
             for k in ("entrance", "door", "ref")
             if k in scene.attributes[row]
         }
-        said |= {
+        attributes |= {
             "level": anchor.level or "0",
             "width": f"{width:.2f}",
             "name": _own_name(scene, row),
         }
-        said["height"] = f"{height:.2f}"
+        attributes["height"] = f"{height:.2f}"
         found.append(
-            IndoorShape(f"node/{row}", "door", (), said, [_to_lonlat(anchor, ends, floor)])
+            IndoorShape(f"node/{row}", "door", (), attributes, [_to_lonlat(anchor, ends, floor)])
         )
     return found
 

@@ -145,10 +145,10 @@ def _clip_ears(points: Floats, loop: list[int]) -> list[tuple[int, int, int]]:
     return ears
 
 
-def _contains_any(a: Floats, b: Floats, c: Floats, others: Floats) -> bool:
+def _contains_any(a: Floats, b: Floats, c: Floats, points: Floats) -> bool:
     """Return whether a counter-clockwise triangle holds a point that is none of its corners."""
-    own = (others == a).all(axis=1) | (others == b).all(axis=1) | (others == c).all(axis=1)
-    sides = [_cross(q - p, others - p) for p, q in ((a, b), (b, c), (c, a))]
+    own = (points == a).all(axis=1) | (points == b).all(axis=1) | (points == c).all(axis=1)
+    sides = [_cross(q - p, points - p) for p, q in ((a, b), (b, c), (c, a))]
     return bool((~own & (np.min(sides, axis=0) >= -_TINY)).any())
 
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
 from placegraph.indoor.map.mesh import Mesh
-from placegraph.indoor.mapping.simplify_kernels import _grouped, collapse
+from placegraph.indoor.mapping.simplify_kernels import collapse, fill_groups
 
 Ints = NDArray[np.int64]
 Rows = NDArray[np.int32]
@@ -88,7 +88,7 @@ def simplify(
 
 def _simplify_once(mesh: Mesh, limits: Floats, target: int, left_out: dict[str, int]) -> Mesh:
     """Mesh after one round; `limits` as of `collapse`."""
-    whole, kept = build_wedges(mesh)
+    full, kept = build_wedges(mesh)
     if not len(kept):  # nothing but lines
         return mesh
     lines = ~np.isin(mesh.object_of, mesh.object_of[kept])  # objects that are but a line stay one
@@ -97,11 +97,11 @@ def _simplify_once(mesh: Mesh, limits: Floats, target: int, left_out: dict[str, 
         name = "triangles twice in one place"
         left_out[name] = left_out.get(name, 0) + twins
     object_of, texture_of = mesh.object_of[kept], mesh.texture_of[kept]
-    parts = [tile for rows in batch_objects(object_of) for tile in cut_tiles(whole, rows)]
-    locked = _find_shared(whole, parts)
+    parts = [tile for rows in batch_objects(object_of) for tile in cut_tiles(full, rows)]
+    locked = _find_shared(full, parts)
 
     def part(rows: Ints) -> tuple[WedgeMesh, Ints]:
-        own, fixed = _extract_part(whole, rows, locked)
+        own, fixed = _extract_part(full, rows, locked)
         share = 0 if not target else int(np.ceil(target * len(rows) / len(object_of)))
         edges, border = find_edges(own.corners, own.wedges, texture_of[rows])
         centre = own.points.mean(axis=0)  # near the origin planes are exact
@@ -191,40 +191,40 @@ def batch_objects(object_of: Rows) -> list[Ints]:
     return [rows for rows in np.split(order, cuts) if len(rows)]
 
 
-def cut_tiles(whole: WedgeMesh, rows: Ints) -> list[Ints]:
+def cut_tiles(full: WedgeMesh, rows: Ints) -> list[Ints]:
     """Rows of triangles cut into boxes of at most `TILE` each."""
     if len(rows) <= TILE:
         return [rows]
-    middle = whole.points[whole.corners[rows, 0]]
+    middle = full.points[full.corners[rows, 0]]
     axis = int(np.ptp(middle, axis=0).argmax())
     order = np.argpartition(middle[:, axis], len(rows) // 2)
     halves = np.split(rows[order], [len(rows) // 2])
-    return [tile for half in halves for tile in cut_tiles(whole, np.sort(half))]
+    return [tile for half in halves for tile in cut_tiles(full, np.sort(half))]
 
 
-def _find_shared(whole: WedgeMesh, parts: list[Ints]) -> NDArray[np.bool_]:
+def _find_shared(full: WedgeMesh, parts: list[Ints]) -> NDArray[np.bool_]:
     """Points (V,) of triangles in more than one part."""
-    last = np.empty(len(whole.points), np.int32)
-    shared = np.zeros(len(whole.points), np.bool_)
+    last = np.empty(len(full.points), np.int32)
+    shared = np.zeros(len(full.points), np.bool_)
     for number, rows in enumerate(parts):
-        last[whole.corners[rows]] = number
+        last[full.corners[rows]] = number
     for number, rows in enumerate(parts):
-        corners = whole.corners[rows]
+        corners = full.corners[rows]
         shared[corners[last[corners] != number]] = True
     return shared
 
 
 def _extract_part(
-    whole: WedgeMesh, rows: Ints, locked: NDArray[np.bool_]
+    full: WedgeMesh, rows: Ints, locked: NDArray[np.bool_]
 ) -> tuple[WedgeMesh, NDArray[np.bool_]]:
     """Triangles of their own, and which of their points are locked."""
-    used, corners = np.unique(whole.corners[rows], return_inverse=True)
-    looks, wedges = np.unique(whole.wedges[rows], return_inverse=True)
+    used, corners = np.unique(full.corners[rows], return_inverse=True)
+    looks, wedges = np.unique(full.wedges[rows], return_inverse=True)
     own = WedgeMesh(
-        whole.points[used],
+        full.points[used],
         corners.reshape(-1, 3).astype(np.int32),
         wedges.reshape(-1, 3).astype(np.int32),
-        whole.values[looks],
+        full.values[looks],
     )
     return own, locked[used]
 
@@ -292,5 +292,5 @@ def group_rows(keys: NDArray[np.int64]) -> tuple[NDArray[np.int32], NDArray[np.i
     bits = max(int(2 * len(keys) - 1).bit_length(), 1)
     group = np.empty(len(keys), np.int32)
     first = np.empty(len(keys), np.int64)
-    count = _grouped(np.ascontiguousarray(keys), np.full(1 << bits, -1, np.int32), group, first)
+    count = fill_groups(np.ascontiguousarray(keys), np.full(1 << bits, -1, np.int32), group, first)
     return group, first[:count].copy()

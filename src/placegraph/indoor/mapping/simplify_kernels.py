@@ -11,7 +11,7 @@ from placegraph.core.jit import kernel
 
 
 @kernel
-def _grouped(keys, table, group, first):
+def fill_groups(keys, table, group, first):
     """Fill `group` and `first` by open addressing in `table`, whose length is a power of two."""
     mask = np.uint64(len(table) - 1)
     count = 0
@@ -57,7 +57,7 @@ def face_normal(points, faces, f):
 
 
 @kernel
-def shares_at(f, x, y, z, points, faces):
+def compute_barycentrics(f, x, y, z, points, faces):
     """Weights of corners 1 and 2 of a face, continued linearly to a point; NaN without area."""
     a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
     x0, y0, z0 = points[a, 0], points[a, 1], points[a, 2]
@@ -152,7 +152,7 @@ def meeting_values(
                 g = group[i]
                 # second round: only groups that lost no face are open
                 if both == vanishing and (vanishing or total[g] <= 0.0):
-                    s, t = shares_at(f, x, y, z, points, faces)
+                    s, t = compute_barycentrics(f, x, y, z, points, faces)
                     if not np.isnan(s):
                         n0, n1, n2 = face_normal(points, faces, f)
                         weight = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2) + 1e-12
@@ -171,7 +171,7 @@ def meeting_values(
                 new[group[i], k] = values[own[group[i]], k]
     if not checked:
         return 0.0, 0.0
-    return shift_of(a, b, x, y, z, points, faces, wedges, values, head, after, own, group, new)
+    return measure_shift(a, b, x, y, z, points, faces, wedges, values, head, after, own, group, new)
 
 
 @kernel
@@ -182,7 +182,7 @@ def value_at(f, s, t, wedges, values, k):
 
 
 @kernel
-def shift_of(a, b, x, y, z, points, faces, wedges, values, head, after, own, group, new):
+def measure_shift(a, b, x, y, z, points, faces, wedges, values, head, after, own, group, new):
     """Return how far textures of faces that stay would slide [m], and other attributes change."""
     slide, change = 0.0, 0.0
     for v in (a, b):
@@ -191,7 +191,7 @@ def shift_of(a, b, x, y, z, points, faces, wedges, values, head, after, own, gro
             f = corner // 3
             fellow = b if v == a else a
             if faces[f, 0] != fellow and faces[f, 1] != fellow and faces[f, 2] != fellow:
-                s, t = shares_at(f, x, y, z, points, faces)
+                s, t = compute_barycentrics(f, x, y, z, points, faces)
                 if not np.isnan(s):
                     i = 0
                     while own[i] != wedges[f, corner % 3]:
@@ -268,7 +268,7 @@ def meeting_point(quadrics, points, a, b, q):
 
 
 @kernel
-def planes_of(points, faces, ends, side):
+def compute_planes(points, faces, ends, side):
     """Planes (F + B, 4) of the faces, and of the borders: upright on their face, or zeros."""
     planes = np.zeros((len(faces) + len(ends), 4))
     for f in range(len(faces)):
@@ -301,7 +301,7 @@ def put_plane(plane, n0, n1, n2, points, v):
 
 
 @kernel
-def quadrics_of(points, faces, ends, planes):
+def compute_quadrics(points, faces, ends, planes):
     """Quadrics (V, 10) of the planes of the faces and of the borders, weighted by area."""
     quadrics = np.zeros((len(points), 10))
     for f in range(len(faces)):
@@ -373,7 +373,7 @@ def neighbours(v, other, faces, head, after, out):
 
 
 @kernel
-def folds(v, other, x, y, z, points, faces, head, after):
+def is_folded(v, other, x, y, z, points, faces, head, after):
     """Return whether a face of v, but not of both, would turn over or vanish if v moved to x, y, z."""
     x0, y0, z0 = points[v, 0], points[v, 1], points[v, 2]
     corner = head[v]
@@ -392,7 +392,7 @@ def folds(v, other, x, y, z, points, faces, head, after):
 
 
 @kernel
-def beyond(v, x, y, z, limit, planes, head, after, corners):
+def exceeds_limit(v, x, y, z, limit, planes, head, after, corners):
     """Return whether a point is farther than the limit from an original plane that a vertex stands for."""
     node = head[v]
     while node >= 0:
@@ -405,7 +405,7 @@ def beyond(v, x, y, z, limit, planes, head, after, corners):
 
 
 @kernel
-def linked(count, faces, ends):
+def link_corners(count, faces, ends):
     """Lists by vertex of the corners of faces, and then of the ends (B, 2) of borders.
 
     Heads and tails (count,), -1: none; and what follows each node (3 F + 2 B,), -1: nothing.
@@ -427,7 +427,7 @@ def linked(count, faces, ends):
 
 
 @kernel
-def pinches(a, b, faces, head, after, ring, other):
+def is_pinched(a, b, faces, head, after, ring, other):
     """Return whether the surface would be pinched, or a closed part vanish, if a and b became one."""
     na = neighbours(a, b, faces, head, after, ring)
     nb = neighbours(b, a, faces, head, after, other)
@@ -444,7 +444,7 @@ def pinches(a, b, faces, head, after, ring, other):
 
 
 @kernel
-def judged(values, limits):
+def has_varying_values(values, limits):
     """Return whether attributes can speak against a collapse: a texture that is more than one texel."""
     textured = (values[:, 0] != values[0, 0]) | (values[:, 1] != values[0, 1])
     return limits[2] < np.inf or textured.any()
@@ -462,10 +462,10 @@ def collapse(points, faces, edges, border, wedges, values, locked, target, limit
     """
     kept = np.flatnonzero(border >= 0)
     ends = edges[kept]
-    planes = planes_of(points, faces, ends, border[kept])
-    quadrics = quadrics_of(points, faces, ends, planes)
-    plane_head, plane_tail, plane_after = linked(len(points), faces, ends)
-    head, tail, after = linked(len(points), faces, ends[:0])
+    planes = compute_planes(points, faces, ends, border[kept])
+    quadrics = compute_quadrics(points, faces, ends, planes)
+    plane_head, plane_tail, plane_after = link_corners(len(points), faces, ends)
+    head, tail, after = link_corners(len(points), faces, ends[:0])
     corners = 3 * len(faces)
     degree = np.zeros(len(points), np.int32)
     for f in range(len(faces)):
@@ -474,7 +474,7 @@ def collapse(points, faces, edges, border, wedges, values, locked, target, limit
     version = np.zeros(len(points), np.int32)
     version[locked] = -1
     moved = np.zeros((len(points), 2))  # slide and change so far
-    checked = judged(values, limits)
+    checked = has_varying_values(values, limits)
     q = np.empty(10)
     heap = [(0.0, np.int32(0), np.int32(0), np.int32(0), np.int32(0)) for _ in range(0)]
     for e in range(len(edges)):
@@ -496,15 +496,15 @@ def collapse(points, faces, edges, border, wedges, values, locked, target, limit
         x, y, z, _, _ = meeting_point(quadrics, points, a, b, q)
         prune(a, faces, head, tail, after)
         prune(b, faces, head, tail, after)
-        if pinches(a, b, faces, head, after, ring, other):
+        if is_pinched(a, b, faces, head, after, ring, other):
             continue
-        if folds(a, b, x, y, z, points, faces, head, after):
+        if is_folded(a, b, x, y, z, points, faces, head, after):
             continue
-        if folds(b, a, x, y, z, points, faces, head, after):
+        if is_folded(b, a, x, y, z, points, faces, head, after):
             continue
-        if beyond(a, x, y, z, limits[0], planes, plane_head, plane_after, corners):
+        if exceeds_limit(a, x, y, z, limits[0], planes, plane_head, plane_after, corners):
             continue
-        if beyond(b, x, y, z, limits[0], planes, plane_head, plane_after, corners):
+        if exceeds_limit(b, x, y, z, limits[0], planes, plane_head, plane_after, corners):
             continue
         n = wedges_meeting(a, b, faces, wedges, head, after, own, group)
         if n < 0:

@@ -51,7 +51,7 @@ class SourceKind(NamedTuple):
     is_graph: bool = False
     """Whether it is another program's scene graph."""
 
-    def fits(self, path: Path) -> bool:
+    def recognizes(self, path: Path) -> bool:
         """Return whether a path looks like it."""
         if self.ending:
             return path.suffix.lower() == self.ending
@@ -89,7 +89,7 @@ def source_kinds() -> tuple[SourceKind, ...]:
 
 def is_scene_graph(path: Path) -> bool:
     """Return whether another program's scene graph lies there."""
-    return any(kind.is_graph and kind.fits(path) for kind in source_kinds())
+    return any(kind.is_graph and kind.recognizes(path) for kind in source_kinds())
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +122,7 @@ def read_source(
     path = Path(path)
     if is_indoor_osm(path):
         return read_rooms(path, options.reader, left_out)
-    kind = next((k for k in source_kinds() if k.fits(path)), None)
+    kind = next((k for k in source_kinds() if k.recognizes(path)), None)
     if kind is None and not is_capture(path):
         raise InputError(_describe_unknown(path))
     table = None
@@ -155,8 +155,8 @@ def read_source(
         )
     # glTF is y-up, all others are z-up
     axis = options.up if options.up != "auto" else "y" if kind.verb == "glb" else "z"
-    told = {"up": axis, "object_property": options.object_property, "table": table}
-    model = kind.read(path, told | dict(options.reader))
+    shared_options = {"up": axis, "object_property": options.object_property, "table": table}
+    model = kind.read(path, shared_options | dict(options.reader))
     left_out.update(model.left_out)
     alone = len(model.things) == 1 and model.things[0].label == UNKNOWN
     nameless = options.segment == "auto" and alone and len(model.triangles) > _FEW

@@ -13,7 +13,7 @@ from placegraph.core.geometry import Floats, compose
 from placegraph.indoor.likelihood.observe import View
 from placegraph.indoor.likelihood.score import Scorer, reading_ratio
 from placegraph.indoor.likelihood.score_kernels import COLOUR, DEPTH, SEMANTIC, TONE, look
-from placegraph.indoor.map.scene import Scene, ref
+from placegraph.indoor.map.scene import Scene, make_object_ref
 
 SPEAK = 0.02
 """What colours tell from which on they speak, so that depth is not alone [nat a sample] ..."""
@@ -268,6 +268,6 @@ def _of_object(scene: Scene, n: int, weight: float) -> Evidence:
         statement=f"{graph.labels[n]} {graph.ids[n]}",
         verdict=verdict,
         weight=weight,
-        objects=(ref(scene, n),),
+        objects=(make_object_ref(scene, n),),
         note="" if verdict != "against" else "not where the map has it",
     )

@@ -12,8 +12,8 @@ from placegraph.core.estimate import Evidence, PoseEstimate, PoseMode, Status
 from placegraph.core.geo import EarthPose
 from placegraph.core.geometry import Floats, between, pose_matrix
 from placegraph.indoor.likelihood.observe import FINE, hint
-from placegraph.indoor.map.floor import storey_at
-from placegraph.indoor.map.rooms import room_at
+from placegraph.indoor.map.floor import find_storey
+from placegraph.indoor.map.rooms import find_room_name
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.pose.agreement import CONFIDENCE, Agreement, agreement, explain
 from placegraph.indoor.pose.covariance import pose_covariance
@@ -33,7 +33,7 @@ def add_earth_poses(scene: Scene, estimate: PoseEstimate) -> PoseEstimate:
 
 def _add_earth_pose(scene: Scene, mode: PoseMode) -> PoseMode:
     at = mode.map_from_camera[:3, 3]
-    room, (storey, _) = room_at(scene, at), storey_at(scene, at)
+    room, (storey, _) = find_room_name(scene, at), find_storey(scene, at)
     poses = [
         a.pose(
             mode.map_from_camera, mode.covariance, probability=mode.probability, room=room,

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from placegraph.core.geometry import Floats, between, compose, level_from_camera, wrap_angle
 from placegraph.errors import OptionError
-from placegraph.indoor.encode import Encoder, MapEncoder, bound, for_map
+from placegraph.indoor.encode import Encoder, MapEncoder, bind_encoder, make_map_encoder
 from placegraph.indoor.encode.labels import InstancesEncoder, LabelsEncoder
 from placegraph.indoor.likelihood.observe import Cut, Sighting, View, check_unit, sight, views
 from placegraph.indoor.likelihood.score import Scorer
@@ -155,8 +155,8 @@ class PoseQuery:
         return cls(
             scene=scene,
             frames=chosen,
-            options=replace(options, colour=options.colour and scene.coloured),
-            encoder=None if encoder is None else for_map(encoder, scene),
+            options=replace(options, colour=options.colour and scene.has_colours),
+            encoder=None if encoder is None else make_map_encoder(encoder, scene),
             **known,
         )
 
@@ -335,4 +335,4 @@ def own_encoder(scene: Scene, frame: Frame) -> MapEncoder | None:
     """Encoder of the labels that a capture brings itself; None where it brings none."""
     if frame.label_kind == "instances":
         return InstancesEncoder(scene)
-    return bound(LabelsEncoder(), scene) if frame.label_kind else None
+    return bind_encoder(LabelsEncoder(), scene) if frame.label_kind else None

@@ -16,8 +16,8 @@ from placegraph.indoor.rays.trace_kernels import (
     LANES,
     NONE,
     Tracer,
-    _boxes,
-    _fill,
+    _compute_boxes,
+    _fill_corners,
     _split_all,
     cast_rays,
 )
@@ -42,13 +42,13 @@ class Bvh(NamedTuple):
 
 def build_tree(vertices: NDArray[np.float32], triangles: NDArray[np.int32]) -> Bvh:
     """Tree over triangles (T, 3), rows of vertices (V, 3) [m]; T >= 1, every number finite."""
-    boxes = _boxes(vertices, triangles)
+    boxes = _compute_boxes(vertices, triangles)
     nodes = np.zeros(16 * max(1, len(triangles) - 1), np.float32)
     order = np.arange(len(triangles), dtype=np.int32)
     used = _split_all(boxes, order, nodes, nodes.view(np.int32))
     nodes = nodes[: 16 * used].copy()
     corners = np.zeros(12 * len(triangles), np.float32)
-    _fill(vertices, triangles, order, corners, corners.view(np.int32))
+    _fill_corners(vertices, triangles, order, corners, corners.view(np.int32))
     return Bvh(nodes, nodes.view(np.int32), corners, corners.view(np.int32))
 
 
@@ -95,7 +95,7 @@ class RayCaster:
         (T, 3) rows of vertices. Triangles without area are never hit.
     backend
         ``embree`` (needs the wheel ``embreex``), ``bvh``, or ``auto``: Embree where it is there and
-        proves itself (`embree.obstacle`), else the tree.
+        proves itself (`embree.explain_unavailable`), else the tree.
 
     Raises
     ------
@@ -110,16 +110,16 @@ class RayCaster:
     ) -> None:
         if backend not in get_args(Backend):
             raise OptionError(f"backend is {backend!r}; choose one of {get_args(Backend)}.")
-        corners, rows = checked_mesh(vertices, triangles)
+        corners, rows = check_mesh(vertices, triangles)
         self.backend: str = backend
         """``embree`` or ``bvh``."""
         self.backend_note = ""
         """Why the choice of ``auto`` was not Embree; empty otherwise."""
         if backend == "auto":
-            self.backend_note = embree.obstacle()
+            self.backend_note = embree.explain_unavailable()
             self.backend = "bvh" if self.backend_note else "embree"
         self.tracer = (
-            embree.trace_by_embree(corners, rows)
+            embree.make_embree_tracer(corners, rows)
             if self.backend == "embree"
             else Tracer(0, 0, 0, *build_tree(corners, rows))
         )
@@ -131,7 +131,7 @@ class RayCaster:
         Directions may have any length, and distances are in units of it. A ray that is not finite
         or has no direction hits nothing. Neighbouring rays are fastest where they are alike.
         """
-        start, along = checked_rays(origins, directions)
+        start, along = check_rays(origins, directions)
         hits = Hits.empty(len(along))
         columns = hits.triangle, hits.distance, hits.u, hits.v
         threads = count_processors() if len(along) > _FEW else 1
@@ -151,11 +151,11 @@ class RayCaster:
         return hits
 
 
-def checked_mesh(
+def check_mesh(
     vertices: ArrayLike, triangles: ArrayLike
 ) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     """Vertices (V, 3) and triangles (T, 3) as casters take them, or OptionError."""
-    corners, rows = _numbers(vertices, "vertices"), np.asarray(triangles)
+    corners, rows = _check_numbers(vertices, "vertices"), np.asarray(triangles)
     if rows.ndim != 2 or rows.shape[1] != 3 or rows.dtype.kind not in "iu":
         raise OptionError(
             f"triangles is {rows.dtype} of shape {rows.shape}; give whole numbers (T, 3)."
@@ -178,11 +178,14 @@ def checked_mesh(
     return corners, np.ascontiguousarray(rows, np.int32)
 
 
-def checked_rays(
+def check_rays(
     origins: ArrayLike, directions: ArrayLike
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Origins and directions, both (N, 3) float32 in rows, or OptionError."""
-    start, along = _numbers(origins, "origins", single=True), _numbers(directions, "directions")
+    start, along = (
+        _check_numbers(origins, "origins", single=True),
+        _check_numbers(directions, "directions"),
+    )
     if start.ndim == 2 and len(start) != len(along):
         raise OptionError(
             f"There are {len(start)} origins and {len(along)} directions; give as many."
@@ -194,7 +197,7 @@ def checked_rays(
         )
 
 
-def _numbers(values: ArrayLike, name: str, *, single: bool = False) -> NDArray[Any]:
+def _check_numbers(values: ArrayLike, name: str, *, single: bool = False) -> NDArray[Any]:
     """An array (N, 3) of real numbers, or (3,) where `single`."""
     try:
         array = np.asarray(values)

@@ -70,20 +70,20 @@ _FUNCTIONS: dict[str, tuple[Any, list[Any]]] = {
 }
 
 
-def trace_by_embree(vertices: NDArray[np.float32], triangles: NDArray[np.int32]) -> Tracer:
+def make_embree_tracer(vertices: NDArray[np.float32], triangles: NDArray[np.int32]) -> Tracer:
     """Embree scene of triangles (T, 3), rows of vertices (V, 3) [m]; lives as long as the tracer.
 
-    Raises MissingExtraError where `obstacle` finds one.
+    Raises MissingExtraError where `explain_unavailable` finds one.
     """
-    if reason := obstacle():
+    if reason := explain_unavailable():
         raise MissingExtraError(
             f"{reason} Install `embreex>=4.4,<4.5`, or choose the backend `bvh`."
         )
-    return _scene(_library(), vertices, triangles)
+    return _make_scene(_load_library(), vertices, triangles)
 
 
 @cache
-def obstacle() -> str:
+def explain_unavailable() -> str:
     """Why Embree cannot serve in this process, as a sentence; empty: it can. Found out once."""
     try:
         version = distribution("embreex").version
@@ -92,13 +92,13 @@ def obstacle() -> str:
     if not version.startswith(WHEEL):
         return f"`embreex` is of version {version}; its interface is known for {WHEEL}x only."
     try:
-        return _self_test(_library())
+        return _self_test(_load_library())
     except (OSError, LookupError, AttributeError, PlacegraphError) as error:
         return f"The libraries of `embreex` {version} do not load or start: {error}."
 
 
 @cache
-def _library() -> ctypes.CDLL:
+def _load_library() -> ctypes.CDLL:
     """Embree of the wheel; the TBB it came with is loaded first, so that it is found."""
     found: dict[str, Path] = {}
     for file in distribution("embreex").files or ():
@@ -112,7 +112,7 @@ def _library() -> ctypes.CDLL:
     return library
 
 
-def _scene(
+def _make_scene(
     library: ctypes.CDLL, vertices: NDArray[np.float32], triangles: NDArray[np.int32]
 ) -> Tracer:
     # Embree reads 16 bytes at the last vertex
@@ -169,7 +169,7 @@ def _self_test(library: ctypes.CDLL) -> str:
     shelf = np.array([[0, 0, 0], [8, 0, 0], [0, 8, 0]], np.float32)
     vertices = np.concatenate([shelf, shelf, 3 * shelf])
     vertices[:, 2] = np.repeat([2, 1, 3], 3)
-    tracer = _scene(library, vertices, np.arange(9, dtype=np.int32).reshape(3, 3))
+    tracer = _make_scene(library, vertices, np.arange(9, dtype=np.int32).reshape(3, 3))
 
     size = (ROWS + 1) * LANES
     room = np.full(3 * size + LANES, 7.0, np.float32)

@@ -58,7 +58,7 @@ STACK = 72
 
 
 @kernel(error_model="numpy")
-def _boxes(vertices, triangles):
+def _compute_boxes(vertices, triangles):
     """(T, 6) low x y z, high x y z."""
     boxes = np.empty((len(triangles), 6), np.float32)
     for i in range(len(triangles)):
@@ -71,7 +71,7 @@ def _boxes(vertices, triangles):
 
 
 @kernel(error_model="numpy")
-def _fill(vertices, triangles, order, corners, rows):
+def _fill_corners(vertices, triangles, order, corners, rows):
     for slot in range(len(order)):
         row = order[slot]
         for c in range(3):
@@ -89,55 +89,55 @@ def _half_area(box):
 
 
 @kernel(error_model="numpy")
-def _clear(box):
+def _clear_box(box):
     for k in range(3):
         box[k] = np.inf
         box[k + 3] = -np.inf
 
 
 @kernel(error_model="numpy")
-def _grow(box, other):
+def _grow_box(box, other):
     for k in range(3):
         box[k] = min(box[k], other[k])
         box[k + 3] = max(box[k + 3], other[k + 3])
 
 
 @kernel(error_model="numpy")
-def _bin(box, axis, low, scale, n_bins):
+def _find_bin(box, axis, low, scale, n_bins):
     """Bin of a box by (twice) its centre."""
     return min(n_bins - 1, int((box[axis] + box[axis + 3] - low[axis]) * scale[axis]))
 
 
 @kernel(error_model="numpy")
-def _best_split(boxes, start, stop, low, scale, n_bins, bins, counts, right):
+def _find_best_split(boxes, start, stop, low, scale, n_bins, bins, counts, right):
     """Cost (areas times numbers), axis (-1: none) and first right bin of the best split."""
     for axis in range(3):
         for b in range(n_bins):
             counts[axis, b] = 0
-            _clear(bins[axis, b])
+            _clear_box(bins[axis, b])
     for i in range(start, stop):
         for axis in range(3):
-            b = _bin(boxes[i], axis, low, scale, n_bins)
+            b = _find_bin(boxes[i], axis, low, scale, n_bins)
             counts[axis, b] += 1
-            _grow(bins[axis, b], boxes[i])
+            _grow_box(bins[axis, b], boxes[i])
     best, best_axis, best_bin = np.inf, -1, 0
     box = np.empty(6, np.float32)
     for axis in range(3):
         if scale[axis] == 0.0:
             continue
-        _clear(box)
+        _clear_box(box)
         number = 0
         for b in range(n_bins - 1, 0, -1):
             if counts[axis, b]:
                 number += counts[axis, b]
-                _grow(box, bins[axis, b])
+                _grow_box(box, bins[axis, b])
             right[b] = number * _half_area(box) if number else 0.0
-        _clear(box)
+        _clear_box(box)
         number = 0
         for b in range(1, n_bins):
             if counts[axis, b - 1]:
                 number += counts[axis, b - 1]
-                _grow(box, bins[axis, b - 1])
+                _grow_box(box, bins[axis, b - 1])
             if 0 < number < stop - start:
                 cost = number * _half_area(box) + right[b]
                 if cost < best:
@@ -150,7 +150,7 @@ def _partition(boxes, order, start, stop, axis, at, low, scale, n_bins):
     """Bring triangles of bins before `at` to the front; returns where the others start."""
     i, j = start, stop - 1
     while i <= j:
-        if _bin(boxes[i], axis, low, scale, n_bins) < at:
+        if _find_bin(boxes[i], axis, low, scale, n_bins) < at:
             i += 1
         else:
             for k in range(6):
@@ -175,10 +175,10 @@ def _split_all(boxes, order, nodes, links):
         waiting -= 1
         start, stop, depth, parent, side = tasks[waiting]
         number = stop - start
-        _clear(box)
-        _clear(centres)
+        _clear_box(box)
+        _clear_box(centres)
         for i in range(start, stop):
-            _grow(box, boxes[i])
+            _grow_box(box, boxes[i])
             for k in range(3):
                 c = boxes[i, k] + boxes[i, k + 3]
                 centres[k] = min(centres[k], c)
@@ -194,7 +194,7 @@ def _split_all(boxes, order, nodes, links):
                 span = centres[k + 3] - centres[k]
                 # an extent too small or too large to divide into bins does not help
                 scale[k] = n_bins / span if 1e-30 < span < 1e30 else 0.0
-            cost, axis, at = _best_split(
+            cost, axis, at = _find_best_split(
                 boxes, start, stop, low, scale, n_bins, bins, counts, right
             )
         whole = number * _half_area(box)
@@ -256,8 +256,8 @@ def walk16(nodes, links, corners, rows, packet, ints, valid):
     while True:
         if reference >= 0:
             at = np.uint64(reference) * 16
-            n_left = _enter(s, nodes, at, LEFT)
-            n_right = _enter(s, nodes, at + 6, RIGHT)
+            n_left = _intersect_box(s, nodes, at, LEFT)
+            n_right = _intersect_box(s, nodes, at + 6, RIGHT)
             if n_left and n_right:
                 # the child that is nearer for most rays comes first, the other is kept
                 row = STACKED + LANES * top
@@ -277,7 +277,7 @@ def walk16(nodes, links, corners, rows, packet, ints, valid):
         else:
             leaf = ~reference
             for slot in range(leaf >> 3, (leaf >> 3) + (leaf & 7) + 1):
-                if _meet(s, corners, np.uint64(slot) * 12):
+                if _intersect_triangle(s, corners, np.uint64(slot) * 12):
                     for i in range(LANES):
                         if s[T + i] < s[BEST + i]:
                             s[BEST + i] = s[T + i]
@@ -332,7 +332,7 @@ def _shear(s, i, x, y, z):
 
 
 @kernel(error_model="numpy")
-def _enter(s, nodes, at, row):
+def _intersect_box(s, nodes, at, row):
     """Into `row`, where each lane enters the box at `at`, or NEVER; returns how many do."""
     lx, ly, lz = nodes[at], nodes[at + 1], nodes[at + 2]
     hx, hy, hz = nodes[at + 3], nodes[at + 4], nodes[at + 5]
@@ -374,13 +374,13 @@ def _left_first(s):
 
 
 @kernel(error_model="numpy")
-def _side(px, py, qx, qy):
+def _edge_function(px, py, qx, qy):
     """On which side of the edge p q the ray passes: products of four bytes are exact in eight."""
     return np.float64(px) * np.float64(qy) - np.float64(py) * np.float64(qx)
 
 
 @kernel(error_model="numpy", inline="always")
-def _meet(s, corners, at):
+def _intersect_triangle(s, corners, at):
     """Write into T, OUT_U, OUT_V where each lane meets a triangle; return how many do nearer than BEST."""
     px, py, pz = corners[at], corners[at + 1], corners[at + 2]
     qx, qy, qz = corners[at + 3], corners[at + 4], corners[at + 5]
@@ -399,7 +399,11 @@ def _meet(s, corners, at):
         ra = s[AX + i] * x + s[AY + i] * y + s[AZ + i] * z
         rb = s[BX + i] * x + s[BY + i] * y + s[BZ + i] * z
         rd = s[DX + i] * x + s[DY + i] * y + s[DZ + i] * z
-        w, u, v = _side(qa, qb, ra, rb), _side(ra, rb, pa, pb), _side(pa, pb, qa, qb)
+        w, u, v = (
+            _edge_function(qa, qb, ra, rb),
+            _edge_function(ra, rb, pa, pb),
+            _edge_function(pa, pb, qa, qb),
+        )
         inside = ((w >= 0) & (u >= 0) & (v >= 0)) | ((w <= 0) & (u <= 0) & (v <= 0))
         total = w + u + v
         share = np.float32(1.0 / total)
@@ -414,7 +418,7 @@ def _meet(s, corners, at):
 
 
 class Tracer(NamedTuple):
-    """What traces packets: Embree, or a tree. It keeps alive what it needs."""
+    """Tracer of ray packets, by Embree or a tree; it keeps alive what it needs."""
 
     intersect: int
     """Address of ``rtcIntersect16``; 0: the tree is walked."""

@@ -570,7 +570,7 @@ class _CameraSearch:
 
     def found(self, poses: Floats) -> CameraCorrection | None:
         """Find the clear faults, from poses (T, 4, 4) nearby; None: none."""
-        coloured = self.window.scene.coloured and self.window.sightings[0].rgb is not None
+        coloured = self.window.scene.has_colours and self.window.sightings[0].rgb is not None
         for number in range(ROUNDS):
             refiner, sights = self._refiner(self.window), None
             if coloured and (number or not self.depth):

@@ -360,7 +360,7 @@ def _evidence(
     if landmarks.samples >= refiner.options.least:
         found["landmarks"] = landmarks
     queries = [q if t in looked else None for t, q in enumerate(refiner.queries)]
-    if refiner.scene.coloured and any(query is not None for query in queries):
+    if refiner.scene.has_colours and any(query is not None for query in queries):
         found["images"] = image_evidence(refiner.renderer, refiner.frames, queries, pictured)
     return found
 

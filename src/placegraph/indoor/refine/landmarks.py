@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from placegraph.core.geometry import Floats, split_pose, vector_from_rotation
 from placegraph.errors import MissingExtraError
 from placegraph.indoor.likelihood.observe import spread
-from placegraph.indoor.map.scene import WIDTH, Landmarks
+from placegraph.indoor.map.scene import DESCRIPTOR_SIZE, Landmarks
 from placegraph.indoor.pose.window import Window, timed
 from placegraph.indoor.refine.correspondences import (
     Consensus,
@@ -66,7 +66,7 @@ def make_detector(features: int) -> SiftMatcher:
 
 
 def detect_features(sift: SiftMatcher, frame: Frame, rgb: NDArray[np.uint8]) -> Features:
-    """Return features of a frame's image (H, W, 3): points [px of the image], vectors (N, `WIDTH`)."""
+    """Detect features of a frame's image (H, W, 3): points [px], vectors (N, `DESCRIPTOR_SIZE`)."""
     camera = shrink_camera(frame.camera, LARGEST)
     x, y, _ = frame.gravity
     down = float(np.degrees(np.arctan2(y, x)) - 90.0) % 360.0
@@ -76,16 +76,16 @@ def detect_features(sift: SiftMatcher, frame: Frame, rgb: NDArray[np.uint8]) -> 
 
 
 def compact(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return unit vectors (N, `WIDTH`) of RootSIFT descriptors (N, 128)."""
+    """Return unit vectors (N, `DESCRIPTOR_SIZE`) of RootSIFT descriptors (N, 128)."""
     if vectors.shape[1] != len(_basis()):
-        return np.zeros((0, WIDTH), np.float32)
+        return np.zeros((0, DESCRIPTOR_SIZE), np.float32)
     short = vectors @ _basis()
     return np.asarray(short / np.maximum(np.linalg.norm(short, axis=1, keepdims=True), 1e-9))
 
 
 @cache
 def _basis() -> NDArray[np.float32]:
-    """Return (128, `WIDTH`) orthonormal: frequencies of least product, without the mean."""
+    """Return (128, `DESCRIPTOR_SIZE`) orthonormal: frequencies of least product, without the mean."""
     across = np.arange(_SIDES)
     waves = np.cos(np.pi * np.outer(across + 0.5, across) / _SIDES) * np.sqrt(2.0 / _SIDES)
     waves[:, 0] /= np.sqrt(2.0)
@@ -97,7 +97,7 @@ def _basis() -> NDArray[np.float32]:
     circles /= np.linalg.norm(circles, axis=0)
     whole = np.einsum("ai,bj,ck->abcijk", waves, waves, circles).reshape(128, 128)
     steep = np.multiply.outer(np.multiply.outer(across + 1, across + 1), order + 1).ravel()
-    return whole[:, np.argsort(steep, kind="stable")[1 : WIDTH + 1]].astype(np.float32)
+    return whole[:, np.argsort(steep, kind="stable")[1 : DESCRIPTOR_SIZE + 1]].astype(np.float32)
 
 
 def match_features(landmarks: Landmarks, found: Features, frame: Frame) -> PointMatches:

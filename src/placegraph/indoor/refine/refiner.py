@@ -248,7 +248,7 @@ class Refiner:
         wanted = self.options.images
         if solution is not None and wanted == "auto":
             wanted = not solution.cost <= UNSURE
-        coloured = self.scene.coloured and any(q is not None for q in self.queries)
+        coloured = self.scene.has_colours and any(q is not None for q in self.queries)
         known = [LANDMARKS] if any(map(len, self.landmarks)) and self.options.joint else []
         if not wanted or not coloured:
             return known

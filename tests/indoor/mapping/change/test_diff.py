@@ -10,7 +10,7 @@ from tests.indoor.mapping.parts import only
 from placegraph.core.geometry import rotation_z
 from placegraph.errors import OptionError
 from placegraph.indoor.build import build_scene, scene_of_model
-from placegraph.indoor.map.floor import structure
+from placegraph.indoor.map.floor import is_structural
 from placegraph.indoor.mapping.change.align import make_rigid, transform_points
 from placegraph.indoor.mapping.change.changes import DiffOptions
 from placegraph.indoor.mapping.change.diff import diff
@@ -128,7 +128,7 @@ def test_what_has_no_name_in_one_map_is_not_relabelled(room, later):
 
 def test_what_has_its_id_near_by_is_not_gone(room):
     mesh, rng = room.mesh, np.random.default_rng(5)
-    built_in = structure(room.graph.labels)
+    built_in = is_structural(room.graph.labels)
     loose = ~built_in[mesh.object_of]
     keep = ~loose | (rng.uniform(size=len(mesh)) < 0.35)
     for row in np.flatnonzero(~built_in):

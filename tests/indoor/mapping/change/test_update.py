@@ -9,7 +9,7 @@ from placegraph.core.geo import Anchor
 from placegraph.core.geometry import rotation_z
 from placegraph.errors import MapError, OptionError
 from placegraph.indoor.build import build_scene
-from placegraph.indoor.map.floor import structure
+from placegraph.indoor.map.floor import is_structural
 from placegraph.indoor.mapping.change.align import make_rigid, transform_points
 from placegraph.indoor.mapping.change.changes import Change, Piece, SceneDiff
 from placegraph.indoor.mapping.change.diff import diff
@@ -124,7 +124,7 @@ def halves(tmp_path_factory):
 @pytest.mark.parametrize(("west", "east"), [("101", "102"), ("kitchen", "101")])
 def test_rooms_keep_the_names_they_had(halves, west, east):
     middle = halves.graph.positions[:, 0].mean()
-    loose = ~structure(halves.graph.labels)
+    loose = ~is_structural(halves.graph.labels)
     named = [
         {"room": west if at[0] < middle else east} if free else {}
         for at, free in zip(halves.graph.positions, loose, strict=True)

@@ -244,7 +244,7 @@ def test_arrays_that_do_not_fit(vertices, triangles, colours):
         segment(vertices, triangles, colours)
 
 
-@pytest.mark.parametrize("name", ["gap", "bend", "patch"])
+@pytest.mark.parametrize("name", ["gap", "crease", "patch"])
 def test_options_are_checked(name):
     with pytest.raises(OptionError, match=name):
         SegmentOptions(**{name: 0.0})

@@ -89,7 +89,7 @@ def test_the_map_of_a_home():
     assert np.allclose(scene.graph.positions, boxes.mean(axis=1), atol=1e-3)
     assert {a["room"] for a in scene.attributes} == {t.room for t in interior.things}
     assert "standing on" in scene.graph.relations
-    assert scene.coloured
+    assert scene.has_colours
     later = changed(interior, np.random.default_rng(0), moved=0, removed=0.5, added=0)
     fewer = scene_of(later, name="later")
     assert len(fewer) == len(later.things) < len(scene)

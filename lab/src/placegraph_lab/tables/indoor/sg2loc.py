@@ -17,7 +17,7 @@ from placegraph.core.estimate import PoseEstimate
 from placegraph.core.geometry import Camera, Floats
 from placegraph.errors import InputError
 from placegraph.indoor.build import build_scene
-from placegraph.indoor.encode import BoundEncoder, Encoder, MapEncoder, encoder, vectors_of
+from placegraph.indoor.encode import BoundEncoder, Encoder, MapEncoder, encode_objects, encoder
 from placegraph.indoor.encode.labels import InstancesEncoder, LabelsEncoder
 from placegraph.indoor.mapping.from_capture import FromCapture
 from placegraph.indoor.mapping.merge import merge_scenes
@@ -441,7 +441,7 @@ class Asking:
         if of.own_ids and not self.how.encoder:
             return NoisyEncoder(InstancesEncoder(scene), seed=self.how.seed, name=window.place)
         its = self.unbound(window)
-        known = scene.derived(("sg2loc", its.key), lambda s: vectors_of(its, s))
+        known = scene.compute_once(("sg2loc", its.key), lambda s: encode_objects(its, s))
         return BoundEncoder(its, known)
 
     def unbound(self, window: Window) -> Encoder:

@@ -21,7 +21,7 @@ from placegraph.core.estimate import Status
 from placegraph.core.geometry import Camera, Floats
 from placegraph.errors import MissingExtraError
 from placegraph.indoor.build import build_scene
-from placegraph.indoor.map.scene_file import bytes_of
+from placegraph.indoor.map.scene_file import measure_parts
 from placegraph.indoor.mapping.from_capture import FromCapture
 from placegraph.indoor.mapping.landmarks import read_depth
 from placegraph.indoor.options import PoseSearchOptions
@@ -336,7 +336,7 @@ def _scene(asked: Set, folder: Path, cache: Path) -> tuple[SceneMap, float, floa
     path = place(cache, name)
     if not path.exists():
         build_scene(folder, path, capture=FromCapture(frames=made, landmarks=True))
-    parts = bytes_of(path)
+    parts = measure_parts(path)
     return SceneMap.open(path), sum(parts.values()) / 1e6, parts["landmarks"] / 1e6
 
 

@@ -14,7 +14,7 @@ from typing import Annotated, Any
 
 from placegraph.errors import InputError, MissingExtraError
 from placegraph.indoor.build import build_scene
-from placegraph.indoor.encode import MapEncoder, bound, encoder
+from placegraph.indoor.encode import MapEncoder, bind_encoder, encoder
 from placegraph.indoor.encode.labels import ClassesOfInstances, InstancesEncoder, LabelsEncoder
 from placegraph.indoor.options import PoseSearchOptions
 from placegraph.indoor.scene_map import SceneMap
@@ -142,8 +142,8 @@ def encoder_of(
         capture = named(window.capture, scene, words)
         vocabulary = list(capture.label_names.values())
         noisy = NoisyLabels(LabelsEncoder(), vocabulary, seed=seed, name=window.place)
-        return bound(noisy, scene), replace(window, capture=capture)
-    return bound(encoder(case.encoder), scene), window
+        return bind_encoder(noisy, scene), replace(window, capture=capture)
+    return bind_encoder(encoder(case.encoder), scene), window
 
 
 def ask(

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from placegraph.core.geometry import Camera, Floats
 from placegraph.indoor.build import build_scene
-from placegraph.indoor.encode import Encoder, MapEncoder, bound, encoder
+from placegraph.indoor.encode import Encoder, MapEncoder, bind_encoder, encoder
 from placegraph.indoor.mapping.from_capture import FromCapture
 from placegraph.indoor.options import PoseSearchOptions
 from placegraph.indoor.scene_map import SceneMap
@@ -292,7 +292,7 @@ def patch_accuracy(
     found: dict[str, dict[str, list[Accuracy | None]]] = {}
     for where in run.track(places(run.data, run.cache, every, homes), total=3 + homes):
         for spec, one in asked.items():
-            tied = bound(one, where.scene, where.captures)
+            tied = bind_encoder(one, where.scene, where.captures)
             told = accuracy(tied, where.scene, where.frames, where.map_from_camera)
             found.setdefault(where.kind, {}).setdefault(spec, []).append(told)
             row = None if told is None else told.to_dict()

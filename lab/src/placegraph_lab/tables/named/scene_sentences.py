@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from placegraph.core.graph import SceneGraph
 from placegraph.indoor.build import build_scene
 from placegraph.indoor.language import TextIndex, read
-from placegraph.indoor.map.floor import label_words
+from placegraph.indoor.map.floor import split_label
 from placegraph.indoor.map.mesh import Mesh
-from placegraph.indoor.map.relations import relate
+from placegraph.indoor.map.relations import find_relations
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor.windows import house_windows
 from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, option, table
@@ -127,7 +127,7 @@ def part_of(scene: SceneMap, rows: NDArray[np.intp]) -> SceneMap:
         [scene.graph.ids[i] for i in rows],
         labels,
         floor=float(scene.floors[0]),
-        relations=relate(mesh, labels, np.zeros(len(labels), np.int64)),
+        relations=find_relations(mesh, labels, np.zeros(len(labels), np.int64)),
         encoded=scene.encoded,
     )
 
@@ -148,7 +148,7 @@ def office() -> SceneMap:
         np.concatenate(colours),
     )
     labels = [line[0] for line in lines]
-    relations = relate(mesh, labels, np.zeros(len(labels), np.int64))
+    relations = find_relations(mesh, labels, np.zeros(len(labels), np.int64))
     ids = [str(i) for i in range(len(labels))]
     return SceneMap.create(mesh, ids, labels, floor=0.0, relations=relations)
 
@@ -181,7 +181,7 @@ def bag(scenes: Sequence[SceneMap]) -> Ranker:
     How rare a word is, the rooms among which it is asked say.
     """
     every = [
-        Counter(_singular(w) for label in s.graph.labels for w in label_words(label))
+        Counter(_singular(w) for label in s.graph.labels for w in split_label(label))
         for s in scenes
     ]
 

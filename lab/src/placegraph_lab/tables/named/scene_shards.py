@@ -28,10 +28,10 @@ from placegraph.indoor.library.search import (
     Query,
     SearchOptions,
     cluster_vectors,
-    weigh_query,
+    infer_from_query,
 )
-from placegraph.indoor.library.search_kernels import beside
-from placegraph.indoor.library.signature import BANDS, TURNS, Signature, signature_of
+from placegraph.indoor.library.search_kernels import count_agreeing
+from placegraph.indoor.library.signature import BANDS, TURNS, Signature, compute_signature
 from placegraph_lab.tables import runner as lab
 from placegraph_lab.tables.scene.search import Stock
 from placegraph_lab.tables.scene.sentences import Scene, describe
@@ -59,7 +59,7 @@ def drawn(run: lab.Run, encoders: Sequence[Encoder], seed: int) -> list[Signatur
     for i in run.track(range(DRAWN), "homes", total=DRAWN):
         rng = np.random.default_rng(seed + i)
         made = scene_of(home(rng, style=names[i % len(names)]).furnish(rng))
-        found.append(signature_of(made, encoders))
+        found.append(compute_signature(made, encoders))
     return found
 
 
@@ -110,7 +110,7 @@ def seen(
         words, word = cluster_vectors(own[use].astype(np.float32))
         every = np.full(len(flat), -1, np.int32)
         every[use] = word
-        around = beside(every, np.array([shape] * len(places)))
+        around = count_agreeing(every, np.array([shape] * len(places)))
         said.append(
             PatchWords(
                 e.key, e.temperature, words, word, frame[use],
@@ -205,14 +205,14 @@ def ask_read(
             if way == "text":
                 library.score_text(read(text))
             else:
-                weigh_query(library, query, SearchOptions())
+                infer_from_query(library, query, SearchOptions())
             times.append(1e3 * (time.perf_counter() - start))
         out[way] = float(np.median(times[1:]))  # the first compiles, and makes the index
     return out | {"peak": peak()}
 
 
 def _frames(shards: SceneShards, query: Query) -> Callable[[int], Any]:
-    return lambda looked: weigh_query(shards, query, SearchOptions(shortlist=looked)).estimate(
+    return lambda looked: infer_from_query(shards, query, SearchOptions(shortlist=looked)).estimate(
         shards, 10
     )
 

@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from placegraph.core.estimate import Status
 from placegraph.core.geo import Anchor
 from placegraph.core.geometry import Camera, LocalPlane, vector_from_rotation
-from placegraph.indoor.map.floor import label_words, structure
-from placegraph.indoor.map.rooms import room_at
+from placegraph.indoor.map.floor import is_structural, split_label
+from placegraph.indoor.map.rooms import find_room_name
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture
 from placegraph.outdoor.city import build_city
@@ -85,7 +85,7 @@ def quarter(count: int, folder: Path, seed: int) -> tuple[World, list[Visit]]:
         walk = visit(flat, interior, rng, frames=FRAMES)
         film = record(interior, walk, rng, camera=CAMERA, depth=True, labels=None)
         pose = walk.map_from_camera[-1]
-        room = room_at(scene, pose[:3, 3])
+        room = find_room_name(scene, pose[:3, 3])
         fix = PLANE.to_lonlat(np.array(spot) + rng.normal(0.0, GPS, 2))
         text = _said(scene, room, street, number, rng)
         visits.append(Visit(f"house{i}", room, text, film, pose, (float(fix[0]), float(fix[1]))))
@@ -94,11 +94,11 @@ def quarter(count: int, folder: Path, seed: int) -> tuple[World, list[Visit]]:
 
 def _said(scene: SceneMap, room: str, street: str, number: int, rng: Generator) -> str:
     labels = np.array(scene.graph.labels)
-    here = np.array([a.get("room") == room for a in scene.attributes]) & ~structure(
+    here = np.array([a.get("room") == room for a in scene.attributes]) & ~is_structural(
         scene.graph.labels
     )
     things = rng.permutation(np.unique(labels[here]))[:2]
-    told = " and ".join(f"a {' '.join(label_words(str(thing)))}" for thing in things)
+    told = " and ".join(f"a {' '.join(split_label(str(thing)))}" for thing in things)
     number += int(rng.random() < 0.1)
     where = f"I am in the {room} at {street} {number}." if room else f"I am at {street} {number}."
     return f"{where} There is {told}." if told else where

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from placegraph.errors import PlacegraphError
-from placegraph.indoor.map.scene_file import bytes_of
+from placegraph.indoor.map.scene_file import measure_parts
 from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables.indoor import refine as indoor_refine
 from placegraph_lab.tables.indoor.bench import Job, ask, house_jobs, office_jobs
@@ -163,7 +163,7 @@ class Maps:
             | {
                 "digest": digest(path),
                 "bytes": path.stat().st_size,
-                "parts": bytes_of(path) | {"embeddings": embedding_bytes(scene)},
+                "parts": measure_parts(path) | {"embeddings": embedding_bytes(scene)},
                 "objects": len(scene),
                 "labelled": sum(label not in {"", "unknown"} for label in scene.graph.labels),
                 "triangles": len(scene.mesh),
@@ -261,7 +261,7 @@ def embedding_bytes(scene: SceneMap, length: int = EMBEDDING) -> int:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "embedded.scene"
         scene.with_embeddings(vectors).save(path)
-        return bytes_of(path)["embeddings"]
+        return measure_parts(path)["embeddings"]
 
 
 def digest(path: Path) -> str:

@@ -25,7 +25,7 @@ from placegraph.indoor.encode import Encoder
 from placegraph.indoor.encode import encoder as encoder_named
 from placegraph.indoor.encode.labels import LabelsEncoder
 from placegraph.indoor.map.mesh import Mesh
-from placegraph.indoor.map.rooms import Rooms, rooms_of
+from placegraph.indoor.map.rooms import Rooms, find_rooms
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.mapping.from_capture import FromCapture
 from placegraph.indoor.scene_map import SceneMap
@@ -201,7 +201,7 @@ def house_rooms(data: Path, cache: Path) -> tuple[list[Place], list[Walk]]:
     Images bring ids of objects; what the map calls these is taken for what a network says of them.
     """
     whole = house(data, cache)
-    rooms = rooms_of(whole.mesh, whole.graph.labels, float(whole.floors[0]))
+    rooms = find_rooms(whole.mesh, whole.graph.labels, float(whole.floors[0]))
     places = []
     for i in range(len(rooms)):
         path = place(cache, f"house_room_{i + 1}")

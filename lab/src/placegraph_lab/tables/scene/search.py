@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.geometry import rotation_z
-from placegraph.indoor.encode import Encoder, vectors_of
+from placegraph.indoor.encode import Encoder, encode_objects
 from placegraph.indoor.library import SceneLibrary
 from placegraph.indoor.library.library import Entry
 from placegraph.indoor.library.search import SearchOptions, encode_frames, score_scenes
-from placegraph.indoor.library.signature import TURNS, Index, Signature, signature_of
+from placegraph.indoor.library.signature import TURNS, Index, Signature, compute_signature
 from placegraph.io.capture.capture import Capture
 from placegraph_lab.tables.runner import INDOOR, WORLDS, Journal, code_key
 from placegraph_lab.tables.scene.places import (
@@ -165,9 +165,9 @@ class Scenes:
         for place in self._places:
             known = self.signatures.get(place.name)
             if known is None:
-                self.signatures[place.name] = signature_of(place.scene, [encoder])
+                self.signatures[place.name] = compute_signature(place.scene, [encoder])
             elif encoder.key not in known.vectors:
-                vectors = {**known.vectors, encoder.key: vectors_of(encoder, place.scene, ())}
+                vectors = {**known.vectors, encoder.key: encode_objects(encoder, place.scene, ())}
                 self.signatures[place.name] = replace(known, vectors=vectors)
 
     def library(self, names: Iterable[str], encoders: Sequence[Encoder]) -> SceneLibrary:

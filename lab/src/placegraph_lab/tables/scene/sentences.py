@@ -20,7 +20,7 @@ from numpy.random import Generator
 from placegraph.core.geometry import Floats, split_pose
 from placegraph.core.graph import SceneGraph
 from placegraph.indoor.language import TextIndex, read
-from placegraph.indoor.map.floor import WORDS, label_words, nameless
+from placegraph.indoor.map.floor import STRUCTURE_WORDS, is_nameless, split_label
 from placegraph.indoor.map.relations import SAME_ROOM
 from placegraph.indoor.options import FilterOptions
 from placegraph.indoor.scene_map import SceneMap
@@ -144,8 +144,8 @@ def _things(scene: Scene, room: str) -> list[int]:
 
 
 def _telling(label: str) -> bool:
-    words = label_words(label)
-    return not nameless(label) and words[-1] not in WORDS
+    words = split_label(label)
+    return not is_nameless(label) and words[-1] not in STRUCTURE_WORDS
 
 
 def _facts(graph: SceneGraph, rows: list[int], rng: Generator) -> list[str]:
@@ -162,7 +162,7 @@ def _facts(graph: SceneGraph, rows: list[int], rng: Generator) -> list[str]:
 
 
 def _numbered(label: str, count: int, rng: Generator) -> str:
-    words = " ".join(label_words(label))
+    words = " ".join(split_label(label))
     if rng.random() < _OTHER_WORDS:
         words = _WORDS.get(words, words)
     if count == 1:
@@ -270,8 +270,11 @@ def describe_pose(scene: SceneMap, map_from_camera: Floats, rng: Generator, fact
     away, left = (hits.distance * np.cos(e))[met], np.rad2deg(a)[met]
     said = []
     for row in np.unique(thing[np.bincount(thing)[thing] >= _LEAST]).tolist():
-        words = label_words(scene.graph.labels[row])
-        if nameless(scene.graph.labels[row]) or words[-1] in WORDS - {"window", "windows"}:
+        words = split_label(scene.graph.labels[row])
+        if is_nameless(scene.graph.labels[row]) or words[-1] in STRUCTURE_WORDS - {
+            "window",
+            "windows",
+        }:
             continue
         own, name = thing == row, " ".join(words)
         if away[own].min() < _NEXT_TO:

@@ -80,7 +80,7 @@ def scene_of(interior: Interior, *, name: str = "home") -> SceneMap:
     Triangles are as they were built, textures half as fine as painted, so that this takes a
     fraction of a second; `write_glb` and `build_scene` make the map as of any other source.
     """
-    from placegraph.indoor.map.relations import relate
+    from placegraph.indoor.map.relations import find_relations
     from placegraph.indoor.scene_map import SceneMap
 
     things = interior.things
@@ -98,7 +98,7 @@ def scene_of(interior: Interior, *, name: str = "home") -> SceneMap:
         floor=0.0,
         names=[thing.name for thing in things],
         attributes=[{"room": thing.room} if thing.room else {} for thing in things],
-        relations=relate(mesh, labels, room_of),
+        relations=find_relations(mesh, labels, room_of),
         scene=name,
         source=name,
         encoded=tuple(_jpeg(texture) for texture in mesh.textures),

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from placegraph.core.geometry import Camera, quaternion_from_rotation
 from placegraph.errors import OptionError
-from placegraph.indoor.encode.labels import cells
+from placegraph.indoor.encode.labels import assign_cells
 from placegraph.indoor.map.scene import Scene
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
@@ -120,7 +120,7 @@ def shown(objects: NDArray[np.int32], grid: tuple[int, int]) -> NDArray[np.int32
     """
     count = int(objects.max(initial=-1)) + 2
     number = grid[0] * grid[1]
-    flat = cells(objects.shape, grid) * count + objects + 1
+    flat = assign_cells(objects.shape, grid) * count + objects + 1
     votes = np.bincount(flat.ravel(), minlength=number * count).reshape(number, count)
     best = votes.argmax(axis=1)
     told = votes[np.arange(number), best] > LEAST * votes.sum(axis=1)

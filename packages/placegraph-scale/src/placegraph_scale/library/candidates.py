@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from placegraph.core.geometry import LocalPlane
 from placegraph.errors import MapError, PlacegraphError
 from placegraph.indoor.library import SceneLibrary
-from placegraph.indoor.library.search import SearchOptions, weigh_frames
+from placegraph.indoor.library.search import SearchOptions, infer_from_frames
 from placegraph.outdoor.language.words import tokens
 from placegraph.world.evidence import UNANCHORED, OtherScenes, fit_prior
 from placegraph.world.world import World
@@ -145,7 +145,7 @@ class CandidateScenes(SceneShards):
         weights = np.log(near) + (0.0 if inside is None else self.score_text(inside))
         weighed, missing = None, self.missing * (1.0 if query.near is None else UNANCHORED)
         if query.capture is not None:
-            weighed = weigh_frames(self, query.capture, query.frames, SearchOptions())
+            weighed = infer_from_frames(self, query.capture, query.frames, SearchOptions())
             weights += np.log(weighed.shares + 1e-12)
             missing = 0.0  # `weighed.elsewhere` holds them
         places, likely = [], np.zeros(0, np.int64)

@@ -31,7 +31,7 @@ from placegraph.indoor.language import Sentence, score
 from placegraph.indoor.language.appearance import with_colours
 from placegraph.indoor.language.index import Columns, Postings
 from placegraph.indoor.language.score import compared, of_scenes
-from placegraph.indoor.library.library import Entry, SceneLibrary, digest_of, match_encoders
+from placegraph.indoor.library.library import Entry, SceneLibrary, hash_file, match_encoders
 from placegraph.indoor.library.search import (
     Query,
     SceneCollection,
@@ -40,17 +40,17 @@ from placegraph.indoor.library.search import (
     explain_frames,
     score_scenes,
 )
-from placegraph.indoor.library.search_kernels import held
+from placegraph.indoor.library.search_kernels import score_mixtures
 from placegraph.indoor.library.signature import (
     BANDS,
     TURNS,
     Index,
     Signature,
     Vocabulary,
-    runs,
-    starts_of,
+    compute_offsets,
+    expand_runs,
 )
-from placegraph.indoor.map.scene import Scene, from_8_bits
+from placegraph.indoor.map.scene import Scene, dequantize_vectors
 from placegraph.indoor.scene_map import SceneMap
 
 if TYPE_CHECKING:
@@ -209,11 +209,13 @@ class Shard:
                 code = a[f"code_{i}"]
                 if len(a[f"vectors_{i}"]) <= FEW:
                     if i not in self._vocabularies:
-                        own = unit(from_8_bits(a[f"vectors_{i}"], a[f"scales_{i}"]))
+                        own = unit(dequantize_vectors(a[f"vectors_{i}"], a[f"scales_{i}"]))
                         self._vocabularies[i] = self.usual.vocabulary(i, own, code)
                     ratios = words.ratios(self._vocabularies[i], options)
                     weight = words.word_weights(len(query), options)
-                    units = held(ratios, code, a["share"], a["starts"], weight, options.wrong)
+                    units = score_mixtures(
+                        ratios, code, a["share"], a["starts"], weight, options.wrong
+                    )
                     few = units if few is None else few + units
                 else:
                     counts = np.bincount(words.word, minlength=len(words.words))
@@ -229,7 +231,7 @@ class Shard:
         """Return vectors (M, d) of some objects."""
         rows = self.arrays[f"code_{i}"][objects]
         return unit(
-            from_8_bits(self.arrays[f"vectors_{i}"][rows], self.arrays[f"scales_{i}"][rows])
+            dequantize_vectors(self.arrays[f"vectors_{i}"][rows], self.arrays[f"scales_{i}"][rows])
         )
 
 
@@ -240,8 +242,8 @@ def join_scenes(picks: Sequence[tuple[Shard, NDArray[np.int64]]]) -> Index:
     vectors: list[list[NDArray[np.float32]]] = []
     for shard, rows in picks:
         a = shard.arrays
-        units = runs(a["unit_starts"], rows)
-        objects, places = runs(a["starts"], units), runs(a["place_starts"], units)
+        units = expand_runs(a["unit_starts"], rows)
+        objects, places = expand_runs(a["starts"], units), expand_runs(a["place_starts"], units)
         parts.append({
             "owner": np.diff(a["unit_starts"])[rows],
             "objects": np.diff(a["starts"])[units],
@@ -255,13 +257,13 @@ def join_scenes(picks: Sequence[tuple[Shard, NDArray[np.int64]]]) -> Index:
     every = [np.concatenate(own) for own in zip(*vectors, strict=True)]
     return Index(
         owner=np.repeat(np.arange(len(whole["owner"])), whole["owner"]),
-        starts=starts_of(whole["objects"]),
+        starts=compute_offsets(whole["objects"]),
         share=whole["share"],
         vocabularies={
             key: usual.vocabulary(i, every[i], np.arange(len(every[i]), dtype=np.int32))
             for i, key in enumerate(usual.keys)
         },
-        place_starts=starts_of(whole["views"]),
+        place_starts=compute_offsets(whole["views"]),
         places=whole["places"],
         panoramas=whole["panoramas"],
     )
@@ -486,7 +488,7 @@ class SceneShards(SceneCollection):
         if path is None:
             raise InputError(f"{self.name(row)}: the shards know no map file of it.")
         digest = self._string(row, "digests")
-        if digest_of(path) != digest:
+        if hash_file(path) != digest:
             raise MapError(f"{path} is another map than was added. {MEND}")
         scene = SceneMap.open(path)
         entry = Entry(shard.signature(own, scene), path, digest, self.earth(row))

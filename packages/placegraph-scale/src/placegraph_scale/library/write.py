@@ -17,8 +17,8 @@ from placegraph.errors import MapError, OptionError
 from placegraph.indoor.encode import Encoder, encoder
 from placegraph.indoor.language.index import columns_of
 from placegraph.indoor.library.library import Entry
-from placegraph.indoor.library.signature import Index, decoys, split_into_units
-from placegraph.indoor.map.scene import in_8_bits
+from placegraph.indoor.library.signature import Index, load_decoys, split_into_units
+from placegraph.indoor.map.scene import quantize_vectors
 from placegraph_scale.library.shards import (
     BESIDE,
     HEAD,
@@ -88,7 +88,7 @@ def write_shards(
         files.append({"file": file, "scenes": len(some)})
     if usual is None:
         raise OptionError("There is no scene: a library in shards holds at least one.")
-    _write(folder / BESIDE, {}, pack_index(Index.of(decoys(made), keys)))
+    _write(folder / BESIDE, {}, pack_index(Index.of(load_decoys(made), keys)))
     head = {"encoders": [{"name": e.name, "key": e.key} for e in made], "shards": files}
     _write(folder / HEAD, {**head, **usual.meta}, usual.arrays)
     return SceneShards.open(folder, encoders=made)
@@ -147,7 +147,7 @@ def learn_background(scenes: Sequence[NamedEntry], encoders: Sequence[Encoder]) 
     """Learn what is usual in some scenes and in the homes beside them."""
     keys = [e.key for e in encoders]
     signatures = [s.entry.signature for s in scenes[:SCENES_OF_USUAL]]
-    index = Index.of(signatures + decoys(encoders), keys)
+    index = Index.of(signatures + load_decoys(encoders), keys)
     meta, arrays = pack_texts(scenes[:SCENES_OF_USUAL])
     for i, key in enumerate(keys):
         v = index.vocabularies[key]
@@ -164,7 +164,7 @@ def pack_index(index: Index) -> Arrays:
         "places": index.places, "panoramas": index.panoramas,
     }  # fmt: skip
     for i, v in enumerate(index.vocabularies.values()):
-        numbers, scales = in_8_bits(v.vectors)
+        numbers, scales = quantize_vectors(v.vectors)
         arrays |= {f"vectors_{i}": numbers, f"scales_{i}": scales, f"code_{i}": v.code}
         sums = np.add.reduceat(
             (v.vectors - v.mean)[v.code] * index.share[:, None], index.starts[:-1]

@@ -215,7 +215,7 @@ class ChartImages:
     sizes: Ints
     """(C, 2) width and height of the images, margins included; 0 of charts of one colour."""
     texels: list[Bytes]  # (h * w, 3) of each batch of charts
-    known: list[NDArray[np.bool_]]
+    valid: list[NDArray[np.bool_]]
     sums: Floats  # (T, 3) of the colours seen on each triangle
     counts: Floats  # (T,)
 
@@ -224,11 +224,11 @@ class ChartImages:
         dark = self.levels == DARK
         if not dark.any():
             return
-        known = self.counts > 0
+        valid = self.counts > 0
         colours = self.sums / np.maximum(self.counts, 1)[:, None]
-        of_object = _average_groups(object_of, colours, known)
-        spread(neighbours, colours, known)
-        colours = np.where(known[:, None], colours, of_object[object_of])
+        of_object = _average_groups(object_of, colours, valid)
+        spread(neighbours, colours, valid)
+        colours = np.where(valid[:, None], colours, of_object[object_of])
         every = np.ones(len(colours), bool)
         self.means[dark] = _average_groups(charts.of, colours, every, len(self.levels))[dark]
         self.levels[dark] = FLAT
@@ -289,13 +289,13 @@ def assemble_mesh(
 
 
 def _average_groups(
-    of: NDArray[Any], colours: Floats, known: NDArray[np.bool_], count: int | None = None
+    of: NDArray[Any], colours: Floats, valid: NDArray[np.bool_], count: int | None = None
 ) -> Floats:
     """Mean colours (N, 3) of what is known of each group; of everything where nothing is."""
     count = int(of.max()) + 1 if count is None else count
-    number = np.bincount(of[known], minlength=count)
-    sums = np.stack([np.bincount(of[known], colours[known, k], count) for k in range(3)], axis=1)
-    overall = colours[known].mean(axis=0) if known.any() else np.full(3, 128.0)
+    number = np.bincount(of[valid], minlength=count)
+    sums = np.stack([np.bincount(of[valid], colours[valid, k], count) for k in range(3)], axis=1)
+    overall = colours[valid].mean(axis=0) if valid.any() else np.full(3, 128.0)
     return np.where(number[:, None] > 0, sums / np.maximum(number, 1)[:, None], overall)
 
 
@@ -308,13 +308,13 @@ def _paste_images(
     masks: list[NDArray[np.bool_]],
 ) -> None:
     """Copy the images of the charts `drawn` to their places."""
-    texels, known = np.concatenate(sheets.texels), np.concatenate(sheets.known)
+    texels, valid = np.concatenate(sheets.texels), np.concatenate(sheets.valid)
     start = 0
     for i, (w, h) in enumerate(sheets.sizes[drawn].tolist()):
         x, y = places[i].tolist()
         area, part = np.s_[y : y + h, x : x + w], np.s_[start : start + w * h]
         canvases[int(page[i])][area] = texels[part].reshape(h, w, 3)
-        masks[int(page[i])][area] = known[part].reshape(h, w)
+        masks[int(page[i])][area] = valid[part].reshape(h, w)
         start += w * h
 
 
@@ -371,13 +371,13 @@ def pack(sizes: Ints, largest: int, shade: NDArray[Any]) -> tuple[Ints, Ints, In
     return page, places, np.array(pages, np.int64)
 
 
-def fill_unknown(texels: NDArray[np.uint8], known: NDArray[np.bool_]) -> NDArray[np.uint8]:
+def fill_unknown(texels: NDArray[np.uint8], valid: NDArray[np.bool_]) -> NDArray[np.uint8]:
     """Page (h, w, 3) whose unknown texels are smooth between those that are known (h, w).
 
     Means of known texels are taken over squares that double, then handed down: what lies next to a
     chart has its colour, what is far from all costs next to nothing.
     """
-    weights = [known.astype(np.float32)]
+    weights = [valid.astype(np.float32)]
     means = [texels * weights[0][:, :, None]]
     while max(weights[-1].shape) > 1:
         weight, mean = (_halve(a) for a in (weights[-1], means[-1]))
@@ -390,7 +390,7 @@ def fill_unknown(texels: NDArray[np.uint8], known: NDArray[np.bool_]) -> NDArray
         wide = _double(below, weight.shape)
         below = mean + (1.0 - weight[:, :, None]) * wide
     out = np.clip(np.rint(below), 0, 255).astype(np.uint8)
-    out[known] = texels[known]
+    out[valid] = texels[valid]
     return out
 
 
@@ -539,13 +539,13 @@ def query_colours(
 ) -> tuple[Bytes, NDArray[np.bool_]]:
     """Colours (N, 3) uint8 and whether they are known (N,); `OptionError` where they are neither."""
     answer = colour_of(points, normals, triangles)
-    colours, known = answer if isinstance(answer, tuple) else (answer, np.ones(len(points), bool))
-    if colours.dtype != np.uint8 or colours.shape != points.shape or known.shape != (len(points),):
+    colours, valid = answer if isinstance(answer, tuple) else (answer, np.ones(len(points), bool))
+    if colours.dtype != np.uint8 or colours.shape != points.shape or valid.shape != (len(points),):
         raise OptionError(
             f"colour_of returned {colours.dtype} {colours.shape} for {len(points)} points; it must "
             "return colours (N, 3) uint8, or these and whether they are known, (N,) bool."
         )
-    return colours, known.astype(bool, copy=False)
+    return colours, valid.astype(bool, copy=False)
 
 
 def _coarsen_charts(
@@ -561,7 +561,7 @@ def _coarsen_charts(
     sheets.sizes[part] = sizes
     counts = sizes.prod(axis=1)
     texels = np.zeros((int(counts.sum()), 3), np.uint8)
-    known = np.zeros(len(texels), bool)
-    run_parallel(draw, len(levels), *grids, levels, np.cumsum(counts) - counts, texels, known)
+    valid = np.zeros(len(texels), bool)
+    run_parallel(draw, len(levels), *grids, levels, np.cumsum(counts) - counts, texels, valid)
     sheets.texels.append(texels)
-    sheets.known.append(known)
+    sheets.valid.append(valid)

@@ -110,15 +110,15 @@ def overlapping(corners, rows, starts, sizes, twice, first, last):
         if starts[chart + 1] - starts[chart] < 2:
             continue
         wide, high = int(sizes[chart, 0]), int(sizes[chart, 1])
-        taken = np.zeros((high, wide), np.bool_)
+        covered = np.zeros((high, wide), np.bool_)
         for row in rows[starts[chart] : starts[chart + 1]]:
-            twice[row] = _covers(corners[row], taken, False)
+            twice[row] = _covers(corners[row], covered, False)
             if not twice[row]:
-                _covers(corners[row], taken, True)
+                _covers(corners[row], covered, True)
 
 
 @kernel(error_model="numpy")
-def _covers(corner, taken, take):
+def _covers(corner, covered, take):
     """Return whether a triangle (3, 2) covers a texel's centre that is taken; or take those it covers."""
     ax, ay = corner[0]
     bx, by = corner[1, 0] - ax, corner[1, 1] - ay
@@ -128,27 +128,27 @@ def _covers(corner, taken, take):
         return False
     left = max(int(np.floor(corner[:, 0].min() - 0.5)), 0)
     top = max(int(np.floor(corner[:, 1].min() - 0.5)), 0)
-    right = min(int(corner[:, 0].max() + 0.5) + 1, taken.shape[1])
-    bottom = min(int(corner[:, 1].max() + 0.5) + 1, taken.shape[0])
+    right = min(int(corner[:, 0].max() + 0.5) + 1, covered.shape[1])
+    bottom = min(int(corner[:, 1].max() + 0.5) + 1, covered.shape[0])
     for i in range(top, bottom):
         for j in range(left, right):
             x, y = j + 0.5 - ax, i + 0.5 - ay
             u, v = (x * cy - y * cx) / area, (bx * y - by * x) / area
             if u > STRICT and v > STRICT and u + v < 1 - STRICT:
                 if take:
-                    taken[i, j] = True
-                elif taken[i, j]:
+                    covered[i, j] = True
+                elif covered[i, j]:
                     return True
     return False
 
 
 @kernel(error_model="numpy")
-def spread(neighbours, colours, known):
+def spread(neighbours, colours, valid):
     """Colour triangles (T, 3) that are not known like the neighbours that are, ring by ring."""
-    queue = np.empty(len(known), np.int64)
+    queue = np.empty(len(valid), np.int64)
     last = 0
-    for row in range(len(known)):
-        if known[row]:
+    for row in range(len(valid)):
+        if valid[row]:
             queue[last] = row
             last += 1
     first = 0
@@ -157,20 +157,20 @@ def spread(neighbours, colours, known):
         first += 1
         for side in range(3):
             other = neighbours[row, side]
-            if other >= 0 and not known[other]:
-                _mean_of(neighbours, colours, known, other)
-                known[other] = True
+            if other >= 0 and not valid[other]:
+                _mean_of(neighbours, colours, valid, other)
+                valid[other] = True
                 queue[last] = other
                 last += 1
 
 
 @kernel(error_model="numpy")
-def _mean_of(neighbours, colours, known, row):
+def _mean_of(neighbours, colours, valid, row):
     count = 0
     colours[row] = 0.0
     for side in range(3):
         other = neighbours[row, side]
-        if other >= 0 and known[other]:
+        if other >= 0 and valid[other]:
             colours[row] += colours[other]
             count += 1
     colours[row] /= count
@@ -185,8 +185,8 @@ FLAT, DARK = -1, -2  # Instead of a level: a chart of one colour, and one of whi
 
 
 @kernel(error_model="numpy")
-def cover(corners, rows, starts, sizes, extents, firsts, margin, owner, shares, begin, end):
-    """Find the triangle and the place in it that each texel of charts `begin` to `end` shows.
+def cover(corners, rows, starts, sizes, extents, firsts, margin, owner, shares, start, end):
+    """Find the triangle and the place in it that each texel of charts `start` to `end` shows.
 
     Parameters
     ----------
@@ -208,7 +208,7 @@ def cover(corners, rows, starts, sizes, extents, firsts, margin, owner, shares, 
         (P, 2) float32, filled with weights of corners 1 and 2 of the nearest point.
 
     """
-    for chart in range(begin, end):
+    for chart in range(start, end):
         wide, high = sizes[chart, 0], sizes[chart, 1]
         first = firsts[chart]
         off = np.full(wide * high, REACH * REACH, np.float32)
@@ -262,13 +262,13 @@ def _nearest(corner, x, y):
 
 
 @kernel(error_model="numpy")
-def choose(colours, state, sizes, extents, firsts, margin, tolerance, levels, means, begin, end):
+def choose(colours, state, sizes, extents, firsts, margin, tolerance, levels, means, start, end):
     """Coarsest level (C,) int32 of each chart that keeps its content, and mean colours (C, 3).
 
     At level l a texel is 2^l texels wide. A level will do if what a renderer would show differs
     from the samples by at most `tolerance` of 255 (root of the mean square over each block).
     """
-    for chart in range(begin, end):
+    for chart in range(start, end):
         wide, high = sizes[chart, 0], sizes[chart, 1]
         first = firsts[chart]
         last = first + wide * high
@@ -382,14 +382,14 @@ def _error(colours, state, wide, high, image, weight, x, y, scale):
 
 @kernel(error_model="numpy")
 def draw(
-    colours, state, sizes, extents, firsts, margin, levels, targets, texels, known, begin, end
+    colours, state, sizes, extents, firsts, margin, levels, targets, texels, valid, start, end
 ):
     """Write the images of charts of level 0 and above to `texels` (Q, 3) from `targets` (C,) on.
 
-    `known` (Q,) marks texels that belong to a chart; those that nobody saw look like the nearest
+    `valid` (Q,) marks texels that belong to a chart; those that nobody saw look like the nearest
     that were seen.
     """
-    for chart in range(begin, end):
+    for chart in range(start, end):
         level = levels[chart]
         if level < 0:
             continue
@@ -411,7 +411,7 @@ def draw(
         for row in range(rows):
             for column in range(columns):
                 at = targets[chart] + row * columns + column
-                known[at] = wanted[row, column]
+                valid[at] = wanted[row, column]
                 for k in range(3):
                     texels[at, k] = np.uint8(image[row, column, k] + 0.5)
 

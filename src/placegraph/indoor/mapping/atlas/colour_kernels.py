@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.jit import kernel
-from placegraph.indoor.map.map_kernels import colour_at
+from placegraph.indoor.map.map_kernels import sample_colour
 
 BEST = 5  # Views of a texel that are compared; those that agree are mixed
 OBSERVED = 12  # Views of a point that take part in solving for the frames' exposures
@@ -28,13 +28,13 @@ class Keyframes(NamedTuple):
     levels: tuple[NDArray[np.uint8], ...]  # (K, H, W, 3) sRGB, and its half, quarter and eighth
     bounds: NDArray[np.float32]
     """(K, 2, h, w) least and greatest depth around each pixel [m]; inf: nothing there."""
-    trust: NDArray[np.float32]
+    weights: NDArray[np.float32]
     """(K, h, w) 1, or less where the frame has no depth but should: what is there is not known."""
     gains: NDArray[np.float32]  # (K, 3) what the colours are multiplied by
 
 
 @kernel(error_model="numpy")
-def _seen(views, k, point, normal, least):
+def _observe_point(views, k, point, normal, least):
     """x, y [px], depth [m] and worth of a point in view k; worth 0: not seen, or worth `least` at most."""
     dx = views.centres[k, 0] - point[0]
     dy = views.centres[k, 1] - point[1]
@@ -66,14 +66,14 @@ def _seen(views, k, point, normal, least):
     # something stands before the point, or the view looks right through it
     if z > near + slack or (z < near - 2.0 * slack and np.isfinite(near)):
         return 0.0, 0.0, 0.0, 0.0
-    worth = most * min(border / BORDER, 1.0) * views.trust[k, row, column]
+    worth = most * min(border / BORDER, 1.0) * views.weights[k, row, column]
     if far > z + 2.0 * slack:  # at the edge of something: a small error of the pose shows
         worth *= 0.2
     return x, y, z, worth
 
 
 @kernel(error_model="numpy")
-def _look(views, k, level, x, y):
+def _sample_view(views, k, level, x, y):
     """Colour (3 floats, 0 to 255) of view k at (x, y) [px of level 0], between its pixels."""
     image = views.levels[level]
     rows, columns = image.shape[1], image.shape[2]
@@ -95,7 +95,7 @@ def _look(views, k, level, x, y):
 
 
 @kernel(error_model="numpy")
-def _level(views, k, z, texel):
+def _choose_level(views, k, z, texel):
     """Level of the images whose pixels are about as wide as a texel at depth z."""
     pixels = texel * views.pinholes[k, 0] / z
     level = 0
@@ -106,7 +106,7 @@ def _level(views, k, z, texel):
 
 
 @kernel(error_model="numpy")
-def _near(views, points, first, last, candidates):
+def _find_candidates(views, points, first, last, candidates):
     """Fill `candidates` with the views that may see any of the points `first` to `last`; how many."""
     middle, spread = np.zeros(3), 0.0
     for i in range(first, last):
@@ -142,7 +142,7 @@ def _best(views, candidates, point, normal, rows, places):
     most, count = len(rows), 0
     for k in candidates:
         least = places[most - 1, 3] if count == most else 0.0
-        x, y, z, worth = _seen(views, k, point, normal, least)
+        x, y, z, worth = _observe_point(views, k, point, normal, least)
         if worth <= least:
             continue
         if count < most:
@@ -158,7 +158,7 @@ def _best(views, candidates, point, normal, rows, places):
 
 
 @kernel(error_model="numpy")
-def observe(views, points, normals, texel, rows, colours, first, last):
+def observe_points(views, points, normals, texel, rows, colours, first, last):
     """Fill what the best views of points (N,) show: rows (N, M), -1: none; colours (N, M, 3)."""
     every = np.arange(len(views.centres))
     for i in range(first, last):
@@ -166,8 +166,8 @@ def observe(views, points, normals, texel, rows, colours, first, last):
         count = _best(views, every, points[i], normals[i], rows[i], places)
         for m in range(count):
             k = rows[i, m]
-            level = _level(views, k, places[m, 2], texel)
-            red, green, blue = _look(views, k, level, places[m, 0], places[m, 1])
+            level = _choose_level(views, k, places[m, 2], texel)
+            red, green, blue = _sample_view(views, k, level, places[m, 0], places[m, 1])
             colours[i, m, 0], colours[i, m, 1], colours[i, m, 2] = red, green, blue
 
 
@@ -184,7 +184,7 @@ def _median(values, count, column, ascending):
 
 
 @kernel(error_model="numpy")
-def mixed(views, points, normals, texel, out, known, first, last):
+def mix_views(views, points, normals, texel, out, valid, first, last):
     """Fill colours (N, 3) of points (N, 3) with normals (N, 3), and whether any view shows them."""
     candidates, number = np.empty(len(views.centres), np.int64), 0
     rows, places = np.empty(BEST, np.int64), np.zeros((BEST, 4))
@@ -192,20 +192,23 @@ def mixed(views, points, normals, texel, out, known, first, last):
     middle, ascending = np.empty(3), np.empty(BEST)
     for i in range(first, last):
         if (i - first) % RUN == 0:
-            number = _near(views, points, i, min(i + RUN, last), candidates)
+            number = _find_candidates(views, points, i, min(i + RUN, last), candidates)
         count = _best(views, candidates[:number], points[i], normals[i], rows, places)
         if count == 0:
             continue
-        known[i] = True
+        valid[i] = True
         for m in range(count):
             k = rows[m]
-            level = _level(views, k, places[m, 2], texel)
-            look = _look(views, k, level, places[m, 0], places[m, 1])
+            level = _choose_level(views, k, places[m, 2], texel)
+            sample = _sample_view(views, k, level, places[m, 0], places[m, 1])
             # too bright or too dark for this exposure
-            fair = max(look[0], look[1], look[2]) < 250 and max(look[0], look[1], look[2]) > 8
+            fair = (
+                max(sample[0], sample[1], sample[2]) < 250
+                and max(sample[0], sample[1], sample[2]) > 8
+            )
             weights[m] = (places[m, 3] / places[0, 3]) ** 2 * (1.0 if fair else 0.05)
             for c in range(3):
-                colours[m, c] = min(look[c] * views.gains[k, c], 255.0)
+                colours[m, c] = min(sample[c] * views.gains[k, c], 255.0)
         for c in range(3):
             middle[c] = _median(colours, count, c, ascending)
         total, mean = 0.0, np.zeros(3)
@@ -221,7 +224,7 @@ def mixed(views, points, normals, texel, out, known, first, last):
 
 
 @kernel(error_model="numpy")
-def balance(rows, logs, weights, matrix, right):
+def add_gain_equations(rows, logs, weights, matrix, right):
     """Add the normal equations of the views' exposures to matrix (K, K) and right (K,).
 
     Point i has an unknown shade s and view k an unknown exposure e, both logarithms: logs[i, m] =
@@ -247,7 +250,7 @@ def balance(rows, logs, weights, matrix, right):
 
 
 @kernel(error_model="numpy")
-def around(depth):
+def bound_depth(depth):
     """Least and greatest depth (2, h, w) of each pixel's 3 x 3 neighbours; `depth` (h, w), inf: none."""
     rows, columns = depth.shape
     out = np.empty((2, rows, columns), np.float32)
@@ -262,7 +265,7 @@ def around(depth):
 
 
 @kernel(error_model="numpy")
-def resampled(image, uv, out):
+def resample_image(image, uv, out):
     """Fill `out` (h, w, 3) uint8 with an image (H, W, 3) between its pixels at places (h, w, 2) [px]."""
     rows, columns = image.shape[:2]
     for i in range(len(out)):
@@ -283,14 +286,14 @@ def resampled(image, uv, out):
 
 
 @kernel(error_model="numpy")
-def colours_of(surface, triangle, u, v, footprint, out, first, last):
+def sample_colours(surface, triangle, u, v, footprint, out, first, last):
     """Fill colours (N, 3) uint8 at barycentrics of triangles (N,), where that is not -1.
 
     `footprint`: width over which textures are averaged [m].
     """
     for i in range(first, last):
         if triangle[i] >= 0:
-            red, green, blue = colour_at(surface, triangle[i], u[i], v[i], footprint)
+            red, green, blue = sample_colour(surface, triangle[i], u[i], v[i], footprint)
             out[i, 0] = np.uint8(min(max(255.0 * red + 0.5, 0.0), 255.0))
             out[i, 1] = np.uint8(min(max(255.0 * green + 0.5, 0.0), 255.0))
             out[i, 2] = np.uint8(min(max(255.0 * blue + 0.5, 0.0), 255.0))

@@ -18,12 +18,12 @@ from placegraph.indoor.map.mesh import Mesh, Surface
 from placegraph.indoor.mapping.atlas.colour_kernels import (
     OBSERVED,
     Keyframes,
-    around,
-    balance,
-    colours_of,
-    mixed,
-    observe,
-    resampled,
+    add_gain_equations,
+    bound_depth,
+    mix_views,
+    observe_points,
+    resample_image,
+    sample_colours,
 )
 from placegraph.indoor.rays import RayCaster
 from placegraph.io.capture.frame import Frame
@@ -86,7 +86,7 @@ def build_keyframes(
         best = int(np.argmax([measure_sharpness(c) for c in colours]))
         row, frame = group[best], frames[group[best]]
         depth, sure = _read_depth(frame, poses[row], caster, first)
-        return row, _undistort_image(colours[best], frame.camera, first), around(depth), sure
+        return row, _undistort_image(colours[best], frame.camera, first), bound_depth(depth), sure
 
     found = []
     with ThreadPoolExecutor(count_processors()) as pool:  # Pillow and kernels work outside the lock
@@ -104,7 +104,7 @@ def build_keyframes(
         pinholes=np.tile(pinhole, (len(rows), 1)),
         levels=_build_pyramid(np.stack(images)),
         bounds=np.stack(depths),
-        trust=np.stack(trust),
+        weights=np.stack(trust),
         gains=np.ones((len(rows), 3), np.float32),
     )
 
@@ -139,7 +139,7 @@ def _undistort_image(colours: Bytes, camera: Camera, plain: Camera) -> Bytes:
         colours = np.asarray(Image.fromarray(colours).resize(size, Image.Resampling.BOX))
         camera = camera.resized(*size)
     out = np.empty((plain.height, plain.width, 3), np.uint8)
-    resampled(colours, _map_pixels(camera, plain), out)
+    resample_image(colours, _map_pixels(camera, plain), out)
     return out
 
 
@@ -172,10 +172,10 @@ def _read_depth(
     )  # z is 1: distance is depth
     out = hits.distance.reshape(height, width)
     trust = np.ones((height, width), np.float32)
-    read = frame.depth()
-    if read is not None and frame.depth_camera is not None:
+    reading = frame.depth()
+    if reading is not None and frame.depth_camera is not None:
         row, column, inside = _map_readings(small, frame.depth_camera)
-        measured = np.where(inside, read[row, column], np.nan)
+        measured = np.where(inside, reading[row, column], np.nan)
         trust[~np.isfinite(measured)] = UNREAD
         out = np.where(np.isfinite(measured), measured, out)
     return np.ascontiguousarray(out, np.float32), trust
@@ -276,9 +276,9 @@ def frame_colours(
     )
 
     def colour_of(points: Floats, normals: Floats, _: Any) -> tuple[Bytes, Any]:  # noqa: ANN401
-        out, known = np.zeros((len(points), 3), np.uint8), np.zeros(len(points), bool)
-        run_parallel(mixed, len(points), seen, points, normals, texel, out, known)
-        return out, known
+        out, valid = np.zeros((len(points), 3), np.uint8), np.zeros(len(points), bool)
+        run_parallel(mix_views, len(points), seen, points, normals, texel, out, valid)
+        return out, valid
 
     return colour_of
 
@@ -300,7 +300,7 @@ def _solve_gains(
     points, normals = _spread_points(vertices, triangles, _POINTS)
     rows = np.full((len(points), OBSERVED), -1, np.int64)
     colours = np.zeros((len(points), OBSERVED, 3))
-    run_parallel(observe, len(points), views, points, normals, 0.04, rows, colours)
+    run_parallel(observe_points, len(points), views, points, normals, 0.04, rows, colours)
     count = len(views.centres)
     fair = (rows >= 0) & (colours.min(axis=2) > 12) & (colours.max(axis=2) < 245)
     fair &= (fair.sum(axis=1) > 1)[:, None]
@@ -310,7 +310,7 @@ def _solve_gains(
         weights = fair.astype(np.float64)
         for _ in range(_ROUNDS):
             matrix, right = _PRIOR * np.eye(count), np.zeros(count)
-            balance(rows, logs[:, :, c], weights, matrix, right)
+            add_gain_equations(rows, logs[:, :, c], weights, matrix, right)
             exposure = np.linalg.solve(matrix, right)
             left = logs[:, :, c] - exposure[rows]
             total = np.maximum(weights.sum(axis=1, keepdims=True), 1e-9)
@@ -363,7 +363,7 @@ def mesh_colours(mesh: Mesh, *, texel: float = 0.01, reach: float = REACH) -> Co
             met = bare[rows >= 0]
             triangle[met], u[met], v[met] = place // 3, place % 3 == 1, place % 3 == 2
         out = np.zeros((len(points), 3), np.uint8)
-        run_parallel(colours_of, len(points), surface, triangle, u, v, np.float32(texel), out)
+        run_parallel(sample_colours, len(points), surface, triangle, u, v, np.float32(texel), out)
         return out, triangle >= 0
 
     return colour_of

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from placegraph.core.geometry import Floats, rotation_from_vector, rotation_z
 from placegraph.errors import OptionError
-from placegraph.indoor.map.floor import structure
+from placegraph.indoor.map.floor import is_structural
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.mapping.change.changes import DiffOptions
@@ -222,7 +222,7 @@ class Alignment:
     """Rigid transform between two maps, and how well it fits."""
 
     b_from_a: Floats  # (4, 4)
-    said: str  # In a sentence
+    description: str  # In a sentence
     doubtful: bool = False  # The two may be different places; nothing that follows from it is sure
 
 
@@ -232,21 +232,21 @@ def align(a: Scene, b: Scene, options: DiffOptions) -> Alignment:
     Raises `OptionError` where none is found, or the one given fits nowhere.
     """
     rng = np.random.default_rng(options.seed)
-    ours, theirs = _building(a, rng), _building(b, rng)
+    ours, theirs = _sample_building(a, rng), _sample_building(b, rng)
     if options.b_from_a is not None:
-        share = _overlap(a, b, ours, theirs, options.b_from_a, options.within)
+        share = _measure_overlap(a, b, ours, theirs, options.b_from_a, options.within)
         if share < LEAST_GIVEN:
             raise OptionError(
                 f"b_from_a: only {share:.0%} of {_name(a)} lies on {_name(b)} by it; is it the way "
                 "from the first map's axes to the second's, and not back? Leave it out to have one "
                 "found."
             )
-        return Alignment(options.b_from_a, f"given; {_said(share, options)}")
+        return Alignment(options.b_from_a, f"given; {_describe_overlap(share, options)}")
     few = ours.some(_SOME), theirs.some(_SOME)
     best, motion = -1.0, np.eye(4)
-    for start in _starts(a, b, ours, theirs):
-        share = _overlap(a, b, *few, start, 0.5 * _COARSE)
-        share += _alike(a, b, start)
+    for start in _propose_starts(a, b, ours, theirs):
+        share = _measure_overlap(a, b, *few, start, 0.5 * _COARSE)
+        share += _score_labels(a, b, start)
         if share > best + 0.02:  # of starts as good as each other the first: the axes as they are
             best, motion = share, start
     # from the map that shows less no point is drawn to a surface that it does not show
@@ -254,10 +254,10 @@ def align(a: Scene, b: Scene, options: DiffOptions) -> Alignment:
     back = register(theirs.points, ours, invert_rigid(motion), reach=_COARSE, within=options.within)
     found = max(
         (forth, invert_rigid(back.motion), motion),
-        key=lambda m: _overlap(a, b, ours, theirs, m, _FINE * options.within),
+        key=lambda m: _measure_overlap(a, b, ours, theirs, m, _FINE * options.within),
     )
-    share = _overlap(a, b, ours, theirs, found, options.within)
-    agreed = _overlap(a, b, ours, theirs, found, options.within, upright=True)
+    share = _measure_overlap(a, b, ours, theirs, found, options.within)
+    agreed = _measure_overlap(a, b, ours, theirs, found, options.within, upright=True)
     if agreed < LEAST:
         raise OptionError(
             f"{_name(a)} and {_name(b)}: no way is found to lay one on the other ({agreed:.0%} of "
@@ -266,27 +266,27 @@ def align(a: Scene, b: Scene, options: DiffOptions) -> Alignment:
         )
     moved_by = np.linalg.norm(found[:3, 3])
     turn = np.degrees(np.arctan2(found[1, 0], found[0, 0]))
-    said = (
+    description = (
         f"found: turned by {turn:.1f} degrees and shifted by {moved_by:.2f} m; "
-        f"{_said(share, options)}"
+        f"{_describe_overlap(share, options)}"
     )
     if agreed < SURE:
-        said += (
+        description += (
             f", but only {agreed:.0%} of what is upright; that is doubtful, and so is every change: "
             "they may be of two places, or share a part of one. If they are of one, give b_from_a"
         )
-    return Alignment(found, said, doubtful=agreed < SURE)
+    return Alignment(found, description, doubtful=agreed < SURE)
 
 
-def _said(share: float, options: DiffOptions) -> str:
+def _describe_overlap(share: float, options: DiffOptions) -> str:
     return (
         f"{share:.0%} of the smaller map's surface lies within {options.within:g} m of the other's"
     )
 
 
-def _building(scene: Scene, rng: np.random.Generator) -> SurfaceSamples:
+def _sample_building(scene: Scene, rng: np.random.Generator) -> SurfaceSamples:
     """Points on walls, floors and ceilings; on everything where few of them are labelled."""
-    built_in = structure(scene.graph.labels)[scene.mesh.object_of]
+    built_in = is_structural(scene.graph.labels)[scene.mesh.object_of]
     chosen = np.flatnonzero(built_in)
     areas = np.linalg.norm(scene.mesh.normals(), axis=1)
     if areas[chosen].sum() < _BUILDING * areas.sum():
@@ -294,7 +294,7 @@ def _building(scene: Scene, rng: np.random.Generator) -> SurfaceSamples:
     return sample_surface(scene.mesh, chosen, POINTS, rng, DENSITY)
 
 
-def _overlap(
+def _measure_overlap(
     a: Scene,
     b: Scene,
     ours: SurfaceSamples,
@@ -319,9 +319,9 @@ def _overlap(
     return max(shares)
 
 
-def _alike(a: Scene, b: Scene, motion: Floats) -> float:
+def _score_labels(a: Scene, b: Scene, motion: Floats) -> float:
     """Share, halved, of a's things that have one of their label near by in b."""
-    movable = np.flatnonzero(~structure(a.graph.labels))
+    movable = np.flatnonzero(~is_structural(a.graph.labels))
     if not movable.size:
         return 0.0
     there = transform_points(motion, a.graph.positions[movable])
@@ -330,7 +330,9 @@ def _alike(a: Scene, b: Scene, motion: Floats) -> float:
     return 0.5 * float((np.where(labels, gaps, np.inf).min(axis=1) < _COARSE).mean())
 
 
-def _starts(a: Scene, b: Scene, ours: SurfaceSamples, theirs: SurfaceSamples) -> list[Floats]:
+def _propose_starts(
+    a: Scene, b: Scene, ours: SurfaceSamples, theirs: SurfaceSamples
+) -> list[Floats]:
     """Transforms worth a try: axes as they are, then by turns and shifts of the walls."""
     lift = float(b.floors[0] - a.floors[0])
     starts = [np.eye(4), make_rigid(np.eye(3), np.array([0.0, 0.0, lift]))]
@@ -348,15 +350,15 @@ def _starts(a: Scene, b: Scene, ours: SurfaceSamples, theirs: SurfaceSamples) ->
         for s, u in zip((ours, theirs), upright, strict=True)
     ]
     match = np.fft.irfft(np.conj(np.fft.rfft(headings[0])) * np.fft.rfft(headings[1]), _BINS)
-    for turn in _peaks(match + np.roll(match, 1) + np.roll(match, -1)):
+    for turn in _find_peaks(match + np.roll(match, 1) + np.roll(match, -1)):
         rotation = rotation_z(turn * 2 * np.pi / _BINS)
         walls = ours.points[upright[0]] @ rotation.T
-        slides = _slides(walls[:, :2], theirs.points[upright[1], :2])
+        slides = _propose_shifts(walls[:, :2], theirs.points[upright[1], :2])
         starts += [make_rigid(rotation, np.array([*shift, lift])) for shift in slides]
     return starts
 
 
-def _peaks(values: Floats) -> list[int]:
+def _find_peaks(values: Floats) -> list[int]:
     """Places of the highest values on a ring, 10 degrees apart at least."""
     left, found = np.array(values, np.float64), []
     gap = round(_BINS * 10 / 360)
@@ -367,12 +369,12 @@ def _peaks(values: Floats) -> list[int]:
     return found
 
 
-def _slides(walls: Floats, others: Floats) -> list[Floats]:
+def _propose_shifts(walls: Floats, other_walls: Floats) -> list[Floats]:
     """Shifts (2,) [m] by which walls seen from above lie on each other, the best few."""
-    size = np.ceil((np.ptp(walls, axis=0) + np.ptp(others, axis=0)) / _CELL).astype(int) + 8
+    size = np.ceil((np.ptp(walls, axis=0) + np.ptp(other_walls, axis=0)) / _CELL).astype(int) + 8
     size = np.minimum(size, 4096)
     rasters = []
-    for points in (walls, others):
+    for points in (walls, other_walls):
         cells = np.floor((points - points.min(axis=0)) / _CELL).astype(int) + 2
         cells = np.minimum(cells, size - 1)
         raster = np.zeros(tuple(size))
@@ -380,7 +382,7 @@ def _slides(walls: Floats, others: Floats) -> list[Floats]:
         spread = sum(np.roll(raster, s, axis=k) for k in (0, 1) for s in (-1, 1))
         rasters.append(raster + 0.5 * np.minimum(spread, 1.0))
     match = np.fft.irfft2(np.conj(np.fft.rfft2(rasters[0])) * np.fft.rfft2(rasters[1]), tuple(size))
-    base = others.min(axis=0) - walls.min(axis=0)
+    base = other_walls.min(axis=0) - walls.min(axis=0)
     found = []
     for _ in range(_SHIFTS):
         at = np.array(np.unravel_index(int(match.argmax()), match.shape))

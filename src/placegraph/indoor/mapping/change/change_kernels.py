@@ -7,13 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.jit import kernel
-from placegraph.indoor.map.map_kernels import colour_at
+from placegraph.indoor.map.map_kernels import sample_colour
 
 BITS = 20  # Of a cell's number along one axis
 
 
 @kernel
-def connected(cells: NDArray[np.int64]) -> NDArray[np.int64]:
+def label_connected(cells: NDArray[np.int64]) -> NDArray[np.int64]:
     """Root of each of ascending cells: those that touch share one."""
     parent = np.arange(len(cells))
     for i in range(len(cells)):
@@ -41,6 +41,6 @@ def paint(surface, triangle, u, v, footprint, out):
     """Write colours of hits (N, 3)."""
     for i in range(len(triangle)):
         if triangle[i] >= 0:
-            out[i, 0], out[i, 1], out[i, 2] = colour_at(
+            out[i, 0], out[i, 1], out[i, 2] = sample_colour(
                 surface, triangle[i], u[i], v[i], footprint[i]
             )

@@ -71,9 +71,9 @@ class DiffOptions:
         if not (self.depth or self.colour):
             raise OptionError("depth and colour are both off; leave one on.")
         if self.b_from_a is not None:
-            from placegraph.indoor.render import checked_pose
+            from placegraph.indoor.render import check_pose
 
-            object.__setattr__(self, "b_from_a", checked_pose(np.asarray(self.b_from_a)))
+            object.__setattr__(self, "b_from_a", check_pose(np.asarray(self.b_from_a)))
 
 
 Kind = Literal["moved", "appeared", "vanished", "relabelled"]
@@ -110,12 +110,12 @@ class Piece:
         }
 
     @classmethod
-    def from_dict(cls, told: dict[str, Any]) -> Piece:
+    def from_dict(cls, data: dict[str, Any]) -> Piece:
         """Undo `to_dict`; raises `OptionError`, or as `numpy.array` does."""
         return cls(
-            np.array(told["vertices"], np.float64).reshape(-1, 3),
-            np.array(told["triangles"], np.int64).reshape(-1, 3),
-            np.array(told["colours"], np.uint8).reshape(-1, 3),
+            np.array(data["vertices"], np.float64).reshape(-1, 3),
+            np.array(data["triangles"], np.int64).reshape(-1, 3),
+            np.array(data["colours"], np.uint8).reshape(-1, 3),
         )
 
     @classmethod
@@ -187,35 +187,35 @@ class Change:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and strings; what is not known is left out."""
-        told: dict[str, Any] = {
+        data: dict[str, Any] = {
             "kind": self.kind, "id": self.id, "name": self.name, "label": self.label,
             "confidence": round(self.confidence, 3), "reason": self.reason,
         }  # fmt: skip
-        told |= {k: v for k in ("other", "new_label") if (v := getattr(self, k))}
+        data |= {k: v for k in ("other", "new_label") if (v := getattr(self, k))}
         if self.after_from_before is not None:
-            told["shift_m"], told["turn_deg"] = round(self.shift_m, 3), round(self.turn_deg, 2)
-            told["after_from_before"] = self.after_from_before.tolist()
+            data["shift_m"], data["turn_deg"] = round(self.shift_m, 3), round(self.turn_deg, 2)
+            data["after_from_before"] = self.after_from_before.tolist()
         for key in ("box", "centre"):
             value = getattr(self, key)
             if value is not None:
-                told[key] = np.round(value, 4).tolist()
-        return told | ({"piece": self.piece.to_dict()} if self.piece is not None else {})
+                data[key] = np.round(value, 4).tolist()
+        return data | ({"piece": self.piece.to_dict()} if self.piece is not None else {})
 
     @classmethod
-    def from_dict(cls, told: dict[str, Any]) -> Change:
+    def from_dict(cls, data: dict[str, Any]) -> Change:
         """Undo `to_dict`; raises `OptionError`, KeyError, TypeError or ValueError."""
         arrays: dict[str, Any] = {
-            key: np.array(told[key], np.float64)
+            key: np.array(data[key], np.float64)
             for key in ("after_from_before", "box", "centre")
-            if key in told
+            if key in data
         }
-        piece = Piece.from_dict(told["piece"]) if "piece" in told else None
+        piece = Piece.from_dict(data["piece"]) if "piece" in data else None
         words: dict[str, Any] = {
-            key: str(told.get(key, "")) for key in ("id", "name", "other", "new_label")
+            key: str(data.get(key, "")) for key in ("id", "name", "other", "new_label")
         }
         return cls(
-            kind=told["kind"], label=str(told["label"]), confidence=float(told["confidence"]),
-            reason=str(told["reason"]), piece=piece, **words, **arrays,
+            kind=data["kind"], label=str(data["label"]), confidence=float(data["confidence"]),
+            reason=str(data["reason"]), piece=piece, **words, **arrays,
         )  # fmt: skip
 
 
@@ -277,18 +277,18 @@ def read_diff(path: str | PathLike[str]) -> SceneDiff:
     Raises `InputError` where the file is missing, no JSON, or no such diff.
     """
     path = Path(path)
-    told: Any = read_json(path)
+    data: Any = read_json(path)
     try:
-        if told["version"] != VERSION:
-            raise ValueError(f"version {told['version']}, and {VERSION} is known")  # noqa: TRY301
+        if data["version"] != VERSION:
+            raise ValueError(f"version {data['version']}, and {VERSION} is known")  # noqa: TRY301
         return SceneDiff(
-            changes=tuple(Change.from_dict(change) for change in told["changes"]),
-            same=tuple(map(str, told["same"])),
-            unseen=tuple(map(str, told["unseen"])),
-            b_from_a=np.array(told["b_from_a"], np.float64).reshape(4, 4),
-            alignment=str(told["alignment"]),
-            before=str(told["before"]),
-            after=str(told["after"]),
+            changes=tuple(Change.from_dict(change) for change in data["changes"]),
+            same=tuple(map(str, data["same"])),
+            unseen=tuple(map(str, data["unseen"])),
+            b_from_a=np.array(data["b_from_a"], np.float64).reshape(4, 4),
+            alignment=str(data["alignment"]),
+            before=str(data["before"]),
+            after=str(data["after"]),
         )
     except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
         raise InputError(

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.random import Generator
 
 from placegraph.core.geometry import Floats, vector_from_rotation
-from placegraph.indoor.map.floor import nameless, same_label, structure
+from placegraph.indoor.map.floor import is_nameless, is_structural, labels_agree
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.mapping.change.align import (
     SurfaceSamples,
@@ -75,7 +75,7 @@ class MapObject:
 
     def may_be(self, other: MapObject) -> bool:
         """Return whether label and size let it be the same object."""
-        if other.built_in or not same_label(self.label, other.label):
+        if other.built_in or not labels_agree(self.label, other.label):
             return False
         ratio = (self.sizes + 0.03) / (other.sizes + 0.03)
         return bool(np.all((ratio < _SIZES) & (ratio > 1.0 / _SIZES)))
@@ -85,7 +85,7 @@ def sample_objects(
     scene: Scene, motion: Floats, options: DiffOptions, rng: Generator
 ) -> list[MapObject]:
     """Objects of a map after a motion."""
-    mesh, graph, built_in = scene.mesh, scene.graph, structure(scene.graph.labels)
+    mesh, graph, built_in = scene.mesh, scene.graph, is_structural(scene.graph.labels)
     order = np.argsort(mesh.object_of, kind="stable")
     starts = np.searchsorted(mesh.object_of[order], np.arange(len(scene) + 1))
     found = []
@@ -213,13 +213,13 @@ def match_ids(
     """
     row_of = {body.id: j for j, body in enumerate(theirs)}
     shared = {i: row_of[body.id] for i, body in enumerate(ours) if body.id in row_of}
-    agree = {i: j for i, j in shared.items() if same_label(ours[i].label, theirs[j].label)}
+    agree = {i: j for i, j in shared.items() if labels_agree(ours[i].label, theirs[j].label)}
     if not agree or len(agree) < 0.5 * min(len(ours), len(theirs)):
         return {}
     vouched = []
     for i, j in agree.items():
         a, b = ours[i], theirs[j]
-        named = not (nameless(a.label) or nameless(b.label))
+        named = not (is_nameless(a.label) or is_nameless(b.label))
         vouched.append(
             (named and (a.built_in or a.may_be(b)))
             or max(on_theirs[i, j], on_ours[j, i]) >= _LIES_ON
@@ -274,17 +274,19 @@ def diff(a: Scene, b: Scene, *, options: DiffOptions | None = None) -> SceneDiff
     theirs = sample_objects(b, invert_rigid(alignment.b_from_a), options, rng)
     on_b = Coverage(ours, b, alignment.b_from_a, options)
     on_a = Coverage(theirs, a, np.eye(4), options)
-    known = match_ids(ours, theirs, on_b.share_on, on_a.share_on)
-    pairs = _match_stayed(ours, theirs, on_b, on_a, known)
+    id_matches = match_ids(ours, theirs, on_b.share_on, on_a.share_on)
+    pairs = _match_stayed(ours, theirs, on_b, on_a, id_matches)
     changes: list[Change] = []
     for i, j in pairs.items():
         changes += _compare_pair(ours[i], theirs[j], on_b.share_on[i, j], options)
-    taken = set(pairs.values())
-    lost = _find_unmatched(ours, on_b.share_on, theirs, set(pairs), taken)
-    new = _find_unmatched(theirs, on_a.share_on, ours, taken, set(pairs))
-    found = _match_moved(ours, theirs, lost, new, known, options)
+    matched_others = set(pairs.values())
+    lost = _find_unmatched(ours, on_b.share_on, theirs, set(pairs), matched_others)
+    new = _find_unmatched(theirs, on_a.share_on, ours, matched_others, set(pairs))
+    found = _match_moved(ours, theirs, lost, new, id_matches, options)
     changes += [_describe_moved(ours[i], theirs[j], motion) for (i, j), motion in found.items()]
-    kept = {i: j for i, j in known.items() if i not in pairs and is_still_there(ours[i], theirs[j])}
+    kept = {
+        i: j for i, j in id_matches.items() if i not in pairs and is_still_there(ours[i], theirs[j])
+    }
     gone = [i for i in lost if i not in kept and i not in {i for i, _ in found}]
     unseen = []
     for i in gone:
@@ -308,13 +310,13 @@ def diff(a: Scene, b: Scene, *, options: DiffOptions | None = None) -> SceneDiff
             )
     if alignment.doubtful:
         changes = [replace(c, confidence=min(c.confidence, UNSURE)) for c in changes]
-    told = {c.id for c in changes} | set(unseen)
+    changed_ids = {c.id for c in changes} | set(unseen)
     return SceneDiff(
         changes=tuple(sorted(changes, key=lambda c: -c.confidence)),
-        same=tuple(body.id for body in ours if body.id not in told),
+        same=tuple(body.id for body in ours if body.id not in changed_ids),
         unseen=tuple(unseen),
         b_from_a=alignment.b_from_a,
-        alignment=alignment.said,
+        alignment=alignment.description,
         before=a.source,
         after=b.source,
     )
@@ -325,7 +327,7 @@ def _match_stayed(
     theirs: Sequence[MapObject],
     on_b: Coverage,
     on_a: Coverage,
-    known: dict[int, int],
+    id_matches: dict[int, int],
 ) -> dict[int, int]:
     """Pairs of objects that lie on each other, one to one, the best first.
 
@@ -340,16 +342,16 @@ def _match_stayed(
         i, j = int(rows[k]), int(columns[k])
         if i not in pairs and j not in pairs.values():
             pairs[i] = j
-    back = {j: i for i, j in known.items()}
-    return {i: j for i, j in pairs.items() if known.get(i, j) == j and back.get(j, i) == i}
+    back = {j: i for i, j in id_matches.items()}
+    return {i: j for i, j in pairs.items() if id_matches.get(i, j) == j and back.get(j, i) == i}
 
 
 def _find_unmatched(
     some: Sequence[MapObject],
     share_on: Floats,
-    others: Sequence[MapObject],
-    paired: set[int],
-    taken: set[int],
+    other_objects: Sequence[MapObject],
+    matched: set[int],
+    matched_others: set[int],
 ) -> list[int]:
     """Rows of bodies that have no pair, and are not there in the other map cut otherwise.
 
@@ -361,9 +363,9 @@ def _find_unmatched(
         parts = [
             share
             for k, share in enumerate(share_on[i])
-            if share > 0 and (k not in taken or others[k].label == body.label)
+            if share > 0 and (k not in matched_others or other_objects[k].label == body.label)
         ]
-        if i not in paired and sum(parts) < (PART if body.built_in else EXPLAINED):
+        if i not in matched and sum(parts) < (PART if body.built_in else EXPLAINED):
             rows.append(i)
     return rows
 
@@ -373,7 +375,7 @@ def _compare_pair(
 ) -> list[Change]:
     """Changes of an object that is about where it was: its label, or its place a little."""
     changes = []
-    if not (ours.built_in or same_label(ours.label, theirs.label)):
+    if not (ours.built_in or labels_agree(ours.label, theirs.label)):
         reason = f"{share:.0%} of it lies where the other map has a {theirs.label!r}."
         changes.append(
             Change(
@@ -393,7 +395,7 @@ def _match_moved(
     theirs: Sequence[MapObject],
     lost: Sequence[int],
     new: Sequence[int],
-    known: dict[int, int],
+    id_matches: dict[int, int],
     options: DiffOptions,
 ) -> dict[tuple[int, int], Motion]:
     """Motions of what is lost onto what is new, one to one."""
@@ -402,8 +404,10 @@ def _match_moved(
         if ours[i].built_in:
             continue
         for j in new:
-            same_id = known.get(i) == j
-            if not same_id and (i in known or j in known.values() or not ours[i].may_be(theirs[j])):
+            same_id = id_matches.get(i) == j
+            if not same_id and (
+                i in id_matches or j in id_matches.values() or not ours[i].may_be(theirs[j])
+            ):
                 continue
             motion = fit_motion(ours[i], theirs[j], options)
             least = 0.5 * FITS if same_id else FITS
@@ -427,7 +431,7 @@ def _is_significant(motion: Motion, body: MapObject, options: DiffOptions) -> bo
 def _describe_moved(ours: MapObject, theirs: MapObject, motion: Motion) -> Change:
     return Change(
         kind="moved", id=ours.id, name=ours.name, label=ours.label, other=theirs.id,
-        new_label="" if same_label(ours.label, theirs.label) else theirs.label,
+        new_label="" if labels_agree(ours.label, theirs.label) else theirs.label,
         confidence=min(motion.fit * motion.colour, SUREST),
         after_from_before=motion.after_from_before, centre=ours.middle, box=theirs.box,
         reason=f"After the motion {motion.fit:.0%} of it and of {theirs.id!r} lie on each other.",

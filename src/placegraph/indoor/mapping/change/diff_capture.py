@@ -16,16 +16,16 @@ from numpy.typing import ArrayLike
 from placegraph.core.estimate import PoseEstimate, Status
 from placegraph.core.geometry import Floats
 from placegraph.errors import InputError, OptionError
-from placegraph.indoor.map.floor import structure
+from placegraph.indoor.map.floor import is_structural
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.mapping.change.align import invert_rigid
 from placegraph.indoor.mapping.change.changes import Change, DiffOptions, SceneDiff
 from placegraph.indoor.mapping.change.moves import (
     Placement,
-    box_of,
     find_appeared,
     find_moved,
     gather_clusters,
+    measure_box,
 )
 from placegraph.indoor.mapping.change.observe import (
     Evidence,
@@ -37,7 +37,7 @@ from placegraph.indoor.mapping.change.observe import (
     observe_frame,
     tolerance,
 )
-from placegraph.indoor.render import checked_pose
+from placegraph.indoor.render import check_pose
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
 
@@ -85,23 +85,23 @@ def diff_capture(
     options = options or DiffOptions()
     frames, matrices = _select_frames(capture, poses, name)
     tell = progress or (lambda _step, _done, _total: None)
-    looks: list[Observation] = []
+    observations: list[Observation] = []
     for i, (frame, pose) in enumerate(zip(frames, matrices, strict=True)):
         tell("looking", i, len(frames))
-        seen = observe_frame(scene, frame, pose)
-        looks.append(seen if options.depth else replace(seen, depth=None))
-    if all(seen.depth is None for seen in looks) and not options.colour:
+        observation = observe_frame(scene, frame, pose)
+        observations.append(observation if options.depth else replace(observation, depth=None))
+    if all(observation.depth is None for observation in observations) and not options.colour:
         raise OptionError("The capture has no depth, and colour is off: nothing can be compared.")
-    _check_poses(looks, options, name)
-    counts = count_evidence(looks, len(scene), options)
-    changes = _find_changes(scene, looks, counts, options, frames, matrices, tell)
-    told = {c.id for c in changes}
-    ids, built_in = scene.graph.ids, structure(scene.graph.labels)
-    same = [i for i in np.flatnonzero(counts.seen).tolist() if ids[i] not in told]
+    _check_poses(observations, options, name)
+    counts = count_evidence(observations, len(scene), options)
+    changes = _find_changes(scene, observations, counts, options, frames, matrices, tell)
+    changed_ids = {c.id for c in changes}
+    ids, built_in = scene.graph.ids, is_structural(scene.graph.labels)
+    same = [i for i in np.flatnonzero(counts.is_observed).tolist() if ids[i] not in changed_ids]
     if np.any(built_in):
-        there = built_in & find_confirmed(looks, len(scene), options)
+        there = built_in & find_confirmed(observations, len(scene), options)
         same = sorted({*same, *np.flatnonzero(there).tolist()})
-    known = {ids[i] for i in same} | told
+    known = {ids[i] for i in same} | changed_ids
     return SceneDiff(
         changes=tuple(sorted(changes, key=lambda c: -c.confidence)),
         same=tuple(ids[i] for i in same), unseen=tuple(id_ for id_ in ids if id_ not in known),
@@ -112,7 +112,7 @@ def diff_capture(
 
 def _find_changes(
     scene: Scene,
-    looks: Sequence[Observation],
+    observations: Sequence[Observation],
     counts: Evidence,
     options: DiffOptions,
     frames: Sequence[Frame],
@@ -122,27 +122,27 @@ def _find_changes(
     """Find what moved and vanished, and what appeared of what these leave unexplained."""
     share, graph = counts.share, scene.graph
     least = np.where(counts.by_colour, SUSPECT_BY_COLOUR, SUSPECT)
-    suspects = np.flatnonzero(counts.seen & (share >= least) & ~structure(graph.labels))
-    left = explain_without(scene, looks, suspects, options)
+    suspects = np.flatnonzero(counts.is_observed & (share >= least) & ~is_structural(graph.labels))
+    left = explain_without(scene, observations, suspects, options)
     tell("gathering", 0, 1)
     clumps = gather_clusters(left)
     tell("fitting", 0, len(suspects))
     found = find_moved(scene, left, clumps, suspects, counts)
-    changes = [_describe_moved(scene, counts, row, placed) for row, placed in found.items()]
+    changes = [_describe_moved(scene, counts, row, placement) for row, placement in found.items()]
     gone = [int(r) for r in suspects if r not in found and share[r] >= GONE]
     for row in gone:
         what = "show what is behind it" if counts.by_colour[row] else "go on behind it"
         changes.append(
             Change(
                 kind="vanished", id=graph.ids[row], name=graph.names[row], label=graph.labels[row],
-                confidence=counts.confidence(row), box=np.stack(box_of(scene, row, np.eye(4))),
+                confidence=counts.confidence(row), box=np.stack(measure_box(scene, row, np.eye(4))),
                 reason=f"{share[row]:.0%} of {counts.describe(row)} {what}, and nothing near fits it.",
             )
         )  # fmt: skip
     # what lies in the box of a thing before it moved, and the motion back, is no news
-    used = [(*box_of(scene, row, np.eye(4)), invert_rigid(found[row].motion)) for row in found]
+    used = [(*measure_box(scene, row, np.eye(4)), invert_rigid(found[row].motion)) for row in found]
     if len(gone) + len(found) < len(suspects):  # what is not gone explains what it did before
-        left = explain_without(scene, looks, np.array([*found, *gone], np.int64), options)
+        left = explain_without(scene, observations, np.array([*found, *gone], np.int64), options)
         clumps = gather_clusters(left)
     return changes + find_appeared(left, clumps, used, frames, poses)
 
@@ -169,20 +169,24 @@ def _select_frames(
         raise OptionError(
             f"poses: shape {matrices.shape}; (T, 4, 4) belongs, one for each of {len(frames)} frames."
         )
-    return frames, [checked_pose(m) for m in matrices]
+    return frames, [check_pose(m) for m in matrices]
 
 
-def _check_poses(looks: Sequence[Observation], options: DiffOptions, name: str) -> None:
+def _check_poses(observations: Sequence[Observation], options: DiffOptions, name: str) -> None:
     """Raise where so few readings end on the map that the poses, not the place, are other ones."""
     readings = agree = 0
-    for seen in looks:
-        if seen.depth is not None:
-            there = np.isfinite(seen.depth) & np.isfinite(seen.front.depth)
-            near, far = bound_window(seen.front.depth)
-            slack = tolerance(seen.depth, options)
+    for observation in observations:
+        if observation.depth is not None:
+            there = np.isfinite(observation.depth) & np.isfinite(observation.front.depth)
+            near, far = bound_window(observation.front.depth)
+            slack = tolerance(observation.depth, options)
             with np.errstate(invalid="ignore"):
                 agree += int(
-                    (there & (seen.depth > near - slack) & (seen.depth < far + slack)).sum()
+                    (
+                        there
+                        & (observation.depth > near - slack)
+                        & (observation.depth < far + slack)
+                    ).sum()
                 )
             readings += int(there.sum())
     if agree < _AGREE * readings:
@@ -192,17 +196,17 @@ def _check_poses(looks: Sequence[Observation], options: DiffOptions, name: str) 
         )
 
 
-def _describe_moved(scene: Scene, counts: Evidence, row: int, placed: Placement) -> Change:
+def _describe_moved(scene: Scene, counts: Evidence, row: int, placement: Placement) -> Change:
     graph = scene.graph
     by = "colours fit" if counts.by_colour[row] else "readings end on it"
-    sure = placed.fit * (placed.frames + 0.5) / (placed.frames + 1.0)
-    sure *= placed.share  # gone it is; which of those alike came here is a guess
-    alike = f" So does {', '.join(placed.rivals)}, from farther off." if placed.rivals else ""
+    sure = placement.fit * (placement.frames + 0.5) / (placement.frames + 1.0)
+    sure *= placement.share  # gone it is; which of those alike came here is a guess
+    alike = f" So does {', '.join(placement.rivals)}, from farther off." if placement.rivals else ""
     return Change(
         kind="moved", id=graph.ids[row], name=graph.names[row], label=graph.labels[row],
         confidence=float(np.clip(max(counts.confidence(row), 0.5) * sure, 0.0, 1.0)),
-        after_from_before=placed.motion, centre=graph.positions[row],
-        box=np.stack(box_of(scene, row, placed.motion)),
+        after_from_before=placement.motion, centre=graph.positions[row],
+        box=np.stack(measure_box(scene, row, placement.motion)),
         reason=f"{counts.share[row]:.0%} of {counts.describe(row)} are seen through it; where it is "
-        f"now {placed.fit:.0%} {by} in {placed.frames} frames.{alike}",
+        f"now {placement.fit:.0%} {by} in {placement.frames} frames.{alike}",
     )  # fmt: skip

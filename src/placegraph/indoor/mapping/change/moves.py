@@ -22,7 +22,7 @@ from placegraph.indoor.mapping.change.align import (
     transform_points,
     turn_about,
 )
-from placegraph.indoor.mapping.change.change_kernels import BITS, connected
+from placegraph.indoor.mapping.change.change_kernels import BITS, label_connected
 from placegraph.indoor.mapping.change.changes import Change, DiffOptions, Piece
 from placegraph.indoor.mapping.change.observe import (
     Evidence,
@@ -66,35 +66,39 @@ class Cluster:
         return np.asarray(self.points.max(axis=0))
 
 
-def gather_clusters(rest: Unexplained) -> list[Cluster]:
+def gather_clusters(unexplained: Unexplained) -> list[Cluster]:
     """Clumps of unexplained readings, the largest first."""
     points, colours = [np.zeros((0, 3))], [np.zeros((0, 3))]
     frame = [np.zeros(0, np.int64)]
-    for t, (look, new) in enumerate(zip(rest.looks, rest.new, strict=True)):
-        points.append(look.points(new))
-        colours.append(np.nan_to_num(look.rgb[new]).astype(np.float64))
+    for t, (observation, new) in enumerate(
+        zip(unexplained.observations, unexplained.new, strict=True)
+    ):
+        points.append(observation.points(new))
+        colours.append(np.nan_to_num(observation.rgb[new]).astype(np.float64))
         frame.append(np.full(len(points[-1]), t))
     every, tints, frames = np.concatenate(points), np.concatenate(colours), np.concatenate(frame)
     if not len(every):
         return []
     cells, at = np.unique(
-        np.floor(every / rest.options.voxel).astype(np.int64), axis=0, return_inverse=True
+        np.floor(every / unexplained.options.voxel).astype(np.int64), axis=0, return_inverse=True
     )
     at = at.ravel()
     count = np.bincount(at)
     middle = np.stack([np.bincount(at, every[:, k]) for k in range(3)], axis=1) / count[:, None]
     tint = np.stack([np.bincount(at, tints[:, k]) for k in range(3)], axis=1) / count[:, None]
-    views = np.bincount(np.unique(at * len(rest.looks) + frames) // len(rest.looks))
-    standing = (count >= 3) & ~_find_carved(rest, middle, views)
+    views = np.bincount(
+        np.unique(at * len(unexplained.observations) + frames) // len(unexplained.observations)
+    )
+    standing = (count >= 3) & ~_find_carved(unexplained, middle, views)
     number = np.full(len(cells), -1)
     number[standing] = label_clusters(cells[standing])
     found = []
     for k in range(number.max() + 1):
         own = number == k
         mine = own[at]
-        shown = len(np.unique(frames[mine]))
+        observed = len(np.unique(frames[mine]))
         paint = np.rint(255.0 * tint[own]).astype(np.uint8)
-        found.append(Cluster(middle[own], paint, cells[own], shown, int(mine.sum())))
+        found.append(Cluster(middle[own], paint, cells[own], observed, int(mine.sum())))
     return sorted(found, key=lambda c: -c.pixels)
 
 
@@ -110,12 +114,12 @@ def label_clusters(cells: NDArray[np.int64]) -> NDArray[np.int64]:
         raise OptionError(f"Points are {int(at.max()):,} cells apart; make the cells larger.")
     keys = (at[:, 0] << 2 * BITS) + (at[:, 1] << BITS) + at[:, 2]
     unique, rows = np.unique(keys, return_inverse=True)
-    return np.unique(connected(unique), return_inverse=True)[1][rows]
+    return np.unique(label_connected(unique), return_inverse=True)[1][rows]
 
 
 def find_appeared(
-    rest: Unexplained,
-    found: Sequence[Cluster],
+    unexplained: Unexplained,
+    clusters: Sequence[Cluster],
     used: Sequence[tuple[Floats, Floats, Floats]],
     frames: Sequence[Frame],
     poses: Sequence[Floats],
@@ -124,19 +128,22 @@ def find_appeared(
 
     `used`: of each moved object its box before, and the motion back.
     """
-    options = rest.options
-    least = min(options.least_frames, len(rest.looks))
+    options = unexplained.options
+    least = min(options.least_frames, len(unexplained.observations))
     kept: list[tuple[Cluster, int]] = []
-    for clump in found:
-        free = np.ones(len(clump.points), np.bool_)
+    for cluster in clusters:
+        free = np.ones(len(cluster.points), np.bool_)
         for low, high, back in used:
-            before = transform_points(back, clump.points)
+            before = transform_points(back, cluster.points)
             free &= ~np.all((before > low - _MARGIN) & (before < high + _MARGIN), axis=1)
         part = replace(
-            clump, points=clump.points[free], colours=clump.colours[free], cells=clump.cells[free]
+            cluster,
+            points=cluster.points[free],
+            colours=cluster.colours[free],
+            cells=cluster.cells[free],
         )
-        pixels = clump.pixels * len(part.points) // len(clump.points)
-        if len(part.points) < max(4, 0.3 * len(clump.points)) or clump.frames < least:
+        pixels = cluster.pixels * len(part.points) // len(cluster.points)
+        if len(part.points) < max(4, 0.3 * len(cluster.points)) or cluster.frames < least:
             continue
         if pixels >= options.least_pixels and np.max(part.high - part.low) >= options.least_box:
             kept.append((part, pixels))
@@ -147,40 +154,42 @@ def find_appeared(
     ]
 
 
-def _describe_cluster(clump: Cluster, pixels: int, piece: Piece) -> Change:
+def _describe_cluster(cluster: Cluster, pixels: int, piece: Piece) -> Change:
     box = np.stack([piece.vertices.min(axis=0), piece.vertices.max(axis=0)])
     size = " x ".join(f"{v:.2f}" for v in np.ptp(box, axis=0))
-    shown = clump.frames
+    observed = cluster.frames
     return Change(
         kind="appeared",
         label="unknown",
         box=box,
         piece=piece,
-        confidence=(shown + 0.5) / (shown + 1.0) * min(1.0, pixels / 400.0),
-        reason=f"{pixels:,} readings in {shown} frames end before the map, in a box of {size} m.",
+        confidence=(observed + 0.5) / (observed + 1.0) * min(1.0, pixels / 400.0),
+        reason=f"{pixels:,} readings in {observed} frames end before the map, in a box of {size} m.",
     )
 
 
-def _find_carved(rest: Unexplained, points: Floats, views: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _find_carved(
+    unexplained: Unexplained, points: Floats, views: NDArray[np.int64]
+) -> NDArray[np.bool_]:
     """Find points (V, 3) that are seen through so often that nothing stands there."""
     through = np.zeros(len(points), np.int64)
-    for look in rest.looks:
-        if look.depth is None:
+    for observation in unexplained.observations:
+        if observation.depth is None:
             continue
-        rows, columns, depth = project(look, points)
-        reading = look.depth[np.maximum(rows, 0), np.maximum(columns, 0)]
+        rows, columns, depth = project(observation, points)
+        reading = observation.depth[np.maximum(rows, 0), np.maximum(columns, 0)]
         with np.errstate(invalid="ignore"):
-            slack = tolerance(reading, rest.options) + rest.options.voxel
+            slack = tolerance(reading, unexplained.options) + unexplained.options.voxel
             through += (rows >= 0) & (reading > depth + slack)
     return np.asarray(through > _SEEN_THROUGH * (through + views))
 
 
-def _cut_piece(clump: Cluster, fused: Fused | None, voxel: float) -> Piece:
+def _cut_piece(cluster: Cluster, fused: Fused | None, voxel: float) -> Piece:
     """Surface that was fused in a cluster's cells; a box where there is none."""
     if fused is not None:
         centres = np.floor(fused.vertices[fused.triangles].mean(axis=1) / voxel).astype(np.int64)
         steps = np.stack(np.meshgrid(*[(-1, 0, 1)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-        grown = np.unique((clump.cells[:, None] + steps).reshape(-1, 3), axis=0)
+        grown = np.unique((cluster.cells[:, None] + steps).reshape(-1, 3), axis=0)
         low, high = grown.min(axis=0), grown.max(axis=0)
         near = np.flatnonzero(((centres >= low) & (centres <= high)).all(axis=1))
         mask = np.zeros(high - low + 1, np.bool_)
@@ -191,8 +200,8 @@ def _cut_piece(clump: Cluster, fused: Fused | None, voxel: float) -> Piece:
         if np.count_nonzero(inside) >= _LEAST_TRIANGLES:
             rows, triangles = np.unique(fused.triangles[inside], return_inverse=True)
             return Piece(fused.vertices[rows], triangles.reshape(-1, 3), fused.colours[rows])
-    points, half = clump.points, voxel / 4
-    colour = np.median(clump.colours, axis=0).astype(np.uint8)
+    points, half = cluster.points, voxel / 4
+    colour = np.median(cluster.colours, axis=0).astype(np.uint8)
     return Piece.box(points.min(axis=0) - half, points.max(axis=0) + half, colour)
 
 
@@ -236,12 +245,12 @@ class Placement:
     """How likely it is this thing, and none of those, by how far each would have come."""
 
     @property
-    def good(self) -> bool:
+    def is_good(self) -> bool:
         """Return whether it is taken for true."""
         return self.fit >= LEAST_FIT and self.cover >= LEAST_COVER
 
     @property
-    def worth(self) -> float:
+    def score(self) -> float:
         """The larger, the better."""
         return self.explained * self.fit * self.cover
 
@@ -266,115 +275,120 @@ class MovableObject:
 
 
 def find_placements(
-    rest: Unexplained, thing: MovableObject, clump: Floats, every: Floats
+    unexplained: Unexplained, movable: MovableObject, cluster: Floats, every: Floats
 ) -> list[Placement]:
     """Placements of a thing at a clump of unexplained points (N, 3), best first; may be empty.
 
     `every`: (M, 3) all unexplained points; thin things come in several clumps.
     """
-    chosen = _select_frames(rest, clump)
-    starts = _list_starts(thing, clump)
+    chosen = _select_frames(unexplained, cluster)
+    starts = _list_starts(movable, cluster)
     if not chosen or not len(starts):
         return []
     scores = np.concatenate(
         [
-            _scores(rest, chosen, thing, starts[i : i + _CHUNK // POINTS])
+            _score_starts(unexplained, chosen, movable, starts[i : i + _CHUNK // POINTS])
             for i in range(0, len(starts), _CHUNK // POINTS)
         ]
     )
     found = []
     for start in _keep_distinct(starts, scores):
-        near = _find_inside(thing, start, every, 0.15)
+        near = _find_inside(movable, start, every, 0.15)
         if np.count_nonzero(near) < _LEAST_POINTS:
             continue
-        begin = invert_rigid(turn_about(thing.middle, start[3], start[:3]))
-        back = register(every[near], thing.many, begin, reach=0.15, within=0.03)
-        found.append(score_placement(rest, thing, invert_rigid(back.motion)))
-    found.sort(key=lambda p: -p.worth)
-    return [_refine_placement(rest, thing, every, found[0]), *found[1:]] if found else []
+        begin = invert_rigid(turn_about(movable.middle, start[3], start[:3]))
+        back = register(every[near], movable.many, begin, reach=0.15, within=0.03)
+        found.append(score_placement(unexplained, movable, invert_rigid(back.motion)))
+    found.sort(key=lambda p: -p.score)
+    return [_refine_placement(unexplained, movable, every, found[0]), *found[1:]] if found else []
 
 
 def _refine_placement(
-    rest: Unexplained, thing: MovableObject, every: Floats, placed: Placement
+    unexplained: Unexplained, movable: MovableObject, every: Floats, placement: Placement
 ) -> Placement:
     """A placement, or what a fit from a little beside it finds, or that at its old height."""
-    best = placed
+    best = placement
     for turn in (-_NUDGE, 0.0, _NUDGE):
-        middle = transform_points(placed.motion, thing.middle[None])[0]
-        start = turn_about(middle, turn, middle) @ placed.motion
+        middle = transform_points(placement.motion, movable.middle[None])[0]
+        start = turn_about(middle, turn, middle) @ placement.motion
         back = transform_points(invert_rigid(start), every)
-        near = np.all((back > thing.low - 0.08) & (back < thing.high + 0.08), axis=1)
+        near = np.all((back > movable.low - 0.08) & (back < movable.high + 0.08), axis=1)
         if np.count_nonzero(near) < _LEAST_POINTS:
             continue
-        fitted = register(every[near], thing.many, invert_rigid(start), reach=0.08, within=0.03)
+        fitted = register(every[near], movable.many, invert_rigid(start), reach=0.08, within=0.03)
         motion = invert_rigid(fitted.motion)
         tried = [motion]
         if abs(motion[2, 3]) < _LIFT:  # what stood on the floor does so still
             level = motion.copy()
             level[2, 3] = 0.0
             tried.append(level)
-        best = max([best, *(score_placement(rest, thing, m) for m in tried)], key=lambda p: p.worth)
+        best = max(
+            [best, *(score_placement(unexplained, movable, m) for m in tried)],
+            key=lambda p: p.score,
+        )
     return best
 
 
-def score_placement(rest: Unexplained, thing: MovableObject, motion: Floats) -> Placement:
+def score_placement(unexplained: Unexplained, movable: MovableObject, motion: Floats) -> Placement:
     """Score how well an object at a placement (4, 4) explains all frames, by rays at its mesh."""
     back = invert_rigid(motion)
-    low, high = thing.low - 0.05, thing.high + 0.05
-    ends = through = unexplained = frames = 0
-    for look, left, new in zip(rest.looks, rest.depths, rest.new, strict=True):
-        if look.depth is None:
+    low, high = movable.low - 0.05, movable.high + 0.05
+    ends = through = new_readings = frames = 0
+    for observation, left, new in zip(
+        unexplained.observations, unexplained.depths, unexplained.new, strict=True
+    ):
+        if observation.depth is None:
             continue
-        part = find_window(look, transform_points(motion, _box_corners(low, high)))
+        part = find_window(observation, transform_points(motion, _box_corners(low, high)))
         if part is None:
             continue
-        rays = look.rays[part].reshape(-1, 3).astype(np.float64) @ back[:3, :3].T
-        origin = transform_points(back, look.map_from_camera[None, :3, 3])[0]
-        distance = thing.caster.cast(origin, rays).distance
-        reading, beyond = look.depth[part].ravel(), left[part].ravel()
-        slack = tolerance(reading, rest.options)
+        rays = observation.rays[part].reshape(-1, 3).astype(np.float64) @ back[:3, :3].T
+        origin = transform_points(back, observation.map_from_camera[None, :3, 3])[0]
+        distance = movable.caster.cast(origin, rays).distance
+        reading, beyond = observation.depth[part].ravel(), left[part].ravel()
+        slack = tolerance(reading, unexplained.options)
         with np.errstate(invalid="ignore"):
             shows = distance < beyond - slack
             on = shows & (np.abs(reading - distance) <= slack)
             behind = shows & (reading > distance + slack)
         fresh = new[part].ravel()
         points = origin + rays[fresh] * reading[fresh, None]
-        unexplained += int(np.all((points > low) & (points < high), axis=1).sum())
+        new_readings += int(np.all((points > low) & (points < high), axis=1).sum())
         ends += int((on & fresh).sum())
         through += int(behind.sum())
         frames += int((on & fresh).sum() >= 5)
     fit = ends / max(ends + through, 1)
-    return Placement(motion, ends, fit, min(ends / max(unexplained, 1), 1.0), frames)
+    return Placement(motion, ends, fit, min(ends / max(new_readings, 1), 1.0), frames)
 
 
-def _select_frames(rest: Unexplained, clump: Floats) -> list[int]:
+def _select_frames(unexplained: Unexplained, cluster: Floats) -> list[int]:
     """Frames that see most of a clump, a few."""
     counts = []
-    for look, left in zip(rest.looks, rest.depths, strict=True):
-        rows, columns, depth = project(look, clump)
+    for observation, left in zip(unexplained.observations, unexplained.depths, strict=True):
+        rows, columns, depth = project(observation, cluster)
         inside = rows >= 0
         clear = depth[inside] < left[rows[inside], columns[inside]]
-        counts.append(int(clear.sum()) if look.depth is not None else 0)
+        counts.append(int(clear.sum()) if observation.depth is not None else 0)
     order = np.argsort(-np.array(counts), kind="stable")[:LOOKS]
     return [int(t) for t in order if counts[t] > 0.2 * counts[order[0]] and counts[t] > 5]
 
 
-def _list_starts(thing: MovableObject, clump: Floats) -> Floats:
+def _list_starts(movable: MovableObject, cluster: Floats) -> Floats:
     """Placements (S, 4) to try: middle of the thing [m] and its turn [rad], upright as it was."""
-    size = (thing.high - thing.low) / 2.0
-    low = np.percentile(clump, 2, axis=0) - 0.5 * size.max()
-    high = np.percentile(clump, 98, axis=0) + 0.5 * size.max()
+    size = (movable.high - movable.low) / 2.0
+    low = np.percentile(cluster, 2, axis=0) - 0.5 * size.max()
+    high = np.percentile(cluster, 98, axis=0) + 0.5 * size.max()
     x, y = (np.arange(low[k], high[k] + GRID, GRID) for k in (0, 1))
     # what stood goes on standing at its height; what the clump's own height speaks for, too
     lifts = {0.0}
-    bottom = float(np.percentile(clump[:, 2], 1)) - float(thing.low[2])
+    bottom = float(np.percentile(cluster[:, 2], 1)) - float(movable.low[2])
     if abs(bottom) > 0.1:
         lifts.add(bottom)
     yaws = np.arange(YAWS) * 2.0 * np.pi / YAWS
-    grid = np.meshgrid(x, y, thing.middle[2] + np.array(sorted(lifts)), yaws, indexing="ij")
+    grid = np.meshgrid(x, y, movable.middle[2] + np.array(sorted(lifts)), yaws, indexing="ij")
     starts = np.stack([g.ravel() for g in grid], axis=1)
     # a middle far from all points of the clump explains none of them
-    cells = np.unique(np.round(clump[:, :2] / 0.1).astype(np.int64), axis=0) * 0.1
+    cells = np.unique(np.round(cluster[:, :2] / 0.1).astype(np.int64), axis=0) * 0.1
     spots, at = np.unique(starts[:, :2], axis=0, return_inverse=True)
     far = np.full(len(spots), np.inf)
     for chunk in np.array_split(cells, max(1, len(cells) // 500)):
@@ -383,10 +397,12 @@ def _list_starts(thing: MovableObject, clump: Floats) -> Floats:
     return np.asarray(starts[far[at] <= float(np.hypot(*size[:2]))])
 
 
-def _scores(rest: Unexplained, chosen: list[int], thing: MovableObject, starts: Floats) -> Floats:
+def _score_starts(
+    unexplained: Unexplained, chosen: list[int], movable: MovableObject, starts: Floats
+) -> Floats:
     """(S,) readings on the thing, less those behind it, as a share of its points and frames."""
     cos, sin = np.cos(starts[:, 3, None]), np.sin(starts[:, 3, None])
-    offset = thing.few.points - thing.middle
+    offset = movable.few.points - movable.middle
     points = np.stack(
         [
             cos * offset[:, 0] - sin * offset[:, 1] + starts[:, 0, None],
@@ -397,17 +413,21 @@ def _scores(rest: Unexplained, chosen: list[int], thing: MovableObject, starts: 
     )
     total = np.zeros(len(starts))
     for t in chosen:
-        look, left, new = rest.looks[t], rest.depths[t], rest.new[t]
-        if look.depth is None:
+        observation, left, new = (
+            unexplained.observations[t],
+            unexplained.depths[t],
+            unexplained.new[t],
+        )
+        if observation.depth is None:
             continue
-        rows, columns, depth = project(look, points)
+        rows, columns, depth = project(observation, points)
         rows0, columns0 = np.maximum(rows, 0), np.maximum(columns, 0)
-        reading = look.depth[rows0, columns0]
-        slack = tolerance(reading, rest.options)
+        reading = observation.depth[rows0, columns0]
+        slack = tolerance(reading, unexplained.options)
         with np.errstate(invalid="ignore"):
-            there = (rows >= 0) & (depth < left[rows0, columns0] - slack)
-            on = there & (np.abs(reading - depth) <= slack) & new[rows0, columns0]
-            behind = there & (reading > depth + slack)
+            is_visible = (rows >= 0) & (depth < left[rows0, columns0] - slack)
+            on = is_visible & (np.abs(reading - depth) <= slack) & new[rows0, columns0]
+            behind = is_visible & (reading > depth + slack)
         total += on.sum(axis=1) - _THROUGH * behind.sum(axis=1)
     return total / (len(chosen) * len(offset))
 
@@ -426,11 +446,11 @@ def _keep_distinct(starts: Floats, scores: Floats) -> list[Floats]:
 
 
 def _find_inside(
-    thing: MovableObject, start: Floats, points: Floats, margin: float
+    movable: MovableObject, start: Floats, points: Floats, margin: float
 ) -> NDArray[np.bool_]:
     """Find points (N, 3) in the object's box at a placement, and a margin."""
-    back = transform_points(invert_rigid(turn_about(thing.middle, start[3], start[:3])), points)
-    inside = (back > thing.low - margin) & (back < thing.high + margin)
+    back = transform_points(invert_rigid(turn_about(movable.middle, start[3], start[:3])), points)
+    inside = (back > movable.low - margin) & (back < movable.high + margin)
     return np.asarray(inside.all(axis=1))
 
 
@@ -449,75 +469,77 @@ _MOVED_GAIN = 1.2  # By how much a motion has to explain the frames better than 
 
 def find_moved(
     scene: Scene,
-    left: Unexplained,
-    clumps: Sequence[Cluster],
+    unexplained: Unexplained,
+    clusters: Sequence[Cluster],
     suspects: NDArray[np.int64],
     counts: Evidence,
 ) -> dict[int, Placement]:
     """Placement of each suspect that has one, no two at one place: the best fit first."""
-    rng = np.random.default_rng(left.options.seed)
+    rng = np.random.default_rng(unexplained.options.seed)
     bids: list[tuple[float, int, Placement]] = []
-    every = np.concatenate([np.zeros((0, 3)), *(clump.points for clump in clumps)])
+    every = np.concatenate([np.zeros((0, 3)), *(cluster.points for cluster in clusters)])
     for row in suspects.tolist():
-        thing = MovableObject(scene.mesh, row, rng)
+        movable = MovableObject(scene.mesh, row, rng)
         if counts.by_colour[row]:
-            found = slide_on_wall(left, thing)
+            found = slide_on_wall(unexplained, movable)
             tried = [found] if found is not None else []
         else:
-            stays = score_placement(left, thing, np.eye(4))
+            stays = score_placement(unexplained, movable, np.eye(4))
             tried = [
-                placed
-                for clump in clumps
-                if _reaches(thing, clump, left.options)
-                for placed in find_placements(left, thing, clump.points, every)[:2]
-                if placed.good
-                and placed.explained >= left.options.least_pixels / 2
-                and placed.worth > _MOVED_GAIN * stays.worth
+                placement
+                for cluster in clusters
+                if _is_within_reach(movable, cluster, unexplained.options)
+                for placement in find_placements(unexplained, movable, cluster.points, every)[:2]
+                if placement.is_good
+                and placement.explained >= unexplained.options.least_pixels / 2
+                and placement.score > _MOVED_GAIN * stays.score
             ]
-        for placed in tried:
+        for placement in tried:
             shift = float(
                 np.linalg.norm(
-                    transform_points(placed.motion, thing.middle[None])[0] - thing.middle
+                    transform_points(placement.motion, movable.middle[None])[0] - movable.middle
                 )
             )
-            turn = np.degrees(np.linalg.norm(vector_from_rotation(placed.motion[:3, :3])))
-            stirred = shift >= left.options.least_shift or turn >= left.options.least_turn
-            if stirred and shift <= left.options.reach:
-                bids.append((placed.worth * np.exp(-shift / _NEARNESS), row, placed))
+            turn = np.degrees(np.linalg.norm(vector_from_rotation(placement.motion[:3, :3])))
+            stirred = (
+                shift >= unexplained.options.least_shift or turn >= unexplained.options.least_turn
+            )
+            if stirred and shift <= unexplained.options.reach:
+                bids.append((placement.score * np.exp(-shift / _NEARNESS), row, placement))
     won: dict[int, Placement] = {}
     places: list[tuple[Floats, Floats]] = []
-    for worth, row, placed in sorted(bids, key=lambda bid: -bid[0]):
-        box = box_of(scene, row, placed.motion)
-        if row in won or any(_common(*box, *other) > _SHARED for other in places):
+    for worth, row, placement in sorted(bids, key=lambda bid: -bid[0]):
+        box = measure_box(scene, row, placement.motion)
+        if row in won or any(_measure_box_overlap(*box, *other) > _SHARED for other in places):
             continue
         rivals = {
             other: bid
             for bid, other, too in reversed(bids)
             if other != row
-            and too.worth > _RIVAL * placed.worth
-            and _common(*box, *box_of(scene, other, too.motion)) > _SHARED
+            and too.score > _RIVAL * placement.score
+            and _measure_box_overlap(*box, *measure_box(scene, other, too.motion)) > _SHARED
         }
         share = worth / (worth + sum(rivals.values()))
         names = tuple(scene.graph.ids[other] for other in rivals)
-        won[row] = replace(placed, rivals=names, share=share)
+        won[row] = replace(placement, rivals=names, share=share)
         places.append(box)
     return won
 
 
-def _reaches(thing: MovableObject, clump: Cluster, options: DiffOptions) -> bool:
+def _is_within_reach(movable: MovableObject, cluster: Cluster, options: DiffOptions) -> bool:
     """Return whether a clump is near enough and large enough to be the thing, or part of it."""
-    gap = np.maximum(np.maximum(clump.low - thing.high, thing.low - clump.high), 0.0)
+    gap = np.maximum(np.maximum(cluster.low - movable.high, movable.low - cluster.high), 0.0)
     return bool(np.linalg.norm(gap) < options.reach)
 
 
-def box_of(scene: Scene, row: int, motion: Floats) -> tuple[Floats, Floats]:
+def measure_box(scene: Scene, row: int, motion: Floats) -> tuple[Floats, Floats]:
     """Corners of an object's box after a motion."""
     corners = scene.mesh.vertices[scene.mesh.triangles[scene.mesh.object_of == row]]
     points = transform_points(motion, corners.reshape(-1, 3).astype(np.float64))
     return points.min(axis=0), points.max(axis=0)
 
 
-def _common(low: Floats, high: Floats, other_low: Floats, other_high: Floats) -> float:
+def _measure_box_overlap(low: Floats, high: Floats, other_low: Floats, other_high: Floats) -> float:
     """Share of the smaller of two boxes that the other holds."""
     sides = np.maximum(np.minimum(high, other_high) - np.maximum(low, other_low), 0.0)
     least = min(np.prod(high - low), np.prod(other_high - other_low))
@@ -534,28 +556,28 @@ _LOOKS = 8
 _SEEN = 0.6  # Share of the thing's face that a frame has to see to be asked
 
 
-def slide_on_wall(rest: Unexplained, thing: MovableObject) -> Placement | None:
+def slide_on_wall(unexplained: Unexplained, movable: MovableObject) -> Placement | None:
     """Placement of a flat thing along its wall, or None where nothing there looks like it."""
-    spread = thing.many.normals.T @ thing.many.normals
+    spread = movable.many.normals.T @ movable.many.normals
     facing = np.linalg.eigh(spread)[1][:, -1]
     level = np.hypot(facing[0], facing[1])
     across = None if level < 0.8 else np.array([-facing[1], facing[0], 0.0]) / level
-    face = _blur_face(thing)
+    face = _blur_face(movable)
     if across is None or float(np.ptp(face.colours, axis=0).max()) < 0.1:
         return None  # of one colour: it looks like any patch of such a colour
-    looks = _select_near(rest, thing, across)
-    shifts = _grid(np.zeros(2), (ACROSS, UP), COARSE)
-    scores, seen = _score_slides(rest, looks, face, across, shifts)
+    chosen = _select_near(unexplained, movable, across)
+    shifts = _make_grid(np.zeros(2), (ACROSS, UP), COARSE)
+    scores, seen = _score_slides(unexplained, chosen, face, across, shifts)
     if not seen.any():
         return None
     best = int(np.where(seen, scores, -1.0).argmax())
-    fine = _grid(shifts[best], (COARSE, COARSE), FINE)
-    again, _ = _score_slides(rest, looks, face, across, fine)
+    fine = _make_grid(shifts[best], (COARSE, COARSE), FINE)
+    again, _ = _score_slides(unexplained, chosen, face, across, fine)
     shift, score = fine[int(again.argmax())], float(again.max())
     apart = seen & (np.linalg.norm(shifts - shift, axis=1) > 0.3)
     rival = float(scores[apart].max()) if apart.any() else 0.0
     without, frames, pixels = _correlate_background(
-        rest, looks, face, _shift_points(across, shift[None])
+        unexplained, chosen, face, _shift_points(across, shift[None])
     )
     if score < ALIKE or score < without + BETTER or score < rival + BETTER:
         return None
@@ -571,18 +593,18 @@ class _Face:
     normals: Floats  # (P, 3)
     colours: Floats  # (P, 3) sRGB, 0 to 1
 
-    def faces(self, look: Observation) -> NDArray[np.bool_]:
+    def faces(self, observation: Observation) -> NDArray[np.bool_]:
         """(P,) whether a point's surface looks at a camera; the way there hardly turns it."""
-        towards = look.map_from_camera[:3, 3] - self.points
+        towards = observation.map_from_camera[:3, 3] - self.points
         return np.asarray(np.einsum("nk,nk->n", self.normals, towards) > 0.0)
 
-    def front(self, look: Observation) -> float:
+    def front(self, observation: Observation) -> float:
         """Share of the points that do."""
-        return max(float(self.faces(look).mean()), 0.2)
+        return max(float(self.faces(observation).mean()), 0.2)
 
 
-def _blur_face(thing: MovableObject) -> _Face:
-    many = thing.many
+def _blur_face(movable: MovableObject) -> _Face:
+    many = movable.many
     points, normals = many.points[::_EVERY], many.normals[::_EVERY]
     apart = np.linalg.norm(points[:, None] - many.points[None], axis=2)
     near = (apart < _BLUR) & (normals @ many.normals.T > 0.7)
@@ -595,65 +617,65 @@ def _shift_points(across: Floats, shifts: Floats) -> Floats:
     return np.asarray(shifts[:, :1] * across + shifts[:, 1:] * np.array([0.0, 0.0, 1.0]))
 
 
-def _select_near(rest: Unexplained, thing: MovableObject, across: Floats) -> list[int]:
+def _select_near(unexplained: Unexplained, movable: MovableObject, across: Floats) -> list[int]:
     """Frames that look at the wall from near by."""
     worth = []
-    for look in rest.looks:
-        spots = thing.middle + np.linspace(-ACROSS, ACROSS, 9)[:, None] * across
-        rows, _, depth = project(look, spots)
+    for observation in unexplained.observations:
+        spots = movable.middle + np.linspace(-ACROSS, ACROSS, 9)[:, None] * across
+        rows, _, depth = project(observation, spots)
         worth.append(float(np.count_nonzero(rows >= 0) / (1.0 + np.abs(depth).min())))
     order = np.argsort(-np.array(worth), kind="stable")[:_LOOKS]
     return [int(t) for t in order if worth[t] > 0]
 
 
 def _score_slides(
-    rest: Unexplained, looks: Sequence[int], face: _Face, across: Floats, shifts: Floats
+    unexplained: Unexplained, chosen: Sequence[int], face: _Face, across: Floats, shifts: Floats
 ) -> tuple[Floats, NDArray[np.bool_]]:
     """Correlation (S,) of the thing's colours with all frames at shifts (S, 2), and who saw it."""
     moves = _shift_points(across, shifts)
     total, weight = np.zeros((2, len(shifts)))
-    for t in looks:
-        look = rest.looks[t]
-        rows, columns, there = _find_visible(rest, look, face, moves)
-        shown = blur_image(look.rgb)[np.maximum(rows, 0), np.maximum(columns, 0)]
-        seen = there.mean(axis=1)
-        worth = np.where(seen >= _SEEN * face.front(look), seen, 0.0)
-        total += worth * _correlation(face.colours[None], shown, there)
+    for t in chosen:
+        observation = unexplained.observations[t]
+        rows, columns, is_visible = _find_visible(unexplained, observation, face, moves)
+        observed = blur_image(observation.rgb)[np.maximum(rows, 0), np.maximum(columns, 0)]
+        seen = is_visible.mean(axis=1)
+        worth = np.where(seen >= _SEEN * face.front(observation), seen, 0.0)
+        total += worth * _correlate(face.colours[None], observed, is_visible)
         weight += worth
     return np.where(weight > 0, total / np.maximum(weight, 1e-9), -1.0), weight > 0
 
 
 def _correlate_background(
-    rest: Unexplained, looks: Sequence[int], face: _Face, moves: Floats
+    unexplained: Unexplained, chosen: Sequence[int], face: _Face, moves: Floats
 ) -> tuple[float, int, int]:
     """Correlation of the object's colours with the map behind; frames and pixels that see it."""
     values, frames, pixels = [], 0, 0
-    for t in looks:
-        look = rest.looks[t]
-        rows, columns, there = _find_visible(rest, look, face, moves)
-        if there.mean() < _SEEN * face.front(look):
+    for t in chosen:
+        observation = unexplained.observations[t]
+        rows, columns, is_visible = _find_visible(unexplained, observation, face, moves)
+        if is_visible.mean() < _SEEN * face.front(observation):
             continue
-        kept = (look.front.depth >= rest.depths[t] - 1e-3)[..., None]
-        left = blur_image(np.where(kept, look.front.colour, look.behind.colour))
-        shown = left[np.maximum(rows, 0), np.maximum(columns, 0)]
-        values.append(float(_correlation(face.colours[None], shown, there)[0]))
+        kept = (observation.front.depth >= unexplained.depths[t] - 1e-3)[..., None]
+        left = blur_image(np.where(kept, observation.front.colour, observation.behind.colour))
+        observed = left[np.maximum(rows, 0), np.maximum(columns, 0)]
+        values.append(float(_correlate(face.colours[None], observed, is_visible)[0]))
         frames += 1
-        pixels += len(np.unique(rows[there] * look.camera.width + columns[there]))
+        pixels += len(np.unique(rows[is_visible] * observation.camera.width + columns[is_visible]))
     return (float(np.mean(values)) if values else -1.0), frames, pixels
 
 
 def _find_visible(
-    rest: Unexplained, look: Observation, face: _Face, moves: Floats
+    unexplained: Unexplained, observation: Observation, face: _Face, moves: Floats
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
     """Pixel rows, columns (S, P) and whether a surface is seen there that may be the thing's."""
-    rows, columns, depth = project(look, face.points[None] + moves[:, None])
+    rows, columns, depth = project(observation, face.points[None] + moves[:, None])
     at = np.maximum(rows, 0), np.maximum(columns, 0)
-    there = (rows >= 0) & np.isfinite(look.rgb[*at, 0]) & face.faces(look)
-    if look.depth is not None:
-        reading = look.depth[at]
+    is_visible = (rows >= 0) & np.isfinite(observation.rgb[*at, 0]) & face.faces(observation)
+    if observation.depth is not None:
+        reading = observation.depth[at]
         with np.errstate(invalid="ignore"):
-            there &= np.abs(reading - depth) <= tolerance(reading, rest.options)
-    return rows, columns, there
+            is_visible &= np.abs(reading - depth) <= tolerance(reading, unexplained.options)
+    return rows, columns, is_visible
 
 
 def blur_image(image: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -662,19 +684,21 @@ def blur_image(image: NDArray[np.float32]) -> NDArray[np.float32]:
     return (np.stack(channels, axis=-1) / 9.0).astype(np.float32)
 
 
-def _correlation(wanted: Floats, shown: NDArray[np.float32], there: NDArray[np.bool_]) -> Floats:
+def _correlate(
+    wanted: Floats, observed: NDArray[np.float32], is_visible: NDArray[np.bool_]
+) -> Floats:
     """(S,) correlation over points and channels of colours (1 or S, P, 3) where they are seen."""
-    mask = there[..., None].astype(np.float64)
+    mask = is_visible[..., None].astype(np.float64)
     count = np.maximum(mask.sum(axis=1, keepdims=True), 1.0)
-    a = np.broadcast_to(wanted, shown.shape) * mask
-    b = np.nan_to_num(shown).astype(np.float64) * mask
+    a = np.broadcast_to(wanted, observed.shape) * mask
+    b = np.nan_to_num(observed).astype(np.float64) * mask
     a = (a - a.sum(axis=1, keepdims=True) / count) * mask
     b = (b - b.sum(axis=1, keepdims=True) / count) * mask
     norm = np.sqrt((a**2).sum(axis=(1, 2)) * (b**2).sum(axis=(1, 2)))
     return np.asarray((a * b).sum(axis=(1, 2)) / np.maximum(norm, 1e-9))
 
 
-def _grid(middle: Floats, half: tuple[float, float], step: float) -> Floats:
+def _make_grid(middle: Floats, half: tuple[float, float], step: float) -> Floats:
     """(S, 2) shifts around a middle [m]."""
     x, y = (np.arange(-h, h + step / 2, step) + m for h, m in zip(half, middle, strict=True))
     return np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)

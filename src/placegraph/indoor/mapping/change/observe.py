@@ -92,7 +92,7 @@ def observe_images(
     rays = empty.rays.reshape(-1, 3)
     origin = map_from_camera[:3, 3].astype(np.float32)
     hits = scene.caster.cast(np.broadcast_to(origin, rays.shape), rays)
-    front = _layer(scene, camera, hits.triangle, hits.distance, hits.u, hits.v)
+    front = _make_layer(scene, camera, hits.triangle, hits.distance, hits.u, hits.v)
     triangle, distance = hits.triangle.copy(), hits.distance.copy()
     u, v = hits.u.copy(), hits.v.copy()
     own = front.objects.ravel()
@@ -109,11 +109,11 @@ def observe_images(
         open_ = open_[same & (again.triangle >= 0)]
     triangle[open_] = -1  # deeper than we look: nothing is known to be behind
     distance[open_] = np.inf
-    behind = _layer(scene, camera, triangle, distance, u, v)
+    behind = _make_layer(scene, camera, triangle, distance, u, v)
     return Observation(index, camera, map_from_camera, depth, rgb, front, behind)
 
 
-def _layer(
+def _make_layer(
     scene: Scene,
     camera: Camera,
     triangle: NDArray[np.int32],
@@ -152,10 +152,10 @@ def _resample_colours(frame: Frame, camera: Camera) -> NDArray[np.float32]:
 
 
 def project(
-    look: Observation, points: Floats
+    observation: Observation, points: Floats
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32]]:
     """Pixel rows and columns (...) of points (..., 3), -1 outside, and their depths (...) [m]."""
-    camera, pose = look.camera, look.map_from_camera.astype(np.float32)
+    camera, pose = observation.camera, observation.map_from_camera.astype(np.float32)
     local = (points.astype(np.float32) - pose[:3, 3]) @ pose[:3, :3]
     depth = np.asarray(local[..., 2], np.float32)
     uv: NDArray[np.floating[Any]]
@@ -171,9 +171,9 @@ def project(
     return pixels[..., 1], pixels[..., 0], depth
 
 
-def find_window(look: Observation, corners: Floats) -> tuple[slice, slice] | None:
+def find_window(observation: Observation, corners: Floats) -> tuple[slice, slice] | None:
     """Rows and columns of a picture that hold a box (8, 3); None where it lies outside."""
-    pose, camera = look.map_from_camera, look.camera
+    pose, camera = observation.map_from_camera, observation.camera
     local = (corners - pose[:3, 3]) @ pose[:3, :3]
     if (local[:, 2] <= 0.05).all():
         return None
@@ -208,7 +208,7 @@ class Evidence:
     least: tuple[int, int]  # Pixels in all and frames that are needed
 
     @property
-    def seen(self) -> NDArray[np.bool_]:
+    def is_observed(self) -> NDArray[np.bool_]:
         """(N,) whether enough pixels of enough frames speak of an object."""
         pixels = self.gone + self.stays
         frames = np.count_nonzero(pixels >= _SPEAKING * self.least[0], axis=0)
@@ -237,29 +237,31 @@ class Evidence:
         return float((np.sum(weight * share) + 0.5) / (np.sum(weight) + 1.0))
 
 
-def count_evidence(looks: Sequence[Observation], count: int, options: DiffOptions) -> Evidence:
+def count_evidence(
+    observations: Sequence[Observation], count: int, options: DiffOptions
+) -> Evidence:
     """Count the evidence of all frames for and against `count` objects."""
-    depth_gone, depth_stays, colour_gone, colour_stays = np.zeros((4, len(looks), count))
-    for t, look in enumerate(looks):
-        agrees = np.isfinite(look.front.depth)
+    depth_gone, depth_stays, colour_gone, colour_stays = np.zeros((4, len(observations), count))
+    for t, observation in enumerate(observations):
+        agrees = np.isfinite(observation.front.depth)
         flat = agrees
-        if look.depth is not None:
-            slack = tolerance(look.depth, options)
-            near, far = bound_window(look.front.depth)
+        if observation.depth is not None:
+            slack = tolerance(observation.depth, options)
+            near, far = bound_window(observation.front.depth)
             with np.errstate(invalid="ignore"):
-                agrees = (look.depth >= near - slack) & (look.depth <= far + slack)
-                apart = look.behind.depth - look.front.depth > 2.0 * slack
+                agrees = (observation.depth >= near - slack) & (observation.depth <= far + slack)
+                apart = observation.behind.depth - observation.front.depth > 2.0 * slack
                 even = far - near < 2.0 * slack + 0.1
-                through = (look.depth > far + slack) & apart & even
-            depth_gone[t] = _count(look, through, count)
-            depth_stays[t] = _count(look, agrees & apart & even, count)
+                through = (observation.depth > far + slack) & apart & even
+            depth_gone[t] = _count_pixels(observation, through, count)
+            depth_stays[t] = _count_pixels(observation, agrees & apart & even, count)
             flat = agrees & ~apart
         if options.colour:
-            _by_colour(look, flat, agrees, colour_gone[t], colour_stays[t])
+            _count_by_colour(observation, flat, agrees, colour_gone[t], colour_stays[t])
     by_depth = (depth_gone + depth_stays).sum(axis=0)
     by_colour = (colour_gone + colour_stays).sum(axis=0)
     flat_ones = by_colour > _FLAT * (by_depth + by_colour)
-    least = options.least_pixels, min(options.least_frames, len(looks))
+    least = options.least_pixels, min(options.least_frames, len(observations))
     return Evidence(
         np.where(flat_ones, colour_gone, depth_gone),
         np.where(flat_ones, colour_stays, depth_stays),
@@ -295,34 +297,41 @@ def sum_window(mask: NDArray[np.generic], by: int) -> NDArray[np.float64]:
     return np.asarray(total[k:, k:] - total[:-k, k:] - total[k:, :-k] + total[:-k, :-k])
 
 
-def estimate_light(look: Observation, where: Mask) -> Floats | None:
+def estimate_light(observation: Observation, where: Mask) -> Floats | None:
     """(3,) what the map's colours have to be multiplied with at pixels; None of too few."""
-    where = where & np.isfinite(look.rgb[..., 0])
+    where = where & np.isfinite(observation.rgb[..., 0])
     if np.count_nonzero(where) < _RING_PIXELS:
         return None
-    ratio = look.rgb[where] / np.maximum(look.front.colour[where], 0.02)
+    ratio = observation.rgb[where] / np.maximum(observation.front.colour[where], 0.02)
     return np.asarray(np.median(ratio, axis=0), np.float64)
 
 
-def _by_colour(look: Observation, flat: Mask, agrees: Mask, gone: Floats, stays: Floats) -> None:
+def _count_by_colour(
+    observation: Observation, flat: Mask, agrees: Mask, gone: Floats, stays: Floats
+) -> None:
     """Write pixels (N,) for and against every object that colours can tell from its background."""
-    objects = look.front.objects
-    usable = flat & (objects >= 0) & np.isfinite(look.rgb[..., 0]) & (look.behind.objects >= 0)
+    objects = observation.front.objects
+    usable = (
+        flat
+        & (objects >= 0)
+        & np.isfinite(observation.rgb[..., 0])
+        & (observation.behind.objects >= 0)
+    )
     for row in np.unique(objects[usable]).tolist():
         own = objects == row
         here = usable & own
         if np.count_nonzero(here) < _RING_PIXELS:
             continue
-        lit = estimate_light(look, grow_mask(own, RING) & ~own & agrees & (objects >= 0))
+        lit = estimate_light(observation, grow_mask(own, RING) & ~own & agrees & (objects >= 0))
         if lit is None:
             continue
-        there, behind = look.front.colour[here] * lit, look.behind.colour[here] * lit
+        there, behind = observation.front.colour[here] * lit, observation.behind.colour[here] * lit
         telling = np.abs(there - behind).mean(axis=1) > _CONTRAST
-        seen = look.rgb[here][telling]
+        colours = observation.rgb[here][telling]
         off_there, off_behind, apart = (
             np.abs(a - b).sum(axis=1)
             for a, b in (
-                (seen, there[telling]), (seen, behind[telling]), (there[telling], behind[telling])
+                (colours, there[telling]), (colours, behind[telling]), (there[telling], behind[telling])
             )
         )  # fmt: skip
         # 1 where the colour is that of the background, 0 where it is the thing's, between between
@@ -330,8 +339,8 @@ def _by_colour(look: Observation, flat: Mask, agrees: Mask, gone: Floats, stays:
         gone[row], stays[row] = closer.sum(), (1.0 - closer).sum()
 
 
-def _count(look: Observation, mask: Mask, count: int) -> Floats:
-    rows = look.front.objects[mask]
+def _count_pixels(observation: Observation, mask: Mask, count: int) -> Floats:
+    rows = observation.front.objects[mask]
     return np.asarray(np.bincount(rows[rows >= 0], minlength=count), np.float64)
 
 
@@ -339,7 +348,7 @@ def _count(look: Observation, mask: Mask, count: int) -> Floats:
 class Unexplained:
     """Map without all that may be gone, frame by frame, and readings it does not explain."""
 
-    looks: Sequence[Observation]
+    observations: Sequence[Observation]
     depths: Sequence[NDArray[np.float32]]
     """T arrays (H, W) of the depth of what is left [m]; inf: nothing."""
     new: Sequence[NDArray[np.bool_]]
@@ -348,7 +357,10 @@ class Unexplained:
 
 
 def explain_without(
-    scene: Scene, looks: Sequence[Observation], suspects: NDArray[np.int64], options: DiffOptions
+    scene: Scene,
+    observations: Sequence[Observation],
+    suspects: NDArray[np.int64],
+    options: DiffOptions,
 ) -> Unexplained:
     """The map without the suspects, and what it does not explain."""
     suspected = np.zeros(len(scene) + 1, np.bool_)
@@ -357,41 +369,41 @@ def explain_without(
     kept = ~suspected[mesh.object_of]
     caster = RayCaster(mesh.vertices, mesh.triangles[kept]) if kept.any() else None
     depths, new = [], []
-    for seen in looks:
-        depth = seen.front.depth.copy()
-        gone = suspected[seen.front.objects]
+    for observation in observations:
+        depth = observation.front.depth.copy()
+        gone = suspected[observation.front.objects]
         if gone.any():
-            origin = seen.map_from_camera[:3, 3]
-            rays = seen.rays[gone]
+            origin = observation.map_from_camera[:3, 3]
+            rays = observation.rays[gone]
             depth[gone] = caster.cast(origin, rays).distance if caster else np.inf
         depths.append(depth)
-        new.append(_find_unexplained(seen, depth, options))
-    return Unexplained(looks, depths, new, options)
+        new.append(_find_unexplained(observation, depth, options))
+    return Unexplained(observations, depths, new, options)
 
 
 def _find_unexplained(
-    seen: Observation, depth: NDArray[np.float32], options: DiffOptions
+    observation: Observation, depth: NDArray[np.float32], options: DiffOptions
 ) -> NDArray[np.bool_]:
     """(H, W) readings that end before all surfaces around, and are not alone in it."""
-    if seen.depth is None:
+    if observation.depth is None:
         return np.zeros(depth.shape, np.bool_)
     near, _ = bound_window(depth)
     with np.errstate(invalid="ignore"):
-        before = seen.depth < near - tolerance(seen.depth, options)
+        before = observation.depth < near - tolerance(observation.depth, options)
     before &= np.isfinite(depth)  # beyond the map's end nothing is known to be new
     return before & (sum_window(before, 1) >= 5)
 
 
 def find_confirmed(
-    looks: Sequence[Observation], count: int, options: DiffOptions
+    observations: Sequence[Observation], count: int, options: DiffOptions
 ) -> NDArray[np.bool_]:
     """(N,) whether readings that agree with the map end on an object."""
     pixels = np.zeros(count)
-    for seen in looks:
-        agrees = seen.front.objects >= 0
-        if seen.depth is not None:
+    for observation in observations:
+        agrees = observation.front.objects >= 0
+        if observation.depth is not None:
             with np.errstate(invalid="ignore"):
-                off = np.abs(seen.depth - seen.front.depth)
-                agrees &= off <= tolerance(seen.depth, options)
-        pixels += np.bincount(seen.front.objects[agrees], minlength=count)
+                off = np.abs(observation.depth - observation.front.depth)
+                agrees &= off <= tolerance(observation.depth, options)
+        pixels += np.bincount(observation.front.objects[agrees], minlength=count)
     return pixels >= options.least_pixels

@@ -15,19 +15,19 @@ from numpy.typing import NDArray
 from placegraph.core.files import write_file
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.map import textures
-from placegraph.indoor.map.floor import structure
-from placegraph.indoor.map.mesh import WHITE, Mesh, ordered
+from placegraph.indoor.map.floor import is_structural
+from placegraph.indoor.map.mesh import WHITE, Mesh, sort_triangles
 from placegraph.indoor.map.relations import (
     ATTACHED_TO,
     BIGGER,
     PART,
     SAME_ROOM,
     STANDING_ON,
-    canonical,
-    relate,
+    find_relations,
+    normalize_relation,
 )
-from placegraph.indoor.map.rooms import most, rooms_of, with_rooms
-from placegraph.indoor.map.scene import S, Scene, graph_of
+from placegraph.indoor.map.rooms import assign_rooms, find_rooms, most_common_name
+from placegraph.indoor.map.scene import S, Scene, make_graph
 from placegraph.indoor.map.scene_file import open_scene, save_scene
 from placegraph.indoor.mapping.change.align import transform_points
 from placegraph.indoor.mapping.change.changes import KINDS, Change, Piece, SceneDiff
@@ -55,17 +55,17 @@ class MapEdit(Generic[S]):
 
     def take(self, change: Change, row: int, when: str) -> None:
         """Take one change over; `row`: of its object, -1 of what appeared."""
-        said = f"{when}: " if when else ""
+        prefix = f"{when}: " if when else ""
         if change.kind == "moved" and change.after_from_before is not None:
             self._motions[row] = change.after_from_before
             self._tell(
-                row, f"{said}moved by {change.shift_m:.2f} m and {change.turn_deg:.0f} degrees"
+                row, f"{prefix}moved by {change.shift_m:.2f} m and {change.turn_deg:.0f} degrees"
             )
         elif change.kind == "vanished":
             self._kept[row] = False
             thing = change.name or change.id
             for base in self._bases(row):
-                self._tell(base, f"{said}{change.label} {thing!r} vanished from it")
+                self._tell(base, f"{prefix}{change.label} {thing!r} vanished from it")
         elif change.kind == "appeared" and change.piece is not None:
             row = len(self._ids)
             id_, number = change.other, 1
@@ -76,9 +76,9 @@ class MapEdit(Generic[S]):
             self._names.append(change.name)
             self._attributes.append({})
             self._pieces.append((row, change.piece))
-            self._tell(row, f"{said}appeared")
+            self._tell(row, f"{prefix}appeared")
         if change.new_label and row >= 0 and change.kind in {"moved", "relabelled"}:
-            self._tell(row, f"{said}was labelled {self._labels[row]!r}")
+            self._tell(row, f"{prefix}was labelled {self._labels[row]!r}")
             self._labels[row] = change.new_label
         self._stirred.add(row)
 
@@ -91,17 +91,17 @@ class MapEdit(Generic[S]):
         place = np.cumsum(kept) - 1
         mesh, encoded = self._mesh()
         mesh = replace(mesh, object_of=place[mesh.object_of].astype(np.int32))
-        mesh = ordered(mesh.snapped())
+        mesh = sort_triangles(mesh.snapped())
         labels = [self._labels[i] for i in rows]
         attributes = [self._attributes[i] for i in rows]
         room_of = None
         if len(self._before.scenes) == 1:  # of merged scenes rooms stay as they were
             stirred = np.isin(rows, list(self._stirred))
             floor = float(self._before.floors[0])
-            room_of, attributes = assign_rooms(mesh, labels, floor, attributes, stirred)
-        edges = self._edges(relate(mesh, labels, room_of), rows, place)
+            room_of, attributes = reassign_rooms(mesh, labels, floor, attributes, stirred)
+        edges = self._edges(find_relations(mesh, labels, room_of), rows, place)
         ids, names = ([given[i] for i in rows] for given in (self._ids, self._names))
-        graph = graph_of(mesh, ids, labels, names, edges)
+        graph = make_graph(mesh, ids, labels, names, edges)
         before = self._before
         # of what appeared the merged scene in whose bounds it lies
         scene_of = [
@@ -124,8 +124,8 @@ class MapEdit(Generic[S]):
         )
 
     def _tell(self, row: int, what: str) -> None:
-        told = self._attributes[row].get("history")
-        self._attributes[row]["history"] = f"{told}; {what}" if told else what
+        history = self._attributes[row].get("history")
+        self._attributes[row]["history"] = f"{history}; {what}" if history else what
 
     def _bases(self, row: int) -> list[int]:
         """Rows of what an object stands on or hangs at."""
@@ -184,11 +184,11 @@ class MapEdit(Generic[S]):
 
     def _edges(
         self,
-        found: Sequence[tuple[int, str, int]],
+        new_edges: Sequence[tuple[int, str, int]],
         rows: NDArray[np.int64],
         place: NDArray[np.int64],
     ) -> list[tuple[int, str, int]]:
-        """Relations between what stayed, and those that last, as they were; others as `found` now."""
+        """Relations between what stayed, and those that last, as they were; others as `new_edges` now."""
         graph = self._before.graph
         stirred = np.isin(rows, list(self._stirred))
         before = zip(graph.sources.tolist(), graph.relations, graph.targets.tolist(), strict=True)
@@ -204,7 +204,7 @@ class MapEdit(Generic[S]):
         loose = [r < len(self._kept) and self._stirred & {*self._bases(r)} for r in rows.tolist()]
         edges += [
             (s, relation, t)
-            for s, relation, t in found
+            for s, relation, t in new_edges
             if relation == SAME_ROOM
             or ((stirred[s] or stirred[t] or loose[s]) and (s, t) not in known)
         ]
@@ -213,44 +213,46 @@ class MapEdit(Generic[S]):
 
 def is_lasting(relation: str) -> bool:
     """Return whether a relation says nothing of place, so that it holds wherever the two things are."""
-    name = canonical(relation)[0]
+    name = normalize_relation(relation)[0]
     if name in {BIGGER, PART}:
         return True
     words = name.split()
     return bool(words) and name != SAME_ROOM and (words[0] == "same" or words[0] in _COMPARED)
 
 
-def assign_rooms(
+def reassign_rooms(
     mesh: Mesh,
     labels: Sequence[str],
     floor: float,
     attributes: Sequence[Mapping[str, str]],
     stirred: NDArray[np.bool_],
 ) -> tuple[NDArray[np.int32], list[dict[str, str]]]:
-    """Rooms (N,) and attributes that name them, as `with_rooms` does, after some things changed.
+    """Rooms (N,) and attributes that name them, as `assign_rooms` does, after some things changed.
 
     What did not change keeps the name of its room; what did, (N,) `stirred`, takes that of most
     things in the room where it is now, or of the nearest thing where it is in no room that is found.
     Where no attribute names a room, rooms are found.
     """
     if not any(a.get("room") for a in attributes):
-        return with_rooms(mesh, labels, floor, attributes)
-    told = [dict(a) for a in attributes]
+        return assign_rooms(mesh, labels, floor, attributes)
+    named = [dict(a) for a in attributes]
     if stirred.any():
-        now = rooms_of(mesh, labels, floor).room_of
+        now = find_rooms(mesh, labels, floor).room_of
         boxes = mesh.object_bounds(len(labels))
-        told_by = ~stirred & ~structure(labels)
+        is_unchanged = ~stirred & ~is_structural(labels)
         for row in np.flatnonzero(stirred).tolist():
-            near = told_by & (now == now[row])
+            near = is_unchanged & (now == now[row])
             if now[row] < 0:  # the nearest object, by their boxes
                 apart = np.maximum(boxes[:, 0] - boxes[row, 1], boxes[row, 0] - boxes[:, 1])
                 gap = np.linalg.norm(np.maximum(apart, 0.0), axis=1)
-                nearest = np.where(told_by, gap, np.inf).argmin()
-                near = told_by & (np.arange(len(boxes)) == nearest)
-            name = most([told[i].get("room", "") for i in np.flatnonzero(near).tolist()])
-            told[row].pop("room", None)
-            told[row] |= {"room": name} if name else {}
-    return with_rooms(mesh, labels, floor, told)
+                nearest = np.where(is_unchanged, gap, np.inf).argmin()
+                near = is_unchanged & (np.arange(len(boxes)) == nearest)
+            name = most_common_name(
+                [named[i].get("room", "") for i in np.flatnonzero(near).tolist()]
+            )
+            named[row].pop("room", None)
+            named[row] |= {"room": name} if name else {}
+    return assign_rooms(mesh, labels, floor, named)
 
 
 LEAST = 0.5  # Findings less sure than this are not taken over, unless that is asked for

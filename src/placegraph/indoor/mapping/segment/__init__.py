@@ -40,7 +40,7 @@ class SegmentOptions:
     )
     wall_area: float = option(1.5, "Least area of a wall.", unit="m^2", above=0)
     wall_height: float = option(1.2, "Least height of a wall.", unit="m")
-    bend: float = option(
+    crease: float = option(
         0.6, "Concave angle between neighbors that counts as a full step.", unit="rad", above=0
     )
     contrast: float = option(
@@ -125,18 +125,18 @@ def make_segments(
     listed = tuple(words[i] for i in order.tolist())
     if not len(groups) and len(triangles):
         listed = (UNKNOWN,)  # nothing but lines and points
-    known = [(ids or {}).get(g) for g in groups[order].tolist()] or [None] * len(listed)
+    known_ids = [(ids or {}).get(g) for g in groups[order].tolist()] or [None] * len(listed)
     return Segments(
-        object_of.astype(np.int32), listed, _make_names(listed), floor, _make_ids(known)
+        object_of.astype(np.int32), listed, _make_names(listed), floor, _make_ids(known_ids)
     )
 
 
 def _assign_triangles(faces: Faces, vertices: Floats, triangles: Ints, of_face: Ints) -> Ints:
     """Object (T,) of each triangle: one without area belongs to the nearest face."""
     out = np.zeros(len(triangles), np.int64)
-    known = faces.of_triangle >= 0
-    out[known] = of_face[faces.of_triangle[known]]
-    strays = np.flatnonzero(~known)
+    known_ids = faces.of_triangle >= 0
+    out[known_ids] = of_face[faces.of_triangle[known_ids]]
+    strays = np.flatnonzero(~known_ids)
     if len(of_face) and strays.size:
         corners = vertices[triangles[strays]]
         finite = np.isfinite(corners).all(axis=2, keepdims=True)
@@ -165,11 +165,11 @@ def _make_names(labels: Sequence[str]) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _make_ids(known: Sequence[int | None]) -> tuple[str, ...]:
+def _make_ids(known_ids: Sequence[int | None]) -> tuple[str, ...]:
     """Ids of objects: those known, the lowest free numbers for the others."""
-    taken = {i for i in known if i is not None}
-    free = (i for i in range(len(known) + len(taken)) if i not in taken)
-    return tuple(str(next(free) if i is None else i) for i in known)
+    taken = {i for i in known_ids if i is not None}
+    free = (i for i in range(len(known_ids) + len(taken)) if i not in taken)
+    return tuple(str(next(free) if i is None else i) for i in known_ids)
 
 
 Progress = Callable[[str, int, int], None]
@@ -250,9 +250,9 @@ def _collect_votes(
 ) -> Votes | None:
     """Collect the votes of label images for faces."""
 
-    def tell(done: int, whole: int) -> None:
+    def tell(done: int, total: int) -> None:
         if progress is not None:
-            progress(_VOTES, done, whole)
+            progress(_VOTES, done, total)
 
     return collect_votes(faces, frames, _check_poses(frames, poses), tell, left_out)
 

@@ -73,7 +73,7 @@ class Faces:
             normals=crossed / doubled[:, None],
             areas=doubled / 2.0,
             centres=points[corners].mean(axis=1) if len(corners) else np.zeros((0, 3)),
-            lab=lab_of(sums),
+            lab=convert_to_lab(sums),
             pairs=pairs,
             lengths=lengths,
             turned=turned,
@@ -96,7 +96,7 @@ class Faces:
         return out
 
 
-def lab_of(rgb: Floats) -> Floats:
+def convert_to_lab(rgb: Floats) -> Floats:
     """CIELAB (N, 3), D65, of sRGB colours (N, 3), 0 to 255."""
     share = np.asarray(rgb, np.float64) / 255.0
     linear = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
@@ -271,7 +271,7 @@ def step_weights(
     bends = np.where(bends < 0, -_CONVEX * bends, bends)
     a, b = faces.pairs.T
     shade = np.sqrt(((lab[a] - lab[b]) ** 2).sum(axis=1))
-    out: Floats = np.hypot(bends / options.bend, shade / options.contrast)
+    out: Floats = np.hypot(bends / options.crease, shade / options.contrast)
     return out
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.geometry import Floats
-from placegraph.indoor.map.floor import quantiles
+from placegraph.indoor.map.floor import weighted_quantiles
 from placegraph.indoor.mapping.segment.faces import (
     Faces,
     PatchGraph,
@@ -197,7 +197,7 @@ def find_peak(heights: Floats, areas: Floats) -> tuple[float, float]:
     around[1:-1] += table[:-2] + table[2:]
     best = int(np.argmax(around)) - 1 + low
     own = np.abs(bins - best) <= 1
-    (height,) = quantiles(heights[own], areas[own], (0.5,))
+    (height,) = weighted_quantiles(heights[own], areas[own], (0.5,))
     return height, float(areas[own].sum())
 
 
@@ -265,7 +265,7 @@ class _Part:
     contacts: dict[int, tuple[float, float]]
     """Length and concave length of contact with each other part [m]."""
 
-    def alone(self) -> bool:
+    def is_standalone(self) -> bool:
         """Return whether it is large enough to be a thing by itself."""
         return self.area >= _ALONE and bool(np.partition(self.high - self.low, 1)[1] >= _WIDE)
 
@@ -317,7 +317,7 @@ def _contact_strength(parts: list[_Part], a: int, b: int) -> float:
 def _is_thin(parts: list[_Part], a: int, b: int, options: SegmentOptions) -> bool:
     one, two = parts[a], parts[b]
     length, inward = one.contacts[b]
-    if inward < 0.5 * length or not (one.alone() and two.alone()):
+    if inward < 0.5 * length or not (one.is_standalone() and two.is_standalone()):
         return False
     return bool(length < options.thin * min(one.area, two.area) ** 0.5)
 
@@ -475,7 +475,7 @@ def _plane_colours(patches: PatchGraph, count: int) -> Floats:
         own = np.flatnonzero(patches.plane == row)
         for k in range(3):
             if len(own):
-                (out[row, k],) = quantiles(patches.lab[own, k], patches.areas[own], (0.5,))
+                (out[row, k],) = weighted_quantiles(patches.lab[own, k], patches.areas[own], (0.5,))
     return out
 
 
@@ -525,7 +525,7 @@ def _find_floor(
     if not level.any():
         return None, nothing
     z = faces.centres[:, 2]
-    low, high = quantiles(z, faces.areas, (0.005, 0.98))
+    low, high = weighted_quantiles(z, faces.areas, (0.005, 0.98))
     near = level & (z <= low + max(0.25 * (high - low), 0.4))
     up = near & (normals[:, 2] > 0)
     down = near & (normals[:, 2] < 0)
@@ -543,7 +543,7 @@ def _find_floor(
     inside = chosen & (np.abs(_height_above(faces.centres, plane)) < options.flatness)
     if not inside.any():
         return None, nothing
-    (height,) = quantiles(z[inside], faces.areas[inside], (0.5,))
+    (height,) = weighted_quantiles(z[inside], faces.areas[inside], (0.5,))
     return height, plane
 
 

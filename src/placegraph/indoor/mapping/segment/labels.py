@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from placegraph.core.geometry import Camera, Floats
 from placegraph.errors import OptionError
-from placegraph.indoor.map.floor import nameless
+from placegraph.indoor.map.floor import is_nameless
 from placegraph.indoor.mapping.segment.faces import (
     Faces,
     PatchGraph,
@@ -125,7 +125,7 @@ class _VoteCounter:
         word = names.get(value, "")
         if self.kind == "labels" and not word:
             return -1
-        if nameless(word):
+        if is_nameless(word):
             if self.kind == "labels":
                 return NOTHING
             word = ""
@@ -148,9 +148,9 @@ class _VoteCounter:
         self._weights.append(mean * hits / of_face[own])
         self._held += len(key)
         if self._held > _HELD:
-            self._settle()
+            self._sum_up()
 
-    def _settle(self) -> None:
+    def _sum_up(self) -> None:
         key, row = np.unique(
             np.concatenate([np.zeros(0, np.int64), *self._keys]), return_inverse=True
         )
@@ -161,7 +161,7 @@ class _VoteCounter:
 
     def votes(self) -> Votes:
         """All votes, by face."""
-        self._settle()
+        self._sum_up()
         (key,), (weights,) = self._keys, self._weights
         starts = np.searchsorted(key >> 20, np.arange(self.count + 1))
         labels = key & ((1 << 20) - 1)
@@ -271,19 +271,19 @@ def cut_by_labels(faces: Faces, cut: Cut, votes: Votes, options: SegmentOptions)
     outward = cut.structure.outward
     steps = step_weights(faces, normals, lab, outward, options)
     label = label_faces(faces, votes, cut.patches.of_face, steps)
-    thing = cut.groups[cut.patches.of_face]
-    plane = cut.patches.plane[thing]
+    object_of = cut.groups[cut.patches.of_face]
+    plane = cut.patches.plane[object_of]
     count = len(votes.words)
-    table = np.bincount(thing * count + label, faces.areas, (int(thing.max()) + 1) * count)
+    table = np.bincount(object_of * count + label, faces.areas, (int(object_of.max()) + 1) * count)
     table = table.reshape(-1, count)
     whole = table.sum(axis=1)
     table[:, NOTHING] = 0.0
     best = np.where(table.max(axis=1) >= _MAJOR * whole, np.argmax(table, axis=1), NOTHING)
     open_ = (label == NOTHING) & (plane < 0)
-    out: Ints = np.where(open_, best[thing], label)
+    out: Ints = np.where(open_, best[object_of], label)
     label = out
     a, b = faces.pairs.T
-    same = (label[a] == label[b]) & (thing[a] == thing[b])
+    same = (label[a] == label[b]) & (object_of[a] == object_of[b])
     piece = np.unique(connect(len(faces), faces.pairs[same]), return_inverse=True)[1]
     pieces = describe_patches(
         faces, normals, piece, np.full(len(faces), -1, np.int64), outward, options
@@ -293,7 +293,7 @@ def cut_by_labels(faces: Faces, cut: Cut, votes: Votes, options: SegmentOptions)
     level = (plane[first] >= 0) & ~upright[plane[first]]
     spilt = _find_spilt(pieces, label[first], plane[first], level, options)
     label = np.where(spilt[piece], NOTHING, label)
-    group = _group_pieces(pieces, label[first], thing[first], plane[first], votes.kind, options)
+    group = _group_pieces(pieces, label[first], object_of[first], plane[first], votes.kind, options)
     group, meant = assign_covers(
         group, pieces, label[first], plane[first], votes.words, cut.structure.labels, options
     )
@@ -322,11 +322,16 @@ def _find_spilt(
 
 
 def _group_pieces(
-    pieces: PatchGraph, label: Ints, thing: Ints, plane: Ints, kind: str, options: SegmentOptions
+    pieces: PatchGraph,
+    label: Ints,
+    object_of: Ints,
+    plane: Ints,
+    kind: str,
+    options: SegmentOptions,
 ) -> Ints:
     """Group (N,) of each piece, named by its lowest."""
     if kind == "instances":
-        key = np.where(label == NOTHING, -1 - thing, label)
+        key = np.where(label == NOTHING, -1 - object_of, label)
         _, first, row = np.unique(key, return_index=True, return_inverse=True)
         return first[row]
     a, b = pieces.ends.T
@@ -336,7 +341,7 @@ def _group_pieces(
         pieces, pieces.ends[same], pieces.lengths[same], pieces.concave[same], options
     )
     open_ = np.flatnonzero(label == NOTHING)
-    _, first, row = np.unique(thing[open_], return_index=True, return_inverse=True)
+    _, first, row = np.unique(object_of[open_], return_index=True, return_inverse=True)
     group[open_] = open_[first[row]]
     return group
 

@@ -200,15 +200,15 @@ def touching(spots, group, order, keys, shape, reach):
 
 
 @kernel
-def nearest(asked, spots):
+def nearest(queries, spots):
     """Row (N,) of the point of `spots` (S, 3) that is nearest to each point asked for (N, 3)."""
-    out = np.zeros(len(asked), np.int64)
-    for i in range(len(asked)):
+    out = np.zeros(len(queries), np.int64)
+    for i in range(len(queries)):
         best = np.inf
         for s in range(len(spots)):
             d = 0.0
             for k in range(3):
-                d += (asked[i, k] - spots[s, k]) ** 2
+                d += (queries[i, k] - spots[s, k]) ** 2
             if d < best:
                 best, out[i] = d, s
     return out
