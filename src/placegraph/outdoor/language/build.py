@@ -1,16 +1,33 @@
-"""Clauses become a query graph: who stands where, as seen from whom (Eq. 3-4)."""
+"""Descriptions: a text becomes sentences, these clauses, and these a query graph (Eq. 3-4)."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import atan2, cos, hypot, pi, sin
-from typing import TYPE_CHECKING
+from typing import Protocol
 
-from placegraph.language.grammar import Clause, PlacePhrase
-from placegraph.language.text import Ignored
-from placegraph.outdoor.language.description import LISTENER, SPEAKER, Direction, Relation
-from placegraph.outdoor.language.grammar import Item, Items, NounPhrase, Place
+from placegraph.language.grammar import Chunk, Clause, PlacePhrase
+from placegraph.language.text import Ignored, check_text
+from placegraph.outdoor.language.chunks import Chunker, InflectedChunker
+from placegraph.outdoor.language.description import (
+    LISTENER,
+    SPEAKER,
+    Description,
+    Direction,
+    Relation,
+    find_conflicts,
+)
+from placegraph.outdoor.language.grammar import Item, Items, NounPhrase, Place, cut_clauses, parse
+from placegraph.outdoor.language.languages import Language
+from placegraph.outdoor.language.scan import (
+    Stretch,
+    clean,
+    find_labels,
+    find_stretches,
+    scan_any,
+    scan_english,
+)
 from placegraph.outdoor.language.statements import (
     LEGS,
     NO_MAP,
@@ -23,10 +40,8 @@ from placegraph.outdoor.language.statements import (
     PlaceReader,
     References,
 )
-from placegraph.outdoor.language.words import Words
-
-if TYPE_CHECKING:
-    from placegraph.outdoor.language.languages import Language
+from placegraph.outdoor.language.vocabulary import Vocabulary
+from placegraph.outdoor.language.words import NameFinder, Words
 
 MENTIONED = 0.7
 """Certainty that a thing is in sight that is only named."""
@@ -39,40 +54,142 @@ WALKED = 0.7
 LEG_SIGMA = 60.0
 """Error of a leg's length [m], beside a share of the length."""
 INSTRUCTION = "a route instruction"
+NO_LANGUAGE = "in no language that is known"
+"""Reason of a sentence that may mean something else."""
 
 
-class GraphBuilder:
-    """Takes the clauses of a text one after the other.
+class Describer(Protocol):
+    """Turns a text into a query graph."""
+
+    def describe(
+        self,
+        text: str,
+        *,
+        vocabulary: Words | None = None,
+        names: NameFinder | None = None,
+        heading: float | None = None,
+    ) -> Description:
+        """Return what a text says; raises DescriptionError where it cannot be read at all."""
+
+
+def describe(
+    text: str,
+    *,
+    vocabulary: Words | None = None,
+    names: NameFinder | None = None,
+    heading: float | None = None,
+    language: str | None = None,
+    block_length: BlockLength | None = None,
+) -> Description:
+    """Read a text: what stands where, as seen from whom.
 
     Parameters
     ----------
+    text
+        Sentences of one or more of the languages that can be read (`languages.codes`). In English
+        ones, the words for things may be of any language of the vocabulary.
     vocabulary
-        To mend misspelt words.
+        What words may mean on a map; the one that comes with placegraph if None.
+    names
+        Proper names of a map.
     heading
-        Bearing in which the speaker faces [rad], or None.
-    directive
-        Whether the text tells somebody the way; "it" is then the place they are told to find.
+        Bearing in which the speaker faces [rad, clockwise from north], for "left of me".
     block_length
-        See `StatementBuilder`.
+        Length of a block [m] in the direction of a bearing [rad], or in any (None), on the map at
+        hand; 100 m if not given.
+    language
+        Code of the language of the text ("de"); if None, it is recognised, sentence by sentence.
+
+    Raises
+    ------
+    OptionError
+        If there is no such language; lists those that there are.
+    DescriptionError
+        If the text is empty, too long, or no text. A text of which nothing is understood is no
+        error: it gives a description without statements.
+    """
+    check_text(text)
+    vocabulary = vocabulary or Vocabulary.default()
+    sources = vocabulary.sources if isinstance(vocabulary, Vocabulary) else None
+    folder, things = (sources.folder, sources.words.english) if sources else (None, ())
+    cleaned = clean(text)
+    parts = find_stretches(cleaned, language, folder, things)
+    sentences = [
+        (sentence, part.language)
+        for part in parts
+        for sentence in _find_sentences(cleaned, part, vocabulary, names)
+    ]
+    main = max(parts, key=lambda part: part.end - part.start)
+    directive = any(_is_directive(sentence) for sentence, _ in sentences)
+    references = References(cleaned, main.language, vocabulary)
+    places = PlaceReader(references, heading, directive=directive, block_length=block_length)
+    builder = GraphBuilder(places)
+    for sentence, own in sentences:
+        _read_sentence(sentence, own, builder)
+    builder.finish()
+    statements, ignored = places.statements, [*places.ignored, *references.list_unknown()]
+    if not (statements or ignored):
+        ignored.append(Ignored(text.strip(), NO_PLACE))
+    unsure = [part for part in parts if statements and not part.certain]
+    ignored += [Ignored(cleaned[p.start : p.end].strip(), NO_LANGUAGE) for p in unsure]
+    conflicts = find_conflicts(statements, references.heads, places.goals, references.kinds)
+    return Description(
+        text,
+        tuple(references.mentions),
+        tuple(statements),
+        tuple(ignored),
+        conflicts,
+        main.language.code if main.certain else "",
+    )
+
+
+def _find_sentences(
+    text: str, part: Stretch, vocabulary: Words, names: NameFinder | None
+) -> Iterator[list[Chunk]]:
+    """Yield the chunks of the sentences of a part of a text in one language."""
+    if part.language.code == "en":
+        chunker = Chunker(text, part.language, vocabulary, names)
+        spans = find_labels(text, vocabulary, names)
+        inside = [span for span in spans if part.start <= span[0] < part.end]
+        for sentence in scan_english(text[: part.end], part.language, inside, part.start):
+            yield chunker.chunks(sentence)
+        return
+    known = vocabulary if isinstance(vocabulary, Vocabulary) else Vocabulary.default()
+    inflected = InflectedChunker(text, part.language, known.of(part.language), names)
+    for sentence in scan_any(text, part.language, inflected.known, (part.start, part.end)):
+        yield inflected.chunks(sentence)
+
+
+def _read_sentence(sentence: list[Chunk], language: Language, builder: GraphBuilder) -> None:
+    """Add what a sentence says."""
+    for part in cut_clauses(sentence, language):
+        opens = part.opens
+        for clause, left_out in parse(part.chunks):
+            builder.take(clause, part.certainty, opens=opens)
+            opens = False
+            for chunk in left_out:
+                if clause.verb and chunk.type == "WORD":
+                    builder.ignored.append(Ignored(chunk.words, "unknown word"))
+
+
+def _is_directive(sentence: list[Chunk]) -> bool:
+    """Tell whether a sentence speaks to somebody who is to come."""
+    orders = ("GO", "PASS", "CROSS", "FOLLOW", "MEET")
+    return any(chunk.type in ("YOU", "YOUR", "MEET") for chunk in sentence) or (
+        bool(sentence) and sentence[0].type in orders
+    )
+
+
+class GraphBuilder:
+    """Adds the clauses of a text, one after the other, to the statements of its places.
+
+    Where the text tells somebody the way (`PlaceReader.directive`), "it" is the place to find.
     """
 
-    def __init__(
-        self,
-        text: str,
-        language: Language,
-        vocabulary: Words,
-        heading: float | None,
-        *,
-        directive: bool,
-        block_length: BlockLength | None = None,
-    ) -> None:
-        self.text, self.directive = text, directive
-        self.references = References(text, language, vocabulary)
-        self.places = PlaceReader(
-            self.references, heading, directive=directive, block_length=block_length
-        )
-        self.walk = Walk(self.places)
-        self.ignored = self.places.ignored
+    def __init__(self, places: PlaceReader) -> None:
+        self.places, self.references = places, places.references
+        self.directive, self.ignored = places.directive, places.ignored
+        self.walk = Walk(places)
         self.heads: list[int] = [SPEAKER]
         """Nodes that the last clause spoke of."""
         self.walking = False
@@ -80,7 +197,7 @@ class GraphBuilder:
 
     def take(self, clause: Clause, certainty: float, *, opens: bool) -> None:
         """Add what a clause says; `opens` tells whether it opens a sentence."""
-        words = self.text[clause.start : clause.end]
+        words = self.references.text[clause.start : clause.end]
         context = ClauseContext(words, certainty, clause.negated, walked=self.walk.legs > 0)
         before, first = self._count(), len(self.places.statements)
         self.places.reason = NO_PLACE
@@ -142,14 +259,14 @@ class GraphBuilder:
         elif after:
             self._relate_chain(after, heads, context)
 
-    def _identify(self, heads: Sequence[int], thing: NounPhrase, context: ClauseContext) -> None:
+    def _identify(self, heads: Sequence[int], noun: NounPhrase, context: ClauseContext) -> None:
         """Relate two names of one thing: "it is the last pub on the block"."""
-        if thing.kind != "thing" or not (thing.senses or thing.name) or not heads:
+        if noun.kind != "thing" or not (noun.senses or noun.name) or not heads:
             return
-        bare = not thing.determiner and bool(self.references.lists["articles"])
-        if heads[0] == SPEAKER and bare and not thing.name:
+        bare = not noun.determiner and bool(self.references.lists["articles"])
+        if heads[0] == SPEAKER and bare and not noun.name:
             return  # "I'm buying flowers"
-        node, subject = self.references.resolve(thing), heads[0]
+        node, subject = self.references.resolve(noun), heads[0]
         if node is None or node == subject:
             return
         if subject > LISTENER and not self.references.is_known(subject):  # "the nearest one is ..."
@@ -306,14 +423,14 @@ def _places_behind(places: Items, after: Items) -> Items:
 
 
 def _joins_targets(
-    last: Place, thing: NounPhrase, heads: Sequence[int], following: Item | None
+    last: Place, noun: NounPhrase, heads: Sequence[int], following: Item | None
 ) -> bool:
     """Tell whether a thing after a place is one more of its targets."""
     mine = isinstance(following, PlacePhrase) and (
         following.owner == "MY" or any(target.kind == "ME" for target in following.targets)
     )
     listed = not mine and (bool(heads) or not isinstance(following, PlacePhrase))
-    things = bool(last.targets) and last.targets[-1].kind == thing.kind == "thing"
+    things = bool(last.targets) and last.targets[-1].kind == noun.kind == "thing"
     return listed and things and last.how != "between"
 
 
@@ -350,9 +467,9 @@ class Way:
     """Variance of the end, to either side [m^2]."""
     heading: float | None = None
     """Bearing [rad] of the last leg; None before the first."""
-    known: bool = True
+    is_complete: bool = True
     """Whether the length of every leg but the last was said."""
-    measured: bool = True
+    is_measured: bool = True
     """Whether the length of the last leg was said."""
     row: int | None = None
     """Statement that says where it ends."""
@@ -363,8 +480,8 @@ class Way:
             return False
         ahead = self.heading if direction.facing and self.heading is not None else 0.0
         self.heading = (direction.bearing + ahead) % (2.0 * pi)
-        self.known &= self.measured
-        self.measured = False
+        self.is_complete &= self.is_measured
+        self.is_measured = False
         return True
 
     def walk(self, length: float) -> None:
@@ -373,12 +490,12 @@ class Way:
         self.east += length * sin(heading)
         self.north += length * cos(heading)
         self.variance += (0.2 * length) ** 2 + LEG_SIGMA**2
-        self.measured = True
+        self.is_measured = True
 
     def find_end(self) -> tuple[Direction, float] | None:
         """Return direction and distance [m] of the end from the start; None where it is not known."""
         far, off = hypot(self.east, self.north), self.variance**0.5
-        if not self.known or far < off:
+        if not self.is_complete or far < off:
             return None
         sigma = max(0.3, atan2(off, far))
         return Direction(atan2(self.east, self.north) % (2.0 * pi), sigma), far
@@ -431,9 +548,9 @@ class Walk:
             else:
                 self.places.reason = INSTRUCTION
 
-    def start_at(self, thing: NounPhrase) -> None:
+    def start_at(self, noun: NounPhrase) -> None:
         """Begin anew where a walk starts: "from the station", "when you reach the church"."""
-        node = self.references.resolve(thing)
+        node = self.references.resolve(noun)
         if node is not None and node != SPEAKER and not self.references.is_line(node):
             self.way = Way(node)
 
@@ -441,8 +558,8 @@ class Walk:
         """Remember what a place on the way speaks of."""
         if not place.targets or place.targets[0].kind != "thing":
             return
-        thing = replace(place.targets[0], determiner="DET", count=None)
-        node = self.on_the_way = self.references.resolve(thing)
+        noun = replace(place.targets[0], determiner="DET", count=None)
+        node = self.on_the_way = self.references.resolve(noun)
         to = place.word in ("TO", "AT", "IN") and len(place.targets) == 1
         if to and node is not None and not self.references.is_line(node):
             self.led_to = node if self.references.is_known(node) else self.led_to
@@ -513,9 +630,9 @@ class Walk:
             for row in legs[:0:-1]:
                 del statements[row]
 
-    def _meet(self, thing: NounPhrase, travel: str, context: ClauseContext) -> None:
+    def _meet(self, noun: NounPhrase, travel: str, context: ClauseContext) -> None:
         """Relate a thing that is met on the way."""
-        node = self.references.resolve(thing)
+        node = self.references.resolve(noun)
         if node is None or node <= LISTENER:
             self.places.reason = INSTRUCTION
             return
@@ -529,7 +646,7 @@ class Walk:
             relation = Relation.ALONG if follows else Relation.NEAR
             self.places.add(context, relation, SPEAKER, node, certainty=ROUTE)
         if travel == "REACH":
-            self.start_at(thing)
+            self.start_at(noun)
 
     def look_back(self, items: Items, context: ClauseContext) -> None:
         """Look back in "you've gone too far west": the place lies east of what was met."""

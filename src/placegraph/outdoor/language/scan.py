@@ -18,7 +18,7 @@ from placegraph.outdoor.language.words import NameFinder, Words, singular, token
 
 VERSION = "1"
 """Of what is kept."""
-UNKNOWN = ""
+NO_CODE = ""
 """Code of a text of which no language is recognised; it is read as English."""
 _SENTENCE_SPAN = re.compile(
     r"(?:[^.!?。！？؟\n]|[.!?]+(?!\s|$|[^\x00-\x7f]))*(?:[.!?]+|[。！？؟]+|\n|$)", re.MULTILINE
@@ -150,13 +150,13 @@ def find_stretches(
     for start, end in spans:
         evidence = _evidence(text[start:end], signs, things, folder)
         best = _best(evidence, english=False, likely=whole) or whole
-        tongue = english() if best == UNKNOWN else language(best, folder)
-        part = Stretch(start, end, tongue, best != UNKNOWN)
+        tongue = english() if best == NO_CODE else language(best, folder)
+        part = Stretch(start, end, tongue, best != NO_CODE)
         if found and found[-1][2:] == part[2:]:
             found[-1] = found[-1]._replace(end=end)
         else:
             found.append(part)
-    return found or [Stretch(0, len(text), english(), whole != UNKNOWN)]
+    return found or [Stretch(0, len(text), english(), whole != NO_CODE)]
 
 
 def _is_english(sentence: str) -> bool:
@@ -239,7 +239,7 @@ def _best(evidence: _Evidence, *, english: bool, likely: str = "") -> str:
     """
     scores, count, known = evidence
     if not scores:
-        return UNKNOWN
+        return NO_CODE
     code = max(scores, key=lambda code: (scores[code], code == "en"))
     if likely in scores and scores[likely] > scores[code] - 0.5 * _ALIKE:
         code = likely
@@ -248,7 +248,7 @@ def _best(evidence: _Evidence, *, english: bool, likely: str = "") -> str:
     enough = scores[code] >= max(_FEW, _LEAST * count) if count > 1 else scores[code] >= _FEW
     if enough:
         return code
-    return "en" if english and 2 * known >= count else UNKNOWN
+    return "en" if english and 2 * known >= count else NO_CODE
 
 
 LONGEST = 12
