@@ -1,5 +1,3 @@
-"""Inputs are made wrong by their number alone, and in ways that reach behind the first check."""
-
 import bz2
 import io
 import json
@@ -12,7 +10,7 @@ from PIL import Image
 
 from placegraph.core.mapfile import read_map, write_map
 from placegraph.errors import PlacegraphError
-from placegraph_lab.campaign.mutate import spoil, spoiled
+from placegraph_lab.campaign.mutate import mutate_bytes, mutate_path
 
 TIMES = 60
 XML = b"<osm>\n<node id='1' lat='50.0'/>\n<tag k='name' v='Kern'/>\n</osm>"
@@ -40,8 +38,8 @@ SAMPLES = {
 
 @pytest.mark.parametrize("name", SAMPLES)
 def test_a_number_tells_an_input(name):
-    first = [spoiled(SAMPLES[name], name, np.random.default_rng(i)) for i in range(TIMES)]
-    again = [spoiled(SAMPLES[name], name, np.random.default_rng(i)) for i in range(TIMES)]
+    first = [mutate_bytes(SAMPLES[name], name, np.random.default_rng(i)) for i in range(TIMES)]
+    again = [mutate_bytes(SAMPLES[name], name, np.random.default_rng(i)) for i in range(TIMES)]
     if name != "a.zip":  # it holds the time
         assert first == again
     assert len(set(first)) > TIMES // 3
@@ -49,10 +47,9 @@ def test_a_number_tells_an_input(name):
 
 
 def test_images_are_wrong_behind_their_checksums():
-    """Some chunk says something else, and its sum fits."""
     told = set()
     for i in range(TIMES):
-        data = spoiled(SAMPLES["a.png"], "a.png", np.random.default_rng(i))
+        data = mutate_bytes(SAMPLES["a.png"], "a.png", np.random.default_rng(i))
         length = int.from_bytes(data[8:12], "big")
         head = data[12 : 16 + length]
         if head[:4] == b"IHDR" and int.from_bytes(
@@ -63,11 +60,10 @@ def test_images_are_wrong_behind_their_checksums():
 
 
 def test_stores_are_wrong_behind_their_checksums(tmp_path):
-    """Most open as stores whose columns are others, or no columns of that kind."""
     path, opened = tmp_path / "a.city", []
     for i in range(TIMES):
         write_map(path, "city", 1, {"a": [1, 2]}, {"ids": np.arange(30), "at": np.ones((5, 2))})
-        spoil(path, np.random.default_rng(i))
+        mutate_path(path, np.random.default_rng(i))
         try:
             held = read_map(path, "city", 1)
         except PlacegraphError:

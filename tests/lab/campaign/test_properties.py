@@ -1,12 +1,10 @@
-"""Properties of answers hold in drawn worlds; a broken one is counted and told."""
-
 import numpy as np
 import pytest
 
 from placegraph_lab.campaign import platforms as processes
 from placegraph_lab.campaign import properties, town_properties
 from placegraph_lab.campaign import properties as room_properties
-from placegraph_lab.campaign.properties import Property, tried
+from placegraph_lab.campaign.properties import Property, try_property
 
 OUTDOORS, INDOORS, OVER_PROCESSES = (
     list(world[2].items())
@@ -16,17 +14,17 @@ OUTDOORS, INDOORS, OVER_PROCESSES = (
 
 @pytest.fixture(scope="module")
 def town(tmp_path_factory):
-    return town_properties.drawn(tmp_path_factory.mktemp("town"))
+    return town_properties.draw_towns(tmp_path_factory.mktemp("town"))
 
 
 @pytest.fixture(scope="module")
 def room(tmp_path_factory):
-    return room_properties.furnished(tmp_path_factory.mktemp("room"))
+    return room_properties.furnish_room(tmp_path_factory.mktemp("room"))
 
 
 @pytest.fixture(scope="module")
-def said(tmp_path_factory):
-    return processes.Told(tmp_path_factory.mktemp("processes"))
+def reference(tmp_path_factory):
+    return processes.Reference(tmp_path_factory.mktemp("processes"))
 
 
 @pytest.mark.parametrize(("name", "trial"), OUTDOORS)
@@ -42,17 +40,14 @@ def test_indoors(name, trial, room):
 
 @pytest.mark.all
 @pytest.mark.parametrize(("name", "trial"), OVER_PROCESSES)
-def test_over_processes(name, trial, said):
-    assert trial(said, np.random.default_rng(7)) == "", name
-
-
-# ------------------------------------------------------------------------------ what they are made of
+def test_over_processes(name, trial, reference):
+    assert trial(reference, np.random.default_rng(7)) == "", name
 
 
 def test_a_broken_property_is_counted_and_told():
     told = []
     broken = Property("never", lambda _: None, lambda *_: "it broke")
-    row = tried(broken, None, (3, 1), 0.0, told.append)
+    row = try_property(broken, None, (3, 1), 0.0, told.append)
     assert (row.tried, row.untyped, row.faults, row.seed) == (1, 1, 1, 3)
     assert told == ["never, seed (3, 1, 0): it broke"]
 

@@ -1,5 +1,3 @@
-"""Rows of the campaign: counted, summed, written down and read again."""
-
 import json
 from types import SimpleNamespace
 
@@ -33,8 +31,6 @@ def test_what_is_mended_is_open_no_longer_until_it_is_found_again():
 
 
 class Parts:
-    """As the modules of the campaign; a part may be cut short after its first row."""
-
     def __init__(self, monkeypatch):
         self.cut = False
         monkeypatch.setattr(

@@ -1,10 +1,8 @@
-"""Work without end: what grows, slows down or stays open is seen."""
-
 import numpy as np
 import pytest
 
 from placegraph_lab.campaign.row import Effort
-from placegraph_lab.campaign.soak import LOADS, Worn, lived, rows
+from placegraph_lab.campaign.soak import LOADS, LoadReport, rows, run_in_process
 from placegraph_lab.campaign.trial import prepare
 
 MEGABYTE = 1e6
@@ -12,7 +10,9 @@ MEGABYTE = 1e6
 
 def steady(count=2000, **changed):
     kinds = {"took": 0.01, "memory": 500 * MEGABYTE, "files": 12}
-    return Worn.of(*(changed.get(kind, np.full(count, value)) for kind, value in kinds.items()))
+    return LoadReport.of(
+        *(changed.get(kind, np.full(count, value)) for kind, value in kinds.items())
+    )
 
 
 def test_what_stays_as_it_is_is_no_fault():
@@ -30,11 +30,11 @@ def test_what_grows_slows_down_or_stays_open_is_one():
 @pytest.mark.all
 def test_a_load_is_looked_at_and_ends_with_its_count(tmp_path, monkeypatch):
     monkeypatch.setitem(LOADS, "sentences", 5)
-    worn = lived("sentences", prepare(tmp_path / "inputs"), 600.0, 7)
-    assert worn.count == 5
-    assert worn.memory[0] > 10 * MEGABYTE
-    assert worn.files[0] >= 3
-    assert worn.seconds > 0.0
+    report = run_in_process("sentences", prepare(tmp_path / "inputs"), 600.0, 7)
+    assert report.count == 5
+    assert report.memory[0] > 10 * MEGABYTE
+    assert report.files[0] >= 3
+    assert report.seconds > 0.0
 
 
 @pytest.mark.all

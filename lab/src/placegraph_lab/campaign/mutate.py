@@ -1,4 +1,4 @@
-"""Bytes and text made wrong: flips, cuts, repetitions, lengths and numbers at their extremes."""
+"""Mutations of files: flip_bytes bytes, cuts, repetitions, and extreme lengths and numbers."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ import zlib
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
@@ -34,27 +34,27 @@ WORDS = (
     b"1_000", b"1,5", b"", b" ", b"x", b"null", b"true", b"[", b"\xff", b"\0", "\u202e".encode(),
     b"\x1b[2J", "²".encode(), "٣".encode(), b"#", b"\n", b"\r", b"a" * 5000,
 )  # fmt: skip
-"""What may stand where a number or a word stood."""
+"""Replacements of a number or a word."""
 VALUE = re.compile(rb"\"[^\"]*\"|'[^']*'")
 ELEMENT = re.compile(rb"<[^<>?/]*/>")
-TAG, PLACED, NODE = (
+TAG, COORDINATE, REFERENCE = (
     re.compile(rb" %s=[\"']([^\"']*)[\"']" % key) for key in (b"[kv]", b"l(?:at|on)", b"ref")
 )
-WHOLE = re.compile(rb"(<(?:nd|tag|member) [^>]*/>)")
-"""Of OpenStreetMap: what a tag says, where a node lies, which one it is, and what holds all that."""
-SAID = (
+MEMBER = re.compile(rb"(<(?:nd|tag|member) [^>]*/>)")
+"""OpenStreetMap's values of tags, coordinates, references, and whole elements."""
+TAG_VALUES = (
     b"0", b"1", b"-1", b"0;1", b"-1-3", b"0.5", b"9999", b"-40000", b"door", b"room", b"corridor", b"area",
     b"yes", b"no", b"stairs", b"elevator", b"level", b"indoor", b"height", b"repeat_on", b"name", b"layer",
     b"3 m", b"1e9", b"-5", b"10'", b"nan", b"inner", b"outer", b"multipolygon", b"building", b"osmAG:type",
     b"osmAG:from", b"structure", b"passage", b"\xe2\x80\xae", b"x" * 255, b"",
 )  # fmt: skip
-"""What may stand in a tag."""
-STEERING = re.compile("[\x00-\x08\x0b-\x1f\ufffd]")  # what XML does not allow
+"""Replacements of a value of a tag."""
+CONTROL = re.compile("[\x00-\x08\x0b-\x1f\ufffd]")  # characters that XML does not allow
 SIZES = ("<B", "<H", "<I", "<Q", ">I", "<q", "<d", "<f")
 
 
-def flipped(data: bytes, rng: Generator) -> bytes:
-    """One to five changes anywhere, few of them large."""
+def flip_bytes(data: bytes, rng: Generator) -> bytes:
+    """Change bytes in one to five places."""
     bad = bytearray(data)
     for _ in range(int(rng.choice([1, 1, 1, 2, 2, 3, 5]))):
         if not bad:
@@ -83,7 +83,7 @@ def flipped(data: bytes, rng: Generator) -> bytes:
 
 
 def _number(bad: bytearray, rng: Generator) -> None:
-    """Set what is likely a length, a count or an offset to another one."""
+    """Change a number that is likely a length, a count or an offset."""
     form = SIZES[rng.integers(len(SIZES))]
     size = struct.calcsize(form)
     if len(bad) < size:
@@ -107,40 +107,40 @@ def _float(rng: Generator) -> float:
     return float(rng.choice([np.nan, np.inf, -np.inf, 0.0, -1.0, 1e30, -1e30, 1e-30, 1e6]))
 
 
-def remapped(data: bytes, rng: Generator) -> bytes:
-    """What OpenStreetMap's XML says changed, so that its readers go on: tags, nodes, places."""
+def change_osm(data: bytes, rng: Generator) -> bytes:
+    """Change tags, nodes and positions of OpenStreetMap's XML, which stays readable."""
     for _ in range(int(rng.choice([1, 2, 4, 9, 30]))):
         kind = int(rng.integers(7))
-        found = list((TAG, PLACED, NODE, WHOLE)[kind // 2].finditer(data))
+        found = list((TAG, COORDINATE, REFERENCE, MEMBER)[kind // 2].finditer(data))
         if not found:
             continue
         one, other = (found[rng.integers(len(found))] for _ in range(2))
         new = other[1] if kind < 6 else b""
         if kind == 0:
-            new = SAID[rng.integers(len(SAID))]
+            new = TAG_VALUES[rng.integers(len(TAG_VALUES))]
         elif kind in {2, 3}:
             step = float(rng.choice([1e-7, 1e-5, 1e-3, 0.1])) * rng.normal()
             new = b"%.7f" % (float(one[1]) + step)
         data = data[: one.start(1)] + new + data[one.end(1) :]
-    return remarked(data, rng) if rng.random() < 0.1 else data
+    return change_xml(data, rng) if rng.random() < 0.1 else data
 
 
-def remarked(data: bytes, rng: Generator) -> bytes:
-    """Values, keys and elements of XML changed, which stays XML."""
+def change_xml(data: bytes, rng: Generator) -> bytes:
+    """Change values, keys and elements of XML, which stays XML."""
     for _ in range(int(rng.choice([1, 1, 2, 4, 9]))):
-        data = _remarked(data, rng)
+        data = _change_xml_once(data, rng)
     return data
 
 
-def _remarked(data: bytes, rng: Generator) -> bytes:
+def _change_xml_once(data: bytes, rng: Generator) -> bytes:
     kind = int(rng.integers(8))
     found = list((VALUE if kind < 5 else ELEMENT).finditer(data))
     if not found:
-        return flipped(data, rng)
+        return flip_bytes(data, rng)
     one, other = (found[rng.integers(len(found))] for _ in range(2))
     if kind < 3:
         word = WORDS[rng.integers(len(WORDS))].decode("utf-8", "replace")
-        new = STEERING.sub("", word).replace("<", "").encode()
+        new = CONTROL.sub("", word).replace("<", "").encode()
     elif kind < 6:
         new = other[0].strip(b"\"'") if kind < 5 else other[0]
     else:
@@ -149,25 +149,25 @@ def _remarked(data: bytes, rng: Generator) -> bytes:
     return data[: one.start()] + (quoted if kind < 5 else new) + data[one.end() :]
 
 
-def reworded(data: bytes, rng: Generator) -> bytes:
-    """Numbers, words and lines of a text changed."""
+def change_text(data: bytes, rng: Generator) -> bytes:
+    """Change numbers, words and lines of a text."""
     for _ in range(int(rng.choice([1, 1, 2, 4]))):
-        data = _reworded(data, rng)
+        data = _change_text_once(data, rng)
     return data
 
 
-def _reworded(data: bytes, rng: Generator) -> bytes:
+def _change_text_once(data: bytes, rng: Generator) -> bytes:
     kind = int(rng.integers(8))
     if kind < 4:
         found = list(NUMBER.finditer(data)) if kind < 3 else list(re.finditer(rb"[\w.]+", data))
         if not found:
-            return flipped(data, rng)
+            return flip_bytes(data, rng)
         # the head of a text says most of the rest
         most = len(found) if rng.integers(2) else min(len(found), 40)
         at = found[rng.integers(most)]
         return data[: at.start()] + WORDS[rng.integers(len(WORDS))] + data[at.end() :]
     if kind == 4:
-        return flipped(data, rng)
+        return flip_bytes(data, rng)
     lines = data.splitlines(keepends=True) or [b""]
     a, b = (int(rng.integers(len(lines))) for _ in range(2))
     if kind == 5:
@@ -184,20 +184,20 @@ VALUES: tuple[Any, ...] = (
     -1e300, 1e-300, 10**400, float("nan"), float("inf"), "", "x", "0", "1e5", "\0", "\u202e\x1b[2J",
     "\ud800", "../..", "/dev/zero", "a" * 3000, [], {}, [[]], [None], {"": 0}, [0] * 3000, "true",
 )  # fmt: skip
-"""What may stand where another value stood."""
+"""Replacements of a JSON value."""
 
 
-def changed(data: bytes, rng: Generator) -> bytes:
-    """One to three changes; of what is no JSON the bytes."""
+def change_json(data: bytes, rng: Generator) -> bytes:
+    """Change one to three values of JSON; of other data change bytes."""
     try:
         root = {"": json.loads(data)}
     except (ValueError, RecursionError):
-        return flipped(data, rng)
+        return flip_bytes(data, rng)
     if rng.random() < 0.03:
         deep = int(rng.choice([500, 20_000]))
         return b"[" * deep + data + b"]" * deep
     for _ in range(int(rng.choice([1, 1, 1, 2, 3]))):
-        holder, key = _site(root, rng)
+        holder, key = _choose_site(root, rng)
         kind = int(rng.integers(10))
         value = holder[key]
         if kind < 4:
@@ -213,16 +213,16 @@ def changed(data: bytes, rng: Generator) -> bytes:
         elif kind == 7 and isinstance(holder, dict):
             holder[str(rng.choice(["", "x", "\0", "__class__", "id"]))] = copy.deepcopy(value)
         elif kind == 8 and isinstance(value, str):
-            holder[key] = flipped(value.encode(), rng).decode("utf-8", "replace")
+            holder[key] = flip_bytes(value.encode(), rng).decode("utf-8", "replace")
         else:
-            other, at = _site(root, rng)
+            other, at = _choose_site(root, rng)
             holder[key] = copy.deepcopy(other[at])
     text = json.dumps(root.get(""))
     return text.encode("utf-8", "surrogatepass")
 
 
-def _site(root: dict[str, Any], rng: Generator) -> tuple[Any, Any]:
-    """Where a value stands, by as many steps as chance has it: what lies high is found as often."""
+def _choose_site(root: dict[str, Any], rng: Generator) -> tuple[Any, Any]:
+    """Choose where a value stands, after a random number of steps from the root."""
     holder: Any = root
     key: Any = ""
     depth = 0
@@ -238,22 +238,22 @@ def _site(root: dict[str, Any], rng: Generator) -> tuple[Any, Any]:
     return holder, key
 
 
-def restored(data: bytes, rng: Generator) -> bytes:
-    """Columns, metadata or head of a store changed, with all checksums."""
+def change_store(data: bytes, rng: Generator) -> bytes:
+    """Change columns, metadata or the head of a store, with valid checksums."""
     if rng.random() < 0.15:
         _, layout, length, _ = PREFIX.unpack_from(data)
-        text = changed(data[PREFIX.size : PREFIX.size + length], rng)
-        return _sealed(text, data[PREFIX.size + length : -DIGEST_SIZE], layout)
+        text = change_json(data[PREFIX.size : PREFIX.size + length], rng)
+        return _seal_store(text, data[PREFIX.size + length : -DIGEST_SIZE], layout)
     with tempfile.NamedTemporaryFile() as file:
         file.write(data)
         file.flush()
         head = json.loads(data[PREFIX.size : PREFIX.size + PREFIX.unpack_from(data)[2]])
         arrays = dict(read_map(Path(file.name), head["kind"], 1 << 30).arrays)
     if rng.random() < 0.2:
-        head["meta"] = json.loads(changed(json.dumps(head["meta"]).encode(), rng))
+        head["meta"] = json.loads(change_json(json.dumps(head["meta"]).encode(), rng))
     else:
         for _ in range(1 + int(rng.integers(2))):
-            changed_column(arrays, rng)
+            change_column(arrays, rng)
     head["arrays"], body = [], b""
     for name, array in arrays.items():
         block = np.ascontiguousarray(array).tobytes()
@@ -262,23 +262,23 @@ def restored(data: bytes, rng: Generator) -> bytes:
             "filter": "none", "offset": len(body), "length": len(block), "crc32": zlib.crc32(block),
         })  # fmt: skip
         body += block
-    return _sealed(json.dumps(head).encode(), body, 1)
+    return _seal_store(json.dumps(head).encode(), body, 1)
 
 
-def _sealed(text: bytes, body: bytes, layout: int) -> bytes:
+def _seal_store(text: bytes, body: bytes, layout: int) -> bytes:
     whole = PREFIX.pack(MAGIC, layout, len(text), zlib.crc32(text)) + text + body
     return whole + hashlib.sha256(whole).digest()
 
 
-def changed_column(arrays: dict[str, Any], rng: Generator) -> None:
-    """Change numbers, length, type or shape of one column; take it away, or another's for it."""
+def change_column(arrays: dict[str, Any], rng: Generator) -> None:
+    """Change numbers, length, type or shape of one column, remove it, or replace it by another."""
     name, other = (str(rng.choice(sorted(arrays))) for _ in range(2))
     array, kind = arrays[name].copy(), max(int(rng.integers(20)) - 8, 0)
     n = len(array)
     if kind < 5 and array.size:
         flat = array.reshape(-1)
         rows = rng.integers(0, flat.size, max(1, int(rng.choice([1, 1, 3, flat.size // 2]))))
-        flat[rows] = _extreme(array.dtype, rng) if kind < 4 else rng.permutation(flat[rows])
+        flat[rows] = _extreme_value(array.dtype, rng) if kind < 4 else rng.permutation(flat[rows])
     elif kind == 5:
         array = array[: int(rng.integers(n + 1))]
     elif kind == 6:
@@ -290,7 +290,7 @@ def changed_column(arrays: dict[str, Any], rng: Generator) -> None:
     elif kind == 9:
         array = array.reshape(*array.shape, 1) if rng.integers(2) else array.reshape(-1)
     elif kind == 10:
-        array = np.frombuffer(flipped(array.tobytes(), rng), np.uint8)
+        array = np.frombuffer(flip_bytes(array.tobytes(), rng), np.uint8)
         whole = len(array) // arrays[name].itemsize * arrays[name].itemsize
         array = array[:whole].view(arrays[name].dtype)
     arrays[name] = array
@@ -298,7 +298,7 @@ def changed_column(arrays: dict[str, Any], rng: Generator) -> None:
         del arrays[name]
 
 
-def _extreme(dtype: np.dtype[Any], rng: Generator) -> Any:  # noqa: ANN401
+def _extreme_value(dtype: np.dtype[Any], rng: Generator) -> Any:  # noqa: ANN401
     if dtype.kind == "f":
         return rng.choice(np.array([0, -1, np.nan, np.inf, -np.inf, 1e30, -1e30, 1e-30], dtype))
     if dtype.kind == "b":
@@ -308,49 +308,48 @@ def _extreme(dtype: np.dtype[Any], rng: Generator) -> Any:  # noqa: ANN401
     return np.array(near[rng.integers(len(near))], dtype)
 
 
-if TYPE_CHECKING:
-    Change = Callable[[bytes, Generator], bytes]
+Change = Callable[[bytes, Generator], bytes]
 
 TEXTS = {"txt", "csv", "tum", "obj", "mtl", "ply", "tsv", "yaml", "pgm", "traj", "pincam", "http"}
 JSONS = {"json", "gltf", "jsonl", "geojson", "request"}
 XMLS = {"osm", "osmag", "xml"}
 
 
-def spoil(place: Path, rng: Generator) -> None:
-    """Change a file, or one to three files of a folder, or what the folder holds."""
+def mutate_path(place: Path, rng: Generator) -> None:
+    """Mutate a file, one or two files of a folder, or the folder's content."""
     if place.is_file():
-        _spoil_file(place, rng)
+        _mutate_file(place, rng)
         return
     files = sorted(p for p in place.rglob("*") if p.is_file())
     if rng.random() < 0.1:
         _rearrange(files[rng.integers(len(files))], files[rng.integers(len(files))], rng)
         return
-    # what says how the rest is to be read is changed as often as all images together
+    # files that are no images are chosen more often
     small = [p for p in files if p.suffix not in {".png", ".jpg", ".mp4"}]
     for _ in range(1 + int(rng.integers(3) == 0)):
-        among = small if small and rng.random() < 0.7 else files
-        _spoil_file(among[rng.integers(len(among))], rng)
+        candidates = small if small and rng.random() < 0.7 else files
+        _mutate_file(candidates[rng.integers(len(candidates))], rng)
 
 
-def spoil_world(folder: Path, rng: Generator) -> None:
-    """Change a world in shards, and let `world.json` tell the digests that its files have now."""
-    spoil(folder, rng)
-    senseless = OSError, RecursionError, LookupError, TypeError, ValueError, AttributeError
-    with suppress(InputError, *senseless):
-        told = json.loads(check_regular(folder / "world.json").read_bytes())
-        for entry in (told["words"], *told["shards"]):
+def mutate_world(folder: Path, rng: Generator) -> None:
+    """Mutate a world in shards, with valid digests in `world.json`."""
+    mutate_path(folder, rng)
+    unreadable = OSError, RecursionError, LookupError, TypeError, ValueError, AttributeError
+    with suppress(InputError, *unreadable):
+        manifest = json.loads(check_regular(folder / "world.json").read_bytes())
+        for entry in (manifest["words"], *manifest["shards"]):
             entry["digest"] = (
                 check_regular(folder / entry["file"]).read_bytes()[-DIGEST_SIZE:].hex()
             )
-        (folder / "world.json").write_text(json.dumps(told), "utf-8")
+        (folder / "world.json").write_text(json.dumps(manifest), "utf-8")
 
 
-def _spoil_file(path: Path, rng: Generator) -> None:
-    path.write_bytes(spoiled(path.read_bytes(), path.name, rng))
+def _mutate_file(path: Path, rng: Generator) -> None:
+    path.write_bytes(mutate_bytes(path.read_bytes(), path.name, rng))
 
 
 def _rearrange(one: Path, other: Path, rng: Generator) -> None:
-    """Take a file away, or put another, a folder, a pipe or a link in its place."""
+    """Remove a file, or replace it by another file, a folder, a pipe or a link."""
     kind = int(rng.integers(8))
     if kind == 1:
         one.write_bytes(other.read_bytes())
@@ -372,23 +371,23 @@ def _rearrange(one: Path, other: Path, rng: Generator) -> None:
         one.touch()
 
 
-def spoiled(data: bytes, name: str, rng: Generator) -> bytes:
-    """Bytes of a file of this name, changed."""
-    change = flipped if rng.random() < 0.25 else _fitting(data, name, rng)
+def mutate_bytes(data: bytes, name: str, rng: Generator) -> bytes:
+    """Return mutated bytes of a file of this name."""
+    change = flip_bytes if rng.random() < 0.25 else _choose_change(data, name, rng)
     try:
         return change(data, rng)
-    except Exception:  # noqa: BLE001  # what a spoiled file may lead to: its bytes are changed instead
-        return flipped(data, rng)
+    except Exception:  # noqa: BLE001  # of files mutated before
+        return flip_bytes(data, rng)
 
 
-def _fitting(data: bytes, name: str, rng: Generator) -> Change:
+def _choose_change(data: bytes, name: str, rng: Generator) -> Change:
     ending = name.rpartition(".")[2].lower()
-    told = {
-        MAGIC: restored, b"PK": _zip, b"\x89PNG\r\n": _png, b"glTF": _glb,
+    changes = {
+        MAGIC: change_store, b"PK": _zip, b"\x89PNG\r\n": _png, b"glTF": _glb,
         b"SQLite format 3": _database, b"\x1f\x8b": lambda d, g: _packed(d, name, gzip, g),
         b"\x93NUMPY": _column, b"PAR1": _parquet, b"BZh": lambda d, g: _packed(d, name, bz2, g),
     }  # fmt: skip
-    for magic, change in told.items():
+    for magic, change in changes.items():
         if data.startswith(magic):
             return change
     if ending == "pbf":
@@ -396,35 +395,37 @@ def _fitting(data: bytes, name: str, rng: Generator) -> Change:
     if ending in JSONS or name == "metadata":
         return _json
     if ending in XMLS:
-        return remapped if b"<osm" in data[:400] and rng.random() < 0.6 else remarked
+        return change_osm if b"<osm" in data[:400] and rng.random() < 0.6 else change_xml
     if ending in TEXTS and b"\0" not in data[:4096]:
-        return reworded
-    return flipped
+        return change_text
+    return flip_bytes
 
 
 def _json(data: bytes, rng: Generator) -> bytes:
     lines = data.split(b"\n")
     if len(lines) > 2 and lines[0].startswith(b"{") and lines[0].endswith(b"}"):  # one a line
         at = int(rng.integers(len(lines)))
-        lines[at] = changed(lines[at], rng)
+        lines[at] = change_json(lines[at], rng)
         return b"\n".join(lines)
-    return changed(data, rng)
+    return change_json(data, rng)
 
 
 def _packed(data: bytes, name: str, packer: Any, rng: Generator) -> bytes:  # noqa: ANN401
-    whole: bytes = packer.compress(spoiled(packer.decompress(data), name.rpartition(".")[0], rng))
+    whole: bytes = packer.compress(
+        mutate_bytes(packer.decompress(data), name.rpartition(".")[0], rng)
+    )
     return whole
 
 
 def _png(data: bytes, rng: Generator) -> bytes:
-    """One chunk changed, with its checksum."""
+    """Change one chunk of a PNG, with a valid checksum."""
     chunks, at = [], 8
     while at < len(data):
         (length,) = struct.unpack_from(">I", data, at)
         chunks.append((data[at + 4 : at + 8], data[at + 8 : at + 8 + length]))
         at += 12 + length
     k = 0 if rng.random() < 0.4 else int(rng.integers(len(chunks)))
-    chunks[k] = chunks[k][0], flipped(chunks[k][1], rng)
+    chunks[k] = chunks[k][0], flip_bytes(chunks[k][1], rng)
     return data[:8] + b"".join(
         struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
         for kind, body in chunks
@@ -432,16 +433,16 @@ def _png(data: bytes, rng: Generator) -> bytes:
 
 
 def _column(data: bytes, rng: Generator) -> bytes:
-    """A NumPy array with other numbers, more or fewer."""
+    """Change a NumPy array."""
     arrays = {"": np.load(io.BytesIO(data))}
-    changed_column(arrays, rng)
+    change_column(arrays, rng)
     out = io.BytesIO()
     np.save(out, arrays[""])
     return out.getvalue()
 
 
 def _parquet(data: bytes, rng: Generator) -> bytes:
-    """A row of a table changed in its values, or a column of it gone, renamed or of another type."""
+    """Change a value of a Parquet table, or remove, rename or retype a column."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -455,8 +456,8 @@ def _parquet(data: bytes, rng: Generator) -> bytes:
         table = table.set_column(at, field.name, pa.array([str(v) for v in values]))
     else:
         held = values[row]
-        values[row] = None if kind == 2 else flipped(held, rng) if isinstance(held, bytes) else (
-            json.loads(changed(json.dumps(held).encode(), rng)))  # fmt: skip
+        values[row] = None if kind == 2 else flip_bytes(held, rng) if isinstance(held, bytes) else (
+            json.loads(change_json(json.dumps(held).encode(), rng)))  # fmt: skip
         table = table.set_column(at, field, pa.array(values, None if kind == 3 else field.type))
     out = io.BytesIO()
     pq.write_table(table, out, row_group_size=1 + int(rng.integers(4)))
@@ -464,21 +465,21 @@ def _parquet(data: bytes, rng: Generator) -> bytes:
 
 
 def _glb(data: bytes, rng: Generator) -> bytes:
-    """JSON or binary chunk changed, with the lengths before them."""
+    """Change the JSON or the binary chunk of a GLB, with valid lengths."""
     (length,) = struct.unpack_from("<I", data, 12)
     text, rest = data[20 : 20 + length], data[28 + length :]
     if rng.random() < 0.8:
-        text = changed(text, rng)
+        text = change_json(text, rng)
         text += b" " * (-len(text) % 4)
     else:
-        rest = flipped(rest, rng)
+        rest = flip_bytes(rest, rng)
     chunks = struct.pack("<I4s", len(text), b"JSON") + text
     chunks += struct.pack("<I4s", len(rest), b"BIN\0") + rest
     return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
 
 
 def _pbf(data: bytes, rng: Generator) -> bytes:
-    """One block changed inside of its compression."""
+    """Change one block of a PBF inside its compression."""
     blocks, at = [], 0
     while at < len(data):
         (length,) = struct.unpack_from(">I", data, at)
@@ -494,7 +495,7 @@ def _pbf(data: bytes, rng: Generator) -> bytes:
         blocks.append((kind, zlib.decompress(blob[packed:]) if packed >= 0 else blob))
         at += size
     k = int(rng.integers(len(blocks)))
-    blocks[k] = blocks[k][0], flipped(blocks[k][1], rng)
+    blocks[k] = blocks[k][0], flip_bytes(blocks[k][1], rng)
     return b"".join(_pbf_block(kind, body) for kind, body in blocks)
 
 
@@ -514,13 +515,13 @@ def _varint(number: int) -> bytes:
 
 
 def _zip(data: bytes, rng: Generator) -> bytes:
-    """An entry changed, renamed, doubled, gone, made a link or a bomb."""
+    """Change, rename, double or remove an entry of a ZIP, or make it a link or a bomb."""
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         entries = [(info, archive.read(info)) for info in archive.infolist()]
     k, kind = int(rng.integers(len(entries))), int(rng.integers(8))
     info, body = entries[k]
     if kind < 3:
-        entries[k] = info, spoiled(body, info.filename, rng)
+        entries[k] = info, mutate_bytes(body, info.filename, rng)
     elif kind == 3:
         names = ["", "/", "../up", "a/../../b", "\0", "x" * 300, "con", info.filename.upper()]
         entries[k] = _entry(str(rng.choice(names))), body
@@ -536,7 +537,7 @@ def _zip(data: bytes, rng: Generator) -> bytes:
     with suppress(UserWarning), zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
         for info, body in entries:
             archive.writestr(_entry(info.filename, info.external_attr), body)
-    return flipped(out.getvalue(), rng) if rng.random() < 0.1 else out.getvalue()
+    return flip_bytes(out.getvalue(), rng) if rng.random() < 0.1 else out.getvalue()
 
 
 def _entry(name: str, attributes: int = 0) -> zipfile.ZipInfo:
@@ -547,7 +548,7 @@ def _entry(name: str, attributes: int = 0) -> zipfile.ZipInfo:
 
 
 def _database(data: bytes, rng: Generator) -> bytes:
-    """A value of a row changed, in its type or in another; or rows, or a table, gone."""
+    """Change a value of a database, or remove rows or a table."""
     import sqlite3
 
     with sqlite3.connect(":memory:") as base:
@@ -565,7 +566,7 @@ def _database(data: bytes, rng: Generator) -> bytes:
         else:
             command = f'SELECT "{field}" FROM "{table}" WHERE rowid = ?'  # noqa: S608
             (held,) = base.execute(command, (row,)).fetchone()
-            new: Any = flipped(held, rng) if isinstance(held, bytes) and kind < 9 else None
+            new: Any = flip_bytes(held, rng) if isinstance(held, bytes) and kind < 9 else None
             if new is None:
                 new = [None, -1, 1 << 40, 1e300, "x", b"", b"\0" * 99][rng.integers(7)]
             base.execute(f'UPDATE "{table}" SET "{field}" = ? WHERE rowid = ?', (new, row))  # noqa: S608

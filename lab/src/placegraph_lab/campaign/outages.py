@@ -1,23 +1,21 @@
-"""A server whose workers are killed under load, or which is killed itself."""
+"""Servers killed under load, and files that change while they are used."""
 
 from __future__ import annotations
 
 import json
-import logging
 import os
 import re
+import shutil
 import signal
-import socket
 import subprocess
 import sys
 import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from http.client import HTTPConnection, HTTPException
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -27,14 +25,9 @@ from numpy.random import Generator
 from placegraph.errors import PlacegraphError
 from placegraph_lab.campaign.row import Effort, Row
 
-HONEST = {
-    "worker_died",
-    "busy",
-    "too_long",
-}  # codes of problems that a client may see while workers die
-ASKING = 120.0  # A request that is not answered after so long hangs [s]
-READY = 900.0
-"""It is given up after so long: beside other work its processes take minutes to import what they need [s]."""
+ALLOWED = {"worker_died", "busy", "too_long"}  # problems that a client may see while workers die
+TIMEOUT = 120.0  # of a request [s]
+START_TIMEOUT = 900.0  # [s]; imports take minutes on a busy machine
 
 
 @dataclass
@@ -47,7 +40,7 @@ class Server:
 
     @classmethod
     def start(cls, maps: Path, room: Path) -> Server:
-        """Wait until it is ready; `RuntimeError` where it is not."""
+        """Start a server and wait until it is ready; `RuntimeError` where it is not."""
         words = [sys.executable, "-m", "placegraph", "serve", str(maps), "--port", "0"]
         process = subprocess.Popen(  # noqa: S603
             words, stdout=subprocess.PIPE, text=True, env=os.environ | {"TMPDIR": str(room)}
@@ -57,18 +50,18 @@ class Server:
         if found is None:
             process.kill()
             raise RuntimeError("the server did not start")
-        made = cls(process, found[1], int(found[2]))
-        end = time.monotonic() + READY
-        while made.ask("GET", "/healthz")[0] != 200:
+        server = cls(process, found[1], int(found[2]))
+        end = time.monotonic() + START_TIMEOUT
+        while server.ask("GET", "/healthz")[0] != 200:
             if time.monotonic() > end:
-                made.end()
+                server.end()
                 raise RuntimeError("the server was not ready")
             time.sleep(0.1)
-        return made
+        return server
 
     def ask(self, method: str, path: str, body: bytes = b"") -> tuple[int, Any]:
-        """Status and JSON; 0 where nobody answers, -1 where the answer does not come."""
-        connection = HTTPConnection(self.host, self.port, timeout=ASKING)
+        """Return status and JSON; status 0: connection failed, -1: timeout."""
+        connection = HTTPConnection(self.host, self.port, timeout=TIMEOUT)
         try:
             connection.request(method, path, body or None, {"Content-Type": "application/json"})
             answer = connection.getresponse()
@@ -82,45 +75,45 @@ class Server:
             connection.close()
 
     def workers(self) -> list[int]:
-        """Its processes, but itself and Python's own helpers."""
-        return [p for p in _children(self.process.pid) if b"spawn_main" in _line(p)]
+        """Return the ids of its worker processes."""
+        return [p for p in _children(self.process.pid) if b"spawn_main" in _command_line(p)]
 
     def end(self) -> None:
-        """Stop it, whatever it does."""
+        """Kill the server."""
         self.process.kill()
         self.process.wait()
 
 
 @dataclass
 class Load:
-    """Clients that ask without a pause."""
+    """Clients that send requests without a pause."""
 
     server: Server
     counts: Counter[str] = field(default_factory=Counter)
     over: threading.Event = field(default_factory=threading.Event)
     gone: threading.Event = field(default_factory=threading.Event)
-    """That the server was killed: no answer is the right one."""
+    """Set when the server was killed: no answer is correct then."""
 
     def ask(self, say: Callable[[str], None]) -> None:
-        """Ask for sentences until it is over."""
+        """Locate a sentence until `over` is set."""
         body = json.dumps({"text": "A bakery is north of me.", "map": "town"}).encode()
         while not self.over.is_set():
-            status, told = self.server.ask("POST", "/v1/locate", body)
+            status, reply = self.server.ask("POST", "/v1/locate", body)
             if self.gone.is_set():
                 return
-            code = told.get("code", "") if isinstance(told, dict) else ""
+            code = reply.get("code", "") if isinstance(reply, dict) else ""
             if status == 200:
                 outcome = "accepted"
-            elif status in (500, 503, 504) and code in HONEST:
+            elif status in (500, 503, 504) and code in ALLOWED:
                 outcome = "typed"
             else:
                 outcome = "hang" if status < 0 else "untyped"
-                say(f"under load: {status} {str(told)[:200]}")
+                say(f"under load: {status} {str(reply)[:200]}")
             self.counts[outcome] += 1
 
     @contextmanager
     def on(self, clients: int, say: Callable[[str], None]) -> Iterator[None]:
-        """Ask with so many clients meanwhile."""
+        """Send requests with `clients` threads meanwhile."""
         threads = [threading.Thread(target=self.ask, args=(say,)) for _ in range(clients)]
         for thread in threads:
             thread.start()
@@ -132,10 +125,10 @@ class Load:
                 thread.join()
 
 
-def kills_under_load(inputs: Path, effort: Effort, rng: Generator, seconds: float) -> Iterator[Row]:
+def kill_server_under_load(
+    inputs: Path, effort: Effort, rng: Generator, seconds: float
+) -> Iterator[Row]:
     """Kill workers, then the server itself, while clients ask."""
-    import shutil
-
     maps, room = effort.folder / "maps", effort.folder / "serving"
     for folder in (maps, room):
         folder.mkdir()
@@ -151,11 +144,11 @@ def kills_under_load(inputs: Path, effort: Effort, rng: Generator, seconds: floa
                     os.kill(there[int(rng.integers(len(there)))], signal.SIGKILL)
                 killed += 1
     taken, what = time.perf_counter() - start, "a server's workers killed under load"
-    said = f"{killed} killed while so many requests were answered"
+    said = f"{killed} kills while these requests were answered"
     yield Row.counted("faults", what, load.counts, effort.seed, taken, said)
     start, counts = time.perf_counter(), Counter[str]()
     while True:
-        counts[_killed(server, effort, rng)] += 1
+        counts[_kill_server(server, effort, rng)] += 1
         if time.perf_counter() - start > seconds / 2:
             break
         server = Server.start(maps, room)
@@ -163,16 +156,16 @@ def kills_under_load(inputs: Path, effort: Effort, rng: Generator, seconds: floa
     yield Row.counted("faults", "a server killed under load", counts, effort.seed, taken)
 
 
-def _killed(server: Server, effort: Effort, rng: Generator) -> str:
-    """Kill a server while it answers: its workers end by themselves."""
+def _kill_server(server: Server, effort: Effort, rng: Generator) -> str:
+    """Kill a server while it answers; its workers must end by themselves."""
     load = Load(server)
     workers = server.workers()
     with load.on(2, effort.say):
         time.sleep(2.0 * rng.random())
         load.gone.set()
         server.end()
-    end = time.monotonic() + ASKING
-    while any(_line(worker) for worker in workers):
+    end = time.monotonic() + TIMEOUT
+    while any(_command_line(worker) for worker in workers):
         if time.monotonic() > end:
             return "hang"
         time.sleep(0.05)
@@ -188,8 +181,8 @@ def _children(number: int) -> list[int]:
     return found
 
 
-def _line(number: int) -> bytes:
-    """Command line of a process; nothing of one that has ended."""
+def _command_line(number: int) -> bytes:
+    """Return the command line of a process; empty where it has ended."""
     try:
         return Path(f"/proc/{number}/cmdline").read_bytes()
     except OSError:
@@ -197,157 +190,12 @@ def _line(number: int) -> bytes:
 
 
 SENTENCE = "A bakery is north of me. A church is south of me."
-
-
-def services(inputs: Path, effort: Effort, seconds: float) -> Iterator[Row]:
-    """Rows of every service that is installed here, half of the time each."""
-    for what, packages, work in (
-        ("a Milvus server that is none", ("pymilvus",), connections),
-        ("a Milvus server stopped and started", ("pymilvus", "milvus"), milvus),
-        ("a Dask scheduler stopped and started", ("distributed",), scheduler),
-    ):
-        if lacking := [name for name in packages if find_spec(name) is None]:
-            effort.say(f"{what}: {', '.join(lacking)} is not installed")
-            continue
-        start = time.perf_counter()
-        counts = work(inputs, effort, seconds / 2)
-        yield Row.counted("faults", what, counts, effort.seed, time.perf_counter() - start)
-
-
-def milvus(inputs: Path, effort: Effort, seconds: float) -> Counter[str]:  # noqa: ARG001  # of its own
-    """What becomes of searches while a server goes, and comes again with what it held."""
-    from milvus import MilvusServer
-    from placegraph.vectors import Origin, Vectors, load_store, open_store
-
-    rng, counts = np.random.default_rng(effort.seed), Counter[str]()
-    vectors = rng.standard_normal((200, 16)).astype(np.float32)
-    server = MilvusServer()
-    server.set_base_dir(str(effort.folder / "milvus"))
-    server.start()
-    try:
-        at = f"http://127.0.0.1:{server.listen_port}"
-        load_store(
-            at, Vectors.of(np.arange(200), vectors), name="any", origin=Origin(), timeout=60.0
-        ).close()
-        start = time.perf_counter()
-        while not counts or time.perf_counter() - start < seconds:
-            store = open_store(f"http://127.0.0.1:{server.listen_port}", name="any", timeout=60.0)
-            with closing(store):
-                ask = lambda store=store: store.search(vectors[:3], 1).ids[:, 0].tolist()  # noqa: E731
-                counts[judged(ask, [0, 1, 2], effort)] += 1
-                server.stop()
-                counts[judged(ask, None, effort)] += 1
-            server.start()
-    finally:
-        server.stop()
-    return counts
-
-
-def scheduler(inputs: Path, effort: Effort, seconds: float) -> Counter[str]:
-    """What becomes of sentences while all workers are killed, and the scheduler goes and comes again."""
-    from distributed import LocalCluster
-
-    from placegraph.world.world import open_world
-    from placegraph_scale.build import BuildOptions, build_world
-
-    def started(port: int) -> LocalCluster:
-        return LocalCluster(
-            n_workers=1, threads_per_worker=1, dashboard_address=":0", scheduler_port=port,
-            silence_logs=logging.CRITICAL,
-        )  # fmt: skip
-
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
-    folder, counts = effort.folder / "shards", Counter[str]()
-    build_world([inputs / "hafenstadt.osm"], folder, BuildOptions(zoom=15, overlap=50.0, workers=1))
-    wanted = open_world(folder).locate(SENTENCE).to_dict()
-    cluster = started(0)
-    try:
-        world: Any = open_world(folder, scheduler=cluster.scheduler_address)
-        port = int(cluster.scheduler_address.rpartition(":")[2])
-        ask = lambda: world.locate(SENTENCE).to_dict()  # noqa: E731
-        start = time.perf_counter()
-        while not counts or time.perf_counter() - start < seconds:
-            counts[judged(ask, wanted, effort)] += 1
-            for worker in world.planets[folder.name].pool.client.run(os.getpid).values():
-                os.kill(worker, signal.SIGKILL)
-            counts[judged(ask, wanted, effort)] += 1
-            cluster.close()
-            counts[judged(ask, None, effort)] += 1
-            cluster = started(port)
-        counts[judged(ask, wanted, effort)] += 1
-        world.close()
-    finally:
-        cluster.close()
-    return counts
-
-
-def judged(ask: Callable[[], object], wanted: object, effort: Effort) -> str:
-    """Outcome of a question: this answer is right, or, where it is None, a typed error."""
-    start = time.perf_counter()
-    try:
-        found = ask()
-    except PlacegraphError as error:
-        outcome, said = "untyped" if wanted is not None else "typed", str(error)
-    except Exception as error:  # noqa: BLE001  # it is counted
-        outcome, said = "untyped", f"{type(error).__name__}: {error}"
-    else:
-        outcome, said = "accepted" if found == wanted else "untyped", "another answer"
-    if outcome == "untyped":
-        effort.say(f"a service: {said[:300]}")
-    return outcome if time.perf_counter() - start < ASKING else "hang"
-
-
-def connections(inputs: Path, effort: Effort, seconds: float) -> Counter[str]:  # noqa: ARG001
-    """What becomes of those who connect to what hangs up, says nothing, babbles, or is gone."""
-    said = (None, b"", b"HTTP/1.1 200 OK\r\n\r\n", b"\0\0\0\4\0\0\0\0\0", b"gone")
-    return Counter(_connected(each, effort) for each in said)
-
-
-def _connected(said: bytes | None, effort: Effort) -> str:
-    """Connect to a socket that says something: None hangs up, empty says nothing, `gone` is closed."""
-    from placegraph.vectors import open_store
-
-    with socket.create_server(("127.0.0.1", 0)) as listening:
-        port = listening.getsockname()[1]
-        over = threading.Event()
-
-        def answer() -> None:
-            held = []
-            listening.settimeout(0.1)
-            while not over.is_set():
-                with suppress(OSError):
-                    connection, _ = listening.accept()
-                    if said is None:
-                        connection.close()
-                        continue
-                    connection.sendall(said)
-                    held.append(connection)
-            for connection in held:
-                connection.close()
-
-        thread = threading.Thread(target=answer)
-        thread.start()
-        if said == b"gone":
-            over.set()
-            thread.join()
-            listening.close()
-        try:
-            return judged(
-                lambda: open_store(f"http://127.0.0.1:{port}", name="any", timeout=2.0),
-                None,
-                effort,
-            )
-        finally:
-            over.set()
-            thread.join()
-
-
 TYPED, UNTYPED = 20, 21  # exit codes of a trial
 CHANGES = ("cut short", "deleted", "replaced", "overwritten", "older")
 
 
-def change(path: Path, how: str, rng: Generator) -> None:
-    """Do it to a file; `older` is another file, last changed long before: a clock was set back."""
+def change_file(path: Path, how: str, rng: Generator) -> None:
+    """Change a file in one of the ways of `CHANGES`; `older`: its time of change is set back."""
     content = path.read_bytes()
     if how == "cut short":
         os.truncate(path, int(rng.integers(len(content))))
@@ -366,7 +214,7 @@ def change(path: Path, how: str, rng: Generator) -> None:
 
 
 def city(path: Path) -> Callable[[], Any]:
-    """A city's map, and a sentence in it; one with an index is mapped, as a large one is."""
+    """Open a city map; return a function that locates a sentence."""
     from placegraph.outdoor.city import CityMap
 
     found = CityMap.open(path, shard=True)
@@ -374,7 +222,7 @@ def city(path: Path) -> Callable[[], Any]:
 
 
 def scene(path: Path) -> Callable[[], Any]:
-    """A scene's map, and a window of frames in it."""
+    """Open a scene map; return a function that localizes frames."""
     from placegraph.io.capture.capture import open_capture
     from placegraph.maps import open_scene
 
@@ -383,7 +231,7 @@ def scene(path: Path) -> Callable[[], Any]:
 
 
 def library(path: Path) -> Callable[[], Any]:
-    """A library, one of whose maps is looked into."""
+    """Open a library; return a function that opens one of its maps."""
     from placegraph.indoor.library import SceneLibrary
 
     found = SceneLibrary.open(path.with_name("homes.library"))
@@ -391,7 +239,7 @@ def library(path: Path) -> Callable[[], Any]:
 
 
 def vectors(path: Path) -> Callable[[], Any]:
-    """Vectors of a city, and those nearest to one of them."""
+    """Open vectors of a city; return a function that searches them."""
     from placegraph.vectors import EmbeddedStore
 
     found = EmbeddedStore.open(path)
@@ -399,23 +247,15 @@ def vectors(path: Path) -> Callable[[], Any]:
 
 
 def capture(path: Path) -> Callable[[], Any]:
-    """A folder of frames, one of whose images is asked for."""
+    """Open a capture folder; return a function that reads its images."""
     from placegraph.io.capture.capture import open_capture
 
-    found = open_capture(path.parent.parent)
-    return lambda: [frame.rgb() for frame in found]
-
-
-def bag(path: Path) -> Callable[[], Any]:
-    """A bag whose images are asked for."""
-    from placegraph.io.capture.capture import open_capture
-
-    found = open_capture(path)
+    found = open_capture(path if path.is_file() and path.suffix == ".mcap" else path.parent.parent)
     return lambda: [frame.rgb() for frame in found]
 
 
 def weights(path: Path) -> Callable[[], Any]:
-    """Weights of PyTorch, which are computed with."""
+    """Open weights of PyTorch; return a function that sums them."""
     import torch
 
     from placegraph.core.networks import read_state
@@ -431,31 +271,31 @@ USES: dict[str, tuple[str, Callable[[Path], Callable[[], Any]]]] = {
     "a map of a library": ("home1.scene", library),
     "vectors": ("town.vectors", vectors),
     "an image of a capture": ("window/rgb/*", capture),
-    "a bag": ("walk.mcap", bag),
+    "a bag": ("walk.mcap", capture),
     "weights": ("any.pt", weights),
 }
-"""What is opened: its file among the inputs, and how it is used."""
+"""By kind the pattern of the file among the inputs, and the function that opens it."""
 
 
-def used(what: str, how: str, folder: Path, seed: int) -> None:
-    """Open, let something happen to the file, and use what was opened; ends the process."""
+def use_changed_file(what: str, how: str, folder: Path, seed: int) -> None:
+    """Open a file, change it, and use what was opened; ends the process."""
     pattern, use = USES[what]
     path = max(folder.glob(pattern))
     code = 0
     try:
         ask = use(path)
-        change(path, how, np.random.default_rng(seed))
+        change_file(path, how, np.random.default_rng(seed))
         ask()
     except PlacegraphError:
         code = TYPED
     except BaseException as error:  # noqa: BLE001  # it is counted
-        (folder / "said.txt").write_text(f"{type(error).__name__}: {error}")
+        (folder / "error.txt").write_text(f"{type(error).__name__}: {error}")
         code = UNTYPED
     os._exit(code)
 
 
-def served_anew(folder: Path) -> bool:
-    """Whether a server's maps are opened anew where another takes a map's place, of any time."""
+def are_maps_reloaded(folder: Path) -> bool:
+    """Return whether a server opens a map again when another file replaces it, whatever its time."""
     from placegraph_serve.places import Places
 
     places, path = Places([folder]), folder / "town.city"

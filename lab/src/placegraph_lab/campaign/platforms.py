@@ -1,4 +1,4 @@
-"""One seed, one answer: over processes, hash seeds, threads, threading layers and ray casters."""
+"""Reproducibility: the same answers over processes, threads, ray casters, locales and installations."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from time import monotonic
@@ -24,107 +25,94 @@ from placegraph_lab.campaign.row import Effort, Row
 
 PROGRAM = str(specimen.__file__)
 FRAMES = 4
-PATIENCE = 1800.0  # A process is given up after so long [s]; the first compiles
-CLOSE = 0.01
-"""So far apart may numbers of two matrices of poses be where rays are cast by another program."""
+TIMEOUT = 1800.0  # of a process [s]; the first compiles
+POSE_TOLERANCE = 0.01  # between numbers of two pose matrices by different ray casters
 LAYERS = ("workqueue", "omp", "tbb")
 
 
-@dataclass
-class Told:
-    """What processes print, and what the first of them did."""
+class Reference:
+    """Answers of a process without changes."""
 
-    folder: Path
-    known: dict[str, Any] = field(default_factory=dict)
-
-    @property
-    def first(self) -> dict[str, Any]:
-        """Of a process as it comes."""
-        if not self.known:
-            self.known = told()
-        return self.known
+    def __init__(self, _folder: Path) -> None:
+        self.answers = run_specimen()
 
 
-def told(
+def run_specimen(
     words: Sequence[str] = (),
     *,
     change: Mapping[str, str] | None = None,
     within: Sequence[str] = (),
     program: str = sys.executable,
 ) -> dict[str, Any]:
-    """What the program says in a process of its own, with `change` to its environment.
+    """Return the answers of `specimen` in a process whose environment has `change`.
 
-    Raises `RuntimeError` with its last words where it fails.
+    Raises `RuntimeError` with the last line of its error output where it fails.
     """
     done = subprocess.run(  # noqa: S603  # our own program
         [*within, program, PROGRAM, "--frames", str(FRAMES), *words],
-        env=os.environ | dict(change or {}), capture_output=True, check=False, timeout=PATIENCE,
+        env=os.environ | dict(change or {}), capture_output=True, check=False, timeout=TIMEOUT,
     )  # fmt: skip
     if done.returncode:
-        said = done.stderr.decode(errors="replace").strip().splitlines()
-        raise RuntimeError(f"{done.returncode}: {' '.join(said[-1:])}")
+        lines = done.stderr.decode(errors="replace").strip().splitlines()
+        raise RuntimeError(f"{done.returncode}: {' '.join(lines[-1:])}")
     out: dict[str, Any] = json.loads(done.stdout)
     return out
 
 
-def again(world: Told, rng: np.random.Generator) -> str:
-    """Another process, whose sets and dictionaries of words are hashed otherwise."""
+def use_another_process(world: Reference, rng: np.random.Generator) -> str:
+    """Compare a process with another hash seed."""
     seed = str(rng.integers(1, 1 << 31))
-    return differing(world.first, told(change={"PYTHONHASHSEED": seed}))
+    return list_differences(world.answers, run_specimen(change={"PYTHONHASHSEED": seed}))
 
 
-def threads(world: Told, rng: np.random.Generator) -> str:
-    """On one thread, or on as many as there are."""
+def use_other_threads(world: Reference, rng: np.random.Generator) -> str:
+    """Compare a process with another number of threads."""
     number = str(rng.integers(1, 9))
     change = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
-    return differing(world.first, told(["--threads", number], change=change))
+    return list_differences(world.answers, run_specimen(["--threads", number], change=change))
 
 
-def layers(world: Told, rng: np.random.Generator) -> str:
-    """With any threading layer of numba named: no kernel uses one."""
-    return differing(world.first, told(change={"NUMBA_THREADING_LAYER": str(rng.choice(LAYERS))}))
+def use_other_threading_layer(world: Reference, rng: np.random.Generator) -> str:
+    """Compare a process with another threading layer of numba: no kernel uses one."""
+    return list_differences(
+        world.answers, run_specimen(change={"NUMBA_THREADING_LAYER": str(rng.choice(LAYERS))})
+    )
 
 
-def rays(world: Told, rng: np.random.Generator) -> str:  # noqa: ARG001  # nothing to draw
-    """Without Embree: maps and sentences in the same bytes, and the pose to a centimetre.
-
-    A tree of our own finds the same triangles but for rays that meet an edge, and rounds otherwise.
-    """
-    return pose_apart(world.first, told(["--hide", "embreex"]))
+def hide_embree(world: Reference, rng: np.random.Generator) -> str:  # noqa: ARG001  # nothing to draw
+    """Compare a process without Embree: the same bytes of maps and sentences, poses to a centimetre."""
+    return compare_poses(world.answers, run_specimen(["--hide", "embreex"]))
 
 
-def pose_apart(one: dict[str, Any], other: dict[str, Any]) -> str:
-    """Which answers are not the same, in words, where poses may be a centimetre apart.
-
-    Of other numbers nine digits are compared: another NumPy rounds its functions otherwise.
-    """
+def compare_poses(one: dict[str, Any], other: dict[str, Any]) -> str:
+    """Describe differences; poses may differ by a centimetre, other numbers in the tenth digit."""
     poses = [np.array(t["pose"]["modes"][0]["map_from_camera"]) for t in (one, other)]
     far = float(np.abs(poses[0] - poses[1]).max())
-    if one["pose"]["status"] != other["pose"]["status"] or far > CLOSE:
+    if one["pose"]["status"] != other["pose"]["status"] or far > POSE_TOLERANCE:
         return f"the pose moved by {far:.4f}, {other['pose']['status']}"
-    rest = ({n: nine_digits(v) for n, v in t.items() if n != "pose"} for t in (one, other))
-    return differing(*rest)
+    others = ({n: round_numbers(v) for n, v in t.items() if n != "pose"} for t in (one, other))
+    return list_differences(*others)
 
 
-def nine_digits(told: Any) -> Any:  # noqa: ANN401  # JSON
-    """JSON whose numbers are rounded."""
+def round_numbers(told: Any) -> Any:  # noqa: ANN401  # JSON
+    """Round the numbers of JSON to nine digits."""
     if isinstance(told, dict):
-        return {k: nine_digits(v) for k, v in told.items()}
+        return {k: round_numbers(v) for k, v in told.items()}
     if isinstance(told, list):
-        return [nine_digits(v) for v in told]
+        return [round_numbers(v) for v in told]
     return float(f"{told:.9g}") if isinstance(told, float) else told
 
 
-def differing(one: dict[str, Any], other: dict[str, Any]) -> str:
-    """Which answers are not the same, in words."""
+def list_differences(one: dict[str, Any], other: dict[str, Any]) -> str:
+    """Describe which answers differ; empty where none does."""
     return ", ".join(f"{k} differs" for k in one if one[k] != other.get(k))
 
 
-PROCESSES = (Told, 2.0, {
-    "same seed, same bytes: another process": again,
-    "same seed, same bytes: threads": threads,
-    "same seed, same bytes: threading layers": layers,
-    "without Embree": rays,
+PROCESSES = (Reference, 2.0, {
+    "same seed, same bytes: another process": use_another_process,
+    "same seed, same bytes: threads": use_other_threads,
+    "same seed, same bytes: threading layers": use_other_threading_layer,
+    "without Embree": hide_embree,
 })  # fmt: skip
 
 
@@ -134,14 +122,14 @@ TURKISH = ("tr_TR.UTF-8", "tr_TR.ISO-8859-9")
 TWINE = "wheel and sdist, twine check"
 PYTHONS = ("3.11", "3.12", "3.13", "3.14")
 NUMPY = {"oldest": "numpy==1.26.0", "newest": "numpy"}
-"""The oldest that pyproject allows, on the oldest Python, and the newest that all others take."""
+"""Requirements: the oldest NumPy that pyproject allows, and the newest."""
 _PIP = ("-m", "pip", "--quiet", "--disable-pip-version-check", "install")
-_INSTALL = 900.0  # an installation is given up after so long [s]
+_INSTALL = 900.0  # timeout of an installation [s]
 
 
 @dataclass(frozen=True)
 class Platform:
-    """How a process of another kind of machine is started here."""
+    """Environment in which a process acts like another machine."""
 
     name: str
     words: tuple[str, ...] = ()  # for the program of `specimen`
@@ -149,8 +137,8 @@ class Platform:
     within: tuple[str, ...] = ()  # command that starts it
 
 
-def together(*platforms: Platform) -> Platform:
-    """All of them at once."""
+def combine(*platforms: Platform) -> Platform:
+    """Return a platform with the properties of all."""
     words = tuple(w for p in platforms for w in p.words)
     change = {name: value for p in platforms for name, value in p.change.items()}
     within = tuple(w for p in platforms for w in p.within)
@@ -158,14 +146,14 @@ def together(*platforms: Platform) -> Platform:
 
 
 def quick(folder: Path) -> Iterator[Platform]:
-    """Those that need no installation; each takes a few seconds."""
+    """Yield the platforms that need no installation."""
     yield Platform("no Embree, no PoseLib", ("--hide", "embreex", "poselib"))
     yield Platform("numba's workqueue", change={"NUMBA_THREADING_LAYER": "workqueue"})
     yield Platform("1 GB of memory", ("--memory", "1024"))
     plain = {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0"}
     yield Platform("locale C, ASCII", change=plain)
     for name in TURKISH:
-        if made := turkish(folder, name):
+        if made := make_turkish_locale(folder, name):
             change = {"LOCPATH": str(made), "LC_ALL": name, "PYTHONUTF8": "0"}
             yield Platform(f"locale {name}", ("--locale", name), change)
     yield Platform("TZ far east", change={"TZ": "Pacific/Kiritimati"})
@@ -176,8 +164,8 @@ def quick(folder: Path) -> Iterator[Platform]:
         yield Platform("read-only install, no home", change=change, within=read_only)
 
 
-def turkish(folder: Path, name: str) -> Path | None:
-    """Folder with a Turkish locale, made of Debian's `locales`; None where they are not installed."""
+def make_turkish_locale(folder: Path, name: str) -> Path | None:
+    """Make a Turkish locale from Debian's `locales`; None where they are not installed."""
     with suppress(OSError, subprocess.CalledProcessError):
         command = ["localedef", "-i", "tr_TR", "-f", name.partition(".")[2], str(folder / name)]
         subprocess.run(command, check=True, capture_output=True)  # noqa: S603  # our own
@@ -186,7 +174,7 @@ def turkish(folder: Path, name: str) -> Path | None:
 
 
 def _read_only() -> tuple[str, ...]:
-    """Command within which the sources cannot be written, also by root; empty where that cannot be."""
+    """Return a command under which the sources are read-only; empty where that is impossible."""
     mount = (
         f'mount --bind "{SOURCE}" "{SOURCE}" && mount -o remount,ro,bind "{SOURCE}" && exec "$@"'
     )
@@ -197,31 +185,28 @@ def _read_only() -> tuple[str, ...]:
     return ()
 
 
-def agrees(platform: Platform, first: dict[str, Any]) -> str:
-    """How its answers differ, in words; empty: they do not.
-
-    Without Embree and PoseLib the pose may differ by a centimetre, and what led to it.
-    """
-    found = told(platform.words, change=platform.change, within=platform.within)
+def check_platform(platform: Platform, first: dict[str, Any]) -> str:
+    """Describe how the answers on a platform differ; empty where they do not."""
+    found = run_specimen(platform.words, change=platform.change, within=platform.within)
     if "embreex" in platform.words:
-        return pose_apart(first, found)
-    return differing(first, found)
+        return compare_poses(first, found)
+    return list_differences(first, found)
 
 
-def installed(python: str, what: list[str], folder: Path, first: dict[str, Any]) -> str:
-    """Install in an empty environment, answer there, run the demo; what goes wrong, in words."""
+def check_installation(python: str, what: list[str], folder: Path, first: dict[str, Any]) -> str:
+    """Install in an empty environment, answer there and run the demo; describe what goes wrong."""
     _run(python, "-m", "venv", str(folder / "venv"))
     program = str(folder / "venv" / "bin" / "python")
     _run(program, *_PIP, *what)
-    compiled = str(folder.parent / "compiled")  # what is compiled is told apart by versions
-    found = told(["--compiled", compiled], program=program, change={"PYTHONPATH": ""})
+    compiled = str(folder.parent / "compiled")
+    found = run_specimen(["--compiled", compiled], program=program, change={"PYTHONPATH": ""})
     demo = ["-m", "placegraph", "--compiled", compiled, "demo", "--out", str(folder / "demo")]
     _run(program, "-I", *demo)
-    return pose_apart(first, found)
+    return compare_poses(first, found)
 
 
-def pythons() -> dict[str, str]:
-    """Interpreters at hand by version: those of the path, and pyenv's."""
+def find_pythons() -> dict[str, str]:
+    """Find interpreters by version, on the path and of pyenv."""
     found: dict[str, str] = {}
     for version in PYTHONS:
         own = sorted(Path.home().glob(f".pyenv/versions/{version}.*/bin/python"))
@@ -235,9 +220,9 @@ def pythons() -> dict[str, str]:
 
 
 def installations(folder: Path) -> Iterator[tuple[str, str, list[str]]]:
-    """Name, interpreter and what is installed, of each environment; builds wheel and sdist first."""
+    """Yield name, interpreter and requirements of each environment; build wheel and sdist first."""
     [wheel], [sdist] = _built(folder)
-    found = pythons()
+    found = find_pythons()
     for version, python in found.items():
         yield f"wheel, Python {version}", python, [str(wheel)]
     oldest = found.get(PYTHONS[0], sys.executable)
@@ -247,42 +232,43 @@ def installations(folder: Path) -> Iterator[tuple[str, str, list[str]]]:
 
 
 def _built(folder: Path) -> tuple[list[Path], list[Path]]:
-    """Wheels and sdists in a folder; one of each is built where there is none."""
+    """Return wheels and sdists of a folder; build one of each where there is none."""
     if not folder.exists():
         command = ("-m", "hatchling", "build", "-d", str(folder))
         _run(sys.executable, *command, cwd=SOURCE.parent)
     return list(folder.glob("*.whl")), list(folder.glob("*.tar.gz"))
 
 
-def _checked(folder: Path) -> str:
-    """Nothing, where twine finds nothing wrong; `RuntimeError` with what it says else."""
+def _check_wheels(folder: Path) -> str:
+    """Run twine check; `RuntimeError` with its output where it fails."""
     wheels, sdists = _built(folder)
     _run(sys.executable, "-m", "twine", "check", "--strict", *map(str, wheels + sdists))
     return ""
 
 
 def rows(effort: Effort) -> Iterator[Row]:
-    """One row a platform; installations where there is time for each."""
-    first = told()
+    """Yield a row for each platform, and for each installation while there is time."""
+    first = run_specimen()
     (effort.folder / "locales").mkdir(parents=True)
     start = monotonic()
     for platform in (p for p in quick(effort.folder / "locales") if effort.wants(p.name)):
-        yield _row(platform.name, lambda p=platform: agrees(p, first), effort)  # type: ignore[misc]
+        yield _row(platform.name, lambda p=platform: check_platform(p, first), effort)  # type: ignore[misc]
     dist = effort.folder / "dist"
     if find_spec("twine") and effort.wants(TWINE):
-        yield _row(TWINE, lambda: _checked(dist), effort)
+        yield _row(TWINE, lambda: _check_wheels(dist), effort)
     for number, (name, python, what) in enumerate(installations(dist)):
         if not effort.wants(name):
             continue
         if monotonic() - start > effort.seconds:
-            effort.say(f"{name}: left out, the time is over")
+            effort.say(f"{name}: skipped, the time is over")
             continue
         place = effort.folder / f"installed{number}"
         place.mkdir()
-        yield _row(name, lambda n=python, w=what, p=place: installed(n, w, p, first), effort)  # type: ignore[misc]
+        trial = partial(check_installation, python, what, place, first)
+        yield _row(name, trial, effort)
         shutil.rmtree(place)
-    for version in sorted(set(PYTHONS) - set(pythons())):
-        effort.say(f"Python {version}: left out, it is not on this machine")
+    for version in sorted(set(PYTHONS) - set(find_pythons())):
+        effort.say(f"Python {version}: skipped, it is not installed")
 
 
 def _row(name: str, trial: Callable[[], str], effort: Effort) -> Row:
@@ -298,7 +284,7 @@ def _row(name: str, trial: Callable[[], str], effort: Effort) -> Row:
 
 
 def _run(program: str, *words: str, cwd: Path | None = None) -> str:
-    """What a program says; `RuntimeError` with its last words where it fails."""
+    """Return the output of a program; `RuntimeError` with the end of its error output where it fails."""
     done = subprocess.run(  # noqa: S603  # our own
         [program, *words], cwd=cwd, capture_output=True, text=True, check=False, timeout=_INSTALL
     )

@@ -1,4 +1,4 @@
-"""Rooms turned, mirrored, carried elsewhere or relisted, and captures of them that go along."""
+"""Metamorphic properties: of rooms here, of towns in `town_properties`, of processes in `platforms`."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _FLIP = np.diag([-1.0, 1.0, 1.0, 1.0])  # of what is seen in a mirror: right is 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Where a room goes: mirrored west to east before, turned about its up, shifted."""
+    """Motion of a room: mirrored west to east, turned about its vertical axis, shifted."""
 
     yaw: float  # [rad]
     shift: NDArray[np.float64]  # (3,) [m]
@@ -40,7 +40,7 @@ class Motion:
 
     @property
     def matrix(self) -> NDArray[np.float64]:
-        """(4, 4) of points."""
+        """(4, 4) new_from_old for points."""
         c, s = np.cos(self.yaw), np.sin(self.yaw)
         out = np.eye(4)
         out[:2, :2] = [[c, -s], [s, c]]
@@ -48,28 +48,32 @@ class Motion:
         return out @ _FLIP if self.mirrored else out
 
     def pose(self, map_from_camera: NDArray[np.float64]) -> NDArray[np.float64]:
-        """A pose (4, 4) in the room, as it is where the room has gone."""
+        """Return a pose (4, 4) in the moved room."""
         out = self.matrix @ map_from_camera
         return out @ _FLIP if self.mirrored else out
 
     def scene(self, scene: SceneMap) -> SceneMap:
-        """The room where it has gone."""
+        """Return the moved scene map."""
         mesh, matrix = scene.mesh, self.matrix
         vertices = (mesh.vertices @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32)
         triangles = mesh.triangles[:, [0, 2, 1]] if self.mirrored else mesh.triangles
-        return _made(scene, replace(mesh, vertices=vertices, triangles=triangles), self.shift[2])
+        return _make_scene(
+            scene, replace(mesh, vertices=vertices, triangles=triangles), self.shift[2]
+        )
 
     def capture(self, frames: Sequence[Frame]) -> Capture:
-        """What a camera records that went along."""
-        return Capture.from_frames([_in_mirror(f) if self.mirrored else f for f in frames])
+        """Return the capture of a camera that moved with the room."""
+        return Capture.from_frames([_mirror_frame(f) if self.mirrored else f for f in frames])
 
 
-def stood(frames: Sequence[Frame]) -> list[Frame]:
-    """Frames of a camera that stood still, as its odometry tells."""
-    return [_again(f, odometry=frames[0].odometry, gravity=frames[0].gravity) for f in frames]
+def hold_still(frames: Sequence[Frame]) -> list[Frame]:
+    """Return frames whose odometry says that the camera stands still."""
+    return [
+        _change_frame(f, odometry=frames[0].odometry, gravity=frames[0].gravity) for f in frames
+    ]
 
 
-def _again(frame: Frame, **change: Any) -> Frame:  # noqa: ANN401  # of `Frame.from_arrays`
+def _change_frame(frame: Frame, **change: Any) -> Frame:  # noqa: ANN401  # of `Frame.from_arrays`
     given: dict[str, Any] = {
         "depth": frame.depth(), "depth_camera": frame.depth_camera, "labels": frame.labels(),
         "label_camera": frame.label_camera, "label_kind": frame.label_kind or "labels",
@@ -80,28 +84,28 @@ def _again(frame: Frame, **change: Any) -> Frame:  # noqa: ANN401  # of `Frame.f
     return Frame.from_arrays(frame.rgb() if rgb is None else rgb, camera, **given)
 
 
-def _in_mirror(frame: Frame) -> Frame:
+def _mirror_frame(frame: Frame) -> Frame:
     depth, labels = frame.depth(), frame.labels()
-    return _again(
+    return _change_frame(
         frame,
-        rgb=_flipped(frame.rgb()), camera=_seen(frame.camera),
-        depth=None if depth is None else _flipped(depth),
-        depth_camera=None if frame.depth_camera is None else _seen(frame.depth_camera),
-        labels=None if labels is None else _flipped(labels),
-        label_camera=None if frame.label_camera is None else _seen(frame.label_camera),
+        rgb=_flip(frame.rgb()), camera=_mirror_camera(frame.camera),
+        depth=None if depth is None else _flip(depth),
+        depth_camera=None if frame.depth_camera is None else _mirror_camera(frame.depth_camera),
+        labels=None if labels is None else _flip(labels),
+        label_camera=None if frame.label_camera is None else _mirror_camera(frame.label_camera),
         odometry=_FLIP @ frame.odometry @ _FLIP, gravity=_FLIP[:3, :3] @ frame.gravity,
     )  # fmt: skip
 
 
-def _flipped(image: NDArray[Any]) -> NDArray[Any]:
+def _flip(image: NDArray[Any]) -> NDArray[Any]:
     return np.ascontiguousarray(image[:, ::-1])
 
 
-def _seen(camera: Camera) -> Camera:
+def _mirror_camera(camera: Camera) -> Camera:
     return replace(camera, cx=camera.width - camera.cx)
 
 
-def _made(
+def _make_scene(
     scene: SceneMap, mesh: Mesh, rise: float, order: NDArray[np.int64] | None = None
 ) -> SceneMap:
     graph, rows = scene.graph, np.arange(len(scene)) if order is None else order
@@ -115,12 +119,12 @@ def _made(
 _CAMERA = Camera(160, 90, 115.0, 115.0, 80.0, 45.0)
 _FRAMES = 5
 _FAR, _TURNED = 0.1, np.deg2rad(2.0)
-"""So much two answers to one question may differ [m, rad]: what a room leaves open of a height."""
+"""Allowed difference of two answers [m, rad]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Room:
-    """A furnished room, its map, and room for walks."""
+    """A furnished room, its map, and a folder for walks."""
 
     drawing: Flat
     interior: Interior
@@ -128,7 +132,7 @@ class Room:
     folder: Path
 
     def walk(self, rng: np.random.Generator, *, still: bool = False) -> Capture:
-        """Frames of a new walk, or of a camera that stands where one ends."""
+        """Record a new walk, or a camera that stands at the end of one."""
         way = stroll(self.drawing, rng, frames=_FRAMES)
         if still:
             there = np.repeat(way.map_from_camera[-1:], _FRAMES, axis=0)
@@ -138,52 +142,52 @@ class Room:
         return open_capture(folder)
 
 
-def furnished(folder: Path) -> Room:
-    """The room, made in a folder."""
+def furnish_room(folder: Path) -> Room:
+    """Furnish the room and build its map in a folder."""
     drawing = Flat.load("study")
     interior = drawing.furnish(np.random.default_rng(1))
     interior.write_glb(folder / "room.glb")
     built = build_scene(folder / "room.glb", folder / "room.scene", detail="full")
-    # as it comes from the hands of those that move it: the same columns, and no more
+    # a null motion: so that moved maps have the same columns
     return Room(drawing, interior, Motion(0.0, np.zeros(3)).scene(built), folder)
 
 
-def moved(room: Room, rng: np.random.Generator) -> str:
-    """A room turned, shifted or mirrored, its camera with it: the pose goes along."""
+def move_room(room: Room, rng: np.random.Generator) -> str:
+    """Move or mirror a room and its camera: the pose moves along."""
     walk = room.walk(rng)
     motion = Motion(
         rng.uniform(-np.pi, np.pi), rng.uniform(-200.0, 200.0, 3), mirrored=bool(rng.integers(2))
     )
     here = room.scene.localize(walk)
     there = motion.scene(room.scene).localize(motion.capture(walk.frames))
-    return apart(here, there, motion)
+    return compare_estimates(here, there, motion)
 
 
-def relisted(room: Room, rng: np.random.Generator) -> str:
-    """The objects of a map in another order change nothing."""
+def reorder_objects(room: Room, rng: np.random.Generator) -> str:
+    """Reorder the objects of a map: the pose stays."""
     walk = room.walk(rng)
     here = room.scene.localize(walk)
     order = rng.permutation(len(room.scene))
     place = np.argsort(order).astype(np.int32)
     mesh = replace(room.scene.mesh, object_of=place[room.scene.mesh.object_of])
-    return apart(here, _made(room.scene, mesh, 0.0, order).localize(walk))
+    return compare_estimates(here, _make_scene(room.scene, mesh, 0.0, order).localize(walk))
 
 
-def still(room: Room, rng: np.random.Generator) -> str:
-    """The frames of a camera that stands still in another order change nothing."""
-    frames = stood(room.walk(rng, still=True).frames)
+def reorder_frames(room: Room, rng: np.random.Generator) -> str:
+    """Reorder the frames of a standing camera: the pose stays."""
+    frames = hold_still(room.walk(rng, still=True).frames)
     order = rng.permutation(len(frames))
     mixed = [
         replace(frames[i], stamp=f.stamp, index=f.index) for i, f in zip(order, frames, strict=True)
     ]
     here, there = (room.scene.localize(Capture.from_frames(f)) for f in (frames, mixed))
-    return apart(here, there)
+    return compare_estimates(here, there)
 
 
-def apart(here: PoseEstimate, there: PoseEstimate, motion: Motion | None = None) -> str:
-    """How two answers differ, in words, where they differ by more than they may.
+def compare_estimates(here: PoseEstimate, there: PoseEstimate, motion: Motion | None = None) -> str:
+    """Describe how two estimates differ; empty where the difference is allowed.
 
-    Two that are `OK` lie together. One alone may be `OK`: its sureness lay at the border.
+    Two `OK` poses must agree. One alone may be `OK`: its confidence lay at the threshold.
     """
     if Status.OK not in (here.status, there.status):
         return ""
@@ -202,10 +206,10 @@ def apart(here: PoseEstimate, there: PoseEstimate, motion: Motion | None = None)
     return ""
 
 
-ROOMS = (furnished, 3.0, {
-    "a room moved, turned or mirrored moves the pose": moved,
-    "objects of a room in another order": relisted,
-    "frames of a still camera in another order": still,
+ROOMS = (furnish_room, 3.0, {
+    "a room moved, turned or mirrored moves the pose": move_room,
+    "objects of a room in another order": reorder_objects,
+    "frames of a still camera in another order": reorder_frames,
 })  # fmt: skip
 
 
@@ -214,11 +218,11 @@ PART = "properties"
 
 @dataclass(frozen=True)
 class Property:
-    """A property, and how it is tried once."""
+    """A property and its trial."""
 
     name: str
-    world: Callable[[Path], Any]  # makes what its trials are about, in a folder
-    trial: Callable[[Any, np.random.Generator], str]  # in words how it is broken; empty: it holds
+    world: Callable[[Path], Any]  # makes the subject of its trials in a folder
+    trial: Callable[[Any, np.random.Generator], str]  # describes a violation; empty: it holds
     share: float = 1.0  # of the time, against the others
 
 
@@ -235,7 +239,7 @@ PROPERTIES = tuple(
 
 
 def rows(effort: Effort) -> Iterator[Row]:
-    """One row a property; each is tried once at least."""
+    """Yield a row for each property; each is tried at least once."""
     worlds: dict[object, object] = {}
     whole = sum(p.share for p in PROPERTIES)
     for number, known in enumerate(PROPERTIES):
@@ -243,20 +247,20 @@ def rows(effort: Effort) -> Iterator[Row]:
             folder = effort.folder / f"world{len(worlds)}"
             folder.mkdir(parents=True)
             worlds[known.world] = known.world(folder)
-        yield tried(
+        yield try_property(
             known, worlds[known.world], (effort.seed, number), effort.seconds * known.share / whole,
             effort.say,
         )  # fmt: skip
 
 
-def tried(
+def try_property(
     known: Property,
     world: object,
     seed: tuple[int, int],
     seconds: float,
     say: Callable[[str], None] = lambda _: None,
 ) -> Row:
-    """Try a property for so long; trial k draws from ``default_rng((*seed, k))``."""
+    """Try a property for `seconds`; trial k draws from ``default_rng((*seed, k))``."""
     found = {"accepted": 0, "untyped": 0}
     start, k = monotonic(), 0
     while not k or monotonic() - start < seconds:

@@ -1,7 +1,7 @@
-"""What every part of the campaign hands in: rows of the table `reliability`.
+"""Rows of the table `reliability`, which every part of the campaign yields.
 
 A part is a module of its name in `placegraph_lab.campaign` with `rows(effort) -> Iterator[Row]`. It
-yields each row as soon as it is done, so that a part which is cut short has told what it found.
+yields each row as soon as it is done, so that nothing is lost where it is interrupted.
 """
 
 from __future__ import annotations
@@ -12,32 +12,34 @@ from pathlib import Path
 from typing import Any
 
 PARTS = ("fuzz", "faults", "soak", "properties", "platforms")
-"""Modules of this folder, in the order in which the table lists them."""
+"""Modules of this folder, in the order of the table."""
 OUTCOMES = ("accepted", "typed", "untyped", "crash", "hang", "memory")
-"""What may become of a trial; the last four are faults."""
+"""Outcomes of a trial; the last four are faults."""
 FAULTS = OUTCOMES[2:]
 
 
 @dataclass(frozen=True, slots=True)
 class Effort:
-    """How long a part may take, and where it works."""
+    """Time, seed and folder of a part."""
 
     seconds: float
-    """Wall time in which the part is to end: minutes by default, hours where they are asked for."""
-    seed: int  # of all that is drawn; printed and written down
+    """Wall time in which the part should end."""
+    seed: int
     folder: Path  # empty, the part's own; deleted when it has ended
-    data: Path  # recordings, as of `Run.data`; may be missing, and then the part says what it left out
-    say: Callable[[str], None]  # tells the person who waits
-    names: Collection[str] = ()  # of the rows that are wanted, as the table has them; none: all
+    data: Path  # recordings, as in `Run.data`; may be missing
+    say: Callable[[str], None]  # reports progress
+    names: Collection[str] = ()  # rows to run; all if empty
+    layouts: Path | None = None
+    """Python file that writes seeds of more formats for fuzzing (`campaign.seeds.load_layouts`)."""
 
     def wants(self, name: str) -> bool:
-        """Whether a row of this name is asked for."""
+        """Return whether a row of this name is to be run."""
         return not self.names or name in self.names
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """What became of all trials of one kind; they sum up to `tried`."""
+    """Outcomes of all trials of one kind; they sum up to `tried`."""
 
     part: str  # one of `PARTS`
     what: str  # the reader, fault, load, property or platform, in a few words
@@ -50,18 +52,18 @@ class Row:
     memory: int = 0  # it passed its bound of memory, or memory grew
     seed: int = 0
     seconds: float = 0.0  # wall time of all trials
-    said: str = ""  # what was measured beside it, in a few words
+    said: str = ""  # other measurements, in a few words
     mended: int = 0
-    """So many of its faults are mended since, each kind with a test and its first input drawn again."""
+    """Faults that were fixed since, each kind with a test and its first input drawn again."""
 
     @property
     def faults(self) -> int:
-        """Trials that ended as none should."""
+        """Number of faulty trials."""
         return sum(getattr(self, name) for name in FAULTS)
 
     @property
     def open(self) -> int:
-        """Faults that are not mended."""
+        """Number of faults that are not fixed."""
         return self.faults - self.mended
 
     @classmethod
@@ -74,7 +76,7 @@ class Row:
         seconds: float,
         said: str = "",
     ) -> Row:
-        """Row of how often each outcome was seen; `KeyError` where one is none of `OUTCOMES`."""
+        """Return the row of counts by outcome; `KeyError` for an unknown outcome."""
         counts = {name: found.get(name, 0) for name in OUTCOMES}
         if strange := sorted(set(found) - set(OUTCOMES)):
             raise KeyError(strange[0])
@@ -83,17 +85,17 @@ class Row:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """As JSON holds it."""
+        """Return the row as JSON holds it."""
         return asdict(self)
 
     @classmethod
     def from_dict(cls, record: Mapping[str, Any]) -> Row:
-        """Row of what `to_dict` gave."""
+        """Return the row of a JSON object."""
         return cls(**{f.name: record[f.name] for f in fields(cls) if f.name in record})
 
 
 def merged(before: Iterable[Row], now: Iterable[Row], without: Collection[str] = ()) -> list[Row]:
-    """Rows from before, but of parts left out, and those of now in the place of the same of their seed."""
+    """Merge rows: new ones replace those of the same name and seed; parts in `without` are dropped."""
     new = list(now)
     there = {(r.part, r.what, r.seed) for r in new}
     kept = [r for r in before if r.part not in without and (r.part, r.what, r.seed) not in there]
@@ -101,9 +103,9 @@ def merged(before: Iterable[Row], now: Iterable[Row], without: Collection[str] =
 
 
 def mend(rows: Iterable[Row], names: Collection[str]) -> list[Row]:
-    """Rows, where all faults of those of these names, ``PART/WHAT/SEED``, are mended.
+    """Mark all faults of the rows named ``PART/WHAT/SEED`` as fixed.
 
-    Raises `KeyError` with the first name that is of no row with faults.
+    Raises `KeyError` with the first name that has no row with faults.
     """
     each = list(rows)
     broken = {f"{r.part}/{r.what}/{r.seed}" for r in each if r.faults}
@@ -115,7 +117,7 @@ def mend(rows: Iterable[Row], names: Collection[str]) -> list[Row]:
 
 
 def total(rows: Iterable[Row], what: str = "all") -> Row:
-    """Sum of rows; seed and part are those of the first."""
+    """Return the sum of rows; seed and part are those of the first."""
     each = list(rows)
     counts = {name: sum(getattr(r, name) for r in each) for name in ("tried", *OUTCOMES, "mended")}
     first = each[0] if each else Row("", what, 0)

@@ -1,7 +1,7 @@
-"""Work without end: memory flat, the slowest hundredth no slower, and no file left open.
+"""Endurance tests: memory stays flat, the slowest hundredth no slower, and no file stays open.
 
 Each load runs in a process of its own, as many at once as there are processors, until its share of
-the time is over or its count is reached; what is before its first quarter warms up.
+the time is over or its count is reached. The first quarter is warm-up.
 """
 
 from __future__ import annotations
@@ -24,16 +24,13 @@ from placegraph_lab.campaign.outages import Server
 from placegraph_lab.campaign.row import Effort, Row
 from placegraph_lab.campaign.trial import prepare
 
-FLAT = 0.02  # memory may grow by so much of itself after the first quarter
-ROUGH = 4e6  # and by so much at least: what allocators move to and fro [bytes]
-SLOWER = (
-    1.5  # so much slower may the slowest hundredth of the last quarter be than that of the second
-)
-TRANSIENT = 3  # so many more files than before may be open for a moment: a connection, a page
-SEEN = 0.5  # memory and files are looked at after so many seconds
-FEW = 200  # from so many answers a quarter on its slowest hundredth is told
+MEMORY_GROWTH, MEMORY_NOISE = 0.02, 4e6  # allowed growth after the first quarter; at least [bytes]
+SLOWDOWN = 1.5  # allowed ratio of the slowest hundredths of the last and the second quarter
+TRANSIENT = 3  # files that may be open for a moment: a connection, a page
+SAMPLE_INTERVAL = 0.5  # between samples of memory and files [s]
+MIN_ANSWERS = 200  # answers a quarter that the slowest hundredth needs
 LOADS = {"sentences": 1e6, "localizations": 2e4, "tracker frames": 2e5, "a server": inf}
-"""After so many answers a load has borne enough."""
+"""Number of answers after which a load ends."""
 WORDS = (
     "bakery", "church", "library", "fountain", "pharmacy", "bank", "hotel", "café", "museum", "zoo",
 )  # fmt: skip
@@ -42,15 +39,15 @@ PAGE = os.sysconf("SC_PAGE_SIZE")
 
 
 @dataclass(frozen=True)
-class Worn:
-    """How a load was borne."""
+class LoadReport:
+    """Durations, memory and open files of a load."""
 
     count: int
     milliseconds: tuple[float, float]
-    """The slowest hundredth of the second and of the last quarter, CPU time."""
-    memory: tuple[float, float]  # most bytes held in the second and in the last quarter
-    files: tuple[int, int]  # open files, most in the second and in the last quarter
-    enough: bool  # whether there were answers enough for the slowest hundredth
+    """Slowest hundredth of the second and of the last quarter, CPU time."""
+    memory: tuple[float, float]  # peak bytes of the second and of the last quarter
+    files: tuple[int, int]  # most open files of the second and of the last quarter
+    enough: bool  # whether there were enough answers for the slowest hundredth
     seconds: float = 0.0  # wall time of all
 
     @classmethod
@@ -60,22 +57,22 @@ class Worn:
         memory: Sequence[float],
         files: Sequence[int],
         seconds: float = 0.0,
-    ) -> Worn:
-        """Figures of each answer [s], and of memory and open files from time to time."""
+    ) -> LoadReport:
+        """Return the report of durations [s], and of samples of memory and open files."""
         late = [1e3 * float(np.percentile(part, 99)) for part in _quarters(took)]
         held, there = ([max(part) for part in _quarters(each)] for each in (memory, files))
         return cls(
             len(took), (late[0], late[1]), (held[0], held[1]), (int(there[0]), int(there[1])),
-            len(took) >= 4 * FEW, seconds,
+            len(took) >= 4 * MIN_ANSWERS, seconds,
         )  # fmt: skip
 
     @property
     def faults(self) -> list[str]:
-        """What did not stay as it was."""
+        """Names of what grew: memory, slower, files."""
         found, (before, after) = [], self.memory
-        if after - before > max(FLAT * before, ROUGH):
+        if after - before > max(MEMORY_GROWTH * before, MEMORY_NOISE):
             found.append("memory")
-        if self.enough and self.milliseconds[1] > SLOWER * self.milliseconds[0]:
+        if self.enough and self.milliseconds[1] > SLOWDOWN * self.milliseconds[0]:
             found.append("slower")
         if self.files[1] > self.files[0] + TRANSIENT:
             found.append("files")
@@ -91,47 +88,46 @@ class Worn:
 
 
 def rows(effort: Effort) -> Iterator[Row]:
-    """Rows of this part."""
+    """Yield the rows of this part."""
     prepare(effort.folder / "inputs")
     loads = [load for load in LOADS if effort.wants(load)]
     at_once = min(count_processors(), max(1, len(loads)))
     share = effort.seconds * at_once / max(1, len(loads))
     with ProcessPoolExecutor(at_once, get_context("spawn"), max_tasks_per_child=1) as pool:
         started = {
-            pool.submit(borne, load, effort.folder, share, effort.seed): load for load in loads
+            pool.submit(run_load, load, effort.folder, share, effort.seed): load for load in loads
         }
         for ended in as_completed(started):
-            yield told(started[ended], *ended.result(), effort)
+            yield _row(started[ended], *ended.result(), effort)
 
 
-def told(load: str, worn: Worn, wrong: int, effort: Effort) -> Row:
-    """Row of how a load was borne, and of how many answers were wrong."""
-    effort.say(f"{load}: {worn.count:,}, {worn}; {', '.join(worn.faults)}")
-    grown = int(bool({"memory", "files"} & set(worn.faults)))
-    late = int("slower" in worn.faults)
+def _row(load: str, report: LoadReport, wrong: int, effort: Effort) -> Row:
+    effort.say(f"{load}: {report.count:,}, {report}; {', '.join(report.faults)}")
+    grown = int(bool({"memory", "files"} & set(report.faults)))
+    late = int("slower" in report.faults)
     counts = {
-        "accepted": max(0, worn.count - wrong - grown - late),
+        "accepted": max(0, report.count - wrong - grown - late),
         "untyped": wrong,
         "hang": late,
         "memory": grown,
     }
-    return Row.counted("soak", load, counts, effort.seed, worn.seconds, str(worn))
+    return Row.counted("soak", load, counts, effort.seed, report.seconds, str(report))
 
 
-def borne(load: str, folder: Path, seconds: float, seed: int) -> tuple[Worn, int]:
-    """How a load was borne for so long, in this process; and how many answers were wrong."""
+def run_load(load: str, folder: Path, seconds: float, seed: int) -> tuple[LoadReport, int]:
+    """Run a load for `seconds` in this process; return its report and the number of wrong answers."""
     inputs = folder / "inputs"
     if load == "a server":
-        return asked(inputs, folder, seconds, seed)
-    return lived(load, inputs, seconds, seed), 0
+        return load_server(inputs, folder, seconds, seed)
+    return run_in_process(load, inputs, seconds, seed), 0
 
 
-def lived(load: str, inputs: Path, seconds: float, seed: int) -> Worn:
-    """Do the work of a load for so long, in this process."""
+def run_in_process(load: str, inputs: Path, seconds: float, seed: int) -> LoadReport:
+    """Run a load that needs no server for `seconds`."""
     rng = np.random.default_rng(seed)
     work = {"sentences": sentences, "localizations": localizations, "tracker frames": frames}[load]
     ask = work(inputs, rng)
-    for _ in range(3):  # what is compiled and kept at first
+    for _ in range(3):  # fills caches
         ask()
     took, memory, files = array("f"), array("d"), array("l")
     seen, begun = 0.0, perf_counter()
@@ -139,24 +135,24 @@ def lived(load: str, inputs: Path, seconds: float, seed: int) -> Worn:
         start = process_time()
         ask()
         took.append(process_time() - start)
-        if perf_counter() > seen + SEEN:
-            gc.collect()  # what nobody refers to but itself is not held
-            memory.append(held(os.getpid()))
+        if perf_counter() > seen + SAMPLE_INTERVAL:
+            gc.collect()  # frees reference cycles
+            memory.append(resident_bytes(os.getpid()))
             files.append(len(list(Path("/proc/self/fd").iterdir())))
             seen = perf_counter()
-    return Worn.of(took, memory, files, perf_counter() - begun)
+    return LoadReport.of(took, memory, files, perf_counter() - begun)
 
 
 def sentences(inputs: Path, rng: np.random.Generator) -> Callable[[], object]:
-    """Sentences, each another one, in one map."""
+    """Return a function that locates drawn sentences in one map."""
     from placegraph.outdoor.city import CityMap
 
     city = CityMap.open(inputs / "town.city")
-    return lambda: city.locate(drawn(rng))
+    return lambda: city.locate(draw_sentence(rng))
 
 
-def drawn(rng: np.random.Generator) -> str:
-    """One to three sentences about the speaker."""
+def draw_sentence(rng: np.random.Generator) -> str:
+    """Draw one to three sentences about the speaker."""
     said = [
         f"A {rng.choice(WORDS)} is {rng.choice(SIDES[:4])} of me, {rng.integers(5, 200)} m away."
         if rng.random() < 0.5
@@ -167,10 +163,9 @@ def drawn(rng: np.random.Generator) -> str:
 
 
 def localizations(inputs: Path, rng: np.random.Generator) -> Callable[[], object]:
-    """One to three frames of a film in one map, by all senses and by two of three.
+    """Return a function that localizes one to three frames in one map, by all or two of three cues.
 
-    One in fifty is refined, one in ten more is looked for everywhere, and the others near where
-    their first frame was found before.
+    One in fifty is refined, one in ten more is searched in the whole map, and the others near a prior.
     """
     from placegraph.indoor.options import PoseSearchOptions
     from placegraph.indoor.pose.prior import Prior
@@ -198,7 +193,7 @@ def localizations(inputs: Path, rng: np.random.Generator) -> Callable[[], object
 
 
 def frames(inputs: Path, rng: np.random.Generator) -> Callable[[], object]:
-    """Frames to and fro along a film, in one tracker, with odometry that drifts."""
+    """Return a function that feeds frames, to and fro, to one tracker."""
     from dataclasses import replace
 
     from placegraph.io.capture.capture import open_capture
@@ -219,8 +214,8 @@ def frames(inputs: Path, rng: np.random.Generator) -> Callable[[], object]:
     return ask
 
 
-def asked(inputs: Path, at: Path, seconds: float, seed: int) -> tuple[Worn, int]:
-    """Ask a server for sentences, maps, pages and nonsense; also how many answers were wrong."""
+def load_server(inputs: Path, at: Path, seconds: float, seed: int) -> tuple[LoadReport, int]:
+    """Send valid and invalid requests to a server; return the report and the number of wrong answers."""
     import json
     import shutil
 
@@ -235,7 +230,7 @@ def asked(inputs: Path, at: Path, seconds: float, seed: int) -> tuple[Worn, int]
         seen, begun = 0.0, perf_counter()
         while perf_counter() < begun + seconds:
             kind = int(rng.integers(8))
-            text = drawn(rng) if kind < 5 else ""
+            text = draw_sentence(rng) if kind < 5 else ""
             body = json.dumps({"text": text, "map": "town"}).encode()
             wanted, path = (200, "/v1/locate") if kind < 5 else (422, "/v1/locate")
             start = perf_counter()
@@ -245,23 +240,23 @@ def asked(inputs: Path, at: Path, seconds: float, seed: int) -> tuple[Worn, int]
                 wanted, (status, _) = 200, server.ask("GET", ("/v1/maps", "/")[kind - 6])
             took.append(perf_counter() - start)
             wrong += status != wanted and not (wanted == 422 and 400 <= status < 500)
-            if perf_counter() > seen + SEEN:
-                memory.append(sum(map(held, own)))
+            if perf_counter() > seen + SAMPLE_INTERVAL:
+                memory.append(sum(map(resident_bytes, own)))
                 files.append(sum(len(list(Path(f"/proc/{p}/fd").iterdir())) for p in own))
                 seen = perf_counter()
     finally:
         server.end()
-    return Worn.of(took, memory, files, perf_counter() - begun), wrong
+    return LoadReport.of(took, memory, files, perf_counter() - begun), wrong
 
 
 def _quarters(values: Sequence[float]) -> tuple[Sequence[float], Sequence[float]]:
-    """The second and the last; all of what are fewer than four."""
+    """Return the second and the last quarter; all values where there are fewer than four."""
     quarter = len(values) // 4
     return (values[quarter : 2 * quarter], values[-quarter:]) if quarter else (values, values)
 
 
-def held(process: int) -> float:
-    """What a process holds [bytes], resident; 0 where it is gone."""
+def resident_bytes(process: int) -> float:
+    """Return the resident memory of a process [bytes]; 0 where it has ended."""
     try:
         return float(Path(f"/proc/{process}/statm").read_text().split()[1]) * PAGE
     except OSError:

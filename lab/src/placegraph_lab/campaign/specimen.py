@@ -1,7 +1,6 @@
-"""A program that builds and asks a few maps, and prints what became of it as JSON.
+"""Program that builds a few maps, queries them, and prints the answers as JSON.
 
-It is run as a file, in processes of every kind, also where placegraph alone is installed; it imports
-nothing else. Two processes that agree print the same bytes.
+It runs as a file, also where only placegraph is installed. Two processes that agree print the same bytes.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ TEXTS = (
 
 
 class _Hidden(importlib.abc.MetaPathFinder):
-    """Packages that shall seem not to be installed."""
+    """Import hook that hides packages."""
 
     def __init__(self, names: Sequence[str]) -> None:
         self.names = names
@@ -38,26 +37,26 @@ class _Hidden(importlib.abc.MetaPathFinder):
         importlib.metadata.distribution = self.distribution  # type: ignore[assignment]
 
     def find_spec(self, name: str, path: object = None, target: ModuleType | None = None) -> None:  # noqa: ARG002
-        """No module of theirs."""
+        """Raise `ImportError` for a hidden package."""
         if name.partition(".")[0] in self.names:
             raise ImportError(f"{name} is hidden", name=name)
 
     def distribution(self, name: str) -> importlib.metadata.Distribution:
-        """No distribution of theirs."""
+        """Raise `PackageNotFoundError` for a hidden package."""
         if name in self.names:
             raise importlib.metadata.PackageNotFoundError(name)
         return self._known(name)
 
 
-def without_times(told: Any) -> Any:  # noqa: ANN401  # JSON
-    """An answer, but for what differs from run to run."""
-    if isinstance(told, dict):
-        return {k: without_times(v) for k, v in told.items() if "seconds" not in k}
-    return [without_times(v) for v in told] if isinstance(told, list) else told
+def drop_durations(answer: Any) -> Any:  # noqa: ANN401  # JSON
+    """Return an answer without its durations."""
+    if isinstance(answer, dict):
+        return {k: drop_durations(v) for k, v in answer.items() if "seconds" not in k}
+    return [drop_durations(v) for v in answer] if isinstance(answer, list) else answer
 
 
 def answers(folder: Path, *, threads: int | None, frames: int) -> dict[str, Any]:
-    """Maps built of the demo's files, and what they answer."""
+    """Build maps of the demo's files; return their digests and answers."""
     import placegraph as pg
     from placegraph.core.threads import count_processors, limit_threads
     from placegraph.demo.world import FLAT, TOWN, unpack
@@ -74,8 +73,8 @@ def answers(folder: Path, *, threads: int | None, frames: int) -> dict[str, Any]
             found["scene"] = _digest(world / "flat.scene")
             walk = pg.open_capture(world / "walk")[:frames]
             found["pose"] = scene.localize(walk, seed=3).to_dict()
-    told: dict[str, Any] = without_times(found)
-    return told
+    stable: dict[str, Any] = drop_durations(found)
+    return stable
 
 
 def _said(city: Any, text: str) -> Any:  # noqa: ANN401  # a CityMap, imported late
@@ -92,7 +91,7 @@ def _digest(file: Path) -> str:
 
 
 def main() -> None:
-    """Answer, under the conditions that the command line names."""
+    """Answer under the conditions that the command line names."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--hide", nargs="*", default=[], help="packages that seem not to be there")
     parser.add_argument("--locale", help="what the process sets before it begins")
@@ -112,8 +111,8 @@ def main() -> None:
 
         cache.FOLDERS.choose(given.compiled)
     with TemporaryDirectory() as folder:
-        told = answers(Path(folder), threads=given.threads, frames=given.frames)
-    sys.stdout.write(json.dumps(told, sort_keys=True) + "\n")
+        found = answers(Path(folder), threads=given.threads, frames=given.frames)
+    sys.stdout.write(json.dumps(found, sort_keys=True) + "\n")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The server, asked in this process: what its workers would hide behind a status is raised here."""
+"""Targets of fuzzing: formats, server requests, sentences and command lines, and how each is used."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from PIL import Image
 
 from placegraph.errors import PlacegraphError, RequestError
 from placegraph_lab.campaign import uses
-from placegraph_lab.campaign.mutate import WORDS, flipped, spoil, spoil_world
-from placegraph_lab.campaign.seeds import CAPTURES, MAPS, POSE, ROOT, STORES, DrawnPlaces, save
-from placegraph_lab.campaign.uses import INSIDE, SAID, Bench, chance
+from placegraph_lab.campaign.mutate import WORDS, flip_bytes, mutate_path, mutate_world
+from placegraph_lab.campaign.seeds import POSE, SeedWorld, load_layouts, save_image
+from placegraph_lab.campaign.uses import INSIDE, OUTSIDE, Bench, happens
 from placegraph_serve.app import create_app
 from placegraph_serve.limits import HeadTimeoutProtocol
 from placegraph_serve.options import ServeOptions
@@ -36,36 +36,38 @@ from placegraph_serve.workers import VERBS, Answer, dumped
 if TYPE_CHECKING:
     from starlette.testclient import TestClient
 
-HONEST = {501, 502, 503}  # statuses from 500 on that say what is wrong
+ALLOWED = {501, 502, 503}  # statuses from 500 on that name the problem
 
 
-class Here:
-    """A lane that answers in this process."""
+class InProcessQueue:
+    """A worker queue that answers in this process."""
 
     ready, name = True, "here"
     waiting = running = answered = replaced = 0
 
-    def __init__(self, desk: Dispatcher) -> None:
-        self.desk = desk
+    def __init__(self, dispatcher: Dispatcher) -> None:
+        self.dispatcher = dispatcher
 
     def begin(self) -> None:
-        """There is no process to be started."""
+        """Do nothing: there is no process."""
 
     async def end(self) -> None:
-        """There is no process to be ended."""
+        """Do nothing: there is no process."""
 
     async def ask(self, verb: str, asked: Any) -> Answer:  # noqa: ANN401  # of the verb
-        """Answer, or a problem of ours; another error is raised."""
+        """Return the answer, or the problem of a `PlacegraphError`; other errors are raised."""
         module, function = VERBS[verb].split(":")
         try:
-            made = getattr(import_module(f"placegraph_serve.{module}"), function)(self.desk, asked)
+            answer = getattr(import_module(f"placegraph_serve.{module}"), function)(
+                self.dispatcher, asked
+            )
         except PlacegraphError as error:
             return None, problem(error)
-        return (made if isinstance(made, bytes) else dumped(made | {"seconds": 0.0})), None
+        return (answer if isinstance(answer, bytes) else dumped(answer | {"seconds": 0.0})), None
 
 
-class Served:
-    """Clients of a server of a town and a room."""
+class ServerUnderTest:
+    """A server of a town and a room, with clients in this process and on the network."""
 
     def __init__(self, bench: Bench) -> None:
         folder = bench.folder / "served"
@@ -75,15 +77,15 @@ class Served:
         bench.room.save(folder / "room.scene")
         places, options = Places([folder]), ServeOptions()
         self.app = create_app(places, options)
-        lane: Any = Here(Dispatcher(Places([folder]), options))
+        queue: Any = InProcessQueue(Dispatcher(Places([folder]), options))
         server = self.app.state.server
-        server.sentences = server.captures = server.steps = lane
-        server.sessions._lane = lane  # noqa: SLF001  # the routes hold the sessions
+        server.sentences = server.captures = server.steps = queue
+        server.sessions._lane = queue  # noqa: SLF001  # the routes hold the sessions
         self.sessions: dict[str, str] = {}
 
     @cached_property
     def client(self) -> TestClient:
-        """Asks without a network."""
+        """A client without a network."""
         from starlette.testclient import TestClient
 
         client = TestClient(self.app, base_url="http://127.0.0.1")
@@ -92,7 +94,7 @@ class Served:
 
     @cached_property
     def port(self) -> int:
-        """Of the same on the network of this machine."""
+        """The port on which the same server listens."""
         import uvicorn
 
         http: Any = partial(HeadTimeoutProtocol, seconds=20.0)
@@ -106,123 +108,107 @@ class Served:
         return int(server.servers[0].sockets[0].getsockname()[1])
 
     def session(self, name: str) -> str:
-        """Path of a session in a map, begun where there is none any more."""
+        """Return the path of a session in a map; begin one where there is none."""
         camera = {"fx": 35, "width": 48, "height": 36}
         known = self.sessions.get(name, "/v1/sessions/none")
         if self.client.post(known, json={"distance": 0.0}).status_code == 404:
             body = {"map": name} | ({"camera": camera} if name == "room" else {})
-            told = self.client.post("/v1/sessions", json=body).json()
-            self.sessions[name] = f"/v1/sessions/{told['session']}"
+            reply = self.client.post("/v1/sessions", json=body).json()
+            self.sessions[name] = f"/v1/sessions/{reply['session']}"
         return self.sessions[name]
 
 
-def request(bench: Bench, folder: Path, rng: Generator) -> None:
+def send_request(bench: Bench, folder: Path, rng: Generator) -> None:
     """Send one of the folder's requests; `RequestError` where it is refused."""
-    served = _served(bench)
+    served = _server(bench)
     files = sorted(folder.glob("*.request"))
     text = files[rng.integers(len(files))].read_bytes()
     try:
-        told = json.loads(text)
-        method, path, body = str(told["method"]), str(told["path"]), told["body"]
-        accept = str(told["accept"]).encode("latin-1")
+        asked = json.loads(text)
+        method, path, body = str(asked["method"]), str(asked["path"]), asked["body"]
+        accept = str(asked["accept"]).encode("latin-1")
     except (ValueError, LookupError, TypeError, RecursionError):  # it is a body now
-        _judged(served.client.post("/v1/locate", content=text))
+        _check_answer(served.client.post("/v1/locate", content=text))
         return
     if method == "SOCKET":
-        _socket(served, body, rng)
+        _ask_socket(served, body, rng)
     elif method == "FORM":
         sent = {"request": json.dumps(body)}
         images = [("images", ("a.png", (folder / "image.png").read_bytes()))]
-        _judged(served.client.post("/v1/localize", files=images, data=sent))
+        _check_answer(served.client.post("/v1/localize", files=images, data=sent))
     elif method == "STEP":
         where = served.session("room" if path == "room" else "town")
-        _judged(served.client.post(where, content=json.dumps(body)))
+        _check_answer(served.client.post(where, content=json.dumps(body)))
     else:
         head = {b"accept": accept, b"content-type": b"application/json"}
         content = b"" if body is None else json.dumps(body).encode()
         url = f"http://127.0.0.1/{quote(path.encode('utf-8', 'replace').lstrip(b'/'), '/?&=%+,')}"
         kind = method if method.isalpha() and method.isascii() else "POST"
-        _judged(served.client.request(kind, url, content=content, headers=head))
+        _check_answer(served.client.request(kind, url, content=content, headers=head))
 
 
-def _socket(served: Served, body: Any, rng: Generator) -> None:  # noqa: ANN401  # any JSON
+def _ask_socket(served: ServerUnderTest, body: Any, rng: Generator) -> None:  # noqa: ANN401  # any JSON
     from starlette.websockets import WebSocketDisconnect
 
     path = "/v1/live" if rng.integers(2) else served.session("town")
     try:
         with served.client.websocket_connect(path) as there:
             there.send_text(json.dumps(body))
-            told = json.loads(there.receive_text())
+            reply = json.loads(there.receive_text())
     except WebSocketDisconnect as error:
         raise RequestError(f"closed: {error.code}") from error
-    _told(told.get("problem") or (told if "status" in told and "detail" in told else None))
+    _check_problem(
+        reply.get("problem") or (reply if {"status", "detail"} <= reply.keys() else None)
+    )
 
 
-def _judged(answer: Any) -> None:  # noqa: ANN401  # of httpx
+def _check_answer(answer: Any) -> None:  # noqa: ANN401  # of httpx
     if answer.status_code >= 400:
-        said = answer.json() if "json" in answer.headers.get("content-type", "") else {}
-        _told({"status": answer.status_code, "detail": answer.text} | said)
+        reply = answer.json() if "json" in answer.headers.get("content-type", "") else {}
+        _check_problem({"status": answer.status_code, "detail": answer.text} | reply)
 
 
-def _told(trouble: dict[str, Any] | None) -> None:
-    if trouble is None:
+def _check_problem(report: dict[str, Any] | None) -> None:
+    if report is None:
         return
-    if trouble["status"] >= 500 and trouble["status"] not in HONEST:
-        raise AssertionError(f"status {trouble['status']}: {trouble['detail']}")
-    raise RequestError(str(trouble["detail"]), status=trouble["status"])
+    if report["status"] >= 500 and report["status"] not in ALLOWED:
+        raise AssertionError(f"status {report['status']}: {report['detail']}")
+    raise RequestError(str(report["detail"]), status=report["status"])
 
 
-def message(bench: Bench, folder: Path, rng: Generator) -> None:
-    """Send bytes to the port; the server says something honest, or hangs up, and goes on."""
-    served = _served(bench)
+def send_message(bench: Bench, folder: Path, rng: Generator) -> None:
+    """Send bytes to the port; the server answers with a proper status or hangs up, and goes on."""
+    served = _server(bench)
     files = sorted(folder.glob("*.http"))
     data = files[rng.integers(len(files))].read_bytes()
     with socket.create_connection(("127.0.0.1", served.port), timeout=200.0) as there:
         try:
             there.sendall(data)
             there.shutdown(socket.SHUT_WR)
-            said = there.recv(1 << 16)
+            reply = there.recv(1 << 16)
         except (BrokenPipeError, ConnectionResetError):
-            said = b""
-    status = said[9:12].decode("latin-1") if said.startswith(b"HTTP/1.1 ") else ""
+            reply = b""
+    status = reply[9:12].decode("latin-1") if reply.startswith(b"HTTP/1.1 ") else ""
     if status.isdigit() and int(status) >= 400:
-        _told({"status": int(status), "detail": said[:60].decode("latin-1")})
+        _check_problem({"status": int(status), "detail": reply[:60].decode("latin-1")})
     if not status:
         raise RequestError("hung up")
 
 
-def _served(bench: Bench) -> Served:
-    if not hasattr(bench, "served"):
-        bench.served = Served(bench)  # type: ignore[attr-defined]
-    served: Served = bench.served  # type: ignore[attr-defined]
-    return served
+def _server(bench: Bench) -> ServerUnderTest:
+    if not hasattr(bench, "server"):
+        bench.server = ServerUnderTest(bench)  # type: ignore[attr-defined]
+    server: ServerUnderTest = bench.server  # type: ignore[attr-defined]
+    return server
 
 
-MARKS = re.compile(r" => .*| @\d+.*")  # what the tests expect of a sentence stands behind it
 ODD = ("\u202e", "\x1b[2J", "\0", "\ud800", "½", "٣", "\U0001f468\u200d\U0001f469", "\n\n", "://",
        "ß" * 40, "9" * 5000, "not", "no", "and", "between", "(", ")", '"', "300 m", "-5 km",
        "1e400 m", "north of", "I", "𝔞")  # fmt: skip
 
 
-def sentences() -> list[str]:
-    """Sentences of all languages, as the tests have them."""
-    found = [*SAID, *INSIDE]
-    for path in sorted((ROOT / "tests/outdoor/language/hand").glob("*.txt")):
-        lines = path.read_text("utf-8").splitlines()
-        found += [MARKS.sub("", line) for line in lines if line.strip() and line[0] != "#"]
-    for name in ("sentences", "human", "turns"):
-        lines = (ROOT / f"tests/outdoor/language/{name}.txt").read_text("utf-8").splitlines()
-        found += [line.partition(" | ")[0] for line in lines if line and line[0] not in " #"]
-    return found
-
-
-def texts(path: Path, _places: DrawnPlaces) -> None:
-    """All sentences, one a line."""
-    path.write_text("\n".join(sentences()), "utf-8")
-
-
-def reworded(path: Path, rng: Generator) -> None:
-    """One to three sentences of the file, with words of them exchanged, doubled, gone, or odd."""
+def mutate_sentences(path: Path, rng: Generator) -> None:
+    """Keep one to three sentences of a file, with words exchanged, doubled, removed or odd."""
     lines = path.read_text("utf-8").split("\n")
     chosen = [lines[i] for i in rng.integers(len(lines), size=int(rng.choice([1, 1, 2, 3])))]
     words = re.findall(r"\w+\s*|\W\s*", " ".join(chosen))
@@ -242,16 +228,16 @@ def reworded(path: Path, rng: Generator) -> None:
         else:
             words = words * int(rng.choice([2, 30]))
     text = "".join(words)[:20_000].encode("utf-8", "surrogatepass")
-    path.write_bytes(flipped(text, rng) if chance(rng, 0.2) else text)
+    path.write_bytes(flip_bytes(text, rng) if happens(rng, 0.2) else text)
 
 
 def describe(bench: Bench, path: Path, rng: Generator) -> None:
-    """Read a text of the outside and of the inside, and look for the place."""
+    """Parse a text as an outdoor or indoor description, or locate it."""
     from placegraph.indoor.language import rank_scenes
     from placegraph.outdoor.language import describe as read
 
-    text = path.read_bytes().decode("utf-8", "surrogateescape" if chance(rng, 0.1) else "replace")
-    text = text if chance(rng, 0.01) else text[:400]
+    text = path.read_bytes().decode("utf-8", "surrogateescape" if happens(rng, 0.1) else "replace")
+    text = text if happens(rng, 0.01) else text[:400]
     kind = int(rng.integers(6))
     if kind < 3:
         repr(read(text, heading=0.5 if kind else None))
@@ -263,16 +249,12 @@ def describe(bench: Bench, path: Path, rng: Generator) -> None:
         bench.kleinstadt.track().tell(text)
 
 
-# ---------------------------------------------------------------------------------------- requests
-
-
-def requests(folder: Path, places: DrawnPlaces) -> None:
-    """A file a request: method, path, body; multipart and base64 as a client would make them."""
+def write_requests(folder: Path, world: SeedWorld) -> None:
+    """Write a file for each request: method, path and body, with images in base64."""
     folder.mkdir()
-    frame = places.frames[0]
-    array = frame.rgb()
+    pixels = world.frames[0].rgb()
     out = io.BytesIO()
-    Image.fromarray(array).save(out, "PNG")
+    Image.fromarray(pixels).save(out, "PNG")
     image = base64.b64encode(out.getvalue()).decode()
     fix = {"latitude": 53.0, "longitude": 8.0, "accuracy": 5.0}
     camera = {"sensorId": "0", "timestamp": 1608995990413, "imageBytes": image, "imageFormat": "PNG",
@@ -281,7 +263,7 @@ def requests(folder: Path, places: DrawnPlaces) -> None:
               "geolocationReadings": [fix | {"sensorId": "1", "timestamp": 1}],
               "accelerometerReadings": [{"x": 0, "y": 9.8, "z": 0, "sensorId": "2"}]}  # fmt: skip
     asked = {
-        "locate": ("POST", "/v1/locate", {"text": SAID[0], "near": [8.0, 53.0], "radius": 200.0, "top": 3,
+        "locate": ("POST", "/v1/locate", {"text": OUTSIDE[0], "near": [8.0, 53.0], "radius": 200.0, "top": 3,
                                           "heading_deg": 90, "map": "town", "answers": []}),
         "search": ("GET", "/api?q=Hotel%20Hansa&lat=53.0&lon=8.0&limit=5", None),
         "geopose": ("POST", "/geopose", {"id": "a", "timestamp": 1608995990413, "type": "geopose",
@@ -290,10 +272,10 @@ def requests(folder: Path, places: DrawnPlaces) -> None:
         "begin": ("POST", "/v1/sessions", {"map": "town", "near": [8.0, 53.0], "radius": 100.0}),
         "camera": ("POST", "/v1/sessions", {"map": "room", "camera": {"fx": 35, "width": 48, "height": 36},
                    "description": INSIDE[0]}),
-        "step": ("STEP", "town", {"text": SAID[0], "east": 3.0, "north": 1.0, "sigma": 2.0}),
+        "step": ("STEP", "town", {"text": OUTSIDE[0], "east": 3.0, "north": 1.0, "sigma": 2.0}),
         "frame": ("STEP", "room", {"image": image, "gravity": [0, 1, 0],
                   "odometry": POSE.tolist(), "stamp": 1.0}),
-        "live": ("SOCKET", "/v1/live", {"id": 3, "text": SAID[1], "top": 2}),
+        "live": ("SOCKET", "/v1/live", {"id": 3, "text": OUTSIDE[1], "top": 2}),
         "localize": ("FORM", "/v1/localize", {"map": "room", "gravity": [[0, 1, 0]], "depth_scale": 1000.0,
                      "intrinsics": {"fx": 35.0, "cx": 24.0, "cy": 18.0, "width": 48, "height": 36},
                      "prior": {"x": 2.5, "y": 0.2, "spread": 0.5}, "description": INSIDE[1],
@@ -304,24 +286,24 @@ def requests(folder: Path, places: DrawnPlaces) -> None:
     for name, (method, path, body) in asked.items():
         content = {"method": method, "path": path, "body": body, "accept": "*/*"}
         (folder / f"{name}.request").write_text(json.dumps(content), "utf-8")
-    save(folder / "image.png", frame.rgb())
+    save_image(folder / "image.png", pixels)
 
 
-def one(folder: Path, rng: Generator) -> None:
-    """One of the requests or messages changed, and the others taken away; at times its image changed."""
+def mutate_one(folder: Path, rng: Generator) -> None:
+    """Mutate one of the requests or messages, at times its image, and remove the others."""
     image = folder / "image.png"
     asked = sorted(p for p in folder.iterdir() if p != image)
     chosen = asked[rng.integers(len(asked))]
     for path in asked:
         if path != chosen:
             path.unlink()
-    spoil(image if image.exists() and chance(rng, 0.15) else chosen, rng)
+    mutate_path(image if image.exists() and happens(rng, 0.15) else chosen, rng)
 
 
-def messages(folder: Path, _places: DrawnPlaces) -> None:
-    """Requests as they go over the wire."""
+def write_messages(folder: Path, _world: SeedWorld) -> None:
+    """Write raw HTTP requests."""
     folder.mkdir()
-    body = json.dumps({"text": SAID[0], "map": "town"}).encode()
+    body = json.dumps({"text": OUTSIDE[0], "map": "town"}).encode()
     head = b"Host: 127.0.0.1\r\nContent-Type: application/json\r\n"
     form = b'--xx\r\nContent-Disposition: form-data; name="images"; filename="a.png"\r\n\r\nabc\r\n--xx--\r\n'
     kinds = {
@@ -343,8 +325,6 @@ def messages(folder: Path, _places: DrawnPlaces) -> None:
         (folder / f"{name}.http").write_bytes(data)
 
 
-# ---------------------------------------------------------------------------------- command lines
-
 COMMANDS = (
     "city build town.osm -o out.city --cell-size 50 --stride 25", "city info town.city --json",
     "city locate town.city TEXT --top 3 --near 8.0,53.0 --radius 100 --json",
@@ -364,12 +344,12 @@ COMMANDS = (
 )  # fmt: skip
 
 
-def commands(folder: Path, places: DrawnPlaces) -> None:
-    """A folder with maps of all kinds, and a file with command lines."""
+def write_commands(folder: Path, world: SeedWorld) -> None:
+    """Write maps of all kinds, and a file with command lines."""
     folder.mkdir()
-    places.city(folder)
-    places.room.save(folder / "room.scene")
-    places.room.export(folder / "room.glb")
+    world.city(folder)
+    world.room.save(folder / "room.scene")
+    world.room.export(folder / "room.glb")
     from placegraph.indoor.library import make_library
 
     library = make_library({}, encoders="labels")
@@ -378,8 +358,8 @@ def commands(folder: Path, places: DrawnPlaces) -> None:
     (folder / "words").write_text("\n".join(COMMANDS), "utf-8")
 
 
-def misspoken(folder: Path, rng: Generator) -> None:
-    """One command line, with words exchanged, and with numbers and options that are none."""
+def mutate_command(folder: Path, rng: Generator) -> None:
+    """Keep one command line, with words exchanged, and with invalid numbers and options."""
     lines = [line.split() for line in (folder / "words").read_text("utf-8").split("\n")]
     words = lines[rng.integers(len(lines))]
     for _ in range(int(rng.choice([1, 1, 2, 3]))):
@@ -399,15 +379,15 @@ def misspoken(folder: Path, rng: Generator) -> None:
     (folder / "words").write_text("\0".join(words), "utf-8", "surrogateescape")
 
 
-def command(_bench: Bench, folder: Path, _rng: Generator) -> None:
-    """Run a command line in its folder; `SystemExit` with 0 where it was taken."""
+def run_command(_bench: Bench, folder: Path, _rng: Generator) -> None:
+    """Run a command line in its folder; `SystemExit` with 0 where it succeeds."""
     import sys
 
     from placegraph import cli
 
     words = (folder / "words").read_text("utf-8", "surrogateescape").split("\0")
-    sys.argv = ["placegraph", *(SAID[0] if w == "TEXT" else w for w in words)]
-    before, sys.stdin = sys.stdin, io.StringIO("\n".join(SAID))
+    sys.argv = ["placegraph", *(OUTSIDE[0] if w == "TEXT" else w for w in words)]
+    before, sys.stdin = sys.stdin, io.StringIO("\n".join(OUTSIDE))
     try:
         with chdir(folder), suppress(BrokenPipeError):
             cli.main()
@@ -417,55 +397,58 @@ def command(_bench: Bench, folder: Path, _rng: Generator) -> None:
 
 @dataclass(frozen=True)
 class Target:
-    """A format, and what becomes of its files."""
+    """A format, its seeds, and how its files are used."""
 
     name: str
-    seeds: dict[str, Any]  # what draws each, by its name
+    seeds: dict[str, Any]  # functions that write them, by file name
     use: Callable[[Bench, Path, Generator], object]
-    spoil: Callable[[Path, Generator], None] = spoil
+    mutate: Callable[[Path, Generator], None] = mutate_path
     slow: bool = False
-    """Whether an input takes a process or a film: it comes last, and has the time that is left."""
+    """Whether an input takes seconds: such targets come last and share the time that is left."""
 
-    def drawn(self, folder: Path, bench: Bench) -> list[Path]:
-        """Seeds in a folder of their own, drawn where they are not yet."""
+    def write_seeds(self, folder: Path, bench: Bench) -> list[Path]:
+        """Write the seeds into a folder of their own, unless they are there."""
         if not folder.exists():
-            making = folder.with_name(f"{folder.name}.making")
-            shutil.rmtree(making, ignore_errors=True)
-            making.mkdir(parents=True)
+            unfinished = folder.with_name(f"{folder.name}.unfinished")
+            shutil.rmtree(unfinished, ignore_errors=True)
+            unfinished.mkdir(parents=True)
             for name, draw in self.seeds.items():
-                draw(making / name, bench)
-            making.rename(folder)
+                draw(unfinished / name, bench)
+            unfinished.rename(folder)
         return [folder / name for name in self.seeds]
 
 
 USES = {
-    "OSM .osm": uses.osm, "OSM .osm.pbf": uses.osm, "OSM .osm.gz, .osm.bz2": uses.osm,
-    "OSM of Overpass": uses.osm, "Overpass answers": uses.overpass,
-    "Nominatim answers": uses.nominatim, "OSM rooms": uses.rooms, "GLB": uses.mesh,
-    "glTF": uses.folder_mesh, "OBJ and MTL": uses.folder_mesh, "PLY": uses.mesh,
+    "Overpass answers": uses.overpass, "Nominatim answers": uses.nominatim, "OSM rooms": uses.rooms,
+    "GLB": uses.mesh, "glTF": uses.folder_mesh, "OBJ and MTL": uses.folder_mesh, "PLY": uses.mesh,
     "Spark-DSG": uses.mesh, "ConceptGraphs": uses.mesh, "3RScan scan": uses.folder_mesh,
-    "ScanNet scan": uses.folder_mesh, "SceneGraphFusion": uses.folder_mesh, ".city": uses.anything,
-    ".scene": uses.anything, ".library": uses.library, "worlds": uses.world,
-    ".vectors": uses.vectors, ".weights": uses.weights, ".run": uses.run, ".track": uses.track,
-    "changes": uses.changes, "Overture": uses.overture, ".city with an index": uses.anything,
-    "worlds in shards": uses.world, "libraries in shards": uses.shards,
+    "ScanNet scan": uses.folder_mesh, "SceneGraphFusion": uses.folder_mesh,
+    ".library": uses.library, "worlds": uses.world, ".vectors": uses.vectors,
+    ".weights": uses.weights, ".run": uses.run, ".track": uses.track, "changes": uses.changes,
+    "Overture": uses.overture, "worlds in shards": uses.world, "libraries in shards": uses.shards,
 }  # fmt: skip
-SPOILED = {"worlds in shards": spoil_world}
 SLOW = {"OSM .osm", "OSM .osm.pbf", "OSM .osm.gz, .osm.bz2", "OSM of Overpass", "worlds", "changes",
         "MultiScan", "COLMAP"}  # fmt: skip
-TARGETS = {
-    target.name: target
-    for target in (
-        *(
-            Target(n, seeds, USES[n], SPOILED.get(n, spoil), n in SLOW)
-            for n, seeds in {**MAPS, **STORES}.items()
-        ),
-        *(Target(n, seeds, uses.capture, slow=n in SLOW) for n, seeds in CAPTURES.items()),
-        Target("bags as streams", CAPTURES["bags MCAP"], uses.stream),
-        Target("descriptions", {"all.words": texts}, describe, reworded),
-        Target("requests", {"requests": requests}, request, one, slow=True),
-        Target("HTTP messages", {"messages": messages}, message, one),
-        Target("command lines", {"commands": commands}, command, misspoken),
-    )
-}
-"""By name, in the order of the table."""
+
+
+def find_targets(layouts: Path | None = None) -> dict[str, Target]:
+    """Return all targets by name; `layouts` is a Python file with seeds of more formats."""
+    maps, captures, sentences = load_layouts(layouts)
+    text = "\n".join([*OUTSIDE, *INSIDE, *sentences])
+    found = [
+        Target(
+            name, seeds, USES.get(name, uses.osm if name.startswith("OSM") else uses.any_map),
+            mutate_world if name == "worlds in shards" else mutate_path, name in SLOW,
+        )
+        for name, seeds in maps.items()
+    ]  # fmt: skip
+    found += [Target(n, seeds, uses.capture, slow=n in SLOW) for n, seeds in captures.items()]
+    described = {"all.words": lambda path, _: path.write_text(text, "utf-8")}
+    found += [
+        Target("bags as streams", captures["bags MCAP"], uses.stream),
+        Target("descriptions", described, describe, mutate_sentences),
+        Target("requests", {"requests": write_requests}, send_request, mutate_one, slow=True),
+        Target("HTTP messages", {"messages": write_messages}, send_message, mutate_one),
+        Target("command lines", {"commands": write_commands}, run_command, mutate_command),
+    ]
+    return {target.name: target for target in found}

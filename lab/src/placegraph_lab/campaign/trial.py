@@ -1,4 +1,4 @@
-"""Commands that write, what each of them makes, and what one that was killed may leave behind."""
+"""Commands that write files: their outputs, and the files that a killed one may leave behind."""
 
 from __future__ import annotations
 
@@ -21,38 +21,37 @@ from unittest.mock import patch
 from placegraph.demo.world import FLAT, TOWN, unpack
 
 TEXT = "A bakery is north of me."
-OLD = b"what was there before"
+OLD = b"what was there before"  # content of old files
 RUN = ("--tum", "a.tum", "--png", "a.png", "--overlay", "b.png", "--record", "a.run")
-DRAWN = (
+RENDERED = (
     *(f"{name}.png" for name in ("colour", "depth", "objects", "objects_preview", "overlay")),
     "objects.json",
 )
-"""What `scene render` makes."""
+"""Outputs of `scene render`."""
 
 
 @dataclass(frozen=True)
-class Writing:
-    """A command that writes files: each is the old one or the new one, whole, at any moment."""
+class WritingCommand:
+    """A command that writes files: at any moment each is the complete old or new one."""
 
     what: str
     words: tuple[str, ...]  # of `placegraph`; files by their names in the folder of the trial
     makes: tuple[str, ...]  # files, or one folder
     leaves: tuple[str, ...] = ()
-    """Patterns of what the docs say that a killed one leaves, beside those of every file."""
+    """Patterns of files that a killed one leaves, beside those of every command."""
     old: str | None = ""
-    """Input that is the old file, where the command changes one; else some bytes; None: there is none."""
-    ends: str = ""  # file of a folder that is written last: where it is there, all are
+    """Input that is the old file; if empty, `OLD` bytes are; None: there is no old file."""
+    ends: str = ""  # file of a folder that is written last
 
-    def made(self, name: str) -> bool:
-        """Whether it makes a file of this name; what it keeps for itself aside."""
-        return any(name == m or name.startswith(f"{m}/") for m in self.makes) and not self.keeps(
-            name
-        )
+    def makes_file(self, name: str) -> bool:
+        """Return whether the command makes a file of this name."""
+        inside = any(name == m or name.startswith(f"{m}/") for m in self.makes)
+        return inside and not self.keeps(name)
 
     def before(self, inputs: Path, folder: Path) -> dict[str, bytes]:
-        """Lay the old files into a folder; their contents by name."""
+        """Write the old files into a folder; return their contents by name."""
         old: dict[str, bytes] = {}
-        if self.ends:  # what is unfinished is gone on with
+        if self.ends:  # an unfinished folder is resumed
             if (folder / self.ends).exists():
                 shutil.rmtree(folder / self.makes[0])
             return old
@@ -66,19 +65,19 @@ class Writing:
         return old
 
     def keeps(self, name: str) -> bool:
-        """Whether a file of this name may stay, whatever comes after a kill."""
+        """Return whether a file of this name may stay after the next run."""
         return any(fnmatch(name, pattern) for pattern in self.leaves)
 
     def allows(self, name: str) -> bool:
-        """Whether a file of this name may be there after a kill."""
+        """Return whether a file of this name may be there after a kill."""
         last = name.rpartition("/")[2]
         own = [Path(made).name for made in self.makes]
         unfinished = [f".{each}.{end}" for each in own for end in ("tmp", "lock")]
-        return self.made(name) or last in unfinished or self.keeps(name)
+        return self.makes_file(name) or last in unfinished or self.keeps(name)
 
 
 def prepare(folder: Path) -> Path:
-    """Inputs of all commands: the demo's world, a city, a scene, a library and a bag of it."""
+    """Write the inputs of all commands: maps, a library and a bag of the demo's world."""
     from placegraph.indoor.build import build_scene
     from placegraph.indoor.library import SceneLibrary
     from placegraph.io.capture.capture import open_capture
@@ -101,8 +100,8 @@ def prepare(folder: Path) -> Path:
     return folder
 
 
-def writings(inputs: Path) -> list[Writing]:
-    """Every command that writes."""
+def list_commands(inputs: Path) -> list[WritingCommand]:
+    """Return every command that writes files."""
     osm, flat, city = inputs / f"{TOWN}.osm", inputs / "flat.scene", inputs / "town.city"
     window = inputs / "window"
     every = [
@@ -117,11 +116,11 @@ def writings(inputs: Path) -> list[Writing]:
         ("scene update", (flat, inputs / "changes.json", "-o", "a.scene"), ("a.scene",)),
         ("scene encode", (flat, "-o", "a.scene", "--encoder", "appearance"), ("a.scene",)),
         ("scene export", (flat, "a.glb", "--force"), ("a.glb",)),
-        ("scene render", (flat, "-o", ".", "--pose", "2,2,1.6,0", "--capture", window), DRAWN),
+        ("scene render", (flat, "-o", ".", "--pose", "2,2,1.6,0", "--capture", window), RENDERED),
         ("library build", (inputs / "home1.scene", "-o", "a.library"), ("a.library",)),
         ("bag localize", (inputs / "walk.mcap", flat, "-o", "a.mcap"), ("a.mcap",)),
     ]  # fmt: skip
-    found = [Writing(w, (*w.split(), *map(str, words)), makes) for w, words, makes in every]
+    found = [WritingCommand(w, (*w.split(), *map(str, words)), makes) for w, words, makes in every]
     found[-1] = replace(found[-1], leaves=(".a.mcap.*",), old=None)
     tiles = (osm, "-o", "a.world", "--zoom", "15", "--overlap", "50", "--workers", "2")
     shards = (inputs / "homes.library", "-o", "a.shards", "--size", "1")
@@ -136,11 +135,11 @@ def writings(inputs: Path) -> list[Writing]:
     return [
         *found,
         *(
-            Writing(w, (*w.split(), *map(str, words)), ("a.library",), old="homes.library")
+            WritingCommand(w, (*w.split(), *map(str, words)), ("a.library",), old="homes.library")
             for w, words in homes.items()
         ),
         *(
-            Writing(
+            WritingCommand(
                 w, (*w.split(), *map(str, words)), (name,), (f"{name}/.*", f"{name}/*/.*"),
                 ends=f"{name}/{last}",
             )
@@ -149,8 +148,8 @@ def writings(inputs: Path) -> list[Writing]:
     ]  # fmt: skip
 
 
-PATIENCE = 120.0  # what has neither run nor waited for a processor or a disk for so long hangs [s]
-MOST = 300.0  # ... and so does what has taken so much CPU time [s].
+IDLE_TIMEOUT = 120.0  # a process that was idle for so long hangs [s]
+CPU_TIMEOUT = 300.0  # a process that took so much CPU time hangs [s]
 LOADED = (
     "placegraph.outdoor.city", "placegraph.outdoor.network", "placegraph.view", "placegraph.indoor.library",
     "placegraph.indoor.build", "placegraph.indoor.localize", "placegraph.indoor.mapping.change.update",
@@ -158,27 +157,25 @@ LOADED = (
     "placegraph.core.jit", "placegraph.maps",
     "placegraph_ros.localizer", "osmium", "embreex.rtcore_scene", "PIL.Image",
 )  # fmt: skip
-"""What is imported once, so that a trial is the command's own work; what is not there is passed over."""
+"""Modules that are imported once for all trials."""
 _TICK = 0.0005
 POWERS = (1, 2)
-"""CAP_DAC_OVERRIDE and CAP_DAC_READ_SEARCH: by them root passes where permissions forbid it."""
+"""CAP_DAC_OVERRIDE and CAP_DAC_READ_SEARCH, by which root ignores permissions."""
 _CAPABILITY, _DROP = 0x20080522, 24  # version of the call, and PR_CAPBSET_DROP
 
 
 @dataclass(frozen=True)
-class Ended:
-    """How a command ended."""
+class CommandResult:
+    """Exit code and error output of a command."""
 
-    code: (
-        int | None
-    )  # as of a process: negative for a signal; None where it did not end in its time
-    said: str  # at its error output
+    code: int | None  # negative for a signal; None: it did not end in its time
+    said: str  # error output
     seconds: float
-    killed: bool  # whether it was we who ended it
+    killed: bool  # whether the trial killed it
 
     @property
     def outcome(self) -> str:
-        """Of `placegraph_lab.campaign.row.OUTCOMES`, as what nobody interfered with."""
+        """Return the outcome (one of `row.OUTCOMES`) of a command that nobody disturbed."""
         if self.code is None:
             return "hang"
         if self.code < 0:
@@ -191,15 +188,15 @@ class Ended:
 
 @dataclass(frozen=True)
 class Limits:
-    """What a command may use."""
+    """Limits of a command."""
 
-    file: int | None = None  # largest file that it may write [bytes]; more is as a full disk
-    bound: bool = False  # whether permissions bind it, though root started it
+    file: int | None = None  # largest file that it may write [bytes]
+    bound: bool = False  # whether permissions apply even where root started it
 
 
 @dataclass
 class Running:
-    """A command that runs."""
+    """A running command."""
 
     process: Any
     errors: Path
@@ -207,26 +204,26 @@ class Running:
     killed: bool = False
 
     def kill(self, *, alone: bool = False) -> None:
-        """End it as a power cut does, with its helpers, or it alone."""
+        """Kill the command, with its helpers or alone."""
         self.killed = True
         with suppress(ProcessLookupError):  # its group has its number, once it has begun
             (os.kill if alone else os.killpg)(self.process.pid, signal.SIGKILL)
         with suppress(ProcessLookupError):
             os.kill(self.process.pid, signal.SIGKILL)
 
-    def end(self) -> Ended:
-        """Wait for its end."""
-        code = ended(self.process)
+    def end(self) -> CommandResult:
+        """Wait for the end; return the result."""
+        code = wait_for(self.process)
         if code is None:
             self.kill()
             self.process.join()
         said = self.errors.read_text(errors="replace") if self.errors.exists() else ""
         taken = time.perf_counter() - self.start
         ours = self.killed and code == -signal.SIGKILL
-        return Ended(0 if ours else code, said, taken, ours)
+        return CommandResult(0 if ours else code, said, taken, ours)
 
     def helpers(self, seconds: float = 20.0) -> list[int]:
-        """Processes of its group that outlive it by so long; none, where all is well."""
+        """Return the processes of its group that outlive it by `seconds`."""
         end = time.monotonic() + seconds
         while found := _group(self.process.pid):
             if time.monotonic() > end:
@@ -236,7 +233,7 @@ class Running:
 
 
 class Commands:
-    """Starts commands: each is forked from a process that has imported what commands need."""
+    """Starts commands: each is forked from a process that has imported `LOADED`."""
 
     def __init__(self) -> None:
         self._context: Any = get_context("forkserver")
@@ -259,7 +256,7 @@ class Commands:
 
 
 def command(words: tuple[str, ...], folder: Path, room: Path, errors: Path, limits: Limits) -> None:
-    """Be the command line, in a process group of its own."""
+    """Run the command line in this process, in a process group of its own."""
     os.setpgid(0, 0)
     signal.signal(signal.SIGINT, signal.default_int_handler)
     os.chdir(folder)
@@ -288,8 +285,8 @@ def command(words: tuple[str, ...], folder: Path, room: Path, errors: Path, limi
     main()
 
 
-def when(moment: Callable[[], bool], seconds: float, running: Running) -> bool:
-    """Wait until something is so, the command has ended, or it is too late; whether it is so."""
+def wait_until(moment: Callable[[], bool], seconds: float, running: Running) -> bool:
+    """Wait until `moment` holds, the command ends, or `seconds` pass; return whether it holds."""
     end = time.perf_counter() + seconds
     while time.perf_counter() < end and running.process.exitcode is None:
         if moment():
@@ -299,8 +296,8 @@ def when(moment: Callable[[], bool], seconds: float, running: Running) -> bool:
 
 
 @contextmanager
-def small_disk(folder: Path, size: int) -> Iterator[Path | None]:
-    """A file system of so many bytes; None where none may be mounted."""
+def mount_disk(folder: Path, size: int) -> Iterator[Path | None]:
+    """Mount a file system of `size` bytes; yield None where that is not allowed."""
     import subprocess
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -314,15 +311,15 @@ def small_disk(folder: Path, size: int) -> Iterator[Path | None]:
         subprocess.run(["umount", "-l", str(folder)], capture_output=True, check=False)  # noqa: S603, S607
 
 
-def read_only(folder: Path) -> None:
-    """Let nobody write to a `small_disk` any more."""
+def remount_read_only(folder: Path) -> None:
+    """Remount a disk of `mount_disk` read-only."""
     import subprocess
 
     subprocess.run(["mount", "-o", "remount,ro", str(folder)], check=True)  # noqa: S603, S607
 
 
-def files_in(folder: Path) -> dict[str, bytes]:
-    """Contents of all files of a folder, by their names within it."""
+def read_files(folder: Path) -> dict[str, bytes]:
+    """Return the contents of all files of a folder by relative name."""
     found: dict[str, bytes] = {}
     for path in folder.rglob("*"):
         with suppress(OSError):  # gone meanwhile
@@ -331,22 +328,22 @@ def files_in(folder: Path) -> dict[str, bytes]:
     return found
 
 
-def ended(process: Any) -> int | None:  # noqa: ANN401  # of multiprocessing
-    """Exit code of a process that is waited for; None where it hangs, however busy the machine is."""
+def wait_for(process: Any) -> int | None:  # noqa: ANN401  # of multiprocessing
+    """Wait for a process; return its exit code, or None where it hangs."""
     since, before = time.monotonic(), -1.0
     while process.exitcode is None:
         process.join(0.5)
         busy, spent = _at_work(process.pid)
         if busy or spent != before:
             since, before = time.monotonic(), spent
-        if spent > MOST or time.monotonic() - since > PATIENCE:
+        if spent > CPU_TIMEOUT or time.monotonic() - since > IDLE_TIMEOUT:
             return None
     code: int = process.exitcode
     return code
 
 
 def _at_work(number: int) -> tuple[bool, float]:
-    """Whether a process or one of its group runs or waits for its turn, and the CPU time of all [s]."""
+    """Return whether a process group is running or runnable, and its CPU time [s]."""
     busy, ticks = False, 0
     for each in {number, *_group(number)}:
         with suppress(OSError, ValueError, IndexError):
@@ -357,7 +354,7 @@ def _at_work(number: int) -> tuple[bool, float]:
 
 
 def _group(number: int) -> list[int]:
-    """Processes of a group, but those that have ended."""
+    """Return the living processes of a group."""
     found = []
     for path in Path("/proc").iterdir():
         with suppress(OSError, ValueError):

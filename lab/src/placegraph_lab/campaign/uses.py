@@ -1,15 +1,13 @@
-"""A server on this machine that answers every question with the same bytes."""
+"""How a fuzzed file is used: opened, searched, localized in, drawn, exported and written again."""
 
 from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from functools import cache, cached_property
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import TYPE_CHECKING
 from unittest.mock import patch
 
 from numpy.random import Generator
@@ -22,8 +20,7 @@ from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import open_capture
 from placegraph.maps import open_map
 from placegraph.outdoor.city import CityMap, build_city
-from placegraph_lab.campaign.seeds import POSE, SMALL
-from placegraph_lab.campaign.seeds import DrawnPlaces as Places
+from placegraph_lab.campaign.seeds import POSE, SMALL, SeedWorld
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -45,23 +42,19 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 @cache
-def _serving() -> str:
+def _start_server() -> str:
     server = ThreadingHTTPServer(("127.0.0.1", 0), _Handler)
     threading.Thread(target=server.serve_forever, daemon=True).start()
     return f"http://127.0.0.1:{server.server_port}"
 
 
-@contextmanager
-def answering(body: bytes) -> Iterator[str]:
-    """Address that answers so; the server is kept."""
+def serve_bytes(body: bytes) -> str:
+    """Return the URL of a server that answers every request with these bytes."""
     _Handler.body = body
-    yield _serving()
+    return _start_server()
 
 
-if TYPE_CHECKING:
-    Use = Callable[["Bench", Path, Generator], object]
-
-SAID = (
+OUTSIDE = (
     "A bakery is north of me. The museum is east of me.", "I am on Lange Straße, a bench is left of me.",
     "Das Café Mole ist 30 m westlich von mir.", "A tree, and a fountain behind it.",
 )  # fmt: skip
@@ -72,108 +65,108 @@ INSIDE = (
 )
 
 
-class Bench(Places):
-    """Sound maps beside which an input is used, and a folder to write to."""
+class Bench(SeedWorld):
+    """Sound maps that inputs are used with, and a folder to write to."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
 
     @cached_property
     def kleinstadt(self) -> CityMap:
-        """The town's map."""
+        """Map of the town."""
         return self.city(self.folder)
 
     def file(self, name: str) -> Path:
-        """Path where an output goes, taken away before."""
+        """Return the path of an output; delete what is there."""
         path = self.folder / name
         path.unlink(missing_ok=True)
         return path
 
 
-def chance(rng: Generator, share: float) -> bool:
-    """Whether something is done this time: what takes long is done to a share of the inputs."""
+def happens(rng: Generator, share: float) -> bool:
+    """Draw whether a step is done: slow steps are done to a share of the inputs."""
     return bool(rng.random() < share)
 
 
 def use_city(bench: Bench, city: CityMap, rng: Generator) -> None:
-    """Locate, ask, draw, export and follow."""
-    found = city.locate(SAID[rng.integers(len(SAID))], top=3)
+    """Locate, ask, draw, export and track."""
+    found = city.locate(OUTSIDE[rng.integers(len(OUTSIDE))], top=3)
     found.to_dict()
-    if chance(rng, 0.15):
-        city.to_geojson("cells" if chance(rng, 0.5) else "objects")
+    if happens(rng, 0.15):
+        city.to_geojson("cells" if happens(rng, 0.5) else "objects")
         city.ask(found)
         repr(city)
-    if chance(rng, 0.08):
+    if happens(rng, 0.08):
         from placegraph.view.city.picture import write_picture
 
         write_picture(city, found, bench.file("city.png"), size=(320, 320))
-    if chance(rng, 0.08):
+    if happens(rng, 0.08):
         from placegraph.view.city.page import write_page
 
         write_page(city, found, bench.file("city.html"))
-    if chance(rng, 0.1):
+    if happens(rng, 0.1):
         tracker = city.track()
-        tracker.tell(SAID[0])
+        tracker.tell(OUTSIDE[0])
         tracker.walk(20.0, math.pi)
-    if chance(rng, 0.1):
+    if happens(rng, 0.1):
         city.save(bench.file("again.city"))
 
 
 def use_scene(bench: Bench, scene: SceneMap, rng: Generator) -> None:
     """Check, describe, localize, draw and export."""
-    if chance(rng, 0.2):
+    if happens(rng, 0.2):
         scene.check()
-    if chance(rng, 0.2):
+    if happens(rng, 0.2):
         from placegraph.indoor.language import rank_scenes
 
         rank_scenes(INSIDE[rng.integers(len(INSIDE))], [scene, bench.room])
     with suppress(GeoPoseError):
         scene.to_geojson()
-    if chance(rng, 0.15):
+    if happens(rng, 0.15):
         for ending in rng.choice([".glb", ".ply", ".json", ".osm"], 1):
             with suppress(OptionError, GeoPoseError):  # it stands nowhere on Earth
                 scene.export(bench.file(f"room{ending}"), overwrite=True)
-    if chance(rng, 0.1):
+    if happens(rng, 0.1):
         scene.render(POSE, SMALL, samples=1)
-    if chance(rng, 0.05):
+    if happens(rng, 0.05):
         found = scene.localize(bench.frames, refine=False)
         found.to_dict()
         from placegraph.view.scene.plan import write_plan
 
         write_plan(scene, found, bench.file("plan.png"), width=480)
-    if chance(rng, 0.05):
+    if happens(rng, 0.05):
         scene.save(bench.file("again.scene"))
 
 
 def osm(bench: Bench, path: Path, rng: Generator) -> None:
-    """Build a city of an extract, and use it."""
+    """Build a city from an extract, and use it."""
     use_city(bench, build_city(path, bench.file("built.city")), rng)
 
 
 def overture(bench: Bench, path: Path, rng: Generator) -> None:
-    """Build a city of Overture's tables, of all or of a box."""
+    """Build a city from Overture's tables, of all or of a box."""
     from placegraph_io.overture import Box, Overture
 
-    box = Box(9.9, 49.9, 10.1, 50.1) if chance(rng, 0.7) else None
+    box = Box(9.9, 49.9, 10.1, 50.1) if happens(rng, 0.7) else None
     use_city(bench, build_city(Overture((str(path),), box), bench.file("built.city")), rng)
 
 
 def rooms(bench: Bench, path: Path, rng: Generator) -> None:
-    """Build a scene of rooms in an extract."""
+    """Build a scene from rooms in an extract."""
     use_scene(bench, build_scene(path, None, reader={"level": int(rng.integers(2))}), rng)
 
 
 def mesh(bench: Bench, path: Path, rng: Generator) -> None:
-    """Build a scene of a mesh or a scene graph, and use it."""
+    """Build a scene from a mesh or a scene graph, and use it."""
     use_scene(bench, build_scene(path, bench.file("built.scene"), floor=0.0), rng)
 
 
 def folder_mesh(bench: Bench, path: Path, rng: Generator) -> None:
-    """Build a scene of the file or the folder of a scan that lies in a folder."""
+    """Build a scene from the mesh file or the scan that a folder holds."""
     for ending in (".gltf", ".obj"):
-        found = sorted(path.glob(f"*{ending}"))
-        if found:
-            mesh(bench, found[0], rng)
+        files = sorted(path.glob(f"*{ending}"))
+        if files:
+            mesh(bench, files[0], rng)
             return
     while below := [p for p in sorted(path.iterdir()) if p.is_dir() and p.name != "3DSSG"]:
         path = below[0]
@@ -181,23 +174,23 @@ def folder_mesh(bench: Bench, path: Path, rng: Generator) -> None:
 
 
 def capture(bench: Bench, path: Path, rng: Generator) -> None:
-    """Open a capture, read its frames, localize them, and make a map of them."""
+    """Open a capture, read its frames, localize them, and build a map from them."""
     found = open_capture(path)
     for frame in (found[0], found[-1]):
         frame.rgb()
         frame.depth()
         frame.labels()
-    if chance(rng, 0.1):
+    if happens(rng, 0.1):
         with suppress(PlacegraphError):  # there is none
             open_capture(path, poses="trajectory")
-    if chance(rng, 0.05):
+    if happens(rng, 0.05):
         bench.room.localize(found, frames=slice(2), refine=False).to_dict()
-    if chance(rng, 0.02):
+    if happens(rng, 0.02):
         build_scene(path, None, floor=0.0)
 
 
 def stream(_bench: Bench, path: Path, _rng: Generator) -> None:
-    """Take an MCAP as it comes through a pipe."""
+    """Read an MCAP as a stream."""
     from placegraph_io.ros.stream import mcap_packets
 
     file = next(iter(sorted(path.glob("*.mcap"))), path)
@@ -209,7 +202,7 @@ def stream(_bench: Bench, path: Path, _rng: Generator) -> None:
         raise InputError(str(error)) from error
 
 
-def anything(bench: Bench, path: Path, rng: Generator) -> None:
+def any_map(bench: Bench, path: Path, rng: Generator) -> None:
     """Open a map of any kind, and use it."""
     found = open_map(path)
     if isinstance(found, CityMap):
@@ -218,25 +211,25 @@ def anything(bench: Bench, path: Path, rng: Generator) -> None:
         use_scene(bench, found, rng)
     else:
         found.search(INSIDE[rng.integers(len(INSIDE))])
-        if chance(rng, 0.2):
+        if happens(rng, 0.2):
             found.search(bench.frames)
-        if chance(rng, 0.05):
+        if happens(rng, 0.05):
             found.localize(bench.frames, refine=False)
-        if chance(rng, 0.1) and isinstance(found, SceneLibrary):
+        if happens(rng, 0.1) and isinstance(found, SceneLibrary):
             found.save(bench.file("again.library"))
 
 
 def library(bench: Bench, path: Path, rng: Generator) -> None:
     """Open a library, or a folder of maps, and search it."""
-    anything(bench, path if chance(rng, 0.3) else path / "rooms.library", rng)
+    any_map(bench, path if happens(rng, 0.3) else path / "rooms.library", rng)
 
 
 def shards(bench: Bench, path: Path, rng: Generator) -> None:
     """Open a library in shards, or the world that it is, and ask it."""
-    if chance(rng, 0.3):
+    if happens(rng, 0.3):
         world(bench, path, rng)
     else:
-        anything(bench, path / "rooms.shards", rng)
+        any_map(bench, path / "rooms.shards", rng)
 
 
 def world(bench: Bench, path: Path, rng: Generator) -> None:
@@ -244,9 +237,9 @@ def world(bench: Bench, path: Path, rng: Generator) -> None:
     from placegraph.world import open_world
 
     found = open_world(path)
-    said = f"{SAID[rng.integers(len(SAID))]} I am {INSIDE[0]}."
-    frames = bench.frames if chance(rng, 0.1) else None
-    found.locate(said, frames, near=(8.0, 53.0) if chance(rng, 0.3) else None).to_dict()
+    text = f"{OUTSIDE[rng.integers(len(OUTSIDE))]} I am {INSIDE[0]}."
+    frames = bench.frames if happens(rng, 0.1) else None
+    found.locate(text, frames, near=(8.0, 53.0) if happens(rng, 0.3) else None).to_dict()
 
 
 def vectors(bench: Bench, path: Path, _rng: Generator) -> None:
@@ -256,7 +249,7 @@ def vectors(bench: Bench, path: Path, _rng: Generator) -> None:
     with open_store(path) as store:
         store.search(bench.kleinstadt.embeddings[:2], 5)
         with suppress(PlacegraphError):  # of another map
-            bench.kleinstadt.locate(SAID[0], store=store)
+            bench.kleinstadt.locate(OUTSIDE[0], store=store)
 
 
 def weights(bench: Bench, path: Path, _rng: Generator) -> None:
@@ -264,7 +257,7 @@ def weights(bench: Bench, path: Path, _rng: Generator) -> None:
     from placegraph.outdoor.network.network import EncodedCity, GraphTransformer
 
     encoded = EncodedCity(bench.kleinstadt, GraphTransformer.open(path))
-    bench.kleinstadt.locate(SAID[0], encoded=encoded, matcher="fused")
+    bench.kleinstadt.locate(OUTSIDE[0], encoded=encoded, matcher="fused")
 
 
 def run(bench: Bench, path: Path, rng: Generator) -> None:
@@ -274,7 +267,7 @@ def run(bench: Bench, path: Path, rng: Generator) -> None:
     found = read_run(path)
     found.to_dict()
     write_run(bench.file("again.run"), found)
-    if chance(rng, 0.3):
+    if happens(rng, 0.3):
         from placegraph.view.scene.plan import write_plan
 
         write_plan(bench.room, found, bench.file("plan.png"), width=480)
@@ -290,7 +283,7 @@ def track(bench: Bench, path: Path, _rng: Generator) -> None:
 
 
 def changes(bench: Bench, path: Path, rng: Generator) -> None:
-    """Read what changed, and take it over."""
+    """Read changes, and apply them."""
     from placegraph.indoor.mapping.change.changes import read_diff
 
     found = read_diff(path)
@@ -298,19 +291,16 @@ def changes(bench: Bench, path: Path, rng: Generator) -> None:
     use_scene(bench, bench.room.updated(found), rng)
 
 
-def nominatim(bench: Bench, path: Path, _rng: Generator) -> None:
-    """Find a place by what Nominatim answers."""
+def nominatim(_bench: Bench, path: Path, _rng: Generator) -> None:
+    """Find a place by an answer of Nominatim."""
     import osmnx as ox
 
     from placegraph.io.osm.overpass import find, rings
-    from placegraph_lab.campaign.uses import answering
 
-    # osmnx waits a second before each question, as Nominatim asks of who asks it
-    with answering(path.read_bytes()) as url, patch("osmnx._nominatim.time"):
-        ox.settings.nominatim_url = url
+    with patch("osmnx._nominatim.time"):  # osmnx waits a second before each request
+        ox.settings.nominatim_url = serve_bytes(path.read_bytes())
         _, outline = find(ox, "Mühlenend")
     rings(outline)
-    bench.file("none")
 
 
 def overpass(bench: Bench, path: Path, _rng: Generator) -> None:
@@ -318,9 +308,8 @@ def overpass(bench: Bench, path: Path, _rng: Generator) -> None:
     import osmnx as ox
 
     from placegraph.io.osm.overpass import copied, download
-    from placegraph_lab.campaign.uses import answering
 
     answer = bench.file("answer.osm")
-    with answering(path.read_bytes()) as url:
-        download(ox, f"{url}/interpreter", "", answer, lambda *_: None)
+    url = serve_bytes(path.read_bytes())
+    download(ox, f"{url}/interpreter", "", answer, lambda *_: None)
     copied(answer, bench.file("answer.osm.pbf"), lambda *_: None)

@@ -1,9 +1,9 @@
-"""A process that takes one mutated input after the other, and may die of it.
+"""Process that uses one mutated input after the other, and may die from it.
 
-    python -m placegraph_lab.campaign.worker FOLDER SEED
+    python -m placegraph_lab.campaign.worker FOLDER SEED [LAYOUTS]
 
-Reads lines `NAME FIRST COUNT` from stdin; of each input that it has taken it writes a line of JSON.
-An input is told by its number and the seed alone, so that it can be drawn again.
+Reads lines `NAME FIRST COUNT` from stdin, and writes a line of JSON for each input. Number and seed
+alone determine an input, so that it can be drawn again.
 """
 
 from __future__ import annotations
@@ -29,63 +29,62 @@ from numpy.random import Generator
 
 from placegraph.core.cache import listen_to_compilation
 from placegraph.errors import PlacegraphError
-from placegraph_lab.campaign.targets import TARGETS, Target
+from placegraph_lab.campaign.targets import Target, find_targets
 from placegraph_lab.campaign.uses import Bench
 
 ROOM = 1 << 30
-"""Bytes that an input may take beyond what the process has already; beyond, memory is refused."""
+"""Bytes that an input may allocate; beyond, memory is refused."""
 SECONDS = 10.0  # CPU time of an input
-TRIES = 8  # how often each seed is used as it is, so that all that is used by chance is compiled
-TIMES, FREE = 10, 300 << 20  # an input takes at most so many times its own bytes, and these
+WARM_UPS = 8  # uses of each seed before the trials, so that all kernels are compiled
+TIMES, FREE = 10, 300 << 20  # an input may take `TIMES` its own bytes, and `FREE` more
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of an input."""
+    """Outcome of one input."""
 
     number: int
     outcome: str  # one of `row.OUTCOMES`
-    said: str  # kind of the error and where it was raised, or nothing
+    reason: str  # kind of the error and where it was raised, or nothing
     bytes: int  # memory that it took
     seconds: float
 
 
 class Trials:
-    """Inputs of one target, drawn and used one after the other."""
+    """Inputs of one target, drawn and used in turn."""
 
     def __init__(self, target: Target, folder: Path, seed: int, bench: Bench) -> None:
         self.target, self.bench, self.seed = target, bench, seed
         self.folder = folder / "trial"
-        self.seeds = target.drawn(
+        self.seeds = target.write_seeds(
             folder / "seeds" / ("".join(c if c.isalnum() else "_" for c in target.name)), bench
         )
 
     def rng(self, number: int) -> Generator:
-        """Of an input's number."""
+        """Return the generator of an input."""
         return np.random.default_rng([self.seed, zlib.crc32(self.target.name.encode()), number])
 
     def warm(self) -> list[str]:
-        """Use all seeds as they are, some times; those that are never taken, which none should be."""
-        told = [self._refused(path) for path in self.seeds]
-        return [said for said in told if said]
+        """Use all seeds unchanged some times; return why a seed was always refused, if any was."""
+        return [reason for path in self.seeds if (reason := self._why_refused(path))]
 
-    def _refused(self, path: Path) -> str:
-        said, taken = "", 0
-        for k in range(TRIES):
+    def _why_refused(self, path: Path) -> str:
+        reason, accepted = "", 0
+        for k in range(WARM_UPS):
             try:
                 self.target.use(self.bench, path, np.random.default_rng(k))
             except PlacegraphError as error:
-                said = said or f"{path.name}: {_where(error)}: {error}"
+                reason = reason or f"{path.name}: {_where(error)}: {error}"
                 continue
             except SystemExit:
                 pass
-            except Exception as error:  # noqa: BLE001  # is told
+            except Exception as error:  # noqa: BLE001  # is reported
                 return f"{path.name}: {_where(error)}: {error}"
-            taken += 1
-        return "" if taken else said
+            accepted += 1
+        return "" if accepted else reason
 
     def draw(self, number: int) -> tuple[Path, Generator]:
-        """Write an input, and what chance it is used by."""
+        """Write an input; return it and the generator for its use."""
         shutil.rmtree(self.folder, ignore_errors=True)
         self.folder.mkdir()
         rng = self.rng(number)
@@ -93,61 +92,61 @@ class Trials:
         place = self.folder / seed.name
         copy = shutil.copytree if seed.is_dir() else shutil.copyfile
         copy(seed, place)
-        self.target.spoil(place, rng)
+        self.target.mutate(place, rng)
         return place, rng
 
-    def take(self, number: int) -> Outcome:
-        """Draw an input and use it; once more where it took much, which may have been a library's start."""
-        found, bound = self._take(number)
+    def run(self, number: int) -> Outcome:
+        """Draw an input and use it; again where it took much memory, which a first import may do."""
+        found, bound = self._run_once(number)
         if found.bytes > bound:
-            found, bound = self._take(number)
+            found, bound = self._run_once(number)
         if found.bytes > bound and found.outcome in {"accepted", "typed"}:
-            said = f"{found.bytes >> 20} MB, where {bound >> 20} MB are allowed"
-            return replace(found, outcome="memory", said=said)
+            reason = f"{found.bytes >> 20} MB; {bound >> 20} MB are allowed"
+            return replace(found, outcome="memory", reason=reason)
         return found
 
-    def _take(self, number: int) -> tuple[Outcome, int]:
-        """What became of an input, and how many bytes it may take."""
+    def _run_once(self, number: int) -> tuple[Outcome, int]:
+        """Return the outcome of an input, and the bytes that it may take."""
         place, rng = self.draw(number)
         with suppress(OSError):
             Path("/proc/self/clear_refs").write_text("5")
         bound, before = TIMES * _size(place) + FREE, _status("VmRSS:")
         start = perf_counter()
-        said, outcome = "", "accepted"
+        reason, outcome = "", "accepted"
         signal.setitimer(signal.ITIMER_PROF, SECONDS)
         try:
             with listen_to_compilation(_pause):
                 self.target.use(self.bench, place, rng)
         except PlacegraphError as error:
-            outcome, said = "typed", type(error).__name__
+            outcome, reason = "typed", type(error).__name__
         except SystemExit as end:
             outcome = "typed" if end.code else "accepted"
         except MemoryError as error:
-            outcome, said = "memory", _where(error)
+            outcome, reason = "memory", _where(error)
         except Exception as error:  # noqa: BLE001  # is counted
-            outcome, said = "untyped", f"{_where(error)}: {error}"[:300]
+            outcome, reason = "untyped", f"{_where(error)}: {error}"[:300]
         finally:
             signal.setitimer(signal.ITIMER_PROF, 0.0)
-        took = (_status("VmHWM:")) - before
-        return Outcome(number, outcome, said, took, perf_counter() - start), bound
+        took = _status("VmHWM:") - before
+        return Outcome(number, outcome, reason, took, perf_counter() - start), bound
 
 
 def _pause(_kernel: str, done: bool) -> None:
-    """Compiling, which is done once, is not an input's time."""
+    """Stop the clock while a kernel is compiled."""
     signal.setitimer(signal.ITIMER_PROF, SECONDS if done else 0.0)
 
 
 def _where(error: BaseException) -> str:
-    """Kind of an error, and the innermost line of ours."""
+    """Return the kind of an error, and the innermost line of placegraph."""
     frames = [
         f for f in traceback.extract_tb(error.__traceback__) if "src/placegraph/" in f.filename
     ]
-    at = (
+    line = (
         f"{frames[-1].filename.rpartition('src/placegraph/')[2]}:{frames[-1].lineno}"
         if frames
         else "?"
     )
-    return f"{type(error).__name__} at {at}"
+    return f"{type(error).__name__} at {line}"
 
 
 def _size(place: Path) -> int:
@@ -163,36 +162,36 @@ def _status(name: str) -> int:
     return 0
 
 
-def _limited(room: int | None) -> None:
-    """Let the address space grow by so many bytes, or without end."""
+def _limit_memory(room: int | None) -> None:
+    """Let the address space grow by `room` bytes, or without limit."""
     most = resource.RLIM_INFINITY if room is None else _status("VmSize:") + room
     resource.setrlimit(resource.RLIMIT_AS, (most, resource.RLIM_INFINITY))
 
 
-def lines(folder: Path, seed: int) -> Iterator[dict[str, object]]:
-    """What is to be told of what stdin asks for."""
-    bench = Bench(folder)
+def answer_requests(folder: Path, seed: int, layouts: Path | None) -> Iterator[dict[str, object]]:
+    """Yield the answers to the lines of stdin."""
+    bench, targets = Bench(folder), find_targets(layouts)
     known: dict[str, Trials] = {}
     for line in sys.stdin:
         name, first, count = line.strip().split("\t")
-        _limited(None)
+        _limit_memory(None)
         refused = []
         if name not in known:
             try:
-                known[name] = Trials(TARGETS[name], folder, seed, bench)
-            except BaseException as error:  # noqa: BLE001  # a test's writer skips by one of its own
+                known[name] = Trials(targets[name], folder, seed, bench)
+            except BaseException as error:  # noqa: BLE001  # pytest's skip is one
                 yield {"seeds": 0, "refused": [f"cannot be drawn: {error!r}"]}
                 continue
             refused = known[name].warm()
         yield {"seeds": len(known[name].seeds), "refused": refused}
-        _limited(ROOM)
+        _limit_memory(ROOM)
         for number in range(int(first), int(first) + int(count)):
-            yield asdict(known[name].take(number))
+            yield asdict(known[name].run(number))
         yield {"done": name}
 
 
 def main() -> None:
-    """Answer stdin on what was stdout; all else that is printed goes nowhere."""
+    """Answer stdin on the former stdout; drop all other output."""
     out = os.fdopen(os.dup(1), "w", encoding="utf-8")
     log = Path(sys.argv[1], "died.log").open("w", encoding="utf-8")  # noqa: SIM115  # is kept open
     nowhere = os.open(os.devnull, os.O_WRONLY)
@@ -203,8 +202,9 @@ def main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     warnings.simplefilter("ignore")
     try:
-        for told in lines(Path(sys.argv[1]), int(sys.argv[2])):
-            out.write(json.dumps(told) + "\n")
+        layouts = Path(sys.argv[3]) if sys.argv[3:] else None
+        for answer in answer_requests(Path(sys.argv[1]), int(sys.argv[2]), layouts):
+            out.write(json.dumps(answer) + "\n")
             out.flush()
     except BaseException:
         traceback.print_exc(file=log)

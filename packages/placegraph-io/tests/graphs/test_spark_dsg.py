@@ -15,8 +15,8 @@ from placegraph.core.geometry import rotation_z
 from placegraph.errors import InputError
 from placegraph.io.mesh.model import Model, Picture, Thing
 from placegraph_io.graphs import spark_dsg
-from placegraph_io.graphs.spark_dsg import is_spark_dsg, read_spark_dsg, symbol
-from placegraph_io.graphs.spark_dsg_write import encode_spark_dsg, node_number
+from placegraph_io.graphs.spark_dsg import is_spark_dsg, node_name, read_spark_dsg
+from placegraph_io.graphs.spark_dsg_write import encode_spark_dsg, node_id
 
 IDENTITY = {"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0}
 NO_BOX = {
@@ -49,20 +49,20 @@ def thing(row, label, name="", bounds=NO_BOX, **more):
         "semantic_label": label, "semantic_feature": {"rows": 0, "cols": 0, "data": None},
         "mesh_connections": [], "registered": False, "world_R_object": IDENTITY,
     }  # fmt: skip
-    node = {"id": node_number("O", row), "layer": 2, "partition": 0}
+    node = {"id": node_id("O", row), "layer": 2, "partition": 0}
     return node | {"attributes": attributes | more}
 
 
 def other(letter, layer, name=""):
     attributes = {"type": "RoomNodeAttributes", "name": name, "bounding_box": NO_BOX}
     return {
-        "id": node_number(letter, 0), "layer": layer, "partition": 0, "attributes": attributes,
+        "id": node_id(letter, 0), "layer": layer, "partition": 0, "attributes": attributes,
     }  # fmt: skip
 
 
 def edge(source, target, **metadata):
     info = {"type": "EdgeAttributes", "weighted": False, "weight": 1.0, "metadata": metadata}
-    return {"source": node_number(*source), "target": node_number(*target), "info": info}
+    return {"source": node_id(*source), "target": node_id(*target), "info": info}
 
 
 def mesh(labels):
@@ -180,7 +180,7 @@ def test_labels_names_rooms_and_relations(read):
 
 def test_agents_and_dynamic_layers_are_no_objects(read):
     agent = {"type": "AgentNodeAttributes", "position": [0.0] * 3, "world_R_body": IDENTITY}
-    node = {"id": node_number("a", 0), "layer": 2, "partition": 97, "attributes": agent}
+    node = {"id": node_id("a", 0), "layer": 2, "partition": 97, "attributes": agent}
     model = read(graph([node, thing(0, 3, bounds=box([0, 0, 0], [1, 1, 1]))]))
     assert [t.id for t in model.things] == ["O0"]
 
@@ -194,7 +194,7 @@ def test_version_1_0_as_hydra_saved_it(read):
     }  # fmt: skip
     old["attributes"]["color"] = [1, 2, 3]
     vertices = [dict(zip("xyzrgb", (*p, 1, 2, 3), strict=True)) for p in POINTS]
-    linked = [{"source": node_number("O", 0), "target": row} for row in (3, 4, 5)]
+    linked = [{"source": node_id("O", 0), "target": row} for row in (3, 4, 5)]
     content = graph(
         [old],
         layer_ids=[2, 3, 4, 5],
@@ -214,13 +214,13 @@ def test_version_1_0_as_hydra_saved_it(read):
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        ({"SPARK_DSG_header": header(2, 0, 0)}, "2.0.0; versions 1.x"),
-        ({"SPARK_DSG_header": {}}, "not a sound"), ({"nodes": {}}, "no nodes"),
-        ({"nodes": [3]}, "not a sound"), ({"nodes": [{"id": 1, "layer": 2}]}, "not a sound"),
-        ({"edges": [{"source": 1}]}, "not a sound"),
-        ({"metadata": {"labelspaces": {"_l2p0": [3]}}}, "not a sound"),
+        ({"SPARK_DSG_header": header(2, 0, 0)}, "2.0.0 of Spark-DSG; only 1.x"),
+        ({"SPARK_DSG_header": {}}, "is damaged"), ({"nodes": {}}, "no nodes"),
+        ({"nodes": [3]}, "is damaged"), ({"nodes": [{"id": 1, "layer": 2}]}, "is damaged"),
+        ({"edges": [{"source": 1}]}, "is damaged"),
+        ({"metadata": {"labelspaces": {"_l2p0": [3]}}}, "is damaged"),
         ({"mesh": mesh([7] * 9) | {"faces": [[0, 1, 9]]}}, "outside 0 to 8"),
-        ({"mesh": mesh([7] * 9) | {"points": [[1, 2]]}}, "not a sound"),
+        ({"mesh": mesh([7] * 9) | {"points": [[1, 2]]}}, "is damaged"),
     ],
 )  # fmt: skip
 def test_nonsense_is_refused(read, change, sentence):
@@ -314,9 +314,9 @@ def test_the_layout_is_the_one_of_1_1_3():
     )
     saved = thing(0, 3)["attributes"].keys()
     assert content["nodes"][0]["attributes"].keys() == saved
-    names = [symbol(n["id"]) for n in content["nodes"]]
+    names = [node_name(n["id"]) for n in content["nodes"]]
     assert names == ["O0", "O1", "O2", "R0", "R1", "a0", "a1", "b0", "b1"]
-    links = [(symbol(e["source"]), symbol(e["target"])) for e in content["edges"]]
+    links = [(node_name(e["source"]), node_name(e["target"])) for e in content["edges"]]
     assert links == [
         ("O0", "O1"), ("O1", "O2"),  # one edge a pair
         ("R0", "O0"), ("R0", "O2"), ("R1", "O1"), ("a0", "a1"), ("b0", "b1"),

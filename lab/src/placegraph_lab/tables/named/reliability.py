@@ -56,6 +56,9 @@ def reliability(
             "Rows of fuzz, soak and platforms that are wanted, with semicolons; all by default."
         ),
     ] = "",
+    layouts: Annotated[
+        str, option("Python file that writes seeds of more formats, as the tests do.")
+    ] = "tests/lab/campaign/layouts.py",
     *,
     quick: lab.Quick = False,
     fresh: Annotated[bool, lab.option("Forget what was written down of these parts.")] = False,
@@ -82,7 +85,8 @@ def reliability(
     for part in wanted if seconds else ():
         with tempfile.TemporaryDirectory(prefix=f"placegraph-{part}-") as name:
             run.say(f"{part}, seed {seed}, {seconds / 60:g} minutes")
-            effort = Effort(seconds, seed, Path(name), run.data, run.say, asked)
+            file = Path(layouts).absolute() if layouts and Path(layouts).is_file() else None
+            effort = Effort(seconds, seed, Path(name), run.data, run.say, asked, file)
             for row in import_module(f"placegraph_lab.campaign.{part}").rows(effort):
                 now.append(row)
                 save()

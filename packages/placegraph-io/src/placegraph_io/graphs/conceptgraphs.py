@@ -3,8 +3,8 @@
 A run's folder holds `obj_json_RUN.json` (`object_1`: `id`, `object_tag`, `object_caption`, `bbox_center`,
 `bbox_extent`), `edge_json_RUN.json` (`edge_0`: `object_1_id`, `relationship`, `object_2_id`),
 `config_params*.json`, and the objects' points in `pcd_RUN.pkl.gz`, a pickle, which is never opened. So
-boxes are all that is known of the objects' shapes; a mesh of the place lends them theirs. Boxes of most
-runs are turned, and the JSON does not say how: where there is a mesh, by which way most of it is inside.
+shapes are known as boxes alone, unless a mesh of the place is given. Boxes of most runs are rotated, and
+the JSON does not say how: with a mesh, the rotation that encloses most of it is taken.
 (save_obj_json, save_edge_json of conceptgraph/utils/general_utils.py, get_bounding_box of slam/utils.py.)
 """
 
@@ -25,7 +25,7 @@ from placegraph.errors import InputError
 from placegraph.io.capture.json_files import read_json
 from placegraph.io.capture.posed import numbers
 from placegraph.io.mesh.model import Model, Picture, Thing
-from placegraph_io.graphs.spark_dsg import MARGIN, box_corners, box_piece, joined
+from placegraph_io.graphs.spark_dsg import MARGIN, box_corners, box_piece, join_pieces
 
 Floats = NDArray[np.float64]
 Up = Literal["y", "z"]
@@ -34,9 +34,9 @@ Up = Literal["y", "z"]
 UNKNOWN = "unknown"
 _OBJECTS, _EDGES, _PICKLES = "obj_json_*.json", "edge_json_*.json", "pcd_*.pkl.gz"
 _TURNED = ("overlap", "accurate")
-"""Words of `spatial_sim_type` whose boxes are turned as the points lie."""
-_TRIED = 12  # headings of a box within half a turn
-_ENOUGH = 20  # vertices in an object's reach that tell how its box is turned
+"""Words of `spatial_sim_type` whose boxes are rotated."""
+_HEADINGS = 12  # of a box, within half a turn
+_MIN_VERTICES = 20  # near an object, that determine how its box is rotated
 
 
 class _Object(NamedTuple):
@@ -61,27 +61,27 @@ def is_conceptgraphs(path: str | PathLike[str]) -> bool:
 def read_conceptgraphs(
     path: str | PathLike[str], *, up: Up = "z", mesh: str | PathLike[str] | None = None
 ) -> Model:
-    """Read the objects of a run, their relations, and as much as is known of their shape.
+    """Read the objects of a run with relations and shapes.
 
     Parameters
     ----------
     path
         Folder of the run, or its `obj_json_RUN.json`.
     up
-        Axis that points up in the poses that ConceptGraphs was given: "z", or "y" as of ARKit.
+        Up axis of the poses that ConceptGraphs was given: "z", or "y" as in ARKit.
     mesh
-        Mesh of the place (PLY or OBJ) in those axes. Triangles in an object's box are its, the rest
-        is one object "unknown". Without it boxes stand for the objects.
+        Mesh of the place (PLY or OBJ) in those axes. Triangles in an object's box belong to it, the others
+        to one object "unknown". Without a mesh, objects are boxes.
 
     Raises
     ------
     InputError
-        The folder holds pickles alone; a file is missing, damaged, or holds no object; no object lies
+        The folder holds only pickles; a file is missing, damaged, or holds no object; no object lies
         where the mesh does.
 
     """
     path = Path(path)
-    file = path if path.is_file() else _only(path)
+    file = path if path.is_file() else _find_objects_file(path)
     left_out: Counter[str] = Counter()
     objects = _objects(file, left_out)
     turn = np.eye(3)
@@ -94,28 +94,25 @@ def read_conceptgraphs(
     relations = _relations(file, [held.thing for held in objects], left_out)
     turned = _is_turned(file.parent)
     if mesh is not None:
-        model = _lent(file, Path(mesh), objects, turned, up)
+        model = _cut_mesh(file, Path(mesh), objects, turned, up)
     else:
         model = _boxes(file, objects)
         if turned:
-            reason = (
-                "boxes that stand along the axes, for the JSON does not say how they are turned"
-            )
-            left_out[reason] += len(objects)
+            left_out["rotations of boxes, which the JSON does not hold"] += len(objects)
     return replace(model, left_out=left_out + model.left_out, relations=relations)
 
 
-def _only(folder: Path) -> Path:
+def _find_objects_file(folder: Path) -> Path:
     found = sorted(folder.glob(_OBJECTS))
     if not found:
         raise InputError(
-            f"{folder} holds ConceptGraphs' pickles alone, and no pickle is ever opened: a pickle runs "
-            "what it likes. `save_obj_json` and `save_edge_json` of conceptgraph.utils.general_utils write "
-            "the same objects as JSON; call them where ConceptGraphs runs."
+            f"{folder} holds only ConceptGraphs' pickles, which are never opened: a pickle can run any "
+            "code. Write the objects as JSON with `save_obj_json` and `save_edge_json` of "
+            "conceptgraph.utils.general_utils where ConceptGraphs runs."
         )
     if len(found) > 1:
         listed = ", ".join(f.name for f in found[:4])
-        raise InputError(f"{folder} holds {listed}; name one of them.")
+        raise InputError(f"{folder} holds several runs ({listed}); give the file of one.")
     return found[0]
 
 
@@ -138,7 +135,7 @@ def _objects(file: Path, left_out: Counter[str]) -> list[_Object]:
         id_ = str(entry.get("id", key))
         if id_ in taken:
             raise InputError(
-                f"{where}: id {id_[:40]} is there twice; give objects ids of their own."
+                f"{where}: the id {id_[:40]} occurs twice; give every object its own id."
             )
         taken.add(id_)
         label = entry.get("object_tag")
@@ -149,7 +146,7 @@ def _objects(file: Path, left_out: Counter[str]) -> list[_Object]:
             _Object(Thing(id_, name, attributes=attributes), centre, np.maximum(extent, 0.01))
         )
     if not held:
-        raise InputError(f"{file} holds no object with a box; map again.")
+        raise InputError(f"{file} holds no object with a box; run ConceptGraphs again.")
     return held
 
 
@@ -175,7 +172,7 @@ def _relations(
 
 
 def _is_turned(folder: Path) -> bool:
-    """Return whether a run's boxes are turned; so they are where it does not say."""
+    """Return whether a run's boxes are rotated; True where its configuration is silent."""
     for file in sorted(folder.glob("config_params*.json")):
         content = read_json(file)
         kind = content.get("spatial_sim_type") if isinstance(content, dict) else None
@@ -185,12 +182,12 @@ def _is_turned(folder: Path) -> bool:
 
 
 def _boxes(file: Path, objects: list[_Object]) -> Model:
-    """Return the model whose objects are boxes along the axes."""
+    """Return the model of axis-aligned boxes."""
     straight = np.eye(3)
     pieces = [
         box_piece(box_corners(o.centre, o.extent, straight), i) for i, o in enumerate(objects)
     ]
-    columns: dict[str, Any] = dict(joined(pieces))
+    columns: dict[str, Any] = dict(join_pieces(pieces))
     return Model(
         path=file,
         things=tuple(held.thing for held in objects),
@@ -200,8 +197,8 @@ def _boxes(file: Path, objects: list[_Object]) -> Model:
     )
 
 
-def _lent(file: Path, mesh: Path, objects: list[_Object], turned: bool, up: Up) -> Model:
-    """Return the model of a mesh, each of whose triangles is of the smallest box that holds it."""
+def _cut_mesh(file: Path, mesh: Path, objects: list[_Object], turned: bool, up: Up) -> Model:
+    """Return the model of a mesh whose triangles belong to the smallest box around them."""
     from placegraph.io.mesh.obj import is_obj, read_obj
     from placegraph.io.mesh.ply import read_ply
 
@@ -212,14 +209,14 @@ def _lent(file: Path, mesh: Path, objects: list[_Object], turned: bool, up: Up) 
     for i, held in enumerate(objects):
         reach = np.linalg.norm(held.extent) / 2 + MARGIN
         near = np.flatnonzero(np.linalg.norm(middles - held.centre, axis=1) <= reach)
-        mine = near[_within(middles[near] - held.centre, held.extent, turned)]
+        mine = near[_are_inside(middles[near] - held.centre, held.extent, turned)]
         mine = mine[size[mine] > held.extent.prod()]
         of[mine], size[mine] = i, held.extent.prod()
     owned = np.bincount(of, minlength=len(objects) + 1)[: len(objects)]
     if not owned.any():
         raise InputError(
             f"{mesh} has no triangle within a box of {file}; give a mesh of that place, in the axes of "
-            "the poses that ConceptGraphs was given."
+            "ConceptGraphs' poses."
         )
     bare = Counter({"objects that the mesh does not show": int((owned == 0).sum())})
     things = (*(held.thing for held in objects), Thing("mesh", UNKNOWN))
@@ -228,16 +225,15 @@ def _lent(file: Path, mesh: Path, objects: list[_Object], turned: bool, up: Up) 
     )
 
 
-def _within(away: Floats, extent: Floats, turned: bool) -> NDArray[np.bool_]:
-    """Return which points (N, 3) from a box's centre lie in it; the way it is turned holds most of them.
+def _are_inside(away: Floats, extent: Floats, turned: bool) -> NDArray[np.bool_]:
+    """Return which points (N, 3), relative to a box's center, lie in the rotation that holds most.
 
-    A box of one size holds most of an object's surface if it lies as the object does. Objects stand
-    upright: any of the three lengths is the height, and the heading is one of twelve.
+    Objects stand upright: any of the three lengths is the height, and the heading is one of twelve.
     """
     ways = [(extent, 0.0)]
-    if turned and len(away) >= _ENOUGH:
+    if turned and len(away) >= _MIN_VERTICES:
         heights = [np.roll(extent, k) for k in range(3)]
-        headings = np.arange(_TRIED) * np.pi / _TRIED
+        headings = np.arange(_HEADINGS) * np.pi / _HEADINGS
         ways = list(itertools.product(heights, headings.tolist()))
     best: NDArray[np.bool_] = np.zeros(len(away), np.bool_)
     for lengths, heading in ways:

@@ -26,18 +26,18 @@ from placegraph.io.mesh.model import Model, Picture, Thing
 
 Floats = NDArray[np.float64]
 Box = tuple[Floats, Floats, Floats]
+"""Center and lengths (3,) [m], and world_from_box (3, 3)."""
 
 
 MARGIN = 0.05
-"""How far beyond its box an object's triangles may reach [m]: about a voxel of Hydra's mesh."""
-GREY = 200
-"""Of what has no colour."""
+"""Distance by which an object's triangles may exceed its box [m]: about a voxel of Hydra's mesh."""
+GREY = 200  # of surfaces without a colour
 _QUADS = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DsgMesh:
-    """A mesh as the file has it."""
+    """Mesh of a scene graph file."""
 
     points: Floats
     """(V, 3) [m]"""
@@ -59,8 +59,8 @@ class Piece:
     colours: NDArray[np.uint8]
 
     @classmethod
-    def of(cls, mesh: DsgMesh, thing: int, turn: Floats, shift: Floats) -> Piece:
-        """Return all triangles of a mesh whose frame is turned (3, 3) and shifted (3,)."""
+    def from_mesh(cls, mesh: DsgMesh, thing: int, turn: Floats, shift: Floats) -> Piece:
+        """Return all triangles of a mesh, rotated (3, 3) and translated (3,)."""
         return cls(thing, mesh.points @ turn.T + shift, mesh.faces, mesh.colours)
 
 
@@ -90,29 +90,16 @@ def read_mesh(entry: Any) -> DsgMesh | None:  # noqa: ANN401  # JSON
     return DsgMesh(at, faces, colours, labels)
 
 
-def pieces_of(
+def split_mesh(
     mesh: DsgMesh,
     owner: NDArray[np.int64],
     wanted: Iterable[tuple[int, int, Box | None]],
 ) -> tuple[list[Piece], list[tuple[int, Piece]]]:
-    """Return the share a scene's mesh out.
+    """Split the mesh of a scene into the pieces of its objects.
 
-    Parameters
-    ----------
-    mesh
-        Of the scene.
-    owner
-        (V,) row of the object that each vertex is connected with, or -1.
-    wanted
-        Row, semantic label and box of each object that may own triangles.
-
-    Returns
-    -------
-    owned
-        A piece for each object that owns some.
-    rest
-        Semantic label and piece of what none owns; their thing is -1.
-
+    `owner` is (V,) the row of the object that each vertex is connected with, or -1; `wanted` are row,
+    semantic label and box of each object that may own triangles. Returns a piece for each object that
+    owns triangles, and semantic label and piece (whose thing is -1) of the others.
     """
     face_owner = _majority(owner[mesh.faces])
     face_label = _majority(mesh.labels[mesh.faces])
@@ -121,15 +108,17 @@ def pieces_of(
         if row in has or label < 0 or box is None:
             continue
         free = np.flatnonzero((face_owner < 0) & (face_label == label))
-        inside = _inside(mesh.points[mesh.faces[free]], box)
+        inside = _are_inside(mesh.points[mesh.faces[free]], box)
         face_owner[free[inside]] = row
     owned = [
-        _cut(mesh, face_owner == row, row) for row in np.unique(face_owner).tolist() if row >= 0
+        _cut_faces(mesh, face_owner == row, row)
+        for row in np.unique(face_owner).tolist()
+        if row >= 0
     ]
-    nobodys = face_owner < 0
+    unowned = face_owner < 0
     rest = [
-        (label, _cut(mesh, nobodys & (face_label == label), -1))
-        for label in np.unique(face_label[nobodys]).tolist()
+        (label, _cut_faces(mesh, unowned & (face_label == label), -1))
+        for label in np.unique(face_label[unowned]).tolist()
     ]
     return owned, rest
 
@@ -154,7 +143,7 @@ def _majority(values: NDArray[np.int64]) -> NDArray[np.int64]:
     return voted
 
 
-def _inside(corners: Floats, box: Box) -> NDArray[np.bool_]:
+def _are_inside(corners: Floats, box: Box) -> NDArray[np.bool_]:
     """Return whether triangles (T, 3, 3) lie within a box and its margin."""
     centre, lengths, turn = box
     away = np.abs((corners - centre) @ turn) - lengths / 2
@@ -162,39 +151,37 @@ def _inside(corners: Floats, box: Box) -> NDArray[np.bool_]:
     return within
 
 
-def _cut(mesh: DsgMesh, faces: NDArray[np.bool_], thing: int) -> Piece:
+def _cut_faces(mesh: DsgMesh, faces: NDArray[np.bool_], thing: int) -> Piece:
     used, corners = np.unique(mesh.faces[faces], return_inverse=True)
     return Piece(thing, mesh.points[used], corners.reshape(-1, 3), mesh.colours[used])
 
 
-def box_of(
-    entry: object, version: tuple[int, int, int]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]] | None:
-    """Return the centre, lengths and rotation of a box; None of an invalid one."""
+def read_box(entry: object, version: tuple[int, int, int]) -> Box | None:
+    """Return center, lengths (3,) [m] and world_from_box (3, 3) of a box; None where it is invalid."""
     box: dict[str, Any] = entry if isinstance(entry, dict) else {}
     if box.get("type") in {None, "INVALID"}:
         return None
     if version < (1, 0, 3) and "min" in box:
-        low, high = _three(box["min"]), _three(box["max"])
+        low, high = _vector(box["min"]), _vector(box["max"])
         lengths = high - low
-        centre = (low + high) / 2 if box["type"] == "AABB" else _three(box["world_P_center"])
+        centre = (low + high) / 2 if box["type"] == "AABB" else _vector(box["world_P_center"])
     else:
-        centre, lengths = _three(box["world_P_center"]), _three(box["dimensions"])
+        centre, lengths = _vector(box["world_P_center"]), _vector(box["dimensions"])
     turn = np.eye(3)
     if box["type"] != "AABB":
-        with np.errstate(invalid="ignore"):  # of no rotation at all: not finite, refused below
+        with np.errstate(invalid="ignore"):  # of a zero quaternion: refused below
             turn = rotation_from_quaternion([float(box["world_R_center"][k]) for k in "xyzw"])
     if not np.isfinite([centre, lengths, *turn]).all() or (lengths < 0).any() or not lengths.any():
         return None
     return centre, lengths, turn
 
 
-def _three(values: Any) -> NDArray[np.float64]:  # noqa: ANN401  # JSON
+def _vector(values: Any) -> Floats:  # noqa: ANN401  # JSON
     return np.array(values, np.float64).reshape(3)
 
 
-def joined(pieces: list[Piece]) -> dict[str, NDArray[Any]]:
-    """Return the columns of a model."""
+def join_pieces(pieces: list[Piece]) -> dict[str, NDArray[Any]]:
+    """Return the columns of the model that pieces make."""
     starts = np.cumsum([0, *(len(p.vertices) for p in pieces)])
     faces = [p.triangles + start for p, start in zip(pieces, starts, strict=False)]
     return {
@@ -210,22 +197,20 @@ def joined(pieces: list[Piece]) -> dict[str, NDArray[Any]]:
 
 Json = dict[str, Any]
 _LOGGED = ("dsg_with_mesh.json", "dsg.json")
-"""What Hydra saves in `backend/` of its log folder when it ends."""
+"""Files in `backend/` of Hydra's log folder."""
 
 
-def logged(path: Path) -> Path:
-    """The graph in a folder that Hydra logged to, with its mesh if there is one; else the path itself."""
+def find_graph_file(path: Path) -> Path:
+    """Return the graph in a log folder of Hydra, with its mesh if possible; else the path itself."""
     try:
-        if path.is_dir():
-            tried = (path / part / name for name in _LOGGED for part in ("backend", ""))
-            return next((file for file in tried if file.is_file()), path)
+        tried = (path / part / name for name in _LOGGED for part in ("backend", ""))
+        return next((file for file in tried if file.is_file()), path) if path.is_dir() else path
     except (OSError, ValueError):
-        pass
-    return path
+        return path
 
 
-def rooms_of(content: Json, layer: int, top: int) -> dict[int, str]:
-    """Name of the room of each object (`layer`) that lies in one (`top`), itself or by its place."""
+def find_rooms(content: Json, layer: int, top: int) -> dict[int, str]:
+    """Return the name of the room (layer `top`) of each object (`layer`), direct or through its place."""
     level = {int(n["id"]): int(n["layer"]) for n in content["nodes"]}
     parent: dict[int, int] = {}
     for edge in content.get("edges") or []:
@@ -233,7 +218,7 @@ def rooms_of(content: Json, layer: int, top: int) -> dict[int, str]:
         if level.get(ends[0], 0) < level.get(ends[1], 0):
             parent.setdefault(ends[0], ends[1])
     title = {
-        int(n["id"]): str(n["attributes"].get("name") or symbol(int(n["id"])))
+        int(n["id"]): str(n["attributes"].get("name") or node_name(int(n["id"])))
         for n in content["nodes"]
         if int(n["layer"]) == top
     }
@@ -247,18 +232,18 @@ def rooms_of(content: Json, layer: int, top: int) -> dict[int, str]:
     return rooms
 
 
-def symbol(number: int) -> str:
-    """Return the name of a node by its number: O3 of an object, R0 of a room."""
+def node_name(number: int) -> str:
+    """Return the name of a node: O3 for an object, R0 for a room."""
     return f"{chr(number >> 56)}{number & (1 << 56) - 1}" if 0 < number >> 56 < 128 else str(number)
 
 
-def object_of(value: object) -> Json:
-    """Return the JSON object that a value is, or an empty one."""
+def as_object(value: object) -> Json:
+    """Return a JSON object, or an empty one where the value is none."""
     return value if isinstance(value, dict) else {}
 
 
-def plain(attributes: Json) -> dict[str, str]:
-    """Return the attributes as text, those that are lists or objects left out."""
+def text_attributes(attributes: Json) -> dict[str, str]:
+    """Return the attributes that are texts or numbers, as text."""
     return {
         str(k): v if isinstance(v, str) else json.dumps(v)
         for k, v in attributes.items()
@@ -268,13 +253,13 @@ def plain(attributes: Json) -> dict[str, str]:
 
 HEADER = "SPARK_DSG_header"
 OWN = "placegraph"
-"""Key of the metadata under which `spark_dsg_write` puts what the format has no field for."""
+"""Key of the metadata with values that the format has no field for."""
 OBJECTS, PLACES, ROOMS, BUILDINGS = 2, 3, 4, 5
-"""Numbers of the layers, where a file does not say otherwise."""
+"""Default numbers of the layers."""
 NO_LABEL = (1 << 32) - 1
 UNKNOWN = "unknown"
 LARGEST = 512 << 20
-"""Bytes of the largest file: JSON needs five times as much memory."""
+"""Bytes of the largest file that is read: JSON needs five times as much memory."""
 
 _SIGNS = (HEADER.encode(), b'"layer_keys"', b'"layer_ids"', b'"EdgeAttributes"')
 _SYMBOL = re.compile(r"[A-Za-z]\(?\d+\)?")  # O3, O(3): a node's number, no name
@@ -286,7 +271,7 @@ def is_spark_dsg(path: str | PathLike[str]) -> bool:
 
     Never raises.
     """
-    file_of = logged(Path(path))
+    file_of = find_graph_file(Path(path))
     try:
         if file_of.suffix.lower() != ".json" or not file_of.is_file():
             return False
@@ -301,31 +286,25 @@ def read_spark_dsg(path: str | PathLike[str]) -> Model:
     """Read a scene graph that Spark-DSG saved as JSON, version 1.0 to 1.x, or Hydra's log folder.
 
     An object's triangles are those of the scene's mesh whose vertices it is connected with, or its
-    own mesh (Khronos); else those of its label within its box; else its box stands for it. What
-    of the scene's mesh no object owns becomes one object for each semantic label, such as floor
-    and walls. An object's room becomes its attribute ``room``; edges become relations where their
-    metadata name one.
-
-    Raises
-    ------
-    InputError
-        The file is missing, truncated, larger than 512 MB, of a newer version, or not such a graph.
-
+    own mesh (Khronos); else those of its label within its box; else its box. Other triangles become
+    one object for each semantic label, such as floor and walls. An object's room becomes its attribute
+    ``room``; edges become relations where their metadata name one. Raises `InputError` where the file is
+    missing, truncated, larger than 512 MB, of a newer version, or no such graph.
     """
-    path = logged(Path(path))
+    path = find_graph_file(Path(path))
     if path.is_file() and path.stat().st_size > LARGEST:
         raise InputError(
-            f"{path} has {path.stat().st_size >> 20} MB, more than {LARGEST >> 20}; save a coarser "
-            "mesh with it, or none (include_mesh=False)."
+            f"{path} has {path.stat().st_size >> 20} MB; at most {LARGEST >> 20} are read. Save it with a "
+            "coarser mesh, or without (include_mesh=False)."
         )
     content = read_json(path)
     if not isinstance(content, dict) or not isinstance(content.get("nodes"), list):
-        raise InputError(f"{path} is no scene graph of Spark-DSG: it has no nodes.")
+        raise InputError(f"{path} has no nodes, so it is no scene graph of Spark-DSG.")
     try:
         return _Reader(path, content).read()
     except _DAMAGED as error:
         raise InputError(
-            f"{path} is not a sound scene graph of Spark-DSG ({error!r}); save it again."
+            f"{path} is damaged or no scene graph of Spark-DSG ({error!r}); save it again."
         ) from error
 
 
@@ -335,13 +314,12 @@ class _Node:
 
     id: int
     label: int
-    """Semantic label, -1 where there is none."""
+    """Semantic label, or -1."""
     thing: Thing
-    box: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]] | None
-    """Centre and lengths (3,) [m], and world_from_box (3, 3)."""
+    box: Box | None
     connections: NDArray[np.int64]
     mesh: DsgMesh | None
-    """Of a Khronos object, in the frame of its box."""
+    """Mesh of a Khronos object, in the frame of its box."""
 
 
 @dataclass(slots=True)
@@ -359,7 +337,7 @@ class _Reader:
             for n in self.content["nodes"]
             if (int(n["layer"]) == layer and "bounding_box" in n["attributes"])
         ]
-        rooms = rooms_of(self.content, layer, self._layer("ROOMS", ROOMS))
+        rooms = find_rooms(self.content, layer, self._layer("ROOMS", ROOMS))
         taken: set[str] = set()
         nodes = [self._node(n, version, names, rooms, taken) for n in found]
         scene = read_mesh(self.content.get("mesh"))
@@ -372,7 +350,7 @@ class _Reader:
             left_out=self.left_out,
             relations=self._relations([n.id for n in nodes], [n.thing.id for n in nodes]),
             floor=self._floor(),
-            **joined(pieces),
+            **join_pieces(pieces),
         )
 
     def _version(self) -> tuple[int, int, int]:
@@ -383,22 +361,22 @@ class _Reader:
         version = int(numbers["major"]), int(numbers["minor"]), int(numbers["patch"])
         if version[0] > 1:
             raise InputError(
-                f"{self.path} is Spark-DSG {'.'.join(map(str, version))}; versions 1.x are read."
+                f"{self.path} has version {'.'.join(map(str, version))} of Spark-DSG; only 1.x are read."
             )
         return version
 
     def _layer(self, name: str, default: int) -> int:
-        found = object_of(self.content.get("layer_names")).get(name, default)
+        found = as_object(self.content.get("layer_names")).get(name, default)
         return int(found["layer"] if isinstance(found, dict) else found)
 
     def _label_names(self, layer: int) -> dict[int, str]:
-        spaces = object_of(object_of(self.content.get("metadata")).get("labelspaces"))
+        spaces = as_object(as_object(self.content.get("metadata")).get("labelspaces"))
         space = spaces.get(f"_l{layer}p0") or {}
         pairs = space.items() if isinstance(space, dict) else space
         return {int(number): str(name) for number, name in pairs}
 
     def _floor(self) -> float | None:
-        own = object_of(object_of(self.content.get("metadata")).get(OWN))
+        own = as_object(as_object(self.content.get("metadata")).get(OWN))
         floor = own.get("floor")
         return float(floor) if isinstance(floor, int | float) else None
 
@@ -411,22 +389,22 @@ class _Reader:
         taken: set[str],
     ) -> _Node:
         attributes, number = node["attributes"], int(node["id"])
-        metadata = object_of(attributes.get("metadata"))
-        own = object_of(metadata.get(OWN))
+        metadata = as_object(attributes.get("metadata"))
+        own = as_object(metadata.get(OWN))
         name = str(attributes.get("name") or "")
         label = int(attributes.get("semantic_label", NO_LABEL))
         label = -1 if label == NO_LABEL else label
-        said = names.get(label, "")
-        if not said and name and not _SYMBOL.fullmatch(name):
-            said = name
-        if not said and label >= 0:
-            said = f"label {label}"
+        word = names.get(label, "")
+        if not word and name and not _SYMBOL.fullmatch(name):
+            word = name
+        if not word and label >= 0:
+            word = f"label {label}"
             self.left_out["labels without a name"] += 1
-        id_ = str(own["id"]) if "id" in own else symbol(number)
+        id_ = str(own["id"]) if "id" in own else node_name(number)
         while id_ in taken:
             id_ += "'"
         taken.add(id_)
-        known = object_of(own.get("attributes")) if own else metadata
+        known = as_object(own.get("attributes")) if own else metadata
         if not own and number in rooms:
             known = {"room": rooms[number], **known}
         return _Node(
@@ -434,11 +412,11 @@ class _Reader:
             label,
             Thing(
                 id_,
-                said or UNKNOWN,
+                word or UNKNOWN,
                 str(own["name"]) if "name" in own else name,
-                plain(known),
+                text_attributes(known),
             ),
-            box_of(attributes.get("bounding_box"), version),
+            read_box(attributes.get("bounding_box"), version),
             np.array(attributes.get("mesh_connections") or [], np.int64).reshape(-1),
             read_mesh(attributes.get("mesh")),
         )
@@ -451,11 +429,11 @@ class _Reader:
             ends = row.get(int(edge["source"])), row.get(int(edge["target"]))
             if ends[0] is None or ends[1] is None:
                 continue
-            metadata = object_of(object_of(edge.get("info")).get("metadata"))
+            metadata = as_object(as_object(edge.get("info")).get("metadata"))
             own = metadata.get(OWN)
             if own:
                 found += [
-                    (by_id[a], str(said), by_id[b]) for a, said, b in own if {a, b} <= by_id.keys()
+                    (by_id[a], str(word), by_id[b]) for a, word, b in own if {a, b} <= by_id.keys()
                 ]
             elif isinstance(metadata.get("relation"), str):
                 found.append((ends[0], metadata["relation"], ends[1]))
@@ -466,32 +444,29 @@ class _Reader:
     def _pieces(
         self, nodes: list[_Node], scene: DsgMesh | None, names: dict[int, str]
     ) -> tuple[list[Piece], tuple[Thing, ...]]:
-        """Return the triangles of the things, and the things: objects first, then what no object owns."""
+        """Return the pieces, and their things: objects first, then unowned surfaces."""
         things = [n.thing for n in nodes]
         pieces = []
         bare = []
         for i, node in enumerate(nodes):
             if node.mesh is not None and node.box is not None:
                 centre, _, turn = node.box
-                pieces.append(Piece.of(node.mesh, i, turn, centre))
+                pieces.append(Piece.from_mesh(node.mesh, i, turn, centre))
             else:
                 bare.append(i)
         if scene is not None:
             owner = self._owners(len(scene.points), [(i, nodes[i]) for i in bare])
             wanted = [(i, nodes[i].label, nodes[i].box) for i in bare]
-            owned, rest = pieces_of(scene, owner, wanted)
+            owned, rest = split_mesh(scene, owner, wanted)
             pieces += owned
             for label, piece in rest:
-                said = names.get(label, UNKNOWN if label < 0 else f"label {label}")
+                word = names.get(label, UNKNOWN if label < 0 else f"label {label}")
                 piece.thing = len(things)
-                things.append(Thing("mesh" if label < 0 else f"mesh {label}", said))
+                things.append(Thing("mesh" if label < 0 else f"mesh {label}", word))
                 pieces.append(piece)
         meshed = {piece.thing for piece in pieces}
-        for i in bare:
-            if i in meshed:
-                continue
-            box = nodes[i].box
-            if box is None:
+        for i in (i for i in bare if i not in meshed):
+            if (box := nodes[i].box) is None:
                 self.left_out["objects with neither mesh nor box"] += 1
                 continue
             self.left_out["objects without a mesh, for which their box stands"] += 1
@@ -503,13 +478,10 @@ class _Reader:
         owner = np.full(count, -1)
         row = {node.id: i for i, node in nodes}
         for i, node in nodes:
-            owner[_within(node.connections, count)] = i
+            rows = node.connections
+            owner[rows[(rows >= 0) & (rows < count)]] = i
         for edge in self.content.get("mesh_edges") or []:  # before version 1.0.2
             source, vertex = row.get(int(edge["source"])), int(edge["target"])
             if source is not None and 0 <= vertex < count:
                 owner[vertex] = source
         return owner
-
-
-def _within(rows: NDArray[np.int64], count: int) -> NDArray[np.int64]:
-    return rows[(rows >= 0) & (rows < count)]

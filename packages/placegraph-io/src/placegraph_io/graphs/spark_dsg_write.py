@@ -55,7 +55,7 @@ def encode_spark_dsg(
     camera_paths
         Names and (T, 4, 4) map_from_camera: each becomes a chain of agents.
     note
-        What else to put into the graph's metadata, under ``placegraph``.
+        More metadata of the graph, under ``placegraph``.
 
     """
     corners, triangles, vertex_thing, vertex = _owned(model)
@@ -64,9 +64,7 @@ def encode_spark_dsg(
     semantic = np.array([number[t.label] for t in model.things], np.int64)
     boxes = _boxes(corners, vertex_thing, len(model.things))
     colours = model.colours[vertex]
-    owner = vertex_thing
-    count = len(model.things)
-    ends = np.searchsorted(owner, np.arange(count + 1))
+    ends = np.searchsorted(vertex_thing, np.arange(len(model.things) + 1))
     own = [np.arange(low, high) for low, high in pairwise(ends.tolist())]
     objects = [
         _object(i, model, int(semantic[i]), boxes[i], rows, colours[rows])
@@ -96,8 +94,8 @@ def encode_spark_dsg(
     return json.dumps(content, separators=(",", ":"), ensure_ascii=False).encode()
 
 
-def node_number(prefix: str, row: int) -> int:
-    """Return the number of a node, of a layer's letter and a row."""
+def node_id(prefix: str, row: int) -> int:
+    """Return the id of a node by its layer's letter and its row."""
     return ord(prefix) << 56 | row
 
 
@@ -113,7 +111,7 @@ def _key(layer: int, partition: int = 0) -> Json:
 def _owned(
     model: Model,
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Return the mesh in which no two things share a vertex.
+    """Split vertices that several things share.
 
     Returns vertices (W, 3), triangles (T, 3), and for each vertex its thing (W,) and the row it
     had (W,).
@@ -140,7 +138,7 @@ def _boxes(
 def _semantic(
     name: str, box: NDArray[np.float64], label: int, colour: tuple[int, ...], own: Json, kind: str
 ) -> Json:
-    """Return the attributes that objects and rooms share; of a thing without extent the box is invalid."""
+    """Return the attributes that objects and rooms share; a box without extent is invalid."""
     middle = np.round(box.mean(axis=0), _DECIMALS).tolist()
     lengths = np.round(box[1] - box[0], _DECIMALS).tolist()
     identity = {"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0}
@@ -181,7 +179,7 @@ def _object(
         "registered": False,
         "world_R_object": {"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0},
     }
-    return {"id": node_number("O", row), **_key(OBJECTS), "attributes": attributes}
+    return {"id": node_id("O", row), **_key(OBJECTS), "attributes": attributes}
 
 
 def _rooms(rooms: Sequence[str], boxes: NDArray[np.float64]) -> tuple[list[Json], list[Json]]:
@@ -192,21 +190,21 @@ def _rooms(rooms: Sequence[str], boxes: NDArray[np.float64]) -> tuple[list[Json]
         box = np.stack([boxes[members, 0].min(axis=0), boxes[members, 1].max(axis=0)])
         attributes = _semantic(name, box, NO_LABEL, (255, 255, 255), {}, "RoomNodeAttributes")
         attributes["semantic_class_probabilities"] = {}
-        nodes.append({"id": node_number("R", k), **_key(ROOMS), "attributes": attributes})
-        edges += [_edge(node_number("R", k), node_number("O", i)) for i in members]
+        nodes.append({"id": node_id("R", k), **_key(ROOMS), "attributes": attributes})
+        edges += [_edge(node_id("R", k), node_id("O", i)) for i in members]
     return nodes, edges
 
 
 def _relations(model: Model) -> list[Json]:
-    """Return an edge for each pair of things that are related: the format knows one of a pair alone."""
-    said: dict[tuple[int, int], list[list[str]]] = {}
+    """Return an edge for each pair of related things: the format has at most one a pair."""
+    entries_of: dict[tuple[int, int], list[list[str]]] = {}
     for a, relation, b in model.relations:
         if a != b:
             entry = [model.things[a].id, relation, model.things[b].id]
-            said.setdefault((min(a, b), max(a, b)), []).append(entry)
+            entries_of.setdefault((min(a, b), max(a, b)), []).append(entry)
     return [
-        _edge(node_number("O", a), node_number("O", b), {OWN: entries})
-        for (a, b), entries in said.items()
+        _edge(node_id("O", a), node_id("O", b), {OWN: entries})
+        for (a, b), entries in entries_of.items()
     ]
 
 
@@ -222,7 +220,7 @@ def _agents(paths: Mapping[str, NDArray[np.float64]]) -> tuple[list[Json], list[
         partition = AGENT + k
         turns = quaternion_from_rotation(poses[:, :3, :3])
         for row, (pose, xyzw) in enumerate(zip(poses, turns, strict=True)):
-            number = node_number(chr(partition), row)
+            number = node_id(chr(partition), row)
             attributes = {
                 "type": "AgentNodeAttributes",
                 "position": np.round(pose[:3, 3], _DECIMALS).tolist(),
