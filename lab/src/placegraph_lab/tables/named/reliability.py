@@ -57,7 +57,7 @@ def reliability(
         ),
     ] = "",
     layouts: Annotated[
-        str, option("Python file that writes seeds of more formats, as the tests do.")
+        str, lab.option("Python file that writes seeds of more formats, as the tests do.")
     ] = "tests/lab/campaign/layouts.py",
     *,
     quick: lab.Quick = False,
