@@ -17,13 +17,7 @@ from placegraph.indoor.options import check_device
 from placegraph.indoor.pose.covariance import explore_unobservable
 from placegraph.indoor.pose.drift import correct_drift
 from placegraph.indoor.pose.estimate import add_earth_poses, estimate_pose
-from placegraph.indoor.pose.faults import (
-    COVERED,
-    find_divided_capture,
-    find_fault,
-    find_spoiled,
-    is_blank,
-)
+from placegraph.indoor.pose.faults import find_fault, find_image_fault
 from placegraph.indoor.pose.local_fit import fit_window
 from placegraph.indoor.pose.particle_filter import FilteredPasses, heaviest_modes, run_passes
 from placegraph.indoor.pose.search import search
@@ -39,7 +33,6 @@ from placegraph.indoor.refine.matching import Matcher
 from placegraph.indoor.status import (
     add_note,
     diagnostics_of,
-    doubt_tracked,
     explain_by_fault,
     needs_fault_search,
     reject_frames,
@@ -97,12 +90,9 @@ def _localize_as_said(
         return window, refine_estimate(window, estimate, refining) if refining else estimate
     rng = np.random.default_rng(query.seed)
     window = observe(query)
-    fault = find_spoiled(window)
+    fault = find_image_fault(window)
     if fault:  # no search could help
         return window, reject_frames(fault, [s.frame.index for s in window.sightings])
-    covered = is_blank(window.sightings)
-    if covered:  # depth and labels are better off without such images
-        window.sightings = [replace(s, rgb=None) for s in window.sightings]
     seeds = search(window, rng)
     if len(seeds):
         seeds = np.concatenate([locate_by_landmarks(window), seeds])
@@ -114,10 +104,7 @@ def _localize_as_said(
         starts = seeds if filtered is None else np.concatenate([filtered.modes, seeds])
         fits = correct_drift(window, fit_window(window, starts, rng), rng)
         fits = explore_unobservable(window, fits, rng)
-    estimate = estimate_pose(window, fits)
-    if covered:
-        estimate = add_note(estimate, COVERED)
-    estimate = _add_costs(window, estimate, filtered)
+    estimate = _add_costs(window, estimate_pose(window, fits), filtered)
     if refining:
         estimate = refine_estimate(window, estimate, refining, explained=True)
     return window, estimate
@@ -127,9 +114,6 @@ def _track(query: PoseQuery) -> tuple[Window, PoseEstimate]:
     """Return the answer to a long capture, frame by frame, and a window of its newest frames."""
     tracker = Tracker(query)
     estimate = track_capture(tracker, query.frames)
-    if estimate.status is Status.OK:
-        fault = find_divided_capture(query, tracker.scorer, estimate.trajectory)
-        estimate = doubt_tracked(estimate, fault)
     # without what an encoder says of them
     newest = [sight(frame, None, query.options) for frame in query.frames[-WINDOW:]]
     return Window(query, tracker.scorer, newest), estimate
@@ -161,7 +145,4 @@ def _explain_faults(window: Window, estimate: PoseEstimate) -> PoseEstimate:
         fault = find_fault(window, found.ratio, np.random.default_rng(query.seed))
     seconds = estimate.stats["seconds"] | {"faults": round(window.seconds["faults"], 4)}
     estimate = replace(estimate, stats=estimate.stats | {"seconds": seconds})
-    if not fault:
-        return estimate
-    covered = f" {COVERED}" if COVERED in estimate.reason else ""
-    return explain_by_fault(estimate, f"{fault}{covered}")
+    return explain_by_fault(estimate, fault) if fault else estimate

@@ -100,11 +100,9 @@ class Diagnostics:
     """(T, 3) agreement of each frame of the window: semantic and depth [share], colour [nat a sample]."""
     ratio_per_frame: float = 0.0
     """Log-likelihood ratio of the best mode against anywhere, a frame [nat]."""
-    spoiled: str = ""
-    """Fault of the frames on any map, such as a covered lens, as a sentence; empty: none."""
-    unmoved: str = ""
-    """Fault of odometry that stands still, as a sentence; empty: none."""
-    divided: str = ""
+    image_fault: str = ""
+    """Fault of the images on any map, such as a covered lens, as a sentence; empty: none."""
+    contradiction: str = ""
     """Frames that contradict the others, as a sentence; empty: none."""
     unnamed: bool = False
     """Whether patches are compared by looks, without the names of objects."""
@@ -163,14 +161,13 @@ def decide_pose(found: Diagnostics, modes: Sequence[PoseMode]) -> tuple[Status, 
     agreed = found.agreement
     assert agreed is not None  # noqa: S101  a window compares something
     consistent = _is_consistent(found, agreed)
-    if found.spoiled:
-        return Status.LOST, found.spoiled, replace(found, consistent=consistent)
+    if found.image_fault:
+        return Status.LOST, found.image_fault, replace(found, consistent=consistent)
     status, reason = decide_fit(agreed, modes, found.ratio_per_frame)
     undecided = status is Status.AMBIGUOUS
-    fault = found.unmoved or found.divided
-    if fault:
+    if found.contradiction:
         status = Status.LOST if status is Status.LOST else Status.AMBIGUOUS
-        return status, fault, replace(found, consistent=consistent)
+        return status, found.contradiction, replace(found, consistent=consistent)
     if status is Status.OK and len(found.frames) > 1:
         against = _contradicts_newest(agreed.frames[-1])
         if against:
@@ -232,7 +229,7 @@ def _is_sure(agreed: Agreement, probability: float) -> bool:
 
 def _is_consistent(found: Diagnostics, agreed: Agreement) -> bool:
     """Return whether nothing seen contradicts the best mode, however little it says of it."""
-    fault = found.spoiled or found.divided
+    fault = found.image_fault or found.contradiction
     if fault or agreed.semantic < _PATCHES_AGREE or _contradicts_newest(agreed.frames[-1]):
         return False
     mute = np.isnan(agreed.depth)
@@ -303,13 +300,6 @@ def needs_fault_search(estimate: PoseEstimate) -> bool:
 def explain_by_fault(estimate: PoseEstimate, fault: str) -> PoseEstimate:
     """Return an estimate that is not `OK` with the fault of the input that explains it."""
     return replace(estimate, reason=f"As they are, the frames fit nowhere. {fault}")
-
-
-def doubt_tracked(estimate: PoseEstimate, fault: str) -> PoseEstimate:
-    """Return the estimate of a tracked capture some frames of which contradict the others, if any do."""
-    if not fault:
-        return estimate
-    return replace(estimate, status=Status.AMBIGUOUS, reason=fault)
 
 
 # ---------------------------------------------------------------------------------- refinement

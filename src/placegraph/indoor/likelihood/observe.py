@@ -405,12 +405,10 @@ def _nearest(ratio: float) -> float:
     return float(known[np.abs(np.log(known / ratio)).argmin()])
 
 
-def suspected_factor(
-    views: Sequence[View], background: Background, telling: float = TELLING
-) -> float | None:
+def suspected_factor(views: Sequence[View], background: Background) -> float | None:
     """By how much depth readings look too long (over 1) or too short; None: they do not.
 
-    A factor must gain `telling` a reading [nat]. Compares the likelihood of all readings under what the
+    A factor must gain `TELLING` a reading [nat]. Compares the likelihood of all readings under what the
     map shows at their elevation, divided by each of `FACTORS` or its inverse, with that of the readings
     as they are.
     """
@@ -433,7 +431,7 @@ def suspected_factor(
     likelihood = np.log(shown + _FLOOR).mean(axis=1)
     best = int(likelihood.argmax())
     # what fits nowhere in this map with any factor says nothing of the unit
-    if likelihood[best] < 0.0 or likelihood[best] - likelihood[0] < telling:
+    if likelihood[best] < 0.0 or likelihood[best] - likelihood[0] < TELLING:
         return None
     return float(known[best])
 

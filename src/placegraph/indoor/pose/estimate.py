@@ -17,7 +17,7 @@ from placegraph.indoor.map.rooms import find_room_name
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.pose.agreement import CONFIDENCE, Agreement, agreement, explain
 from placegraph.indoor.pose.covariance import pose_covariance
-from placegraph.indoor.pose.faults import find_divided, find_spoiled, find_unmoved
+from placegraph.indoor.pose.faults import find_contradiction, find_image_fault
 from placegraph.indoor.pose.local_fit import Fit, probabilities
 from placegraph.indoor.pose.prior import LogPrior
 from placegraph.indoor.pose.window import Window, timed
@@ -90,14 +90,13 @@ def estimate_pose(window: Window, fits: list[Fit]) -> PoseEstimate:
             agreement=agreed[0],
             frames=frames,
             ratio_per_frame=float(told) / len(looked),
-            spoiled=find_spoiled(judging),
-            unmoved=find_unmoved(sightings),
-            divided=find_divided(judging, frames),
+            image_fault=find_image_fault(judging),
+            contradiction=find_contradiction(judging, frames),
             unnamed=any(s.patches is not None and not s.patches.named for s in sightings),
             unmet="" if prior is None else prior.against(modes[0].pose),
         )
         status, reason, found = decide_pose(found, modes)
-        if status is not Status.OK and not (found.spoiled or found.unmoved or found.divided):
+        if status is not Status.OK and not (found.image_fault or found.contradiction):
             # depth may look to be in another unit
             unit = hint(judging.views(FINE), window.table.background, sightings[-1].frame)
             reason = f"{reason} {unit}".rstrip()

@@ -1,105 +1,66 @@
-"""What is wrong with the input: named, so that it can be mended.
+"""Diagnosis of faulty input: frames that fit no map, and faults that explain why frames do not fit.
 
-`spoiled` looks at frames alone, and costs next to nothing. `suspected` is asked where no pose is sure: it
-supposes one fault after the other, takes it back, and sees whether the frames then fit the map.
+Each fault has a row in the table *Bad input* of docs/benchmarks/indoor-robustness.md, which the function
+that looks for it names.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from placegraph.core.geometry import Floats, between, level_from_camera, split_pose, wrap_angle
-from placegraph.indoor.likelihood.observe import (
-    FINE,
-    Sighting,
-    mended,
-    sight,
-    spread,
-    suspected_factor,
-)
-from placegraph.indoor.likelihood.score import Scorer
+from placegraph.core.geometry import Floats, between, level_from_camera, wrap_angle
+from placegraph.indoor.likelihood.observe import FINE, Sighting
 from placegraph.indoor.pose.agreement import SPEAK, agreement
 from placegraph.indoor.pose.local_fit import fit_window
 from placegraph.indoor.pose.search import search
-from placegraph.indoor.pose.window import PoseQuery, Window
+from placegraph.indoor.pose.window import Window
 
 _FLAT = 2.0
-"""Deviation of the means of an image's blocks, of 255 steps, below which it shows nothing."""
-_MOVED, _TURNED = 0.1, 0.1
-"""Way [m] and turn [rad] over which no two images are the same."""
+"""Deviation of the means of an image's blocks, of 255 steps, below which the image is blank."""
 _STILL = 1e-6
-"""Odometry whose matrices change by less is no estimate: those that stand drift by more."""
+"""Largest change of matrices of odometry that is no estimate: estimates of a camera that stands drift."""
 _BLOCKS = (8, 12)
+_MOVED, _TURNED = 0.1, 0.1
+"""Way [m] and turn [rad] over which no two images are equal."""
 _FITS, _MISSES = 0.75, 0.5
-"""Share of depth readings on the map's surfaces of frames that fit, and of frames that do not."""
+"""Share of depth readings on the map's surfaces in frames that fit, and in frames that do not."""
 _MUTE = SPEAK / 4.0
-"""What colours tell at most of a frame taken elsewhere [nat a sample]."""
+"""Largest log-likelihood of colours in a frame taken elsewhere [nat a sample]."""
 _STARTS = 8
-_SOME = 12
-"""Frames of a long capture that are looked at."""
-_GAIN, _TELLS = 1.2, 25.0
-"""A fault taken back must make frames fit so many times as well, and tell so much a frame [nat]."""
-_FILLED = 0.67
-"""Share of the views that the map must cover for another factor of depth: near enough, anything fits."""
-_PERHAPS = 0.2
-"""What a factor of depth must gain to be tried, though others may be as usual [nat a reading]."""
-_COLOURS_FIT = 0.05
-"""What colours tell of frames that fit, where there is no depth [nat a sample]."""
+_GAIN, _LEAST_RATIO = 1.2, 25.0
+"""Least gain of the log-likelihood ratio by undoing a fault, and least ratio of a frame [nat]."""
+_UNDERGROUND = (-1.0, -0.3)
+"""Heights above the floor at which a camera below it is searched for [m]."""
 
 
-_NOT_THERE = (
-    "Without the prior they fit: the first frame was not taken there. Check its x, y and z, which are in "
-    "the map's frame, or leave it out."
-)
-_UPSIDE_DOWN = (
-    "With gravity turned round they fit: it seems to point up. Give the direction in which things "
-    "fall; an accelerometer at rest measures the opposite."
-)
-_LEFT_IS_RIGHT = (
-    "Mirrored they fit: left and right of the images seem to be changed. Give them as the camera "
-    "sees them."
-)
+def find_image_fault(window: Window) -> str:
+    """Return the fault of images that fit no map, as a sentence; empty: none.
 
-COVERED = "No image shows anything: the lens seems to be covered, and images were left out."
-"""What is said where the other senses answer without them."""
-_OUTSIDE = "They fit a camera {} of the map: check which storey this is, and the map's floor."
-
-
-def find_spoiled(window: Window) -> str:
-    """What is wrong with frames whatever the map is, in a sentence; empty: nothing."""
-    if _covered(window.sightings):
+    Rows *lens cap* and *frozen image*.
+    """
+    others = any(s.depth is not None or s.patches is not None for s in window.sightings)
+    if not others and all(s.rgb is not None and _is_blank(s.rgb) for s in window.sightings):
         return (
             "The lens seems to be covered: no image shows anything, and there is no depth. "
-            "Uncover it, or check what the camera delivers."
+            "Uncover it, or check the camera's output."
         )
-    stuck = _stuck(window)
-    if stuck:
-        first, last = (window.sightings[i].frame.index for i in stuck)
-        return (
-            f"The images are frozen: frames {first} to {last} are the same, although the camera "
-            "moved by its odometry. Restart the camera, or leave repeated frames out."
-        )
-    return ""
+    frozen = _find_frozen_run(window)
+    if frozen is None:
+        return ""
+    first, last = (window.sightings[i].frame.index for i in frozen)
+    return (
+        f"The images are frozen: frames {first} to {last} are the same, although the camera "
+        "moved by its odometry. Restart the camera, or leave repeated frames out."
+    )
 
 
-def _covered(sightings: list[Sighting]) -> bool:
-    """Whether all images are flat, and no frame has depth or labels."""
-    bare = not any(s.depth is not None or s.patches for s in sightings)
-    return bare and is_blank(sightings)
-
-
-def is_blank(sightings: list[Sighting]) -> bool:
-    """Whether no image shows anything."""
-    return all(s.rgb is not None and _flat(s.rgb) for s in sightings)
-
-
-def _flat(rgb: NDArray[np.uint8] | NDArray[np.float32]) -> bool:
-    """Whether an image (H, W, 3) has no contrast but its pixels' noise."""
+def _is_blank(rgb: NDArray[np.uint8]) -> bool:
+    """Return whether an image (H, W, 3) has no contrast but the noise of its pixels."""
     rows, columns = (n // k * k for n, k in zip(rgb.shape, _BLOCKS, strict=False))
     some = rgb[:rows:2, :columns:2].astype(np.float32).mean(axis=2)
     height, width = (n // k for n, k in zip(some.shape, _BLOCKS, strict=True))
@@ -108,26 +69,26 @@ def _flat(rgb: NDArray[np.uint8] | NDArray[np.float32]) -> bool:
     return bool(means.std() < _FLAT)
 
 
-def _stuck(window: Window) -> tuple[int, int] | None:
-    """First and last row of the longest run of frames with one image over which the camera moved.
+def _find_frozen_run(window: Window) -> tuple[int, int] | None:
+    """Return the first and last row of the longest run of equal frames over which the camera moved.
 
-    Two alike among many are a frame that was sent twice, except at the end, where the answer is.
+    Two equal frames among many are a frame that was sent twice, except at the end, where the answer is.
     """
     found, start, last = None, 0, len(window) - 1
     for i in range(1, len(window) + 1):
-        if i <= last and _same(window.sightings[i - 1], window.sightings[i]):
+        if i <= last and _have_equal_image(window.sightings[i - 1], window.sightings[i]):
             continue
         ends_now, count = i - 1 == last, i - start
-        if count > 1 and (count > 2 or ends_now) and _moved(window.poses, start, i - 1):
+        if count > 1 and (count > 2 or ends_now) and _has_moved(window.poses[start:i]):
             found = max(found or (start, start), (start, i - 1), key=lambda run: run[1] - run[0])
         start = i
     return found
 
 
-def _same(one: Sighting, other: Sighting) -> bool:
-    """Whether two frames have an image in common: sensors' noise lets none repeat itself.
+def _have_equal_image(one: Sighting, other: Sighting) -> bool:
+    """Return whether two frames have an equal image: the noise of sensors lets no image repeat.
 
-    Images that show nothing prove nothing: a covered lens may be free of noise.
+    Blank images prove nothing: a covered lens may be free of noise.
     """
     pairs = ((one.rgb, other.rgb), (one.depth, other.depth))
     return any(
@@ -135,33 +96,42 @@ def _same(one: Sighting, other: Sighting) -> bool:
         and b is not None
         and a.shape == b.shape
         and np.array_equal(a[::7, ::5], b[::7, ::5], equal_nan=a.dtype.kind == "f")
-        and not (a.ndim == 3 and _flat(a))
+        and not (a.dtype == np.uint8 and _is_blank(a))
         for a, b in pairs
     )
 
 
-def _moved(poses: Floats, first: int, last: int) -> bool:
-    way = np.linalg.norm(poses[last, :3] - poses[first, :3])
-    turn = np.abs(wrap_angle(poses[first : last + 1, 3] - poses[first, 3])).max()
+def _has_moved(poses: Floats) -> bool:
+    """Return whether poses (T, 4) of odometry moved or turned over their run."""
+    way = np.linalg.norm(poses[-1, :3] - poses[0, :3])
+    turn = np.abs(wrap_angle(poses[:, 3] - poses[0, 3])).max()
     return bool(way > _MOVED or turn > _TURNED)
 
 
-def find_divided(window: Window, frames: Floats) -> str:
-    """Which frames contradict the others, in a sentence; empty: they agree.
+def find_contradiction(window: Window, frames: Floats) -> str:
+    """Return how frames of a window contradict each other by their odometry, as a sentence; empty: not.
 
-    `frames`: (T, 3) how far each agrees with one pose of the window (`Agreement.frames`).
+    A frame that fits and one that does not cannot both have been taken where odometry says. Row *half
+    elsewhere*; of images without depth, the rows *colour alone* of absent scenes. Odometry that is one pose although depth changes: row *no odometry*.
 
-    A frame that fits and one that does not cannot both have been taken where odometry says.
+    Parameters
+    ----------
+    frames
+        (T, 3) agreement of each frame with one trajectory (`Agreement.frames`).
+
     """
+    if _is_odometry_missing(window.sightings):
+        return (
+            "The odometry stands still, although the camera moved by its depth: give its odometry, or "
+            "localize each frame by itself."
+        )
     depth, colour = frames[:, 1], frames[:, 2]
-    alone = np.isnan(depth) & np.isnan(frames[:, 0])
-    pairs = zip(alone, window.sightings[-len(frames) :], strict=True)
-    # frames of which images alone say where they are
-    images = np.array([one and s.rgb is not None and not _flat(s.rgb) for one, s in pairs])
-    misses = np.where(images, colour < _MUTE, (depth < _MISSES) & ~(colour > SPEAK))
-    fit = np.where(images, colour > SPEAK, depth > _FITS)
+    by_images = np.isnan(depth) & np.isnan(frames[:, 0])
+    by_images &= [s.rgb is not None and not _is_blank(s.rgb) for s in window.sightings]
+    misses = np.where(by_images, colour < _MUTE, (depth < _MISSES) & ~(colour > SPEAK))
+    fits = np.where(by_images, colour > SPEAK, depth > _FITS)
     few = misses.sum() < max(2, round(0.3 * len(depth)))
-    if fit.sum() < 2 or (few and not (images & misses)[-1]):
+    if fits.sum() < 2 or (few and not (by_images & misses)[-1]):
         return ""
     rows = [window.sightings[i].frame.index for i in np.flatnonzero(misses)]
     listed = ", ".join(map(str, rows[:6])) + (", ..." if len(rows) > 6 else "")
@@ -171,90 +141,79 @@ def find_divided(window: Window, frames: Floats) -> str:
     )
 
 
-def find_unmoved(sightings: Sequence[Sighting]) -> str:
-    """That odometry is one pose all along, as where it is missing, though most of the depth moved."""
+def _is_odometry_missing(sightings: list[Sighting]) -> bool:
+    """Return whether odometry is one pose, although half of the depth readings changed."""
     first, last = sightings[0].depth, sightings[-1].depth
     if len(sightings) < 2 or first is None or last is None or first.shape != last.shape:
-        return ""
+        return False
     change = np.abs(first[::7, ::5] - last[::7, ::5])
     read = np.isfinite(change)
     still = np.ptp([s.frame.odometry for s in sightings], axis=0).max() < _STILL
-    if not (still and read.any() and np.median(change[read]) > _MOVED):
-        return ""
-    return (
-        "The odometry stands still, although the camera moved by its depth: give its odometry, or "
-        "localize each frame by itself."
-    )
-
-
-def find_divided_capture(query: PoseQuery, scorer: Scorer, trajectory: Floats) -> str:
-    """`find_divided` of a long capture by its trajectory (T, 4, 4) and some of its frames."""
-    rows = spread(len(trajectory), _SOME)
-    seen = [sight(query.frames[i], query.encoder, query.options) for i in rows.tolist()]
-    window, (poses, _) = Window(query, scorer, seen), split_pose(trajectory[rows])
-    steps = between(poses[-1], poses)
-    judging = window.judging
-    return find_divided(
-        window, agreement(judging.scorer, poses[-1], judging.views(FINE), steps).frames
-    )
-
-
-# ------------------------------------------------------------------------------------ hypotheses
+    return bool(still and read.any() and np.median(change[read]) > _MOVED)
 
 
 def find_fault(window: Window, ratio: float, rng: Generator) -> str:
-    """The fault of the input that explains why frames do not fit, in a sentence; empty: none does.
+    """Return the fault of the input that explains why frames do not fit, as a sentence; empty: none.
 
-    `ratio`: log-likelihood ratio against anywhere that the frames reached as they are, a frame [nat].
+    Frames with depth are searched for in the whole map with one fault after the other undone.
+
+    Parameters
+    ----------
+    ratio
+        Log-likelihood ratio against anywhere of the frames as they are, a frame [nat].
+
     """
-    for other, said, least in _faults(window):
-        if not len(other.table):
+    if all(s.depth is None for s in window.sightings):
+        return ""
+    for corrected, sentence in _undo_faults(window):
+        if not len(corrected.table):
             continue
-        seeds = search(other, rng)
-        fit = fit_window(other, seeds[:_STARTS], rng)[0]
-        judging, looked = other.judging, other.newest
-        views = [judging.views(FINE)[i] for i in looked]
-        agreed = agreement(judging.scorer, fit.pose, views, between(fit.pose, fit.poses[looked]))
-        fits = agreed.colour > _COLOURS_FIT if np.isnan(agreed.depth) else agreed.depth > _FITS
-        if fits and agreed.covered > least and agreed.ratio > max(_TELLS, _GAIN * ratio):
-            return said
+        fit = fit_window(corrected, search(corrected, rng)[:_STARTS], rng)[0]
+        judging, newest = corrected.judging, corrected.newest
+        views = [judging.views(FINE)[i] for i in newest]
+        agreed = agreement(judging.scorer, fit.pose, views, between(fit.pose, fit.poses[newest]))
+        if agreed.depth > _FITS and agreed.ratio > max(_LEAST_RATIO, _GAIN * ratio):
+            return sentence
     return ""
 
 
-def _faults(window: Window) -> Iterator[tuple[Window, str, float]]:
-    """Windows with a fault taken back, looked for in all of the map; what it is; least coverage."""
-    query, sightings, scene = replace(window.query, prior=None), window.sightings, window.scene
+def _undo_faults(window: Window) -> Iterator[tuple[Window, str]]:
+    """Yield the window with one fault undone, and a sentence about the fault.
 
-    def changed(asked: PoseQuery = query, frames: list[Sighting] = sightings) -> Window:
-        return Window(asked, window.scorer, frames)
+    Rows *gravity up*, *mirrored* and *below the floor*.
+    """
+    query, sightings = replace(window.query, prior=None), window.sightings
+    if np.mean([s.frame.gravity[1] for s in sightings]) < 0:  # or the camera is held upside down
+        upright = [_turn_gravity_round(s) for s in sightings]
+        yield (
+            Window(query, window.scorer, upright),
+            (
+                "With gravity turned round they fit: gravity seems to point up. Give the direction in which "
+                "things fall; an accelerometer at rest measures the opposite."
+            ),
+        )
+    yield (
+        Window(query, window.scorer, [_mirror(s) for s in sightings]),
+        (
+            "Mirrored they fit: left and right of the images seem to be swapped. Give images as the camera "
+            "sees them."
+        ),
+    )
+    below = replace(query, options=replace(query.options, heights=_UNDERGROUND))
+    yield (
+        Window(below, window.scorer, sightings),
+        (
+            "They fit a camera below the floor of the map: check which storey this is, and the map's floor."
+        ),
+    )
 
-    if window.query.prior is not None:
-        yield changed(), _NOT_THERE, 0.0
-    if np.mean([s.frame.gravity[1] for s in sightings]) < 0:  # or held upside down
-        yield changed(frames=[_turned_round(s) for s in sightings]), _UPSIDE_DOWN, 0.0
-    yield changed(frames=[_mirrored(s) for s in sightings]), _LEFT_IS_RIGHT, 0.0
-    factor = suspected_factor(window.views(FINE), window.table.background, _PERHAPS)
-    if factor is not None:
-        said = f"Scaled they fit. {mended(sightings[-1].frame, factor)}"
-        yield changed(frames=[_divided(s, factor) for s in sightings]), said, _FILLED
-    top = float(scene.bounds[1, 2] - scene.floors.max())
-    outside = {"below the floor": (-1.0, -0.3), "above the ceiling": (top + 0.2, top + 0.9)}
-    for where, heights in outside.items():
-        options = replace(query.options, heights=heights)
-        yield changed(replace(query, options=options)), _OUTSIDE.format(where), 0.0
 
-
-def _turned_round(sighting: Sighting) -> Sighting:
+def _turn_gravity_round(sighting: Sighting) -> Sighting:
     frame = replace(sighting.frame, gravity=-sighting.frame.gravity)
     return replace(sighting, frame=frame, level=level_from_camera(frame.gravity))
 
 
-def _divided(sighting: Sighting, factor: float) -> Sighting:
-    depth = sighting.depth
-    return replace(sighting, depth=None if depth is None else depth / np.float32(factor))
-
-
-def _mirrored(sighting: Sighting) -> Sighting:
+def _mirror(sighting: Sighting) -> Sighting:
     patches, depth, rgb = sighting.patches, sighting.depth, sighting.rgb
     if patches is not None:
         patches = replace(patches, rows=patches.rows.reshape(patches.grid)[:, ::-1].ravel())

@@ -473,20 +473,16 @@ SETTLED = 0.003
 
 
 def measure_scale_error(refiner: Refiner, fitted: FittedTrajectory) -> float:
-    """Return logarithm by which a scale or focal length looks off at fitted poses; 0: none does.
+    """Return the logarithm by which the scale or focal length of depth looks off; 0: neither does.
 
-    Of depth one linear step, which tells that something is wrong better than by how much; matches
-    take more, since those that are left agree with the poses, and cost little.
+    One linear step at the fitted poses, which tells that something is wrong better than by how much. Rows
+    *focal length* and *depth scale*.
     """
-    free = [SCALE, FOCAL] if refiner.has_depth else [IMAGE]
-    if not refiner.has_depth and sum(map(len, fitted.sights)) < ENOUGH:
+    if not refiner.has_depth:
         return 0.0
-    poses, lags = fitted.poses, fitted.lags
-    if lags is not None:
-        poses = (lags.of_depth if refiner.has_depth else lags.of_images)(poses)
-    problem = refiner.problem(None if refiner.has_depth else fitted.sights)
-    widths = TRIAL[:1] if refiner.has_depth else WIDTHS
-    found = calibrate_camera(refiner.scene, problem, poses, free, widths)
+    poses = fitted.poses if fitted.lags is None else fitted.lags.of_depth(fitted.poses)
+    free = [SCALE, FOCAL]
+    found = calibrate_camera(refiner.scene, refiner.problem(), poses, free, TRIAL[:1])
     off = [found.values[k] for k in free if abs(found.values[k]) > CLEAR * found.errors[k]]
     return float(max(off, key=abs, default=0.0))
 
@@ -497,11 +493,12 @@ def find_camera_correction(
     """Find a correction of the camera of a window's frames; None: no clear fault."""
     if not refining.options.joint or estimate.best is None or not _asked(estimate):
         return None
-    depth = any(s.depth is not None for s in window.sightings)
     # depth tells enough at few places, and lags are told from frame to frame
-    rows = np.arange(len(window))[-MOST:] if depth else spread(len(window), MOST)
-    starts = [start[rows] for start in _starts(window, estimate)]
+    rows = np.arange(len(window))[-MOST:]
     case = _CameraSearch(_part(window, rows), refining)
+    if not case.refiner(case.window).has_depth:
+        return None
+    starts = [start[rows] for start in _starts(window, estimate)]
     return case.found(starts[0] if len(starts) == 1 else case.nearest(starts))
 
 
@@ -526,11 +523,6 @@ def _part(window: Window, rows: NDArray[np.int64]) -> Window:
     return Window(window.query, window.scorer, [window.sightings[i] for i in rows])
 
 
-def _matched(refiner: Refiner, poses: Floats, *, near: bool) -> list[PointMatches]:
-    """Return matches (T,) of the frames with the map, by the guided matcher."""
-    return refiner.matched(matching_stages(None, near=near)[0], poses)
-
-
 @dataclass(eq=False)
 class _CameraSearch:
     """Frames whose camera is looked into, and what has been found of it."""
@@ -539,10 +531,7 @@ class _CameraSearch:
     refining: RefineSetup
     mend: CameraCorrection = field(default_factory=CameraCorrection.nothing)
 
-    def __post_init__(self) -> None:
-        self.depth = self._refiner(self.window).has_depth
-
-    def _refiner(self, window: Window, readings: int | None = None) -> Refiner:
+    def refiner(self, window: Window, readings: int | None = None) -> Refiner:
         """Of frames as they are mended so far."""
         frames = self.mend.frames([s.frame for s in window.sightings])
         seen = [
@@ -557,12 +546,10 @@ class _CameraSearch:
     def nearest(self, starts: list[Floats]) -> Floats:
         """Return the start (T, 4, 4) from which frames fit best, were the camera another."""
         rows = spread(len(self.window), TRIAL_FRAMES)
-        refiner = self._refiner(_part(self.window, rows), TRIAL_READINGS)
-        free = [SCALE, FOCAL] if self.depth else [IMAGE]
+        refiner = self.refiner(_part(self.window, rows), TRIAL_READINGS)
+        problem, free = refiner.problem(), [SCALE, FOCAL]
         best, cost = starts[0], np.inf
         for start in starts:
-            sights = None if self.depth else _matched(refiner, start[rows], near=False)
-            problem = refiner.problem(sights)
             fit = calibrate_camera(refiner.scene, problem, start[rows], free, TRIAL)
             if fit.cost < cost and np.abs(fit.values).max() < PLAUSIBLE:
                 best, cost = fit.poses[-1] @ np.linalg.inv(start[rows[-1]]) @ start, fit.cost
@@ -572,14 +559,11 @@ class _CameraSearch:
         """Find the clear faults, from poses (T, 4, 4) nearby; None: none."""
         coloured = self.window.scene.has_colours and self.window.sightings[0].rgb is not None
         for number in range(ROUNDS):
-            refiner, sights = self._refiner(self.window), None
-            if coloured and (number or not self.depth):
-                sights = _matched(refiner, poses, near=self.depth or number > 0)
-            free = [SCALE, FOCAL, *TILT] if self.depth else []
-            if sights is not None and sum(map(len, sights)) >= ENOUGH:
-                free.append(IMAGE)
-            if not free:
-                return None
+            refiner, sights = self.refiner(self.window), None
+            free = [SCALE, FOCAL, *TILT]
+            if coloured and number:
+                sights = refiner.matched(matching_stages(None, near=True)[0], poses)
+                free += [IMAGE] if sum(map(len, sights)) >= ENOUGH else []
             poses, moved = self._settled(refiner, refiner.problem(sights), poses, free)
             if number and moved < SETTLED:
                 break
@@ -607,7 +591,7 @@ class _CameraSearch:
             plain = calibrate_camera(refiner.scene, problem, poses, usual)
             if fit.cost > (1.0 - GAIN) * plain.cost:
                 fit, kept = plain, usual
-        if IMAGE in free and self.depth and not before[list(PLACE)].any():
+        if IMAGE in free and not before[list(PLACE)].any():
             fit, kept = self._offset(refiner, problem, fit, kept)
         values, errors = before.copy(), self.mend.errors.copy()
         out = [k for k in free if k not in kept]
@@ -615,7 +599,7 @@ class _CameraSearch:
         errors[kept] = fit.errors[kept]
         values[out] = errors[out] = 0.0
         frame = self.window.sightings[0].frame
-        if IMAGE not in free and self.depth and share_view(frame.camera, frame.depth_camera):
+        if IMAGE not in free and share_view(frame.camera, frame.depth_camera):
             values[IMAGE], errors[IMAGE] = values[FOCAL], errors[FOCAL]
         self.mend = CameraCorrection(values, errors)
         return fit.poses, float(np.abs(values - before).max())

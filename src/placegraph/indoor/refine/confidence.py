@@ -374,11 +374,10 @@ def _suspect_camera(refiner: Refiner, way: Confirmation) -> tuple[str, str]:
         hint = "images do not show what depth does"
     if abs(factor) <= OFF:
         return "", hint
-    what = "depth readings or their image" if refiner.has_depth else "images"
     how = "larger" if factor > 0 else "smaller"
     return (
-        f"the map fits clearly better if the {what} are some {abs(factor):.0%} {how}; check scale and "
-        "intrinsics in camera.json"
+        f"the map fits clearly better if the depth readings or their image are some {abs(factor):.0%} "
+        f"{how}; check scale and intrinsics in camera.json"
     ), hint
 
 

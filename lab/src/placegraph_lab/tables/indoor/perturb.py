@@ -346,6 +346,11 @@ def gravity_up(shot: Shot, _: float, rng: Generator) -> Shot:  # noqa: ARG001
     return shot.each(lambda f: replace(f, gravity=-f.gravity))
 
 
+def without_odometry(shot: Shot, _: float, rng: Generator) -> Shot:  # noqa: ARG001
+    """Return the shot with the odometry of its first frame in all frames."""
+    return shot.each(lambda f: replace(f, odometry=shot.frames[0].odometry))
+
+
 def backwards(shot: Shot, _: float, rng: Generator) -> Shot:  # noqa: ARG001
     """Stamps fall from frame to frame."""
     stamps = [f.stamp for f in shot.frames][::-1]

@@ -295,6 +295,7 @@ BAD: dict[str, Make] = {
     "frozen image": perturb.frozen,
     "mirrored": perturb.mirrored,
     "gravity up": perturb.gravity_up,
+    "no odometry": perturb.without_odometry,
     "time backwards": perturb.backwards,
 }
 OUTSIDE = {"below the floor": -0.6, "above the ceiling": 3.4}
