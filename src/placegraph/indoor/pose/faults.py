@@ -111,8 +111,8 @@ def _has_moved(poses: Floats) -> bool:
 def find_contradiction(window: Window, frames: Floats) -> str:
     """Return how frames of a window contradict each other by their odometry, as a sentence; empty: not.
 
-    A frame that fits and one that does not cannot both have been taken where odometry says. Row *half
-    elsewhere*; of images without depth, the rows *colour alone* of absent scenes. Odometry that is one pose although depth changes: row *no odometry*.
+    A frame that fits and one that does not cannot both have been taken where odometry says. Rows *half
+    elsewhere* and *no odometry*; of images without depth, the rows *colour alone* of absent scenes.
 
     Parameters
     ----------
