@@ -15,7 +15,8 @@ from placegraph.core.geo import are_in_tile
 from placegraph.errors import InputError, MapError, MissingExtraError, OptionError
 from placegraph.outdoor.city import CityMap
 from placegraph_scale import build as module
-from placegraph_scale.build import BuildOptions, build_world
+from placegraph_scale.build import build_world
+from placegraph_scale.options import BuildOptions
 from placegraph_scale.shards import WorldFile, words
 
 BENCH, TREE = {"amenity": "bench"}, {"natural": "tree"}
@@ -227,7 +228,7 @@ def test_a_full_disk_says_so(extract, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("wrong", "name"),
     [({"zoom": 0}, "zoom"), ({"overlap": -1.0}, "overlap"), ({"workers": 0}, "workers"),
-     ({"cell_size": 0.0}, "sizes")],
+     ({"cell_size": 0.0}, "cell_size")],
 )  # fmt: skip
 def test_options_out_of_range(wrong, name, extract, tmp_path):
     with pytest.raises(OptionError, match=name):

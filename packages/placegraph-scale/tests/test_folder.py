@@ -7,8 +7,9 @@ import pytest
 
 import placegraph as pg
 from placegraph.errors import InputError, MapError, MissingExtraError, OptionError
-from placegraph_scale.build import BuildOptions, build_world
+from placegraph_scale.build import build_world
 from placegraph_scale.folder import bring, fetch
+from placegraph_scale.options import BuildOptions
 
 fsspec = pytest.importorskip("fsspec", reason="fsspec is not installed (extra scale)")
 BENCH, TREE = {"amenity": "bench"}, {"natural": "tree"}

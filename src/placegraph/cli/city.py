@@ -6,15 +6,17 @@ import json
 import sys
 from contextlib import contextmanager
 from dataclasses import asdict
+from math import radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
-from placegraph.cli.command import Argument, Option
+from placegraph.cli.command import Argument, Fields, Option
 from placegraph.cli.common import AsJson, Quiet, console, numbers_of, progress_of, show_facts, table
 from placegraph.core.plugins import load_module
 from placegraph.errors import DescriptionError, OptionError
+from placegraph.outdoor.options import JUDGED, KNOWN, CellOptions, LocateOptions, RankingOptions
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -24,55 +26,17 @@ if TYPE_CHECKING:
     from placegraph.outdoor.network.network import EncodedCity
     from placegraph.outdoor.search.ask import Answer, Question
 
-KNOWN = "What is known"
-JUDGED = "How places are found and judged"
 WRITTEN = "What is written"
 
 MapFile = Annotated[Path, Argument(help="City map (.city), made by `placegraph city build`.")]
-Top = Annotated[int, Option(help="How many places at most.")]
 Near = Annotated[
     str | None, Option(help="LON,LAT you are known to be near, with --radius.", panel=KNOWN)
-]
-Radius = Annotated[
-    float, Option(help="Radius of --near [m]: half of the prior lies within.", panel=KNOWN)
 ]
 Preset = Annotated[
     str,
     Option(
         help="default; paper: transformer by cosine on the 10 best by embedding; published: "
         "embedding alone, as the paper's code works. The options below override it.",
-        panel=JUDGED,
-    ),
-]
-Matcher = Annotated[
-    str | None,
-    Option(
-        help="What judges places: relational (if nothing is said), fused (relations and network), "
-        "transformer, embedding, edit-distance, edit-distance-plain (the paper's costs).",
-        panel=JUDGED,
-    ),
-]
-Score = Annotated[
-    str | None,
-    Option(
-        help="What the transformer ranks by: logit (matching log odds, if nothing is said) or "
-        "cosine (of the joint embeddings, as in the paper).",
-        panel=JUDGED,
-    ),
-]
-CandidatesBy = Annotated[
-    str | None,
-    Option(
-        help="Where places to judge come from: sparse (inverted index), dense (embeddings), both, "
-        "all, or auto (if nothing is said): both with --store, else sparse.",
-        panel=JUDGED,
-    ),
-]
-Candidates = Annotated[
-    int | None,
-    Option(
-        help="How many cells are judged; 50 if nothing is said. Relational and fused matching count "
-        "cells only where embeddings propose them (dense, both).",
         panel=JUDGED,
     ),
 ]
@@ -92,13 +56,12 @@ Weights = Annotated[
 
 @contextmanager
 def matching(
-    city: CityMap, store: str | None, weights: Path | None, **chosen: str | int | None
+    city: CityMap, store: str | None, weights: Path | None, arguments: dict[str, Any]
 ) -> Iterator[dict[str, Any]]:
-    """Arguments of `CityMap.locate`, those `chosen` that are not None; a store is closed at the end.
+    """Add the store and the network to arguments of `CityMap.locate`; close the store at the end.
 
     Raises `StoreError` where the store is of another map or of other weights.
     """
-    arguments: dict[str, Any] = {k: v for k, v in chosen.items() if v is not None}
     encoded = _encoded(city, weights)
     if encoded is not None:
         arguments["encoded"] = encoded
@@ -119,6 +82,12 @@ def _encoded(city: CityMap, weights: Path | None) -> EncodedCity | None:
     return EncodedCity(city, GraphTransformer.open(weights))
 
 
+def in_radians(known: dict[str, Any]) -> dict[str, Any]:
+    """Return given `LocateOptions` with the heading as libraries take it [rad]."""
+    heading = {"heading": radians(known["heading_deg"])} if "heading_deg" in known else {}
+    return {k: v for k, v in known.items() if k != "heading_deg"} | heading
+
+
 def lonlat(value: str | None, option: str) -> tuple[float, float] | None:
     """Longitude and latitude of an option's text [deg]; raises `OptionError` where it is none."""
     if value is None:
@@ -128,14 +97,6 @@ def lonlat(value: str | None, option: str) -> tuple[float, float] | None:
     return longitude, latitude
 
 
-CellSize = Annotated[float, Option(help="Edge of a cell [m].")]
-Stride = Annotated[
-    float | None, Option(help="Distance of cell centres [m]; the cell size if not given.")
-]
-EdgeDistance = Annotated[
-    float | None,
-    Option(help="Objects nearer than this are joined [m]; the cell size if not given."),
-]
 VocabularyFolder = Annotated[Path | None, Option(help="Folder with edited vocabulary tables.")]
 OVERTURE = "What of Overture is read"
 EDGES = "give west,south,east,north in degrees, such as 7.41,43.72,7.44,43.75."
@@ -158,9 +119,7 @@ def build(
             "of maps, as by `world build`.",
         ),
     ],
-    cell_size: CellSize = 50.0,
-    stride: Stride = None,
-    edge_distance: EdgeDistance = None,
+    cells: Annotated[dict[str, Any], Fields(CellOptions)],
     bbox: Annotated[
         str | None, Option(help="W,S,E,N [deg]: only what touches this box.", panel=OVERTURE)
     ] = None,
@@ -201,8 +160,8 @@ def build(
                 "--no-index is of one map; of an extract this large a world in shards is made, each with "
                 "its index. Leave it out."
             )
-        options = load_module("placegraph_scale.build", "scale").BuildOptions(
-            cell_size=cell_size, stride=stride, edge_distance=edge_distance, vocabulary=vocabulary
+        options = load_module("placegraph_scale.options", "scale").BuildOptions(
+            **cells, vocabulary=vocabulary
         )
         run_build = load_module("placegraph_scale.cli", "scale").run_build
         run_build([source], out, options, as_json=as_json, quiet=quiet)
@@ -212,7 +171,7 @@ def build(
     with progress_of(hidden=quiet or as_json) as tell:
         tell("reading")
         city = build_city(
-            source, out, cell_size=cell_size, stride=stride, edge_distance=edge_distance, vocabulary=words,
+            source, out, **cells, vocabulary=words,
             index=False if no_index else None,
             progress=lambda step, n: tell(f"{step} {n:,}" + " elements" * (step == "reading")),
         )  # fmt: skip
@@ -356,15 +315,9 @@ def locate(
     text: Annotated[
         str, Argument(help="What stands around you, in words; - reads standard input.")
     ],
-    top: Top = 5,
+    known: Annotated[dict[str, Any], Fields(LocateOptions)],
+    ranking: Annotated[dict[str, Any], Fields(RankingOptions)],
     near: Near = None,
-    radius: Radius = 1000.0,
-    heading_deg: Annotated[
-        float | None,
-        Option(
-            help="Where you look, clockwise from north: gives 'left of me' a meaning.", panel=KNOWN
-        ),
-    ] = None,
     listener: Annotated[
         str | None, Option(help="LON,LAT of 'you' in the text, where that is known.", panel=KNOWN)
     ] = None,
@@ -375,10 +328,6 @@ def locate(
         ),
     ] = None,
     preset: Preset = "default",
-    matcher: Matcher = None,
-    score: Score = None,
-    candidates_by: CandidatesBy = None,
-    candidates: Candidates = None,
     store: Store = None,
     weights: Weights = None,
     ask: Annotated[bool, Option("--ask", help="Ask back until the place is clear.")] = False,
@@ -392,24 +341,18 @@ def locate(
 
     Example: placegraph city locate monaco.city "A bakery is north of me. The church is east of the bakery."
     """
-    from math import radians
-
     from placegraph.outdoor.city import CityMap
 
     city = CityMap.open(map_file)
     text = sys.stdin.read() if text == "-" else text
     answers: list[Answer] = []
-    how_judged = {"language": language, "preset": preset, "matcher": matcher, "score": score}
-    how_found = {"by": candidates_by, "candidates": candidates}
-    with matching(city, store, weights, **how_judged, **how_found) as how:
+    ranking |= {"language": language, "preset": preset} | in_radians(known)
+    with matching(city, store, weights, ranking) as how:
 
         def estimated() -> CityEstimate:
             return city.locate(
                 text,
-                top=top,
                 near=lonlat(near, "--near"),
-                radius=radius,
-                heading=None if heading_deg is None else radians(heading_deg),
                 listener=lonlat(listener, "--listener"),
                 answers=answers,
                 **how,
@@ -579,12 +522,8 @@ PROMPT = "> "
 
 def track(
     map_file: MapFile,
+    known: Annotated[dict[str, Any], Fields(LocateOptions)],
     near: Near = None,
-    radius: Radius = 1000.0,
-    heading_deg: Annotated[
-        float | None, Option(help="Where you look at first, clockwise from north.")
-    ] = None,
-    top: Top = 5,
     as_json: AsJson = False,
     html: Annotated[
         Path | None, Option(help="Write a page of the last estimate, without a network.")
@@ -598,19 +537,11 @@ def track(
 
     Example: placegraph city track monaco.city
     """
-    from math import radians
-
     from placegraph.outdoor.city import CityMap
     from placegraph.outdoor.track.tracker import CityTracker
 
     city = CityMap.open(map_file)
-    tracker = CityTracker(
-        city,
-        near=lonlat(near, "--near"),
-        radius=radius,
-        heading=None if heading_deg is None else radians(heading_deg),
-        top=top,
-    )
+    tracker = CityTracker(city, near=lonlat(near, "--near"), **in_radians(known))
     asked = sys.stdin.isatty()
     for line in _lines(asked=asked):
         try:

@@ -13,7 +13,7 @@ from difflib import get_close_matches
 from importlib import import_module
 from pathlib import Path
 from types import NoneType
-from typing import TYPE_CHECKING, Any, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin, get_type_hints
 
 import click
 from click.core import ParameterSource
@@ -176,17 +176,24 @@ def command_of(function: Callable[..., Any], name: str) -> click.Command:
 
 
 def _field_param(name: str, default: Any, hint: Any, info: OptionInfo) -> _Option:  # noqa: ANN401
-    """Option of a dataclass field; floats are checked by the dataclass, which knows all bounds."""
-    kind = next(part for part in get_args(hint) or (hint,) if part is not NoneType)
-    least = int(info.minimum) if kind is int else None
-    told = Option(info.flag, help=info.text, panel=info.panel, least=least)
+    """Option of a dataclass field; the dataclass checks its range."""
+    kind = _scalar(hint)
+    told = Option(info.flag, help=info.text, panel=info.panel)
     if info.commas:
         made: _Option = _param(name, ",".join(default), str, told)
         made.callback = lambda _context, _param, text: [part.strip() for part in text.split(",")]
         return made
     if get_origin(hint) is tuple:
         return _param(name, None, list[kind], told)  # type: ignore[valid-type]
-    return _param(name, default, hint, told)
+    return _param(name, default, kind, told)
+
+
+def _scalar(hint: Any) -> Any:  # noqa: ANN401
+    """Return the type of one value on the command line."""
+    if get_origin(hint) is Literal:
+        return str
+    parts = [part for part in get_args(hint) if part is not NoneType]
+    return _scalar(parts[0]) if parts else hint
 
 
 def _param(name: str, default: Any, hint: Any, told: Argument | Option) -> Any:  # noqa: ANN401

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from math import degrees, radians
+from math import degrees
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
-from placegraph.cli.city import KNOWN, Near, Radius, Top, lonlat
-from placegraph.cli.command import Argument, Option
+from placegraph.cli.city import Near, in_radians, lonlat
+from placegraph.cli.command import Argument, Fields, Option
 from placegraph.cli.common import AsJson, console, echo_json, progress_of, table
 from placegraph.cli.scene_localize import MOST_OBJECTS, pose_words
 from placegraph.cli.scene_options import Device, Frames, NoProgress, Seed, chosen_frames
 from placegraph.errors import OptionError
+from placegraph.outdoor.options import KNOWN, LocateOptions
 
 if TYPE_CHECKING:
     from placegraph.world import WorldEstimate, WorldMode
@@ -25,6 +26,7 @@ def locate(
             "world in shards, which may lie at a URL (s3://...)."
         ),
     ],
+    known: Annotated[dict[str, Any], Fields(LocateOptions)],
     text: Annotated[
         str | None,
         Argument(help="What is said of the place, outside and inside: streets, buildings, rooms."),
@@ -35,12 +37,6 @@ def locate(
     ] = None,
     frames: Frames = None,
     near: Near = None,
-    radius: Radius = 1000.0,
-    heading_deg: Annotated[
-        float | None,
-        Option(help="Where you, and the camera, look, clockwise from north.", panel=KNOWN),
-    ] = None,
-    top: Top = 5,
     refine: Annotated[
         bool, Option("--refine/--no-refine", help="Fit the pose to depth and images.")
     ] = True,
@@ -76,9 +72,8 @@ def locate(
         shown = None if capture is None else chosen_frames(open_capture(capture), frames)
         opened = open_world(world, scheduler=scheduler, keep=keep)
         estimate = opened.locate(
-            text, shown, near=lonlat(near, "--near"), radius=radius, seed=seed, top=top,
-            heading=None if heading_deg is None else radians(heading_deg), refine=refine,
-            device=device, progress=tell, budget=budget,
+            text, shown, near=lonlat(near, "--near"), seed=seed, refine=refine, device=device,
+            progress=tell, budget=budget, **in_radians(known),
         )  # fmt: skip
     question = estimate.next_question(opened)
     if as_json:

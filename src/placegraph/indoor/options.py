@@ -70,11 +70,11 @@ class Likelihood:
     )
     depth_weight: float = option(60.0, "Independent readings in a full depth image.")
     colour_weight: float = option(
-        360.0, "Independent samples of color steps between neighbors in a full color image."
+        360.0, "Independent samples of colour steps between neighbours in a full colour image."
     )
     tone_weight: float = option(
         180.0,
-        "Independent samples of the colors themselves. They count only beside depth, because light "
+        "Independent samples of the colours themselves. They count only beside depth, because light "
         "and large areas would decide otherwise.",
     )
     sigma: float = option(0.2, "Standard deviation in Eq. 2 (`gaussian` only).", above=0)
@@ -97,7 +97,7 @@ class Likelihood:
 class Pass:
     """One pass of the filter over the sequence (Sec. 3.5)."""
 
-    stride: float = option(20.0, "Distance of samples in the color image.", unit="px", above=0)
+    stride: float = option(20.0, "Distance of samples in the colour image.", unit="px", above=0)
     box: float = option(
         0.0, "Edge of the box of particles around each mode; 0: the whole map.", unit="m"
     )
@@ -146,7 +146,7 @@ class PoseSearchOptions:
     )
     depth: bool = option(True, "Use depth images.", flag="--depth/--no-depth", panel=USED)
     colour: bool = option(
-        True, "Use colors where the map has some.", flag="--colour/--no-colour", panel=USED
+        True, "Use colours where the map has some.", flag="--colour/--no-colour", panel=USED
     )
     heights: tuple[float, ...] = option(
         (0.15, 2.3),

@@ -15,8 +15,8 @@ from placegraph.core.files import resolve_path
 from placegraph.core.pickling import HtmlRepr
 from placegraph.errors import OptionError
 from placegraph.io.osm.urls import is_url, name_of, on_disk
-from placegraph.outdoor.map.cells import LARGEST, SMALLEST
 from placegraph.outdoor.map.city import City
+from placegraph.outdoor.options import CellOptions
 
 if TYPE_CHECKING:
     import geopandas as gpd
@@ -202,19 +202,14 @@ def build_city(
     for path in paths:
         if resolve_path(path) == resolve_path(out_path):
             raise OptionError(f"{path} would be overwritten by its map; name another file.")
-    stride = cell_size if stride is None else stride
-    edge_distance = cell_size if edge_distance is None else edge_distance
-    sizes = {"cell_size": cell_size, "stride": stride, "edge_distance": edge_distance}
-    for name, value in sizes.items():
-        if not SMALLEST <= value <= LARGEST:
-            raise OptionError(f"{name} is {value} m; choose between 1 and 10,000 m.")
+    edge, step, reach = CellOptions(cell_size, stride, edge_distance).sizes
     from placegraph.outdoor.map.extract import read_extract
 
     fetching = None if progress is None else lambda step, n, _total: progress(step, n)
     with on_disk(osm_path, Path(out_path), fetching) as path:
         plane, objects, left_out = read_extract(path, vocabulary, progress)
     city = CityMap.create(
-        plane, objects, cell_size=cell_size, stride=stride, edge_distance=edge_distance,
+        plane, objects, cell_size=edge, stride=step, edge_distance=reach,
         source=", ".join(map(name_of, paths)), left_out=left_out,
     )  # fmt: skip
     city.save(out_path, index=index)

@@ -1,6 +1,7 @@
 """The paper's pipeline on cells: all matchers, all ways to candidates."""
 
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from placegraph.core.estimate import Status
 from placegraph.errors import DescriptionError, OptionError, StoreError
 from placegraph.outdoor.likelihood.query import compile_query
 from placegraph.outdoor.network.network import EncodedCity
+from placegraph.outdoor.options import By, Matcher
 from placegraph.outdoor.search import cells, posterior
 from placegraph.outdoor.search.candidates import (
     find_candidates,
@@ -19,9 +21,10 @@ from placegraph.outdoor.search.candidates import (
 )
 from placegraph.outdoor.search.edit_distance import rank
 from placegraph.outdoor.search.posterior import compute_posterior, score
-from placegraph.outdoor.search.request import MATCHERS, WAYS, Matching, Request, find_inside, parse
+from placegraph.outdoor.search.request import Matching, Request, find_inside, parse
 from placegraph.vectors import Neighbours, Origin, Region
 
+MATCHERS, WAYS = get_args(Matcher), get_args(By)
 BENCH, TREE, FOUNTAIN = "amenity=bench", "natural=tree", "amenity=fountain"
 
 
@@ -383,8 +386,8 @@ def test_candidates_by_all_find_what_all_hold(harbour, encoded, text):
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ({"matcher": "luck"}, "choose among fused"),
-        ({"by": "magic"}, "auto, sparse"),
+        ({"matcher": "luck"}, "it must be 'fused' or"),
+        ({"by": "magic"}, "'all' or 'auto'"),
         ({"candidates": 0}, "candidates is 0"),
         ({"candidates": 2.5}, "candidates is 2.5"),
         ({"candidates": 5}, "candidates is 5, but relational by sparse"),

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, cast
+from typing import Annotated, Any
 
 import click
 
-from placegraph.cli.city import Matcher
-from placegraph.cli.command import Argument, Option
+from placegraph.cli.command import Argument, Fields, Option
 from placegraph.cli.common import AsJson, Quiet, progress_of
-
-if TYPE_CHECKING:
-    from placegraph.outdoor.search import request as matchers
+from placegraph.outdoor.options import RankingOptions
 
 
 def convert_kitti360pose(
@@ -51,10 +48,10 @@ def evaluate(
     folder: Annotated[
         Path, Argument(help="Folder with descriptions.jsonl, and map.osm.pbf or a *.city.")
     ],
+    ranking: Annotated[dict[str, Any], Fields(RankingOptions, "matcher")],
     out: Annotated[
         Path | None, Option("--out", "-o", help="Write every answer as JSON to this file.")
     ] = None,
-    matcher: Matcher = "relational",
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -71,7 +68,7 @@ def evaluate(
         tell("opening")
         found = evaluate_folder(
             folder,
-            matcher=cast("matchers.Matcher", matcher),
+            **ranking,
             progress=lambda step, n: tell(f"{step} {n:,}"),
         )
     if out is not None:

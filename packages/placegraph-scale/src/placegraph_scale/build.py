@@ -27,13 +27,12 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from placegraph.core.files import lock_file, write_error, write_file
-from placegraph.core.geo import check_zoom
 from placegraph.core.threads import count_processors, end_with_parent
 from placegraph.errors import InputError, MapError, OptionError, ServiceError
 from placegraph.io.osm.osm import checked_osm
 from placegraph.io.osm.urls import all_on_disk, is_url, size_of
-from placegraph.outdoor.map.cells import LARGEST, SMALLEST
 from placegraph_scale.folder import SHARDS, WorldFile, bring, digest_of
+from placegraph_scale.options import BuildOptions
 from placegraph_scale.shards.words import WordCounts, finish
 from placegraph_scale.shards.workers import connect
 from placegraph_scale.tiles import (
@@ -53,52 +52,6 @@ Made = TypeVar("Made")
 TRIES = 3
 """A task is given up when so many of its workers were killed."""
 WORK, PLAN, COUNTS, EXTRACTS = ".build", "plan.json", "counts", "extracts"
-OVERLAP = 500.0
-"""Viewpoints near a rare object are looked at up to 400 m from it, and objects are in sight up to 38 m
-from a viewpoint: with this margin [m] a border changes neither."""
-ZOOM = 12
-"""Tiles of 10 km at the equator and 6 km at 50 degrees: 200,000 objects in the densest cities."""
-
-
-@dataclass(frozen=True)
-class BuildOptions:
-    """How a world is cut up, and by whom it is built."""
-
-    zoom: int = ZOOM
-    """Level of the quadtree: its tiles are the cores of shards."""
-    overlap: float = OVERLAP
-    """How far shards reach beyond their cores [m]."""
-    cell_size: float = 50.0
-    """Edge of a cell [m]."""
-    stride: float | None = None
-    """Distance of neighbouring cells' centres [m]; the cell size where not given."""
-    edge_distance: float | None = None
-    """Objects of a cell nearer than this are joined [m]; the cell size where not given."""
-    vocabulary: Path | None = None
-    """Folder with edited vocabulary tables."""
-    workers: int | None = None
-    """Processes of this machine; one a processor where not given."""
-    scheduler: str | None = None
-    """Address of a Dask scheduler, whose workers see the same folders."""
-    work: Path | None = None
-    """Folder of this machine where a world is built that is brought to a URL."""
-
-    @property
-    def sizes(self) -> tuple[float, float, float]:
-        """Cells, their distance, and how far edges reach [m]."""
-        stride = self.cell_size if self.stride is None else self.stride
-        edges = self.cell_size if self.edge_distance is None else self.edge_distance
-        return self.cell_size, stride, edges
-
-    def check(self) -> None:
-        """Raise `OptionError` where something is out of its range."""
-        check_zoom(self.zoom)
-        if not 0.0 <= self.overlap <= LARGEST:
-            raise OptionError(f"overlap is {self.overlap} m; choose between 0 and 10,000 m.")
-        if not all(SMALLEST <= size <= LARGEST for size in self.sizes):
-            raise OptionError(f"sizes of cells are {self.sizes} m; choose between 1 and 10,000 m.")
-        if self.workers is not None and self.workers < 1:
-            raise OptionError(f"workers is {self.workers}; give at least 1.")
 
 
 def build_world(
@@ -141,7 +94,6 @@ def build_world(
 
     """
     options = options or BuildOptions()
-    options.check()
     if is_url(folder):
         if options.work is None:
             raise OptionError(

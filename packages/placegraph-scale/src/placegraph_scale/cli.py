@@ -5,23 +5,22 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
-from placegraph.cli.city import CellSize, EdgeDistance, Stride, VocabularyFolder
-from placegraph.cli.command import Argument, Option
+from placegraph.cli.command import Argument, Fields, Option
 from placegraph.cli.common import AsJson, Quiet, echo_json, progress_of
 from placegraph.cli.library import ItsEncoders, opened
 from placegraph.cli.scene_options import NoProgress, WeightsFile
 from placegraph.core.files import resolve_path
 from placegraph.errors import MapError
+from placegraph_scale.options import BuildOptions
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from placegraph.indoor.library import SceneLibrary
-    from placegraph_scale.build import BuildOptions
     from placegraph_scale.library.write import NamedEntry
 
 
@@ -35,24 +34,7 @@ def build(
     out: Annotated[
         str, Option("--out", "-o", help="Folder to write, such as europe/, or URL (s3://...).")
     ],
-    zoom: Annotated[
-        int, Option(help="Level of the quadtree: tiles of 10 km at the equator by 12.")
-    ] = 12,
-    overlap: Annotated[float, Option(help="How far shards reach beyond their tiles [m].")] = 500.0,
-    cell_size: CellSize = 50.0,
-    stride: Stride = None,
-    edge_distance: EdgeDistance = None,
-    vocabulary: VocabularyFolder = None,
-    workers: Annotated[
-        int | None, Option(help="Processes; one a processor if not given.", least=1)
-    ] = None,
-    scheduler: Annotated[
-        str | None,
-        Option(help="Dask scheduler (tcp://host:port) whose workers see the same folders."),
-    ] = None,
-    work: Annotated[
-        Path | None, Option(help="Folder to build in what is then brought to a URL.")
-    ] = None,
+    options: Annotated[dict[str, Any], Fields(BuildOptions)],
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -62,14 +44,7 @@ def build(
 
     Example: placegraph world build germany.osm.pbf -o germany/
     """
-    from placegraph_scale.build import BuildOptions
-
-    options = BuildOptions(
-        zoom=zoom, overlap=overlap, cell_size=cell_size, stride=stride,
-        edge_distance=edge_distance, vocabulary=vocabulary, workers=workers, scheduler=scheduler,
-        work=work,
-    )  # fmt: skip
-    run_build(files, out, options, as_json=as_json, quiet=quiet)
+    run_build(files, out, BuildOptions(**options), as_json=as_json, quiet=quiet)
 
 
 def run_build(

@@ -51,7 +51,7 @@ class RefineOptions:
     )
     views: int = option(
         1,
-        "Rendered views per frame for matchers without a neighborhood; with several, `auto` takes RoMa "
+        "Rendered views per frame for matchers without a neighbourhood; with several, `auto` takes RoMa "
         "or SIFT. More than one gain nothing from starts within 10 degrees (benchmark; paper: 6).",
         minimum=1,
         maximum=72,

@@ -21,6 +21,7 @@ from placegraph.errors import MapError, OptionError
 from placegraph.outdoor.map.directions_kernels import name_direction
 from placegraph.outdoor.map.geometry_kernels import _collect, nearest_on_parts
 from placegraph.outdoor.map.objects import CityObjects
+from placegraph.outdoor.options import LARGEST, SMALLEST
 
 MOST, EACH = 1 << 24, 1024
 """Comparisons of grid points with boxes and segments: so many, and so many more an object. Cities take
@@ -114,8 +115,6 @@ NEAR = 10.0
 """Objects of a cell closer than this are "near" each other [m]."""
 BESIDE = 15.0
 """Points and areas closer than this to a line stand "along" it [m]."""
-SMALLEST, LARGEST = 1.0, 10_000.0
-"""What sizes of cells may be [m]."""
 _NAMED = re.compile(r"c(0|[1-9][0-9]{,8})r(0|[1-9][0-9]{,8})")
 
 

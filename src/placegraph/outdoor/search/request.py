@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from math import isfinite, nan
-from typing import Any, Literal, NamedTuple, Protocol, Self, TypedDict, Unpack, get_args
+from typing import Any, Literal, NamedTuple, Protocol, Self, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,27 +24,14 @@ from placegraph.outdoor.map.city import City
 from placegraph.outdoor.map.index import REACH, STRIDE, ViewIndex
 from placegraph.outdoor.map.names import NameIndex
 from placegraph.outdoor.network.network import EncodedCity, EncodedText
+from placegraph.outdoor.options import By, Matcher, RankingOptions, Score
 from placegraph.outdoor.search.ask import Answer
 from placegraph.vectors import Origin, Region, VectorStore
 from placegraph.vectors.stores import refuse_other
 
 WALK = 900.0
 """Spread to either side of the places that a listener is told of [m]; half lie within 1.2 times it."""
-Matcher = Literal[
-    "fused", "relational", "transformer", "edit-distance", "edit-distance-plain", "embedding"
-]
-"""fused: relational matching, shifted by the network; relational; the network alone (Eq. 14-17);
-graph edit distance at our costs, or at the paper's; the cosine of the graph embeddings alone
-(Eq. 11)."""
-Score = Literal["logit", "cosine"]
-"""What the transformer ranks by: log odds of the matching probability (Eq. 17), which rest on what
-the statements say literally, or the cosine of the joint embeddings (Eq. 15-16)."""
 Preset = Literal["default", "paper", "published"]
-By = Literal["sparse", "dense", "both", "all"]
-"""Candidates by the inverted index of viewpoints, by embeddings, by both in turn, or all cells."""
-MATCHERS: tuple[Matcher, ...] = get_args(Matcher)
-SCORES: tuple[Score, ...] = get_args(Score)
-WAYS: tuple[By, ...] = get_args(By)
 _OF_VIEWPOINTS = ("fused", "relational")
 
 
@@ -252,43 +239,15 @@ every graph as it is, so that what ranks is a cosine of embeddings made without 
 
 
 @dataclass(frozen=True, eq=False)
-class Matching:
-    """Options of the search: how places are found and compared; raises `OptionError`."""
+class Matching(RankingOptions):
+    """Options of the search, with the store, region and network that it uses; raises `OptionError`."""
 
-    matcher: Matcher = "relational"
-    """``relational`` measures best at the price; ``fused`` lets the network judge its best places
-    as well. ``transformer`` (Eq. 14-17), ``edit-distance``, ``edit-distance-plain`` (every edit
-    costs 1, as in the paper) or ``embedding`` (Eq. 11) alone, on cells."""
-    score: Score | None = None
-    """What the transformer ranks by; ``logit`` where not given. Of the transformer alone."""
-    by: By | Literal["auto"] = "auto"
-    """Candidates by the inverted index (``sparse``), by embeddings (``dense``), ``both``, or ``all``
-    places; ``auto`` takes both where a store is given, else the inverted index. Embeddings alone
-    are fast in maps of any size, find less, and are never sure (`OK`)."""
-    candidates: int = 50
-    """How many cells embeddings propose (the paper's n of Eq. 12), or the inverted index to matchers
-    of cells. Relational and fused matching look at viewpoints: the index gives them as many as it
-    takes, and a count given to `preset` or `CityMap.locate` is refused there, and by ``all``."""
     store: VectorStore | None = None
     """Where embeddings are searched, such as a Milvus server; the map's own if not given."""
     region: Region | None = None
     """The place is known to lie in it."""
     encoded: EncodedCity | None = None
     """The map as a network reads it; the shipped network if not given."""
-
-    def __post_init__(self) -> None:
-        if self.matcher not in MATCHERS or self.by not in ("auto", *WAYS):
-            raise OptionError(
-                f"matcher {self.matcher!r}, candidates by {self.by!r}: choose among "
-                f"{', '.join(MATCHERS)} and auto, {', '.join(WAYS)}."
-            )
-        if self.score is not None and (self.score not in SCORES or self.matcher != "transformer"):
-            raise OptionError(
-                f"score is {self.score!r} of matcher {self.matcher!r}; the transformer alone has "
-                f"one: {', '.join(SCORES)}."
-            )
-        if not is_count(self.candidates):
-            raise OptionError(f"candidates is {self.candidates!r}; choose at least 1.")
 
     @classmethod
     def preset(cls, name: Preset, **options: Unpack[MatchingOptions]) -> Matching:

@@ -22,7 +22,7 @@ from placegraph_lab.tables.runner import markdown, number, share, shares
 
 if TYPE_CHECKING:
     from placegraph.outdoor.city import CityMap
-    from placegraph.outdoor.search.request import Matcher
+    from placegraph.outdoor.options import Matcher
 
 FIELDS = ("id", "text", "longitude", "latitude", "heading_deg", "near")
 

@@ -56,7 +56,7 @@ class DiffOptions:
     least_box: float = option(0.08, "Least longest side of an object that appeared.", unit="m")
     depth: bool = option(True, "Use depth images.", flag="--depth/--no-depth", panel=USED)
     colour: bool = option(
-        True, "Use colors where depth cannot tell.", flag="--colour/--no-colour", panel=USED
+        True, "Use colours where depth cannot tell.", flag="--colour/--no-colour", panel=USED
     )
     b_from_a: Floats | None = None
     """(4, 4) rigid [m], from the first map's axes to the second's; estimated if not given."""

@@ -41,11 +41,11 @@ class SegmentOptions:
     wall_area: float = option(1.5, "Least area of a wall.", unit="m^2", above=0)
     wall_height: float = option(1.2, "Least height of a wall.", unit="m")
     crease: float = option(
-        0.6, "Concave angle between neighbors that counts as a full step.", unit="rad", above=0
+        0.6, "Concave angle between neighbours that counts as a full step.", unit="rad", above=0
     )
     contrast: float = option(
         25.0,
-        "Color difference of neighbors that counts as a full step.",
+        "Color difference of neighbours that counts as a full step.",
         unit="CIE76 Delta E",
         above=0,
     )
@@ -67,11 +67,11 @@ class SegmentOptions:
         "the size of the smaller one, the root of its area.",
     )
     mark: float = option(
-        0.05, "Least area of objects on a wall that differ from it by color alone.", unit="m^2"
+        0.05, "Least area of objects on a wall that differ from it by colour alone.", unit="m^2"
     )
     carpet: float = option(0.5, "The same on the floor.", unit="m^2")
     least: float = option(
-        0.02, "Least area of an object; smaller parts belong to a neighbor.", unit="m^2"
+        0.02, "Least area of an object; smaller parts belong to a neighbour.", unit="m^2"
     )
 
     def __post_init__(self) -> None:
