@@ -32,8 +32,7 @@ from placegraph.indoor.mapping.sources import ReadOptions, Up, read_source
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.mesh.model import Model, Thing
 
-FAR = 5000.0
-"""Farther from the origin [m] coordinates lose what can be seen, and this is told."""
+FAR = 5000.0  # Farther from the origin [m] coordinates lose what can be seen, and this is told
 
 
 def build_scene(

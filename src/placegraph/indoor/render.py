@@ -22,13 +22,10 @@ from placegraph.indoor.options import check_device
 from placegraph.indoor.rays import RayCaster
 from placegraph.indoor.render_kernels import TILE, Eye, Picture, World, draw, smooth
 
-SAMPLES = (1, 2, 4, 8, 16)
-"""Rays a pixel at edges may get."""
+SAMPLES = (1, 2, 4, 8, 16)  # Rays a pixel at edges may get
 _EVERYWHERE = np.zeros((0, 0), bool)
-_FARTHEST = 1e6
-"""A camera farther from the map's origin than this [m] is a mistake."""
-_RIGID = 1e-3
-"""How far a pose's rotation may be from one."""
+_FARTHEST = 1e6  # A camera farther from the map's origin than this [m] is a mistake
+_RIGID = 1e-3  # How far a pose's rotation may be from one
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,7 +209,6 @@ def camera_rays(camera: Camera) -> NDArray[np.float32]:
 
 @lru_cache(maxsize=2)
 def _find_hidden(camera: Camera) -> NDArray[np.bool_]:
-    """Pixels (H, W) whose centres have no ray."""
     v, u = np.mgrid[: camera.height, : camera.width] + 0.5
     return np.isnan(camera.directions(np.stack([u, v], axis=-1))[..., 0])
 

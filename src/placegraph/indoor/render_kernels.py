@@ -25,12 +25,10 @@ from placegraph.indoor.rays.trace_kernels import (
 # mypy: allow-untyped-defs, allow-incomplete-defs
 
 
-MOST_LOOKS = np.float32(8.0)
-"""Looks at the texture along the longer side of what a pixel covers."""
+MOST_LOOKS = np.float32(8.0)  # Looks at the texture along the longer side of what a pixel covers
 WIDEST = np.float32(1e12)
 """Texels, squared, that a pixel may cover along; grazing rays cover all there are."""
-SHARP = np.float32(1.05)
-"""Texels a pixel: up to here a surface is seen at its finest level."""
+SHARP = np.float32(1.05)  # Texels a pixel: up to here a surface is seen at its finest level
 ONE, HALF, SHARE = np.float32(1.0), np.float32(0.5), np.float32(1.0 / 255.0)
 # without the flags that take away NaN and infinity: grazing rays meet both
 FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
@@ -182,12 +180,9 @@ def filter_texture(levels, texels, texture, s, t, sx, tx, taps, level, part):
     return red, green, blue
 
 
-TILE = 4
-"""A packet is a tile of 4 x 4 pixels."""
-CONTRAST = 6
-"""Neighbours that differ by less than this [of 255] in every channel show no stairs."""
-CREASE = np.float32(0.9)
-"""Cosine between normals below which two faces meet in an edge."""
+TILE = 4  # A packet is a tile of 4 x 4 pixels
+CONTRAST = 6  # Neighbours that differ by less than this [of 255] in every channel show no stairs
+CREASE = np.float32(0.9)  # Cosine between normals below which two faces meet in an edge
 JUMP = np.float32(0.01)
 """Share of the depth by which a neighbour leaves a face's plane where one thing stands before another."""
 
@@ -197,10 +192,8 @@ class World(NamedTuple):
 
     tracer: Tracer
     surface: Surface
-    vertices: NDArray[np.float32]
-    """(V, 3) [m]"""
-    coloured: bool
-    """Whether corners have colours of their own."""
+    vertices: NDArray[np.float32]  # (V, 3) [m]
+    coloured: bool  # Whether corners have colours of their own
 
 
 class Eye(NamedTuple):
@@ -208,12 +201,9 @@ class Eye(NamedTuple):
 
     rays: NDArray[np.float32]
     """(H, W, 2) x and y of rays in the camera with z = 1 through the pixels' centres."""
-    turn: NDArray[np.float32]
-    """(3, 3) map_from_camera's rotation."""
-    origin: NDArray[np.float32]
-    """(3,) [m, map]"""
-    wanted: NDArray[np.bool_]
-    """(H / 4, W / 4), rounded up: tiles that are drawn, or (0, 0): all."""
+    turn: NDArray[np.float32]  # (3, 3) map_from_camera's rotation
+    origin: NDArray[np.float32]  # (3,) [m, map]
+    wanted: NDArray[np.bool_]  # (H / 4, W / 4), rounded up: tiles that are drawn, or (0, 0): all
 
 
 class Picture(NamedTuple):

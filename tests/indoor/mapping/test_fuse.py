@@ -214,7 +214,6 @@ def test_a_broken_image_is_an_error_that_names_it(room_world, render):
     [
         ({"voxel": 0.0}, "voxel"), ({"voxel": np.nan}, "voxel"), ({"voxel": 5.0}, "voxel"),
         ({"truncation": 0.01}, "truncation"), ({"reach": 0.0}, "reach"),
-        ({"poses": np.eye(4)[None]}, "poses"),
     ],
 )  # fmt: skip
 def test_options_out_of_range_are_refused(views, options, what):

@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placegraph.errors import OptionError
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.mapping.simplify import (
     build_wedges,
@@ -216,12 +215,6 @@ def test_a_soup_of_any_triangles_is_survived(rng):
     assert np.isfinite(mesh.vertices).all()
     reach = mesh.vertices.min(), mesh.vertices.max()
     assert -0.2 < reach[0] <= reach[1] < 0.95
-
-
-@pytest.mark.parametrize("bad", [{"error": -1.0}, {"error": np.nan}, {"error": 0, "target": -1}])
-def test_bad_options(bad):
-    with pytest.raises(OptionError, match="less than 0"):
-        simplify(plain(*sheet(2)), **bad)
 
 
 def test_large_objects_are_simplified_in_tiles_without_cracks(monkeypatch):

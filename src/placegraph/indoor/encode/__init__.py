@@ -47,15 +47,13 @@ __all__ = [
     "parse_encoder",
 ]
 
-
 BUILT_IN = {
     "labels": ("placegraph.indoor.encode.labels", "LabelsEncoder"),
     "appearance": ("placegraph.indoor.encode.appearance", "AppearanceEncoder"),
 }
 EXTRA = {"features": "learn", "scenegraphloc": "learn"}
 """Extras of encoders that other distributions of placegraph bring."""
-ENCODERS = (*BUILT_IN, *EXTRA)
-"""Names that `encoder` knows, beside those of other plugins."""
+ENCODERS = (*BUILT_IN, *EXTRA)  # Names that `encoder` knows, beside those of other plugins
 
 
 @runtime_checkable
@@ -151,8 +149,7 @@ class BoundEncoder:
     """Encoder with its vectors of one map's objects."""
 
     encoder: Encoder
-    vectors: NDArray[np.float32]
-    """(N, d) of the objects."""
+    vectors: NDArray[np.float32]  # (N, d) of the objects
 
     def encode(self, frame: Frame) -> Patches | None:
         """Return cosines of a frame's patches with all objects; None where it has nothing to encode.

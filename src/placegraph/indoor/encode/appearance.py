@@ -42,10 +42,8 @@ _BALANCE = 0.8
 _BRIGHT = 0.3  # share of cells that count among the brightest
 _ENOUGH = 32  # cells that an object is known by
 _SEED = 2
-POSITIONS_A_GLANCE = 24
-"""Free positions of the visibility table, 0.25 m apart, that share a glance."""
-MIN_GLANCES = 32
-"""Glances at least."""
+POSITIONS_A_GLANCE = 24  # Free positions of the visibility table, 0.25 m apart, that share a glance
+MIN_GLANCES = 32  # Glances at least
 _PITCHES = np.deg2rad([-20.0, 0.0, 20.0, -35.0])
 _GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
 _HALF = 7  # bins of azimuth to either side of a heading that a glance takes in: 70 degrees in all
@@ -88,7 +86,9 @@ class AppearanceEncoder:
     @property
     def key(self) -> str:
         """Its name and a digest of its constants."""
-        return f"appearance {_hash_constants()}"
+        numbers = (_CELL, _BLOCK, _DARK, _EVEN, _BALANCE, _BRIGHT)
+        parts = repr(numbers).encode(), _FREQUENCIES.tobytes(), _USUAL.tobytes()
+        return f"appearance {hashlib.sha256(b''.join(parts)).hexdigest()[:8]}"
 
     def patches(self, image: Frame) -> NDArray[np.float32]:
         """Return unit vectors (9, 16, d) of a frame's patches; (16, 9, d) of an upright image.
@@ -212,12 +212,6 @@ def _normalize(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
     return (vectors / np.maximum(lengths, 1e-9)).astype(np.float32)
 
 
-def _hash_constants() -> str:
-    numbers = (_CELL, _BLOCK, _DARK, _EVEN, _BALANCE, _BRIGHT)
-    parts = repr(numbers).encode(), _FREQUENCIES.tobytes(), _USUAL.tobytes()
-    return hashlib.sha256(b"".join(parts)).hexdigest()[:8]
-
-
 def spread_poses(table: VisibilityTable) -> Floats:
     """Return poses (G, 4, 4) map_from_camera, evenly spread over the free positions of a map.
 
@@ -268,7 +262,6 @@ def _choose_distant(points: Floats, count: int) -> NDArray[np.intp]:
 
 
 def _make_pose(position: Floats, heading: float, pitch: float) -> Floats:
-    """Return pose (4, 4) of an upright camera; pitch is up."""
     ahead = [np.cos(heading) * np.cos(pitch), np.sin(heading) * np.cos(pitch), np.sin(pitch)]
     right = [np.sin(heading), -np.cos(heading), 0.0]
     pose = np.eye(4)

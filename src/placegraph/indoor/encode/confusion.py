@@ -22,10 +22,8 @@ from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
 from placegraph.io.capture.json_files import read_json
 
-STEP = 8
-"""Pixels between those whose labels are compared with the map."""
-SMOOTHING = 2.0
-"""Pixels of a label that count as much as how often labels are said at all."""
+STEP = 8  # Pixels between those whose labels are compared with the map
+SMOOTHING = 2.0  # Pixels of a label that count as much as how often labels are said at all
 _LEAST = 0.02  # truths less likely than this are none
 
 

@@ -17,8 +17,7 @@ from placegraph.indoor.map.scene import Scene
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
 
-GRID = (9, 16)
-"""144 patches, as in the paper's Sec. 3.3."""
+GRID = (9, 16)  # 144 patches, as in the paper's Sec. 3.3.
 _DIRECT = 1 << 16  # values below this are looked up in a table
 
 
@@ -65,8 +64,7 @@ def find_majority(rows: NDArray[np.int32], grid: tuple[int, int], count: int) ->
     return out
 
 
-_FOREIGN = 0.2
-"""Share of the ids of frames that a map may lack: things come and go."""
+_FOREIGN = 0.2  # Share of the ids of frames that a map may lack: things come and go
 _AGREE = 0.5
 """Of patches that name an object, the share that see it, below which they may name another."""
 

@@ -22,8 +22,7 @@ from placegraph.io.capture.json_files import read_json
 Answer = Callable[["NDArray[np.uint8]"], "NDArray[Any]"]
 """What a network says (h, w) of an image (H, W, 3) sRGB."""
 
-_MAX_CACHED = 64
-"""Answers of a capture that are kept; what was used last stays."""
+_MAX_CACHED = 64  # Answers of a capture that are kept; what was used last stays
 _HEAD = b"TFL3"  # at byte 4 of such a file
 
 
@@ -32,13 +31,10 @@ class PredictedImages:
     """A frame's images, and a network for its depth or its labels, which hides its own."""
 
     images: Images
-    kind: Literal["depth", "labels"]
-    """What the network answers."""
+    kind: Literal["depth", "labels"]  # What the network answers
     answer: Answer
-    row: int
-    """Of the frame, in the cache."""
-    cache: OrderedDict[int, NDArray[Any]] = field(repr=False)
-    """Shared by the frames of a capture."""
+    row: int  # Of the frame, in the cache
+    cache: OrderedDict[int, NDArray[Any]] = field(repr=False)  # Shared by the frames of a capture
 
     def rgb(self) -> NDArray[np.uint8]:
         """See `Frame.rgb`."""
@@ -63,15 +59,25 @@ class PredictedImages:
         return known
 
 
-def predict_images(
-    capture: Capture, kind: Literal["depth", "labels"], answer: Answer
-) -> list[Images]:
-    """Return images of a capture's frames, with a network for their depth or labels; the last 64 are kept."""
+def _complete(
+    capture: Capture,
+    kind: Literal["depth", "labels"],
+    answer: Answer,
+    **columns: Any,  # noqa: ANN401  # of the frames
+) -> Capture:
+    """Return a capture whose depth or labels a network predicts; `columns` are those of its frames."""
     cache: OrderedDict[int, NDArray[Any]] = OrderedDict()
-    return [
-        PredictedImages(frame.images, kind, answer, i, cache)
+    frames = tuple(
+        replace(
+            frame, images=PredictedImages(frame.images, kind, answer, i, cache),
+            **{name: value[i] if isinstance(value, list) else value for name, value in columns.items()},
+        )
         for i, frame in enumerate(capture.frames)
-    ]
+    )  # fmt: skip
+    shared = {
+        name: value[0] if isinstance(value, list) else value for name, value in columns.items()
+    }
+    return replace(capture, frames=frames, **shared)
 
 
 class ImageNetwork:
@@ -211,7 +217,6 @@ def label_capture(capture: Capture, segmenter: Segmenter) -> Capture:
     """
     size = segmenter.size(capture.camera.width, capture.camera.height)
     cameras = [frame.camera.resized(*size) for frame in capture.frames]  # some refocus
-    names = dict(segmenter.names)
     wanted = size[1], size[0]
 
     def answer(rgb: NDArray[np.uint8]) -> NDArray[np.int32]:
@@ -223,21 +228,10 @@ def label_capture(capture: Capture, segmenter: Segmenter) -> Capture:
             )
         return answered.astype(np.int32)
 
-    frames = tuple(
-        replace(
-            frame,
-            label_camera=camera,
-            label_kind="labels",
-            label_names=names,
-            images=images,
-        )
-        for frame, camera, images in zip(
-            capture.frames, cameras, predict_images(capture, "labels", answer), strict=True
-        )
-    )
-    return replace(
-        capture, frames=frames, label_camera=cameras[0], label_kind="labels", label_names=names
-    )
+    return _complete(
+        capture, "labels", answer, label_camera=cameras, label_kind="labels",
+        label_names=dict(segmenter.names),
+    )  # fmt: skip
 
 
 def segmenter(
@@ -375,13 +369,7 @@ def estimate_depth(capture: Capture, estimator: DepthEstimator) -> Capture:
         metres = answered.astype(np.float32)
         return np.where(np.isfinite(metres) & (metres > 0), metres, np.float32(np.nan))
 
-    frames = tuple(
-        replace(frame, depth_camera=camera, images=images)
-        for frame, camera, images in zip(
-            capture.frames, cameras, predict_images(capture, "depth", answer), strict=True
-        )
-    )
-    return replace(capture, frames=frames, depth_camera=cameras[0])
+    return _complete(capture, "depth", answer, depth_camera=cameras)
 
 
 def depth_network(

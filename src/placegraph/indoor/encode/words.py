@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from rapidfuzz import process
 from rapidfuzz.distance import OSA
 
-from placegraph.indoor.map.floor import split_label
+from placegraph.indoor.map.floor import singular_forms, split_label
 
 __all__ = ["DIMENSION", "embed_label", "hash_tree", "is_known_label"]
 
@@ -32,18 +32,15 @@ _SILENT = (
     "objects other others thing things item items stuff something prop props furniture na "
     "otherfurniture otherstructure otherprop otherobject otherobjects otheritem otherstuff"
 )
-SILENT = frozenset(_SILENT.split())
-"""Labels, written without spaces, that say nothing."""
+SILENT = frozenset(_SILENT.split())  # Labels, written without spaces, that say nothing
 _BETWEEN = re.compile(r"[;,/|(]|\bor\b")  # "sofa; couch", "sofa/couch", "cabinet (kitchen)"
 _AFTER = frozenset(["of", "with", "for", "on", "in", "at", "from", "without", "to"])
 _MANY = frozenset(["pile", "stack", "heap", "set", "pair", "group", "bunch", "row", "collection"])
 _ENDING = 4  # letters of a known word that another may end in: a "carpet" is no pet
 _ALIKE = 0.75  # share of letters that words have in common, to be taken for the same
 _SHORTEST, _LONGEST = 3, 5  # letters of a subword
-GROUP = 0.45
-"""Cosine of a thing with its group."""
-KIN = 0.8
-"""Cosine of a kind of thing with the thing."""
+GROUP = 0.45  # Cosine of a thing with its group
+KIN = 0.8  # Cosine of a kind of thing with the thing
 _INDENT = 2
 DIMENSION = 64
 _FIELD = 32
@@ -76,26 +73,11 @@ def hash_tree() -> str:
 
 
 def _find_row(words: Sequence[str]) -> int | None:
-    """Return row of words in the tree; None where they are not there."""
     if not words:
         return None
     rows = load_tree().row_of
-    found = (rows.get("".join(words[:-1]) + last) for last in _list_singulars(words[-1]))
+    found = (rows.get("".join(words[:-1]) + last) for last in singular_forms(words[-1]))
     return next((row for row in found if row is not None), None)
-
-
-def _list_singulars(word: str) -> Iterator[str]:
-    """Return the word, and what it may be the plural of."""
-    yield word
-    if word.endswith("ves"):
-        yield word[:-3] + "f"
-        yield word[:-3] + "fe"
-    if word.endswith("ies"):
-        yield word[:-3] + "y"
-    if word.endswith("es"):
-        yield word[:-2]
-    if word.endswith("s"):
-        yield word[:-1]
 
 
 def _find_nearest(words: list[str]) -> tuple[int | None, float, list[str]]:
@@ -113,14 +95,12 @@ def _find_nearest(words: list[str]) -> tuple[int | None, float, list[str]]:
         if row is not None:
             return row, KIN, [*words[: end - 1], last[:cut]]
     found = process.extractOne(
-        "".join(words), _list_words(), scorer=OSA.normalized_similarity, score_cutoff=_ALIKE
+        "".join(words),
+        load_tree().row_of.keys(),
+        scorer=OSA.normalized_similarity,
+        score_cutoff=_ALIKE,
     )
     return (None, 0.0, words) if found is None else (load_tree().row_of[found[0]], found[1], words)
-
-
-@cache
-def _list_words() -> list[str]:
-    return list(load_tree().row_of)
 
 
 def _embed_letters(words: Sequence[str]) -> NDArray[np.float32]:
@@ -145,12 +125,9 @@ class Tree:
     it, 0.2 of two things of a group, and 0 else, 1/8 more or less.
     """
 
-    row_of: dict[str, int]
-    """Row of each word, written without spaces: `nightstand`."""
-    vectors: NDArray[np.float32]
-    """(N, d) unit vectors."""
-    digest: str
-    """Of the file: vectors of other files do not compare."""
+    row_of: dict[str, int]  # Row of each word, written without spaces: `nightstand`
+    vectors: NDArray[np.float32]  # (N, d) unit vectors
+    digest: str  # Of the file: vectors of other files do not compare
 
 
 @cache

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.indoor.encode.words import embed_label
-from placegraph.indoor.map.floor import split_label
-from placegraph.indoor.map.relations import forms, matches_label
+from placegraph.indoor.map.floor import singular_forms, split_label
+from placegraph.indoor.map.relations import matches_label
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
@@ -83,7 +83,7 @@ def everyday(asked: str) -> tuple[tuple[str, np.float32], ...]:
     """Return what maps may call a thing by everyday words for it, and how well: the longest last words."""
     words = split_label(asked)
     for first in range(len(words)):
-        for last in forms(words[-1]):
+        for last in singular_forms(words[-1]):
             found = _everyday().get(" ".join([*words[first:-1], last]))
             if found:
                 return tuple(found.items())

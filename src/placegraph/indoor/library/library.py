@@ -53,8 +53,7 @@ if TYPE_CHECKING:
 Progress = Callable[[str, int, int], None]
 Encoders = str | Encoder | Sequence[str | Encoder]
 
-SUFFIX = ".scene"
-"""Of the maps in a folder."""
+SUFFIX = ".scene"  # Of the maps in a folder
 _MAX_OPEN = 8  # maps kept open
 _MAX_MERGED = 8  # of those localized in, with their tables
 
@@ -64,10 +63,8 @@ class Entry:
     """One scene of a library."""
 
     signature: Signature
-    path: Path | None
-    """Map file; None where the map is only in memory."""
-    digest: str = ""
-    """SHA-256 of the file."""
+    path: Path | None  # Map file; None where the map is only in memory
+    digest: str = ""  # SHA-256 of the file
     earth: tuple[EarthPose, ...] = ()
     """Where its map stands on Earth: one a candidate, likeliest first, for somebody anywhere in it."""
 

@@ -33,12 +33,9 @@ from placegraph.io.capture.frame import Frame
 if TYPE_CHECKING:
     from placegraph.indoor.library.library import SceneLibrary
 
-MAX_SCENES = 8
-"""Scenes localized in at most."""
-CERTAIN = 6.0
-"""Log odds from which on a pose that is `OK` ends the search; a lesser one ..."""
-RIVALS = 2
-"""... has to fit better than what is found in so many scenes after it."""
+MAX_SCENES = 8  # Scenes localized in at most
+CERTAIN = 6.0  # Log odds from which on a pose that is `OK` ends the search; a lesser one ..
+RIVALS = 2  # ... has to fit better than what is found in so many scenes after it.
 TWIN_SHARE = 0.5
 """A scene with more than this share of the probability of the one that is sure is looked into in any
 case: it may be its twin."""

@@ -26,15 +26,7 @@ from placegraph.core.threads import multiply_matrices
 from placegraph.errors import OptionError
 from placegraph.indoor.encode import Encoder, encode_patches
 from placegraph.indoor.language import Sentence, read
-from placegraph.indoor.library.search_kernels import (
-    add_log_likelihoods,
-    count_agreeing,
-    mix_ratios,
-    score_mixtures,
-    score_paths,
-    sum_best_cosines,
-    sum_groups,
-)
+from placegraph.indoor.library import search_kernels as kernels
 from placegraph.indoor.library.signature import BANDS, REACH, TURNS, Signature, find_distinct
 from placegraph.indoor.likelihood.observe import spread
 from placegraph.indoor.pose.window import chosen_frames, leveled
@@ -52,10 +44,8 @@ WORDS = 128
 DOUBT, FEW = 1.25, 4
 """Being in none of S scenes is `DOUBT` (S + `FEW`) times as likely, before anything is seen, as being
 in a certain one of them."""
-UNKNOWN = 0.05
-"""Probability that a text describes no scene of the library, before it is read."""
-BESIDE = 2.0
-"""Patches around one that have to say the same for it to count in full."""
+UNKNOWN = 0.05  # Probability that a text describes no scene of the library, before it is read
+BESIDE = 2.0  # Patches around one that have to say the same for it to count in full
 ANYTHING = 4e-4
 """Belief that what is said is of anything, at least: what is like nothing in the library, and
 nothing in the homes beside it, is no evidence for what it is least unlike."""
@@ -112,21 +102,14 @@ class SearchOptions:
 class PatchWords:
     """Words of the patches of T frames, by one encoder."""
 
-    key: str
-    """Of the encoder."""
+    key: str  # Of the encoder
     temperature: float
-    words: NDArray[np.float32]
-    """(W, d) distinct unit vectors."""
-    word: NDArray[np.int32]
-    """(P,) word of each patch that says something, frame by frame."""
-    frame: NDArray[np.int32]
-    """(P,) its frame, 0 to T - 1, ascending."""
-    turn: NDArray[np.int32]
-    """(P,) bin of its azimuth, relative to the camera's heading."""
-    band: NDArray[np.int32]
-    """(P,) bin of its elevation; -1: beyond what panoramas show."""
-    agreeing: NDArray[np.int32]
-    """(P,) patches around it, of eight, that say the same."""
+    words: NDArray[np.float32]  # (W, d) distinct unit vectors
+    word: NDArray[np.int32]  # (P,) word of each patch that says something, frame by frame
+    frame: NDArray[np.int32]  # (P,) its frame, 0 to T - 1, ascending
+    turn: NDArray[np.int32]  # (P,) bin of its azimuth, relative to the camera's heading
+    band: NDArray[np.int32]  # (P,) bin of its elevation; -1: beyond what panoramas show
+    agreeing: NDArray[np.int32]  # (P,) patches around it, of eight, that say the same
 
     def weights(self, frames: int, options: SearchOptions) -> NDArray[np.float32]:
         """Return the weight (P,) of each patch, which is not independent of the others.
@@ -166,10 +149,8 @@ class PatchWords:
 class Query:
     """T frames of one capture, encoded."""
 
-    parts: tuple[PatchWords, ...]
-    """By encoder."""
-    poses: NDArray[np.float64]
-    """(T, 4) odometry, level."""
+    parts: tuple[PatchWords, ...]  # By encoder
+    poses: NDArray[np.float64]  # (T, 4) odometry, level
 
     def __len__(self) -> int:
         return len(self.poses)
@@ -235,7 +216,7 @@ def _encode_by(
         encoder.key, encoder.temperature, words, word,
         frame=np.repeat(np.array([t for t, _ in seen], np.int32), shapes.prod(axis=1))[informative],
         turn=turn, band=np.where(np.abs(elevation) < REACH, band, -1).astype(np.int32),
-        agreeing=count_agreeing(every, shapes)[informative],
+        agreeing=kernels.count_agreeing(every, shapes)[informative],
     )  # fmt: skip
 
 
@@ -262,7 +243,7 @@ def cluster_vectors(
         return vectors[first], word.astype(np.int32)
     centre = vectors[np.linspace(0, len(vectors) - 1, most).astype(np.int64)]
     nearest = multiply_matrices(vectors, centre.T).argmax(axis=1)
-    sums = sum_groups(vectors, nearest, most)
+    sums = kernels.sum_groups(vectors, nearest, most)
     lengths = np.linalg.norm(sums, axis=1, keepdims=True)
     return sums / np.maximum(lengths, 1e-9), nearest.astype(np.int32)
 
@@ -273,8 +254,7 @@ class Scores:
 
     total: NDArray[np.float64]
     """(S,) log-likelihood ratios, or sums of cosines; the larger the better."""
-    temperature: float
-    """By which scores are divided."""
+    temperature: float  # By which scores are divided
     seconds: dict[str, float]
 
 
@@ -299,7 +279,7 @@ def score_scenes(index: Index, query: Query, options: SearchOptions) -> Scores:
     total = np.zeros(len(part))  # by what each unit holds, wherever in it
     for s, r in zip(parts, ratios, strict=True):
         weight, code = s.word_weights(len(query), options), part.vocabularies[s.key].code
-        total += score_mixtures(r, code, part.share, part.starts, weight, options.wrong)
+        total += kernels.score_mixtures(r, code, part.share, part.starts, weight, options.wrong)
     seconds = {"held": perf_counter() - start}
     if options.geometry:
         start = perf_counter()
@@ -327,7 +307,7 @@ def _sum_cosines(index: Index, part: PatchWords, frames: int) -> NDArray[np.floa
     for row in range(0, len(weight), step):
         cosines = np.ascontiguousarray(part.words[row : row + step] @ vocabulary.vectors.T)
         some = weight[row : row + step]
-        total += sum_best_cosines(cosines, vocabulary.code, index.starts[first], some)
+        total += kernels.sum_best_cosines(cosines, vocabulary.code, index.starts[first], some)
     return total
 
 
@@ -357,7 +337,7 @@ def _score_views(
         first, last = starts[group[0]], starts[group[-1] + 1]
         ends = np.append(starts[group], last) - first
         own = (logs[first:last], turns[first:last], bands[first:last], ends)
-        placed += score_paths(own, query.steps(group), off[group], chosen, code, index)
+        placed += kernels.score_paths(own, query.steps(group), off[group], chosen, code, index)
     total = np.minimum(bound, placed.min())
     total[chosen] = placed
     return total
@@ -391,14 +371,16 @@ def _score_bins(
     unit = np.searchsorted(chosen, np.searchsorted(index.starts, objects, "right") - 1)
     for s, r, use, places in zip(parts, ratios, uses, where, strict=True):
         code = index.vocabularies[s.key].code[objects]
-        mixture = mix_ratios(r, index.vocabularies[s.key].code, index.share, index.starts, chosen)
+        mixture = kernels.mix_ratios(
+            r, index.vocabularies[s.key].code, index.share, index.starts, chosen
+        )
         # a bin of a panorama names the object that fills most of it; others are there too
         there = np.float32(options.focus) * r[code]
         there += np.float32(1.0 - options.focus) * mixture[unit]
         right = np.ascontiguousarray(there.T) * np.float32(1.0 - options.wrong)
         logs = np.log(right + np.float32(options.wrong))
         weight = s.weights(len(query), options)[use]
-        add_log_likelihoods(out, number[places], s.word[use], weight, logs)
+        kernels.add_log_likelihoods(out, number[places], s.word[use], weight, logs)
         half_wrong = 0.5 * np.log(options.wrong) * weight
         off += np.bincount(s.frame[use], half_wrong, len(query)).astype(np.float32)
     frame, place = np.divmod(bins, BANDS * TURNS)
@@ -501,11 +483,9 @@ class SceneCollection(ABC):
 class ScenePosterior:
     """Posterior over all scenes, by frames or a text."""
 
-    shares: NDArray[np.float64]
-    """(n,) probability of each."""
+    shares: NDArray[np.float64]  # (n,) probability of each
     elsewhere: float
-    total: NDArray[np.float64]
-    """(n,) score of each."""
+    total: NDArray[np.float64]  # (n,) score of each
     query: Query | Sentence
     options: SearchOptions
     seconds: dict[str, float]

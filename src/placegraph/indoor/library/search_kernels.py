@@ -13,14 +13,11 @@ NEIGHBOURS = 4
 room."""
 MAX_NEIGHBOUR_DISTANCE = 1.2
 """Places farther from each other than this are not beside each other [m]."""
-MAX_PLACE_DISTANCE = 1.5
-"""Farther from all places than this is off the map [m]."""
-CELL = 0.25
-"""Edge of the cells of ground that share their nearest place [m]."""
+MAX_PLACE_DISTANCE = 1.5  # Farther from all places than this is off the map [m]
+CELL = 0.25  # Edge of the cells of ground that share their nearest place [m]
 MAX_GROUND_DISTANCE = 300.0
 """Ground further than this from a unit's first place is off the map [m]: 70 MB of cells hold the rest."""
-SLIP = 1.0
-"""What being at the next place, or turned by one bin more, costs [nat]."""
+SLIP = 1.0  # What being at the next place, or turned by one bin more, costs [nat]
 
 
 def sum_best_cosines(cosines, code, starts, weight):
@@ -213,7 +210,6 @@ def _score_paths(
 
 @kernel
 def _unroll_columns(panoramas, own, unmapped):
-    """Column of what each bin of panoramas (P, bands, turns) shows, twice around."""
     count, bands, turns = panoramas.shape
     out = np.empty((count, bands, 2 * turns), np.uint32)  # unsigned: no index is checked
     for p in range(count):

@@ -32,18 +32,12 @@ from placegraph.indoor.options import STANDING, PoseSearchOptions
 from placegraph.io.capture.capture import Capture
 from placegraph.vectors import EmbeddedStore
 
-MAX_PLACES = 160
-"""Panoramas of a scene, or of a merged map's part, at most,"""
-MIN_PLACE_DISTANCE = 0.75
-"""and how far they are from each other at least [m]."""
-TURNS = 24
-"""Bins of azimuth of a panorama: 15 degrees."""
-BANDS = 4
-"""Bins of elevation, from `REACH` below the horizon to as much above it: 25 degrees."""
-REACH = MAX_ELEVATION
-"""Elevation at which panoramas end [rad]."""
-MAX_OBJECTS = 20_000
-"""Objects of a scene at most."""
+MAX_PLACES = 160  # Panoramas of a scene, or of a merged map's part, at most,
+MIN_PLACE_DISTANCE = 0.75  # and how far they are from each other at least [m]
+TURNS = 24  # Bins of azimuth of a panorama: 15 degrees
+BANDS = 4  # Bins of elevation, from `REACH` below the horizon to as much above it: 25 degrees
+REACH = MAX_ELEVATION  # Elevation at which panoramas end [rad]
+MAX_OBJECTS = 20_000  # Objects of a scene at most
 _SPACING = 0.5  # of the grid that places are chosen from [m]
 
 
@@ -51,23 +45,19 @@ _SPACING = 0.5  # of the grid that places are chosen from [m]
 class Signature:
     """Summary of one scene of N objects that needs no map: graph, vectors and panoramas."""
 
-    graph: SceneGraph
-    """Without embeddings."""
+    graph: SceneGraph  # Without embeddings
     attributes: tuple[dict[str, str], ...]
     """(N,) as of the map, and the colours of the objects (`language.colours`)."""
     vectors: Mapping[str, NDArray[np.float32]]
     """(N, d) unit vectors, or zero, by the key of their encoder."""
-    share: NDArray[np.float32]
-    """(N,) of what is seen from its places, adding up to 1."""
-    places: NDArray[np.float32]
-    """(P, 2) x, y [m, map] of the panoramas."""
+    share: NDArray[np.float32]  # (N,) of what is seen from its places, adding up to 1
+    places: NDArray[np.float32]  # (P, 2) x, y [m, map] of the panoramas
     panoramas: NDArray[np.uint16]
     """(P, BANDS, TURNS) row of the object, N where the map ends; azimuth bins are centred on
     multiples of 2 pi / TURNS."""
     part: NDArray[np.int32]
     """(N,) merged scene of each object, from 0 on: a camera is in one of them."""
-    place_part: NDArray[np.int32]
-    """(P,) merged scene of each place."""
+    place_part: NDArray[np.int32]  # (P,) merged scene of each place
 
     def __len__(self) -> int:
         return len(self.graph)
@@ -187,22 +177,17 @@ def coarsen_panoramas(objects: NDArray[np.uint16], count: int) -> NDArray[np.uin
     return np.minimum(best, count).astype(np.uint16).reshape(places, BANDS, TURNS)
 
 
-SAMPLE = 1024
-"""Vectors that stand for all of a library's."""
+SAMPLE = 1024  # Vectors that stand for all of a library's
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Vocabulary:
     """Vectors of the objects of a library by one encoder, each once."""
 
-    vectors: NDArray[np.float32]
-    """(U, d) unit, or zero: nothing is known."""
-    unknown: NDArray[np.int64]
-    """Rows of these that are zero."""
-    code: NDArray[np.int32]
-    """(M,) vector of each object."""
-    background: NDArray[np.int64]
-    """(B,) rows of `vectors` that are seen anywhere, `SAMPLE` at most."""
+    vectors: NDArray[np.float32]  # (U, d) unit, or zero: nothing is known
+    unknown: NDArray[np.int64]  # Rows of these that are zero
+    code: NDArray[np.int32]  # (M,) vector of each object
+    background: NDArray[np.int64]  # (B,) rows of `vectors` that are seen anywhere, `SAMPLE` at most
     common: NDArray[np.float32]
     """(B,) share of what is seen that looks like this, all scenes counting alike; adds up to 1."""
 
@@ -240,14 +225,10 @@ class Vocabulary:
 class Unit:
     """Part of a scene that is compared with a capture: all of it, or one of those that it was merged of."""
 
-    scene: int
-    """Row of the signature."""
-    objects: NDArray[np.int64]
-    """(N,) rows in the signature."""
-    panoramas: NDArray[np.uint16]
-    """(P, bands, turns) rows of `objects`, N where the unit ends."""
-    places: NDArray[np.float32]
-    """(P, 2) [m]"""
+    scene: int  # Row of the signature
+    objects: NDArray[np.int64]  # (N,) rows in the signature
+    panoramas: NDArray[np.uint16]  # (P, bands, turns) rows of `objects`, N where the unit ends
+    places: NDArray[np.float32]  # (P, 2) [m]
 
 
 def split_into_units(signatures: Sequence[Signature]) -> Iterator[Unit]:
@@ -265,21 +246,15 @@ def split_into_units(signatures: Sequence[Signature]) -> Iterator[Unit]:
 class Index:
     """S units of M objects and K panoramas in all; made anew when scenes come or go."""
 
-    owner: NDArray[np.int64]
-    """(S,) scene of each unit, ascending."""
-    starts: NDArray[np.int64]
-    """(S + 1,) first object of each unit."""
+    owner: NDArray[np.int64]  # (S,) scene of each unit, ascending
+    starts: NDArray[np.int64]  # (S + 1,) first object of each unit
     share: NDArray[np.float32]
     """(M,) of what is seen in its unit, by the square root: who stands before a thing sees more of
     it than who looks around."""
-    vocabularies: dict[str, Vocabulary]
-    """By the key of the encoder."""
-    place_starts: NDArray[np.int64]
-    """(S + 1,) first panorama of each unit."""
-    places: NDArray[np.float32]
-    """(K, 2) [m]"""
-    panoramas: NDArray[np.uint16]
-    """(K, bands, turns)"""
+    vocabularies: dict[str, Vocabulary]  # By the key of the encoder
+    place_starts: NDArray[np.int64]  # (S + 1,) first panorama of each unit
+    places: NDArray[np.float32]  # (K, 2) [m]
+    panoramas: NDArray[np.uint16]  # (K, bands, turns)
 
     @classmethod
     def of(cls, signatures: Sequence[Signature], keys: Sequence[str]) -> Index:
@@ -377,8 +352,7 @@ def expand_runs(starts: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[n
 
 KIND = "library"
 VERSION = 1
-GRAIN = 0.01
-"""Of positions and extents [m]."""
+GRAIN = 0.01  # Of positions and extents [m]
 DECOYS = "data/decoys.library"
 
 

@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.scene import Scene
 
-LEVEL = 0.9
-"""A triangle is level where its normal's z is at least this, 26 degrees from upright."""
+LEVEL = 0.9  # A triangle is level where its normal's z is at least this, 26 degrees from upright
 _BIN = 0.05  # [m] of the histogram of heights
 _LOW = 0.25  # of the scene's height: where a floor without a label is looked for
 _LOW_METRES = 0.4  # or this far above its lowest surfaces [m]
@@ -31,6 +30,16 @@ _FLOORS = {"floor", "floors", "ground"}
 def split_label(label: str) -> list[str]:
     """Return words of a label in lower case: "HouseWall", "house_wall" and "house wall" are two words."""
     return [w.lower() for w in re.findall(r"[A-Z]?[^\W\d_A-Z]+|[A-Z]+(?![^\W\d_A-Z])", label)]
+
+
+def singular_forms(word: str) -> list[str]:
+    """Return a word and the words that it may be the plural of."""
+    endings = {"ves": ("f", "fe"), "ies": ("y",), "es": ("",), "s": ("",)}
+    found = [word]
+    for ending, singular in endings.items():
+        if word.endswith(ending) and not (ending == "s" and word.endswith("ss")):
+            found += [word[: -len(ending)] + end for end in singular]
+    return found
 
 
 def is_floor(label: str) -> bool:

@@ -9,31 +9,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.geometry import Floats
+from placegraph.indoor.map import map_kernels as kernels
 from placegraph.indoor.map.floor import find_storeys
-from placegraph.indoor.map.map_kernels import (
-    _SCALE,
-    _SHIFT,
-    AZIMUTHS,
-    ELEVATIONS,
-    FARTHEST,
-    NEAREST,
-    NOTHING,
-    STEP,
-    Panoramas,
-)
 from placegraph.indoor.map.scene import Scene
 
-MAX_ELEVATION = np.deg2rad(50.0)
-"""Elevations of the table end here, above and below the horizon."""
+MAX_ELEVATION = np.deg2rad(50.0)  # Elevations of the table end here, above and below the horizon
 
 
 def _directions() -> NDArray[np.float32]:
     """Return unit rays (E * A, 3) in tiles of 4 x 4 bins; azimuth bins are centred on multiples of STEP."""
-    azimuth = np.arange(AZIMUTHS) * STEP
-    elevation = ((np.arange(ELEVATIONS) + 0.5) / ELEVATIONS * 2.0 - 1.0) * MAX_ELEVATION
+    azimuth = np.arange(kernels.AZIMUTHS) * kernels.STEP
+    elevation = (
+        (np.arange(kernels.ELEVATIONS) + 0.5) / kernels.ELEVATIONS * 2.0 - 1.0
+    ) * MAX_ELEVATION
     e, a = np.meshgrid(elevation, azimuth, indexing="ij")
     rays = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], axis=-1)
-    tiles = rays.reshape(ELEVATIONS // 4, 4, AZIMUTHS // 4, 4, 3).swapaxes(1, 2)
+    tiles = rays.reshape(kernels.ELEVATIONS // 4, 4, kernels.AZIMUTHS // 4, 4, 3).swapaxes(1, 2)
     return np.ascontiguousarray(tiles.reshape(-1, 3), np.float32)
 
 
@@ -42,20 +33,20 @@ DIRECTIONS = _directions()
 
 def decode_ranges(steps: NDArray[np.uint8]) -> NDArray[np.float32]:
     """Return distances [m] of stored ranges."""
-    table = NEAREST * np.exp(np.arange(256) / 254.0 * np.log(FARTHEST / NEAREST))
-    table[NOTHING] = np.inf
+    table = kernels.NEAREST * np.exp(
+        np.arange(256) / 254.0 * np.log(kernels.FARTHEST / kernels.NEAREST)
+    )
+    table[kernels.NOTHING] = np.inf
     return table.astype(np.float32)[steps]
 
 
 def scale_colours(opponents: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return colours on the scale of the table's."""
-    return np.asarray(opponents * _SCALE + _SHIFT, np.float32)
+    return np.asarray(opponents * kernels.COLOUR_SCALE + kernels.COLOUR_SHIFT, np.float32)
 
 
-MAX_PLACES = 18_000
-"""Places of a grid and its layers; larger maps get a wider grid."""
-LAYER_GAP = 0.43
-"""Most between two layers [m]."""
+MAX_PLACES = 18_000  # Places of a grid and its layers; larger maps get a wider grid
+LAYER_GAP = 0.43  # Most between two layers [m]
 SEARCH_MARGIN = 1.5
 """Cameras are looked for this far beyond the box of the mesh [m]: a scan may look in from outside."""
 _WALKED = 0.75  # around where a camera was, there may be one again [m]
@@ -72,15 +63,11 @@ _PROBES = DIRECTIONS[5::61]
 class Grid:
     """Square cells of the ground, and layers of places above them."""
 
-    origin: Floats
-    """(2,) lower corner [m]."""
+    origin: Floats  # (2,) lower corner [m]
     spacing: float
-    shape: tuple[int, int]
-    """(nx, ny)"""
-    floor: Floats
-    """(L, nx * ny) height of the floor that each place stands above [m, map]."""
-    height: Floats
-    """(L, nx * ny) height of each place [m, map]; NaN: there is none."""
+    shape: tuple[int, int]  # (nx, ny)
+    floor: Floats  # (L, nx * ny) height of the floor that each place stands above [m, map]
+    height: Floats  # (L, nx * ny) height of each place [m, map]; NaN: there is none
 
     @property
     def centres(self) -> Floats:
@@ -212,10 +199,10 @@ def _sees_inside(scene: Scene, points: Floats, inside: Floats) -> NDArray[np.boo
     return np.asarray((hits.distance > 1.0).reshape(rows.shape).mean(axis=1) >= _SIGHTED)
 
 
-def find_free_places(panoramas: Panoramas) -> NDArray[np.int64]:
+def find_free_places(panoramas: kernels.Panoramas) -> NDArray[np.int64]:
     """Return rows where a camera can be: not in a wall or a cupboard, and not where nothing is mapped."""
-    ranges = decode_ranges(panoramas.ranges.reshape(-1, ELEVATIONS * AZIMUTHS))
-    mapped = (panoramas.ranges != NOTHING).mean(axis=(1, 2))
+    ranges = decode_ranges(panoramas.ranges.reshape(-1, kernels.ELEVATIONS * kernels.AZIMUTHS))
+    mapped = (panoramas.ranges != kernels.NOTHING).mean(axis=(1, 2))
     nearest = np.partition(ranges, ranges.shape[1] // 100, axis=1)[:, ranges.shape[1] // 100]
     enclosed = (ranges < _ENCLOSED).mean(axis=1) > 0.5
     return np.flatnonzero((nearest > _CLEARANCE) & ~enclosed & (mapped > _MAPPED))

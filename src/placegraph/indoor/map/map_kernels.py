@@ -85,9 +85,6 @@ def opponent_colour(red, green, blue):
     return total, (red - blue) * shade, (np.float32(2.0) * green - red - blue) * shade
 
 
-# mypy: allow-untyped-defs, allow-incomplete-defs
-
-
 _LOOK = 64  # vertices of more triangles than this are walked around as the triangles lie
 
 
@@ -181,28 +178,17 @@ def order_fans(corners, vertices):
     return order, number, count
 
 
-# mypy: allow-untyped-defs, allow-incomplete-defs
-
-
 AZIMUTHS = 72
-
 
 ELEVATIONS = 20
 
+STEP = 2.0 * np.pi / AZIMUTHS  # Bin of azimuth, and step of headings [rad]: 5 degrees
 
-STEP = 2.0 * np.pi / AZIMUTHS
-"""Bin of azimuth, and step of headings [rad]: 5 degrees."""
-
-
-HEADINGS = 36
-"""Headings of a camera that are looked up at each position: every other bin."""
-
+HEADINGS = 36  # Headings of a camera that are looked up at each position: every other bin
 
 FOLD = AZIMUTHS // HEADINGS
 
-
 NEAREST, FARTHEST = 0.1, 30.0  # ranges are stored in 255 steps of their logarithm, 2.3 % each
-
 
 NOTHING = 255
 
@@ -210,18 +196,14 @@ NOTHING = 255
 class Panoramas(NamedTuple):
     """K panoramas of E elevations and A azimuths."""
 
-    objects: NDArray[np.uint16]
-    """(K, E, A) row of the object; their number where the map ends."""
-    ranges: NDArray[np.uint8]
-    """(K, E, A) logarithmic; 255: the map ends."""
-    colours: NDArray[np.uint8]
-    """(K, E, 3, A) `surface.opponent`, scaled to bytes."""
+    objects: NDArray[np.uint16]  # (K, E, A) row of the object; their number where the map ends
+    ranges: NDArray[np.uint8]  # (K, E, A) logarithmic; 255: the map ends
+    colours: NDArray[np.uint8]  # (K, E, 3, A) `surface.opponent`, scaled to bytes
 
 
-_SCALE = np.array([85.0, 127.0, 63.0], np.float32)
+COLOUR_SCALE = np.array([85.0, 127.0, 63.0], np.float32)
 
-
-_SHIFT = np.array([0.0, 127.0, 127.0], np.float32)
+COLOUR_SHIFT = np.array([0.0, 127.0, 127.0], np.float32)
 
 
 def render_panoramas(tracer, surface, points, directions, objects):
@@ -248,7 +230,6 @@ def render_panoramas(tracer, surface, points, directions, objects):
 def _render_panoramas(
     tracer, surface, points, directions, hit_objects, ranges, colours, first, last
 ):
-    """Fill panoramas `first` to `last`."""
     scale = np.float32(254.0 / np.log(FARTHEST / NEAREST))
     packet, ints, valid = new_packet()
     for k in range(first, last):
@@ -277,27 +258,22 @@ def _render_panoramas(
                 )
                 rendered = opponent_colour(red, green, blue)
                 for c in range(3):
-                    byte = rendered[c] * _SCALE[c] + _SHIFT[c]
+                    byte = rendered[c] * COLOUR_SCALE[c] + COLOUR_SHIFT[c]
                     colours[k, e, c, a] = np.uint8(min(max(byte, np.float32(0)), np.float32(255)))
 
 
 class Samples(NamedTuple):
     """S samples of T views, one view after the other, and the column of panoramas that each meets."""
 
-    ends: NDArray[np.int64]
-    """(T,) row behind the last sample of each view."""
-    band: NDArray[np.int32]
-    """(S,) band of elevation."""
-    azimuth: NDArray[np.int32]
-    """(S,) bin of azimuth, where the reference frame looks along bin 0."""
-    patch: NDArray[np.int32]
-    """(S,) row of `semantic`."""
+    ends: NDArray[np.int64]  # (T,) row behind the last sample of each view
+    band: NDArray[np.int32]  # (S,) band of elevation
+    azimuth: NDArray[np.int32]  # (S,) bin of azimuth, where the reference frame looks along bin 0
+    patch: NDArray[np.int32]  # (S,) row of `semantic`
     semantic: NDArray[np.float32]
     """(P, N + 1) log-likelihood of each object, and of none; no row: labels are not asked."""
     depth: NDArray[np.float32]
     """(S, 256) log-likelihood of each stored range; no row: depth is not asked."""
-    colour: NDArray[np.float32]
-    """(S, 3) on the scale of bytes; no row: colours are not asked."""
+    colour: NDArray[np.float32]  # (S, 3) on the scale of bytes; no row: colours are not asked
 
 
 def scan_headings(panoramas, mapped, samples, colour_weight):
@@ -437,7 +413,6 @@ def add_shifted(total, scan, unknown, positions, layer_of, index, origin, spacin
 def _add_shifted(
     total, scan, unknown, positions, layer_of, index, origin, spacing, step, first, last
 ):  # fmt: skip
-    """Add to rows `first` to `last`."""
     _, nx, ny = index.shape
     turn = 2.0 * np.pi / HEADINGS
     for a in range(HEADINGS):
@@ -450,9 +425,6 @@ def _add_shifted(
             if 0 <= i < nx and 0 <= j < ny:
                 row = index[layer_of[k], i, j]
             total[k, a] += scan[row, a] if row >= 0 else unknown
-
-
-# mypy: allow-untyped-defs, allow-incomplete-defs
 
 
 _MOST_SAMPLES = 512  # along an edge of a triangle

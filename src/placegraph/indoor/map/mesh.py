@@ -18,8 +18,7 @@ from placegraph.errors import OptionError
 
 GRAIN = 2.0**-13
 """Step of vertices [m], 0.12 mm; a power of two, so that float32 holds multiples exactly."""
-UV_GRAIN = 2.0**-14
-"""Step of texture coordinates: a sixteenth of a texel of 1024."""
+UV_GRAIN = 2.0**-14  # Step of texture coordinates: a sixteenth of a texel of 1024
 _PORTION = 1 << 19  # rows
 _MAX_STEPS = 1 << 22  # of 24 bits that float32 has: sums of two coordinates are exact too
 
@@ -291,30 +290,20 @@ def decode_high_water(codes: NDArray[np.int32]) -> NDArray[np.int32]:
 MIN_ATLAS_CHARTS = 100
 """A texture of more charts than this is an atlas; in one of fewer, neighbours look alike."""
 
-
-BLEED = 0.1
-"""Share of a texture's surface whose charts may be mixed with their neighbours."""
+BLEED = 0.1  # Share of a texture's surface whose charts may be mixed with their neighbours
 
 
 class Surface(NamedTuple):
     """T triangles of V vertices with K textures of up to L mip levels, as plain arrays."""
 
-    triangles: NDArray[np.int32]
-    """(T, 3)"""
-    object_of: NDArray[np.int32]
-    """(T,)"""
-    colours: NDArray[np.uint8]
-    """(V, 3) sRGB"""
-    uv: NDArray[np.float32]
-    """(V, 2)"""
-    texture_of: NDArray[np.int32]
-    """(T,)"""
-    texels_per_metre: NDArray[np.float32]
-    """(T,) at level 0."""
-    levels: NDArray[np.int32]
-    """(K, L, 3) first texel, width, height; the last level is repeated."""
-    texels: NDArray[np.uint8]
-    """(M, 3) sRGB of all levels of all textures."""
+    triangles: NDArray[np.int32]  # (T, 3)
+    object_of: NDArray[np.int32]  # (T,)
+    colours: NDArray[np.uint8]  # (V, 3) sRGB
+    uv: NDArray[np.float32]  # (V, 2)
+    texture_of: NDArray[np.int32]  # (T,)
+    texels_per_metre: NDArray[np.float32]  # (T,) at level 0
+    levels: NDArray[np.int32]  # (K, L, 3) first texel, width, height; the last level is repeated
+    texels: NDArray[np.uint8]  # (M, 3) sRGB of all levels of all textures
 
     @classmethod
     def of(cls, mesh: Mesh) -> Surface:

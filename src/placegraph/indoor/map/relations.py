@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.graph import SceneGraph
-from placegraph.indoor.map.floor import is_floor, split_label
+from placegraph.indoor.map.floor import is_floor, singular_forms, split_label
 from placegraph.indoor.map.mesh import Mesh
 
-NEXT_DISTANCE = 0.5
-"""Side by side [m]."""
+NEXT_DISTANCE = 0.5  # Side by side [m]
 _WALLS = frozenset({"wall", "walls"})
 _CEILINGS = frozenset({"ceiling", "ceilings", "roof"})
 _DOORS = frozenset({"door", "doors", "doorway", "doorframe"})
@@ -27,32 +26,25 @@ Floats = NDArray[np.float64]
 class Boxes(NamedTuple):
     """Boxes of N objects, and what their labels and sizes say."""
 
-    low: Floats
-    """(N, 3)"""
-    high: Floats
-    """(N, 3)"""
-    structure: NDArray[np.bool_]
-    """(N,) walls, floors, ceilings, and what is half of the map."""
-    floor: NDArray[np.bool_]
-    """(N,) by label, as the next four."""
+    low: Floats  # (N, 3)
+    high: Floats  # (N, 3)
+    structure: NDArray[np.bool_]  # (N,) walls, floors, ceilings, and what is half of the map
+    floor: NDArray[np.bool_]  # (N,) by label, as the next four
     wall: NDArray[np.bool_]
     ceiling: NDArray[np.bool_]
     door: NDArray[np.bool_]
     built_in: NDArray[np.bool_]
-    footprint: Floats
-    """(N,) [m2]"""
+    footprint: Floats  # (N,) [m2]
 
 
 class Triangles(NamedTuple):
     """Triangles sorted by object, and their boxes."""
 
-    corners: NDArray[np.float32]
-    """(T, 3 corners, 3)"""
+    corners: NDArray[np.float32]  # (T, 3 corners, 3)
     low: NDArray[np.float32]
     high: NDArray[np.float32]
     level: NDArray[np.bool_]
-    starts: NDArray[np.int64]
-    """(N + 1,)"""
+    starts: NDArray[np.int64]  # (N + 1,)
 
     def in_box(self, row: int, low: Floats, high: Floats, *, level: bool = False) -> bool:
         """Return whether a triangle of an object (a level one) reaches into a box."""
@@ -129,7 +121,6 @@ def near_pairs(boxes: Boxes) -> NDArray[np.int64]:
 
 
 def _chunks(lengths: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
-    """Return rows, a million pairs at a time."""
     part = np.cumsum(lengths) // 1_000_000
     for value in np.unique(part):
         yield np.flatnonzero(part == value)
@@ -147,12 +138,10 @@ STANDING_ON, INSIDE, ATTACHED_TO, ABOVE, NEXT_TO, SAME_ROOM = (
 )  # fmt: skip
 RELATIONS = (STANDING_ON, INSIDE, ATTACHED_TO, ABOVE, NEXT_TO, SAME_ROOM)
 
-CONTACT = 0.05
-"""What is nearer than this touches [m]."""
+CONTACT = 0.05  # What is nearer than this touches [m]
 SUPPORT = 0.1
 """A thing may float this much over what it stands on [m]: feet are lost in coarse meshes."""
-OVER = 2.0
-"""One above the other [m]."""
+OVER = 2.0  # One above the other [m]
 MAX_RELATED_OBJECTS = 20_000
 """Beyond this many objects, as of a mesh cut to pieces, no relations are made."""
 
@@ -316,7 +305,6 @@ def _carriers(carrier: dict[int, int], subject: int) -> Iterator[int]:
 
 
 def _apart(rooms: NDArray[np.int64], pairs: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return which pairs are known to be in two rooms."""
     one, other = rooms[pairs].T
     apart: NDArray[np.bool_] = (one >= 0) & (other >= 0) & (one != other)
     return apart
@@ -364,8 +352,7 @@ def _span_rooms(boxes: Boxes, rooms: NDArray[np.int64]) -> list[tuple[int, str, 
     return edges
 
 
-Meaning = tuple[str, bool]
-"""A relation, and whether subject and object change places."""
+Meaning = tuple[str, bool]  # A relation, and whether subject and object change places
 
 LEFT, FRONT, HIGHER, BIGGER = "left", "front", "higher than", "bigger than"
 LEANING, PART, COVER = "leaning against", "part of", "cover"
@@ -456,7 +443,7 @@ def matches_label(query: str, label: str) -> bool:
     wanted, own = split_label(query), split_label(label)
     if not wanted or not own:
         return not wanted
-    if not forms(wanted[-1]) & forms(own[-1]):
+    if not set(singular_forms(wanted[-1])) & set(singular_forms(own[-1])):
         return False
     return set(wanted[:-1]) <= set(own[:-1]) or set(own[:-1]) <= set(wanted[:-1])
 
@@ -525,17 +512,3 @@ def _group_connected(graph: SceneGraph, chosen: Sequence[bool]) -> Iterable[list
 def _drop_symmetric_turn(relation: str, turned: bool) -> Meaning:
     """A reading; of what says the same when the things change places there is one."""
     return relation, turned and relation != NEXT_TO and not relation.startswith("same ")
-
-
-def forms(word: str) -> set[str]:
-    """A word, and what it may be the plural of."""
-    forms = {word}
-    if word.endswith("s") and not word.endswith("ss"):
-        forms.add(word[:-1])
-    if word.endswith("es"):
-        forms.add(word[:-2])
-    if word.endswith("ies"):
-        forms.add(word[:-3] + "y")
-    if word.endswith("ves"):
-        forms |= {word[:-3] + "f", word[:-3] + "fe"}
-    return forms

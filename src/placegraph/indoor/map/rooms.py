@@ -26,22 +26,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from placegraph.indoor.map import map_kernels as kernels
 from placegraph.indoor.map.floor import NAMELESS, find_storey, is_structural, split_label
-from placegraph.indoor.map.map_kernels import (
-    distance_transform,
-    draw_cuts,
-    flood_basins,
-    label_components,
-    rasterize_triangles,
-    sum_areas,
-)
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.scene import Scene
 
-CELL = 0.05
-"""Side of a cell [m], where the map is no larger than `_MOST_CELLS` of them."""
-LINTEL = 2.2
-"""Widest door [m] below a wall."""
+CELL = 0.05  # Side of a cell [m], where the map is no larger than `_MOST_CELLS` of them
+LINTEL = 2.2  # Widest door [m] below a wall
 _WALLS = np.array([0.3, 0.5, 0.7, 0.9, 1.1, 1.3, 1.5, 1.7, 1.9])  # above the floor [m]
 _LINTELS = np.array([2.2, 2.3, 2.4])
 _GAP = 0.5  # a gap of the ground this wide is closed [m], or
@@ -90,7 +81,7 @@ def find_wall_cells(mesh: Mesh, labels: Sequence[str], corners: Corners, grid: G
     kind = np.where(built, 0, np.where(nameless, 1, -1))
     found = np.zeros((2, *grid.shape), np.uint32)
     planes = np.concatenate([_WALLS, _LINTELS])
-    draw_cuts(corners, kind[mesh.object_of], planes, grid.origin, grid.cell, found)
+    kernels.draw_cuts(corners, kind[mesh.object_of], planes, grid.origin, grid.cell, found)
     own = found & np.uint32((1 << len(_WALLS)) - 1)
     tall = (own[1] > 0) & (_count_bits(_dilate_bits(own[1])) >= _TALL)
     walls = (_count_bits(own[0]) >= _BUILT) | tall
@@ -101,7 +92,7 @@ def find_wall_cells(mesh: Mesh, labels: Sequence[str], corners: Corners, grid: G
 def _find_doors(lintel: Mask, walls: Mask, over: Mask, grid: Grid) -> Mask:
     """Return cells below a wall, where they are no wider than a door."""
     open_below = lintel & over & ~(_dilate_bits(walls.astype(np.uint32)) > 0)
-    part, count = label_components(open_below)
+    part, count = kernels.label_components(open_below)
     if not count:
         return open_below
     x, y = np.nonzero(open_below)
@@ -145,14 +136,14 @@ def find_ground_cells(
     level &= corners[:, :, 2].min(axis=1) > -BELOW
     level &= corners[:, :, 2].max(axis=1) < _WALLS[-1]
     floor, ground = np.zeros((2, *grid.shape), np.bool_)
-    rasterize_triangles(corners, level, grid.origin, grid.cell, ground)
-    rasterize_triangles(
+    kernels.rasterize_triangles(corners, level, grid.origin, grid.cell, ground)
+    kernels.rasterize_triangles(
         corners, level & (corners[:, :, 2].max(axis=1) < _LEVEL), grid.origin, grid.cell, floor
     )
     radius = int(_GAP / 2.0 / grid.cell)
-    grown = distance_transform(ground, radius)[1] >= 0
-    ground |= distance_transform(~grown, radius)[1] < 0
-    part, count = label_components(~ground & ~walls)
+    grown = kernels.distance_transform(ground, radius)[1] >= 0
+    ground |= kernels.distance_transform(~grown, radius)[1] < 0
+    part, count = kernels.label_components(~ground & ~walls)
     if count:
         sizes = np.bincount(part[part >= 0], minlength=count) * grid.cell**2
         hole = sizes <= _HOLE
@@ -162,14 +153,11 @@ def find_ground_cells(
     return floor, ground
 
 
-MIN_ROOM_AREA = 2.0
-"""Of a room [m2]."""
-MIN_ROOM_WIDTH = 0.8
-"""Of a room, at its widest place [m]."""
+MIN_ROOM_AREA = 2.0  # Of a room [m2]
+MIN_ROOM_WIDTH = 0.8  # Of a room, at its widest place [m]
 NARROW, NARROW_DOOR = 0.6, 0.75
 """Width of a pass that ends a room, as a share of the room's; where it is as narrow as a door."""
-DOOR = 1.0
-"""Widest door [m] in a wall that is not known above it."""
+DOOR = 1.0  # Widest door [m] in a wall that is not known above it
 REACH = 0.5
 """What is no farther from a room's floor belongs to it [m]: what hangs on its walls, the walls."""
 
@@ -185,16 +173,11 @@ Cells = NDArray[np.int32]
 class Rooms:
     """R rooms, the largest first."""
 
-    room_of: NDArray[np.int32]
-    """(N,) int32, room of each object; -1: none."""
-    areas: Floats
-    """(R,) free floor [m2], under furniture too."""
-    cells: Cells
-    """(nx, ny) int32, room of each cell of the floor; -1: none."""
-    origin: Floats
-    """(2,) lower corner of cell (0, 0) [m]."""
-    cell: float
-    """Side of a cell [m]."""
+    room_of: NDArray[np.int32]  # (N,) int32, room of each object; -1: none
+    areas: Floats  # (R,) free floor [m2], under furniture too
+    cells: Cells  # (nx, ny) int32, room of each cell of the floor; -1: none
+    origin: Floats  # (2,) lower corner of cell (0, 0) [m]
+    cell: float  # Side of a cell [m]
 
     def __len__(self) -> int:
         return len(self.areas)
@@ -272,10 +255,10 @@ def find_rooms(mesh: Mesh, labels: Sequence[str], floor: float) -> Rooms:
     )
     if len(rooms):
         areas = np.linalg.norm(normals, axis=1) / 2.0 * near
-        number = distance_transform(rooms.cells >= 0, int(REACH / rooms.cell))[1]
+        number = kernels.distance_transform(rooms.cells >= 0, int(REACH / rooms.cell))[1]
         within = np.where(number >= 0, rooms.cells.reshape(-1)[number], np.int32(-1))
         votes = np.zeros((len(labels), len(rooms) + 1))
-        sum_areas(corners, areas, mesh.object_of, rooms.origin, rooms.cell, within, votes)
+        kernels.sum_areas(corners, areas, mesh.object_of, rooms.origin, rooms.cell, within, votes)
         best = votes[:, :-1].argmax(axis=1)
         share = votes[np.arange(len(labels)), best] / np.maximum(votes.sum(axis=1), 1e-12)
         needed = np.where(is_structural(labels), _MOSTLY, _PARTLY)
@@ -285,12 +268,12 @@ def find_rooms(mesh: Mesh, labels: Sequence[str], floor: float) -> Rooms:
 
 def _segment_rooms(free: Mask, floor: Mask, grid: Grid) -> Cells:
     """Return number (nx, ny) of the room of each free cell; -1: none."""
-    squared = distance_transform(~free, int(_WIDEST / 2.0 / grid.cell))[0]
+    squared = kernels.distance_transform(~free, int(_WIDEST / 2.0 / grid.cell))[0]
     width = np.sqrt(squared) * grid.cell
     chosen = np.flatnonzero(free)
     # numbers of 16 bits are sorted by their digits
     order = chosen[np.argsort(-squared.reshape(-1)[chosen].astype(np.int16), kind="stable")]
-    basin, meetings = flood_basins(
+    basin, meetings = kernels.flood_basins(
         width, order, MIN_ROOM_WIDTH / 2.0, NARROW, DOOR / 2.0, NARROW_DOOR
     )
     flat = basin.reshape(-1)
@@ -362,7 +345,6 @@ def most_common_name(names: Sequence[str]) -> str:
 
 
 def _name_rooms(scene: Scene, floor: float) -> tuple[Rooms, list[str]]:
-    """Return rooms at a floor, and their names."""
     graph = scene.graph
     rooms = find_rooms(scene.mesh, graph.labels, floor)
     is_movable = ~is_structural(graph.labels)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Self, TypeVar
@@ -44,12 +44,9 @@ def dequantize_vectors(
     return numbers.astype(np.float32) * scales[:, None]
 
 
-MAX_LANDMARKS = 20_000
-"""Largest number of landmarks of a scene."""
-DESCRIPTOR_SIZE = 32
-"""Numbers of a descriptor."""
-LANDMARK_GRAIN = 0.0005
-"""Step of a map file's coordinates [m]."""
+MAX_LANDMARKS = 20_000  # Largest number of landmarks of a scene
+DESCRIPTOR_SIZE = 32  # Numbers of a descriptor
+LANDMARK_GRAIN = 0.0005  # Step of a map file's coordinates [m]
 _UNIT = 127.0
 _CELL = 0.5  # neighbours in the file are neighbours in space [m]: differences compress
 
@@ -123,8 +120,7 @@ class Landmarks(PickleFields):
 
 
 T = TypeVar("T")
-S = TypeVar("S", bound="Scene")
-"""A scene, or the map that it is."""
+S = TypeVar("S", bound="Scene")  # A scene, or the map that it is
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -359,7 +355,6 @@ class Scene(PickleFields):
 
 
 def _with_textures(cls: type[S], values: dict[str, Any], cached: tuple[str, ...]) -> S:
-    """Rebuild a scene from `Scene.__reduce__`."""
     mesh = replace(
         values["mesh"], textures=textures.decode_textures(values["encoded"], values["source"])
     )
@@ -398,14 +393,10 @@ _RING = np.array([(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)])
 
 
 def make_geojson(scene: Scene) -> dict[str, Any]:
-    """Return FeatureCollection of a map's objects: `SceneMap.to_geojson` says more."""
-    return make_collection(_objects(scene))
-
-
-def _objects(scene: Scene) -> Iterator[dict[str, Any]]:
+    """Return the FeatureCollection of a map's objects; see also `SceneMap.to_geojson`."""
     graph, mesh = scene.graph, scene.mesh
-    boxes = mesh.object_bounds(len(graph))
-    for row, (low, high) in enumerate(boxes):
+    found = []
+    for row, (low, high) in enumerate(mesh.object_bounds(len(graph))):
         name = scene.scenes[scene.scene_of[row]]
         anchors = scene.anchors_of(name)
         if not anchors:
@@ -418,4 +409,5 @@ def _objects(scene: Scene) -> Iterator[dict[str, Any]]:
             "level": anchors[0].level, "building": anchors[0].building,
             "height": round(float(there[0, 2]), 3), "tall": round(float(high[2] - low[2]), 3),
         }  # fmt: skip
-        yield make_feature(polygon_geometry([there[:, :2]]), properties)
+        found.append(make_feature(polygon_geometry([there[:, :2]]), properties))
+    return make_collection(found)

@@ -33,12 +33,9 @@ from placegraph.indoor.map.scene import (
 
 KIND = "scene"
 VERSION = 2
-CENTIMETRE = 0.01
-"""Step of viewpoints [m]."""
-MAX_VIEWPOINTS = 300
-"""Most of a scene: where its cameras were, thinned."""
-MAX_VIEWPOINT_DISTANCE = 10.0
-"""Viewpoints farther outside the mesh's box are an error of poses [m]."""
+CENTIMETRE = 0.01  # Step of viewpoints [m]
+MAX_VIEWPOINTS = 300  # Most of a scene: where its cameras were, thinned
+MAX_VIEWPOINT_DISTANCE = 10.0  # Viewpoints farther outside the mesh's box are an error of poses [m]
 
 PARTS = {
     "surface": ("vertices", "triangles", "object_of", "texture_of"),

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from threading import Lock
 from typing import TYPE_CHECKING, Any
@@ -85,15 +84,10 @@ def get_detail(detail: str | Detail) -> Detail:
     return DETAILS[detail]
 
 
-QUALITY = 90
-"""WebP quality of textures for which none is asked."""
-FINEST = 0.25
-"""Share of a texture's surface that may ask for smaller texels than it gets."""
-FORMATS = ("WEBP", "PNG", "JPEG")
-"""Formats of textures in a map file."""
-_FEW = 256  # colours of a drawing, that PNG may hold better
+QUALITY = 90  # WebP quality of textures for which none is asked
+FINEST = 0.25  # Share of a texture's surface that may ask for smaller texels than it gets
+FORMATS = ("WEBP", "PNG", "JPEG")  # Formats of textures in a map file
 _SLACK = 2.0  # what PNG's best may save of its quickest
-_LARGEST = 1 << 14  # sides beyond this are refused where a map file is read
 
 
 def linear_from_srgb(colours: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -172,15 +166,23 @@ def decode_textures(blobs: Sequence[bytes], path: object) -> tuple[NDArray[np.ui
 
     def decoded(i: int) -> NDArray[np.uint8]:
         nonlocal left
-        with _open_texture(blobs[i], f"{path}: texture {i}") as image:
-            with lock:
-                left -= image.width * image.height
-            if left < 0:
-                raise MapError(
-                    f"{path} says that its textures have more texels than its {size:,} bytes of them "
-                    "can hold; it is damaged, or made to fill memory. Build the map again."
-                )
-            return rgb_of(image)
+        name = f"{path}: texture {i}"
+        try:
+            with opened(io.BytesIO(blobs[i]), name) as image:
+                if max(image.size) > _LARGEST_SIDE or image.format not in FORMATS:
+                    raise MapError(
+                        f"{name} is no WebP, PNG or JPEG of up to {_LARGEST_SIDE} texels a side."
+                    )
+                with lock:
+                    left -= image.width * image.height
+                if left < 0:
+                    raise MapError(
+                        f"{path}: its textures have more texels than {size:,} bytes can hold; the file "
+                        "is damaged, or made to fill memory. Build the map again."
+                    )
+                return rgb_of(image)
+        except InputError as error:
+            raise MapError(f"{error} Build the map again.") from error
 
     with ThreadPoolExecutor(2) as pool:  # Pillow works outside the interpreter's lock
         return tuple(pool.map(decoded, range(len(blobs))))
@@ -239,14 +241,3 @@ def _save_image(image: Image, form: str, **options: Any) -> bytes:  # noqa: ANN4
     file = io.BytesIO()
     image.save(file, form, **options)
     return file.getvalue()
-
-
-@contextmanager
-def _open_texture(blob: bytes, name: str) -> Iterator[Image]:
-    try:
-        with opened(io.BytesIO(blob), name) as image:
-            if max(image.size) > _LARGEST or image.format not in FORMATS:
-                raise MapError(f"{name} is no WebP, PNG or JPEG of up to {_LARGEST} texels a side.")
-            yield image
-    except InputError as error:
-        raise MapError(f"{error} Build the map again.") from error

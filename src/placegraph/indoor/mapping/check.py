@@ -55,8 +55,6 @@ class Finding:
 
 
 _DOUBLES = 0.01  # Share of triangles that lie on another
-_SOUP = 0.5  # Share of edges that belong to one triangle alone: faces that hang on nothing
-_CROSSED = 0.02  # Share of edges that belong to three triangles or more
 _BARE = 0.2  # Share of the surface that is white and without texture
 
 
@@ -83,26 +81,6 @@ def _check_doubles(scene: Scene, corners: NDArray[np.int64]) -> Iterator[Finding
             f"{share:.0%} of the triangles lie on another one: the mesh is there twice.",
             [scene.graph.ids[i] for i in rows.tolist()],
             "Delete double faces in the file; they cost bytes and time, and flicker in colour.",
-        )
-
-
-def _check_edges(corners: NDArray[np.int64]) -> Iterator[Finding]:
-    edges = np.sort(np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]]), 1)
-    keys = np.sort(edges[:, 0] * (int(corners.max()) + 1) + edges[:, 1])
-    starts = np.flatnonzero(np.concatenate([[True], keys[1:] != keys[:-1]]))
-    uses = np.diff(np.append(starts, len(keys)))
-    crossed, alone = float((uses > 2).mean()), float((uses == 1).mean())
-    if crossed > _CROSSED:
-        yield Finding(
-            "note",
-            f"{crossed:.0%} of the edges belong to more than two triangles: the mesh is not manifold.",
-            remedy="Placegraph does not mind; programs that need closed surfaces do.",
-        )
-    if alone > _SOUP:
-        yield Finding(
-            "note",
-            f"{alone:.0%} of the edges belong to a single triangle: the mesh is a soup of faces.",
-            remedy="Merge vertices by distance in the file: the map becomes smaller.",
         )
 
 
@@ -145,7 +123,6 @@ _SLOW = 2.0  # Opening a map beyond this is slow [s]
 
 
 def _check_giants(scene: Scene) -> Iterator[Finding]:
-    """Return whether one object is nearly all of the surface."""
     areas = np.linalg.norm(scene.mesh.normals(), axis=1) / 2.0
     own = np.bincount(scene.mesh.object_of, areas, len(scene))
     largest = int(own.argmax())
@@ -163,7 +140,6 @@ def _check_giants(scene: Scene) -> Iterator[Finding]:
 
 
 def _check_twins(scene: Scene) -> Iterator[Finding]:
-    """Return whether objects fill the same space."""
     low, high = _boxes(scene)
     movable = np.flatnonzero(~is_structural(scene.graph.labels))
     if not 1 < len(movable) <= 5000:
@@ -213,7 +189,6 @@ def _check_far_objects(scene: Scene) -> Iterator[Finding]:
 
 
 def _check_words(scene: Scene) -> Iterator[Finding]:
-    """Return whether labels, names and ids say what is what."""
     graph = scene.graph
     bare = [i for i, label in enumerate(graph.labels) if is_nameless(label)]
     if len(bare) > 0.2 * len(scene):
@@ -245,7 +220,6 @@ def _check_words(scene: Scene) -> Iterator[Finding]:
 
 
 def _check_relations(scene: Scene) -> Iterator[Finding]:
-    """Return whether anything is known of how objects stand to each other."""
     if len(scene) > 1 and not scene.graph.relations:
         many = len(scene) > MAX_RELATED_OBJECTS
         yield Finding(
@@ -259,7 +233,6 @@ def _check_relations(scene: Scene) -> Iterator[Finding]:
 
 
 def _check_costs(scene: Scene, size: int | None, seconds: float | None) -> Iterator[Finding]:
-    """Return whether it is large, or slow to open."""
     remedy = "--detail small, or tiny, makes it smaller; so do --error and --texel."
     if len(scene.mesh) > _MANY_TRIANGLES:
         yield Finding("warning", f"The map has {len(scene.mesh):,} triangles.", remedy=remedy)
@@ -270,7 +243,6 @@ def _check_costs(scene: Scene, size: int | None, seconds: float | None) -> Itera
 
 
 def _boxes(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Lower and upper corners (N, 3) of the objects' boxes [m]."""
     found = scene.mesh.object_bounds(len(scene))
     return found[:, 0], found[:, 1]
 
@@ -469,7 +441,6 @@ _BACK = 0.3  # Share of the rays from inside that meet the back of a triangle
 
 
 def _check_places(scene: Scene, options: PoseSearchOptions | None) -> Iterator[Finding]:
-    """Check for places of cameras, holes around them, and flipped normals."""
     options = options or PoseSearchOptions()
     table = visibility(scene, options)
     said = " to ".join(f"{h:g}" for h in sorted({min(options.heights), max(options.heights)}))
@@ -557,7 +528,6 @@ _AGAIN = "Anchor it again with `placegraph scene anchor`"
 
 
 def _check_anchors(scene: Scene) -> Iterator[Finding]:
-    """Check that the place on Earth is certain, well fitted, and of known precision."""
     for name in scene.scenes:
         found = scene.anchors_of(name)
         if not found:
@@ -616,7 +586,7 @@ def check(
     corners = _weld_corners(scene)
     found = chain(
         _check_units(scene), _check_up_axis(scene), _check_floors(scene),
-        _check_places(scene, options), _check_doubles(scene, corners), _check_edges(corners),
+        _check_places(scene, options), _check_doubles(scene, corners),
         _check_colours(scene), _check_giants(scene), _check_twins(scene), _check_far_objects(scene),
         _check_words(scene), _check_relations(scene), _check_costs(scene, size, seconds),
         _check_anchors(scene),

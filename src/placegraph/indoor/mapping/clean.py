@@ -48,7 +48,8 @@ def check_model(model: Model) -> None:
 def convert_to_metres(model: Model, scale: float | None, notes: list[str]) -> Model:
     """Model in metres; one whose size cannot be metres is refused where no scale is given."""
     if scale is not None:
-        return model if scale == 1.0 else _scale_model(model, scale)
+        floor = None if model.floor is None else model.floor * scale
+        return replace(model, vertices=model.vertices * scale, floor=floor)
     low, high = np.quantile(_sample_corners(model).reshape(-1, 3), (0.01, 0.99), axis=0)
     sides = high - low
     size = " x ".join(f"{side:,.4g}" for side in sides)
@@ -183,11 +184,6 @@ def _sample_corners(model: Model) -> NDArray[np.float64]:
     return corners
 
 
-def _scale_model(model: Model, scale: float) -> Model:
-    floor = None if model.floor is None else model.floor * scale
-    return replace(model, vertices=model.vertices * scale, floor=floor)
-
-
 def _index_used(rows: NDArray[Any], count: int) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
     """Rows that are used, ascending, and `rows` in terms of these."""
     used = np.zeros(count, np.bool_)
@@ -238,7 +234,6 @@ def reduce_mesh(
 
 
 def _vertex_colours(mesh: Mesh, pictures: Sequence[Picture], detail: Detail) -> ColourOf:
-    """Colours of a mesh's vertices and flat materials."""
     from placegraph.indoor.mapping.atlas.colours import mesh_colours
 
     flat = textures.decode_textures(textures.encode_pictures(pictures, detail), "a material")
@@ -248,7 +243,6 @@ def _vertex_colours(mesh: Mesh, pictures: Sequence[Picture], detail: Detail) -> 
 def _bake_atlas(
     mesh: Mesh, colour_of: ColourOf, detail: Detail, notes: list[str]
 ) -> tuple[Mesh, tuple[bytes, ...]]:
-    """Mesh whose colours stand in a small texture atlas instead of at many vertices."""
     from placegraph.indoor.mapping.atlas.bake import bake
 
     area = _measure_area(mesh)
@@ -263,7 +257,6 @@ def _bake_atlas(
 
 
 def _measure_area(mesh: Mesh) -> float:
-    """Area [m2]."""
     return float(np.linalg.norm(mesh.normals(), axis=1).sum()) / 2.0
 
 

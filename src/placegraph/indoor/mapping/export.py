@@ -44,7 +44,6 @@ def make_path_lines(poses: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _check_paths(paths: Paths) -> dict[str, NDArray[np.float64]]:
-    """Return paths (T, 4, 4) by name; raises `OptionError` where they are none."""
     checked = {str(name): np.asarray(values, np.float64) for name, values in paths.items()}
     for name, poses in checked.items():
         if poses.ndim != 3 or poses.shape[1:] != (4, 4) or not len(poses):
@@ -186,7 +185,6 @@ def export(
 
 
 def _ending_of(path: str | PathLike[str]) -> str:
-    """Return the longest of `ENDINGS` that a name has, or an empty string."""
     name = Path(path).name.lower()
     return max((e for e in ENDINGS if name.endswith(e)), key=len, default="")
 

@@ -57,14 +57,11 @@ class Source:
     """A model, and what else is known of the way it looks."""
 
     model: Model
-    colour_of: ColourOf | None = None
-    """Colours of its surface, sharper than those of its vertices."""
-    notes: tuple[str, ...] = ()
-    """What was found out or taken for granted, in sentences."""
+    colour_of: ColourOf | None = None  # Colours of its surface, sharper than those of its vertices
+    notes: tuple[str, ...] = ()  # What was found out or taken for granted, in sentences
     finish: Callable[[Model], Source] | None = None
     """What is left to be done once the model is in metres and upright."""
-    landmarks: Landmarks | None = None
-    """Points that its frames show again and again."""
+    landmarks: Landmarks | None = None  # Points that its frames show again and again
     viewpoints: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
     """(V, 3) where its frames were taken from, thinned [m]."""
     anchors: tuple[Anchor, ...] = ()
@@ -154,7 +151,6 @@ def _find_floor(path: Path, fused: Fused, segments: Segments) -> tuple[float, tu
 def _open_capture(
     path: Path, how: FromCapture, poses: str | PathLike[str] | None, reader: Mapping[str, Any]
 ) -> Capture:
-    """The frames of a capture that are used; it has depth."""
     capture = format_of(path).open(path, {"poses": poses, **reader})[how.frames]
     if not len(capture):
         raise OptionError(f"frames: {path} has no frame in {_format_slice(how.frames)}.")
@@ -172,7 +168,6 @@ def _fuse_frames(
     left_out: Counter[str],
     progress: Progress | None,
 ) -> Fused:
-    """Surface of a capture; errors name its path."""
     from placegraph.indoor.mapping.fuse import fuse
 
     try:

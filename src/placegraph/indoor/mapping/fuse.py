@@ -118,18 +118,6 @@ def undistort(camera: Camera) -> tuple[Camera, NDArray[np.int64]]:
     return plain, np.where(inside, line * w + column, -1)
 
 
-def check_poses(frames: Sequence[Frame], poses: ArrayLike | None) -> Floats:
-    """Poses (T, 4, 4); `OptionError` where they are of another shape."""
-    if poses is None:
-        return np.array([frame.odometry for frame in frames], np.float64).reshape(-1, 4, 4)
-    array = np.asarray(poses, np.float64)
-    if array.shape != (len(frames), 4, 4):
-        raise OptionError(
-            f"poses: shape {array.shape} for {len(frames)} frames; (T, 4, 4) belong to T frames."
-        )
-    return array
-
-
 def find_good_poses(poses: Floats) -> NDArray[np.bool_]:
     """Return which poses (T, 4, 4) are credible: finite, rigid, near the origin, and no slip.
 
@@ -268,7 +256,6 @@ class Volume:
 
 Ints = NDArray[np.int64]
 Colours = NDArray[np.uint8]
-
 
 STEEPEST = 1.0
 """Neighbouring voxels differ by one voxel at most, and by noise; not by this much [truncations]."""
@@ -414,8 +401,14 @@ def fuse(
     """
     options = options or FuseOptions()
     counts: Counter[str] = Counter() if left_out is None else left_out
-    _check(voxel, truncation, reach)
-    matrices = check_poses(frames, poses)
+    if not FINEST <= voxel <= COARSEST:
+        raise OptionError(f"voxel is {voxel}; its edge is {FINEST} to {COARSEST} m.")
+    if truncation is not None and not 1.5 * voxel <= truncation <= 10 * COARSEST:
+        raise OptionError(f"truncation is {truncation}; it is at least 1.5 voxels ({1.5 * voxel}).")
+    if not 0 < reach < np.inf:
+        raise OptionError(f"reach is {reach}; it must be greater than 0 m.")
+    given = [frame.odometry for frame in frames] if poses is None else poses
+    matrices = np.asarray(given, np.float64).reshape(-1, 4, 4)
     edge, why, start = voxel, "", perf_counter()
     while True:
         band = max(TRUNCATION * edge, LEAST_TRUNCATION) if truncation is None else truncation
@@ -425,7 +418,10 @@ def fuse(
             run.take(frames, matrices, reach, progress, passed_over)
             break
         except FullError as error:
-            need = run.told_end(len(frames))
+            need = (
+                f"{options.memory:g} GB of memory ended at frame {run.done + 1} of {len(frames)} with "
+                f"voxels of {100 * edge:.3g} cm"
+            )
             if not options.coarsen or COARSER * edge > COARSEST:
                 raise OptionError(
                     f"voxel: {need}; try voxel={COARSER * edge:.3g}, a shorter reach, or fewer frames."
@@ -433,15 +429,6 @@ def fuse(
             edge, why = COARSER * edge, why or need
     counts.update(passed_over)
     return run.finish(start, why and f"{why}; they are {100 * edge:.3g} cm now.", counts)
-
-
-def _check(voxel: float, truncation: float | None, reach: float) -> None:
-    if not FINEST <= voxel <= COARSEST:
-        raise OptionError(f"voxel is {voxel}; its edge is {FINEST} to {COARSEST} m.")
-    if truncation is not None and not 1.5 * voxel <= truncation <= 10 * COARSEST:
-        raise OptionError(f"truncation is {truncation}; it is at least 1.5 voxels ({1.5 * voxel}).")
-    if not 0 < reach < np.inf:
-        raise OptionError(f"reach is {reach}; it must be greater than 0 m.")
 
 
 class _Run:
@@ -473,13 +460,6 @@ class _Run:
             self.done += 1
             if progress is not None:
                 progress(self.done, len(frames))
-
-    def told_end(self, total: int) -> str:
-        """Return a sentence about where memory ended."""
-        return (
-            f"{self.options.memory:g} GB of memory ended at frame {self.done + 1} of {total} with "
-            f"voxels of {100 * self.volume.voxel:.3g} cm"
-        )
 
     def some_points(self, view: View, facets: NDArray[np.float32]) -> Floats:
         """Some of a view's readings that were used, spread over it, (N, 3) [m, map]."""

@@ -94,13 +94,11 @@ def map_landmarks(
 
 
 def _focal_length(frame: Frame) -> float:
-    """Focal length in widths of the image."""
     camera = frame.camera
     return 0.5 * (camera.fx + camera.fy) / max(camera.width, camera.height)
 
 
 def _find_features(frame: Frame) -> _FrameFeatures:
-    """Features of a frame where its depth is sound."""
     found = detect_features(make_detector(FEATURES), frame, frame.rgb())
     rays = frame.camera.directions(found.points)
     depth = read_depth(frame, rays)

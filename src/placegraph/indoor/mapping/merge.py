@@ -114,7 +114,6 @@ def _place_scenes(maps: Sequence[Scene]) -> list[NDArray[np.float64]]:
 
 
 def _shift_scene(name: str, scene: S, shift: NDArray[np.float64]) -> S:
-    """Scene shifted, with its name in front of ids and parts."""
     back = np.eye(4)
     back[:3, 3] = -shift
     parts = [f"{name}/{part}" for part in scene.scenes] if len(scene.scenes) > 1 else [name]

@@ -106,7 +106,11 @@ def select_level(plan: IndoorOsm, level: float | None) -> Level:
     chosen = levels[0] if level is None else float(level)
     if chosen not in levels:
         raise OptionError(f"{plan.path} has no rooms on level {chosen:g}; it has {known}.")
-    shapes = [s for s in plan.shapes if chosen in (s.levels or _default_levels(s, chosen))]
+    everywhere = {"door", "building"}
+    shapes = [
+        s for s in plan.shapes
+        if chosen in (s.levels or ((chosen,) if s.kind in everywhere else (0.0,)))
+    ]  # fmt: skip
     held = [s for s in shapes if s.kind in ROOMS]
     points = np.concatenate([part for shape in held for part in shape.parts])
     anchor = _make_anchor(plan, chosen, points)
@@ -137,11 +141,6 @@ def select_level(plan: IndoorOsm, level: float | None) -> Level:
         storey=storey,
         notes=tuple(notes),
     )
-
-
-def _default_levels(shape: IndoorShape, chosen: float) -> tuple[float, ...]:
-    """Level of what has none."""
-    return (chosen,) if shape.kind in {"door", "building"} else (0.0,)
 
 
 def _make_anchor(plan: IndoorOsm, level: float, points: Floats) -> Anchor:
@@ -268,12 +267,6 @@ class Wall:
         return [
             (base + a * self.along, base + b * self.along, z, self.height) for a, b, z in pieces
         ]
-
-
-def measure_distances(walls: list[Wall], at: Floats) -> Floats:
-    """Return distances (W,) of a point (2,) from the lines of walls [m]."""
-    start, end = (np.array([getattr(w, name) for w in walls]) for name in ("start", "end"))
-    return segment_distances(at[None], start, end)[0]
 
 
 def segment_distances(points: Floats, starts: Floats, ends: Floats) -> Floats:
@@ -403,9 +396,12 @@ def build_model(level: Level, path: Path, left_out: Counter[str]) -> Model:
         _add_floor_and_ceiling(parts, room)
     walls = find_walls(level)
     opened: list[list[Door]] = [[] for _ in walls]
+    starts, ends = (
+        np.reshape([getattr(w, end) for w in walls], (-1, 2)) for end in ("start", "end")
+    )
     for door in level.doors:
-        far = measure_distances(walls, door.at) if walls else np.full(1, np.inf)
-        if far.min() > REACH:
+        far = segment_distances(door.at[None], starts, ends)[0]
+        if far.min(initial=np.inf) > REACH:
             left_out["doors that are on no wall"] += 1
             continue
         nearest = walls[int(far.argmin())]

@@ -241,7 +241,6 @@ def _simplify_ring(ring: Floats, tolerance: float) -> Floats:
 
 
 def _straighten(ring: Floats) -> Floats:
-    """Closed ring without the points on straight edges."""
     loop = ring[:-1]
     before, after = loop - np.roll(loop, 1, axis=0), np.roll(loop, -1, axis=0) - loop
     scale = np.linalg.norm(before, axis=1) * np.linalg.norm(after, axis=1)

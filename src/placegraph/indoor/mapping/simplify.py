@@ -17,9 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placegraph.core.geometry import Floats
-from placegraph.errors import OptionError
 from placegraph.indoor.map.mesh import Mesh
-from placegraph.indoor.mapping.simplify_kernels import collapse, fill_groups
+from placegraph.indoor.mapping.simplify_kernels import CollapsePart, collapse, fill_groups
 
 Ints = NDArray[np.int64]
 Rows = NDArray[np.int32]
@@ -65,16 +64,7 @@ def simplify(
     left_out
         Is told of twins.
 
-    Raises
-    ------
-    OptionError
-        `error`, `colour` or `target` is negative or not a number.
-
     """
-    if not error >= 0 or not colour >= 0 or target < 0:
-        raise OptionError(
-            f"error is {error}, colour {colour}, target {target}; none may be less than 0."
-        )
     if not len(mesh):
         return mesh
     told = {} if left_out is None else left_out
@@ -107,7 +97,7 @@ def _simplify_once(mesh: Mesh, limits: Floats, target: int, left_out: dict[str, 
         centre = own.points.mean(axis=0)  # near the origin planes are exact
         own.points[:] -= centre
         collapse(
-            own.points, own.corners, edges, border, own.wedges, own.values, fixed, share, limits
+            CollapsePart(own.points, own.corners, edges, border, *own[2:], fixed), share, limits
         )
         own.points[:] += centre
         left = own.corners[:, 0] >= 0
@@ -203,7 +193,6 @@ def cut_tiles(full: WedgeMesh, rows: Ints) -> list[Ints]:
 
 
 def _find_shared(full: WedgeMesh, parts: list[Ints]) -> NDArray[np.bool_]:
-    """Points (V,) of triangles in more than one part."""
     last = np.empty(len(full.points), np.int32)
     shared = np.zeros(len(full.points), np.bool_)
     for number, rows in enumerate(parts):
@@ -230,7 +219,6 @@ def _extract_part(
 
 
 def _pack_part(own: WedgeMesh, left: NDArray[np.bool_]) -> WedgeMesh:
-    """Remainder of a part: points are the places of wedges, which are the corners."""
     wedge, place = own.wedges[left].ravel(), own.corners[left].ravel()
     used, first, corner = np.unique(wedge, return_index=True, return_inverse=True)
     corners = corner.reshape(-1, 3).astype(np.int32)
@@ -240,7 +228,6 @@ def _pack_part(own: WedgeMesh, left: NDArray[np.bool_]) -> WedgeMesh:
 def _join_parts(
     mesh: Mesh, parts: list[tuple[WedgeMesh, Ints]], object_of: Rows, texture_of: Rows
 ) -> Mesh:
-    """One mesh of what is left of all parts."""
     ends = np.cumsum([len(own.points) for own, _ in parts])
     values = np.concatenate([own.values for own, _ in parts])
     row = np.concatenate([rows for _, rows in parts])

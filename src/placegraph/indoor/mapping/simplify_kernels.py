@@ -1,11 +1,13 @@
 # mypy: allow-untyped-defs, allow-incomplete-defs
-"""Compiled parts of `groups`."""
+"""Compiled simplification: groups of equal rows, quadrics, collapsing edges."""
 
 from __future__ import annotations
 
 import heapq
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.core.jit import kernel
 
@@ -443,26 +445,83 @@ def is_pinched(a, b, faces, head, after, ring, other):
     return shared != joined or na + nb - shared < 3
 
 
-@kernel
-def has_varying_values(values, limits):
-    """Return whether attributes can speak against a collapse: a texture that is more than one texel."""
-    textured = (values[:, 0] != values[0, 0]) | (values[:, 1] != values[0, 1])
-    return limits[2] < np.inf or textured.any()
+class CollapsePart(NamedTuple):
+    """Triangles to simplify; `collapse` changes points, faces, wedges and values in place."""
+
+    points: NDArray[np.float64]  # (V, 3)
+    faces: NDArray[np.int32]  # (F, 3) rows of points; -1: dead
+    edges: NDArray[np.int32]  # (E, 2) rows of points, every edge once
+    border: NDArray[np.int64]  # (E,) face of an edge that is kept in its place, or -1
+    wedges: NDArray[np.int32]  # (F, 3) row of `values` of every corner
+    values: NDArray[np.float64]  # (W, D) texture coordinates u and v, then other attributes
+    locked: NDArray[np.bool_]  # (V,) whether a point stays
 
 
 @kernel
-def collapse(points, faces, edges, border, wedges, values, locked, target, limits):
-    """Collapse edges, cheapest first, until `target` faces live or the limits stop it; in place.
+def queue_edges(points, edges, quadrics, version, limit):
+    """Return a heap of the edges that may collapse: cost, ends, versions of the ends."""
+    q = np.empty(10)
+    heap = [(0.0, np.int32(0), np.int32(0), np.int32(0), np.int32(0)) for _ in range(0)]
+    for e in range(len(edges)):
+        a, b = np.int32(edges[e, 0]), np.int32(edges[e, 1])
+        _, _, _, off, tie = meeting_point(quadrics, points, a, b, q)
+        # the mean of squared distances is no more than the largest: these would never pass
+        near = off <= limit * limit * (q[0] + q[4] + q[7])
+        if near and version[a] == 0 and version[b] == 0:
+            heap.append((off + tie, a, b, np.int32(0), np.int32(0)))
+    heapq.heapify(heap)
+    return heap
 
-    `points`: (V, 3) float64; `faces`: (F, 3) int64, dead ones get -1; `edges`: (E, 2) int64,
-    every edge once; `border`: (E,) int64, a face of an edge to be kept in its place, or -1;
-    `wedges`: (F, 3) int64, row of `values` (W, D) of every corner, u and v first; `locked`: (V,)
-    bool, vertices that stay; `limits`: (3,) greatest distance from the original planes [m], slide
-    of a texture [m], change of the other attributes.
+
+@kernel
+def queue_neighbours(heap, a, ring, points, quadrics, version, limit):
+    """Push the edges from vertex a to the vertices of its ring."""
+    q = np.empty(10)
+    for i in range(len(ring)):
+        w = np.int32(ring[i])
+        if version[w] < 0:
+            continue
+        _, _, _, off, tie = meeting_point(quadrics, points, a, w, q)
+        if off <= limit * limit * (q[0] + q[4] + q[7]):
+            heapq.heappush(heap, (off + tie, a, w, version[a], version[w]))
+
+
+@kernel
+def merge_faces(a, b, faces, wedges, head, after, own, group, degree):
+    """Give the faces of vertex b to vertex a; returns how many died, those of both."""
+    died = 0
+    for v in (a, b):
+        corner = head[v]
+        while corner >= 0:
+            f = corner // 3
+            if v == b and (faces[f, 0] == a or faces[f, 1] == a or faces[f, 2] == a):
+                for k in range(3):
+                    degree[faces[f, k]] -= 1
+                faces[f] = -1
+                died += 1
+            else:
+                i = 0
+                while own[i] != wedges[f, corner % 3]:
+                    i += 1
+                wedges[f, corner % 3] = own[group[i]]
+                if v == b:
+                    faces[f, corner % 3] = a
+            corner = after[corner]
+    degree[a] += degree[b]
+    return died
+
+
+@kernel
+def collapse(part, target, limits):
+    """Collapse edges of a `CollapsePart`, cheapest first, until `target` faces live; in place.
+
+    `limits`: (3,) greatest distance from the original planes [m], slide of a texture [m] and change
+    of the other attributes.
     """
-    kept = np.flatnonzero(border >= 0)
-    ends = edges[kept]
-    planes = compute_planes(points, faces, ends, border[kept])
+    points, faces, wedges, values = part.points, part.faces, part.wedges, part.values
+    kept = np.flatnonzero(part.border >= 0)
+    ends = part.edges[kept]
+    planes = compute_planes(points, faces, ends, part.border[kept])
     quadrics = compute_quadrics(points, faces, ends, planes)
     plane_head, plane_tail, plane_after = link_corners(len(points), faces, ends)
     head, tail, after = link_corners(len(points), faces, ends[:0])
@@ -472,20 +531,13 @@ def collapse(points, faces, edges, border, wedges, values, locked, target, limit
         for k in range(3):
             degree[faces[f, k]] += 1
     version = np.zeros(len(points), np.int32)
-    version[locked] = -1
+    version[part.locked] = -1
     moved = np.zeros((len(points), 2))  # slide and change so far
-    checked = has_varying_values(values, limits)
-    q = np.empty(10)
-    heap = [(0.0, np.int32(0), np.int32(0), np.int32(0), np.int32(0)) for _ in range(0)]
-    for e in range(len(edges)):
-        a, b = np.int32(edges[e, 0]), np.int32(edges[e, 1])
-        _, _, _, off, tie = meeting_point(quadrics, points, a, b, q)
-        # the mean of squared distances is no more than the largest: these would never pass
-        near = off <= limits[0] * limits[0] * (q[0] + q[4] + q[7])
-        if near and version[a] == 0 and version[b] == 0:
-            heap.append((off + tie, a, b, np.int32(0), np.int32(0)))
-    heapq.heapify(heap)
-    living = len(faces)
+    # attributes can speak against a collapse where a texture has more than one texel
+    textured = (values[:, 0] != values[0, 0]) | (values[:, 1] != values[0, 1])
+    checked = limits[2] < np.inf or textured.any()
+    heap = queue_edges(points, part.edges, quadrics, version, limits[0])
+    living, q = len(faces), np.empty(10)
     ring, other = np.empty(4 * RING, np.int64), np.empty(4 * RING, np.int64)
     own, group = np.empty(64, np.int64), np.empty(64, np.int64)
     new, total = np.empty((64, values.shape[1])), np.empty(64)
@@ -496,15 +548,13 @@ def collapse(points, faces, edges, border, wedges, values, locked, target, limit
         x, y, z, _, _ = meeting_point(quadrics, points, a, b, q)
         prune(a, faces, head, tail, after)
         prune(b, faces, head, tail, after)
-        if is_pinched(a, b, faces, head, after, ring, other):
-            continue
-        if is_folded(a, b, x, y, z, points, faces, head, after):
-            continue
-        if is_folded(b, a, x, y, z, points, faces, head, after):
-            continue
-        if exceeds_limit(a, x, y, z, limits[0], planes, plane_head, plane_after, corners):
-            continue
-        if exceeds_limit(b, x, y, z, limits[0], planes, plane_head, plane_after, corners):
+        if (
+            is_pinched(a, b, faces, head, after, ring, other)
+            or is_folded(a, b, x, y, z, points, faces, head, after)
+            or is_folded(b, a, x, y, z, points, faces, head, after)
+            or exceeds_limit(a, x, y, z, limits[0], planes, plane_head, plane_after, corners)
+            or exceeds_limit(b, x, y, z, limits[0], planes, plane_head, plane_after, corners)
+        ):
             continue
         n = wedges_meeting(a, b, faces, wedges, head, after, own, group)
         if n < 0:
@@ -517,41 +567,16 @@ def collapse(points, faces, edges, border, wedges, values, locked, target, limit
         change += max(moved[a, 1], moved[b, 1])
         if slide > limits[1] or change > limits[2]:
             continue
-        for v in (a, b):
-            corner = head[v]
-            while corner >= 0:
-                f = corner // 3
-                if v == b and (faces[f, 0] == a or faces[f, 1] == a or faces[f, 2] == a):
-                    for k in range(3):
-                        degree[faces[f, k]] -= 1
-                    faces[f] = -1
-                    living -= 1
-                else:
-                    i = 0
-                    while own[i] != wedges[f, corner % 3]:
-                        i += 1
-                    wedges[f, corner % 3] = own[group[i]]
-                    if v == b:
-                        faces[f, corner % 3] = a
-                corner = after[corner]
+        living -= merge_faces(a, b, faces, wedges, head, after, own, group, degree)
         for i in range(n):
-            for k in range(values.shape[1]):
-                values[own[i], k] = new[group[i], k]
+            values[own[i]] = new[group[i]]
         join(a, b, head, tail, after)
         join(a, b, plane_head, plane_tail, plane_after)
-        degree[a] += degree[b]
         points[a, 0], points[a, 1], points[a, 2] = x, y, z
-        for k in range(10):
-            quadrics[a, k] += quadrics[b, k]
+        quadrics[a] += quadrics[b]
         moved[a, 0], moved[a, 1] = slide, change
         version[a] += np.int32(1)
         version[b] = -1
         prune(a, faces, head, tail, after)
         n = neighbours(a, b, faces, head, after, ring)
-        for i in range(n):
-            w = np.int32(ring[i])
-            if version[w] < 0:
-                continue
-            _, _, _, off, tie = meeting_point(quadrics, points, a, w, q)
-            if off <= limits[0] * limits[0] * (q[0] + q[4] + q[7]):
-                heapq.heappush(heap, (off + tie, a, w, version[a], version[w]))
+        queue_neighbours(heap, a, ring[:n], points, quadrics, version, limits[0])

@@ -37,19 +37,14 @@ _FEW = 1000  # triangles: one object of fewer is meant to be one
 class SourceKind(NamedTuple):
     """Kind of source that is a labelled mesh already."""
 
-    holds: str
-    """What it is recognized by, for the user."""
-    module: str
-    """Module with `read_X`, and with `is_X` where no ending tells."""
-    verb: str
-    """X."""
+    holds: str  # What it is recognized by, for the user
+    module: str  # Module with `read_X`, and with `is_X` where no ending tells
+    verb: str  # X
     ending: str = ""
     takes: tuple[str, ...] = ()
     """Options that its reader takes of those that all sources share: up, table, object_property."""
-    own: tuple[str, ...] = ()
-    """Options of its reader alone."""
-    is_graph: bool = False
-    """Whether it is another program's scene graph."""
+    own: tuple[str, ...] = ()  # Options of its reader alone
+    is_graph: bool = False  # Whether it is another program's scene graph
 
     def recognizes(self, path: Path) -> bool:
         """Return whether a path looks like it."""
@@ -187,7 +182,6 @@ def cut(
 
 
 def _label(model: Model, table: Mapping[str, Entry] | None) -> Model:
-    """Give the objects of a model a table's labels, by id or name."""
     if table is None:
         return model
     entries = [table.get(t.id) or table.get(t.name) for t in model.things]

@@ -35,17 +35,14 @@ from placegraph.indoor.rays.trace_kernels import (
     V,
 )
 
-WHEEL = "4.4."
-"""Versions of ``embreex`` that start so are known."""
-LIBRARY = range(40400, 40500)
-"""What the library may say its version is."""
+WHEEL = "4.4."  # Versions of ``embreex`` that start so are known
+LIBRARY = range(40400, 40500)  # What the library may say its version is
 
 _INDEX_BUFFER, _VERTEX_BUFFER = 0, 1
 _UINT3, _FLOAT3 = 0x5003, 0x9003
 _TRIANGLES = 0
 _VERSION = 0
-_ROBUST = 4
-"""Without it rays leak through large meshes."""
+_ROBUST = 4  # Without it rays leak through large meshes
 _COHERENT = 1 << 16
 
 _p = ctypes.c_void_p

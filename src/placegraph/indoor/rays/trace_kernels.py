@@ -18,8 +18,7 @@ ROWS = 21
 ORIGIN, NEAR, DIRECTION, TIME, FAR, MASK, ID, FLAGS = 0, 3, 4, 7, 8, 9, 10, 11
 U, V, TRIANGLE, GEOMETRY = 15, 16, 17, 18
 """Rows; `ORIGIN` and `DIRECTION` are the first of three, `TRIANGLE` and from `GEOMETRY` on integers."""
-NONE = -1
-"""Triangle of a ray that hits nothing."""
+NONE = -1  # Triangle of a ray that hits nothing
 
 
 @intrinsic
@@ -38,27 +37,21 @@ def call(_typing, _address, _a, _b, _c, _d):
     return types.void(*[types.int64] * 5), codegen
 
 
-BINS = 16
-"""Bins an axis, at most, when a split is sought."""
-
+BINS = 16  # Bins an axis, at most, when a split is sought
 
 CAPACITY = 8
 """A leaf holds at most so many triangles: their number less one takes three bits of a reference."""
 
-
-TRAVERSE = 1.0
-"""Cost of walking through a node, in triangles met."""
-
+TRAVERSE = 1.0  # Cost of walking through a node, in triangles met
 
 DEEP = 40
 """From this depth on, nodes are halved by number: with 2^28 triangles a path has under 72 nodes."""
-
 
 STACK = 72
 
 
 @kernel(error_model="numpy")
-def _compute_boxes(vertices, triangles):
+def compute_boxes(vertices, triangles):
     """(T, 6) low x y z, high x y z."""
     boxes = np.empty((len(triangles), 6), np.float32)
     for i in range(len(triangles)):
@@ -71,7 +64,8 @@ def _compute_boxes(vertices, triangles):
 
 
 @kernel(error_model="numpy")
-def _fill_corners(vertices, triangles, order, corners, rows):
+def fill_corners(vertices, triangles, order, corners, rows):
+    """Write corners (12 T,) and rows (12 T,) of triangles in the order of the leaves."""
     for slot in range(len(order)):
         row = order[slot]
         for c in range(3):
@@ -161,7 +155,7 @@ def _partition(boxes, order, start, stop, axis, at, low, scale, n_bins):
 
 
 @kernel(error_model="numpy")
-def _split_all(boxes, order, nodes, links):
+def split_nodes(boxes, order, nodes, links):
     """Split [0, T) into leaves, sorting `boxes` and `order`; returns the number of nodes."""
     bins = np.empty((3, BINS, 6), np.float32)
     counts = np.empty((3, BINS), np.int64)
@@ -221,8 +215,7 @@ def _split_all(boxes, order, nodes, links):
     return used
 
 
-TINY = np.float32(1e-18)
-"""Smallest part of a direction whose reciprocal is taken."""
+TINY = np.float32(1e-18)  # Smallest part of a direction whose reciprocal is taken
 EARLY = np.float32(1.0 - 4.0 * 2.0**-24)
 LATE = np.float32(1.0 + 4.0 * 2.0**-24)
 """Boxes are entered early and left late by more than rounding may cost."""
@@ -420,17 +413,13 @@ def _intersect_triangle(s, corners, at):
 class Tracer(NamedTuple):
     """Tracer of ray packets, by Embree or a tree; it keeps alive what it needs."""
 
-    intersect: int
-    """Address of ``rtcIntersect16``; 0: the tree is walked."""
-    scene: int
-    """Embree's scene."""
-    arguments: int
-    """Embree's intersect arguments."""
+    intersect: int  # Address of ``rtcIntersect16``; 0: the tree is walked
+    scene: int  # Embree's scene
+    arguments: int  # Embree's intersect arguments
     nodes: NDArray[np.float32]
     links: NDArray[np.int32]
     corners: NDArray[np.float32]
-    rows: NDArray[np.int32]
-    """The tree (`bvh.Bvh`); of one element each where Embree traces."""
+    rows: NDArray[np.int32]  # The tree (`bvh.Bvh`); of one element each where Embree traces
 
 
 @kernel

@@ -227,23 +227,6 @@ def test_a_carpet_is_apart_and_another_colour_of_floor_is_not(wide, count):
     assert found.labels == ("floor",) * count
 
 
-@pytest.mark.parametrize(
-    ("vertices", "triangles", "colours"),
-    [
-        (np.zeros((3, 2)), np.zeros((1, 3), int), None),
-        (np.zeros((3, 3)), np.zeros((1, 4), int), None),
-        (np.zeros((3, 3)), np.zeros((1, 3)), None),
-        (np.zeros((3, 3)), np.array([[0, 1, 3]]), None),
-        (np.zeros((3, 3)), np.array([[0, 1, -1]]), None),
-        (np.zeros((3, 3)), np.array([[0, 1, 2]]), np.zeros((3, 3))),
-        (np.zeros((3, 3)), np.array([[0, 1, 2]]), np.zeros((2, 3), np.uint8)),
-    ],
-)
-def test_arrays_that_do_not_fit(vertices, triangles, colours):
-    with pytest.raises(OptionError):
-        segment(vertices, triangles, colours)
-
-
 @pytest.mark.parametrize("name", ["gap", "crease", "patch"])
 def test_options_are_checked(name):
     with pytest.raises(OptionError, match=name):

@@ -241,5 +241,3 @@ def test_bad_frames(room):
     mixed = [frames[0], *views(room, [0, -1, 2, 1, 1], count=1, kind="instances")]
     with pytest.raises(OptionError, match="kind"):
         segment(vertices, triangles, frames=mixed)
-    with pytest.raises(OptionError, match="poses"):
-        segment(vertices, triangles, frames=frames, poses=np.eye(4)[None])

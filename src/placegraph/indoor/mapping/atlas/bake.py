@@ -11,25 +11,10 @@ from numpy.typing import NDArray
 
 from placegraph.core.geometry import Floats
 from placegraph.core.threads import run_parallel
-from placegraph.errors import OptionError
 from placegraph.indoor.map.mesh import Mesh
-from placegraph.indoor.mapping.atlas.bake_kernels import (
-    DARK,
-    FLAT,
-    SEEN,
-    UNSEEN,
-    absorb,
-    choose,
-    cover,
-    draw,
-    grow,
-    overlapping,
-    spread,
-    turns,
-)
+from placegraph.indoor.mapping.atlas import bake_kernels as kernels
 
 Ints = NDArray[np.int64]
-
 
 CONE = np.cos(np.radians(45.0))  # Normals of a chart lie within this of their mean as it grows
 STEEP = np.cos(np.radians(75.0))
@@ -69,11 +54,11 @@ def cut_charts(mesh: Mesh, neighbours: Ints, texel: float, longest: int) -> Char
     laid = _Layout(np.zeros((0, 2, 3)), np.zeros((0, 2)), np.zeros((0, 2)))
     for round_ in range(ROUNDS):
         first = len(laid.axes)
-        count = grow(normals, areas, neighbours, order, of, first, CONE)
+        count = kernels.grow(normals, areas, neighbours, order, of, first, CONE)
         if round_ == 0:
             planes = _mean_normals(doubled, of, count)
             small = np.bincount(of, areas, count) < SMALL * texel**2
-            absorb(normals, neighbours, of, planes, small, STEEP)
+            kernels.absorb(normals, neighbours, of, planes, small, STEEP)
         laid = laid.with_new(points, doubled, of, texel * longest)
         plane = np.cross(laid.axes[:, 0], laid.axes[:, 1])  # away from who looks at the surface
         steep = -np.einsum("tk,tk->t", normals, plane[of]) < STEEP
@@ -82,7 +67,7 @@ def cut_charts(mesh: Mesh, neighbours: Ints, texel: float, longest: int) -> Char
         grids = np.maximum(np.ceil(extents - 1e-6), 1.0)
         corners = laid.corners(points, of) / texel + (0.5 * (grids - extents))[of][:, None]
         twice = np.zeros(len(of), bool)  # lies over a larger one of its chart, at texels' centres
-        run_parallel(overlapping, len(grids), corners, rows, starts, grids, twice)
+        run_parallel(kernels.overlapping, len(grids), corners, rows, starts, grids, twice)
         bad = (of >= first) & ((steep & (areas > 0)) | twice)
         if not bad.any():
             break
@@ -143,7 +128,7 @@ class _Layout:
             upright = _upright_axes(_mean_normals(doubled[fresh], own, count))
             rows, starts = _group_rows(own, count, None)
             corners = np.einsum("tkn,tan->tka", placed, upright[own])
-            angle = turns(corners, rows, starts, _ANGLES, _GAIN)
+            angle = kernels.turns(corners, rows, starts, _ANGLES, _GAIN)
             cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
             right, down = upright[:, 0], upright[:, 1]
             axes = np.stack([cosine * right + sine * down, cosine * down - sine * right], axis=1)
@@ -195,7 +180,6 @@ def _group_rows(of: Ints, count: int, within: Floats | None) -> tuple[Ints, Ints
 
 Bytes = NDArray[np.uint8]
 
-
 SHADES = 4  # Charts of one colour share a texel with those that differ by less than this [of 255]
 _PATCH = 4  # texels a side of one shared colour: a block of chroma and its surrounding
 _SHEET = 16  # patches a side of a sheet of shared colours
@@ -221,22 +205,20 @@ class ChartImages:
 
     def light_up(self, charts: Charts, neighbours: Ints, object_of: NDArray[np.int32]) -> None:
         """Give charts of which nothing is known their neighbours' colour, or their object's."""
-        dark = self.levels == DARK
+        dark = self.levels == kernels.DARK
         if not dark.any():
             return
         valid = self.counts > 0
         colours = self.sums / np.maximum(self.counts, 1)[:, None]
         of_object = _average_groups(object_of, colours, valid)
-        spread(neighbours, colours, valid)
+        kernels.spread(neighbours, colours, valid)
         colours = np.where(valid[:, None], colours, of_object[object_of])
         every = np.ones(len(colours), bool)
         self.means[dark] = _average_groups(charts.of, colours, every, len(self.levels))[dark]
-        self.levels[dark] = FLAT
+        self.levels[dark] = kernels.FLAT
 
 
-def assemble_mesh(
-    mesh: Mesh, charts: Charts, sheets: ChartImages, margin: int, largest: int
-) -> Mesh:
+def assemble_mesh(mesh: Mesh, charts: Charts, sheets: ChartImages, largest: int) -> Mesh:
     """Mesh with all images on pages."""
     flat = sheets.levels < 0
     drawn = np.flatnonzero(~flat)
@@ -276,9 +258,9 @@ def assemble_mesh(
     cell = np.stack([at % across, at // across], axis=1)
     origin[flat] = places[len(drawn) + card_of] + (cell + 0.5) * _PATCH
     scale = np.where(flat, 0.0, 1.0 / (sheets.step * np.exp2(np.maximum(sheets.levels, 0))))
-    inner = sheets.sizes[drawn] - 2 * margin
+    inner = sheets.sizes[drawn] - 2 * MARGIN
     centring = 0.5 * (inner - charts.sizes[drawn] * scale[drawn, None])
-    origin[drawn] = places[: len(drawn)] + margin + centring
+    origin[drawn] = places[: len(drawn)] + MARGIN + centring
     key = np.arange(count)
     key[flat] = count + shade_of  # charts of one shade share their vertices
     uv = origin[charts.of][:, None] + charts.corners * scale[charts.of][:, None, None]
@@ -307,7 +289,6 @@ def _paste_images(
     canvases: list[Bytes],
     masks: list[NDArray[np.bool_]],
 ) -> None:
-    """Copy the images of the charts `drawn` to their places."""
     texels, valid = np.concatenate(sheets.texels), np.concatenate(sheets.valid)
     start = 0
     for i, (w, h) in enumerate(sheets.sizes[drawn].tolist()):
@@ -319,7 +300,6 @@ def _paste_images(
 
 
 def _split_vertices(mesh: Mesh, key: Ints, uv: Floats, page: Ints, pages: list[Bytes]) -> Mesh:
-    """Mesh whose vertices are doubled where triangles of different `key` (T,) meet."""
     span = int(key.max()) + 1
     corner = mesh.triangles.astype(np.int64) * span + key[:, None]
     used, first, rows = np.unique(corner, return_index=True, return_inverse=True)
@@ -419,19 +399,16 @@ def _double(array: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
     return array[: shape[0], : shape[1]]
 
 
-ColourOf: TypeAlias = Callable[[Any, Any, Any], Any]
-"""`colour_of(points, normals, triangles)`: what colour the surface has.
-
-points (N, 3) float64 [m, map], their unit normals (N, 3) float64 and their triangles (N,) int64 to
-colours (N, 3) uint8 sRGB, or to a pair of them and (N,) bool: whether a colour is known.
-"""
+ColourOf: TypeAlias = Callable[[Floats, Floats, Ints], tuple[Bytes, NDArray[np.bool_]]]
+"""Colours (N, 3) uint8 sRGB of a surface, and whether they are known (N,), at points (N, 3) [m, map]
+with unit normals (N, 3) on triangles (N,)."""
 
 TOLERANCE = 5.0
 """Of 255: what a smaller chart may differ from its samples (root mean square of 8 x 8 texels)."""
 LONGEST = 256
 """Charts longer than this [texels] are cut, so that the dull part of a wall can be smaller."""
 _BATCH = 1 << 19  # texels a call of `colour_of`
-_LARGEST = 1 << 13
+MARGIN = 1  # Texels around each chart, which bilinear filters touch
 
 
 def bake(
@@ -439,7 +416,6 @@ def bake(
     colour_of: ColourOf,
     *,
     texel: float = 0.01,
-    margin: int = 1,
     largest: int = 2048,
     tolerance: float = TOLERANCE,
 ) -> Mesh:
@@ -455,47 +431,31 @@ def bake(
         Triangles with shared vertices; its own colours and textures are not looked at. Triangles,
         their order and their objects stay; vertices are doubled where charts meet.
     colour_of
-        `mesh_colours`, `frame_colours`, or any function like them.
+        `mesh_colours` or `frame_colours`.
     texel
         Width of a texel [m].
-    margin
-        Texels around each chart, which bilinear looks touch.
     largest
         Longest side of a page [texels].
     tolerance
         What coarser charts may differ from the samples [of 255]; 0 keeps every texel.
 
-    Raises
-    ------
-    OptionError
-        An option is out of range, or `colour_of` returns something else.
-
     """
-    if not (np.isfinite(texel) and texel > 0):
-        raise OptionError(f"texel is {texel}; it must be a width in metres, as 0.01.")
-    if not 1 <= margin <= 16:
-        raise OptionError(f"margin is {margin}; it must be 1 to 16 texels.")
-    if not 64 <= largest <= _LARGEST:
-        raise OptionError(f"largest is {largest}; it must be 64 to {_LARGEST} texels.")
-    if not (np.isfinite(tolerance) and tolerance >= 0):
-        raise OptionError(f"tolerance is {tolerance}; it must be a number from 0 on.")
     if not len(mesh):
         return mesh
     neighbours = find_neighbours(mesh)
-    room = largest - 2 * margin - 2
+    room = largest - 2 * MARGIN - 2
     charts = cut_charts(mesh, neighbours, texel, min(room, LONGEST))
     step = np.maximum(texel, charts.sizes.max(axis=1) / room)  # one triangle may be a whole hall
-    sheets = _paint_charts(mesh, charts, colour_of, step, margin, tolerance)
+    sheets = _paint_charts(mesh, charts, colour_of, step, tolerance)
     sheets.light_up(charts, neighbours, mesh.object_of)
-    return assemble_mesh(mesh, charts, sheets, margin, largest)
+    return assemble_mesh(mesh, charts, sheets, largest)
 
 
 def _paint_charts(
-    mesh: Mesh, charts: Charts, colour_of: ColourOf, step: Floats, margin: int, tolerance: float
+    mesh: Mesh, charts: Charts, colour_of: ColourOf, step: Floats, tolerance: float
 ) -> ChartImages:
-    """Ask for the colours of all texels, batch by batch, and keep what each chart needs."""
     extents = charts.sizes / step[:, None]
-    grids = np.maximum(np.ceil(extents - 1e-6), 1).astype(np.int64) + 2 * margin
+    grids = np.maximum(np.ceil(extents - 1e-6), 1).astype(np.int64) + 2 * MARGIN
     rows, starts = charts.grouped()
     corners = charts.corners / step[charts.of][:, None, None]
     count, ends = len(grids), np.cumsum(grids.prod(axis=1))
@@ -514,54 +474,40 @@ def _paint_charts(
         total = int(ends[last - 1]) - done
         owner, shares = np.full(total, -1, np.int32), np.zeros((total, 2), np.float32)
         run_parallel(
-            cover, last - first, corners, rows, starts[first : last + 1], grids[part],
-            extents[part], firsts, margin, owner, shares,
+            kernels.cover, last - first, corners, rows, starts[first : last + 1], grids[part],
+            extents[part], firsts, MARGIN, owner, shares,
         )  # fmt: skip
         at = np.flatnonzero(owner >= 0)
         own = owner[at].astype(np.int64)
         u, v = (shares[at, k, None].astype(np.float64) for k in (0, 1))
         a, b, c = np.moveaxis(points[own], 1, 0)
-        found, seen = query_colours(colour_of, a + u * (b - a) + v * (c - a), normals[own], own)
+        found, seen = colour_of(a + u * (b - a) + v * (c - a), normals[own], own)
         colours, state = np.zeros((total, 3), np.uint8), np.zeros(total, np.uint8)
-        colours[at], state[at] = found, np.where(seen, SEEN, UNSEEN)
+        colours[at], state[at] = found, np.where(seen, kernels.SEEN, kernels.UNSEEN)
         np.add.at(sheets.counts, own[seen], 1)
         for k in range(3):
             sheets.sums[:, k] += np.bincount(own[seen], found[seen, k], len(mesh))
         _coarsen_charts(
-            sheets, part, (colours, state, grids[part], extents[part], firsts, margin), tolerance
+            sheets, part, (colours, state, grids[part], extents[part], firsts, MARGIN), tolerance
         )
         first = last
     return sheets
 
 
-def query_colours(
-    colour_of: ColourOf, points: Floats, normals: Floats, triangles: Ints
-) -> tuple[Bytes, NDArray[np.bool_]]:
-    """Colours (N, 3) uint8 and whether they are known (N,); `OptionError` where they are neither."""
-    answer = colour_of(points, normals, triangles)
-    colours, valid = answer if isinstance(answer, tuple) else (answer, np.ones(len(points), bool))
-    if colours.dtype != np.uint8 or colours.shape != points.shape or valid.shape != (len(points),):
-        raise OptionError(
-            f"colour_of returned {colours.dtype} {colours.shape} for {len(points)} points; it must "
-            "return colours (N, 3) uint8, or these and whether they are known, (N,) bool."
-        )
-    return colours, valid.astype(bool, copy=False)
-
-
 def _coarsen_charts(
     sheets: ChartImages, part: slice, grids: tuple[Any, ...], tolerance: float
 ) -> None:
-    """Take over a batch of charts at the coarsest levels that will do."""
-    extents, margin = grids[3], grids[5]
     levels, means = sheets.levels[part], sheets.means[part]  # views
-    run_parallel(choose, len(levels), *grids, tolerance, levels, means)
+    run_parallel(kernels.choose, len(levels), *grids, tolerance, levels, means)
     scale = np.exp2(np.maximum(levels, 0))[:, None]
-    sizes = np.maximum(np.ceil(extents / scale - 1e-6), 1).astype(np.int64) + 2 * margin
+    sizes = np.maximum(np.ceil(grids[3] / scale - 1e-6), 1).astype(np.int64) + 2 * MARGIN
     sizes[levels < 0] = 0
     sheets.sizes[part] = sizes
     counts = sizes.prod(axis=1)
     texels = np.zeros((int(counts.sum()), 3), np.uint8)
     valid = np.zeros(len(texels), bool)
-    run_parallel(draw, len(levels), *grids, levels, np.cumsum(counts) - counts, texels, valid)
+    run_parallel(
+        kernels.draw, len(levels), *grids, levels, np.cumsum(counts) - counts, texels, valid
+    )
     sheets.texels.append(texels)
     sheets.valid.append(valid)

@@ -9,22 +9,12 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from placegraph.core.geometry import Camera, Floats
 from placegraph.core.threads import count_processors, run_parallel
-from placegraph.errors import OptionError
 from placegraph.indoor.map.mesh import Mesh, Surface
-from placegraph.indoor.mapping.atlas.colour_kernels import (
-    OBSERVED,
-    Keyframes,
-    add_gain_equations,
-    bound_depth,
-    mix_views,
-    observe_points,
-    resample_image,
-    sample_colours,
-)
+from placegraph.indoor.mapping.atlas import colour_kernels as kernels
 from placegraph.indoor.rays import RayCaster
 from placegraph.io.capture.frame import Frame
 from placegraph.io.mesh.nearest_kernels import nearest
@@ -33,7 +23,6 @@ if TYPE_CHECKING:
     from placegraph.indoor.mapping.atlas.bake import ColourOf
 
 Bytes = NDArray[np.uint8]
-
 
 STEP = 0.10  # Frames nearer than this to each other [m] ..
 TURN = np.radians(8.0)  # ... and turned less than this are of one place: the sharpest is kept
@@ -76,7 +65,7 @@ def build_keyframes(
     groups: Sequence[Sequence[int]],
     caster: RayCaster,
     progress: Callable[[int, int], None] | None,
-) -> Keyframes:
+) -> kernels.Keyframes:
     """Views of the sharpest frame of each group, all as pinhole cameras of one size, gains 1."""
     total, done = sum(len(g) for g in groups), 0
     first = _make_pinhole(frames[groups[0][0]].camera)
@@ -86,7 +75,12 @@ def build_keyframes(
         best = int(np.argmax([measure_sharpness(c) for c in colours]))
         row, frame = group[best], frames[group[best]]
         depth, sure = _read_depth(frame, poses[row], caster, first)
-        return row, _undistort_image(colours[best], frame.camera, first), bound_depth(depth), sure
+        return (
+            row,
+            _undistort_image(colours[best], frame.camera, first),
+            kernels.bound_depth(depth),
+            sure,
+        )
 
     found = []
     with ThreadPoolExecutor(count_processors()) as pool:  # Pillow and kernels work outside the lock
@@ -98,7 +92,7 @@ def build_keyframes(
     rows, images, depths, trust = (list(column) for column in zip(*found, strict=True))
     map_from_camera = poses[rows]
     pinhole = np.array([first.fx, first.fy, first.cx, first.cy])
-    return Keyframes(
+    return kernels.Keyframes(
         camera_from_map=np.ascontiguousarray(np.linalg.inv(map_from_camera)[:, :3]),
         centres=np.ascontiguousarray(map_from_camera[:, :3, 3]),
         pinholes=np.tile(pinhole, (len(rows), 1)),
@@ -119,7 +113,6 @@ def measure_sharpness(colours: Bytes) -> float:
 
 
 def _make_pinhole(camera: Camera) -> Camera:
-    """The camera without distortion, no larger than `LONGEST`."""
     camera = replace(camera, distortion=(), model="opencv")
     scale = LONGEST / max(camera.width, camera.height)
     if scale >= 1.0:
@@ -129,7 +122,6 @@ def _make_pinhole(camera: Camera) -> Camera:
 
 
 def _undistort_image(colours: Bytes, camera: Camera, plain: Camera) -> Bytes:
-    """Image (h, w, 3) as a camera without distortion would have taken it."""
     if camera == plain:
         return colours
     from PIL import Image
@@ -139,7 +131,7 @@ def _undistort_image(colours: Bytes, camera: Camera, plain: Camera) -> Bytes:
         colours = np.asarray(Image.fromarray(colours).resize(size, Image.Resampling.BOX))
         camera = camera.resized(*size)
     out = np.empty((plain.height, plain.width, 3), np.uint8)
-    resample_image(colours, _map_pixels(camera, plain), out)
+    kernels.resample_image(colours, _map_pixels(camera, plain), out)
     return out
 
 
@@ -215,6 +207,7 @@ def _build_pyramid(images: Bytes) -> tuple[Bytes, ...]:
 
 
 VIEWS = 120  # Keyframes, at most
+TEXEL = 0.01  # Width that a colour is the mean of [m]
 _POINTS = 20_000  # of the surface, at which exposures are compared
 _PRIOR = 10.0  # observations that speak for an exposure like the others'
 _ROUNDS = 4
@@ -226,12 +219,9 @@ _LAYERS = 3  # of faces that look away
 
 def frame_colours(
     frames: Sequence[Frame],
-    poses: ArrayLike,
-    vertices: ArrayLike,
-    triangles: ArrayLike,
-    *,
-    texel: float = 0.01,
-    views: int = VIEWS,
+    poses: Floats,
+    vertices: Floats,
+    triangles: NDArray[Any],
     progress: Callable[[int, int], None] | None = None,
 ) -> ColourOf:
     """Colours of a surface as frames saw it.
@@ -250,57 +240,35 @@ def frame_colours(
         (T, 4, 4) map_from_camera of the frames [m].
     vertices, triangles
         (V, 3) [m] and (T, 3): the surface, the denser the better.
-    texel
-        Width that a colour is the mean of [m].
-    views
-        Frames that are kept, at most.
     progress
         Called with frames read and all frames.
 
     Raises
     ------
-    OptionError
-        Poses do not fit the frames, there is no frame, no triangle, or an option is out of range.
     InputError
         An image cannot be read.
 
     """
-    where = _check_poses(poses, len(frames))
-    if not (np.isfinite(texel) and texel > 0) or views < 1:
-        raise OptionError(f"texel is {texel}, views {views}; they must be greater than 0.")
     caster = RayCaster(vertices, triangles)
-    groups = group_keyframes(where, views)
-    seen = build_keyframes(frames, where, groups, caster, progress)
-    seen = seen._replace(
-        gains=_solve_gains(seen, np.asarray(vertices, np.float64), np.asarray(triangles))
-    )
+    groups = group_keyframes(poses, VIEWS)
+    seen = build_keyframes(frames, poses, groups, caster, progress)
+    seen = seen._replace(gains=_solve_gains(seen, np.asarray(vertices, np.float64), triangles))
 
     def colour_of(points: Floats, normals: Floats, _: Any) -> tuple[Bytes, Any]:  # noqa: ANN401
         out, valid = np.zeros((len(points), 3), np.uint8), np.zeros(len(points), bool)
-        run_parallel(mix_views, len(points), seen, points, normals, texel, out, valid)
+        run_parallel(kernels.mix_views, len(points), seen, points, normals, TEXEL, out, valid)
         return out, valid
 
     return colour_of
 
 
-def _check_poses(poses: ArrayLike, count: int) -> Floats:
-    where = np.asarray(poses, np.float64)
-    if where.shape != (count, 4, 4) or not count or not np.isfinite(where).all():
-        raise OptionError(
-            f"poses: shape {where.shape} for {count} frames; each of at least one frame needs "
-            "a finite 4 x 4 map_from_camera."
-        )
-    return where
-
-
 def _solve_gains(
-    views: Keyframes, vertices: Floats, triangles: NDArray[Any]
+    views: kernels.Keyframes, vertices: Floats, triangles: NDArray[Any]
 ) -> NDArray[np.float32]:
-    """Solve for factors of the views' colours (K, 3), near 1, by which all agree."""
     points, normals = _spread_points(vertices, triangles, _POINTS)
-    rows = np.full((len(points), OBSERVED), -1, np.int64)
-    colours = np.zeros((len(points), OBSERVED, 3))
-    run_parallel(observe_points, len(points), views, points, normals, 0.04, rows, colours)
+    rows = np.full((len(points), kernels.OBSERVED), -1, np.int64)
+    colours = np.zeros((len(points), kernels.OBSERVED, 3))
+    run_parallel(kernels.observe_points, len(points), views, points, normals, 0.04, rows, colours)
     count = len(views.centres)
     fair = (rows >= 0) & (colours.min(axis=2) > 12) & (colours.max(axis=2) < 245)
     fair &= (fair.sum(axis=1) > 1)[:, None]
@@ -310,7 +278,7 @@ def _solve_gains(
         weights = fair.astype(np.float64)
         for _ in range(_ROUNDS):
             matrix, right = _PRIOR * np.eye(count), np.zeros(count)
-            add_gain_equations(rows, logs[:, :, c], weights, matrix, right)
+            kernels.add_gain_equations(rows, logs[:, :, c], weights, matrix, right)
             exposure = np.linalg.solve(matrix, right)
             left = logs[:, :, c] - exposure[rows]
             total = np.maximum(weights.sum(axis=1, keepdims=True), 1e-9)
@@ -337,17 +305,13 @@ def _spread_points(vertices: Floats, triangles: NDArray[Any], count: int) -> tup
     return points, doubled[rows] / np.maximum(area[rows], 1e-30)[:, None]
 
 
-def mesh_colours(mesh: Mesh, *, texel: float = 0.01, reach: float = REACH) -> ColourOf:
+def mesh_colours(mesh: Mesh) -> ColourOf:
     """Return the colours of a mesh of the same surface, with textures or without.
 
-    A point has the colour that a ray along its normal, or against it, meets within `reach` [m],
-    rather on a face that looks the same way; where there is none, that of the nearest vertex within
-    twice `reach`; else none. Textures are averaged over `texel` [m].
-
-    Raises `OptionError` where the mesh has no triangle or `reach` is no length.
+    A point has the colour that a ray along its normal, or against it, meets within `REACH`, rather
+    on a face that looks the same way; where there is none, that of the nearest vertex within twice
+    `REACH`; else none. Textures are averaged over `TEXEL`.
     """
-    if not (np.isfinite(reach) and reach > 0):
-        raise OptionError(f"reach is {reach}; it must be a length in metres, as {REACH}.")
     caster = RayCaster(mesh.vertices, mesh.triangles)
     surface, normals = Surface.of(mesh), mesh.normals()
     vertices = mesh.vertices.astype(np.float64)
@@ -355,22 +319,24 @@ def mesh_colours(mesh: Mesh, *, texel: float = 0.01, reach: float = REACH) -> Co
     first_of[mesh.triangles.ravel()] = np.arange(mesh.triangles.size)
 
     def colour_of(points: Floats, along: Floats, _: Any) -> tuple[NDArray[np.uint8], Any]:  # noqa: ANN401
-        triangle, u, v = _find_facing(caster, normals, points, along, reach)
+        triangle, u, v = _find_facing(caster, normals, points, along)
         bare = np.flatnonzero(triangle < 0)
         if len(bare):
-            rows = nearest(points[bare], vertices, 2.0 * reach)
+            rows = nearest(points[bare], vertices, 2.0 * REACH)
             place = first_of[rows[rows >= 0]]
             met = bare[rows >= 0]
             triangle[met], u[met], v[met] = place // 3, place % 3 == 1, place % 3 == 2
         out = np.zeros((len(points), 3), np.uint8)
-        run_parallel(sample_colours, len(points), surface, triangle, u, v, np.float32(texel), out)
+        run_parallel(
+            kernels.sample_colours, len(points), surface, triangle, u, v, np.float32(TEXEL), out
+        )
         return out, triangle >= 0
 
     return colour_of
 
 
 def _find_facing(
-    caster: RayCaster, normals: Floats, points: Floats, along: Floats, reach: float
+    caster: RayCaster, normals: Floats, points: Floats, along: Floats
 ) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:
     """Triangle (N,), -1: none, and weights of corners 1 and 2 of what lies next to points."""
     best = np.full(len(points), np.inf)
@@ -385,8 +351,8 @@ def _find_facing(
             hits = caster.cast(points[rows] + begun[:, None] * heading, heading)
             far = np.abs(hits.distance + begun)
             same = np.einsum("nk,nk->n", normals[hits.triangle], along[rows]) > 0
-            off = far + np.where(same, 0.0, reach)
-            met = (hits.triangle >= 0) & (far <= reach)
+            off = far + np.where(same, 0.0, REACH)
+            met = (hits.triangle >= 0) & (far <= REACH)
             nearer = met & (off < best[rows])
             own = rows[nearer]
             best[own], triangle[own] = off[nearer], hits.triangle[nearer]

@@ -122,13 +122,6 @@ def register(
         if size < _STILL and limit <= 2 * within:
             break
         limit = max(2 * within, 0.8 * limit)
-    return evaluate_fit(source, target, motion, within)
-
-
-def evaluate_fit(
-    source: Floats, target: SurfaceSamples, motion: Floats, within: float
-) -> Registration:
-    """Evaluate a motion as it is; distances are along the target's normals."""
     points = transform_points(motion, source)
     rows = nearest(points, target.points, 2.0 * within)
     off = np.einsum("nk,nk->n", points - target.points[rows], target.normals[rows])

@@ -189,7 +189,6 @@ def fit_motion(
 
 
 def _measure_share(ours: SurfaceSamples, theirs: MapObject, motion: Floats, within: float) -> float:
-    """Share of points that lie on a body after a motion."""
     there = ours.moved(motion)
     one, other = find_touched(there.points, there.normals, theirs.caster, within)
     return float(((one >= 0) | (other >= 0)).mean()) if len(ours) else 0.0
@@ -373,7 +372,6 @@ def _find_unmatched(
 def _compare_pair(
     ours: MapObject, theirs: MapObject, share: float, options: DiffOptions
 ) -> list[Change]:
-    """Changes of an object that is about where it was: its label, or its place a little."""
     changes = []
     if not (ours.built_in or labels_agree(ours.label, theirs.label)):
         reason = f"{share:.0%} of it lies where the other map has a {theirs.label!r}."
@@ -398,7 +396,6 @@ def _match_moved(
     id_matches: dict[int, int],
     options: DiffOptions,
 ) -> dict[tuple[int, int], Motion]:
-    """Motions of what is lost onto what is new, one to one."""
     bids: list[tuple[float, int, int, Motion]] = []
     for i in lost:
         if ours[i].built_in:
@@ -422,7 +419,6 @@ def _match_moved(
 
 
 def _is_significant(motion: Motion, body: MapObject, options: DiffOptions) -> bool:
-    """Return whether a motion is one, and not noise."""
     after = transform_points(motion.after_from_before, body.middle[None])[0]
     far = np.linalg.norm(after - body.middle) >= options.least_shift
     return bool(far or motion.turn_deg >= options.least_turn)

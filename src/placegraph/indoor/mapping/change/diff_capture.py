@@ -18,6 +18,7 @@ from placegraph.core.geometry import Floats
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.map.floor import is_structural
 from placegraph.indoor.map.scene import Scene
+from placegraph.indoor.mapping.change import observe
 from placegraph.indoor.mapping.change.align import invert_rigid
 from placegraph.indoor.mapping.change.changes import Change, DiffOptions, SceneDiff
 from placegraph.indoor.mapping.change.moves import (
@@ -26,16 +27,6 @@ from placegraph.indoor.mapping.change.moves import (
     find_moved,
     gather_clusters,
     measure_box,
-)
-from placegraph.indoor.mapping.change.observe import (
-    Evidence,
-    Observation,
-    bound_window,
-    count_evidence,
-    explain_without,
-    find_confirmed,
-    observe_frame,
-    tolerance,
 )
 from placegraph.indoor.render import check_pose
 from placegraph.io.capture.capture import Capture
@@ -85,21 +76,21 @@ def diff_capture(
     options = options or DiffOptions()
     frames, matrices = _select_frames(capture, poses, name)
     tell = progress or (lambda _step, _done, _total: None)
-    observations: list[Observation] = []
+    observations: list[observe.Observation] = []
     for i, (frame, pose) in enumerate(zip(frames, matrices, strict=True)):
         tell("looking", i, len(frames))
-        observation = observe_frame(scene, frame, pose)
+        observation = observe.observe_frame(scene, frame, pose)
         observations.append(observation if options.depth else replace(observation, depth=None))
     if all(observation.depth is None for observation in observations) and not options.colour:
         raise OptionError("The capture has no depth, and colour is off: nothing can be compared.")
     _check_poses(observations, options, name)
-    counts = count_evidence(observations, len(scene), options)
+    counts = observe.count_evidence(observations, len(scene), options)
     changes = _find_changes(scene, observations, counts, options, frames, matrices, tell)
     changed_ids = {c.id for c in changes}
     ids, built_in = scene.graph.ids, is_structural(scene.graph.labels)
     same = [i for i in np.flatnonzero(counts.is_observed).tolist() if ids[i] not in changed_ids]
     if np.any(built_in):
-        there = built_in & find_confirmed(observations, len(scene), options)
+        there = built_in & observe.find_confirmed(observations, len(scene), options)
         same = sorted({*same, *np.flatnonzero(there).tolist()})
     known = {ids[i] for i in same} | changed_ids
     return SceneDiff(
@@ -112,8 +103,8 @@ def diff_capture(
 
 def _find_changes(
     scene: Scene,
-    observations: Sequence[Observation],
-    counts: Evidence,
+    observations: Sequence[observe.Observation],
+    counts: observe.Evidence,
     options: DiffOptions,
     frames: Sequence[Frame],
     poses: Sequence[Floats],
@@ -123,7 +114,7 @@ def _find_changes(
     share, graph = counts.share, scene.graph
     least = np.where(counts.by_colour, SUSPECT_BY_COLOUR, SUSPECT)
     suspects = np.flatnonzero(counts.is_observed & (share >= least) & ~is_structural(graph.labels))
-    left = explain_without(scene, observations, suspects, options)
+    left = observe.explain_without(scene, observations, suspects, options)
     tell("gathering", 0, 1)
     clumps = gather_clusters(left)
     tell("fitting", 0, len(suspects))
@@ -142,7 +133,9 @@ def _find_changes(
     # what lies in the box of a thing before it moved, and the motion back, is no news
     used = [(*measure_box(scene, row, np.eye(4)), invert_rigid(found[row].motion)) for row in found]
     if len(gone) + len(found) < len(suspects):  # what is not gone explains what it did before
-        left = explain_without(scene, observations, np.array([*found, *gone], np.int64), options)
+        left = observe.explain_without(
+            scene, observations, np.array([*found, *gone], np.int64), options
+        )
         clumps = gather_clusters(left)
     return changes + find_appeared(left, clumps, used, frames, poses)
 
@@ -172,14 +165,16 @@ def _select_frames(
     return frames, [check_pose(m) for m in matrices]
 
 
-def _check_poses(observations: Sequence[Observation], options: DiffOptions, name: str) -> None:
+def _check_poses(
+    observations: Sequence[observe.Observation], options: DiffOptions, name: str
+) -> None:
     """Raise where so few readings end on the map that the poses, not the place, are other ones."""
     readings = agree = 0
     for observation in observations:
         if observation.depth is not None:
             there = np.isfinite(observation.depth) & np.isfinite(observation.front.depth)
-            near, far = bound_window(observation.front.depth)
-            slack = tolerance(observation.depth, options)
+            near, far = observe.bound_window(observation.front.depth)
+            slack = observe.tolerance(observation.depth, options)
             with np.errstate(invalid="ignore"):
                 agree += int(
                     (
@@ -196,7 +191,9 @@ def _check_poses(observations: Sequence[Observation], options: DiffOptions, name
         )
 
 
-def _describe_moved(scene: Scene, counts: Evidence, row: int, placement: Placement) -> Change:
+def _describe_moved(
+    scene: Scene, counts: observe.Evidence, row: int, placement: Placement
+) -> Change:
     graph = scene.graph
     by = "colours fit" if counts.by_colour[row] else "readings end on it"
     sure = placement.fit * (placement.frames + 0.5) / (placement.frames + 1.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from numpy.random import Generator
@@ -13,6 +14,7 @@ from placegraph.core.geometry import Floats, vector_from_rotation
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.map.scene import Scene
+from placegraph.indoor.mapping.change import observe
 from placegraph.indoor.mapping.change.align import (
     SurfaceSamples,
     invert_rigid,
@@ -23,16 +25,7 @@ from placegraph.indoor.mapping.change.align import (
     turn_about,
 )
 from placegraph.indoor.mapping.change.change_kernels import BITS, label_connected
-from placegraph.indoor.mapping.change.changes import Change, DiffOptions, Piece
-from placegraph.indoor.mapping.change.observe import (
-    Evidence,
-    Observation,
-    Unexplained,
-    find_window,
-    project,
-    sum_window,
-    tolerance,
-)
+from placegraph.indoor.mapping.change.changes import Change, Piece
 from placegraph.indoor.mapping.fuse import Fused
 from placegraph.indoor.rays import RayCaster
 from placegraph.io.capture.frame import Frame
@@ -66,7 +59,7 @@ class Cluster:
         return np.asarray(self.points.max(axis=0))
 
 
-def gather_clusters(unexplained: Unexplained) -> list[Cluster]:
+def gather_clusters(unexplained: observe.Unexplained) -> list[Cluster]:
     """Clumps of unexplained readings, the largest first."""
     points, colours = [np.zeros((0, 3))], [np.zeros((0, 3))]
     frame = [np.zeros(0, np.int64)]
@@ -118,7 +111,7 @@ def label_clusters(cells: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def find_appeared(
-    unexplained: Unexplained,
+    unexplained: observe.Unexplained,
     clusters: Sequence[Cluster],
     used: Sequence[tuple[Floats, Floats, Floats]],
     frames: Sequence[Frame],
@@ -169,17 +162,17 @@ def _describe_cluster(cluster: Cluster, pixels: int, piece: Piece) -> Change:
 
 
 def _find_carved(
-    unexplained: Unexplained, points: Floats, views: NDArray[np.int64]
+    unexplained: observe.Unexplained, points: Floats, views: NDArray[np.int64]
 ) -> NDArray[np.bool_]:
     """Find points (V, 3) that are seen through so often that nothing stands there."""
     through = np.zeros(len(points), np.int64)
     for observation in unexplained.observations:
         if observation.depth is None:
             continue
-        rows, columns, depth = project(observation, points)
+        rows, columns, depth = observe.project(observation, points)
         reading = observation.depth[np.maximum(rows, 0), np.maximum(columns, 0)]
         with np.errstate(invalid="ignore"):
-            slack = tolerance(reading, unexplained.options) + unexplained.options.voxel
+            slack = observe.tolerance(reading, unexplained.options) + unexplained.options.voxel
             through += (rows >= 0) & (reading > depth + slack)
     return np.asarray(through > _SEEN_THROUGH * (through + views))
 
@@ -206,7 +199,6 @@ def _cut_piece(cluster: Cluster, fused: Fused | None, voxel: float) -> Piece:
 
 
 def _fuse_frames(frames: Sequence[Frame], poses: Sequence[Floats]) -> Fused | None:
-    """Surface of all that the frames show; None where they show none."""
     from placegraph.indoor.mapping.fuse import fuse
 
     try:
@@ -273,9 +265,14 @@ class MovableObject:
         """(3,) of its box [m]."""
         return np.asarray((self.low + self.high) / 2.0)
 
+    def measure_gap(self, cluster: Cluster) -> float:
+        """Return the distance between the boxes of the object and of a cluster [m]."""
+        gap = np.maximum(np.maximum(cluster.low - self.high, self.low - cluster.high), 0.0)
+        return float(np.linalg.norm(gap))
+
 
 def find_placements(
-    unexplained: Unexplained, movable: MovableObject, cluster: Floats, every: Floats
+    unexplained: observe.Unexplained, movable: MovableObject, cluster: Floats, every: Floats
 ) -> list[Placement]:
     """Placements of a thing at a clump of unexplained points (N, 3), best first; may be empty.
 
@@ -304,7 +301,7 @@ def find_placements(
 
 
 def _refine_placement(
-    unexplained: Unexplained, movable: MovableObject, every: Floats, placement: Placement
+    unexplained: observe.Unexplained, movable: MovableObject, every: Floats, placement: Placement
 ) -> Placement:
     """A placement, or what a fit from a little beside it finds, or that at its old height."""
     best = placement
@@ -329,24 +326,27 @@ def _refine_placement(
     return best
 
 
-def score_placement(unexplained: Unexplained, movable: MovableObject, motion: Floats) -> Placement:
+def score_placement(
+    unexplained: observe.Unexplained, movable: MovableObject, motion: Floats
+) -> Placement:
     """Score how well an object at a placement (4, 4) explains all frames, by rays at its mesh."""
     back = invert_rigid(motion)
     low, high = movable.low - 0.05, movable.high + 0.05
+    corners = np.array(list(product(*zip(low, high, strict=True))))
     ends = through = new_readings = frames = 0
     for observation, left, new in zip(
         unexplained.observations, unexplained.depths, unexplained.new, strict=True
     ):
         if observation.depth is None:
             continue
-        part = find_window(observation, transform_points(motion, _box_corners(low, high)))
+        part = observe.find_window(observation, transform_points(motion, corners))
         if part is None:
             continue
         rays = observation.rays[part].reshape(-1, 3).astype(np.float64) @ back[:3, :3].T
         origin = transform_points(back, observation.map_from_camera[None, :3, 3])[0]
         distance = movable.caster.cast(origin, rays).distance
         reading, beyond = observation.depth[part].ravel(), left[part].ravel()
-        slack = tolerance(reading, unexplained.options)
+        slack = observe.tolerance(reading, unexplained.options)
         with np.errstate(invalid="ignore"):
             shows = distance < beyond - slack
             on = shows & (np.abs(reading - distance) <= slack)
@@ -361,11 +361,10 @@ def score_placement(unexplained: Unexplained, movable: MovableObject, motion: Fl
     return Placement(motion, ends, fit, min(ends / max(new_readings, 1), 1.0), frames)
 
 
-def _select_frames(unexplained: Unexplained, cluster: Floats) -> list[int]:
-    """Frames that see most of a clump, a few."""
+def _select_frames(unexplained: observe.Unexplained, cluster: Floats) -> list[int]:
     counts = []
     for observation, left in zip(unexplained.observations, unexplained.depths, strict=True):
-        rows, columns, depth = project(observation, cluster)
+        rows, columns, depth = observe.project(observation, cluster)
         inside = rows >= 0
         clear = depth[inside] < left[rows[inside], columns[inside]]
         counts.append(int(clear.sum()) if observation.depth is not None else 0)
@@ -398,7 +397,7 @@ def _list_starts(movable: MovableObject, cluster: Floats) -> Floats:
 
 
 def _score_starts(
-    unexplained: Unexplained, chosen: list[int], movable: MovableObject, starts: Floats
+    unexplained: observe.Unexplained, chosen: list[int], movable: MovableObject, starts: Floats
 ) -> Floats:
     """(S,) readings on the thing, less those behind it, as a share of its points and frames."""
     cos, sin = np.cos(starts[:, 3, None]), np.sin(starts[:, 3, None])
@@ -420,10 +419,10 @@ def _score_starts(
         )
         if observation.depth is None:
             continue
-        rows, columns, depth = project(observation, points)
+        rows, columns, depth = observe.project(observation, points)
         rows0, columns0 = np.maximum(rows, 0), np.maximum(columns, 0)
         reading = observation.depth[rows0, columns0]
-        slack = tolerance(reading, unexplained.options)
+        slack = observe.tolerance(reading, unexplained.options)
         with np.errstate(invalid="ignore"):
             is_visible = (rows >= 0) & (depth < left[rows0, columns0] - slack)
             on = is_visible & (np.abs(reading - depth) <= slack) & new[rows0, columns0]
@@ -433,7 +432,6 @@ def _score_starts(
 
 
 def _keep_distinct(starts: Floats, scores: Floats) -> list[Floats]:
-    """The best placements that differ."""
     kept: list[Floats] = []
     for i in np.argsort(-scores, kind="stable")[:2000].tolist():
         if scores[i] <= 0.0 or len(kept) == _KEPT:
@@ -454,11 +452,6 @@ def _find_inside(
     return np.asarray(inside.all(axis=1))
 
 
-def _box_corners(low: Floats, high: Floats) -> Floats:
-    """(8, 3) corners of a box."""
-    return np.array([[(low, high)[i >> k & 1][k] for k in range(3)] for i in range(8)])
-
-
 _NEARNESS = 1.0
 """Of things alike the nearest is meant: over this way [m] a fit's worth falls to a third."""
 _RIVAL = 0.7
@@ -469,10 +462,10 @@ _MOVED_GAIN = 1.2  # By how much a motion has to explain the frames better than 
 
 def find_moved(
     scene: Scene,
-    unexplained: Unexplained,
+    unexplained: observe.Unexplained,
     clusters: Sequence[Cluster],
     suspects: NDArray[np.int64],
-    counts: Evidence,
+    counts: observe.Evidence,
 ) -> dict[int, Placement]:
     """Placement of each suspect that has one, no two at one place: the best fit first."""
     rng = np.random.default_rng(unexplained.options.seed)
@@ -488,7 +481,7 @@ def find_moved(
             tried = [
                 placement
                 for cluster in clusters
-                if _is_within_reach(movable, cluster, unexplained.options)
+                if movable.measure_gap(cluster) < unexplained.options.reach
                 for placement in find_placements(unexplained, movable, cluster.points, every)[:2]
                 if placement.is_good
                 and placement.explained >= unexplained.options.least_pixels / 2
@@ -526,12 +519,6 @@ def find_moved(
     return won
 
 
-def _is_within_reach(movable: MovableObject, cluster: Cluster, options: DiffOptions) -> bool:
-    """Return whether a clump is near enough and large enough to be the thing, or part of it."""
-    gap = np.maximum(np.maximum(cluster.low - movable.high, movable.low - cluster.high), 0.0)
-    return bool(np.linalg.norm(gap) < options.reach)
-
-
 def measure_box(scene: Scene, row: int, motion: Floats) -> tuple[Floats, Floats]:
     """Corners of an object's box after a motion."""
     corners = scene.mesh.vertices[scene.mesh.triangles[scene.mesh.object_of == row]]
@@ -556,7 +543,7 @@ _LOOKS = 8
 _SEEN = 0.6  # Share of the thing's face that a frame has to see to be asked
 
 
-def slide_on_wall(unexplained: Unexplained, movable: MovableObject) -> Placement | None:
+def slide_on_wall(unexplained: observe.Unexplained, movable: MovableObject) -> Placement | None:
     """Placement of a flat thing along its wall, or None where nothing there looks like it."""
     spread = movable.many.normals.T @ movable.many.normals
     facing = np.linalg.eigh(spread)[1][:, -1]
@@ -593,12 +580,12 @@ class _Face:
     normals: Floats  # (P, 3)
     colours: Floats  # (P, 3) sRGB, 0 to 1
 
-    def faces(self, observation: Observation) -> NDArray[np.bool_]:
+    def faces(self, observation: observe.Observation) -> NDArray[np.bool_]:
         """(P,) whether a point's surface looks at a camera; the way there hardly turns it."""
         towards = observation.map_from_camera[:3, 3] - self.points
         return np.asarray(np.einsum("nk,nk->n", self.normals, towards) > 0.0)
 
-    def front(self, observation: Observation) -> float:
+    def front(self, observation: observe.Observation) -> float:
         """Share of the points that do."""
         return max(float(self.faces(observation).mean()), 0.2)
 
@@ -617,19 +604,24 @@ def _shift_points(across: Floats, shifts: Floats) -> Floats:
     return np.asarray(shifts[:, :1] * across + shifts[:, 1:] * np.array([0.0, 0.0, 1.0]))
 
 
-def _select_near(unexplained: Unexplained, movable: MovableObject, across: Floats) -> list[int]:
-    """Frames that look at the wall from near by."""
+def _select_near(
+    unexplained: observe.Unexplained, movable: MovableObject, across: Floats
+) -> list[int]:
     worth = []
     for observation in unexplained.observations:
         spots = movable.middle + np.linspace(-ACROSS, ACROSS, 9)[:, None] * across
-        rows, _, depth = project(observation, spots)
+        rows, _, depth = observe.project(observation, spots)
         worth.append(float(np.count_nonzero(rows >= 0) / (1.0 + np.abs(depth).min())))
     order = np.argsort(-np.array(worth), kind="stable")[:_LOOKS]
     return [int(t) for t in order if worth[t] > 0]
 
 
 def _score_slides(
-    unexplained: Unexplained, chosen: Sequence[int], face: _Face, across: Floats, shifts: Floats
+    unexplained: observe.Unexplained,
+    chosen: Sequence[int],
+    face: _Face,
+    across: Floats,
+    shifts: Floats,
 ) -> tuple[Floats, NDArray[np.bool_]]:
     """Correlation (S,) of the thing's colours with all frames at shifts (S, 2), and who saw it."""
     moves = _shift_points(across, shifts)
@@ -646,7 +638,7 @@ def _score_slides(
 
 
 def _correlate_background(
-    unexplained: Unexplained, chosen: Sequence[int], face: _Face, moves: Floats
+    unexplained: observe.Unexplained, chosen: Sequence[int], face: _Face, moves: Floats
 ) -> tuple[float, int, int]:
     """Correlation of the object's colours with the map behind; frames and pixels that see it."""
     values, frames, pixels = [], 0, 0
@@ -665,22 +657,22 @@ def _correlate_background(
 
 
 def _find_visible(
-    unexplained: Unexplained, observation: Observation, face: _Face, moves: Floats
+    unexplained: observe.Unexplained, observation: observe.Observation, face: _Face, moves: Floats
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
     """Pixel rows, columns (S, P) and whether a surface is seen there that may be the thing's."""
-    rows, columns, depth = project(observation, face.points[None] + moves[:, None])
+    rows, columns, depth = observe.project(observation, face.points[None] + moves[:, None])
     at = np.maximum(rows, 0), np.maximum(columns, 0)
     is_visible = (rows >= 0) & np.isfinite(observation.rgb[*at, 0]) & face.faces(observation)
     if observation.depth is not None:
         reading = observation.depth[at]
         with np.errstate(invalid="ignore"):
-            is_visible &= np.abs(reading - depth) <= tolerance(reading, unexplained.options)
+            is_visible &= np.abs(reading - depth) <= observe.tolerance(reading, unexplained.options)
     return rows, columns, is_visible
 
 
 def blur_image(image: NDArray[np.float32]) -> NDArray[np.float32]:
     """Image (H, W, 3) averaged over three by three pixels."""
-    channels = [sum_window(image[..., k], 1) for k in range(3)]
+    channels = [observe.sum_window(image[..., k], 1) for k in range(3)]
     return (np.stack(channels, axis=-1) / 9.0).astype(np.float32)
 
 
@@ -699,6 +691,5 @@ def _correlate(
 
 
 def _make_grid(middle: Floats, half: tuple[float, float], step: float) -> Floats:
-    """(S, 2) shifts around a middle [m]."""
     x, y = (np.arange(-h, h + step / 2, step) + m for h, m in zip(half, middle, strict=True))
     return np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)

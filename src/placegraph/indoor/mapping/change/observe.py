@@ -189,7 +189,6 @@ def find_window(observation: Observation, corners: Floats) -> tuple[slice, slice
 
 Mask = NDArray[np.bool_]
 
-
 RING = 7  # Width of the surroundings of an object that tell the light on it [px]
 _RING_PIXELS = 30
 _CONTRAST = 0.08
@@ -284,11 +283,6 @@ def bound_window(image: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArr
     return np.minimum.reduce(parts), np.maximum.reduce(parts)
 
 
-def grow_mask(mask: Mask, by: int) -> Mask:
-    """Mask with all pixels up to `by` rows and columns away."""
-    return sum_window(mask, by) > 0
-
-
 def sum_window(mask: NDArray[np.generic], by: int) -> NDArray[np.float64]:
     """Sum (H, W) over the square of pixels up to `by` rows and columns away."""
     total = np.pad(mask.astype(np.float64), ((by + 1, by), (by + 1, by)))
@@ -322,7 +316,9 @@ def _count_by_colour(
         here = usable & own
         if np.count_nonzero(here) < _RING_PIXELS:
             continue
-        lit = estimate_light(observation, grow_mask(own, RING) & ~own & agrees & (objects >= 0))
+        lit = estimate_light(
+            observation, (sum_window(own, RING) > 0) & ~own & agrees & (objects >= 0)
+        )
         if lit is None:
             continue
         there, behind = observation.front.colour[here] * lit, observation.behind.colour[here] * lit

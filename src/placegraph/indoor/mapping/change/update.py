@@ -128,13 +128,11 @@ class MapEdit(Generic[S]):
         self._attributes[row]["history"] = f"{history}; {what}" if history else what
 
     def _bases(self, row: int) -> list[int]:
-        """Rows of what an object stands on or hangs at."""
         graph = self._before.graph
         edges = zip(graph.sources.tolist(), graph.relations, graph.targets.tolist(), strict=True)
         return [t for s, r, t in edges if s == row and r in {STANDING_ON, ATTACHED_TO}]
 
     def _mesh(self) -> tuple[Mesh, tuple[bytes, ...]]:
-        """Mesh of what stays, where it is now, and of what appeared, and its textures."""
         old = self._before.mesh
         keep = self._kept[old.object_of]
         triangles, owner = old.triangles[keep].astype(np.int64), old.object_of[keep]

@@ -12,12 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from placegraph.core.geometry import Floats
 from placegraph.core.options import check_options, option
-from placegraph.errors import OptionError
 from placegraph.indoor.mapping.segment.faces import Faces
-from placegraph.indoor.mapping.segment.geometry import Cut, cut_by_geometry
+from placegraph.indoor.mapping.segment.geometry import cut_by_geometry
 from placegraph.indoor.mapping.segment.labels import (
     NamedGroups,
-    Votes,
     collect_votes,
     cut_by_labels,
 )
@@ -25,7 +23,6 @@ from placegraph.indoor.mapping.segment.segment_kernels import nearest
 from placegraph.io.capture.frame import Frame
 
 Ints = NDArray[np.int64]
-
 
 UNKNOWN = "unknown"  # Label of what nothing is known of
 _FIRST = ("floor", "ceiling", "wall")
@@ -166,7 +163,6 @@ def _make_names(labels: Sequence[str]) -> tuple[str, ...]:
 
 
 def _make_ids(known_ids: Sequence[int | None]) -> tuple[str, ...]:
-    """Ids of objects: those known, the lowest free numbers for the others."""
     taken = {i for i in known_ids if i is not None}
     free = (i for i in range(len(known_ids) + len(taken)) if i not in taken)
     return tuple(str(next(free) if i is None else i) for i in known_ids)
@@ -174,9 +170,7 @@ def _make_ids(known_ids: Sequence[int | None]) -> tuple[str, ...]:
 
 Progress = Callable[[str, int, int], None]
 
-
 _STAGES = ("faces", "planes", "patches", "objects")
-_VOTES = "votes"
 
 
 def segment(
@@ -213,15 +207,20 @@ def segment(
     Raises
     ------
     OptionError
-        Arrays do not fit each other, or a triangle refers to vertices that are not there.
+        Some frames hold labels, others instances.
     InputError
         An image of a frame cannot be read.
 
     """
     options = options or SegmentOptions()
-    spots, rows, shades = _check_arrays(vertices, triangles, colours)
+    spots = np.asarray(vertices, np.float64).reshape(-1, 3)
+    rows = np.asarray(triangles, np.int64).reshape(-1, 3)
+    shades = np.full(spots.shape, 255, np.uint8) if colours is None else np.asarray(colours)
 
-    tell = partial(_report, progress)
+    def tell(stage: str) -> None:
+        if progress is not None:
+            progress(stage, _STAGES.index(stage), len(_STAGES))
+
     tell("faces")
     faces = Faces.of(spots, rows, shades)
     counts = Counter() if left_out is None else left_out
@@ -230,67 +229,16 @@ def segment(
     if not len(faces):
         return make_segments(faces, spots, rows, np.zeros(0, np.int64), {}, None)
     cut = cut_by_geometry(faces, options, tell)
-    votes = _collect_votes(faces, frames, poses, progress, counts) if frames else None
-    named = _name_planes(cut) if votes is None else cut_by_labels(faces, cut, votes, options)
+    votes = None
+    if frames:
+        given = np.array([f.odometry for f in frames] if poses is None else poses, np.float64)
+        told = None if progress is None else partial(progress, "votes")
+        votes = collect_votes(faces, frames, given, told, counts)
+    if votes is not None:
+        named = cut_by_labels(faces, cut, votes, options)
+    else:  # the planes of the building alone have labels
+        planes = enumerate(cut.patches.plane.tolist())
+        labels = {g: cut.structure.labels[p] for g, p in planes if p >= 0}
+        named = NamedGroups(cut.groups[cut.patches.of_face], labels, {})
     floor = cut.structure.floor
     return make_segments(faces, spots, rows, named.groups, named.labels, floor, named.ids)
-
-
-def _report(progress: Progress | None, stage: str) -> None:
-    if progress is not None:
-        progress(stage, _STAGES.index(stage), len(_STAGES))
-
-
-def _collect_votes(
-    faces: Faces,
-    frames: Sequence[Frame],
-    poses: ArrayLike | None,
-    progress: Progress | None,
-    left_out: Counter[str],
-) -> Votes | None:
-    """Collect the votes of label images for faces."""
-
-    def tell(done: int, total: int) -> None:
-        if progress is not None:
-            progress(_VOTES, done, total)
-
-    return collect_votes(faces, frames, _check_poses(frames, poses), tell, left_out)
-
-
-def _name_planes(cut: Cut) -> NamedGroups:
-    """Objects as geometry has them; the planes of the building alone have labels."""
-    planes = enumerate(cut.patches.plane.tolist())
-    labels = {g: cut.structure.labels[p] for g, p in planes if p >= 0}
-    return NamedGroups(cut.groups[cut.patches.of_face], labels, {})
-
-
-def _check_poses(frames: Sequence[Frame], poses: ArrayLike | None) -> NDArray[np.float64]:
-    """Poses (T, 4, 4) map_from_camera of frames."""
-    given = [f.odometry for f in frames] if poses is None else poses
-    matrices = np.asarray(given, np.float64)
-    if matrices.shape != (len(frames), 4, 4):
-        raise OptionError(f"poses: {matrices.shape}; ({len(frames)}, 4, 4) belong, one a frame.")
-    return matrices
-
-
-def _check_arrays(
-    vertices: ArrayLike, triangles: ArrayLike, colours: ArrayLike | None
-) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.uint8]]:
-    """Arrays of a mesh in the types that cutting works with."""
-    spots, rows = np.asarray(vertices), np.asarray(triangles)
-    spots = spots.reshape(-1, 3) if not spots.size else spots
-    rows = rows.reshape(-1, 3).astype(np.int64) if not rows.size else rows
-    if spots.ndim != 2 or spots.shape[1] != 3 or spots.dtype.kind not in "iuf":
-        raise OptionError(f"vertices: {spots.dtype} {spots.shape}; give numbers (V, 3).")
-    if rows.ndim != 2 or rows.shape[1] != 3 or rows.dtype.kind not in "iu":
-        raise OptionError(f"triangles: {rows.dtype} {rows.shape}; give whole numbers (T, 3).")
-    if rows.size and (int(rows.min()) < 0 or int(rows.max()) >= len(spots)):
-        raise OptionError(
-            f"triangles: vertices {rows.min()} to {rows.max()}, but there are {len(spots)}."
-        )
-    shades = np.full(spots.shape, 255, np.uint8) if colours is None else np.asarray(colours)
-    if shades.shape != spots.shape or shades.dtype != np.uint8:
-        raise OptionError(
-            f"colours: {shades.dtype} {shades.shape}; {spots.shape} uint8 belong, one a vertex."
-        )
-    return spots.astype(np.float64), rows.astype(np.int64), shades

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from placegraph.core.geometry import Floats
+from placegraph.indoor.map.textures import linear_from_srgb
 from placegraph.indoor.mapping.segment import segment_kernels as kernels
 
 if TYPE_CHECKING:
     from placegraph.indoor.mapping.segment import SegmentOptions
 
 Ints = NDArray[np.int64]
-
 
 _WELD = 1e-4  # Corners closer than about this are one [m]: seams of textures come as two
 _FARTHEST = 1e9 * _WELD
@@ -98,8 +98,7 @@ class Faces:
 
 def convert_to_lab(rgb: Floats) -> Floats:
     """CIELAB (N, 3), D65, of sRGB colours (N, 3), 0 to 255."""
-    share = np.asarray(rgb, np.float64) / 255.0
-    linear = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+    linear = linear_from_srgb(np.asarray(rgb, np.float64) / 255.0)
     # rows of the sRGB matrix, divided by the white point
     matrix = np.array(
         [

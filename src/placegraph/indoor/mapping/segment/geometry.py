@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 Ints = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-
 UPRIGHT = 0.35  # |z| of the normal of an upright face is below this
 _FACING = 0.85  # cosine between the normals of a face and of its plane
 _TURNS = 60  # directions of walls in half a turn

@@ -36,7 +36,6 @@ if TYPE_CHECKING:
 
 Ints = NDArray[np.int64]
 
-
 NOTHING = 0  # What a pixel without a label votes for
 _RAYS = 20_000  # of a frame: one in so many pixels is asked that there are about these
 _NEAR = 0.05  # a depth reading may differ from the mesh by this [m] ...
@@ -68,7 +67,7 @@ def collect_votes(
     faces: Faces,
     frames: Sequence[Frame],
     poses: Floats,
-    tell: Callable[[int, int], None],
+    tell: Callable[[int, int], None] | None,
     left_out: Counter[str],
 ) -> Votes | None:
     """Votes of frames at poses (T, 4, 4) map_from_camera; None where none of them has labels.
@@ -84,7 +83,8 @@ def collect_votes(
     box = _VoteCounter(kinds.pop(), len(faces))
     caster = RayCaster(faces.points, faces.corners)
     for i, (frame, pose) in enumerate(zip(frames, poses, strict=True)):
-        tell(i, len(frames))
+        if tell is not None:
+            tell(i, len(frames))
         image = frame.labels()
         if image is None:
             left_out["frames without labels"] += 1
@@ -205,7 +205,6 @@ def _contradicts_depth(frame: Frame, rays: Floats, depth: Floats) -> NDArray[np.
 
 
 def _project_pixels(camera: Camera, rays: Floats) -> tuple[Ints, Ints, NDArray[np.bool_]]:
-    """Columns and rows (N,) of rays in an image, and whether they lie in it (N,)."""
     uv = np.floor(camera.project(rays))
     inside = (uv >= 0).all(axis=1) & (uv[:, 0] < camera.width) & (uv[:, 1] < camera.height)
     whole = np.where(inside[:, None], uv, 0.0).astype(np.int64)
@@ -329,7 +328,6 @@ def _group_pieces(
     kind: str,
     options: SegmentOptions,
 ) -> Ints:
-    """Group (N,) of each piece, named by its lowest."""
     if kind == "instances":
         key = np.where(label == NOTHING, -1 - object_of, label)
         _, first, row = np.unique(key, return_index=True, return_inverse=True)
