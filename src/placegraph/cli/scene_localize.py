@@ -40,10 +40,9 @@ from placegraph.errors import OptionError
 
 if TYPE_CHECKING:
     from placegraph.core.estimate import PoseEstimate, PoseMode, Refinement
-    from placegraph.indoor.options import PoseSearchOptions
+    from placegraph.indoor.options import PoseSearchOptions, RefineOptions
     from placegraph.indoor.pose.prior import Prior
     from placegraph.indoor.refine.matching import Matcher
-    from placegraph.indoor.refine.options import RefineOptions
     from placegraph.indoor.scene_map import SceneMap
     from placegraph.io.capture.capture import Capture
 
@@ -237,7 +236,7 @@ def localize(
 
     Example: placegraph scene localize house.scene walk/ --frames 10:20 --overlay look.png
     """
-    from placegraph.indoor.refine.options import RefineOptions
+    from placegraph.indoor.options import RefineOptions
     from placegraph.io.capture.capture import open_capture
     from placegraph.maps import open_scene
 

@@ -14,11 +14,9 @@ from placegraph.indoor.encode.labels import explain_foreign_ids
 from placegraph.indoor.likelihood.observe import sight
 from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.options import check_device
-from placegraph.indoor.pose.covariance import explore_unobservable
-from placegraph.indoor.pose.drift import correct_drift
+from placegraph.indoor.pose.agreement import find_fault, find_image_fault
 from placegraph.indoor.pose.estimate import add_earth_poses, estimate_pose
-from placegraph.indoor.pose.faults import find_fault, find_image_fault
-from placegraph.indoor.pose.local_fit import fit_window
+from placegraph.indoor.pose.local_fit import correct_drift, explore_unobservable, fit_window
 from placegraph.indoor.pose.particle_filter import FilteredPasses, heaviest_modes, run_passes
 from placegraph.indoor.pose.search import search
 from placegraph.indoor.pose.window import PoseQuery, Window, observe, timed
@@ -28,7 +26,7 @@ from placegraph.indoor.refine import (
     find_camera_correction,
     refine_estimate,
 )
-from placegraph.indoor.refine.landmarks import locate_by_landmarks
+from placegraph.indoor.refine.correspondences import locate_by_landmarks
 from placegraph.indoor.refine.matching import Matcher
 from placegraph.indoor.status import (
     add_note,

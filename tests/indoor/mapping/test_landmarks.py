@@ -6,15 +6,15 @@ from PIL import Image
 
 from placegraph.core.geometry import Camera
 from placegraph.indoor.mapping.landmarks import map_landmarks, read_depth
-from placegraph.indoor.refine import landmarks
-from placegraph.indoor.refine.landmarks import (
+from placegraph.indoor.options import RefineOptions
+from placegraph.indoor.refine import correspondences as landmarks
+from placegraph.indoor.refine.correspondences import (
     FEATURES,
     agree_on_pose,
     detect_features,
     make_detector,
     match_features,
 )
-from placegraph.indoor.refine.options import RefineOptions
 from placegraph.io.capture.frame import Frame
 
 pytest.importorskip("cv2")

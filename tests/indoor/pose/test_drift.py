@@ -5,7 +5,7 @@ import pytest
 
 from placegraph.core.geometry import between, compose, wrap_angle
 from placegraph.indoor.options import MotionNoise
-from placegraph.indoor.pose.drift import (
+from placegraph.indoor.pose.local_fit import (
     USUAL,
     Chain,
     QuadraticFactors,

@@ -10,7 +10,7 @@ from placegraph.core.estimate import Status
 from placegraph.errors import InputError, OptionError
 from placegraph.indoor import localize
 from placegraph.indoor.likelihood.observe import Sighting
-from placegraph.indoor.pose import faults
+from placegraph.indoor.pose import agreement as faults
 from placegraph.io.capture.capture import open_capture
 from placegraph_lab.tables.indoor import perturb as bad
 from placegraph_lab.tables.indoor.perturb import Recording, Shot, height

@@ -10,14 +10,14 @@ from hypothesis import strategies as st
 from placegraph.core.geometry import wrap_angle
 from placegraph.indoor.likelihood.score import log_sum
 from placegraph.indoor.options import FilterOptions
-from placegraph.indoor.pose.kld_sampling import (
+from placegraph.indoor.pose.local_fit import moments
+from placegraph.indoor.pose.particle_filter import (
     BIN,
     Particles,
     kld_bound,
     kld_count,
     resample,
 )
-from placegraph.indoor.pose.local_fit import moments
 from placegraph.indoor.pose.search import distinct
 
 seeds = st.integers(0, 2**32 - 1)

@@ -10,8 +10,6 @@ from placegraph.indoor.encode.labels import InstancesEncoder
 from placegraph.indoor.likelihood.observe import sight, views
 from placegraph.indoor.likelihood.score import Scorer, model_of
 from placegraph.indoor.options import MotionNoise, PoseSearchOptions
-from placegraph.indoor.pose.covariance import pose_covariance
-from placegraph.indoor.pose.kld_sampling import Particles
 from placegraph.indoor.pose.local_fit import (
     NARROWEST,
     SPREAD,
@@ -19,9 +17,10 @@ from placegraph.indoor.pose.local_fit import (
     FitLevel,
     fit_modes,
     fit_pose,
+    pose_covariance,
     probabilities,
 )
-from placegraph.indoor.pose.particle_filter import heaviest_modes
+from placegraph.indoor.pose.particle_filter import Particles, heaviest_modes
 from placegraph.indoor.pose.window import Chain, level_poses
 
 pytestmark = pytest.mark.usefixtures("one_thread")

@@ -16,13 +16,16 @@ from placegraph.indoor.likelihood.observe import sight, views
 from placegraph.indoor.likelihood.score import Scorer, model_of
 from placegraph.indoor.map.mesh import Mesh
 from placegraph.indoor.options import FilterOptions
-from placegraph.indoor.pose.kld_sampling import Particles, kld_bound, kld_count, resample
 from placegraph.indoor.pose.particle_filter import (
     ParticleFilter,
+    Particles,
     _later,
     everywhere,
     heaviest_modes,
+    kld_bound,
+    kld_count,
     propagate,
+    resample,
 )
 from placegraph.indoor.pose.window import Chain, PoseQuery, Window
 from placegraph.indoor.scene_map import SceneMap

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from placegraph.core.geometry import between, compose, wrap_angle
 from placegraph.indoor.options import FilterOptions, Likelihood, MotionNoise
-from placegraph.indoor.pose.kld_sampling import Particles, kld_count
-from placegraph.indoor.pose.particle_filter import ParticleFilter, run_pass
+from placegraph.indoor.pose.particle_filter import ParticleFilter, Particles, kld_count, run_pass
 
 OPTIONS = FilterOptions()
 PAPER = FilterOptions.paper()

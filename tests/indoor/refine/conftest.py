@@ -8,9 +8,9 @@ from tests.indoor.conftest import _model
 
 from placegraph.core.geometry import Camera, level_from_camera, pose_matrix, rotation_from_vector
 from placegraph.indoor.map.mesh import Mesh
+from placegraph.indoor.options import RefineOptions
 from placegraph.indoor.refine.correspondences import PointMatches, Surfaces, sample_readings
 from placegraph.indoor.refine.fit import Problem
-from placegraph.indoor.refine.options import RefineOptions
 from placegraph.indoor.refine.refiner import Refiner
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import Capture

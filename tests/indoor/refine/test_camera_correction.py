@@ -8,6 +8,7 @@ import pytest
 
 from placegraph.core.estimate import PoseEstimate, Status
 from placegraph.core.geometry import Camera, rotation_from_vector
+from placegraph.indoor.options import RefineOptions
 from placegraph.indoor.refine.camera_correction import (
     COUNT,
     FOCAL,
@@ -25,7 +26,6 @@ from placegraph.indoor.refine.camera_correction import (
     turn_gravity,
 )
 from placegraph.indoor.refine.correspondences import PointMatches
-from placegraph.indoor.refine.options import RefineOptions
 from placegraph.io.capture.capture import Capture
 
 pytestmark = pytest.mark.usefixtures("one_thread")

@@ -10,7 +10,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placegraph.core.geometry import Camera
-from placegraph.indoor.refine.confidence import (
+from placegraph.indoor.refine.correspondences import (
+    BLOCKS,
+    PointMatches,
+    Surfaces,
+    held_back,
+    sample_readings,
+)
+from placegraph.indoor.refine.fit import Lags
+from placegraph.indoor.refine.refinement import (
     BENT,
     FARTHEST,
     FARTHEST_BLIND,
@@ -22,14 +30,6 @@ from placegraph.indoor.refine.confidence import (
     measure_move,
     standard_errors,
 )
-from placegraph.indoor.refine.correspondences import (
-    BLOCKS,
-    PointMatches,
-    Surfaces,
-    held_back,
-    sample_readings,
-)
-from placegraph.indoor.refine.fit import Lags
 from placegraph.indoor.refine.refiner import FittedTrajectory
 from placegraph.indoor.render import Renderer
 

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from placegraph.core.geometry import Camera, rotation_from_vector, vector_from_rotation
 from placegraph.errors import MissingExtraError
+from placegraph.indoor.options import RefineOptions
 from placegraph.indoor.refine.correspondences import (
     PointMatches,
     Surfaces,
@@ -22,7 +23,6 @@ from placegraph.indoor.refine.correspondences import (
     turn_views,
 )
 from placegraph.indoor.refine.matching import Matches
-from placegraph.indoor.refine.options import RefineOptions
 from placegraph.indoor.render import Renderer
 from placegraph.io.capture.frame import Frame
 

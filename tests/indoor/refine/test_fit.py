@@ -8,13 +8,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from placegraph.core.geometry import level_from_camera, rotation_from_vector
-from placegraph.indoor.options import MotionNoise
+from placegraph.indoor.options import MotionNoise, RefineOptions
 from placegraph.indoor.refine.correspondences import PointMatches
-from placegraph.indoor.refine.covariance import ALONE, LEAST, common_error, covariance
 from placegraph.indoor.refine.fit import (
+    ALONE,
+    LEAST,
     Lags,
     Problem,
     Solution,
+    common_error,
+    covariance,
     in_map_axes,
     odometry_errors,
     shift_in_time,
@@ -22,7 +25,6 @@ from placegraph.indoor.refine.fit import (
     twists,
     usual_lag,
 )
-from placegraph.indoor.refine.options import RefineOptions
 from placegraph.indoor.refine.refiner import DEPTH_WIDTHS
 
 HALL = ((0, 0, 0), (6, 4, 3))

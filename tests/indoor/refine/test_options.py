@@ -3,7 +3,7 @@ import math
 import pytest
 
 from placegraph.errors import OptionError
-from placegraph.indoor.refine.options import DepthNoise, RefineOptions
+from placegraph.indoor.options import DepthNoise, RefineOptions
 
 
 @pytest.mark.parametrize(

@@ -13,10 +13,9 @@ from placegraph.indoor.build import build_scene
 from placegraph.indoor.options import PoseSearchOptions
 from placegraph.indoor.pose.window import PoseQuery, observe
 from placegraph.indoor.refine import RefineOptions, RefineSetup, refine_estimate
-from placegraph.indoor.refine import confidence as judge
-from placegraph.indoor.refine.confidence import Confirmation
+from placegraph.indoor.refine import refinement as judge
 from placegraph.indoor.refine.matching.guided import GuidedMatcher
-from placegraph.indoor.refine.refinement import _told
+from placegraph.indoor.refine.refinement import Confirmation, _told
 from placegraph.indoor.status import Diagnostics
 from placegraph.io.capture.capture import open_capture
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from placegraph.indoor.refine.confidence import held_back
+from placegraph.indoor.options import RefineOptions
 from placegraph.indoor.refine.correspondences import PointMatches
 from placegraph.indoor.refine.matching import Matches
-from placegraph.indoor.refine.options import RefineOptions
+from placegraph.indoor.refine.refinement import held_back
 from placegraph.indoor.refine.refiner import FEW, MANY, FittedTrajectory, matching_stages
 
 pytestmark = pytest.mark.usefixtures("one_thread")

@@ -9,9 +9,9 @@ from placegraph.core.estimate import Status
 from placegraph.errors import OptionError
 from placegraph.indoor.options import PoseSearchOptions
 from placegraph.indoor.refine import RefineOptions, refinement
-from placegraph.indoor.refine.confidence import Confirmation
 from placegraph.indoor.refine.correspondences import MOST, match_views
 from placegraph.indoor.refine.matching import Matches
+from placegraph.indoor.refine.refinement import Confirmation
 from placegraph.indoor.refine.refiner import FittedTrajectory
 from placegraph.indoor.render import Renderer
 

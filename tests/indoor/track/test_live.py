@@ -13,9 +13,9 @@ from placegraph.core.geometry import Camera
 from placegraph.core.mapfile import read_map, write_map
 from placegraph.errors import InputError, MapError, OptionError
 from placegraph.indoor.options import FilterOptions, PoseSearchOptions
-from placegraph.indoor.track.follower import Relocalizer
+from placegraph.indoor.track.belief import AHEAD, JUMP, KEPT, Odometry
 from placegraph.indoor.track.live import KIND, VERSION, LiveTracker, SavedPose
-from placegraph.indoor.track.odometry import AHEAD, JUMP, KEPT, Odometry
+from placegraph.indoor.track.tracker import Relocalizer
 from placegraph.io.capture.frame import Frame
 
 pytestmark = pytest.mark.usefixtures("one_thread")

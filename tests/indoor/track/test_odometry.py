@@ -10,13 +10,14 @@ from placegraph.core.geometry import rotation_from_vector
 from placegraph.errors import OptionError
 from placegraph.indoor.options import MotionNoise
 from placegraph.indoor.status import LiveState
-from placegraph.indoor.track.belief import Anchor, predict_pose
-from placegraph.indoor.track.odometry import (
+from placegraph.indoor.track.belief import (
     AHEAD,
     KEPT,
     MOST,
+    Anchor,
     Odometry,
     checked_odometry,
+    predict_pose,
 )
 
 small = st.floats(-2.0, 2.0)

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from placegraph.core import plugins
 from placegraph.core.geometry import Camera
 from placegraph.errors import MapError, OptionError
-from placegraph.indoor.likelihood.patches import MapEncoder, Patches
+from placegraph.indoor.likelihood.observe import MapEncoder, Patches
 from placegraph.indoor.map.scene import Scene
 from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame

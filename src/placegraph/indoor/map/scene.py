@@ -53,7 +53,7 @@ _CELL = 0.5  # neighbours in the file are neighbours in space [m]: differences c
 
 @dataclass(frozen=True, eq=False)
 class Landmarks(PickleFields):
-    """L points with compact descriptors, as `placegraph.indoor.refine.landmarks` makes them."""
+    """L points with compact descriptors, as `placegraph.indoor.refine.correspondences` makes them."""
 
     points: NDArray[np.float32]
     """(L, 3) [m, map], in whole steps of `LANDMARK_GRAIN`."""

@@ -18,7 +18,7 @@ from placegraph.core.geometry import Floats
 from placegraph.core.threads import count_processors
 from placegraph.indoor.likelihood.observe import spread
 from placegraph.indoor.map.scene import DESCRIPTOR_SIZE, MAX_LANDMARKS, Landmarks
-from placegraph.indoor.refine.landmarks import LARGEST, detect_features, make_detector
+from placegraph.indoor.refine.correspondences import LARGEST, detect_features, make_detector
 from placegraph.io.capture.frame import Frame
 
 FRAMES = 300  # Most frames that are looked at, spread over the capture

@@ -15,10 +15,15 @@ from placegraph.indoor.likelihood.observe import FINE, hint
 from placegraph.indoor.map.floor import find_storey
 from placegraph.indoor.map.rooms import find_room_name
 from placegraph.indoor.map.scene import Scene
-from placegraph.indoor.pose.agreement import CONFIDENCE, Agreement, agreement, explain
-from placegraph.indoor.pose.covariance import pose_covariance
-from placegraph.indoor.pose.faults import find_contradiction, find_image_fault
-from placegraph.indoor.pose.local_fit import Fit, probabilities
+from placegraph.indoor.pose.agreement import (
+    CONFIDENCE,
+    Agreement,
+    agreement,
+    explain,
+    find_contradiction,
+    find_image_fault,
+)
+from placegraph.indoor.pose.local_fit import Fit, pose_covariance, probabilities
 from placegraph.indoor.pose.prior import LogPrior
 from placegraph.indoor.pose.window import Window, timed
 from placegraph.indoor.status import RIVAL, Diagnostics, decide_pose

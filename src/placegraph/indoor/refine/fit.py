@@ -24,8 +24,8 @@ from placegraph.core.geometry import (
     vector_from_rotation,
 )
 from placegraph.errors import InputError
+from placegraph.indoor.options import RefineOptions
 from placegraph.indoor.refine.correspondences import Kernel, PointMatches, Readings, Surfaces
-from placegraph.indoor.refine.options import RefineOptions
 from placegraph.indoor.refine.refine_kernels import depth_system, pixel_system
 
 USUAL = (0.03, 0.3)
@@ -414,3 +414,57 @@ def _add_known(problem: Problem, poses: Floats, start: Floats, h: Floats, g: Flo
     weights = 1.0 / np.square(deviations)
     g += (np.concatenate([shift, turn], axis=1) * weights).ravel()
     h[np.diag_indices(len(h))] += np.tile(weights, len(poses))
+
+
+PULL = 7.0
+"""Error common to all frames, in units of how far they part from their way (benchmark)."""
+MISS = 0.65
+"""Error common to all frames, in units of what matches miss by (benchmark)."""
+UNEXPLAINED = 0.02
+"""Error common to all frames if no reading of depth were explained [m] (benchmark)."""
+LEAST = 0.003
+"""No map is truer than this [m]."""
+ALONE = 0.015
+"""Error of a single frame that no other can tell [m]."""
+UPRIGHT = 0.5
+"""Share of the error that goes into height: floors and table tops agree better than walls."""
+_MEDIAN = 1.4826  # standard deviations in a median absolute deviation
+
+
+def covariance(problem: Problem, solution: Solution) -> Floats:
+    """Return (6, 6) of the last frame of a solution: the fit's own, and what is common to all frames."""
+    shift, away = common_error(problem, solution)
+    turn = shift / away
+    tilt = min(turn, problem.options.tilt)
+    common = np.square([shift, shift, UPRIGHT * shift, tilt, tilt, turn])
+    return solution.covariance() + np.diag(common)
+
+
+def common_error(problem: Problem, solution: Solution) -> tuple[float, float]:
+    """Return the standard deviation of a trajectory's common error [m], and the mean viewing distance [m].
+
+    The distance makes turns of shifts.
+    """
+    errors, _ = odometry_errors(problem, solution.poses)
+    pulled = PULL * float(np.sqrt(np.mean(errors[:, :3] ** 2))) if len(errors) else ALONE
+    unexplained = UNEXPLAINED * float(np.nan_to_num(solution.cost))
+    found, away = [LEAST, float(np.hypot(pulled, unexplained))], []
+    depths = [r.depth[r.depth > 0] for r in problem.readings if r is not None]
+    if any(map(len, depths)):
+        away.append(float(np.median(np.concatenate(depths))))
+    if any(map(len, problem.sights)):
+        missed, far = _missed(problem.sights, solution.poses)
+        found.append(MISS * missed)
+        away.append(far)
+    return max(found), float(np.mean(away)) if away else 1.0
+
+
+def _missed(sights: Sequence[PointMatches], poses: Floats) -> tuple[float, float]:
+    """By how much matches miss, at their distance [m], and that distance [m]."""
+    angles, far = [], []
+    for seen, pose in zip(sights, poses, strict=True):
+        if len(seen):
+            angles.append(seen.errors(pose) / seen.focal)
+            far.append(np.linalg.norm(seen.points - pose[:3, 3], axis=1))
+    distance = float(np.median(np.concatenate(far)))
+    return _MEDIAN / np.sqrt(2.0) * float(np.median(np.concatenate(angles))) * distance, distance

@@ -1,32 +1,435 @@
-"""Refinement of an estimate: its best mode fitted to centimetres, or the reason why not."""
+"""Refinement of an estimate: its best mode is fitted, and accepted if held-out samples confirm it."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placegraph.core.estimate import PoseEstimate, PoseMode, Refinement, Status
-from placegraph.core.geometry import Floats, between, compose, pose_matrix, split_pose, wrap_angle
+from placegraph.core.geometry import (
+    Camera,
+    Floats,
+    between,
+    compose,
+    pose_matrix,
+    split_pose,
+    vector_from_rotation,
+    wrap_angle,
+)
 from placegraph.errors import MissingExtraError, OptionError, ServiceError
 from placegraph.indoor.likelihood.observe import COARSE, FINE
+from placegraph.indoor.options import RefineOptions
 from placegraph.indoor.pose import local_fit
-from placegraph.indoor.pose.covariance import FITTED
 from placegraph.indoor.pose.estimate import estimate_pose, evidence_at
-from placegraph.indoor.pose.window import Chain, PoseQuery, Window, observe
-from placegraph.indoor.refine.camera_correction import find_camera_correction
-from placegraph.indoor.refine.confidence import Confirmation, confirm_fit
+from placegraph.indoor.pose.local_fit import FITTED
+from placegraph.indoor.pose.window import Chain, PoseQuery, Window, observe, timed
+from placegraph.indoor.rays.trace_kernels import LANES
+from placegraph.indoor.refine.camera_correction import (
+    DULL,
+    OFF,
+    SUSPECT,
+    find_camera_correction,
+    measure_scale_error,
+)
+from placegraph.indoor.refine.correspondences import (
+    SIGMA,
+    Readings,
+    Surfaces,
+    distances,
+    held_back,
+    shrink_camera,
+)
+from placegraph.indoor.refine.fit import odometry_errors
 from placegraph.indoor.refine.matching import Matcher
 from placegraph.indoor.refine.matching import matcher as matcher_named
-from placegraph.indoor.refine.options import RefineOptions
+from placegraph.indoor.refine.matching.guided import lightness, resized
+from placegraph.indoor.refine.refine_kernels import correlations
 from placegraph.indoor.refine.refiner import FittedTrajectory, Refiner
+from placegraph.indoor.render import Renderer
+from placegraph.indoor.render_kernels import TILE
 from placegraph.indoor.status import (
+    BENT,
     UNDECIDED,
     RefinementDiagnostics,
     decide_given,
     decide_refined,
     diagnostics_of,
 )
+from placegraph.io.capture.frame import Frame
+
+NEAR = 0.1
+"""Readings farther from the map's surface [m] are of something that it does not show."""
+FINEST = 0.005
+"""No reading and no map is truer than this [m]."""
+WORST = 10.0
+"""Error, in units of the usual one, beyond which a sample is no worse."""
+SMALL = 160
+"""Longer side at which images are compared [px]."""
+COUNTED = 24
+"""Least number of blocks of samples, over all frames."""
+_HALF = 3
+_FEW = 4  # blocks whose spread is none
+_ALIKE = 1e-9
+_SAME = 0.99  # no window is more alike
+_STEP = 2 * TILE  # a window lies in four packets of rays
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evidence:
+    """Log-likelihoods of C trajectories by the held-out samples of one sense."""
+
+    blocks: Floats
+    """(C, B) log-likelihoods, summed up in blocks [nat]"""
+    scores: Floats
+    """(C, N) log-likelihoods of the samples that tell anything [nat]"""
+
+    @property
+    def samples(self) -> int:
+        """How many tell anything."""
+        return self.scores.shape[1]
+
+    @classmethod
+    def of(cls, scores: Sequence[Sequence[Floats]]) -> Evidence:
+        """Return scores [nat] of C trajectories, each of T frames, of samples (N,); NaN: it tells nothing.
+
+        Neighbours err together: blocks vary more than sums of as many independent samples would, and
+        by that factor (Kish's design effect) samples are worth less.
+        """
+        frames = [np.stack(of_frame) for of_frame in zip(*scores, strict=True)]
+        bands = max(1, -(-COUNTED // max(1, len(frames))))
+        parts = [part for f in frames for part in np.array_split(f, bands, axis=1)]
+        parts = [part[:, np.isfinite(part).all(axis=0)] for part in parts]
+        blocks = np.array([part.sum(axis=1) for part in parts]).reshape(len(parts), len(scores)).T
+        samples = np.concatenate([np.zeros((len(scores), 0)), *parts], axis=1)
+        count, told = samples.shape[1], np.array([part.shape[1] > 0 for part in parts], bool)
+        effect = 1.0
+        if count and len(scores) > 1:
+            single = np.var(samples[1:] - samples[0], axis=1).sum() * count / told.sum()
+            together = np.var(blocks[1:, told] - blocks[0, told], axis=1).sum()
+            effect = max(1.0, float(together / max(single, _ALIKE)))
+        return cls(blocks / effect, samples)
+
+    def gain(self, row: int) -> Floats:
+        """Return (B,) by how much a trajectory is more likely than the first [nat]."""
+        return np.asarray(self.blocks[row] - self.blocks[0])
+
+
+def standard_errors(gains: Floats) -> float:
+    """Return mean of gains (B,) over its standard error; blocks that tell nothing, 0, do not count."""
+    told = gains[np.abs(gains) > _ALIKE]
+    if len(told) < _FEW:
+        return 0.0
+    return float(told.mean() / (told.std() / np.sqrt(len(told)) + _ALIKE))
+
+
+def cauchy_log_likelihood(ratio: Floats) -> Floats:
+    """Return log-likelihoods of errors, in units of the usual one, that are spread as Cauchy's density is."""
+    return np.asarray(-np.log1p(np.square(np.minimum(ratio, WORST))))
+
+
+def depth_evidence(
+    surfaces: Surfaces, held: Sequence[Readings | None], trajectories: Sequence[Floats]
+) -> Evidence:
+    """Return evidence of held-back readings of T frames on trajectories (T, 4, 4); tiles are the samples.
+
+    Distances are spread as Cauchy's density is, as wide as those of the trajectory that fits best.
+    """
+    found = [
+        [np.abs(d).reshape(-1, LANES) for d in distances(surfaces, held, poses)]
+        for poses in trajectories
+    ]
+    usual = [_usual(np.concatenate(of_one)) for of_one in found]
+    width = max(FINEST, min(usual, default=NEAR))
+    return Evidence.of([[_of_tiles(d / width) for d in of_one] for of_one in found])
+
+
+def _usual(distance: Floats) -> float:
+    """Return median of distances [m] from the surface, of readings that it explains at all."""
+    near = distance[distance < NEAR]
+    return float(np.median(near)) if len(near) else NEAR
+
+
+def _of_tiles(ratio: Floats) -> Floats:
+    """Return mean log-likelihood (N,) of the readings of each tile (N, 16); NaN without a reading."""
+    read = ~np.isnan(ratio)
+    score = cauchy_log_likelihood(np.where(read, ratio, 0.0))
+    count = read.sum(axis=1)
+    return np.where(count > 0, score.sum(axis=1) / np.maximum(count, 1), np.nan)
+
+
+def image_evidence(
+    renderer: Renderer,
+    frames: Sequence[Frame],
+    queries: Sequence[NDArray[np.uint8] | None],
+    trajectories: Sequence[Floats],
+) -> Evidence:
+    """Return evidence of held-back windows of T images, where there are any, on trajectories (T, 4, 4).
+
+    By the correlation rho of a window with the rendering at the same place, -log(1 - rho^2) / 2: the
+    pixels of a window count as one, as the map's colours err together. Only windows in which the
+    query shows something are samples; where the rendering shows nothing, they correlate with nothing.
+    """
+    scores: list[list[Floats]] = [[] for _ in trajectories]
+    for t, (frame, query) in enumerate(zip(frames, queries, strict=True)):
+        if query is None:
+            for out in scores:
+                out.append(np.zeros(0))
+            continue
+        small = shrink_camera(frame.camera, SMALL)
+        seen = lightness(resized(query, small.width, small.height))
+        at = _windows(small)
+        wanted = np.zeros((-(-small.height // TILE), -(-small.width // TILE)), bool)
+        for row, column in ((0, 0), (0, 1), (1, 0), (1, 1)):
+            wanted[at[:, 0] // TILE + row, at[:, 1] // TILE + column] = True
+        for out, poses in zip(scores, trajectories, strict=True):
+            drawn = renderer.render(poses[t], small, samples=1, wanted=wanted)
+            alike = correlations(seen, lightness(drawn.colour), drawn.mask, at, _HALF)
+            out.append(-0.5 * np.log1p(-np.square(np.minimum(alike, _SAME))))
+    return Evidence.of(scores)
+
+
+def _windows(camera: Camera) -> NDArray[np.int64]:
+    """Return centres (N, 2) row, column of the held-back windows of a camera's images."""
+    rows = np.arange(_HALF, camera.height - _STEP + _HALF + 1, _STEP)
+    columns = np.arange(_HALF, camera.width - _STEP + _HALF + 1, _STEP)
+    at = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1).reshape(-1, 2)
+    return at[held_back(at[:, ::-1].astype(np.float64) + 0.5, camera)]
+
+
+def landmark_scores(refiner: Refiner, trajectories: Sequence[Floats]) -> list[list[Floats]]:
+    """Return log-likelihoods (N,) of landmarks kept for the check, of each trajectory (T, 4, 4) and frame.
+
+    Those that none explains are chance.
+    """
+    out: list[list[Floats]] = [[] for _ in trajectories]
+    for t, (s, frame) in enumerate(zip(refiner.landmarks, refiner.frames, strict=False)):
+        kept = s[held_back(s.pixels, frame.camera)]
+        off = np.stack([kept.errors(poses[t]) for poses in trajectories]) / kept.unit
+        off = off[:, off.min(axis=0) < refiner.options.inlier]
+        for scores, of_one in zip(out, off, strict=True):
+            scores.append(cauchy_log_likelihood(of_one / (2.0 * SIGMA)))
+    return out
+
+
+FARTHEST = (1.0, 0.6)
+"""A refinement that moves the pose farther than this [m], [rad] has found another place ..."""
+FARTHEST_BLIND = (0.6, 0.4)
+"""... and so has one without depth."""
+SURE = 1.0
+"""Standard errors by which held-back samples must be more likely on the refined trajectory ..."""
+SURER = 3.0
+"""... and where images alone speak: they are wrong together more easily (benchmark)."""
+
+FELT = (0.005, float(np.radians(0.2)))
+"""Way [m] and turn [rad] from which on it is told that a sensor keeps no stamps."""
+
+
+@dataclass(frozen=True, slots=True)
+class Confirmation:
+    """Decision whether a refined trajectory is believed, with its reason."""
+
+    accepted: bool
+    reason: str
+    """One sentence."""
+    fitted: FittedTrajectory
+    """What was judged: where images took part, maybe what depth alone says."""
+    stats: dict[str, Any]
+    doubt: str = ""
+    """What speaks against the coarse pose too, as half a sentence."""
+    shift: float = 0.0
+    """Way from the coarse pose [m] ..."""
+    turn_deg: float = 0.0
+    """... and turn [deg]."""
+    motion: float = 0.0
+    """Root mean square of the odometry's normalised errors."""
+    correlation: float | None = None
+    """Of held-back parts of the images with the map; None: they were not compared."""
+    camera: str = ""
+    """Hint that the camera is wrong; empty: none."""
+
+
+def confirm_fit(refiner: Refiner, coarse: Floats, fitted: FittedTrajectory) -> Confirmation:
+    """Compare a refined trajectory, and what depth alone makes of it, with the coarse one (T, 4, 4)."""
+    judgement = _looked_at(refiner, coarse, fitted)
+    ways = [judgement]
+    if fitted.by_depth is not None:
+        alone = _looked_at(refiner, coarse, fitted.by_depth)
+        ways = [way for way in (alone, judgement) if way.accepted]
+        judgement = ways[-1] if ways else alone
+    if not judgement.accepted:
+        return judgement
+    if not refiner.options.check:
+        by = judgement.reason.removesuffix(".")
+        return replace(judgement, reason=f"{by}, unchecked.")
+    with timed(refiner.seconds, "check"):
+        way, against = _confirmed(refiner, coarse, ways)
+        doubt, camera = _suspect_camera(refiner, way)
+        way = replace(way, camera=camera, stats=way.stats | ({"camera": camera} if camera else {}))
+    against = doubt or against
+    if against:
+        return replace(way, accepted=False, reason=f"Not refined: {against}.", doubt=doubt)
+    reason = f"{way.reason}{_late(refiner, way.fitted)}"
+    return replace(way, reason=reason, fitted=refiner.completed(way.fitted))
+
+
+def _looked_at(refiner: Refiner, coarse: Floats, fitted: FittedTrajectory) -> Confirmation:
+    """A trajectory by itself: whether anything holds it, and it is near and like the odometry."""
+    inliers = sum(map(len, fitted.sights))
+    shift, turn = measure_move(coarse[-1], fitted.poses[-1])
+    stats: dict[str, Any] = {
+        "inliers": inliers,
+        "shift_m": round(shift, 4),
+        "turn_deg": round(float(np.degrees(turn)), 3),
+    }
+    against, doubt, motion = _unfounded(refiner, fitted, inliers), "", 0.0
+    if not against and refiner.options.joint:
+        doubt = against = _elsewhere(refiner, shift, turn)
+        if not against:
+            motion = stats["motion"] = _motion_error(refiner, fitted.poses)
+            against = "it contradicts the odometry" if motion > BENT else ""
+    # what depth backs, images alone do not shake
+    doubt = "" if refiner.has_depth else doubt
+    by = f"Not refined: {against}." if against else f"Refined by {_by(refiner, inliers)}."
+    return Confirmation(
+        not against, by, fitted, stats, doubt,
+        shift=stats["shift_m"], turn_deg=stats["turn_deg"], motion=motion,
+    )  # fmt: skip
+
+
+def _late(refiner: Refiner, fitted: FittedTrajectory) -> str:
+    """Describe lags of sensors that move a pose enough to matter."""
+    if fitted.lags is None:
+        return ""
+    stamps = np.array([f.stamp for f in refiner.frames], np.float64)
+    steps = np.diff(stamps)
+    counted = bool(((steps >= 1.0) & (steps == np.rint(steps))).all())
+    told = ""
+    for what, lag in fitted.lags.find_clear().items():
+        way, turn = (
+            abs(lag) * np.linalg.norm(part, axis=1).max()
+            for part in (fitted.lags.twist[:, :3], fitted.lags.twist[:, 3:])
+        )
+        if way > FELT[0] or turn > FELT[1]:
+            taken = "images were" if what == "images" else "depth was"
+            by = f"{abs(lag):.2g} {'frames' if counted else 's'}"
+            side = "after" if lag > 0 else "before"
+            its = "their stamps" if what == "images" else "its stamp"
+            told += f" Note that {taken} taken {by} {side} {its}; that was allowed for."
+    return told
+
+
+def _unfounded(refiner: Refiner, fitted: FittedTrajectory, inliers: int) -> str:
+    """Return whether there was nothing to go by."""
+    if fitted.solution is None or (not refiner.has_depth and inliers < refiner.options.least):
+        return f"only {inliers} matches of images with the map agree" if inliers else NOTHING
+    return ""
+
+
+def _elsewhere(refiner: Refiner, shift: float, turn: float) -> str:
+    """Return whether the fit ended at another place."""
+    way, angle = FARTHEST if refiner.has_depth else FARTHEST_BLIND
+    if shift <= way and turn <= angle:
+        return ""
+    return f"the fit ended {shift:.1f} m and {np.degrees(turn):.0f} degrees away, at another place"
+
+
+NOTHING = "the frames show nothing that could be matched with the map"
+
+
+def _confirmed(
+    refiner: Refiner, coarse: Floats, ways: Sequence[Confirmation]
+) -> tuple[Confirmation, str]:
+    """Return the way that held-back samples make likeliest, and what speaks against it all the same.
+
+    The log-likelihoods of the senses add up: none has a veto, and what says little weighs little.
+    """
+    senses = _evidence(refiner, coarse, [way.fitted for way in ways])
+    if not any(e.samples for e in senses.values()):
+        return ways[-1], "no held-back pixel tells whether it helped"
+    gains = [np.sum([e.gain(k + 1) for e in senses.values()], axis=0) for k in range(len(ways))]
+    row = int(np.argmax([np.sum(gain) for gain in gains]))
+    way, z = ways[row], standard_errors(gains[row])
+    way.stats["held_back"] = {
+        name: {
+            "samples": e.samples,
+            "gain": round(float(e.gain(row + 1).sum()), 2),
+            "z": round(standard_errors(e.gain(row + 1)), 2),
+        }
+        for name, e in senses.items()
+    }
+    if "images" in senses and senses["images"].samples:
+        alike = np.sqrt(-np.expm1(-2.0 * senses["images"].scores[row + 1]))
+        way = replace(way, correlation=round(float(alike.mean()), 3))
+        way.stats["held_back"]["images"]["alike"] = way.correlation
+    # landmarks were found in the whole map: unlike renderings they are not wrong together
+    needed = SURE if refiner.has_depth or refiner.landmark_matches is not None else SURER
+    if z < needed:
+        return way, "held-back pixels are not explained better than by the coarse pose"
+    return way, ""
+
+
+def _evidence(
+    refiner: Refiner, coarse: Floats, fits: Sequence[FittedTrajectory]
+) -> dict[str, Evidence]:
+    """Return each sense's evidence for the coarse trajectory and the fits, in that order."""
+    found, looked = {}, set(refiner.looked().tolist())
+    measured, pictured = [coarse], [coarse]
+    for fit in fits:
+        lags = fit.lags
+        measured.append(fit.poses if lags is None else lags.of_depth(fit.poses))
+        pictured.append(fit.poses if lags is None else lags.of_images(fit.poses))
+    if refiner.has_depth:
+        held = [r if t in looked else None for t, r in enumerate(refiner.readings(1))]
+        found["depth"] = depth_evidence(refiner.surfaces, held, measured)
+    landmarks = Evidence.of(landmark_scores(refiner, pictured))
+    if landmarks.samples >= refiner.options.least:
+        found["landmarks"] = landmarks
+    queries = [q if t in looked else None for t, q in enumerate(refiner.queries)]
+    if refiner.scene.has_colours and any(query is not None for query in queries):
+        found["images"] = image_evidence(refiner.renderer, refiner.frames, queries, pictured)
+    return found
+
+
+def _suspect_camera(refiner: Refiner, way: Confirmation) -> tuple[str, str]:
+    """Return what is wrong with the camera, and a hint where `find_camera_correction` should look closer."""
+    factor, hint = measure_scale_error(refiner, way.fitted), ""
+    if abs(factor) > SUSPECT:
+        hint = f"a scale looks {factor:+.1%} off"
+    elif refiner.has_depth and way.correlation is not None and way.correlation < DULL:
+        hint = "images do not show what depth does"
+    if abs(factor) <= OFF:
+        return "", hint
+    how = "larger" if factor > 0 else "smaller"
+    return (
+        f"the map fits clearly better if the depth readings or their image are some {abs(factor):.0%} "
+        f"{how}; check scale and intrinsics in camera.json"
+    ), hint
+
+
+def measure_move(before: Floats, after: Floats) -> tuple[float, float]:
+    """Return way [m] and turn [rad] from one pose (4, 4) to another."""
+    turn = vector_from_rotation(after[:3, :3] @ before[:3, :3].T)
+    return float(np.linalg.norm(after[:3, 3] - before[:3, 3])), float(np.linalg.norm(turn))
+
+
+def _motion_error(refiner: Refiner, poses: Floats) -> float:
+    """Return the root mean square of the odometry's normalised errors."""
+    if len(poses) < 2:
+        return 0.0
+    errors, deviations = odometry_errors(refiner.problem(), poses)
+    return round(float(np.sqrt(np.mean((errors / deviations) ** 2))), 2)
+
+
+def _by(refiner: Refiner, inliers: int) -> str:
+    parts = ["depth"] if refiner.has_depth else []
+    if inliers:
+        parts.append(f"{inliers} matches of images")
+    return " and ".join(parts)
+
 
 MOST = 30
 """Frames that are refined together, the newest."""

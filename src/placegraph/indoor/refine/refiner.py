@@ -16,31 +16,28 @@ from placegraph.core.geometry import Floats
 from placegraph.core.threads import count_processors
 from placegraph.indoor.likelihood.observe import spread
 from placegraph.indoor.map.scene import Scene
+from placegraph.indoor.options import RefineOptions
 from placegraph.indoor.pose.window import Progress, Window, timed
 from placegraph.indoor.refine.correspondences import (
+    SHARE,
+    SIGMA,
     PointMatches,
     Readings,
     Surfaces,
+    drop_held_back,
+    has_plenty,
+    has_plenty_everywhere,
     held_back,
+    is_near,
     match_views,
+    match_window,
     sample_readings,
     solve_frame,
     solve_rig,
     turn_views,
 )
-from placegraph.indoor.refine.covariance import covariance
-from placegraph.indoor.refine.fit import Lags, Problem, Solution, drift_of, solve
-from placegraph.indoor.refine.landmarks import (
-    SHARE,
-    SIGMA,
-    drop_held_back,
-    has_plenty,
-    has_plenty_everywhere,
-    is_near,
-    match_window,
-)
+from placegraph.indoor.refine.fit import Lags, Problem, Solution, covariance, drift_of, solve
 from placegraph.indoor.refine.matching.guided import GuidedMatcher
-from placegraph.indoor.refine.options import RefineOptions
 from placegraph.indoor.render import Renderer
 from placegraph.io.capture.frame import Frame
 

@@ -24,9 +24,8 @@ import numpy as np
 from placegraph.core.estimate import PoseEstimate, PoseMode
 from placegraph.core.geometry import Floats
 from placegraph.errors import MissingExtraError, OptionError
-from placegraph.indoor.options import PoseSearchOptions
+from placegraph.indoor.options import PoseSearchOptions, RefineOptions
 from placegraph.indoor.refine.matching import Matcher
-from placegraph.indoor.refine.options import RefineOptions
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.frame import Frame
 from placegraph_lab.tables.indoor.bench import BARE, SEMANTIC, Job, encoder_of

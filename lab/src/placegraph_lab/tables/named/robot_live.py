@@ -27,7 +27,7 @@ from placegraph.core.estimate import Status
 from placegraph.core.geometry import Floats, between, compose, pose_matrix, split_pose
 from placegraph.indoor.options import PoseSearchOptions
 from placegraph.indoor.scene_map import SceneMap
-from placegraph.indoor.track.odometry import Odometry
+from placegraph.indoor.track.belief import Odometry
 from placegraph.io.capture.capture import open_capture
 from placegraph.io.capture.frame import ArrayImages, Frame
 from placegraph_lab.tables import runner as lab
