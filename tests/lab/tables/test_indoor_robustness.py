@@ -8,6 +8,7 @@ import pytest
 from placegraph_lab.tables.indoor.robustness import Case, Told, all_cases, quick
 from placegraph_lab.tables.named import indoor_robustness as script
 from placegraph_lab.tables.named.indoor_robustness import Row
+from placegraph_lab.tables.runner import plain
 
 
 @pytest.fixture
@@ -65,5 +66,4 @@ def test_no_answer_to_bad_input_may_be_sure():
     refused = Told("w", 1, math.inf, math.inf, "OptionError", "stamps", math.nan)
     row = Row(Case("house", "time backwards", part="bad"), (refused, refused))
     assert row.false_ok == 0.0
-    assert json.dumps(row.to_dict(), allow_nan=False)
-    assert Told.from_dict(refused.to_dict()).position == math.inf
+    assert plain(row.record())["milliseconds"] is None

@@ -40,11 +40,6 @@ def test_what_is_missing_is_asked_and_written_down_at_once(tmp_path):
     assert again.filled(keys, pytest.fail, warm=pytest.fail) == [10, 20, 30, 40]
 
 
-def test_nan_is_refused(tmp_path):
-    with pytest.raises(ValueError, match="JSON"):
-        Journal(tmp_path / "a.jsonl").put("x", float("nan"))
-
-
 def test_a_change_of_the_code_is_seen(tmp_path, monkeypatch):
     tmp_path /= "placegraph"
     monkeypatch.setattr(journal, "SOURCES", (tmp_path,))

@@ -12,13 +12,14 @@ import platform
 import subprocess
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, fields, is_dataclass
 from functools import cached_property
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
+import numpy as np
 import typer
 from rich.console import Console
 from rich.progress import Progress, track
@@ -81,7 +82,7 @@ class Journal:
     def __contains__(self, key: str) -> bool:
         return key in self._rows
 
-    def __getitem__(self, key: str) -> Any:  # noqa: ANN401  # what was put there
+    def __getitem__(self, key: str) -> Any:
         return self._rows[key]
 
     def __len__(self) -> int:
@@ -110,10 +111,11 @@ class Journal:
             tick()
         return [self[key] for key in keys]
 
-    def put(self, key: str, row: Any) -> None:  # noqa: ANN401  # anything JSON holds
-        line = json.dumps({"key": key, "row": row}, allow_nan=False)
+    def put(self, key: str, row: Any) -> None:
+        if is_dataclass(row) and not isinstance(row, type):
+            row = asdict(row)
         with self.path.open("a", encoding="utf-8") as file:
-            file.write(line + "\n")
+            file.write(json.dumps({"key": key, "row": row}) + "\n")
         self._rows[key] = row
 
 
@@ -148,7 +150,7 @@ class Column:
     unit: str = ""
     scale: float = 1.0
 
-    def cell(self, row: Any) -> str:  # noqa: ANN401  # any kind of row
+    def cell(self, row: Any) -> str:
         """Write the value of a row."""
         found = self.value(row) if callable(self.value) else _lookup(row, self.value)
         if callable(self.write):
@@ -158,7 +160,7 @@ class Column:
         return number(found if found is None else self.scale * found, self.write, self.unit)
 
 
-def _lookup(row: Any, path: str) -> Any:  # noqa: ANN401
+def _lookup(row: Any, path: str) -> Any:
     for key in path.split("."):
         if isinstance(row, Mapping):
             row = row.get(key)
@@ -200,6 +202,28 @@ PACKAGES = (
 )  # fmt: skip
 
 
+def plain(value: Any) -> Any:
+    """Return a value as small JSON: dataclasses as objects, floats of six digits, null for no number."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return {f.name: plain(getattr(value, f.name)) for f in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if hasattr(value, "_asdict"):
+        return plain(value._asdict())
+    if isinstance(value, list | tuple | set):
+        return [plain(v) for v in value]
+    if isinstance(value, float):
+        return float(f"{value:.6g}") if math.isfinite(value) else None
+    return value if value is None or isinstance(value, str | int) else str(value)
+
+
+def show(title: str, columns: Sequence[Column], rows: Iterable[Any]) -> None:
+    """Print rows as a Markdown table below a title."""
+    print(f"{title and f'#### {title}{chr(10) * 2}'}{render(columns, rows)}\n", flush=True)
+
+
 def machine() -> dict[str, object]:
     """Processor, cores, Python and package versions."""
     return {
@@ -233,7 +257,7 @@ Item = TypeVar("Item")
 LAB = Path(__file__).parents[3]  # folder of the lab in the repository
 
 
-def option(text: str, *flags: str) -> Any:  # noqa: ANN401
+def option(text: str, *flags: str) -> Any:
     return typer.Option(*flags, help=text)
 
 
@@ -291,7 +315,7 @@ class Run:
         return Journal(path)
 
     def save(self, record: dict[str, Any], *, whole: bool = True) -> None:
-        """Write rows as JSON, with machine, commit and options.
+        """Write rows as small JSON (`plain`), with machine, commit and options.
 
         `whole`: False of a part of the table, which is written only where `--out` says so, as a
         quick run is.
@@ -301,7 +325,7 @@ class Run:
         if out is None:
             return
         head = {"table": self.name, "machine": machine(), "commit": _commit()}
-        text = json.dumps(head | self.options | record, indent=1, allow_nan=False, default=str)
+        text = json.dumps(plain(head | self.options | record), indent=1, allow_nan=False)
         out.parent.mkdir(parents=True, exist_ok=True)
         write_output(out, f"{text}\n".encode())  # in one step: a run may be cut short
 
@@ -326,7 +350,7 @@ class Table:
         own = list(inspect.signature(self.measure, eval_str=True).parameters.values())[1:]
         shared = list(inspect.signature(_shared, eval_str=True).parameters.values())
 
-        def command(**given: Any) -> None:  # noqa: ANN401
+        def command(**given: Any) -> None:
             where = {p.name: given.pop(p.name) for p in shared}
             run = Run(self.name, where["data"], where["cache"], where["out"], given)
             self.measure(run, **given)

@@ -139,10 +139,10 @@ def test_the_script_goes_on_where_it_was_cut(asked, call, tmp_path):
     assert heading in first.stdout
     assert heading in again.stdout
     written = json.loads((tmp_path / "out.json").read_text())
-    assert [(r["start"], r["length"]) for r in written["rows"]] == [
-        ("found", 10), ("found", 25), ("disturbed", 10), ("disturbed", 25),
-    ]  # fmt: skip
+    assert [(r["row"].split(":")[0], r["length"]) for r in written["rows"]] == [
+        (f"house {start}", length) for start in ("found", "disturbed") for length in (10, 25)
+    ]
     row = written["rows"][2]
-    assert row["score"]["after"]["recall"]["0.1 m, 5 deg"] == 1.0
+    assert row["score"]["after"]["recall"][0] == 1.0
     assert {"unchanged", "changed", "seq00", "seq07"} <= set(row["parts"])
     assert row["normalised_errors"]["refined"]["count"] == 40

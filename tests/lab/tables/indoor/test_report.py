@@ -1,13 +1,13 @@
 """Tables of the indoor benchmark."""
 
-import json
 import math
 
 from placegraph.indoor.options import PoseSearchOptions
 from placegraph_lab.tables.indoor.bench import house_jobs, office_jobs
-from placegraph_lab.tables.indoor.metrics import Answer, dumps
+from placegraph_lab.tables.indoor.metrics import Answer
 from placegraph_lab.tables.indoor.report import Row, errors
 from placegraph_lab.tables.named.indoor_filter import report
+from placegraph_lab.tables.runner import plain
 
 JOBS = {job.name: job for job in [*house_jobs(), *office_jobs()]}
 
@@ -59,8 +59,8 @@ def test_the_office_is_told_apart_by_coverage():
     (rest,) = lines(text, "depth + colour: the others")
     assert (covered[1], covered[4]) == ("2", ".50/.50/.50/.50")
     assert (rest[1], rest[8]) == ("1", "1.00")
-    row = Row(JOBS["b in a: depth + colour"], 10, answers).to_dict()
-    assert json.loads(dumps(row))["parts"]["covered 60%"]["windows"] == 2
+    row = plain(Row(JOBS["b in a: depth + colour"], 10, answers).record())
+    assert row["parts"]["covered 60%"]["windows"] == 2
 
 
 def test_short_numbers_of_errors():

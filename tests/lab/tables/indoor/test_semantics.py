@@ -16,9 +16,9 @@ from placegraph_lab.tables.named.indoor_semantics import (
     NONE,
     OTHERS,
     TERMS,
-    Case,
     Row,
     ask,
+    case,
     report,
 )
 from placegraph_lab.worlds.flat.flat import Flat
@@ -69,7 +69,7 @@ def world(tmp_path_factory):
 @pytest.mark.parametrize("name", [LABELS, pytest.param(OTHERS, marks=pytest.mark.all)])
 def test_noisy_labels_find_the_pose(world, name):
     scene, window = world
-    got = ask(Case("house", name, "semantic + depth + colour"), scene, window, device="cpu")
+    got = ask(case("house", name, "semantic + depth + colour"), scene, window, device="cpu")
     assert got.within(0.25, 5.0), got
     assert got.frames == 5
 
@@ -80,8 +80,8 @@ def answer(position, rotation):
 
 def test_the_report_is_of_the_papers_shape():
     rows = [
-        Row(Case("house", NONE, "depth"), 5, (answer(0.05, 1.0), answer(0.2, 5.0))),
-        Row(Case("house", LABELS, "semantic"), 5, (answer(0.05, 6.0), answer(3.0, 90.0))),
+        Row(case("house", NONE, "depth"), 5, (answer(0.05, 1.0), answer(0.2, 5.0))),
+        Row(case("house", LABELS, "semantic"), 5, (answer(0.05, 6.0), answer(3.0, 90.0))),
     ]
     text = report(rows)
     assert "#### House, 30 % of the labelled patches wrong, 5 frames" in text
@@ -94,8 +94,8 @@ def test_the_report_is_of_the_papers_shape():
     assert cells[5:8] == [".00", ".50", ".00"]
     assert "Table 7, 3RScan" in text
     assert "| .35 | .61 |" in " ".join(text.split())
-    written = rows[1].to_dict()
-    assert (written["encoder"], written["terms"], written["length"]) == (LABELS, "semantic", 5)
+    written = rows[1].record()
+    assert (written["row"], written["length"]) == (f"house: {LABELS}: semantic", 5)
 
 
 @pytest.fixture
@@ -131,7 +131,7 @@ def test_it_goes_on_where_it_was_cut(asked, run, tmp_path):
     windows = len({window for _, window, _ in asked})
     assert len(asked) == 4 * (windows + 1)
     written = json.loads((tmp_path / "out.json").read_text())
-    assert [r["terms"] for r in written["rows"]] == list(TERMS)
+    assert [r["row"].rpartition(": ")[2] for r in written["rows"]] == list(TERMS)
     assert written["every"] == 13
     asked.clear()
     assert run(*options) == (0, text)

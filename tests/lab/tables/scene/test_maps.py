@@ -190,5 +190,5 @@ def test_it_prints_and_writes_what_it_measured(measure, tmp_path):
     assert {r["row"] for r in written["recall"]} == {
         "none: depth + colour, 5 frames", "none: depth + colour, 10 frames",
     }  # fmt: skip
-    assert [r["size"] for r in written["refined"]] == ["full", "default", "small"]
-    assert written["refined"][0]["after"]["recall"]["0.1 m, 5 deg"] == 0.5
+    assert [size for _, size, _ in written["refined"]] == ["full", "default", "small"]
+    assert written["refined"][0][2]["after"]["recall"][0] == 0.5

@@ -10,24 +10,21 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 from zlib import crc32
 
 import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from placegraph.core.geometry import Camera
 from placegraph.errors import OptionError
 from placegraph.indoor.encode import MapEncoder, Patches
 from placegraph.indoor.encode.labels import ClassesOfInstances, InstancesEncoder
-from placegraph.indoor.map.scene import Scene
 from placegraph.indoor.options import PoseSearchOptions
 from placegraph.indoor.scene_map import SceneMap
-from placegraph.io.capture.capture import Capture
 from placegraph.io.capture.frame import Frame
 from placegraph_lab.tables.indoor import maps as indoor_maps
 from placegraph_lab.tables.indoor.metrics import Answer, measure
@@ -41,30 +38,22 @@ from placegraph_lab.tables.indoor.windows import (
 
 if TYPE_CHECKING:
     from placegraph.indoor.encode.labels import LabelsEncoder
-    from placegraph_lab.tables.runner import Run
 
 SHARE = 0.3
 _SAME = 1e-5  # cosines nearer to 1 are of one label
 
 
 class NoisyEncoder:
-    """An encoder that mislabels patches of another one.
+    """An encoder that mislabels patches of another one with a probability `share`.
 
-    The noise of a frame depends on `seed`, `name` and the frame's row in its folder alone: it is
-    the same in every pass and in every window that holds the frame, whatever was encoded before.
-
-    `encoder`: says what the patches are; `share`: probability of a patch to be mislabelled, 0 to 1;
-    `seed`: of the noise; `name`: of the sequence, so that the frames of two sequences err
-    differently.
-
-    Raises `OptionError`: where `share` is no probability.
+    The noise of a frame depends on `seed`, the `name` of the sequence and the frame's row alone: it
+    is the same in every pass and in every window that holds the frame.
     """
 
     def __init__(
         self, encoder: MapEncoder, share: float = SHARE, *, seed: int = 0, name: str = ""
     ) -> None:
-        self.encoder = encoder
-        self.share = _checked(share)
+        self.encoder, self.share = encoder, share
         self._seed = (seed, crc32(name.encode()))
 
     def encode(self, frame: Frame) -> Patches | None:
@@ -89,13 +78,10 @@ def mislabel(patches: Patches, share: float, rng: np.random.Generator) -> Patche
 class NoisyLabels:
     """An encoder of labels that mislabels patches, each as another label of a vocabulary.
 
-    What a patch is taken for does not depend on any map. Synonyms are one label. The noise of a
-    frame depends on what `NoisyEncoder`'s does.
+    Which label a patch gets does not depend on any map. Synonyms are one label; labels without a
+    vector are left out. `share`, `seed` and `name` are those of `NoisyEncoder`.
 
-    `encoder`: says what the patches are; `vocabulary`: labels that a patch can be taken for; what
-    says nothing is left out; `share`, `seed`, `name`: as of `NoisyEncoder`.
-
-    Raises `OptionError`: `share` is no probability, or the vocabulary has no two labels.
+    Raises `OptionError`: the vocabulary has no two labels.
     """
 
     def __init__(
@@ -107,18 +93,16 @@ class NoisyLabels:
         seed: int = 0,
         name: str = "",
     ) -> None:
-        self.encoder = encoder
-        self.share = _checked(share)
+        self.encoder, self.share = encoder, share
         self._seed = (seed, crc32(name.encode()))
-        said = {v.tobytes(): v for v in map(encoder.vector, vocabulary) if v.any()}
-        if len(said) < 2:
-            raise OptionError("vocabulary: noise needs two labels at least that say something.")
-        self.vectors = np.stack(list(said.values()))
+        known = {v.tobytes(): v for v in map(encoder.vector, vocabulary) if v.any()}
+        if len(known) < 2:
+            raise OptionError("vocabulary: noise needs two labels at least that have a vector.")
+        self.vectors = np.stack(list(known.values()))
         """(L, d) of the labels that a patch can be taken for."""
-        self.name = encoder.name
-        self.key = encoder.key
-        self.dimension = encoder.dimension
-        self.temperature = encoder.temperature
+        self.name, self.key = encoder.name, encoder.key
+        self.dimension, self.temperature = encoder.dimension, encoder.temperature
+        self.camera, self.objects = encoder.camera, encoder.objects
 
     def patches(self, image: Frame) -> NDArray[np.float32] | None:
         """Vectors (rows, columns, d) of a frame's patches, some of them wrong."""
@@ -137,21 +121,6 @@ class NoisyLabels:
         other = self.vectors[(own + step) % count]
         return np.where(wrong[:, None], other, flat).reshape(clean.shape)
 
-    def camera(self, image: Frame) -> Camera:
-        return self.encoder.camera(image)
-
-    def objects(self, scene: Scene, captures: Sequence[Capture] = ()) -> NDArray[np.float32]:
-        """Vectors (N, d) of a map's objects: without noise."""
-        return self.encoder.objects(scene, captures)
-
-
-def _checked(share: float) -> float:
-    if not 0 <= share <= 1:
-        raise OptionError(f"share is {share}; it must lie between 0 and 1.")
-    return share
-
-
-Labels = Literal["instances", "classes", "none"]
 
 QUICK_EVERY = 13  # frames between windows of the house for a first impression
 
@@ -166,12 +135,15 @@ BARE = {
     "colour": {"colour": True},
     "depth + colour": {"depth": True, "colour": True},
 }
+OFFICE = {
+    "b in a": "Office, map of frames 0-185, asked about 186-372",
+    "a in b": "Office, map of frames 186-372, asked about 0-185",
+}
 TITLES = {
     "instances": "House, instance labels, 30 % of the patches wrong",
     "classes": "House, class labels, 30 % of the patches wrong",
     "none": "House, no labels",
-    "b in a": "Office, map of frames 0-185, asked about 186-372",
-    "a in b": "Office, map of frames 186-372, asked about 0-185",
+    **OFFICE,
 }
 
 
@@ -183,7 +155,9 @@ class Job:
     row: str
     options: PoseSearchOptions
     map: str  # `house`, `coarse` or a key of `HALVES`
-    labels: Labels
+    labels: (
+        str  # how patches are encoded: `instances`, `classes`, `none`; `indoor_semantics` has more
+    )
 
     @property
     def name(self) -> str:
@@ -194,18 +168,15 @@ class Job:
         return self.table
 
     def key(self, window: Window, seed: int, code: str) -> str:
+        """Name all that an answer depends on."""
         options = hashlib.sha256(repr(self.options).encode()).hexdigest()[:12]
         return f"{code} {self.map} {self.labels} {options} seed {seed} {window.name}"
-
-    def fields(self) -> dict[str, Any]:
-        told = {k: getattr(self, k) for k in ("table", "row", "map", "labels")}
-        return told | {"options": repr(self.options)}
 
 
 def house_jobs() -> list[Job]:
     """Return rows of terms and pairs, with all labels and none, and of the coarse map."""
 
-    def jobs(labels: Labels, rows: Iterable[str], on: str = "house", more: str = "") -> list[Job]:
+    def jobs(labels: str, rows: Iterable[str], on: str = "house", more: str = "") -> list[Job]:
         terms = SEMANTIC | BARE
         return [
             Job(labels, f"{row}{more}", PoseSearchOptions().only(**terms[row]), on, labels)
@@ -264,11 +235,12 @@ def encoder_of(job: Job, scene: SceneMap, window: Window, seed: int) -> MapEncod
 def ask(
     job: Job, scene: SceneMap, window: Window, *, seed: int = 0, device: str = "auto"
 ) -> Answer:
+    """Localize a window, without refining, and measure the answer."""
     encoder = encoder_of(job, scene, window, seed)
-    return answered(scene, window, encoder, job.options, seed=seed, device=device)
+    return localize(scene, window, encoder, job.options, seed=seed, device=device)
 
 
-def answered(
+def localize(
     scene: SceneMap,
     window: Window,
     encoder: MapEncoder | None,
@@ -282,45 +254,7 @@ def answered(
     estimate = scene.localize(
         window.capture, encoder=encoder, options=options, refine=False, seed=seed, device=device
     )
-    seconds = time.perf_counter() - start
-    return measure(estimate, window.truth, seconds=seconds, **window.told)
-
-
-class Asker:
-    """Asks about windows that nobody asked about yet, with a bar; a context manager.
-
-    Answers are written down at once, so that a run that is cut goes on where it was.
-    """
-
-    def __init__(self, run: Run, *, fresh: bool) -> None:
-        self._journal = run.journal(fresh=fresh)
-        self._bar = run.progress()
-
-    def __enter__(self) -> Self:
-        self._bar.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._bar.stop()
-
-    def answers(
-        self,
-        title: str,
-        windows: Sequence[Window],
-        keys: Sequence[str],
-        once: Callable[[Window, int], dict[str, Any]],
-        seed: int,
-    ) -> list[dict[str, Any]]:
-        """Answers of all windows, by their keys; before the first, one is asked to compile."""
-        task = self._bar.add_task(title, total=len(self._journal.missing(keys)))
-        rows = self._journal.filled(
-            keys,
-            lambda i: once(windows[i], seed),
-            warm=lambda: once(windows[0], seed + 1),
-            tick=lambda: self._bar.advance(task),
-        )
-        self._bar.remove_task(task)
-        return rows
+    return measure(estimate, window.truth, seconds=time.perf_counter() - start, **window.fields)
 
 
 class Bench:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -109,25 +108,6 @@ class Answer:
     def within(self, metres: float, degrees: float) -> bool:
         return self.position <= metres and self.rotation <= degrees
 
-    def to_dict(self) -> dict[str, Any]:
-        row = asdict(self) | {"whitened": [rounded(w, 3) for w in self.whitened]}
-        digits = {"coverage": 3, "position": 4, "rotation": 3, "probability": 4, "seconds": 4}
-        for name, places in (digits | {"particles": 0}).items():
-            row[name] = rounded(row[name], places)
-        return row
-
-    @classmethod
-    def from_dict(cls, row: dict[str, Any]) -> Answer:
-        lost = row["position"] is None
-        return cls(
-            **row
-            | {
-                "position": math.inf if lost else row["position"],
-                "particles": math.nan if row["particles"] is None else row["particles"],
-                "whitened": tuple(math.nan if w is None else w for w in row["whitened"]),
-            }
-        )
-
 
 def measure(
     estimate: PoseEstimate,
@@ -192,31 +172,6 @@ class Score:
     worst: tuple[str, ...] = field(default=())
     """Windows whose answers are wrong, farthest first: `seq01 13:18 OK 14.1 m 179 deg`."""
 
-    def to_dict(self) -> dict[str, Any]:
-        return {
-            "windows": self.windows,
-            "mean_position_m": rounded(self.mean[0], 4),
-            "mean_rotation_deg": rounded(self.mean[1], 3),
-            "median_position_m": rounded(self.median[0], 4),
-            "median_rotation_deg": rounded(self.median[1], 3),
-            "recall": {
-                f"{m:g} m, {d:g} deg": rounded(r, 4)
-                for (m, d), r in zip(THRESHOLDS, self.recall, strict=True)
-            },
-            "status": {k: rounded(v, 4) for k, v in self.status.items()},
-            "ok_right": rounded(self.right, 4),
-            "false_ok": rounded(self.false_ok, 4),
-            "truth_among_modes": rounded(self.held, 4),
-            "honest": rounded(self.honest, 4),
-            "calibration_error": rounded(self.calibration.error, 4),
-            "calibration_error_of_perfect": rounded(self.calibration.floor, 4),
-            "normalised_rms": [rounded(s, 3) for s in self.spread],
-            "within_95_percent": rounded(self.inside, 4),
-            "frame_seconds": rounded(self.frame_seconds, 4),
-            "particles": rounded(self.particles, 0),
-            "wrong": list(self.worst),
-        }
-
 
 def score(answers: Sequence[Answer]) -> Score:
     """Summarize answers; `OptionError` where there are none."""
@@ -279,23 +234,10 @@ def share_inside(whitened: Sequence[Sequence[float]]) -> float:
     return float(((_sound(whitened) ** 2).sum(axis=1) <= WITHIN_95).sum() / len(whitened))
 
 
-def rounded(value: float | None, digits: int) -> float | None:
-    """Number for JSON: None for nothing, infinity and nan."""
-    if value is None or not math.isfinite(value):
-        return None
-    return round(float(value), digits)
-
-
 def pair(values: NDArray[np.float64]) -> tuple[float, float]:
-    """Two floats of an array (2,)."""
     return float(values[0]), float(values[1])
 
 
 def _sound(whitened: Sequence[Sequence[float]]) -> Floats:
     table = np.array(whitened, np.float64).reshape(-1, 6)
     return table[np.isfinite(table).all(axis=1)]
-
-
-def dumps(record: dict[str, Any]) -> str:
-    """JSON text that holds no NaN."""
-    return json.dumps(record, indent=1, allow_nan=False) + "\n"

@@ -74,7 +74,7 @@ def seen(
     *,
     rgb: NDArray[Any] | None = None,
     depth: NDArray[Any] | None = None,
-    **more: Any,  # noqa: ANN401  # other fields of the frame
+    **more: Any,
 ) -> Frame:
     """Frame with other images in memory, without labels; those not given stay."""
     metres = frame.depth() if depth is None else depth.astype(np.float32)

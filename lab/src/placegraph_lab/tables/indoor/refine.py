@@ -28,7 +28,7 @@ from placegraph.indoor.options import PoseSearchOptions, RefineOptions
 from placegraph.indoor.refine.matching import Matcher
 from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.frame import Frame
-from placegraph_lab.tables.indoor.bench import BARE, SEMANTIC, Job, encoder_of
+from placegraph_lab.tables.indoor.bench import BARE, OFFICE, SEMANTIC, Job, encoder_of
 from placegraph_lab.tables.indoor.metrics import (
     AXES,
     WITHIN_95,
@@ -38,7 +38,6 @@ from placegraph_lab.tables.indoor.metrics import (
     pose_error,
     position_error,
     rotation_error,
-    rounded,
 )
 from placegraph_lab.tables.indoor.windows import Window, start_of, without_depth
 
@@ -165,36 +164,17 @@ class Refined:
     def within(self, metres: float, degrees: float) -> bool:
         return self.before[0] <= metres and self.before[1] <= degrees
 
-    def to_dict(self) -> dict[str, Any]:
-        both = {"before": self.before, "candidate": self.candidate}
-        row = {
-            name: None if pair is None else [rounded(pair[0], 4), rounded(pair[1], 3)]
-            for name, pair in both.items()
-        }
-        return row | {
-            "after": self.after.to_dict(),
-            "accepted": self.accepted,
-            "reason": self.reason,
-            "sigmas": [rounded(s, 3) for s in self.sigmas],
-            "stages": {name: rounded(s, 4) for name, s in self.stages.items()},
-        }
-
     @classmethod
     def from_dict(cls, row: dict[str, Any]) -> Refined:
-        both = {
-            k: None if row[k] is None else (math.inf if row[k][0] is None else row[k][0],
-                                            180.0 if row[k][1] is None else row[k][1])
-            for k in ("before", "candidate")
-        }  # fmt: skip
-        sigmas = tuple(math.nan if s is None else s for s in row["sigmas"])
-        return cls(**row | both | {"after": Answer.from_dict(row["after"]), "sigmas": sigmas})
+        """Read what a `Journal` wrote."""
+        return cls(**row | {"after": Answer(**row["after"])})
 
 
 def worse(one: Errors, other: Errors) -> bool:
     return one[0] > other[0] + WORSE[0] or one[1] > other[1] + WORSE[1]
 
 
-def errors_of(map_from_camera: Any, truth: Floats) -> Errors:  # noqa: ANN401  # an array or lists
+def errors_of(map_from_camera: Any, truth: Floats) -> Errors:
     """Return errors of a pose (4, 4) against the truth (4, 4)."""
     pose = np.asarray(map_from_camera, np.float64)
     return position_error(pose, truth), rotation_error(pose, truth)
@@ -207,7 +187,7 @@ def measure_refined(
 
     `start`: the pose (4, 4) that was to be refined; if not given, the coarse one it speaks of.
     """
-    after = measure(estimate, window.truth, seconds=seconds, **window.told)
+    after = measure(estimate, window.truth, seconds=seconds, **window.fields)
     said, best = estimate.refinement, estimate.best
     before = (after.position, after.rotation)
     if start is not None:
@@ -255,18 +235,6 @@ class Side:
             recall=tuple(float((table <= limits).all(axis=1).mean()) for limits in LIMITS),
         )
 
-    def to_dict(self) -> dict[str, Any]:
-        return {
-            "mean_position_m": rounded(self.mean[0], 4),
-            "mean_rotation_deg": rounded(self.mean[1], 3),
-            "median_position_m": rounded(self.median[0], 4),
-            "median_rotation_deg": rounded(self.median[1], 3),
-            "recall": {
-                f"{m:g} m, {d:g} deg": rounded(r, 4)
-                for (m, d), r in zip(LIMITS, self.recall, strict=True)
-            },
-        }
-
 
 @dataclass(frozen=True)
 class RefineScore:
@@ -282,17 +250,6 @@ class RefineScore:
     refine_seconds: float  # mean time of the refinement alone [s]; NaN where none says
     stages: dict[str, float]  # mean seconds of each stage of the refinement, where it says
     worst: tuple[str, ...]  # harmful ones, farthest first
-
-    def to_dict(self) -> dict[str, Any]:
-        shares = ("accepted", "harmful", "wrongly_refused", "seconds", "refine_seconds")
-        return {
-            "windows": self.windows,
-            "before": self.before.to_dict(),
-            "after": self.after.to_dict(),
-            **{name: rounded(getattr(self, name), 4) for name in shares},
-            "stage_seconds": {name: rounded(s, 4) for name, s in self.stages.items()},
-            "harmful_ones": list(self.worst),
-        }
 
 
 def refine_score(results: Sequence[Refined]) -> RefineScore:
@@ -326,10 +283,6 @@ def refine_score(results: Sequence[Refined]) -> RefineScore:
     )
 
 
-EDGES = (-3.0, -2.5, -2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
-"""Of the histogram's inner bins, in standard deviations; two more lie outside."""
-
-
 def spread(results: Sequence[Refined]) -> dict[str, Any]:
     """Compare errors with the covariances that were to announce them.
 
@@ -339,23 +292,18 @@ def spread(results: Sequence[Refined]) -> dict[str, Any]:
     """
     posed = [r for r in results if len(r.sigmas) == len(AXES)]
     table = np.array([r.sigmas for r in posed], np.float64).reshape(-1, len(AXES))
-    whole = np.array([r.after.whitened for r in posed], np.float64).reshape(-1, len(AXES))
-    sound = np.isfinite(table).all(axis=1) & np.isfinite(whole).all(axis=1)
-    kept = table[sound]
-    squares, nothing = (kept**2), [None] * len(AXES)
-    bins = np.searchsorted(EDGES, kept.ravel(), side="right")
-    inside = float(((whole[sound] ** 2).sum(axis=1) <= WITHIN_95).sum())
+    white = np.array([r.after.whitened for r in posed], np.float64).reshape(-1, len(AXES))
+    sound = np.isfinite(table).all(axis=1) & np.isfinite(white).all(axis=1)
+    errors, nothing = table[sound], [None] * len(AXES)
+    inside = float(((white[sound] ** 2).sum(axis=1) <= WITHIN_95).sum())
     return {
-        "count": len(kept),
-        "axes": list(AXES),
-        "rms": np.sqrt(squares.mean(axis=0)).round(3).tolist() if len(kept) else nothing,
+        "count": len(errors),
+        "rms": np.sqrt((errors**2).mean(axis=0)).tolist() if len(errors) else nothing,
         "within_sigma": {
-            str(k): (np.abs(kept) <= k).mean(axis=0).round(4).tolist() if len(kept) else nothing
+            k: (np.abs(errors) <= k).mean(axis=0).tolist() if len(errors) else nothing
             for k in (1, 2, 3)
         },
-        "within_95_percent": round(inside / len(posed), 4) if posed else None,
-        "edges": list(EDGES),
-        "histogram": np.bincount(bins, minlength=len(EDGES) + 1).tolist(),
+        "within_95_percent": inside / len(posed) if posed else None,
     }
 
 
@@ -366,11 +314,7 @@ MATCHERS = ("auto", "none", "guided", "sift", "xfeat")
 PAPER = ", paper's recipe"
 """What follows the word for a matcher where `RefineOptions.paper()` is meant: images alone."""
 GICP: dict[str, Kind] = {"small_gicp, plane": "PLANE_ICP", "small_gicp, GICP": "GICP"}
-PLACES = {
-    "house": "House",
-    "b in a": "Office, map of frames 0-185, asked about 186-372",
-    "a in b": "Office, map of frames 186-372, asked about 0-185",
-}
+PLACES = {"house": "House", **OFFICE}
 STARTS: dict[Start, str] = {
     "found": "from the pose found",
     "disturbed": "from 0.2 m and 10 degrees off",
@@ -413,9 +357,6 @@ class RefineJob:
     def key(self, window: Window, seed: int, code: str) -> str:
         coarse = self.coarse.key(window, seed, code) if self.coarse else f"{code} {window.name}"
         return f"{coarse} seed {seed} {self.name} depth {self.depth} {self.options}"
-
-    def fields(self) -> dict[str, Any]:
-        return {k: getattr(self, k) for k in ("place", "start", "row", "depth", "by")}
 
 
 def refine_jobs(matchers: Sequence[str] = MATCHERS) -> list[RefineJob]:
@@ -482,7 +423,7 @@ def ask(
         took = time.perf_counter() - began
         position, rotation = errors_of(pose, window.truth)
         after = Answer(
-            **window.told, position=position, rotation=rotation, status="", probability=0.0,
+            **window.fields, position=position, rotation=rotation, status="", probability=0.0,
             held=False, whitened=(), seconds=took,
         )  # fmt: skip
         return Refined(errors_of(start, window.truth), after, accepted=None)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
-from placegraph_lab.tables.indoor.bench import Asker, Bench
+from placegraph_lab.tables.indoor.bench import Bench
 from placegraph_lab.tables.indoor.metrics import Answer, score
 from placegraph_lab.tables.indoor.windows import COVERED, Window
 from placegraph_lab.tables.runner import INDOOR, Run, code_key, markdown, number, shares
@@ -37,10 +37,10 @@ class Row:
     summarize: Callable[[Sequence[Any]], Any] = score
 
     @cached_property
-    def score(self) -> Any:  # noqa: ANN401  # what `summarize` returns
+    def score(self) -> Any:
         return self.summarize(self.results)
 
-    def part(self, keep: Callable[[Answer], object]) -> Any:  # noqa: ANN401
+    def part(self, keep: Callable[[Answer], object]) -> Any:
         """Summarize the results whose answer is kept; None where none is."""
         kept = [r for r in self.results if keep(getattr(r, "after", r))]
         return self.summarize(kept) if kept else None
@@ -49,19 +49,16 @@ class Row:
     def places(self) -> list[str]:
         return sorted({getattr(r, "after", r).place for r in self.results})
 
-    def at(self, place: str) -> Any:  # noqa: ANN401
+    def at(self, place: str) -> Any:
         return self.part(lambda a: a.place == place)
 
-    def to_dict(self) -> dict[str, Any]:
+    def record(self) -> dict[str, Any]:
+        """Return the row's name and its scores, of all windows and of parts of them."""
         parts = {name: self.part(keep) for name, keep in PARTS.items()}
         if len(self.places) > 1:
             parts |= {place: self.at(place) for place in self.places}
-        return {
-            **self.job.fields(),
-            "length": self.length,
-            "score": self.score.to_dict(),
-            "parts": {name: s.to_dict() for name, s in parts.items() if s},
-        }
+        scores = {name: score for name, score in parts.items() if score}
+        return {"row": self.job.name, "length": self.length, "score": self.score, "parts": scores}
 
 
 def ask_windows(
@@ -69,7 +66,7 @@ def ask_windows(
     jobs: Iterable[Any],
     bench: Bench,
     lengths: Callable[[Any], Iterable[int]],
-    once: Callable[[Any, Window, int], dict[str, Any]],
+    once: Callable[[Any, Window, int], Any],
     *,
     seed: int,
     device: str,
@@ -77,22 +74,37 @@ def ask_windows(
 ) -> list[tuple[Any, int, list[dict[str, Any]]]]:
     """Ask every job about its windows of each length; answers of earlier runs are not asked again.
 
-    `once` asks a job about a window with a seed. A job has a `name`, a `place` and a `key`.
+    `once` asks a job about a window with a seed; before the first window of a row it is called once
+    to compile. A job has a `name`, a `place` and a `key`.
     """
     code = code_key(INDOOR)  # once: what is loaded now is what answers
-    rows = []
-    with Asker(run, fresh=fresh) as asker:
+    journal, rows = run.journal(fresh=fresh), []
+    with run.progress() as bar:
         for job in jobs:
             for n in lengths(job):
                 windows = bench.windows(job.place, n)
                 keys = [f"{job.key(w, seed, code)} {device}" for w in windows]
-
-                def ask(window: Window, seed: int, job: Any = job) -> dict[str, Any]:  # noqa: ANN401
-                    return once(job, window, seed)
-
-                told = asker.answers(f"{job.name}, {n} frames", windows, keys, ask, seed)
-                rows.append((job, n, told))
+                task = bar.add_task(f"{job.name}, {n} frames", total=len(journal.missing(keys)))
+                ask = partial(_ask_window, once, job, windows)
+                answers = journal.filled(
+                    keys,
+                    partial(ask, seed=seed),
+                    warm=partial(ask, 0, seed=seed + 1),
+                    tick=partial(bar.advance, task),
+                )
+                bar.remove_task(task)
+                rows.append((job, n, answers))
     return rows
+
+
+def _ask_window(
+    once: Callable[[Any, Window, int], Any],
+    job: Any,
+    windows: Sequence[Window],
+    row: int,
+    seed: int,
+) -> Any:
+    return once(job, windows[row], seed)
 
 
 def errors(pair: Sequence[float | None] | None) -> str:

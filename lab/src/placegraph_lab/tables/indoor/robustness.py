@@ -6,10 +6,9 @@ import math
 import time
 import zlib
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.random import Generator
@@ -23,7 +22,7 @@ from placegraph.indoor.scene_map import SceneMap
 from placegraph.io.capture.capture import open_capture
 from placegraph_lab.tables.indoor import perturb
 from placegraph_lab.tables.indoor.maps import place
-from placegraph_lab.tables.indoor.metrics import NEAR, position_error, rotation_error, rounded
+from placegraph_lab.tables.indoor.metrics import NEAR, position_error, rotation_error
 from placegraph_lab.tables.indoor.perturb import Recording, Shot, half_elsewhere, only
 from placegraph_lab.tables.indoor.sg2loc import RPY
 from placegraph_lab.tables.indoor.windows import HALVES, OFFICE_STRIDE, TILT, true_poses
@@ -68,15 +67,6 @@ class Told:
 
     def within(self, metres: float, degrees: float) -> bool:
         return self.position <= metres and self.rotation <= degrees
-
-    def to_dict(self) -> dict[str, Any]:
-        digits = {"position": 4, "rotation": 3, "milliseconds": 2}
-        return asdict(self) | {k: rounded(getattr(self, k), n) for k, n in digits.items()}
-
-    @classmethod
-    def from_dict(cls, row: dict[str, Any]) -> Told:
-        empty = {"position": math.inf, "rotation": math.inf, "milliseconds": math.nan}
-        return cls(**row | {k: v for k, v in empty.items() if row[k] is None})
 
 
 class Places:

@@ -13,7 +13,6 @@ from zlib import crc32
 
 import numpy as np
 
-from placegraph.core.estimate import PoseEstimate
 from placegraph.core.geometry import Camera, Floats
 from placegraph.errors import InputError
 from placegraph.indoor.build import build_scene
@@ -341,8 +340,7 @@ class Reply:
 
     @classmethod
     def from_dict(cls, row: dict[str, Any]) -> Reply:
-        both = {name: Answer.from_dict(row[name]) for name in ("filter", "whole")}
-        return cls(**row | both)
+        return cls(**row | {name: Answer(**row[name]) for name in ("filter", "whole")})
 
 
 @dataclass(frozen=True)
@@ -382,7 +380,7 @@ class Asking:
         asked = [(walk, _keyframes(window, step)) for walk, window in asked]
         keys = [f"{base} {walk.map} {window.name}" for walk, window in asked]
 
-        def ask(i: int) -> dict[str, Any]:
+        def ask(i: int) -> Reply:
             walk, window = asked[i]
             if recipe not in self._warm:  # what is timed is compiled; `ask` readies each map
                 self._warm.add(recipe)
@@ -403,10 +401,8 @@ class Asking:
         map_from_scene = np.linalg.inv(scene.scene_from_map[names.index(walk.map)])
         return scene, replace(window, truth=map_from_scene @ window.truth)
 
-    def ask(
-        self, of: Set, recipe: Recipe, scene: SceneMap, window: Window, name: str
-    ) -> dict[str, Any]:
-        """What `Reply.from_dict` reads; `name`: the right one of merged scenes."""
+    def ask(self, of: Set, recipe: Recipe, scene: SceneMap, window: Window, name: str) -> Reply:
+        """Localize a window in a map; `name`: the right one of merged scenes."""
         how = self.how
         matcher = how.matcher if isinstance(recipe.refine, RefineOptions) else "auto"
         encoder = self.ready(of, recipe, scene, window)
@@ -415,22 +411,17 @@ class Asking:
             window.capture, encoder=encoder, options=recipe.options,
             refine=recipe.refine, matcher=matcher, seed=how.seed, device=how.device,
         )  # fmt: skip
-        seconds, told, coarse, refining = (
-            time.perf_counter() - start,
-            estimate.refinement,
-            estimate,
-            0.0,
+        seconds, coarse, refining = time.perf_counter() - start, estimate, 0.0
+        if estimate.refinement is not None:
+            coarse = replace(estimate, modes=(estimate.refinement.coarse, *estimate.modes[1:]))
+            refining = sum(estimate.refinement.stats["seconds"].values())
+        best, of_window = estimate.best, window.fields | {"coverage": None}
+        return Reply(
+            filter=measure(coarse, window.truth, seconds=seconds - refining, **of_window),
+            whole=measure(estimate, window.truth, seconds=seconds, **of_window),
+            refining=refining,
+            right=best is not None and (len(scene.scenes) == 1 or best.scene == name),
         )
-        if told is not None:
-            coarse = replace(estimate, modes=(told.coarse, *estimate.modes[1:]))
-            refining = sum(told.stats["seconds"].values())
-        best = estimate.best
-        return {
-            "filter": _measured(coarse, window, seconds - refining),
-            "whole": _measured(estimate, window, seconds),
-            "refining": refining,
-            "right": best is not None and (len(scene.scenes) == 1 or best.scene == name),
-        }
 
     def ready(self, of: Set, recipe: Recipe, scene: SceneMap, window: Window) -> MapEncoder:
         """Make what a map needs before it is asked, its mapping in Table 4; returns its encoder."""
@@ -449,13 +440,6 @@ class Asking:
             return encoder(self.how.encoder or IMAGES)
         words = window.capture.label_names.values()
         return NoisyLabels(LabelsEncoder(), words, seed=self.how.seed, name=window.place)
-
-
-def _measured(estimate: PoseEstimate, window: Window, seconds: float) -> dict[str, Any]:
-    return measure(
-        estimate, window.truth, seconds=seconds, frames=len(window.capture), window=window.name,
-        place=window.place, changed=window.changed,
-    ).to_dict()  # fmt: skip
 
 
 def _keyframes(window: Window, step: int) -> Window:

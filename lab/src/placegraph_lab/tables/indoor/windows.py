@@ -61,7 +61,8 @@ class Window:
         return f"{self.place} {rows[0]}:{rows[-1] + 1}{step}"
 
     @property
-    def told(self) -> dict[str, Any]:
+    def fields(self) -> dict[str, Any]:
+        """Fields of an `Answer` that describe the window."""
         found = {k: getattr(self, k) for k in ("place", "changed", "coverage")}
         return found | {"window": self.name, "frames": len(self.capture)}
 

@@ -116,7 +116,7 @@ class Split:
         name: str,
         rng: np.random.Generator,
         *,
-        network: Any = None,  # noqa: ANN401  # a `GraphTransformer`
+        network: Any = None,
         candidates: int = 20,
     ) -> tuple[Matcher, Names]:
         """One of `MATCHERS`, and how queries call things for it.

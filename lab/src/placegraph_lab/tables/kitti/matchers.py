@@ -334,15 +334,15 @@ class Transformer:
     candidates: int | None = None  # how many are looked at closely; all where None
 
     @cached_property
-    def places(self) -> Any:  # noqa: ANN401  # `PlaceGraphs`
+    def places(self) -> Any:
         return places_of_graphs(self.graphs, self.centers)
 
     @cached_property
-    def embeddings(self) -> Any:  # noqa: ANN401  # (K, D) float32
+    def embeddings(self) -> Any:
         return self.network.embed_places(self.places)
 
     @cached_property
-    def vectors(self) -> Any:  # noqa: ANN401  # (T, d) float32
+    def vectors(self) -> Any:
         return self.network.word_vectors(self.places.vocabulary)
 
     def scores(self, description: Description) -> Floats:
@@ -359,7 +359,7 @@ class Transformer:
         total[rows] = self.network.match(texts, 0, self.places, rows, words, self.vectors).logit
         return total
 
-    def _fits(self, texts: Any) -> Any:  # noqa: ANN401  # `TextGraphs`, `WordFits`
+    def _fits(self, texts: Any) -> Any:
         from placegraph.outdoor.network.graphs import WordWeights, word_fits
 
         own = {word: row for row, word in enumerate(self.places.vocabulary)}

@@ -119,7 +119,7 @@ class _Line:
             self.near(row.get("near")),
         )
 
-    def near(self, value: Any) -> tuple[float, ...] | None:  # noqa: ANN401  # as JSON has it
+    def near(self, value: Any) -> tuple[float, ...] | None:
         if value is None:
             return None
         if not isinstance(value, list) or len(value) not in (2, 3):

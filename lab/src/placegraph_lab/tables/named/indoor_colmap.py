@@ -130,7 +130,7 @@ def pnp(pixels: Floats, points: Floats, camera: Camera) -> Floats | None:
     return pose
 
 
-def colmap_camera(camera: Camera) -> Any:  # noqa: ANN401  # pycolmap is untyped
+def colmap_camera(camera: Camera) -> Any:
     """The camera as COLMAP has it; pixel centres at +0.5 in both."""
     pinhole = [camera.fx, camera.fy, camera.cx, camera.cy]
     given = [*camera.distortion, *[0.0] * 8][:8] if camera.distortion else []
@@ -187,7 +187,7 @@ def colmap_peer(frames: Sequence[Frame], poses: Floats, rng: np.random.Generator
 
 
 def _triangulated(
-    colmap: Any,  # noqa: ANN401  # pycolmap is untyped
+    colmap: Any,
     folder: Path,
     frames: Sequence[Frame],
     poses: Floats,
@@ -232,7 +232,7 @@ def _unit(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
     return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-9)
 
 
-def pycolmap() -> Any:  # noqa: ANN401  # it is untyped
+def pycolmap() -> Any:
     """The library, or what to install."""
     try:
         import pycolmap as library

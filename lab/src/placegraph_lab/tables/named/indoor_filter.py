@@ -10,7 +10,7 @@ Every answer is written down at once: run it again and it goes on where it was c
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Any
+from typing import Annotated
 
 from placegraph_lab.tables import runner as lab
 from placegraph_lab.tables.indoor import bench as benches
@@ -87,15 +87,16 @@ def report(rows: Sequence[Row]) -> str:
 
 def _lines(row: Row) -> list[Line]:
     """Return a row; in the office, also the windows that the map covers and the others."""
-    lines = [(row.job.row, row.score)]
-    apart = {
+    titles = {
         f"covered to {COVERED:.0%} or more": f"covered {COVERED:.0%}",
         "the others": "not covered",
     }
-    found = {title: row.part(PARTS[part]) for title, part in apart.items()}
-    if row.job.table in HALVES and all(found.values()):
-        lines += [(f"{row.job.row}: {title}", s) for title, s in found.items()]
-    return lines
+    found = {title: row.part(PARTS[part]) for title, part in titles.items()}
+    split = row.job.table in HALVES and all(found.values())
+    return [
+        (row.job.row, row.score),
+        *((f"{row.job.row}: {title}", s) for title, s in found.items() if split),
+    ]
 
 
 @lab.table("SG2Loc, Tables 1, 2, 4, 7, 12, 13")
@@ -123,16 +124,16 @@ def indoor_filter(
     jobs = chosen([*house_jobs(), *office_jobs()], names)
     bench = Bench(run.data, run.cache, every, office_every)
 
-    def once(job: Job, window: Window, seed: int) -> dict[str, Any]:
-        return ask(job, bench.scene(job.map), window, seed=seed, device=device).to_dict()
+    def once(job: Job, window: Window, seed: int) -> Answer:
+        return ask(job, bench.scene(job.map), window, seed=seed, device=device)
 
     asked = ask_windows(
         run, sorted(jobs, key=lambda j: j.map), bench,
         lambda job: [OFFICE_LENGTH] if job.table in HALVES else map(int, windows.split(",")),
         once, seed=seed, device=device, fresh=fresh,
     )  # fmt: skip
-    rows = [Row(job, n, tuple(map(Answer.from_dict, told))) for job, n, told in asked]
+    rows = [Row(job, n, tuple(Answer(**a) for a in answers)) for job, n, answers in asked]
     order = {j.name: i for i, j in enumerate(jobs)}
     rows.sort(key=lambda r: (order[r.job.name], r.length))
     print(report(rows))
-    run.save({"rows": [r.to_dict() for r in rows]}, whole=not names)
+    run.save({"rows": [row.record() for row in rows]}, whole=not names)

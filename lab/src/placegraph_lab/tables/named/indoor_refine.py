@@ -94,13 +94,16 @@ def report(rows: Sequence[Row]) -> str:
         text += ["#### House, by sequence, 10 cm 5° after", sequences_table(house, recall)]
     own = [r for r in rows if r.job.by not in GICP and not r.job.by.endswith(PAPER)]
     if own:
-        spreads: list[Any] = []
-        for job, of in by_job(own):
-            results = [r for row in of.values() for r in row.results]
-            for what, accepted in (("refined", True), ("left coarse", False)):
-                found = spread([r for r in results if r.accepted is accepted])
-                spreads += [(f"{job.name}: {what}", found)] if found["count"] else []
-        text += ["#### Errors over standard deviations", lab.render(SPREADS, [*spreads, NORMAL])]
+        spread_rows: list[Any] = [
+            (f"{job.name}: {kind}", found)
+            for job, of in by_job(own)
+            for kind, found in spreads(*of.values()).items()
+            if found["count"]
+        ]
+        text += [
+            "#### Errors over standard deviations",
+            lab.render(SPREADS, [*spread_rows, NORMAL]),
+        ]
     harmful = [
         f"- {r.job.name}, {r.length} frames: {'; '.join(r.score.worst)}"
         for r in own
@@ -117,6 +120,13 @@ def _lines(row: Row) -> list[tuple[str, Any]]:
     if inside and inside.windows < row.score.windows:
         lines.append((f"{row.job.row}: covered to {COVERED:.0%} or more", inside))
     return lines
+
+
+def spreads(*rows: Row) -> dict[str, dict[str, Any]]:
+    """Errors over standard deviations of refined poses, and of those left coarse."""
+    results = [r for row in rows for r in row.results]
+    kinds = {"refined": True, "left coarse": False}
+    return {k: spread([r for r in results if r.accepted is v]) for k, v in kinds.items()}
 
 
 @lab.table("SG2Loc, Tables 1, 2, 4, 7, 9, 10")
@@ -145,14 +155,13 @@ def indoor_refine(
     weights = run.shared / "weights/xfeat.pt"
     made: dict[str, str | Matcher] = {word: word for word in ("auto", "guided", *GICP)}
 
-    def once(job: RefineJob, window: Window, seed: int) -> dict[str, Any]:
+    def once(job: RefineJob, window: Window, seed: int) -> Refined:
         name = job.matcher
         if name not in made:
             own = weights if name == "xfeat" and weights.exists() else None
             made[name] = matcher(name, weights=own)
         scene = bench.scene(job.place)
-        found = ask(job, scene, window, matcher=made[name], seed=seed, device=device)
-        return found.to_dict()
+        return ask(job, scene, window, matcher=made[name], seed=seed, device=device)
 
     lengths = [int(n) for n in windows.split(",")]
     asked = ask_windows(
@@ -162,10 +171,7 @@ def indoor_refine(
         Row(job, n, tuple(map(Refined.from_dict, told)), refine_score) for job, n, told in asked
     ]
     print(report(rows))
-    run.save({"rows": [_record(row) for row in rows]}, whole=not names)
-
-
-def _record(row: Row) -> dict[str, Any]:
-    kinds = {"refined": True, "kept": False}
-    found = {k: spread([r for r in row.results if r.accepted is v]) for k, v in kinds.items()}
-    return row.to_dict() | {"normalised_errors": found}
+    run.save(
+        {"rows": [row.record() | {"normalised_errors": spreads(row)} for row in rows]},
+        whole=not names,
+    )

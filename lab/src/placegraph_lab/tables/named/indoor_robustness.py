@@ -24,7 +24,7 @@ from placegraph.indoor.pose.agreement import ConfidenceModel, features
 from placegraph.indoor.status import ALONE, SURE
 from placegraph_lab.tables import runner as lab
 from placegraph_lab.tables.indoor.bench import chosen
-from placegraph_lab.tables.indoor.metrics import NEAR, rounded
+from placegraph_lab.tables.indoor.metrics import NEAR
 from placegraph_lab.tables.indoor.robustness import (
     THRESHOLDS,
     Asked,
@@ -66,6 +66,10 @@ class Row:
         return float(np.mean([t.status == name for t in self.told]))
 
     @property
+    def ok(self) -> float:
+        return self.status("OK")
+
+    @property
     def false_ok(self) -> float:
         """Share of windows that are `OK`, and not what it promises (or nothing can be)."""
         bad = self.case.part == "bad"
@@ -77,18 +81,13 @@ class Row:
         took = [t.milliseconds for t in self.told if not math.isnan(t.milliseconds)]
         return float(np.median(took)) if took else math.nan
 
-    def to_dict(self) -> dict[str, Any]:
-        fields = ("name", "set", "family", "strength", "frames", "senses", "map", "part")
-        recall = zip(THRESHOLDS, self.recall, strict=True)
-        return {name: getattr(self.case, name) for name in fields} | {
-            "recall": {f"{m:g} m, {d:g} deg": round(r, 4) for (m, d), r in recall},
-            "ok": round(self.status("OK"), 4),
-            "false_ok": round(self.false_ok, 4),
-            "milliseconds": rounded(self.milliseconds, 2),
-        }
+    def record(self) -> dict[str, Any]:
+        names = ("name", "set", "family", "strength", "frames", "senses", "map", "part")
+        scores = {k: getattr(self, k) for k in ("recall", "ok", "false_ok", "milliseconds")}
+        return {name: getattr(self.case, name) for name in names} | scores
 
 
-OFTEN = Col("`OK`", lambda r: r.status("OK"), lab.share)
+OFTEN = Col("`OK`", "ok", lab.share)
 ROWS = (
     Col("", "case.name"), Col("windows", lambda r: len(r.told)),
     Col(RECALLS, lambda r: "–" if r.case.map else lab.shares(r.recall)), OFTEN,
@@ -277,7 +276,7 @@ def indoor_robustness(
                 keys, once, warm=partial(once, 0), tick=partial(bar.advance, task)
             )
             bar.remove_task(task)
-            rows[case.name] = Row(case, tuple(map(Told.from_dict, told)))
+            rows[case.name] = Row(case, tuple(Told(**t) for t in told))
     ordered = [rows[case.name] for case in cases]
     if fit:
         found = samples(ordered)
@@ -285,15 +284,15 @@ def indoor_robustness(
         print(f"{trust}\n\n{honest(trust, found)}")
         return
     print(report(ordered))
-    run.save({"rows": [row.to_dict() for row in ordered]}, whole=not names)
+    run.save({"rows": [row.record() for row in ordered]}, whole=not names)
 
 
 def _ask_window(
     places: Places, case: Case, windows: list[Asked], seed: int, device: str, row: int
-) -> dict[str, Any]:
+) -> Told:
     asked = windows[row]
     other = next(iter(places.recordings(case.other).values()))[0] if case.other else None
     shot = spoiled(asked, case, other, seed)
     scene = places.scene(case.map or asked.map)
     told = ask(scene, asked, shot, case, seed=seed, device=device)
-    return replace(told, window=asked.shot.name).to_dict()
+    return replace(told, window=asked.shot.name)

@@ -7,10 +7,9 @@ or through `OTHER_WORDS`: what a segmentation trained elsewhere would say. Their
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import Annotated, Any
+from dataclasses import replace
+from typing import Annotated
 
 from placegraph.errors import InputError, MissingExtraError
 from placegraph.indoor.build import build_scene
@@ -23,12 +22,15 @@ from placegraph.io.mesh.ply import write_ply
 from placegraph_lab.tables import runner as lab
 from placegraph_lab.tables.indoor.bench import (
     BARE,
+    OFFICE,
     QUICK_EVERY,
+    SEMANTIC,
     Bench,
+    Job,
     NoisyEncoder,
     NoisyLabels,
-    answered,
     chosen,
+    localize,
 )
 from placegraph_lab.tables.indoor.maps import place
 from placegraph_lab.tables.indoor.metrics import THRESHOLDS, Answer
@@ -45,12 +47,7 @@ WITH_LABELS = (INSTANCES, TABLE, LABELS, OTHERS)
 """Encoders of a capture that brings labels; those of the house do."""
 OF_IMAGES = ("appearance",)  # encoders of colour images that need no weights from elsewhere
 
-TERMS = {
-    "semantic": {"semantic": True},
-    "semantic + depth": {"semantic": True, "depth": True},
-    "semantic + colour": {"semantic": True, "colour": True},
-    "semantic + depth + colour": {"semantic": True, "depth": True, "colour": True},
-}
+TERMS = {name.replace("all", "semantic + depth + colour"): on for name, on in SEMANTIC.items()}
 
 OTHER_WORDS = {
     "Portrait": "painting", "DeskPortrait": "photo frame", "RoomWindow": "windowpane",
@@ -70,39 +67,22 @@ OTHER_WORDS = {
 """Another word for each label of the house: a synonym, or what is of its kind; none is the map's."""
 
 
-@dataclass(frozen=True)
-class Case:
-    """One row of a table: an encoder, the terms beside it, and where."""
-
-    place: str  # `house`, or a key of `HALVES`
-    encoder: str
-    terms: str
-
-    @property
-    def name(self) -> str:
-        return f"{self.place}: {self.encoder}: {self.terms}"
-
-    @property
-    def options(self) -> PoseSearchOptions:
-        return PoseSearchOptions().only(**(TERMS | BARE)[self.terms])
-
-    def key(self, window: Window, seed: int, code: str) -> str:
-        options = hashlib.sha256(repr(self.options).encode()).hexdigest()[:12]
-        return f"{code} {self.place} {self.encoder} {options} seed {seed} {window.name}"
-
-    def fields(self) -> dict[str, Any]:
-        return asdict(self)
-
-
-def cases(images: Iterable[str] = OF_IMAGES) -> list[Case]:
+def cases(images: Iterable[str] = OF_IMAGES) -> list[Job]:
     """All rows; `images`: the encoders of images that there are."""
     images = tuple(images)
     rows = []
     for where in ("house", *HALVES):
-        rows += [Case(where, NONE, terms) for terms in BARE]
+        pairs = [(NONE, terms) for terms in BARE]
         encoders = (*WITH_LABELS, *images) if where == "house" else images
-        rows += [Case(where, name, terms) for name in encoders for terms in TERMS]
+        pairs += [(name, terms) for name in encoders for terms in TERMS]
+        rows += [case(where, name, terms) for name, terms in pairs]
     return rows
+
+
+def case(place: str, encoder: str, terms: str) -> Job:
+    """Row of a table: an encoder, the terms beside it, and where."""
+    options = PoseSearchOptions().only(**(TERMS | BARE)[terms])
+    return Job(place, f"{encoder}: {terms}", options, place, encoder)
 
 
 def available() -> list[str]:
@@ -117,11 +97,10 @@ def available() -> list[str]:
     return found
 
 
-def named(capture: Capture, scene: SceneMap, words: dict[str, str] | None = None) -> Capture:
-    """A capture of a map's instances as one of labels: what the map calls them, or other words."""
-    said = words or {}
+def rename_labels(capture: Capture, scene: SceneMap, words: dict[str, str]) -> Capture:
+    """A capture of a map's instances as one of labels: those of the map, or other words for them."""
     names = {
-        int(id_): said.get(label, label)
+        int(id_): words.get(label, label)
         for id_, label in zip(scene.graph.ids, scene.graph.labels, strict=True)
     }
     frames = tuple(replace(f, label_kind="labels", label_names=names) for f in capture.frames)
@@ -129,28 +108,29 @@ def named(capture: Capture, scene: SceneMap, words: dict[str, str] | None = None
 
 
 def encoder_of(
-    case: Case, scene: SceneMap, window: Window, seed: int
+    job: Job, scene: SceneMap, window: Window, seed: int
 ) -> tuple[MapEncoder | None, Window]:
     """An encoder with its noise, and the window as that is to see it."""
-    if case.encoder == NONE:
+    if job.labels == NONE:
         return None, window
-    if case.encoder in {INSTANCES, TABLE}:
-        clean = InstancesEncoder if case.encoder == INSTANCES else ClassesOfInstances
+    if job.labels in {INSTANCES, TABLE}:
+        clean = InstancesEncoder if job.labels == INSTANCES else ClassesOfInstances
         return NoisyEncoder(clean(scene), seed=seed, name=window.place), window
-    if case.encoder in {LABELS, OTHERS}:
-        words = OTHER_WORDS if case.encoder == OTHERS else {}
-        capture = named(window.capture, scene, words)
+    if job.labels in {LABELS, OTHERS}:
+        words = OTHER_WORDS if job.labels == OTHERS else {}
+        capture = rename_labels(window.capture, scene, words)
         vocabulary = list(capture.label_names.values())
         noisy = NoisyLabels(LabelsEncoder(), vocabulary, seed=seed, name=window.place)
         return bind_encoder(noisy, scene), replace(window, capture=capture)
-    return bind_encoder(encoder(case.encoder), scene), window
+    return bind_encoder(encoder(job.labels), scene), window
 
 
 def ask(
-    case: Case, scene: SceneMap, window: Window, *, seed: int = 0, device: str = "auto"
+    job: Job, scene: SceneMap, window: Window, *, seed: int = 0, device: str = "auto"
 ) -> Answer:
-    mapped, seen = encoder_of(case, scene, window, seed)
-    return answered(scene, seen, mapped, case.options, seed=seed, device=device)
+    """Localize a window, without refining, and measure the answer."""
+    mapped, seen = encoder_of(job, scene, window, seed)
+    return localize(scene, seen, mapped, job.options, seed=seed, device=device)
 
 
 class SemanticBench(Bench):
@@ -176,11 +156,6 @@ class SemanticBench(Bench):
 
 LIMITS = ((0.10, 5.0), (0.25, 10.0), (0.25, 2.0))
 """Recalls that are shown; the first two are the paper's."""
-TITLES = {
-    "house": "House, 30 % of the labelled patches wrong",
-    "b in a": "Office, map of frames 0-185, asked about 186-372",
-    "a in b": "Office, map of frames 186-372, asked about 0-185",
-}
 
 
 PUBLISHED = (
@@ -195,23 +170,16 @@ PUBLISHED = (
 
 
 def report(rows: Sequence[Row]) -> str:
+    """Return a table for each place and length, and the paper's."""
     text = []
-    for where, title in TITLES.items():
+    for where, title in {"house": "House, 30 % of the labelled patches wrong", **OFFICE}.items():
         for length in sorted({r.length for r in rows if r.job.place == where}):
             mine = [r for r in rows if r.job.place == where and r.length == length]
             text += [f"#### {title}, {length} frames", lab.render(COLUMNS, mine)]
     published = [
-        [
-            f"*{source}, 3RScan*",
-            terms,
-            "–",
-            error(mean),
-            error(median),
-            *map(lab.share, recall),
-            *["–"] * 4,
-        ]
+        [f"*{source}, 3RScan*", terms, "–", error(mean), error(median), *map(lab.share, recall), *["–"] * 4]
         for source, terms, mean, median, recall in PUBLISHED
-    ]
+    ]  # fmt: skip
     text += ["#### Published (SG2Loc, 5 frames)", lab.render(COLUMNS, published)]
     return "\n\n".join(text)
 
@@ -221,8 +189,8 @@ def error(pair: tuple[float, float] | None) -> str:
 
 
 COLUMNS = (
-    Col("encoder", lambda r: "–" if r.job.encoder == NONE else r.job.encoder),
-    Col("terms", "job.terms"), Col("windows", "score.windows"),
+    Col("encoder", lambda r: "–" if r.job.labels == NONE else r.job.labels),
+    Col("terms", lambda r: r.job.row.rpartition(": ")[2]), Col("windows", "score.windows"),
     Col("mean", "score.mean", error), Col("median", "score.median", error),
     *(Col(f"R@{100 * limits[0]:.0f}cm {limits[1]:.0f}°",
           f"score.recall.{THRESHOLDS.index(limits)}", lab.share)
@@ -250,16 +218,14 @@ def indoor_semantics(
         every, office_every = QUICK_EVERY, 2 * office_every
     bench = SemanticBench(run.data, run.cache, every, office_every)
 
-    def once(job: Case, window: Window, seed: int) -> dict[str, Any]:
-        return ask(job, bench.scene(job.place), window, seed=seed, device=device).to_dict()
+    def once(job: Job, window: Window, seed: int) -> Answer:
+        return ask(job, bench.scene(job.place), window, seed=seed, device=device)
 
-    jobs, lengths = (
-        chosen(cases(available()), lab.parts(only, ";")),
-        [int(n) for n in windows.split(",")],
-    )
+    jobs = chosen(cases(available()), lab.parts(only, ";"))
+    lengths = [int(n) for n in windows.split(",")]
     asked = ask_windows(
         run, jobs, bench, lambda _: lengths, once, seed=seed, device=device, fresh=fresh
     )
-    rows = [Row(job, n, tuple(map(Answer.from_dict, told))) for job, n, told in asked]
+    rows = [Row(job, n, tuple(Answer(**a) for a in answers)) for job, n, answers in asked]
     print(report(rows))
-    run.save({"rows": [row.to_dict() for row in rows]}, whole=not only)
+    run.save({"rows": [row.record() for row in rows]}, whole=not only)

@@ -48,7 +48,7 @@ METHODS = {
 }
 
 
-def _stage(name: str) -> Any:  # noqa: ANN401
+def _stage(name: str) -> Any:
     return lambda row: row["stage_seconds"].get(name, 0.0)
 
 

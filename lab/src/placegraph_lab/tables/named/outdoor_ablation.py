@@ -121,7 +121,7 @@ COMPARED = ("20 given", "20 given, cosine", "10 candidates, cosine")
 def variants(base: TrainOptions) -> dict[str, TrainOptions]:
     """Trainings by name."""
 
-    def of(**shape: Any) -> TrainOptions:  # noqa: ANN401
+    def of(**shape: Any) -> TrainOptions:
         return replace(base, shape=replace(base.shape, **shape))
 
     plain = of(statements=False)

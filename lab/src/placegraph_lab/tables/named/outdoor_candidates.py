@@ -159,7 +159,7 @@ def outdoor_candidates(
     smallest = crop(whole, min(*wanted, len(whole.cells)), middle)
     unseen = in_held_out_tiles(whole)
 
-    def where(lonlat: Floats) -> Any:  # noqa: ANN401  # a mask
+    def where(lonlat: Floats) -> Any:
         inside = np.array([smallest.cells.at(*at) is not None for at in lonlat.tolist()])
         return inside & unseen(lonlat)
 

@@ -47,7 +47,7 @@ class Way:
     fuser: Fuser
 
 
-def own(options: FuseOptions | None = None, **given: Any) -> Fuser:  # noqa: ANN401  # of `fuse`
+def own(options: FuseOptions | None = None, **given: Any) -> Fuser:
     """`placegraph.indoor.mapping.fuse.fuse` with options."""
 
     def run(frames: Sequence[Frame], poses: Floats) -> Mesh:

@@ -9,13 +9,13 @@ written down at once: run it again and it goes on where it was cut.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from placegraph_lab.tables import runner as lab
 from placegraph_lab.tables.indoor.bench import chosen
+from placegraph_lab.tables.indoor.refine import RefineScore
 from placegraph_lab.tables.indoor.report import errors
 from placegraph_lab.tables.indoor.windows import EVERY, OFFICE_EVERY
 from placegraph_lab.tables.runner import Column as Col
@@ -27,11 +27,9 @@ from placegraph_lab.tables.scene.maps import (
     PLACES,
     VERTICES,
     Asking,
-    Finding,
     Made,
     Maps,
     Paired,
-    Refining,
     Size,
     difference,
     findings,
@@ -65,10 +63,9 @@ MAPS = (
     Col("opens ms", "0.open_seconds", 0, "", 1e3), Col("off mm: mean / 95 % / most", "1", _distances),
 )  # fmt: skip
 REFINED = (
-    Col("", "row"), Col("size", "size"), Col("windows", "windows", 0),
-    Col("median", lambda r: [r["after"][f"median_{k}"] for k in ("position_m", "rotation_deg")], errors),
-    Col("10 cm, 5°", lambda r: r["after"]["recall"]["0.1 m, 5 deg"], lab.share),
-    Col("accepted", "accepted", lab.share), Col("s refining", "refine_seconds", 2),
+    Col("", "0"), Col("size", "1"), Col("windows", "2.windows", 0),
+    Col("median", "2.after.median", errors), Col("10 cm, 5°", "2.after.recall.0", lab.share),
+    Col("accepted", "2.accepted", lab.share), Col("s refining", "2.refine_seconds", 2),
 )  # fmt: skip
 
 
@@ -76,17 +73,16 @@ def report(
     made: Sequence[Made],
     apart: dict[str, Apart],
     pairs: Sequence[Paired],
-    refined: Sequence[dict[str, Any]],
+    refined: Sequence[tuple[str, str, RefineScore]],
 ) -> str:
+    """Return all tables that there are rows for; `apart` by the name of the map."""
     text = ["#### What a map takes", lab.render(MAPS, [(m, apart.get(m.name)) for m in made])]
     paper = [[f"*{name}*", lab.number(a, 1), lab.number(b, 1)] for name, (a, b) in STORAGE.items()]
     text += ["#### The paper's MB a scene", lab.markdown(["", "3RScan", "ScanNet"], paper)]
-    for place in PLACES:
-        mine = [p for p in pairs if _place(p) == place]
-        if mine:
+    for place, of in PLACES.items():
+        if mine := [p for p in pairs if p.place == place]:
             limits = " / ".join(f"{100 * m:.0f} cm {d:.0f}°" for m, d in mine[0].limits)
-            text += [f"#### {PLACES[place].title}: recall within {limits} (windows)"]
-            text += [recall_table(mine)]
+            text += [f"#### {of.title}: recall within {limits} (windows)", recall_table(mine)]
     if refined:
         text += ["#### Refined poses", lab.render(REFINED, refined)]
     changed = [
@@ -96,11 +92,6 @@ def report(
     if changed:
         text += ["#### Windows that are right on one map only", "\n".join(changed)]
     return "\n\n".join(text)
-
-
-def _place(pairs: Paired) -> str:
-    name = pairs.row.partition(":")[0]
-    return name if name in PLACES else "house"
 
 
 def recall_table(pairs: Sequence[Paired]) -> str:
@@ -149,9 +140,8 @@ def scene_maps(
     """How small may a scene map be? Bytes, seconds, memory and recall of maps of many sizes."""
     rows, refining = findings(), refinings()
     if only:
-        every_row: list[Finding | Refining] = [*rows, *refining]
         asked_for = [n if n.endswith(("*", "frames")) else f"{n}, *" for n in lab.parts(only, ";")]
-        both = {r.name for r in chosen(every_row, asked_for)}
+        both = {r.name for r in chosen([*rows, *refining], asked_for)}
         rows = [r for r in rows if r.name in both]
         refining = [r for r in refining if r.name in both]
     names = lab.parts(sizes)
@@ -176,9 +166,7 @@ def scene_maps(
     pairs = [] if build_only else study(asking, rows, wanted)
     refined = [] if build_only else refinement(asking, refining, wanted)
     print(report(made, apart, pairs, refined))
-    built = [
-        asdict(m) | {"off_m": asdict(apart[m.name]) if m.name in apart else None} for m in made
-    ]
+    built = [lab.plain(m) | {"off_m": apart.get(m.name)} for m in made]
     record = {"paper": {"storage_MB": STORAGE}, "maps": built}
-    record |= {"recall": [p.to_dict() for p in pairs], "refined": refined}
+    record |= {"recall": [p.record() for p in pairs], "refined": refined}
     run.save(record, whole=not (only or sizes or build_only))

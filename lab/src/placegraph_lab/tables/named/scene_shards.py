@@ -218,7 +218,7 @@ def _frames(shards: SceneShards, query: Query) -> Callable[[int], Any]:
 
 
 def _text(shards: SceneShards, text: str) -> Callable[[int], Any]:
-    def find(_: int) -> Any:  # noqa: ANN401
+    def find(_: int) -> Any:
         try:
             return shards.search(text, most=10)
         except OptionError:  # nothing of it was understood

@@ -44,7 +44,7 @@ class Request:
     kind: str = "application/json"
 
     @classmethod
-    def of(cls, path: str, **told: Any) -> Request:  # noqa: ANN401  # any JSON
+    def of(cls, path: str, **told: Any) -> Request:
         return cls("POST", path, json.dumps(told).encode())
 
     @property

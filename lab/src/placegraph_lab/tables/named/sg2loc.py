@@ -21,7 +21,7 @@ from placegraph.indoor.scene_map import SceneMap
 from placegraph_lab.tables import runner as lab
 from placegraph_lab.tables.indoor import sg2loc as at_hand
 from placegraph_lab.tables.indoor import sg2loc as brought
-from placegraph_lab.tables.indoor.metrics import rounded, score
+from placegraph_lab.tables.indoor.metrics import score
 from placegraph_lab.tables.indoor.report import errors
 from placegraph_lab.tables.indoor.scan3r import Split
 from placegraph_lab.tables.indoor.sg2loc import (
@@ -245,9 +245,9 @@ def measured(name: str, row: str, replies: Sequence[Reply], *, whole: bool) -> l
         }
         rows.append(
             {"set": name, "state": _STATES[state], "row": row, "frames": of[0].frames, "windows": len(of)}
-            | {c: [rounded(v, 4) for v in values] for c, values in figures.items()}
-            | {"seconds": rounded(float(np.median([a.seconds / a.frames for a in of])), 4)}
-            | {"particles": rounded(its.particles, 0)}
+            | figures
+            | {"seconds": float(np.median([a.seconds / a.frames for a in of]))}
+            | {"particles": its.particles}
         )  # fmt: skip
     return rows
 

@@ -101,12 +101,12 @@ def hybrid(city: CityMap, queries: Sequence[Query], folder: Path) -> list[dict[s
     words = [sparse_text(city, q.text) or {0: 1e-9} for q in queries]
     centers = city.cells.centers(np.arange(len(city.cells)))
 
-    def one(field: str, vector: Any) -> list[int]:  # noqa: ANN401
+    def one(field: str, vector: Any) -> list[int]:
         return [
             h["id"] for h in client.search("cells", [vector], anns_field=field, limit=max(AMONG))[0]
         ]
 
-    def both(d: Any, w: Any) -> list[int]:  # noqa: ANN401
+    def both(d: Any, w: Any) -> list[int]:
         asks = [AnnSearchRequest([d], "dense", {}, 50), AnnSearchRequest([w], "words", {}, 50)]
         return [h["id"] for h in client.hybrid_search("cells", asks, RRFRanker(), max(AMONG))[0]]
 

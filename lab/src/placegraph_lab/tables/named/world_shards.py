@@ -78,7 +78,7 @@ def _timed(planet: World, name: str, texts: list[str], *, killed: bool = False) 
     client: Any = getattr(crew, "client", None)
     each = crew.each
 
-    def counted(*told: Any) -> Any:  # noqa: ANN401
+    def counted(*told: Any) -> Any:
         trips.append(len(told[0]))
         return each(*told)
 
@@ -193,7 +193,7 @@ def fix(kind: str, q: Query) -> dict[str, Any]:
     return {"near": (q.longitude, q.latitude), "radius": NEAR} if kind == "with a fix" else {}
 
 
-def near(best: Any, q: Query) -> bool:  # noqa: ANN401
+def near(best: Any, q: Query) -> bool:
     east = (best.longitude - q.longitude) * np.cos(np.radians(q.latitude))
     return bool(np.hypot(east, best.latitude - q.latitude) * 111_000.0 < 50.0)
 
@@ -252,7 +252,7 @@ def world_shards(
     })  # fmt: skip
 
 
-def _sources(town: Any) -> int:  # noqa: ANN401  # what a world holds is known by its protocol
+def _sources(town: Any) -> int:
     return len(town.sources)
 
 

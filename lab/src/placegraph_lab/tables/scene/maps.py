@@ -27,7 +27,13 @@ from placegraph_lab.tables.indoor import refine as indoor_refine
 from placegraph_lab.tables.indoor.bench import Job, ask, house_jobs, office_jobs
 from placegraph_lab.tables.indoor.maps import COARSE, coarse, with_mesh
 from placegraph_lab.tables.indoor.metrics import Answer, score
-from placegraph_lab.tables.indoor.refine import Refined, RefineJob, refine_jobs, refine_score
+from placegraph_lab.tables.indoor.refine import (
+    Refined,
+    RefineJob,
+    RefineScore,
+    refine_jobs,
+    refine_score,
+)
 from placegraph_lab.tables.indoor.windows import (
     COVERED,
     HALVES,
@@ -285,10 +291,10 @@ LIMITS = {"house": ((0.10, 5.0), (0.25, 2.0)), "office": ((0.10, 5.0), (0.25, 10
 
 
 @dataclass(frozen=True)
-class Finding:
-    """A row of `indoor_filter`, for windows of one length."""
+class Row:
+    """A row of `indoor_filter` or `indoor_refine`, for windows of one length."""
 
-    job: Job
+    job: Job | RefineJob
     length: int
 
     @property
@@ -297,34 +303,18 @@ class Finding:
 
     @property
     def place(self) -> str:
-        return self.job.map
+        return self.job.map if isinstance(self.job, Job) else self.job.place
 
 
-@dataclass(frozen=True)
-class Refining:
-    """A row of `indoor_refine`, for windows of one length."""
-
-    job: RefineJob
-    length: int = LENGTHS[-1]
-
-    @property
-    def name(self) -> str:
-        return f"{self.job.name}, {self.length} frames"
-
-    @property
-    def place(self) -> str:
-        return self.job.place
-
-
-def findings() -> list[Finding]:
+def findings() -> list[Row]:
+    """All rows of recall."""
     jobs = [j for j in (*house_jobs(), *office_jobs()) if j.name in ROWS]
-    return [
-        Finding(j, n) for j in jobs for n in ((OFFICE_LENGTH,) if j.table in HALVES else LENGTHS)
-    ]
+    return [Row(j, n) for j in jobs for n in ((OFFICE_LENGTH,) if j.table in HALVES else LENGTHS)]
 
 
-def refinings() -> list[Refining]:
-    return [Refining(j) for j in refine_jobs(("auto",)) if j.name in REFINED_ROWS]
+def refinings() -> list[Row]:
+    """All rows of refinement."""
+    return [Row(j, LENGTHS[-1]) for j in refine_jobs(("auto",)) if j.name in REFINED_ROWS]
 
 
 class Asking:
@@ -340,7 +330,7 @@ class Asking:
     ) -> None:
         self.maps, self.every, self.office_every = maps, every, office_every
         self.seed, self.device = seed, device
-        self._codes = (code_key(INDOOR),) * 2
+        self._code = code_key(INDOOR)
         self._windows: dict[tuple[str, int], list[Window]] = {}
 
     def windows(self, place: str, length: int) -> list[Window]:
@@ -359,57 +349,33 @@ class Asking:
             self._windows[place, length] = made
         return self._windows[place, length]
 
-    def found(self, row: Finding, size: Size) -> list[Answer]:
-        """Answers of a row on a map."""
-        windows = self.windows(row.place, row.length)
-        keys = [row.job.key(w, self.seed, self._codes[0]) for w in windows]
-
-        def once(window: Window, seed: int) -> dict[str, Any]:
-            scene = self.maps.scene(row.place, size)
-            return ask(row.job, scene, window, seed=seed, device=self.device).to_dict()
-
-        rows = self._asked(row, size, windows, keys, once)
-        return [Answer.from_dict(r) for r in rows]
-
-    def refined(self, row: Refining, size: Size) -> list[Refined]:
-        """Refined poses of a row on a map."""
-        windows = self.windows(row.place, row.length)
-        keys = [row.job.key(w, self.seed, self._codes[1]) for w in windows]
-
-        def once(window: Window, seed: int) -> dict[str, Any]:
-            scene = self.maps.scene(row.place, size)
-            return indoor_refine.ask(
-                row.job, scene, window, matcher=row.job.matcher, seed=seed, device=self.device
-            ).to_dict()
-
-        return [Refined.from_dict(r) for r in self._asked(row, size, windows, keys, once)]
-
-    def _asked(
-        self,
-        row: Finding | Refining,
-        size: Size,
-        windows: Sequence[Window],
-        keys: Sequence[str],
-        once: Callable[[Window, int], dict[str, Any]],
-    ) -> list[dict[str, Any]]:
-        """Plain answers to all windows; `once` asks about one, with a seed."""
-        journal = self.maps.journal
+    def answers(self, row: Row, size: Size) -> list[Any]:
+        """Answers of a row on a map: `Answer`, or `Refined`."""
+        windows, journal, job = self.windows(row.place, row.length), self.maps.journal, row.job
         digest = self.maps.made(row.place, size).digest
-        keys = [f"{digest} {key} {self.device}" for key in keys]
-        asked = len(journal.missing(keys))
-        if asked:
+        keys = [f"{digest} {job.key(w, self.seed, self._code)} {self.device}" for w in windows]
+        if asked := len(journal.missing(keys)):
             self.maps.tell(f"{size.name}: {row.name}, {asked} windows")
-        return journal.filled(
+
+        def once(window: Window, seed: int) -> Answer | Refined:
+            scene, how = self.maps.scene(row.place, size), {"seed": seed, "device": self.device}
+            if isinstance(job, Job):
+                return ask(job, scene, window, **how)  # type: ignore[arg-type]
+            return indoor_refine.ask(job, scene, window, matcher=job.matcher, **how)  # type: ignore[arg-type]
+
+        found = journal.filled(
             keys,
             lambda i: once(windows[i], self.seed),
             warm=lambda: once(windows[0], self.seed + 1),
         )
+        return [Answer(**a) if isinstance(job, Job) else Refined.from_dict(a) for a in found]
 
 
 @dataclass(frozen=True)
 class Paired:
     """Answers on a map beside those on the full one, to the same windows."""
 
+    place: str
     row: str
     size: str
     answers: tuple[Answer, ...]
@@ -422,6 +388,10 @@ class Paired:
         return tuple(
             sum(a.within(*w) for a in self.answers) / len(self.answers) for w in self.limits
         )
+
+    def record(self) -> dict[str, Any]:
+        names = ("row", "size", "gained", "lost")
+        return {name: getattr(self, name) for name in names} | {"score": score(self.answers)}
 
     @property
     def steps(self) -> tuple[int, ...]:
@@ -444,15 +414,6 @@ class Paired:
     def gained(self) -> list[str]:
         return [a.window for a, step in zip(self.answers, self.steps, strict=True) if step > 0]
 
-    def to_dict(self) -> dict[str, Any]:
-        return {
-            "row": self.row,
-            "size": self.size,
-            "gained": self.gained,
-            "lost": self.lost,
-            "score": score(self.answers).to_dict(),
-        }
-
 
 def difference(steps: Sequence[int]) -> tuple[float, float]:
     """Points of recall that a map gains over the full one, and their standard error.
@@ -465,34 +426,28 @@ def difference(steps: Sequence[int]) -> tuple[float, float]:
     return float(points.mean()), float(points.std() / math.sqrt(len(points)))
 
 
-def study(asking: Asking, rows: Sequence[Finding], sizes: dict[str, list[Size]]) -> list[Paired]:
+def study(asking: Asking, rows: Sequence[Row], sizes: dict[str, list[Size]]) -> list[Paired]:
     """All rows on all sizes of their places, map by map."""
-    found = []
-    for place in dict.fromkeys(r.place for r in rows):
-        own = [r for r in rows if r.place == place]
-        for size in (FULL, *(s for s in sizes[place] if s != FULL)):
-            found += [
-                Paired(
-                    row.name,
-                    size.name,
-                    tuple(asking.found(row, size)),
-                    tuple(asking.found(row, FULL)),
-                    LIMITS["office" if place in HALVES else "house"],
-                )
-                for row in own
-                if asking.windows(place, row.length)
-            ]
-    return found
+    return [
+        Paired(
+            place, row.name, size.name,
+            tuple(asking.answers(row, size)), tuple(asking.answers(row, FULL)),
+            LIMITS["office" if place in HALVES else "house"],
+        )
+        for place in dict.fromkeys(r.place for r in rows)
+        for size in (FULL, *(s for s in sizes[place] if s != FULL))
+        for row in rows
+        if row.place == place and asking.windows(place, row.length)
+    ]  # fmt: skip
 
 
 def refinement(
-    asking: Asking, rows: Sequence[Refining], sizes: dict[str, list[Size]]
-) -> list[dict[str, Any]]:
+    asking: Asking, rows: Sequence[Row], sizes: dict[str, list[Size]]
+) -> list[tuple[str, str, RefineScore]]:
     """Refined poses of all rows on the sizes that `REFINED_SIZES` names, summarized."""
-    found = []
-    for row in rows:
-        for size in (s for s in sizes[row.place] if s.name in REFINED_SIZES):
-            if results := asking.refined(row, size):
-                summary = refine_score(results).to_dict()
-                found.append({"row": row.name, "size": size.name} | summary)
-    return found
+    return [
+        (row.name, size.name, refine_score(results))
+        for row in rows
+        for size in sizes[row.place]
+        if size.name in REFINED_SIZES and (results := asking.answers(row, size))
+    ]
