@@ -2,7 +2,6 @@
 
 import io
 import json
-from collections import Counter
 
 import numpy as np
 import pytest
@@ -10,6 +9,7 @@ from PIL import Image
 
 from placegraph.errors import InputError, OptionError
 from placegraph_io.dataset.scan3r import read_rooms
+from placegraph_lab.tables.indoor import scan3r
 from placegraph_lab.tables.indoor.scan3r import (
     cross_temporal_pairs,
     recorded,
@@ -55,36 +55,37 @@ def named(split):
     return {name: [room.reference for room in found] for name, found in split.items()}
 
 
-def test_the_rule(rooms):
+def test_the_rule(rooms, monkeypatch):
     """Rooms of 3RScan's validation with the fewest scans stay it, the others are the test."""
-    assert named(split_rooms(rooms, validation_rooms=2)) == {
-        "train": ["a0-x"],
-        "validation": ["c0-x", "e0-x"],
-        "test": ["b0-x", "d0-x"],
-    }
     everything = split_rooms(rooms)
     assert len(everything["validation"]) == 4
     assert not everything["test"]
+    monkeypatch.setattr(scan3r, "VALIDATION_ROOMS", 2)
+    assert named(split_rooms(rooms)) == {
+        "train": ["a0-x"], "validation": ["c0-x", "e0-x"], "test": ["b0-x", "d0-x"],
+    }  # fmt: skip
+
+
+def test_lists_part_the_rooms(rooms, tmp_path):
+    (tmp_path / scan3r.LISTS["test"]).write_text("# mine\nb2-x\na0-x\n")
+    assert named(split_rooms(rooms, tmp_path)) == {
+        "train": [], "validation": ["c0-x", "d0-x", "e0-x"], "test": ["a0-x", "b0-x"],
+    }  # fmt: skip
+    (tmp_path / scan3r.LISTS["train"]).write_text("b0-x\n")
+    with pytest.raises(InputError, match="both name the room b0-x"):
+        split_rooms(rooms, tmp_path)
 
 
 def test_pairs(rooms):
-    left_out = Counter()
-    pairs = cross_temporal_pairs(rooms.rooms, left_out=left_out)
+    pairs = cross_temporal_pairs(rooms.rooms)
     assert len(pairs) == 2 + 4 * 3 + 2 + 2
     assert all(pair.map != pair.query for pair in pairs)
     assert {(p.map[0], p.query[0]) for p in pairs} == {(r, r) for r in "abcd"}
-    assert left_out == {"rooms with a single scan": 2, "scans whose alignment is kept back": 1}
     assert {p.name: p.changed for p in pairs if p.room == "b0-x"} == {
         f"b{q} in b{m}": 2 in {q, m} for q in range(4) for m in range(4) if q != m
     }
-    reference = cross_temporal_pairs(rooms.rooms, "reference")
-    assert [(p.query, p.map) for p in reference[:3]] == [
-        ("a1-x", "a0-x"), ("b1-x", "b0-x"), ("b2-x", "b0-x"),
-    ]  # fmt: skip
-    with pytest.raises(OptionError, match="rng"):
-        cross_temporal_pairs(rooms.rooms, "one")
-    with pytest.raises(OptionError, match="which"):
-        cross_temporal_pairs(rooms.rooms, "two")
+    one = cross_temporal_pairs(rooms.rooms, np.random.default_rng(0))
+    assert [pair.query for pair in one] == list(dict.fromkeys(pair.query for pair in pairs))
 
 
 def write_sequence(folder, poses):

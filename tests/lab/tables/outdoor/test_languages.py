@@ -3,14 +3,14 @@
 import pytest
 
 from placegraph.outdoor.language import describe
-from placegraph_lab.tables.named.languages import spoken, told
+from placegraph_lab.tables.named.languages import spoken, translate_queries
 from placegraph_lab.worlds.town.town import Town
 
 
 @pytest.fixture(scope="module")
 def texts(tmp_path_factory):
     osm = Town.load("hafenstadt").write_osm(tmp_path_factory.mktemp("town") / "town.osm")
-    return dict(told(osm, 5, 0))
+    return dict(translate_queries(osm, 5, 0))
 
 
 @pytest.mark.parametrize("code", spoken())

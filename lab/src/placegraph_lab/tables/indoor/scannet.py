@@ -14,7 +14,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from numpy.random import Generator
@@ -86,7 +85,6 @@ def _middle(points: Floats) -> Floats:
 
 
 EVERY = 25  # images from one query to the next (Sec. 5).
-LENGTHS = (5, 10, 25, 50)  # images of a sequence (Tables 1 and 2)
 _SCAN = re.compile(r"(scene\d{4})_\d{2}")
 _RIGID = 1e-2
 
@@ -121,31 +119,16 @@ def scans_in(path: str | PathLike[str]) -> list[str]:
     return found
 
 
-def derive_pairs(
-    scans: Iterable[str], which: Literal["first", "next", "all"] = "first"
-) -> list[ScanPair]:
-    """Pairs of different scans of the same room, in order of their names.
+def derive_pairs(scans: Iterable[str]) -> list[ScanPair]:
+    """Pairs of scans of the same room, in order of their names: the first is the map of all others.
 
-    `scans`: names such as `scene0011_00`; the room is what stands before the underscore; `which`:
-    "first": a room's first scan is the map of all its others. "next": each scan is the map of the
-    next. "all": each scan is the map of each other one.
+    `scans`: names such as `scene0011_00`; the room is what stands before the underscore.
 
-    Raises `OptionError`: A name is none of ScanNet's, or `which` none of its values.
+    Raises `OptionError`: a name is none of ScanNet's.
     """
-    if which not in {"first", "next", "all"}:
-        raise OptionError(f"which is {which!r}; it is 'first', 'next' or 'all'.")
-    names = sorted(set(scans))
     pairs: list[ScanPair] = []
-    for _, group in itertools.groupby(names, _room):
-        room = list(group)
-        match which:
-            case "first":
-                found = [(room[0], other) for other in room[1:]]
-            case "next":
-                found = list(itertools.pairwise(room))
-            case _:
-                found = list(itertools.permutations(room, 2))
-        pairs += [ScanPair(*two) for two in found]
+    for _, (first, *others) in itertools.groupby(sorted(set(scans)), _room):
+        pairs += [ScanPair(first, other) for other in others]
     return pairs
 
 

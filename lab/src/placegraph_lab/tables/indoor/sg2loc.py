@@ -214,7 +214,7 @@ def of_3rscan(run: Run, split: scan3r.Split) -> Set:
         replace(room, scans=tuple(s for s in room.scans if _has(root, s.id)))
         for room in scan3r.split_rooms(rooms, lists if listed else None)[split]
     ]
-    pairs = scan3r.cross_temporal_pairs(there, "one", rng=np.random.default_rng(0))
+    pairs = scan3r.cross_temporal_pairs(there, np.random.default_rng(0))
     if not pairs:
         raise InputError(f"{root} holds no two scans of one room of the split {split!r}. {LAYOUT}")
     walks = [Walk(p.name, p.map, partial(scan3r.recorded, root, p), p.changed) for p in pairs]

@@ -7,7 +7,6 @@ do say, "The pose is north of a gray pole", as a statement about the speaker; no
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from math import pi
 from typing import Literal
 
@@ -136,12 +135,6 @@ def description_of(
     return Description(text_of(data, pose), tuple(mentions), tuple(told))
 
 
-def parsed(data: Kitti360Pose, pose: int, *, names: Names | None = None) -> Description:
-    from placegraph.outdoor.language import describe
-
-    return describe(text_of(data, pose), vocabulary=_DataWords(names or Names(data)))
-
-
 def _thing(data: Kitti360Pose, hint: int) -> str:
     h = data.hints
     return f"{data.colours[h.colours[hint]]} {data.labels[h.labels[hint]]}".strip()
@@ -168,52 +161,3 @@ def _between(data: Kitti360Pose, rows: range, edge_distance: float) -> list[Stat
                     Statement(Relation.DIRECTION, a + 2, b + 2, bearing=BEARINGS[wind], text=text)
                 )
     return told
-
-
-class _DataWords:
-    """A vocabulary of the data's own labels, for the parser."""
-
-    def __init__(self, names: Names) -> None:
-        self.names = names
-        data = names.data
-        self.nouns = {_plain(label): label for label in data.labels}
-        self.most = max((len(noun.split()) for noun in self.nouns), default=1) + 2
-
-    def senses(self, phrase: str) -> tuple[Sense, ...]:
-        """The label that ends the phrase, after a colour where there is one."""
-        words = _plain(phrase)
-        for noun, label in self.nouns.items():
-            colour = words.removesuffix(noun).strip()
-            if words == f"{colour} {noun}".strip() and colour in self.colours:
-                return (Sense(self._called(label, self.colours[colour]), 1.0),)
-        return ()
-
-    @property
-    def colours(self) -> dict[str, str]:
-        """Colours by their plain words; no colour too."""
-        return {_plain(colour): colour for colour in (*self.names.data.colours, "")}
-
-    def _called(self, label: str, colour: str) -> str:
-        if self.names.osm:
-            return (self.names.data.tags or OSM).get(label, label)
-        return f"{colour} {label}".strip() if self.names.coloured else label
-
-    def longest_match(
-        self, tokens: Sequence[str], start: int = 0
-    ) -> tuple[int, tuple[Sense, ...]] | None:
-        for n in range(min(self.most, len(tokens) - start), 0, -1):
-            senses = self.senses(" ".join(tokens[start : start + n]))
-            if senses:
-                return n, senses
-        return None
-
-    def closest(self, phrase: str, *, cutoff: float) -> tuple[str, float] | None:
-        del phrase, cutoff
-        return None
-
-    def unknown(self, phrase: str) -> str:
-        return f"{phrase!r} is no label"
-
-
-def _plain(phrase: str) -> str:
-    return " ".join(phrase.lower().replace("-", " ").split())

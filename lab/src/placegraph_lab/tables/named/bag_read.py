@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from statistics import median
 from time import process_time
@@ -24,7 +24,8 @@ import numpy as np
 from placegraph.core.geometry import Camera
 from placegraph.io.capture.capture import open_capture
 from placegraph.io.capture.frame import Capture, Frame
-from placegraph_lab.tables.runner import Quick, Run, markdown, number, option, table
+from placegraph_lab.tables.runner import Column as Col
+from placegraph_lab.tables.runner import Quick, Run, option, render, table
 from placegraph_lab.worlds.bags import BagWriter, Layout, write_capture
 from placegraph_ros.bag import Container
 
@@ -38,22 +39,18 @@ KINDS: tuple[tuple[str, Container, bool], ...] = (
 )
 
 
-@dataclass(frozen=True)
-class Row:
-    """Figures of one container; seconds of CPU."""
+def _speed(reader: str) -> Col:
+    return Col(reader, lambda r: r[reader] and r["megabytes"] / r[reader], 0)
 
-    container: str
-    megabytes: float  # of the pixels that are read
-    frames: int
-    open: float  # until there is a capture
-    messages: float  # opening, and colour and depth as messages, as `rosbags` gives them
-    arrays: float  # opening, and colour and depth as arrays: RGB and metres
-    rosbags: float  # `rosbags` alone: opening, and the same messages
-    mcap: float | None  # `mcap` with `mcap-ros2-support`; None where it is no MCAP
 
-    @property
-    def ratio(self) -> float:
-        return self.messages / self.rosbags
+def _ratio(reader: str) -> Col:
+    return Col(f"{reader}/rosbags", lambda r: r[reader] / r["rosbags"], 2)
+
+
+COLUMNS = (
+    Col("", "container"), Col("MB", "megabytes", 0), Col("open", "open", 0, "ms", 1e3),
+    *map(_speed, ("messages", "arrays", "rosbags", "mcap")), *map(_ratio, ("messages", "arrays")),
+)  # fmt: skip
 
 
 @table()
@@ -71,27 +68,31 @@ def bag_read(
     walk = open_capture(run.data / "house/seq00", labels=None)
     with tempfile.TemporaryDirectory() as name:
         rows = [
-            measured(repeated(walk, megabytes), kind, Path(name), rounds)
+            time_container(repeat(walk, megabytes), kind, Path(name), rounds)
             for kind in run.track(KINDS, "reading")
         ]
-        seconds = opened(frames, Path(name), rounds)
-    print(report(rows))
+        seconds = time_opening(frames, Path(name), rounds)
+    print(f"MB/s of CPU time; aim: messages/rosbags at most {AIM}\n\n{render(COLUMNS, rows)}")
     print(f"\nOpening {frames:,} frames, as of 20 GB of VGA: {seconds:.2f} s of CPU time")
-    run.save({"rows": [asdict(row) for row in rows], "opened": seconds})
+    run.save({"rows": rows, "opening": seconds})
 
 
-def repeated(walk: Capture, megabytes: float) -> Capture:
+def repeat(walk: Capture, megabytes: float) -> Capture:
     """Frames of a walk, over and over, until their pixels have that many megabytes."""
-    frame = walk[0]
-    depth = frame.depth()
-    each = (frame.rgb().nbytes + (0 if depth is None else depth.size * 2)) / 1e6
-    count = max(2, round(megabytes / each))
+    count = max(2, round(megabytes / frame_megabytes(walk)))
     frames = (replace(walk[i % len(walk)], stamp=i / 10) for i in range(count))
     return Capture.from_frames(frames)
 
 
-def measured(capture: Capture, kind: tuple[str, Container, bool], folder: Path, rounds: int) -> Row:
-    """Write a bag and read it by every reader."""
+def frame_megabytes(walk: Capture) -> float:
+    depth = walk[0].depth()
+    return (walk[0].rgb().nbytes + (0 if depth is None else depth.size * 2)) / 1e6
+
+
+def time_container(
+    capture: Capture, kind: tuple[str, Container, bool], folder: Path, rounds: int
+) -> dict[str, Any]:
+    """Write a bag and read it by every reader; CPU seconds, None of `mcap` where it is no MCAP."""
     name, container, packed = kind
     path = folder / name.replace(", ", "_").lower()
     path = path.with_suffix(".bag") if container == "rosbag1" else path
@@ -99,14 +100,14 @@ def measured(capture: Capture, kind: tuple[str, Container, bool], folder: Path, 
         write_capture(writer, capture, Layout())
     readers: dict[str, Callable[[], Any]] = {
         "open": lambda: open_capture(path),
-        "messages": lambda: ours(path),
+        "messages": lambda: read_messages(path),
         "arrays": lambda: [
             np.asarray(a).nbytes for f in open_capture(path) for a in (f.rgb(), f.depth())
         ],
-        "rosbags": lambda: by_rosbags(path),
+        "rosbags": lambda: read_by_rosbags(path),
     }
     if container == "mcap":
-        readers["mcap"] = lambda: by_mcap(next(path.glob("*.mcap")))
+        readers["mcap"] = lambda: read_by_mcap(next(path.glob("*.mcap")))
     seconds: dict[str, list[float]] = {reader: [] for reader in readers}
     for done in range(rounds + 1):
         for reader, read in readers.items():
@@ -114,18 +115,17 @@ def measured(capture: Capture, kind: tuple[str, Container, bool], folder: Path, 
             read()
             if done:  # the first warms the cache, and what is compiled
                 seconds[reader].append(process_time() - start)
-    taken: dict[str, Any] = {reader: median(times) for reader, times in seconds.items()}
-    depth = capture[0].depth()
-    each = capture[0].rgb().nbytes + (0 if depth is None else depth.size * 2)
-    return Row(name, each * len(capture) / 1e6, len(capture), **{"mcap": None} | taken)
+    row = {"container": name, "megabytes": len(capture) * frame_megabytes(capture)}
+    row |= {"frames": len(capture), "mcap": None}
+    return row | {reader: median(times) for reader, times in seconds.items()}
 
 
-def opened(frames: int, folder: Path, rounds: int) -> float:
+def time_opening(frames: int, folder: Path, rounds: int) -> float:
     """CPU seconds to open an MCAP of many frames: what counts is their number, not their size."""
     rgb, depth, camera = np.zeros((6, 8, 3), np.uint8), np.ones((6, 8)), Camera(8, 6, 8, 8, 4, 3)
     with BagWriter(folder / "many") as writer:
-        held = (Frame.from_arrays(rgb, camera, depth=depth, stamp=i / 30) for i in range(frames))
-        write_capture(writer, Capture.from_frames(held), Layout())
+        tiny = (Frame.from_arrays(rgb, camera, depth=depth, stamp=i / 30) for i in range(frames))
+        write_capture(writer, Capture.from_frames(tiny), Layout())
     seconds = []
     for _ in range(rounds):
         start = process_time()
@@ -134,7 +134,7 @@ def opened(frames: int, folder: Path, rounds: int) -> float:
     return median(seconds)
 
 
-def ours(path: Path) -> int:
+def read_messages(path: Path) -> int:
     """Open a bag as a capture, and decode the messages of its images; their bytes."""
     from placegraph_io.ros.decode import decoded
 
@@ -147,51 +147,22 @@ def ours(path: Path) -> int:
     return total
 
 
-def by_rosbags(path: Path) -> int:
-    """The same by `rosbags` alone."""
+def read_by_rosbags(path: Path) -> int:
     from rosbags.highlevel import AnyReader
 
-    total = 0
     with AnyReader([path]) as reader:
         wanted = [c for c in reader.connections if c.topic in IMAGES]
-        for connection, _, raw in reader.messages(wanted):
-            message: Any = reader.deserialize(raw, connection.msgtype)
-            total += len(message.data)
-    return total
+        messages: Any = (
+            reader.deserialize(raw, c.msgtype) for c, _, raw in reader.messages(wanted)
+        )
+        return sum(len(message.data) for message in messages)
 
 
-def by_mcap(path: Path) -> int:
-    """The same by `mcap` and its decoder for ROS 2."""
+def read_by_mcap(path: Path) -> int:
     from mcap.reader import make_reader
     from mcap_ros2.decoder import DecoderFactory
 
     with path.open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
-        held = reader.iter_decoded_messages(topics=list(IMAGES))
-        return sum(len(message.data) for *_, message in held)
-
-
-def report(rows: list[Row]) -> str:
-    cells = []
-    for row in rows:
-        speeds = [
-            None if taken is None else row.megabytes / taken
-            for taken in (row.messages, row.arrays, row.rosbags, row.mcap)
-        ]
-        cells.append([
-            row.container, number(row.megabytes), number(1000 * row.open, 0, "ms"),
-            *(number(speed) for speed in speeds), number(row.ratio, 2),
-            number(row.arrays / row.rosbags, 2),
-        ])  # fmt: skip
-    head = [
-        "",
-        "MB",
-        "open",
-        "messages",
-        "arrays",
-        "rosbags",
-        "mcap",
-        "messages/rosbags",
-        "arrays/rosbags",
-    ]
-    return f"MB/s of CPU time; aim: messages/rosbags at most {AIM}\n\n{markdown(head, cells)}"
+        messages = reader.iter_decoded_messages(topics=list(IMAGES))
+        return sum(len(message.data) for *_, message in messages)

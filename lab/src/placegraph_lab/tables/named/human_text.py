@@ -9,14 +9,15 @@ even records only; the odd ones are reported beside them.
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from placegraph.core.geometry import Floats
 from placegraph.errors import PlacegraphError
+from placegraph.outdoor.city import CityMap, build_city
 from placegraph_lab.tables.outdoor.metrics import HIT, distances
 from placegraph_lab.tables.outdoor.places import (
     Baselines,
@@ -25,20 +26,11 @@ from placegraph_lab.tables.outdoor.places import (
     read_records,
     write_osm,
 )
-from placegraph_lab.tables.runner import Quick, Run, markdown, number, option, share, shares, table
+from placegraph_lab.tables.runner import Column as Col
+from placegraph_lab.tables.runner import Quick, Run, number, option, render, share, shares, table
 from placegraph_lab.tables.statistics import reliability
 
-if TYPE_CHECKING:
-    from placegraph.outdoor.city import CityMap
-
 NEAR, WIDE = 100.0, 250.0  # radii of the table [m]
-QUOTED = {
-    "rarest landmark named": ".23/.37, 930 m",
-    "700 m in the stated direction": ".02/.13, 586 m",
-    "rarest landmark named, nearest to the start": ".29/.47, 306 m",
-    "placegraph": "aim .35/.50",
-    "placegraph, start known": "aim .45/.65",
-}
 
 
 @dataclass(frozen=True)
@@ -49,10 +41,6 @@ class Guess:
     probability: float | None = None
     status: str = ""
     seconds: float = float("nan")
-
-
-def guess(place: Floats | None, record: Record) -> Guess:
-    return Guess(np.inf if place is None else float(distances(place, *record.goal)[0]))
 
 
 def ask(city: CityMap, record: Record, listener: tuple[float, float] | None) -> Guess:
@@ -73,35 +61,40 @@ def ask(city: CityMap, record: Record, listener: tuple[float, float] | None) -> 
 
 
 def summary(guesses: Sequence[Guess]) -> dict[str, Any]:
-    """Numbers of a row."""
+    """Numbers of a row; calibration, statuses and times only where every guess has a probability."""
     off = np.array([g.distance for g in guesses])
     row: dict[str, Any] = {
         "records": len(off),
-        "within_100_m": round(float((off <= NEAR).mean()), 4),
-        "within_250_m": round(float((off <= WIDE).mean()), 4),
-        "median_m": round(float(np.median(off)), 1) if np.isfinite(np.median(off)) else None,
+        "within": [float((off <= radius).mean()) for radius in (NEAR, WIDE)],
+        "median_m": float(np.median(off)),
     }
-    if all(g.probability is not None for g in guesses):
-        bins = reliability([g.probability or 0.0 for g in guesses], off <= HIT)
-        states = sorted({g.status for g in guesses})
-        seconds = [g.seconds for g in guesses]
-        row |= {
-            "calibration_error": round(bins.error, 4),
-            "calibration_error_of_perfect": round(bins.floor, 4),
-            "status": {s: round(np.mean([g.status == s for g in guesses]), 4) for s in states},
-            "right_within_250_m": {
-                s: round(float((off[[g.status == s for g in guesses]] <= WIDE).mean()), 4)
-                for s in states
-            },
-            "p50_ms": round(1e3 * float(np.percentile(seconds, 50)), 2),
-            "p95_ms": round(1e3 * float(np.percentile(seconds, 95)), 2),
-        }
-    return row
+    if any(g.probability is None for g in guesses):
+        return row
+    bins = reliability([g.probability or 0.0 for g in guesses], off <= HIT)
+    statuses = np.array([g.status for g in guesses])
+    p50, p95 = np.percentile([1e3 * g.seconds for g in guesses], (50, 95))
+    kinds = np.unique(statuses).tolist()
+    return row | {
+        "calibration_error": bins.error,
+        "calibration_error_of_perfect": bins.floor,
+        "status": {s: float((statuses == s).mean()) for s in kinds},
+        "right_within_250_m": {s: float((off[statuses == s] <= WIDE).mean()) for s in kinds},
+        "p50_ms": float(p50),
+        "p95_ms": float(p95),
+    }
 
 
-def cells(row: dict[str, Any]) -> str:
-    median = number(row["median_m"], 0, "m") if row["median_m"] is not None else "∞"
-    return f"{shares([row['within_100_m'], row['within_250_m']])}, {median}"
+def _places(row: dict[str, Any]) -> str:
+    return f"{shares(row['within'])}, {number(row['median_m'], 0, 'm').replace('∞ m', '∞')}"
+
+
+COLUMNS = (
+    Col("within 100 m/250 m, median", "name"), Col("all", "all", _places),
+    Col("even (developed on)", "even", _places), Col("odd", "odd", _places),
+    Col("calibration error", "all.calibration_error", share),
+    Col("OK", lambda r: r["all"]["status"].get("OK", 0.0) if "status" in r["all"] else None, share),
+    Col("p50", "all.p50_ms", 1, "ms"), Col("p95", "all.p95_ms", 1, "ms"),
+)  # fmt: skip
 
 
 @table()
@@ -112,48 +105,35 @@ def human_text(
     quick: Quick = False,
 ) -> None:
     """Does what people write find its place? 1,023 descriptions from Pittsburgh (RVS)."""
-    told = read_records(run.data / "text/rvs_pittsburgh.jsonl")[: 50 if quick else None]
-    places = landmarks(told)
+    records = read_records(run.data / "text/rvs_pittsburgh.jsonl")[: 50 if quick else None]
+    places = landmarks(records)
     simple = Baselines(places)
-    answers: dict[str, list[Guess]] = {
-        "rarest landmark named": [guess(simple.rarest(r), r) for r in told],
-        "700 m in the stated direction": [guess(simple.walk(r), r) for r in told],
-        "rarest landmark named, nearest to the start": [
-            guess(simple.rarest_near(r), r) for r in told
-        ],
+    rules: dict[str, Callable[[Record], Floats | None]] = {
+        "rarest landmark named": simple.rarest,
+        "700 m in the stated direction": simple.walk,
+        "rarest landmark named, nearest to the start": simple.rarest_near,
+    }
+    answers = {
+        name: [
+            Guess(np.inf if (at := rule(r)) is None else float(distances(at, *r.goal)[0]))
+            for r in records
+        ]
+        for name, rule in rules.items()
     }
     if not baselines:
-        import placegraph as pg
-
         run.cache.mkdir(parents=True, exist_ok=True)
         write_osm(places, run.cache / "pittsburgh.osm")
-        pg.build_city(run.cache / "pittsburgh.osm", run.cache / "pittsburgh.city")
-        city: CityMap = pg.CityMap.open(run.cache / "pittsburgh.city")
+        city = build_city(run.cache / "pittsburgh.osm", run.cache / "pittsburgh.city")
         run.one_core()
-        for record in told[:10]:  # warm
+        for record in records[:10]:  # warm
             ask(city, record, record.start)
         for name, start in (("placegraph", False), ("placegraph, start known", True)):
             answers[name] = [
-                ask(city, r, r.start if start else None) for r in run.track(told, name)
+                ask(city, r, r.start if start else None) for r in run.track(records, name)
             ]
-    rows = {
-        name: {"all": summary(g), "even": summary(g[::2]), "odd": summary(g[1::2])}
+    rows = [
+        {"name": name, "all": summary(g), "even": summary(g[::2]), "odd": summary(g[1::2])}
         for name, g in answers.items()
-    }
-    header = ["within 100 m/250 m, median", "all", "even (developed on)", "odd", "as quoted"]
-    header += ["calibration error", "OK", "p50", "p95"]
-    print(markdown(header, [line(name, row) for name, row in rows.items()]))
-    run.save({"landmarks": len(places), "rows": rows})
-
-
-def line(name: str, row: dict[str, Any]) -> list[str]:
-    whole = row["all"]
-    return [
-        name,
-        *(cells(row[part]) for part in ("all", "even", "odd")),
-        QUOTED[name],
-        share(whole.get("calibration_error")),
-        share(whole["status"].get("OK", 0.0)) if "status" in whole else "–",
-        number(whole.get("p50_ms"), 1, "ms"),
-        number(whole.get("p95_ms"), 1, "ms"),
     ]
+    print(render(COLUMNS, rows))
+    run.save({"landmarks": len(places), "rows": rows})

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -21,10 +21,11 @@ from placegraph.errors import PlacegraphError
 from placegraph.outdoor.city import CityMap
 from placegraph.outdoor.language.languages import Language, codes, english, language
 from placegraph.outdoor.language.vocabulary import Vocabulary
-from placegraph_lab.tables.outdoor.extracts import EXTRACTS
+from placegraph_lab.tables.outdoor.extracts import EXTRACTS, open_city
 from placegraph_lab.tables.outdoor.metrics import HIT, distances, positions
 from placegraph_lab.tables.outdoor.queries import Query, Teller, load, make_queries
-from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, option, parts, share, table
+from placegraph_lab.tables.runner import Column as Col
+from placegraph_lab.tables.runner import Quick, Run, Seed, option, parts, render, share, table
 
 BEARINGS = {"north": "0", "east": "90", "south": "180", "west": "270"}
 _SLOT = re.compile(r"\{(?:(\w+):)?(\w+)\}")
@@ -104,10 +105,12 @@ def spoken() -> tuple[str, ...]:
     return ("en", *[code for code in codes() if language(code).say.get("direction")])
 
 
-def told(path: Path, n: int, seed: int) -> Iterator[tuple[str, list[tuple[str, Query]]]]:
-    """Every language with the texts of the same `n` queries of an extract."""
+def translate_queries(
+    path: Path, n: int, seed: int
+) -> Iterator[tuple[str, list[tuple[str, Query]]]]:
+    """Yield every language with the texts of the same `n` queries of an extract."""
     queries = make_queries(path, n=n, seed=seed)
-    teller = Teller(load(path), "none", 6, "nearest", same_label=False)
+    teller = Teller(load(path), "none", 6)
     words = Vocabulary.default()
     labels = [{k: f"{v}={k}" for k, v in teller.keys(q.said).items()} for q in queries]
     for code in spoken():
@@ -119,30 +122,34 @@ def name(code: str) -> str:
     return english().name if code == "en" else language(code).name
 
 
-def judged(city: CityMap, code: str, texts: list[tuple[str, Query]]) -> dict[str, float]:
+def score_texts(city: CityMap, code: str, texts: list[tuple[str, Query]]) -> dict[str, float]:
     """Shares of texts whose language is recognised, and of places found within 50 m."""
-    found, recognised, sure, wrong = [], [], 0, 0
-    for text, query in texts:
+    off, recognised, ok = np.full(len(texts), np.inf), [], np.zeros(len(texts), bool)
+    for i, (text, query) in enumerate(texts):
         try:
             estimate = city.locate(text)
         except PlacegraphError:
-            found.append(np.inf)
             recognised.append(False)
             continue
-        off = np.inf
         if estimate.best is not None:
-            off = float(distances(positions(estimate)[:1], query.longitude, query.latitude)[0])
-        found.append(off)
+            off[i] = distances(positions(estimate)[:1], query.longitude, query.latitude)[0]
         read = estimate.understood
         recognised.append(read is not None and read.language == code)
-        if estimate.status.name == "OK":
-            sure, wrong = sure + 1, wrong + (off > HIT)
+        ok[i] = estimate.status.name == "OK"
     return {
         "recognised": float(np.mean(recognised)),
-        "recall": float(np.mean(np.array(found) <= HIT)),
-        "ok": sure / len(texts),
-        "wrong_of_ok": wrong / sure if sure else 0.0,
+        "recall": float((off <= HIT).mean()),
+        "ok": float(ok.mean()),
+        "wrong_of_ok": float((off[ok] > HIT).mean()) if ok.any() else 0.0,
     }
+
+
+COLUMNS = (
+    Col("", "city"), Col("", lambda r: f"{name(r['language'])} ({r['language']})"),
+    Col("recognised", "recognised", share), Col("within 50 m", "recall", share),
+    Col("of English", "of_english", share), Col("`OK`", "ok", share),
+    Col("of these wrong", "wrong_of_ok", share),
+)  # fmt: skip
 
 
 @table()
@@ -155,27 +162,15 @@ def languages(
     quick: Quick = False,
 ) -> None:
     """Is every language read as well as English? The same statements, said in each."""
-    import placegraph as pg
-
-    rows = []
-    run.cache.mkdir(parents=True, exist_ok=True)
-    towns = parts(cities)
-    for town in towns:
-        source, built = run.osm / EXTRACTS[town], run.cache / f"{town}.city"
-        if not built.exists():
-            pg.build_city(source, built)
-        city = pg.CityMap.open(built)
-        found = {
-            c: judged(city, c, asked) for c, asked in told(source, 20 if quick else texts, seed)
-        }
-        for code, row in found.items():
-            row["of_english"] = row["recall"] / max(found["en"]["recall"], 1e-9)
-            rows.append((town, code, row))
-    header = ["", "", "recognised", "within 50 m", "of English", "`OK`", "of these wrong"]
-    shown = [
-        [town, f"{name(code)} ({code})",
-         *(share(row[k]) for k in ("recognised", "recall", "of_english", "ok", "wrong_of_ok"))]
-        for town, code, row in rows
-    ]  # fmt: skip
-    print(markdown(header, shown))
-    run.save({"rows": [{"city": town, "language": code} | row for town, code, row in rows]})
+    rows: list[dict[str, Any]] = []
+    for town in parts(cities):
+        city = open_city(town, run.osm, run.cache)
+        queries = translate_queries(run.osm / EXTRACTS[town], 20 if quick else texts, seed)
+        found = {code: score_texts(city, code, of) for code, of in queries}
+        english_recall = max(found["en"]["recall"], 1e-9)
+        rows += [
+            {"city": town, "language": code} | row | {"of_english": row["recall"] / english_recall}
+            for code, row in found.items()
+        ]
+    print(render(COLUMNS, rows))
+    run.save({"rows": rows})

@@ -10,7 +10,7 @@ paper's pipeline. Prints Markdown, writes JSON.
 from __future__ import annotations
 
 import tempfile
-import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,7 +18,8 @@ from placegraph.outdoor.city import CityMap
 from placegraph_lab.tables.outdoor.extracts import EXTRACTS, names_of, open_city, unseen_queries
 from placegraph_lab.tables.outdoor.matchers import LocateMatcher, Matcher, RetrieveMatcher, ask
 from placegraph_lab.tables.outdoor.metrics import RANKS, score
-from placegraph_lab.tables.runner import Quick, Run, Seed, markdown, number, option, shares, table
+from placegraph_lab.tables.runner import Column as Col
+from placegraph_lab.tables.runner import Quick, Run, Seed, number, option, render, shares, table
 
 PAPER = {
     "*paper: Karlsruhe*": (173.5, 1000, (0.28, 0.44, 0.52), 0.15, 15.44),
@@ -27,63 +28,53 @@ PAPER = {
 }
 """Table VI: km², cells, accuracy at 1/3/5, seconds a query, MB."""
 
-MATCHERS = ("default", "paper's pipeline")
 
-
-def run_city(name: str, data: Path, maps: Path, *, queries: int, seed: int) -> dict[str, Any]:
-    """Figures of a city."""
-    path = data / EXTRACTS[name]
+def run_city(
+    name: str, data: Path, maps: Path, *, queries: int, seed: int
+) -> Iterator[dict[str, Any]]:
+    """Figures of a city, a row a matcher."""
     city = open_city(name, data, maps)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "city"
         city.save(file)
         size = file.stat().st_size
-        start = time.perf_counter()
         city = CityMap.open(file)
-        opening = time.perf_counter() - start
-    asked = {
+    ways = {"anywhere": False, "near the middle": True}
+    texts = {
         way: unseen_queries(
-            name, city, path, n=queries, seed=seed, in_the_middle=way == "near the middle"
+            name, city, data / EXTRACTS[name], n=queries, seed=seed, in_the_middle=middle
         )
-        for way in ("anywhere", "near the middle")
+        for way, middle in ways.items()
     }
-    row: dict[str, Any] = {
-        "city": name,
-        "km2": len(city.cells) * city.cells.grid.stride**2 * 1e-6,
-        "cells": len(city.cells),
-        "bytes": size,
-        "vector_bytes": int(city.embeddings.nbytes),
-        "open_s": opening,
+    matchers: dict[str, Matcher] = {
+        "default": LocateMatcher(city),
+        "paper's pipeline": RetrieveMatcher(city, {"preset": "paper"}),
     }
-    matchers: tuple[Matcher, ...] = (
-        LocateMatcher(city),
-        RetrieveMatcher(city, {"preset": "paper"}),
-    )
-    for name_of, matcher in zip(MATCHERS, matchers, strict=True):
-        ask(matcher, city, asked["anywhere"][:1])  # what is made on first use is not timed
-        row[name_of] = {
-            way: score(ask(matcher, city, told)).to_dict() for way, told in asked.items()
+    for title, matcher in matchers.items():
+        ask(matcher, city, texts["anywhere"][:1])  # what is made on first use is not timed
+        yield {
+            "city": name,
+            "matcher": title,
+            "km2": len(city.cells) * city.cells.grid.stride**2 * 1e-6,
+            "cells": len(city.cells),
+            "bytes": size + int(city.embeddings.nbytes) * (title != "default"),
+            **{way: score(ask(matcher, city, of)) for way, of in texts.items()},
         }
-    return row
 
 
-def line(row: dict[str, Any], matcher: str) -> list[str]:
-    told, middle = row[matcher]["anywhere"], row[matcher]["near the middle"]
+def _ranks(recall: dict[int, float]) -> str:
+    return shares(recall[k] for k in RANKS)
 
-    def at(recall: dict[str, float]) -> str:
-        return shares(recall[str(k)] for k in RANKS)
 
-    return [
-        f"{row['city']}, {matcher}",
-        number(row["km2"], 1),
-        number(row["cells"]),
-        at(middle["exact"]),
-        at(told["exact"]),
-        at(told["within"]["50 m"]),
-        number(1e-3 * told["p50_ms"], 4),
-        number(1e-3 * told["p95_ms"], 4),
-        number(1e-6 * (row["bytes"] + row["vector_bytes"] * (matcher != "default")), 2),
-    ]
+COLUMNS = (
+    Col("", lambda r: f"{r['city']}, {r['matcher']}"), Col("km² of cells", "km2", 1),
+    Col("cells", "cells", 0),
+    Col("exact @1/3/5, near the middle", lambda r: r["near the middle"].exact, _ranks),
+    Col("exact @1/3/5", "anywhere.exact", _ranks),
+    Col("50 m @1/3/5", lambda r: r["anywhere"].within[50.0], _ranks),
+    Col("s/query", "anywhere.p50", 4), Col("95 %", "anywhere.p95", 4),
+    Col("MB", "bytes", 2, "", 1e-6),
+)  # fmt: skip
 
 
 @table("GOTLoc, Table VI")
@@ -100,13 +91,14 @@ def outdoor_cities(
     if quick:
         names, asked = names[:1], 50
     run.one_core()
-    rows = [run_city(name, run.osm, run.cache, queries=asked, seed=seed) for name in names]
-    header = ["", "km² of cells", "cells", "exact @1/3/5, near the middle", "exact @1/3/5"]
-    header += ["50 m @1/3/5", "s/query", "95 %", "MB"]
-    lines = [line(row, matcher) for row in rows for matcher in MATCHERS]
-    for name, (area, cells, recall, seconds, size) in PAPER.items():
-        figures = [number(area, 1), number(cells), shares(recall), "–", "–"]
-        figures += [number(seconds, 2), "–", number(size, 2)]
-        lines.append([name, *figures])
-    print(markdown(header, lines))
+    rows = [
+        row for name in names
+        for row in run_city(name, run.osm, run.cache, queries=asked, seed=seed)
+    ]  # fmt: skip
+    paper = [
+        [name, number(area, 1), number(cells), shares(recall), "–", "–", number(seconds, 2), "–",
+         number(size, 2)]
+        for name, (area, cells, recall, seconds, size) in PAPER.items()
+    ]  # fmt: skip
+    print(render(COLUMNS, [*rows, *paper]))
     run.save({"queries": asked, "rows": rows})

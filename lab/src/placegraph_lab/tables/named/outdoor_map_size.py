@@ -9,48 +9,47 @@ a drive; it is not here and was not measured. Prints Markdown, writes JSON.
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
 from placegraph.outdoor.city import CityMap
 from placegraph_lab.tables.kitti.kitti360pose import POINT_CLOUD, SCENE_GRAPH
 from placegraph_lab.tables.outdoor.extracts import busiest_tile, crop, names_of, open_city
-from placegraph_lab.tables.runner import Quick, Run, markdown, number, option, table
+from placegraph_lab.tables.runner import Column as Col
+from placegraph_lab.tables.runner import Quick, Run, option, render, table
 
 MEGA = 1e-6
 
 
 def measure(city: CityMap, folder: Path) -> dict[str, Any]:
-    """Bytes of a city's file, and of its graph embeddings."""
+    """Bytes of a city's file, of its graph embeddings, and the paper's for as many cells."""
     path = folder / "part.city"
     city.save(path)
+    cells, size, vectors = len(city.cells), path.stat().st_size, int(city.embeddings.nbytes)
     return {
-        "cells": len(city.cells),
+        "cells": cells,
         "objects": len(city.objects),
-        "km2": len(city.cells) * city.cells.grid.stride**2 * 1e-6,
-        "bytes": path.stat().st_size,
-        "vector_bytes": int(city.embeddings.nbytes),
+        "km2": cells * city.cells.grid.stride**2 * 1e-6,
+        "bytes": size,
+        "both": size + vectors,
+        "cloud": POINT_CLOUD[cells] / MEGA if cells in POINT_CLOUD else None,
+        "paper": SCENE_GRAPH[cells] / MEGA if cells in SCENE_GRAPH else None,
     }
 
 
-def line(name: str, row: dict[str, Any]) -> list[str]:
-    cells, size = row["cells"], row["bytes"]
-    cloud, paper = POINT_CLOUD.get(cells), SCENE_GRAPH.get(cells)
-    both = size + row["vector_bytes"]
-    return [
-        name,
-        number(cells),
-        number(row["objects"]),
-        number(row["km2"], 2),
-        number(cloud, 0),
-        number(paper, 2),
-        number(size * MEGA, 3),
-        number(both * MEGA, 3),
-        number(size / cells),
-        number(both / cells),
-        number(cloud / (size * MEGA)) if cloud else "–",
-        number(cloud / paper) if cloud and paper else "–",
-    ]
+def _per(size: str, other: str) -> Callable[[dict[str, Any]], float | None]:
+    return lambda row: row[size] / row[other] if row[size] and row[other] else None
+
+
+COLUMNS = (
+    Col("", "city"), Col("cells", "cells", 0), Col("objects", "objects", 0), Col("km²", "km2", 2),
+    Col("point cloud, paper [MB]", "cloud", 0, "", MEGA),
+    Col("scene graph, paper [MB]", "paper", 2, "", MEGA),
+    Col("map [MB]", "bytes", 3, "", MEGA), Col("with vectors [MB]", "both", 3, "", MEGA),
+    Col("bytes/cell", _per("bytes", "cells"), 0), Col("with vectors", _per("both", "cells"), 0),
+    Col("cloud/map", _per("cloud", "bytes"), 0), Col("cloud/graph, paper", _per("cloud", "paper"), 0),
+)  # fmt: skip
 
 
 @table("GOTLoc, Table V")
@@ -68,11 +67,6 @@ def outdoor_map_size(
             middle = busiest_tile(city)
             cut = [crop(city, n, middle) for n in POINT_CLOUD if n < len(city.cells)]
             rows += [{"city": name} | measure(part, Path(folder)) for part in (*cut, city)]
-    header = ["", "cells", "objects", "km²", "point cloud, paper [MB]", "scene graph, paper [MB]"]
-    header += ["map [MB]", "with vectors [MB]", "bytes/cell", "with vectors"]
-    header += ["cloud/map", "cloud/graph, paper"]
-    print(markdown(header, [line(row["city"], row) for row in rows]))
+    print(render(COLUMNS, rows))
     print("\nVectors follow from the map and are made when first needed; they need not be stored.")
-    run.save(
-        {"paper": {"point_cloud_MB": POINT_CLOUD, "scene_graph_MB": SCENE_GRAPH}, "rows": rows}
-    )
+    run.save({"rows": rows})

@@ -60,7 +60,7 @@ def protocols(statements: Sequence[int], settings: Sequence[str]) -> list[Protoc
     chosen = [s for s in SETTINGS if s in settings]
     table = [Protocol(n, s) for n in statements for s in chosen if s != "speaker" or n == 6]
     if 6 in statements and "variants" in settings:
-        table += [Protocol(position="centroid"), Protocol(same_label=True), Protocol(anywhere=True)]
+        table.append(Protocol(anywhere=True))
     return table
 
 
@@ -69,14 +69,8 @@ def bounds(
 ) -> list[Row]:
     """Rows of the ceiling and of the oracle; the protocols look at the city in the same way."""
     together = [q for p in group for q in asked[p]]
-    first = group[0]
-    contest = Contest.of(
-        bins,
-        together,
-        position=first.position,
-        names=first.setting == "names",
-        same_label=first.same_label,
-    )
+
+    contest = Contest.of(bins, together, names=group[0].setting == "names")
     ceilings = {"exact": ceiling(contest, None)}
     ceilings |= {f"{r:.0f} m": ceiling(contest, r) for r in RADII}
     loud = [p.setting == "replaced" for p in group for _ in asked[p]]
@@ -147,8 +141,6 @@ def run_city(
             setting=p.setting,
             n=n,
             seed=seed,
-            position=p.position,
-            same_label=p.same_label,
             anywhere=p.anywhere,
         )
         for p in table
@@ -161,14 +153,13 @@ def run_city(
         for method, (reach, longest) in BAGS.items():
             pairs: Words = "speaker" if p.setting == "speaker" else "triples"
             words: Words = "labels" if method == "label bag" else pairs
-            key = (words, method, p.position, p.setting == "names")
+            key = (words, method, p.setting == "names")
             if key not in bags:
                 bags[key] = Bag.of(
                     bins,
                     words,
                     reach=reach,
                     longest=longest,
-                    position=p.position,
                     names=p.setting == "names",
                     seed=seed,
                 )

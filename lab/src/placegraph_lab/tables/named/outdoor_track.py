@@ -96,7 +96,7 @@ def make_walks(
     full = centers[np.diff(bins.around(centers, SIGHT).starts) >= FEWEST]
     if not len(full):
         raise OptionError(f"{osm_path} has no 50 m cell with {FEWEST} objects; give a larger one.")
-    teller = Teller(bins, setting, statements, "nearest", same_label=False)
+    teller = Teller(bins, setting, statements)
     walks: list[Walk] = []
     for stream in np.random.default_rng(seed).spawn(50 * n):
         path, speech = stream.spawn(2)

@@ -13,7 +13,6 @@ from placegraph_lab.tables.outdoor.nearby import (
     DIRECTIONS,
     Around,
     Bins,
-    Position,
     Triples,
     encode,
     relations,
@@ -51,7 +50,6 @@ class Bag:
         *,
         reach: float = 50.0,
         longest: float = 50.0,
-        position: Position = "nearest",
         names: bool = False,
         seed: int = 0,
         centers: Floats | None = None,
@@ -65,7 +63,7 @@ class Bag:
         """
         city = bins.city
         centers = bins.centers(CELL) if centers is None else centers
-        around = bins.around(centers, reach, position)
+        around = bins.around(centers, reach)
         kept = np.flatnonzero(np.diff(around.starts))
         label = city.named if names else city.label
         cell, word = words_around(kind, centers, around, label, len(city.labels), longest)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from placegraph.core.geometry import Floats
 from placegraph_lab.tables.outdoor.baselines import Words, spoken, words_around
-from placegraph_lab.tables.outdoor.nearby import DIRECTIONS, Bins, Position
+from placegraph_lab.tables.outdoor.nearby import DIRECTIONS, Bins
 from placegraph_lab.tables.outdoor.outdoor_kernels import _likeliest, _rank
 from placegraph_lab.tables.outdoor.places import Ints
 from placegraph_lab.tables.outdoor.queries import CELL, NOISE, SIGHT, Query
@@ -44,16 +44,13 @@ class Contest:
         bins: Bins,
         queries: Sequence[Query],
         *,
-        position: Position = "nearest",
         names: bool = False,
-        same_label: bool = False,
         step: float = STEP,
     ) -> Contest:
         """Look at all viewpoints of a grid over the city.
 
-        `queries`: all about pairs of objects, or all about the speaker; `position`, `names`,
-        `same_label`: as the queries were made (`make_queries`); `step`: edge of the grid [m]: 50 /
-        step is a whole number.
+        `queries`: all about pairs of objects, or all about the speaker; `names`: objects are called
+        by their names; `step`: edge of the grid [m]: 50 / step is a whole number.
         """
         city = bins.city
         label = city.named if names else city.label
@@ -71,9 +68,9 @@ class Contest:
 
         def look(viewpoints: Floats) -> tuple[Ints, Ints, Ints]:
             """Viewpoint and word of what a query asks for; number of different words."""
-            around = bins.around(viewpoints, SIGHT, position)
+            around = bins.around(viewpoints, SIGHT)
             at, word = words_around(
-                kind, viewpoints, around, label, len(city.labels), SIGHT, same_label=same_label
+                kind, viewpoints, around, label, len(city.labels), SIGHT, same_label=False
             )
             pairs = np.unique(np.stack([at, word]), axis=1)
             place = np.minimum(np.searchsorted(known, pairs[1]), len(known) - 1)

@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
 
 from placegraph.core.geometry import Floats
+from placegraph.core.mapfile import spans, starts
 from placegraph.errors import OptionError
 from placegraph.outdoor.city import CityMap, build_city
-from placegraph.outdoor.map.cells import VisibleObjects, find_in_cells
+from placegraph.outdoor.map.cells import find_in_cells
 from placegraph.outdoor.map.objects import CityObjects
 from placegraph_lab.tables.outdoor.matchers import cell_centers
 from placegraph_lab.tables.outdoor.queries import JITTER, Query, Setting, make_queries
@@ -85,7 +85,6 @@ def unseen_queries(
     n: int,
     seed: int,
     setting: Setting = "none",
-    statements: int = 6,
     in_the_middle: bool = False,
 ) -> list[Query]:
     """Queries from places that nothing was trained on: held-out tiles, or all of an unseen city.
@@ -100,19 +99,11 @@ def unseen_queries(
     def where(lonlat: Floats) -> NDArray[np.bool_]:
         return np.logical_and.reduce([part(lonlat) for part in parts], axis=0)
 
-    return make_queries(
-        path,
-        statements=statements,
-        setting=setting,
-        n=n,
-        seed=seed,
-        anywhere=True,
-        where=where if parts else None,
-    )
+    among = where if parts else None
+    return make_queries(path, setting=setting, n=n, seed=seed, anywhere=True, where=among)
 
 
 Rows = NDArray[np.int64]
-Starts = NDArray[np.signedinteger[Any]]
 
 
 GAP = 200.0  # between copies at the least [m]
@@ -127,20 +118,10 @@ def take(objects: CityObjects, rows: Rows) -> CityObjects:
     part_starts, parts = _rows(objects.part_starts, rows)
     point_starts, points = _rows(objects.point_starts, parts)
     return CityObjects(
-        objects.osm_type[rows],
-        objects.osm_id[rows],
-        objects.kind[rows],
-        label_starts,
-        label_values,
-        name_starts,
-        name_values,
-        part_starts,
-        point_starts,
-        objects.points[points],
-        objects.center[rows],
-        labels,
-        names,
-    )
+        objects.osm_type[rows], objects.osm_id[rows], objects.kind[rows],
+        label_starts, label_values, name_starts, name_values, part_starts, point_starts,
+        objects.points[points], objects.center[rows], labels, names,
+    )  # fmt: skip
 
 
 def crop(city: CityMap, cells: int, around: ArrayLike | None = None) -> CityMap:
@@ -158,7 +139,8 @@ def crop(city: CityMap, cells: int, around: ArrayLike | None = None) -> CityMap:
     kept = np.sort(np.argsort(np.hypot(*off.T), kind="stable")[:cells])
     points = city.cells.points[kept]
     seen = find_in_cells(city.objects, city.cells.grid, city.cells.size)
-    rows = np.unique(_things(seen, np.searchsorted(seen.points, points))).astype(np.int64)
+    _, entries = _rows(seen.starts.astype(np.int32), np.searchsorted(seen.points, points))
+    rows = np.unique(seen.objects[entries]).astype(np.int64)
     return replace(city, objects=take(city.objects, rows), cells=replace(city.cells, points=points))
 
 
@@ -175,11 +157,7 @@ def tile(city: CityMap, copies: int, rng: Generator) -> CityMap:
 
     They are exchanged among points, among lines and among areas, both together, so that no copy
     repeats another: the distractors grow with the map, the truth does not.
-
-    Raises `OptionError`: where there is no copy to make.
     """
-    if copies < 1:
-        raise OptionError(f"{copies} copies; make at least one.")
     o, n = city.objects, len(city.objects)
     step = city.cells.grid.stride
     size = step * np.ceil((np.ptp(o.points, axis=0) + GAP) / step)
@@ -191,29 +169,19 @@ def tile(city: CityMap, copies: int, rng: Generator) -> CityMap:
     name_starts, names = _rows(o.name_starts, tagged)
     last = int(o.osm_id.max()) + 1
     objects = CityObjects(
-        np.tile(o.osm_type, copies),
-        np.concatenate([o.osm_id + k * last for k in range(copies)]),
-        np.tile(o.kind, copies),
-        label_starts,
-        o.label_values[labels],
-        name_starts,
-        o.name_values[names],
-        _repeated(o.part_starts, copies),
-        _repeated(o.point_starts, copies),
+        np.tile(o.osm_type, copies), np.concatenate([o.osm_id + k * last for k in range(copies)]),
+        np.tile(o.kind, copies), label_starts, o.label_values[labels],
+        name_starts, o.name_values[names],
+        starts(np.tile(np.diff(o.part_starts), copies)).astype(np.int32),
+        starts(np.tile(np.diff(o.point_starts), copies)).astype(np.int32),
         np.concatenate([o.points + shift for shift in shifts]).astype(np.float32),
         np.concatenate([o.center + shift for shift in shifts]).astype(np.float32),
-        o.labels,
-        o.names,
-    )
+        o.labels, o.names,
+    )  # fmt: skip
     return CityMap.create(
-        city.plane,
-        objects,
-        cell_size=city.cells.size,
-        stride=step,
-        edge_distance=city.cells.edge_distance,
-        source=f"{copies} x {city.source}",
-        left_out={},
-    )
+        city.plane, objects, cell_size=city.cells.size, stride=step,
+        edge_distance=city.cells.edge_distance, source=f"{copies} x {city.source}", left_out={},
+    )  # fmt: skip
 
 
 def _exchanged(kind: NDArray[np.uint8], rng: Generator) -> Rows:
@@ -225,11 +193,10 @@ def _exchanged(kind: NDArray[np.uint8], rng: Generator) -> Rows:
     return order
 
 
-def _rows(starts: Starts, rows: Rows) -> tuple[NDArray[np.int32], Rows]:
-    first, counts = starts[rows].astype(np.int64), np.diff(starts)[rows]
-    bounds = np.concatenate(([0], np.cumsum(counts, dtype=np.int64)))
-    entries = np.arange(bounds[-1]) + np.repeat(first - bounds[:-1], counts)
-    return bounds.astype(np.int32), entries
+def _rows(bounds: NDArray[np.int32], rows: Rows) -> tuple[NDArray[np.int32], Rows]:
+    """CSR of some rows: their starts, and which entries they have."""
+    made, entries = spans(bounds.astype(np.int64), rows)
+    return made.astype(np.int32), entries
 
 
 def _used(
@@ -237,12 +204,3 @@ def _used(
 ) -> tuple[tuple[str, ...], NDArray[np.int32]]:
     used, inverse = np.unique(values, return_inverse=True)
     return tuple(table[i] for i in used), inverse.astype(np.int32)
-
-
-def _repeated(starts: Starts, copies: int) -> NDArray[np.int32]:
-    return np.concatenate(([0], np.cumsum(np.tile(np.diff(starts), copies)))).astype(np.int32)
-
-
-def _things(seen: VisibleObjects, rows: Rows) -> NDArray[np.int32]:
-    _, entries = _rows(seen.starts, rows)
-    return seen.objects[entries]

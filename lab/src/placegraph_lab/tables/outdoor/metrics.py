@@ -16,7 +16,6 @@ from placegraph_lab.tables.runner import markdown, number, share, shares
 from placegraph_lab.tables.statistics import Reliability, reliability
 
 if TYPE_CHECKING:
-    from placegraph_lab.tables.outdoor.nearby import Position
     from placegraph_lab.tables.outdoor.queries import Setting
 
 RANKS = (1, 3, 5)
@@ -172,8 +171,6 @@ class Protocol:
 
     statements: int = 6
     setting: Setting = "none"
-    position: Position = "nearest"
-    same_label: bool = False
     anywhere: bool = False
 
     @property
@@ -186,18 +183,12 @@ class Protocol:
             "names": "names kept",
             "speaker": "about the speaker",
         }[self.setting]
-        more = [
-            "things stand at their centroids" if self.position == "centroid" else "",
-            "also pairs of one kind" if self.same_label else "",
-            "viewpoints anywhere" if self.anywhere else "",
-        ]
-        return ", ".join([f"{self.statements} statements", noise, *filter(None, more)])
+        return f"{self.statements} statements, {noise}" + ", viewpoints anywhere" * self.anywhere
 
     @property
-    def group(self) -> tuple[object, ...]:
+    def group(self) -> str:
         """Queries of one group share their look at the city (`Contest`)."""
-        setting = self.setting if self.setting in ("names", "speaker") else ""
-        return self.position, self.same_label, setting
+        return self.setting if self.setting in ("names", "speaker") else ""
 
 
 @dataclass(frozen=True)
@@ -279,50 +270,4 @@ def report(rows: Sequence[Row], cities: Sequence[str]) -> str:
         for city in cities if len(cities) > 1 else ():
             lines += [line(f"{city}: {r.method}", [r]) for r in mine if r.city == city]
         parts += [f"#### {p.title}: mean of the cities, then each", markdown(HEADER, lines)]
-    parts += aims(by_protocol)
     return "\n\n".join(parts)
-
-
-def aims(by_protocol: dict[Protocol, list[Row]]) -> list[str]:
-    """Tables of the aims beside what was reached."""
-    header = ["names removed, 6 statements", "to triple bag, @1 50 m", "to the tuned bag"]
-    header += [
-        "oracle to triple bag",
-        "@5 50 m",
-        "ceiling @5",
-        "oracle @5",
-        "calibration error",
-        "pooled",
-        "of perfect",
-        "p50",
-        "p95",
-    ]
-    lines = [["aim", "1.5", "", "", ".95", "", "", ".05", "", "", "5 ms", "20 ms"]]
-    for p, rows in by_protocol.items():
-        ours = [r for r in rows if r.method == OURS]
-        if not ours or p.statements != 6 or p.setting == "names":
-            continue
-        reached = {m: mean_recall(rows, m, "50 m") for m in methods(rows)}
-
-        bins = reliability(
-            [a.probability or 0.0 for r in ours for a in r.answers],
-            [len(a.distance) > 0 and a.distance[0] <= HIT for r in ours for a in r.answers],
-        )
-        mine = line("", ours)
-        lines.append(
-            [
-                p.title,
-                number(reached[OURS][0] / reached[BAG][0], 2),
-                number(reached[OURS][0] / reached[TUNED][0], 2),
-                number(reached[ORACLE][0] / reached[BAG][0], 2),
-                share(reached[OURS][2]),
-                share(reached[CEILING][2]),
-                share(reached[ORACLE][2]),
-                mine[5],
-                share(bins.error),
-                share(bins.floor),
-                mine[8],
-                mine[9],
-            ]
-        )
-    return ["#### Aims", markdown(header, lines)] if len(lines) > 1 else []

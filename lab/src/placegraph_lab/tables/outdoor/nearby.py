@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from placegraph.core.geometry import Floats
-from placegraph.errors import OptionError
 from placegraph_lab.tables.outdoor.outdoor_kernels import (
     BIN,
     EAST,
@@ -17,15 +15,11 @@ from placegraph_lab.tables.outdoor.outdoor_kernels import (
     NORTH,
     SOUTH,
     WEST,
-    _centers_around,
     _nearest_around,
     _pairs,
     _rasterize,
 )
 from placegraph_lab.tables.outdoor.places import AREA, Ints, RawCity
-
-Position = Literal["nearest", "centroid"]
-"""Where an object stands: at its point nearest to the viewpoint, or at its centre."""
 
 
 @dataclass(frozen=True)
@@ -68,32 +62,18 @@ class Bins:
         starts = np.searchsorted(bins, np.arange(nx * ny + 1))
         return cls(city, low, (nx, ny), starts, owners.astype(np.int32))
 
-    def around(self, viewpoints: Floats, radius: float, position: Position = "nearest") -> Around:
+    def around(self, viewpoints: Floats, radius: float) -> Around:
         """Objects within `radius` of viewpoints (V, 2) east, north [m].
 
-        ``nearest`` places an object at its point nearest to the viewpoint; an area that holds the
-        viewpoint stands at its centroid where that is within the radius, else it is left out.
-        ``centroid`` places every object at its centre.
+        An object stands at its point nearest to the viewpoint; an area that holds the viewpoint
+        stands at its centroid where that is within the radius, else it is left out.
         """
-        if not radius > 0.0:
-            raise OptionError(f"The radius is {radius} m; give one above 0.")
-        city, grid = self.city, (self.low, *self.shape)
-        viewpoints = np.ascontiguousarray(viewpoints, np.float64)
-        if position == "centroid":
-            bins = _bin(city.center, self.low, self.shape[1])
-            order = np.argsort(bins, kind="stable").astype(np.int32)
-            starts = np.searchsorted(bins[order], np.arange(len(self.starts)))
-            counted, objects = _centers_around(viewpoints, radius, grid, starts, order, city.center)
-            points = city.center[objects]
-        else:
-            counted, objects, points = _nearest_around(
-                viewpoints,
-                radius,
-                grid,
-                (self.starts, self.owners),
-                (city.segment_starts, city.segments),
-                (city.kind == AREA, city.center),
-            )
+        city = self.city
+        counted, objects, points = _nearest_around(
+            np.ascontiguousarray(viewpoints, np.float64), radius, (self.low, *self.shape),
+            (self.starts, self.owners), (city.segment_starts, city.segments),
+            (city.kind == AREA, city.center),
+        )  # fmt: skip
         return Around(np.concatenate([[0], np.cumsum(counted)]), objects, points)
 
     def cells(self, points: Floats, step: float) -> Ints:

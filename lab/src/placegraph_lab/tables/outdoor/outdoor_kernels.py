@@ -114,26 +114,6 @@ def _nearest_around(
     return counted, np.array(objects, np.int32), points
 
 
-@kernel
-def _centers_around(
-    viewpoints: Floats,
-    radius: float,
-    grid: tuple[Floats, int, int],
-    starts: Ints,
-    order: NDArray[np.int32],
-    center: Floats,
-) -> tuple[Ints, NDArray[np.int32]]:
-    counted = np.zeros(len(viewpoints), np.int64)
-    objects = []
-    for v in range(len(viewpoints)):
-        x, y = viewpoints[v]
-        for o in _candidates(x, y, radius, grid, starts, order):
-            if (center[o, 0] - x) ** 2 + (center[o, 1] - y) ** 2 <= radius * radius:
-                objects.append(o)
-                counted[v] += 1
-    return counted, np.array(objects, np.int32)
-
-
 # mypy: allow-untyped-defs, allow-incomplete-defs
 
 

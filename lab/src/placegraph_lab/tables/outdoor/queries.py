@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import Literal, get_args
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from placegraph.core.geometry import Floats
 from placegraph.errors import OptionError
-from placegraph_lab.tables.outdoor.nearby import DIRECTIONS, Bins, Position, Triples, relations
+from placegraph_lab.tables.outdoor.nearby import DIRECTIONS, Bins, Triples, relations
 from placegraph_lab.tables.outdoor.outdoor_kernels import SHORTEST
 from placegraph_lab.tables.outdoor.places import KEYS, RawCity, read_raw
 
@@ -93,8 +93,6 @@ def make_queries(
     setting: Setting = "none",
     n: int = 500,
     seed: int = 0,
-    position: Position = "nearest",
-    same_label: bool = False,
     anywhere: bool = False,
     where: Callable[[Floats], NDArray[np.bool_]] | None = None,
 ) -> list[Query]:
@@ -103,34 +101,31 @@ def make_queries(
     The same seed gives the same viewpoints in every setting in which they have enough to say, and
     without ``names`` and ``speaker`` the same true statements under the noise.
 
-    `position`: ``nearest``: an object stands at its point nearest to the viewpoint. ``centroid``:
-    at its centre, and only objects whose centre is within 25 m are spoken of; `same_label`: also
-    say "The building is on the north of the building."; `anywhere`: draw viewpoints from the whole
-    of a cell instead of within 10 m of its centre: a grid of cells is then no longer told where to
-    look; `where`: longitude and latitude (n, 2) [deg] to whether viewpoints may stand there (n,):
-    parts of a city that nothing was trained on, say. Other viewpoints are passed over.
+    `anywhere`: draw viewpoints from the whole of a cell instead of within 10 m of its centre: a grid
+    of cells is then no longer told where to look; `where`: longitude and latitude (n, 2) [deg] to
+    whether viewpoints may stand there (n,).
 
-    Raises `OptionError`: where a setting is unknown, or the extract has too few places with that
-    much to say; `InputError`: where the extract cannot be read.
+    Raises `OptionError`: the extract has too few places with that much to say; `InputError`: the
+    extract cannot be read.
     """
-    if setting not in SETTINGS:
-        raise OptionError(f"There is no setting {setting!r}; choose one of {', '.join(SETTINGS)}.")
     bins = load(osm_path)
     city, centers = bins.city, bins.centers(CELL)
-    full = np.diff(bins.around(centers, SIGHT, position).starts) >= FEWEST
+    full = np.diff(bins.around(centers, SIGHT).starts) >= FEWEST
     if not full.any():
         raise OptionError(f"{osm_path} has no 50 m cell with {FEWEST} objects; give a larger one.")
     place, speech = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
-    generator = Teller(bins, setting, statements, position, same_label=same_label)
-    queries: list[Query] = []
+    teller, queries = Teller(bins, setting, statements), list[Query]()
     for _ in range(100 if where is None else 1000):
         viewpoints = centers[place.choice(np.flatnonzero(full), n)]
-        viewpoints += _offsets(place, n, anywhere=anywhere)
+        if anywhere:
+            viewpoints += CELL * (place.random((n, 2)) - 0.5)
+        else:  # uniform over a disk
+            radius, angle = JITTER * np.sqrt(place.random(n)), 2.0 * np.pi * place.random(n)
+            viewpoints += np.stack([radius * np.sin(angle), radius * np.cos(angle)], 1)
         streams = speech.spawn(n)
         allowed = np.ones(n, np.bool_) if where is None else where(city.plane.to_lonlat(viewpoints))
         for i in np.flatnonzero(allowed):
-            viewpoint, stream = viewpoints[i], streams[i]
-            query = generator.describe(viewpoint, stream)
+            query = teller.describe(viewpoints[i], streams[i])
             if query is not None:
                 queries.append(query)
             if len(queries) == n:
@@ -140,14 +135,6 @@ def make_queries(
     )
 
 
-def _offsets(rng: Generator, n: int, *, anywhere: bool) -> Floats:
-    """Offsets (n, 2) from cell centres, uniform over a disk of radius `JITTER`, or a cell [m]."""
-    if anywhere:
-        return CELL * (rng.random((n, 2)) - 0.5)
-    radius, angle = JITTER * np.sqrt(rng.random(n)), 2.0 * np.pi * rng.random(n)
-    return np.asarray(np.stack([radius * np.sin(angle), radius * np.cos(angle)], 1))
-
-
 @dataclass(frozen=True)
 class Teller:
     """Describes viewpoints in one setting."""
@@ -155,8 +142,6 @@ class Teller:
     bins: Bins
     setting: Setting
     statements: int
-    position: Position
-    same_label: bool
 
     @property
     def city(self) -> RawCity:
@@ -180,25 +165,27 @@ class Teller:
         return Query(self.write(said, rng), longitude, latitude, said)
 
     def between(self, viewpoint: Floats) -> list[Said]:
-        """All true statements about two objects in sight of a viewpoint (2,)."""
-        around = self.bins.around(viewpoint[None], SIGHT, self.position)
+        """All true statements about two objects of different labels in sight of a viewpoint (2,)."""
+        around = self.bins.around(viewpoint[None], SIGHT)
         triples = Triples.of(around)
         city, label = self.city, self.label
-        told = []
-        for a, b, r in zip(
-            around.objects[triples.source].tolist(),
-            around.objects[triples.target].tolist(),
-            triples.relation.tolist(),
-            strict=True,
-        ):
-            if self.same_label or label[a] != label[b]:
-                source, target = city.labels[label[a]], city.labels[label[b]]
-                told.append(Said(source, DIRECTIONS[r], target, city.osm[a], city.osm[b]))
-        return told
+        sources, targets = around.objects[triples.source], around.objects[triples.target]
+        rows = zip(sources.tolist(), targets.tolist(), triples.relation.tolist(), strict=True)
+        return [
+            Said(
+                city.labels[label[a]],
+                DIRECTIONS[r],
+                city.labels[label[b]],
+                city.osm[a],
+                city.osm[b],
+            )
+            for a, b, r in rows
+            if label[a] != label[b]
+        ]
 
     def from_here(self, viewpoint: Floats) -> list[Said]:
         """All true statements about an object in sight and the speaker at a viewpoint (2,)."""
-        around = self.bins.around(viewpoint[None], SIGHT, self.position)
+        around = self.bins.around(viewpoint[None], SIGHT)
         city, told = self.city, []
         for i, point in zip(around.objects.tolist(), around.points, strict=True):
             delta = point - viewpoint
@@ -211,23 +198,22 @@ class Teller:
         """Change the statement with probability `NOISE`, where the setting asks for it."""
         if self.setting not in ("replaced", "absent") or rng.random() >= NOISE:
             return said
-        source, target, direction = said.source, said.target, said.direction
-        source_osm, target_osm = said.source_osm, said.target_osm
         if self.setting == "replaced":
-            direction = str(rng.choice([d for d in DIRECTIONS if d != direction]))
-        elif rng.random() < 0.5:
-            source, source_osm = self.absent(viewpoint, rng, {target}), ""
-        else:
-            target, target_osm = self.absent(viewpoint, rng, {source}), ""
-        return Said(source, direction, target, source_osm, target_osm, noisy=True)
+            direction = str(rng.choice([d for d in DIRECTIONS if d != said.direction]))
+            return replace(said, direction=direction, noisy=True)
+        if rng.random() < 0.5:
+            source = self.absent(viewpoint, rng, said.target)
+            return replace(said, source=source, source_osm="", noisy=True)
+        target = self.absent(viewpoint, rng, said.source)
+        return replace(said, target=target, target_osm="", noisy=True)
 
-    def absent(self, viewpoint: Floats, rng: Generator, other: set[str]) -> str:
+    def absent(self, viewpoint: Floats, rng: Generator, other: str) -> str:
         """Draw a label as often as the city has it, but none that is near a viewpoint (2,)."""
-        around = self.bins.around(viewpoint[None], NOWHERE, self.position)
+        around = self.bins.around(viewpoint[None], NOWHERE)
         near = set(self.label[around.objects].tolist())
         for _ in range(1000):
             label = int(rng.choice(self.label))
-            if label not in near and self.city.labels[label] not in other:
+            if label not in near and self.city.labels[label] != other:
                 return self.city.labels[label]
         raise OptionError("Nothing in this extract is absent from a place; give a larger one.")
 
