@@ -11,7 +11,7 @@ from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
 
 from placegraph.core.geometry import Floats
-from placegraph.core.mapfile import spans, starts
+from placegraph.core.mapfile import gather_spans, offsets_of
 from placegraph.errors import OptionError
 from placegraph.outdoor.city import CityMap, build_city
 from placegraph.outdoor.map.cells import find_in_cells
@@ -172,8 +172,8 @@ def tile(city: CityMap, copies: int, rng: Generator) -> CityMap:
         np.tile(o.osm_type, copies), np.concatenate([o.osm_id + k * last for k in range(copies)]),
         np.tile(o.kind, copies), label_starts, o.label_values[labels],
         name_starts, o.name_values[names],
-        starts(np.tile(np.diff(o.part_starts), copies)).astype(np.int32),
-        starts(np.tile(np.diff(o.point_starts), copies)).astype(np.int32),
+        offsets_of(np.tile(np.diff(o.part_starts), copies)).astype(np.int32),
+        offsets_of(np.tile(np.diff(o.point_starts), copies)).astype(np.int32),
         np.concatenate([o.points + shift for shift in shifts]).astype(np.float32),
         np.concatenate([o.center + shift for shift in shifts]).astype(np.float32),
         o.labels, o.names,
@@ -195,7 +195,7 @@ def _exchanged(kind: NDArray[np.uint8], rng: Generator) -> Rows:
 
 def _rows(bounds: NDArray[np.int32], rows: Rows) -> tuple[NDArray[np.int32], Rows]:
     """CSR of some rows: their starts, and which entries they have."""
-    made, entries = spans(bounds.astype(np.int64), rows)
+    made, entries = gather_spans(bounds.astype(np.int64), rows)
     return made.astype(np.int32), entries
 
 
